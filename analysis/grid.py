@@ -60,7 +60,7 @@ class Point:
 
     def rank(self) -> list[list[tuple[int, float, str]]]:
         """Sorts points along the axes, in the order of their values."""
-        return [_order(value) for value in self.at.values()]
+        return [order(value) for value in self.at.values()]
 
 
 def settings(groups: Iterable[Group]) -> dict[str, list[Group]]:
@@ -107,12 +107,12 @@ def axes_of(found: Mapping[str, Sequence[Group]]) -> list[Axis]:
                 break
         else:
             together.append([key])
-    axes = [Axis(tuple(some), tuple(sorted({tuple(point[key] for key in some) for point in points}, key=_order)))
+    axes = [Axis(tuple(some), tuple(sorted({tuple(point[key] for key in some) for point in points}, key=order)))
             for some in together]  # fmt: skip
     return sorted(axes, key=lambda axis: -len(axis.values))
 
 
-def _place(axes: Sequence[Axis], group: Group) -> dict[Axis, tuple[Value, ...]]:
+def place_of(axes: Sequence[Axis], group: Group) -> dict[Axis, tuple[Value, ...]]:
     """The value of a group on each axis."""
     own = values(group)
     return {axis: tuple(own[key] for key in axis.keys) for axis in axes}
@@ -123,14 +123,14 @@ def as_text(value: Sequence[Value]) -> str:
     return " with ".join(one if isinstance(one, str) else f"{one:g}" for one in value)
 
 
-def _order(value: Sequence[Value]) -> list[tuple[int, float, str]]:
+def order(value: Sequence[Value]) -> list[tuple[int, float, str]]:
     """Sorts values: numbers before distributions."""
     return [by_value(one) for one in value]
 
 
 def point_of(study: Study, group: Group, axes: Sequence[Axis], of: Iterable[Measure] = ()) -> Point:
     """The point of a group, with what its runs give, measured by `of` too."""
-    found = Point(group, _place(axes, group), fates={name: group.fates.count(name) for name in (*WATCHED, FAILED)})
+    found = Point(group, place_of(axes, group), fates={name: group.fates.count(name) for name in (*WATCHED, FAILED)})
     for unit, how in zip(group.members["unit"], group.fates, strict=True):
         if how != FAILED:
             found.sample.add(IN_MOTION, int(unit), [how in MOVING, 1.0])

@@ -16,6 +16,7 @@ from .machine.signals import interruptible as interruptible
 from .running.driver import Progress as Progress
 from .running.driver import run_ensemble as run_ensemble
 from .running.driver import run_member as run_member
+from .running.extend import extend as extend
 from .scene.scene import Scene as Scene
 from .scene.scene import load_scene as load_scene
 from .scene.scene import parse_scene as parse_scene

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Task
-from stickslip.sim.numerics.arguments import did_you_mean, flag, floats, number, per_block
+from stickslip.sim.numerics.arguments import did_you_mean, floats, number, per_block
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.systems.system import System, require_within
 
@@ -28,7 +28,7 @@ def simulate(
     t_eval: ArrayLike = (),
     engine: str = "coulomb",
     modes: ArrayLike | None = None,
-    stop_early: bool = True,
+    stop_early: bool | str = True,
     **settings: object,
 ) -> Run:
     """Follow a system of blocks from a start state to `t_end` (dimensionless).
@@ -50,9 +50,11 @@ def simulate(
         For the exact engine, each block's mode at `t_start`: 0 sticks, +1 or -1 slips. They matter for blocks at the
         belt's speed with |F| above kinetic and not above static friction, which may slip; default: they stick.
         Where |F| is at static friction to the tolerance, as in a run that was cut at an event, the state decides.
-    stop_early : bool
+    stop_early : bool or "always"
         Whether to test if a collapse or an escape is certain; a run that has collapsed then goes on without steps,
-        one that escapes ends.
+        one that escapes ends. A collapse is tested for where that pays: after all blocks have slipped for a while,
+        if what is left of the run would cost as much as the test. "always": whenever all blocks slip, so that each
+        run whose collapse can be certified has that outcome.
     **settings
         coulomb: ``tol``; sigmoid: ``eps``, ``ratio``, ``rtol``, ``atol``, ``stick``, ``threshold``, ``thresholds``;
         moreau: ``step``. See `stickslip.sim.engines.ENGINES`, the classes `Coulomb`, `Sigmoid` and `Moreau`.
@@ -89,7 +91,7 @@ def as_task(
     t_start: float = 0.0,
     t_eval: ArrayLike = (),
     modes: ArrayLike | None = None,
-    stop_early: bool = True,
+    stop_early: bool | str = True,
 ) -> Task:
     """The task for an engine; see `simulate`."""
     if not isinstance(system, System):
@@ -115,9 +117,11 @@ def as_task(
     if modes is not None and not engine.is_exact:
         raise ValueError(f"modes: expected None with engine={engine.name!r}, where the state alone says who sticks")
     samples = Samples.blank(times, system.n)
-    return Task(
-        system.of_unit_mass, z, w, t_start, t_end, samples, flag("stop_early", stop_early), _modes(modes, system.n)
-    )
+    certify = isinstance(stop_early, str) and stop_early == "always"
+    if not certify and not isinstance(stop_early, bool | np.bool_):
+        raise TypeError(f'stop_early: expected True, False or "always", got {stop_early!r}')
+    at_start = _modes(modes, system.n)
+    return Task(system.of_unit_mass, z, w, t_start, t_end, samples, bool(stop_early), certify, at_start)
 
 
 def _modes(modes: ArrayLike | None, n: int) -> NDArray[np.int8] | None:

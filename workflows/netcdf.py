@@ -93,6 +93,8 @@ def _scalar(file: Any, field: pa.Field, values: pa.ChunkedArray) -> None:
         file.createDimension(f"{field.name}_length", width)
         found = file.createVariable(field.name, "S1", ("member", f"{field.name}_length"), compression="zlib")
     else:
+        if pa.types.is_boolean(field.type):
+            field, values = field.with_type(pa.int8()), values.cast(pa.int8())
         kind = field.type.to_pandas_dtype()
         fill = np.nan if pa.types.is_floating(field.type) else np.iinfo(kind).min
         plain, null = values.fill_null(fill).to_numpy(), fill if values.null_count else None

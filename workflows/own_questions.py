@@ -16,9 +16,8 @@ from stickslip.pipeline.errors import SceneError, foreign
 from stickslip.pipeline.machine.processes import Child, ChildDied
 from stickslip.pipeline.own import function as own
 from stickslip.pipeline.own.files import content_of, digest, name_beside
-from stickslip.pipeline.own.modules import file_of
+from stickslip.pipeline.own.modules import folder_with
 from stickslip.pipeline.own.trial import LONGEST_TRIAL
-from stickslip.pipeline.places.directory import Directory
 
 if TYPE_CHECKING:
     from stickslip.analysis.ensemble import Study
@@ -63,11 +62,6 @@ def tasks(opened: Opened, folder: Path) -> list[Task]:
     return [Task(name, str(folder), opened) for name in names(opened.scene)]
 
 
-def folder_of(opened: Opened) -> Path:
-    """Where the code of a dataset's questions is looked for first; for an object store, the working directory."""
-    return opened.place.path if isinstance(opened.place, Directory) else Path()
-
-
 def check(scene: Scene, folder: Path, name: str) -> None:
     """See that the code of a scene's questions can be loaded, before hours are spent on its runs.
 
@@ -78,7 +72,7 @@ def check(scene: Scene, folder: Path, name: str) -> None:
     """
     loading = [Task(one, str(folder)) for one in names(scene)]
     for task in loading:  # a file that is not there is told without a process
-        own.resolve(task.name, _place(task), f"{name}: {_KEY}")
+        own.resolve(task.name, _place(task), f"{name}: {_KEY}: {task.name}")
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(max(len(loading), 1)))
         children = [stack.enter_context(Child(answer)) for _ in loading]
@@ -135,11 +129,8 @@ def answer(task: Task) -> Spoken:
 
 
 def _place(task: Task) -> Path:
-    """The folder of a module: the scene's, one above it, or that of the command; else the scene's."""
-    folder, module = Path(task.folder).resolve(), task.name.partition(":")[0]
-    places = dict.fromkeys((folder, *folder.parents, Path().resolve()))
-    beside = ((place, file_of(module, place)) for place in places)
-    return next((place for place, file in beside if file is not None and file.is_relative_to(place)), folder)
+    """The folder of a question's module."""
+    return folder_with(task.name.partition(":")[0], Path(task.folder))
 
 
 def _template(function: own.OwnFunction) -> Path | None:

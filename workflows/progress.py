@@ -61,6 +61,10 @@ def _status_lines(found: Status) -> list[str]:
     if found.n_damaged:
         which = command("verify", found.path)
         lines.append(f"damaged {found.n_damaged} of the shards, or missing: `{which}` says which")
+    if (extension := found.extension) is not None:
+        done = f"{extension.n_shards_done} of {extension.n_shards} shards"
+        go_on = "" if found.running is not None else ": rerun `stickslip extend` with the same keys to go on"
+        lines.append(f"extend  {', '.join(extension.records)}, {done}{go_on}")
     if found.running is not None:
         elapsed = clock(time.time() - found.running.began.at)
         lines.append(f"running {found.running.owner}, {elapsed}{_pace(found.rate, found.eta)}")

@@ -19,7 +19,7 @@ from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
-from stickslip.pipeline.query import all_events, by_threshold, episodes, members, separations, series
+from stickslip.pipeline.query import all_events, by_threshold, episodes, lists, members, separations, series
 from stickslip.pipeline.scene.quantity import short
 from stickslip.version import __version__
 from stickslip.workflows.fresh import made_from, name_of
@@ -39,7 +39,9 @@ def _data(opened: Opened) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
     table, scene = members(opened), opened.scene
     recorded = _recorded(scene, table)
-    table = table.drop(columns=[name for name in recorded if name not in READ])  # analysis may add one of that name
+    own = [] if scene.own_record is None else [column.name for column in scene.own_record.kept]
+    # analysis may add one of that name
+    table = table.drop(columns=[name for name in {*recorded, *own} if name not in READ])
     table["matrix"] += scene.run.matrices * table["seed"].map(_seeds(scene).index)  # another seed is other systems
     if names := list(scene.system.parameters or ()):
         rows = zip(*(table[name].map(short) for name in names), strict=True)
@@ -56,12 +58,18 @@ def _data(opened: Opened) -> Data:
         thresholds=by_threshold(opened),
         episodes=episodes(opened) if scene.record.episodes else None,
         recorded=recorded,
+        lists={
+            column.name: lists(opened, column.name)
+            for record in scene.records
+            for column in record.columns
+            if column.kind == "numbers"
+        },
     )
 
 
 def _recorded(scene: Scene, table: pd.DataFrame) -> dict[str, Recorded]:
     """Every number that the scene's records keep of a run, with the words of its column."""
-    columns = [column for record in scene.records for column in record.columns if column.is_number]
+    columns = [column for record in scene.records for column in record.kept if column.is_number]
     plain = table[[column.name for column in columns]].astype(object)
     found = plain.where(plain.notna(), None)
     return {

@@ -103,6 +103,7 @@ def answer(study: Study) -> Answer:
         "endless": [row for row in systems if not row["n_collapsed"] and not row["n_diverged"]],
         "linear": _linear(followed),
         "rated": [row for row in systems if row["is_rated"]],
+        "is_certified": "t_collapse" in study.data.members,
         "untold": Counter(row["untold"] for row in runs if row["fate"] == QUIET),
         "has_ends": any(row["fate"] in ENDS for row in runs),
         "basin": _basin(followed),

@@ -13,6 +13,7 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
@@ -51,6 +52,11 @@ class Opened:
             If the manifest's packing is not of the scene's members.
         """
         return planned(self.place, self.scene, self.manifest)
+
+    @property
+    def folder(self) -> Path:
+        """Where files and code of its scene are looked for first; for an object store, the working directory."""
+        return self.place.path if isinstance(self.place, Directory) else Path()
 
     def shards(self, names: Sequence[str] | None = None) -> ds.Dataset:
         """The shards that the manifest lists, or some of them, as one Arrow dataset, in the order of their names.
@@ -132,7 +138,7 @@ def open_dataset(path: Where | Opened) -> Opened:
     place = place_of(path)
     manifest = read_manifest(place)
     try:
-        scene = stored_scene(place)
+        scene = stored_scene(place, manifest)
     except SceneError as error:
         raise StoreError(f"{error}; rerun the scene with this directory to restore it") from None
     if scene.hash != manifest.scene_hash:
@@ -143,8 +149,8 @@ def open_dataset(path: Where | Opened) -> Opened:
     return Opened(place, scene, manifest)
 
 
-def stored_scene(place: Place) -> Scene:
-    """The scene that lies at a place.
+def stored_scene(place: Place, manifest: Manifest | None = None) -> Scene:
+    """The scene that lies at a place; that of the manifest, if it has one that is still to be written.
 
     Raises
     ------
@@ -152,6 +158,8 @@ def stored_scene(place: Place) -> Scene:
         If there is none, or it is not a scene.
     """
     file = place.named(SCENE)
+    if manifest is not None and manifest.scene is not None:
+        return parse_scene(manifest.scene.encode(), file)
     try:
         source = place.read(SCENE)
     except FileNotFoundError:

@@ -21,6 +21,7 @@ _DETERMINING = (
     "pipeline/own",
     "pipeline/records",
     "pipeline/running/ends.py",
+    "pipeline/running/kept.py",
     "pipeline/running/worker.py",
     "pipeline/scene",
 )

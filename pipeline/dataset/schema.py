@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -26,6 +26,7 @@ _KINDS = {
     "number": pa.float64(),
     "whole": pa.int32(),
     "count": pa.int64(),
+    "yes or no": pa.bool_(),
     "text": pa.string(),
     "numbers": _NUMBERS,
     "numbers or null": _list(pa.float64(), nullable=True),
@@ -59,10 +60,15 @@ def scalars(schema: pa.Schema) -> tuple[str, ...]:
 _NEVER_AGAIN = tuple(f"{column.name}.list.element" for column in COLUMNS if not column.repeats)
 
 
-def encode(columns: Mapping[str, list[Any]], schema: pa.Schema) -> bytes:
+#: The values of a column, from Python or from a shard.
+Values: TypeAlias = list[Any] | pa.Array
+
+
+def encode(columns: Mapping[str, Values], schema: pa.Schema) -> bytes:
     """The Parquet file of some rows, given by column, a pure function of them (for given versions of pyarrow)."""
     kinds = zip(schema.names, schema.types, strict=True)
-    arrays = [pa.array(columns[name], kind) for name, kind in kinds]
+    arrays = [values if isinstance(values := columns[name], pa.Array) else pa.array(values, kind)
+              for name, kind in kinds]  # fmt: skip
     buffer = pa.BufferOutputStream()
     leaves = [leaf for field in schema for leaf in _leaves(field)]
     times = [leaf for leaf in leaves if leaf.endswith(_NEVER_AGAIN)]

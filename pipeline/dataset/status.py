@@ -15,6 +15,7 @@ from stickslip.pipeline.ensemble.pack import Task
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import Shard
 from stickslip.pipeline.places.place import DATA, LOCK, Lock, Where
+from stickslip.pipeline.scene.scene import parse_scene
 
 
 @dataclass(frozen=True)
@@ -93,6 +94,15 @@ class Running:
 
 
 @dataclass(frozen=True)
+class ExtensionTally:
+    """An extension that was begun: the records that it adds, and how many of its shards are done."""
+
+    records: tuple[str, ...]
+    n_shards: int
+    n_shards_done: int
+
+
+@dataclass(frozen=True)
 class Status(Tally):
     """A dataset at one moment; `rate`, in members a second, and `eta`, in seconds, are None as long as unknown."""
 
@@ -103,6 +113,7 @@ class Status(Tally):
     running: Running | None
     rate: float | None
     eta: float | None
+    extension: ExtensionTally | None = None
 
 
 def status(path: Where | Opened) -> Status:
@@ -160,7 +171,17 @@ def counted(opened: Opened, tasks: Sequence[Task]) -> Status:
         running=current,
         rate=rate,
         eta=eta,
+        extension=_extension(opened),
     )
+
+
+def _extension(opened: Opened) -> ExtensionTally | None:
+    found = opened.manifest.extension
+    if found is None:
+        return None
+    records = parse_scene(found.scene.encode(), "extension").records
+    names = tuple(one.name for one in records if one not in opened.scene.records)
+    return ExtensionTally(names, len(found.packing), len(found.shards))
 
 
 def running(path: Where) -> Running | None:

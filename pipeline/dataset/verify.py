@@ -14,10 +14,10 @@ from stickslip.pipeline.dataset.opened import open_dataset, reading
 from stickslip.pipeline.dataset.schema import schema_of
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.own.files import ChangedError
+from stickslip.pipeline.own.function import look_again
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.manifest import SCHEMA_VERSION
 from stickslip.pipeline.places.place import DATA, TEMPORARY, Where
-from stickslip.pipeline.scene.systems import SystemFunction, look_again
 
 
 def verify(path: Where) -> list[str]:
@@ -36,14 +36,13 @@ def verify(path: Where) -> list[str]:
     place, shards = found.place, sorted(found.manifest.shards.items())
     expected = {batch.name: (batch, recording) for batch, recording in found.tasks}
     problems = []
-    for origin in {origin for _, origin in found.scene.sources}:
-        if isinstance(origin, SystemFunction) and isinstance(place, Directory):
-            try:
-                look_again(replace(origin, at=str(Path(str(place)).resolve())))
-            except ChangedError as error:
-                problems.append(str(error))
-            except SceneError:  # data that were moved are complete without it
-                break
+    for function in found.scene.own_functions if isinstance(place, Directory) else ():
+        try:
+            look_again(replace(function, at=str(Path(str(place)).resolve())))
+        except ChangedError as error:
+            problems.append(str(error))
+        except SceneError:  # data that were moved are complete without it
+            break
     with reading(place):
         files = place.names()
         contents = place.read_each([f"{DATA}/{name}" for name, _ in shards])
@@ -60,7 +59,7 @@ def verify(path: Where) -> list[str]:
                 problem = problem or _content(content or b"", schema_of(recording), ids, shard.outcomes)
             if problem:
                 problems.append(f"{place.named(f'{DATA}/{name}')}: {problem}")
-    known = {f"{DATA}/{name}" for name, _ in shards}
+    known = {f"{DATA}/{name}" for name in found.manifest.known}
     strays = [name for name in files if name.startswith((f"{DATA}/", TEMPORARY)) and name not in known]
     return problems + [f"{place.named(name)}: stray file, not in the manifest" for name in strays]
 

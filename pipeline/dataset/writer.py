@@ -10,12 +10,13 @@ import threading
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from types import TracebackType
+from typing import Self
 
 from stickslip.pipeline.dataset.opened import Opened, planned, stored_scene
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.ensemble.pack import Task, grows, lacked, pack, tasks
-from stickslip.pipeline.errors import SceneError, StoreError
+from stickslip.pipeline.errors import SceneError, StoreError, command
 from stickslip.pipeline.machine.signals import last_act, unbroken
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
@@ -28,6 +29,8 @@ from stickslip.pipeline.places.manifest import (
     read_manifest,
 )
 from stickslip.pipeline.places.place import DATA, LOCK, MANIFEST, SCENE, TEMPORARY, TIMINGS, Place, Where
+from stickslip.pipeline.records import End
+from stickslip.pipeline.scene.adding import lines_between
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.pipeline.scene.toml import parse_toml
 
@@ -79,14 +82,15 @@ class Store:
     @property
     def done(self) -> dict[str, Shard]:
         """The shards that are committed."""
-        return dict(self._manifest.shards)
+        return dict(self._shards)
 
     @property
     def opened(self) -> Opened:
         """The dataset as it stands."""
-        return Opened(self.place, self.scene, self._manifest.model_copy(update={"shards": self.done}))
+        shards = dict(self._manifest.shards)
+        return Opened(self.place, self.scene, self._manifest.model_copy(update={"shards": shards}))
 
-    def __enter__(self) -> Store:
+    def __enter__(self) -> Self:
         with _explained(self.place):
             self._check()
         try:
@@ -104,11 +108,16 @@ class Store:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         with unbroken(), self._held:
-            if error is None and self._record is not None:  # else the manifest and its record stand as they are
-                self._manifest.recorded_from = None
+            if error is None:  # else the manifest and its record stand as they are
                 with _explained(self.place):
-                    self._hold.check()
-                    self.place.replace(MANIFEST, self._manifest.to_bytes())
+                    self._finish()
+
+    def _finish(self) -> None:
+        """Write the manifest after the last commit."""
+        if self._record is not None:
+            self._manifest.recorded_from = None
+            self._hold.check()
+            self.place.replace(MANIFEST, self._manifest.to_bytes())
 
     def _sweep(self) -> None:
         """Remove what a commit that is cut short has written; what takes too long is left to the next run."""
@@ -128,8 +137,12 @@ class Store:
 
     def _leftovers(self, manifest: Manifest) -> list[str]:
         """What a crash may have left: files that were being written, and shards that were not committed."""
-        known = {f"{DATA}/{name}" for name in manifest.shards}
+        known = {f"{DATA}/{name}" for name in manifest.known}
         return [name for name in self.place.names() if name not in known and _LEFT.fullmatch(name)]
+
+    def _remove_leftovers(self, manifest: Manifest) -> None:
+        for leftover in self._leftovers(manifest):
+            self.place.remove(leftover)
 
     def _remove(self, name: str) -> None:
         with contextlib.suppress(OSError):
@@ -179,18 +192,22 @@ class Store:
         """The manifest of a dataset of a smaller scene, extended; a refusal if the scene differs otherwise."""
         stored: Scene | None = None
         with contextlib.suppress(SceneError):
-            stored = stored_scene(self.place)
+            stored = stored_scene(self.place, manifest)
         if stored is None or stored.hash != manifest.scene_hash or not grows(stored, self.scene):
             columns = [] if stored is None else lacked(stored, self.scene)
-            if columns:
+            if stored is not None and columns:
+                keys = lines_between(stored, self.scene)
+                first = (
+                    f"add these with `{command('extend', str(self.place), '--record', *keys)}`, or " if keys else ""
+                )
                 raise StoreError(
                     f"{self.place}: expected runs with the columns of the data on disk, got a scene that adds some "
-                    f"with {', '.join(columns)}, which these data lack; run it into another directory"
+                    f"with {', '.join(columns)}, which these data lack; {first}run it into another directory"
                 )
             raise StoreError(
                 f"{self.place}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of "
                 f"it, got that of another (hash {manifest.scene_hash[:12]}){self._difference(stored)}; choose "
-                f"another directory, or restore what differs"
+                f"another directory, or restore what differs{self._on_from_ends(stored)}"
             )
         return Manifest(
             scene_hash=self.scene.hash,
@@ -198,6 +215,21 @@ class Store:
             earlier=[*manifest.earlier, stored.source.decode()],
             packing=[*manifest.packing, list(pack(self.scene, stored))],
             shards=manifest.shards,
+            extension=manifest.extension,
+        )
+
+    def _on_from_ends(self, stored: Scene | None) -> str:
+        """What to do for longer runs, if that is what the scene asks for."""
+        if stored is None or self.scene.run.t_end <= stored.run.t_end:
+            return ""
+        kept = (
+            ""
+            if stored.keeps(End)
+            else f", once `{command('extend', str(self.place), '--record', 'end')}` has kept them"
+        )
+        return (
+            "; a run that goes on is not, to the last bit, one in one piece, so these are not lengthened: another"
+            f" scene can start at their ends, with `dataset` under [start]{kept}"
         )
 
     def _difference(self, other: Scene | None) -> str:
@@ -234,23 +266,33 @@ class Store:
                 f"{self.place}: expected the shards of this scene, got {foreign[0]}; use the version of "
                 f"stickslip that began it, or choose another directory"
             )
-        shards = list(manifest.shards.items())
-        contents = self.place.read_each([f"{DATA}/{name}" for name, _ in shards])
-        for (name, shard), content in zip(shards, contents, strict=True):
+        self._forget_damaged(manifest.shards)
+        again = {name for name, shard in manifest.shards.items() if self._retry_failed and shard.n_failed}
+        self.todo = [task for task in self.tasks if task[0].name not in manifest.shards or task[0].name in again]
+        if self.todo:
+            manifest.programs = self._with_this_program(manifest)
+
+    def _forget_damaged(self, shards: dict[str, Shard]) -> None:
+        """Leave out shards whose files are not what was written."""
+        listed = list(shards.items())
+        contents = self.place.read_each([f"{DATA}/{name}" for name, _ in listed])
+        for (name, shard), content in zip(listed, contents, strict=True):
             problem = shard.damage(content)
             if problem:
                 log.warning("%s: %s; recomputing it", self.place.named(f"{DATA}/{name}"), problem)
-                del manifest.shards[name]
-        again = {name for name, shard in manifest.shards.items() if self._retry_failed and shard.n_failed}
-        self.todo = [task for task in self.tasks if task[0].name not in manifest.shards or task[0].name in again]
-        if self.todo and program() not in manifest.programs:
-            if manifest.shards and not self._accept_version:
-                raise StoreError(
-                    f"{self.place}: expected data of this version of the program ({program()}), got data of another "
-                    f"({', '.join(manifest.programs) or 'unknown'}), whose numbers may differ; use that version, "
-                    f"choose another directory, or mix them with --accept-version"
-                )
-            manifest.programs = [*(manifest.programs if manifest.shards else []), program()]
+                del shards[name]
+
+    def _with_this_program(self, manifest: Manifest) -> list[str]:
+        """The programs whose numbers a dataset may hold, once this one adds to it; or a refusal."""
+        if program() in manifest.programs:
+            return manifest.programs
+        if manifest.shards and not self._accept_version:
+            raise StoreError(
+                f"{self.place}: expected data of this version of the program ({program()}), got data of another "
+                f"({', '.join(manifest.programs) or 'unknown'}), whose numbers may differ; use that version, "
+                f"choose another directory, or mix them with --accept-version"
+            )
+        return [*(manifest.programs if manifest.shards else []), program()]
 
     def _open(self) -> None:
         manifest = self._manifest
@@ -259,15 +301,32 @@ class Store:
             log.warning("%s: lost; rebuilt from %s", self.place.named(MANIFEST), TIMINGS)
         self._held.enter_context(last_act(self._sweep))
         with unbroken():
-            for leftover in self._leftovers(manifest):
-                self.place.remove(leftover)
+            self._end_extension(manifest)
+            self._remove_leftovers(manifest)
             manifest.recorded_from = None
             if self.todo:
                 self._record = self._held.enter_context(self.place.record(TIMINGS))
                 manifest.recorded_from = len(self.place.read_record(TIMINGS))
             # the manifest first: it makes the directory a dataset
             self.place.replace(MANIFEST, manifest.to_bytes())
-            self.place.replace(SCENE, self.scene.source)
+            self._keep_scene()
+
+    def _end_extension(self, manifest: Manifest) -> None:
+        """Do the rest of an extension that a crash cut short at its end; give up one that the data grow out of."""
+        if manifest.scene is not None:
+            self._keep_scene()
+            manifest.scene = None
+        if self.todo and manifest.extension is not None:
+            log.warning("%s: an extension that was begun is given up; extend the dataset again", self.place)
+            manifest.extension = None
+
+    def _keep_scene(self) -> None:
+        self.place.replace(SCENE, self.scene.source)
+
+    @property
+    def _shards(self) -> dict[str, Shard]:
+        """Where commits go."""
+        return self._manifest.shards
 
     def note(self, line: str) -> None:
         """Add a line to the lock, for processes that ask who is writing."""
@@ -303,9 +362,9 @@ class Store:
             try:
                 self.place.replace(f"{DATA}/{result.name}", result.shard)
                 self._record(commit.line)
-                self._manifest.shards[result.name] = shard
+                self._shards[result.name] = shard
             except BaseException:
-                if result.name not in self._manifest.shards:
+                if result.name not in self._shards:
                     self._remove(f"{DATA}/{result.name}")
                 raise
         return shard

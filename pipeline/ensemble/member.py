@@ -254,14 +254,18 @@ class Member:
         return 1.0 - np.random.default_rng(self._seed(RATIO, self.ratio_draw)).random(self.n)
 
     def task(
-        self, system: sim.System, t_eval: ArrayLike = (), end: State | None = None
+        self, system: sim.System, t_eval: ArrayLike = (), end: State | None = None, stop_early: bool | str = True
     ) -> tuple[Engine, contract.Task]:
-        """Its engine, one for all members of the same settings, and what that is to run; `end` as in `start`."""
+        """Its engine, one for all members of the same settings, and what that is to run.
+
+        `end` is as in `start`, `t_eval` and `stop_early` as in `stickslip.sim.simulate`.
+        """
         if self.ratio_draw is None:
             engine = _engine(self.engine, self.settings)
         else:
             engine = as_engine(self.engine, dict(self.settings) | {"ratio": self.ratios()})
-        return engine, as_task(engine, system, *self.start(end), t_end=self.t_end, t_eval=t_eval)
+        start = self.start(end)
+        return engine, as_task(engine, system, *start, t_end=self.t_end, t_eval=t_eval, stop_early=stop_early)
 
     def simulate(self, t_eval: ArrayLike = (), end: State | None = None) -> sim.Run:
         """Draw the system and run it; `end` as in `start`."""

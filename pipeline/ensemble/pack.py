@@ -116,12 +116,12 @@ def grows(stored: Scene, wanted: Scene) -> bool:
 
 
 def lacked(stored: Scene, wanted: Scene) -> list[str]:
-    """Columns that data of the stored scene lack, in words, if it is these that keep it from growing."""
+    """Columns that data of the stored scene lack, in words, if it is these that keep it from being the wanted one."""
     there = {column.name: column for column in stored.recording.columns}
     columns = [column for column in wanted.recording.columns if there.get(column.name) != column]
     new = [column.name for column in columns if column.name not in there]
     names = new or [f"{column.name} of another kind" for column in columns]
-    return names if names and _adds_to(stored, wanted) else []
+    return names if names and (_adds_to(stored, wanted) or expand(stored) == expand(wanted)) else []
 
 
 def _adds_to(stored: Scene, wanted: Scene) -> bool:

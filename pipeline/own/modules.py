@@ -18,16 +18,29 @@ from stickslip.pipeline.own.files import content_of, name_beside
 _OWN = "_own_"
 
 
+def folder_with(module: str, folder: Path) -> Path:
+    """Where a module of a scene lies: in a folder, above it, or where the command was given; else the folder."""
+    folder = folder.resolve()
+    places = dict.fromkeys((folder, *folder.parents, Path().resolve()))
+    beside = ((place, file_of(module, place)) for place in places)
+    return next((place for place, file in beside if file is not None and file.is_relative_to(place)), folder)
+
+
 def file_of(module: str, folder: Path) -> Path | None:
-    """The file of a module in a folder, or where Python finds it."""
+    """The file of a module in a folder, or where Python finds it. Nothing is loaded, not even its package."""
     path = folder / module.replace(".", "/")
     beside = next((one for one in (path.with_suffix(".py"), path / "__init__.py") if one.is_file()), None)
     if beside is not None:
         return beside
+    top, *below = module.split(".")
     try:
-        spec = importlib.util.find_spec(module)
-    except (ImportError, ValueError):  # its package is not there, or its name is not one
+        spec = importlib.util.find_spec(top)
+    except (ImportError, ValueError):  # its name is not one, or what has it was not loaded from a file
         return None
+    for name in below:
+        if spec is None or spec.submodule_search_locations is None:
+            return None
+        spec = importlib.machinery.PathFinder.find_spec(f"{spec.name}.{name}", spec.submodule_search_locations)
     return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
 
 

@@ -8,6 +8,7 @@ from .frames import dataset as dataset
 from .frames import ends as ends
 from .frames import episodes as episodes
 from .frames import events as events
+from .frames import lists as lists
 from .frames import members as members
 from .frames import n_stick as n_stick
 from .frames import separations as separations

@@ -32,6 +32,7 @@ __all__ = [
     "ends",
     "episodes",
     "events",
+    "lists",
     "members",
     "n_stick",
     "separations",
@@ -278,6 +279,11 @@ def ends(path: Where | Opened) -> Recorded[tuple[NDArray[np.float64], NDArray[np
     return Recorded(
         open_dataset(path), "z_end", ["z_end", "w_end"], lambda row: (_array(row["z_end"]), _array(row["w_end"]))
     )
+
+
+def lists(path: Where | Opened, column: str) -> Recorded[NDArray[np.float64]]:
+    """A column of lists of numbers by member_id; empty if it is not recorded."""
+    return Recorded(open_dataset(path), column, [column], lambda row: _array(row[column]))
 
 
 def separations(path: Where | Opened) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:

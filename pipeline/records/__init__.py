@@ -2,6 +2,7 @@
 
 from stickslip.pipeline.records.amplitude import Amplitude
 from stickslip.pipeline.records.attractor import AttractorRecord
+from stickslip.pipeline.records.collapse import CollapseRecord
 from stickslip.pipeline.records.end import End
 from stickslip.pipeline.records.energy import EnergyRecord, EpisodeEnergy
 from stickslip.pipeline.records.episodes import EpisodesRecord
@@ -10,6 +11,7 @@ from stickslip.pipeline.records.first_exit import FirstExit
 from stickslip.pipeline.records.friction_power import FrictionPower
 from stickslip.pipeline.records.growth_rate import GrowthRate
 from stickslip.pipeline.records.outcome import OutcomeRecord
+from stickslip.pipeline.records.own import OwnRecord
 from stickslip.pipeline.records.record import Record
 from stickslip.pipeline.records.separation import Separation
 from stickslip.pipeline.records.slip_speed import SlipSpeed
@@ -25,6 +27,7 @@ ALWAYS = OutcomeRecord()
 #: What a scene may ask for, in the order of their columns; one that takes from another comes after it.
 RECORDS: tuple[type[Record], ...] = (
     End,
+    CollapseRecord,
     GrowthRate,
     Events,
     EpisodesRecord,
@@ -39,6 +42,7 @@ RECORDS: tuple[type[Record], ...] = (
     Waiting,
     FrictionPower,
     AttractorRecord,
+    OwnRecord,
 )
 
 #: What are tables of their own in SQL and frames, and the lines that ask for them.

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from stickslip.pipeline.records.column import Column
-from stickslip.pipeline.records.record import Facts, Made, Member, Sharing, WindowRecord, is_exact
+from stickslip.pipeline.records.record import Facts, Made, Member, Sharing, WindowRecord
 from stickslip.sim.attractors import attractor
 from stickslip.sim.engines.coulomb.settings import Coulomb
 
@@ -64,8 +66,14 @@ class AttractorRecord(WindowRecord):
             along="exit",
             repeats=False,
         ),
+        Column("numbers", "start_z", "displacement of each block at t = 0, for pictures of basins", along="block"),
+        Column("numbers", "start_w", "velocity of each block then", along="block"),
     )
     is_of_paths = True
+    needs = frozenset({"events", "end", "system"})
+
+    def applies(self, member: Member) -> bool:
+        return member.engine == Coulomb.name
 
     def problem(self, facts: Facts) -> str:
         if any(engine is Coulomb for engine in facts.engines):
@@ -76,11 +84,9 @@ class AttractorRecord(WindowRecord):
         )
 
     def cost(self, member: Member, sharing: Sharing) -> float:
-        return 0.2 * member.cost if is_exact(member) else 0.0
+        return 0.2 * member.cost if self.applies(member) else 0.0
 
     def of(self, made: Made) -> dict[str, Any]:
-        if made.member.engine != Coulomb.name:
-            return {}
         # a run that is certain to escape may end before
         t_burn = min(self.t_burn, made.run.t_end)
         found = attractor(made.run, made.system, t_burn, engine=made.member.engine, **dict(made.member.settings))
@@ -92,6 +98,10 @@ class AttractorRecord(WindowRecord):
             "events_per_period": found.n_events,
             "multiplier": found.multiplier,
             "deviation_rate": found.growth_rate,
+            **{
+                name: np.broadcast_to(np.asarray(one, dtype=np.float64), made.system.n)
+                for name, one in zip(("start_z", "start_w"), made.start, strict=True)
+            },
         }
         if found.section is not None:
             kept["section_z"], kept["section_w"] = found.section

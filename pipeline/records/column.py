@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-#: A number; a whole one of 32 or 64 bits; text; and lists of a run: numbers, perhaps with nulls, whole ones, modes.
-#: The last is a list of thresholds, each with its t and n_stick.
-Kind = Literal["number", "whole", "count", "text", "numbers", "numbers or null", "wholes", "modes", "n_stick by"]
+#: A number; a whole one of 32 or 64 bits; a truth; text; and lists of a run: numbers, perhaps with nulls, whole ones,
+#: modes. The last is a list of thresholds, each with its t and n_stick.
+Kind = Literal[
+    "number", "whole", "count", "yes or no", "text", "numbers", "numbers or null", "wholes", "modes", "n_stick by"
+]
 
 
 class Column(NamedTuple):
@@ -37,9 +39,9 @@ class Column(NamedTuple):
     @property
     def is_list(self) -> bool:
         """Whether it holds a list a member."""
-        return self.kind not in ("number", "whole", "count", "text")
+        return self.kind not in ("number", "whole", "count", "yes or no", "text")
 
     @property
     def is_number(self) -> bool:
-        """Whether it holds one number a member, of which means can be taken."""
-        return self.kind in ("number", "whole", "count") and not self.is_label
+        """Whether it holds one number a member, of which means can be taken: of truths, their share."""
+        return self.kind in ("number", "whole", "count", "yes or no") and not self.is_label

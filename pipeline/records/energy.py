@@ -37,11 +37,16 @@ class EnergyRecord(Record):
         Column("number", "friction_loss", "what slip on the belt took, as heat"),
     )
 
+    needs = frozenset({"events", "end", "system"})
+
+    def applies(self, member: Member) -> bool:
+        return is_exact(member)
+
     def problem(self, facts: Facts) -> str:
         return needs_exact(facts)
 
     def cost(self, member: Member, sharing: Sharing) -> float:
-        return 10.0 * member.cost if is_exact(member) else 0.0
+        return 10.0 * member.cost if self.applies(member) else 0.0
 
     def of(self, made: Made) -> dict[str, Any]:
         found = _balance(made)
@@ -75,6 +80,7 @@ class EpisodeEnergy(Record):
             repeats=False,
         ),
     )
+    needs = EnergyRecord.needs | {"episodes"}
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:

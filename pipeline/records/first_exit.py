@@ -20,6 +20,7 @@ class FirstExit(Record):
         Column("number", "first_exit", "time of the first exit; null, as below, if there is none"),
         Column("whole", "first_exit_block", "the block that lets go first", is_label=True),
     )
+    needs = frozenset({"events"})
 
     def of(self, made: Made) -> dict[str, Any]:
         events = made.run.events

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stickslip.pipeline.records.column import Column
-from stickslip.pipeline.records.record import Facts, Made, StateRecord, is_exact, needs_exact
+from stickslip.pipeline.records.record import Facts, Made, Member, StateRecord, is_exact, needs_exact
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,15 @@ class FrictionPower(StateRecord):
         ),
     )
 
+    def applies(self, member: Member) -> bool:
+        return is_exact(member)
+
     def problem(self, facts: Facts) -> str:
         return needs_exact(facts)
 
     def of(self, made: Made) -> dict[str, Any]:
         samples = made.samples(self.times(made.member))
-        if len(samples) < 2 or not is_exact(made.member):
+        if len(samples) < 2:
             return {}
         slip = samples.w - made.system.belt_speed_at(samples.t)
         power = (made.system.kinetic(slip) * np.abs(slip)).sum(1)

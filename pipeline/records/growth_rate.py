@@ -29,6 +29,7 @@ class GrowthRate(Record):
         ),
     )
     is_shared = True
+    needs = frozenset({"system"})
 
     def memory(self, facts: Facts) -> Memory:
         # the matrix of 2n rows, its complex eigenvectors and what LAPACK keeps

@@ -25,6 +25,10 @@ from stickslip.sim.systems.system import System
 _NONE = np.empty(0)
 
 
+class NotKeptError(RuntimeError):
+    """A record that is added to a dataset reads what it does not say that it needs."""
+
+
 class Member(Protocol):
     """What a record may ask of a member: see `stickslip.pipeline.ensemble.member.Member`."""
 
@@ -112,6 +116,8 @@ class Record(ABC):
         Its own, and the key under [record], which is true or false.
     is_step : bool
         Whether the value of its key is a step of time instead.
+    is_named : bool
+        Whether it is names of functions instead.
     words, example : str, object
         Of that key, for schemas and the guide.
     asked_by : str
@@ -119,8 +125,14 @@ class Record(ABC):
     columns : tuple of Column
     is_of_paths : bool
         Whether it is about each run's own path, so that tolerances are picked for paths.
+    needs : frozenset of str
+        What `of` reads: "run" if it reads of the run what no record keeps, such as samples; else the names of the
+        records that keep all that it reads of it, such as "events"; and "system" if it reads the system or the start.
+        A record that does not need "run" is added to a finished dataset without running anything.
     is_shared : bool
         Whether most of its cost is computed once for several members.
+    is_certified : bool
+        Whether it needs runs that are tested for collapse whenever all blocks slip.
     """
 
     name: ClassVar[str]
@@ -129,13 +141,26 @@ class Record(ABC):
     asked_by: ClassVar[str] = ""
     columns: ClassVar[tuple[Column, ...]]
     is_step: ClassVar[bool] = False
+    is_named: ClassVar[bool] = False
     is_of_paths: ClassVar[bool] = False
     is_shared: ClassVar[bool] = False
+    is_certified: ClassVar[bool] = False
+    needs: ClassVar[frozenset[str]] = frozenset({"run"})
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
         """The record, if a scene asks for it by [record] or by the settings of an engine; else None."""
         return cls() if keys[cls.name] else None
+
+    @property
+    def kept(self) -> tuple[Column, ...]:
+        """Its columns in a dataset, which may depend on the scene."""
+        return self.columns
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether it reads states of a run, at its `times`."""
+        return False
 
     def times(self, member: Member) -> Floats:
         """When a run is sampled for it, shape (m,)."""
@@ -147,6 +172,10 @@ class Record(ABC):
         The same for all members of one n, source, engine and change: only the first of them is asked.
         """
         return 0.0
+
+    def applies(self, member: Member) -> bool:
+        """Whether a member has values of it; without, they are null."""
+        return True
 
     def problem(self, facts: Facts) -> str:
         """Why it does not apply to a scene, what came and what to do, for a line that begins with its key."""
@@ -178,19 +207,31 @@ class StateRecord(WindowRecord):
 
     dt: float
 
+    @property
+    def is_sampled(self) -> bool:
+        return True
+
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
         return cls(keys["t_burn"], keys["dt"]) if keys[cls.name] else None
 
     def times(self, member: Member) -> Floats:
-        """t_burn, t_burn + dt ... to t_end."""
-        n_steps = math.floor((member.t_end - self.t_burn) / self.dt * (1 + 1e-12))
-        return np.minimum(self.t_burn + self.dt * np.arange(n_steps + 1), member.t_end)
+        return steps(self.t_burn, member.t_end, self.dt)
 
     def memory(self, facts: Facts) -> Memory:
-        # z and w, and what is computed of them
-        n_bytes = 4.0 * 8 * facts.n * (facts.t_end - self.t_burn) / self.dt
-        return Memory(n_bytes, "sampling a run", "lengthen record.dt")
+        return sampling(facts, self.t_burn, self.dt)
+
+
+def steps(t_burn: float, t_end: float, dt: float) -> Floats:
+    """t_burn, t_burn + dt ... to t_end."""
+    n_steps = math.floor((t_end - t_burn) / dt * (1 + 1e-12))
+    return np.minimum(t_burn + dt * np.arange(n_steps + 1), t_end)
+
+
+def sampling(facts: Facts, t_burn: float, dt: float) -> Memory:
+    """What states every `dt` take: z and w, and what is computed of them."""
+    n_bytes = 4.0 * 8 * facts.n * (facts.t_end - t_burn) / dt
+    return Memory(n_bytes, "sampling a run", "lengthen record.dt")
 
 
 def is_exact(member: Member) -> bool:

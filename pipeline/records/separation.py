@@ -42,6 +42,9 @@ class Separation(Record):
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
         return None if keys["separation"] is None else cls(keys["separation"])
 
+    def applies(self, member: Member) -> bool:
+        return member.base is not None
+
     def problem(self, facts: Facts) -> str:
         if not facts.has_changes:
             return (

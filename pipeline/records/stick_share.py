@@ -28,6 +28,7 @@ class StickShare(WindowRecord):
         ),
         Column("number", "never_slipped", "share of the blocks that stick from t_burn to the end"),
     )
+    needs = frozenset({"events"})
 
     def of(self, made: Made) -> dict[str, Any]:
         events, end = made.run.events, made.run.t_end

@@ -23,6 +23,7 @@ class Waiting(WindowRecord):
         Column("number", "waiting_mean", "their mean; null if there are none"),
         Column("number", "waiting_cv", "their standard deviation over their mean; null with fewer than two"),
     )
+    needs = frozenset({"events"})
 
     def of(self, made: Made) -> dict[str, Any]:
         events = made.run.events

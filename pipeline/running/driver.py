@@ -7,11 +7,11 @@ import itertools
 import logging
 import pickle
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from multiprocessing import current_process
-from typing import Any
+from typing import Any, NamedTuple
 
 from distributed import Client, Future, KilledWorker, as_completed, fire_and_forget
 from distributed.comm import CommClosedError
@@ -22,14 +22,17 @@ from stickslip.pipeline.dataset.status import Began, Status, Tally, counted
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.ensemble.expand import expand
 from stickslip.pipeline.ensemble.member import Member
-from stickslip.pipeline.ensemble.pack import Task
+from stickslip.pipeline.ensemble.pack import Batch, Task
 from stickslip.pipeline.errors import ScheduleError
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.running import ends
 from stickslip.pipeline.running.cluster import check_address, check_memory, connect
 from stickslip.pipeline.running.isolation import compute_alone_packed
+from stickslip.pipeline.running.kept import Kept
+from stickslip.pipeline.running.trials import check_functions
 from stickslip.pipeline.running.worker import compute, compute_packed, is_cold, load_kernels, row
 from stickslip.pipeline.scene import systems
+from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene
 
 log = logging.getLogger(__name__)
@@ -112,19 +115,14 @@ def run_ensemble(
         If the directory cannot be used or written.
     SceneError
         If an engine does not take what the scene asks, a worker of this machine cannot hold its largest system, or
-        a file that systems come from is gone or another; nothing was done.
+        a file that systems come from is gone or another, or what functions of the user's own measure of a run is not
+        what they declare or differs from call to call; nothing was done.
     AddressError
         If no scheduler answers at the address; nothing was done.
     ScheduleError
         If the scheduler is lost, workers do not come up, or run another version.
     """
-    if workers < 0:
-        raise ValueError(f"workers: expected a count >= 0, got {workers}; 0 runs in this process")
-    if getattr(current_process(), "_inheriting", False):  # a worker, loading the script that starts it
-        raise ScheduleError(
-            'expected a scene to be run under if __name__ == "__main__":, got a script that runs it wherever it is '
-            "loaded, and every worker loads it; write that line above the call"
-        )
+    check_caller(workers)
     start = time.monotonic()
     if isinstance(scheduler, str):
         check_address(scheduler)
@@ -132,51 +130,115 @@ def run_ensemble(
     ends.check(scene)
     if scheduler is None:
         check_memory(scene, workers)
+    if scene.own_record is not None:  # before anything is written
+        check_functions(scene, Store(out, scene, retry_failed, accept_version).look()[1])
     with Store(out, scene, retry_failed, accept_version) as store:
         firsts = [member for batch, _ in store.todo for member in batch.members.firsts()]
-        for origin in {member.source.origin for member in firsts}:
-            if origin is not None:
-                systems.look_again(origin)  # as it was, or a word here and not a row for each member
-        todo = {batch.name: batch.cost for batch, _ in store.todo}
-        tally = before = Tally.of(store.tasks, {name: done for name, done in store.done.items() if name not in todo})
-        by_engine = {member.engine: member for member in reversed(firsts)}
-        cold = {engine: one for engine, one in by_engine.items() if scheduler is None and is_cold(engine)}
-        link: str | None = None
-
-        def connected(client: Client) -> None:
-            nonlocal link
-            with contextlib.suppress(KeyError):  # it has none
-                link = client.dashboard_link or None
-            if link is not None:
-                store.note(f"dashboard {link}")
-
-        def report(last_shard: str | None = None) -> None:
-            if on_progress is not None:
-                on_progress(
-                    Progress(
-                        **vars(tally),
-                        n_resumed=before.n_done,
-                        cost_resumed=before.cost_done,
-                        elapsed=time.monotonic() - start,
-                        last_shard=last_shard,
-                        dashboard=link,
-                        compiling=tuple(cold),
-                    )
-                )
-
-        report()
-        store.note(Began(time.time(), before.n_done, before.cost_done).line)
-        # closed at once if a commit fails or the user interrupts, and the workers with it
-        with contextlib.closing(_results(store.todo, cold, workers, scheduler, dashboard, connected)) as results:
-            for result in results:
-                if result.program != program():
-                    raise ScheduleError(
-                        f"expected workers with this version of the program ({program()}), got {result.program} on "
-                        f"{result.host}; install the same there, then rerun the scene"
-                    )
-                tally = tally.plus(store.commit(result), todo[result.name])
-                report(result.name)
+        for function in scene.own_functions if firsts else ():
+            systems.look_again(function)  # as it was, or a word here and not a row for each member
+        fill(store, lambda task: (*task, None), firsts, start, Workers(workers, scheduler, dashboard), on_progress)
     return counted(store.opened, store.tasks)
+
+
+def check_caller(workers: int) -> None:
+    """Refuse a number of workers that is none, and a worker that loads the script which starts it.
+
+    Raises
+    ------
+    ValueError, ScheduleError
+        As `run_ensemble`.
+    """
+    if workers < 0:
+        raise ValueError(f"workers: expected a count >= 0, got {workers}; 0 runs in this process")
+    if getattr(current_process(), "_inheriting", False):
+        raise ScheduleError(
+            'expected a scene to be run under if __name__ == "__main__":, got a script that runs it wherever it is '
+            "loaded, and every worker loads it; write that line above the call"
+        )
+
+
+#: A shard to be computed, with the rows that there are already, if there are any.
+Order = tuple[Batch, Recording, Kept | None]
+
+
+class Workers(NamedTuple):
+    """Where to compute; see `run_ensemble`."""
+
+    n: int
+    scheduler: str | Client | None
+    has_dashboard: bool
+
+
+def fill(
+    store: Store,
+    order: Callable[[Task], Order],
+    firsts: Sequence[Member],
+    start: float,
+    at: Workers,
+    on_progress: Callable[[Progress], None] | None,
+) -> None:
+    """Compute what a dataset is to have, and commit it as it comes in.
+
+    Parameters
+    ----------
+    store : Store
+    order : callable
+        What of a task is sent to a worker; called when it is.
+    firsts : sequence of Member
+        Those that are run: the first of each pair of an origin of systems and an engine.
+    start : float
+        When this began, by `time.monotonic`.
+    at : Workers
+    on_progress : callable, optional
+        As of `run_ensemble`.
+
+    Raises
+    ------
+    SceneError, StoreError, ScheduleError
+        As `run_ensemble`.
+    """
+    for origin in {member.source.origin for member in firsts}:
+        if origin is not None:
+            systems.look_again(origin)  # as it was, or a word here and not a row for each member
+    todo = {batch.name: batch.cost for batch, _ in store.todo}
+    tally = before = Tally.of(store.tasks, {name: done for name, done in store.done.items() if name not in todo})
+    by_engine = {member.engine: member for member in reversed(firsts)}
+    cold = {engine: one for engine, one in by_engine.items() if at.scheduler is None and is_cold(engine)}
+    link: str | None = None
+
+    def connected(client: Client) -> None:
+        nonlocal link
+        with contextlib.suppress(KeyError):  # it has none
+            link = client.dashboard_link or None
+        if link is not None:
+            store.note(f"dashboard {link}")
+
+    def report(last_shard: str | None = None) -> None:
+        if on_progress is not None:
+            on_progress(
+                Progress(
+                    **vars(tally),
+                    n_resumed=before.n_done,
+                    cost_resumed=before.cost_done,
+                    elapsed=time.monotonic() - start,
+                    last_shard=last_shard,
+                    dashboard=link,
+                    compiling=tuple(cold),
+                )
+            )
+
+    report()
+    store.note(Began(time.time(), before.n_done, before.cost_done).line)
+    # closed at once if a commit fails or the user interrupts, and the workers with it
+    with contextlib.closing(_results(store.todo, order, cold, at, connected)) as results:
+        for result in results:
+            if result.program != program():
+                raise ScheduleError(
+                    f"expected workers with this version of the program ({program()}), got {result.program} on "
+                    f"{result.host}; install the same there, then rerun the scene"
+                )
+            tally = tally.plus(store.commit(result), todo[result.name])
+            report(result.name)
 
 
 def run_member(scene: Scene, member_id: str) -> dict[str, object]:
@@ -202,10 +264,9 @@ def run_member(scene: Scene, member_id: str) -> dict[str, object]:
 
 def _results(
     todo: list[Task],
+    order: Callable[[Task], Order],
     cold: Mapping[str, Member],
-    workers: int,
-    scheduler: str | Client | None,
-    dashboard: bool,
+    at: Workers,
     connected: Callable[[Client], None],
 ) -> Generator[Result]:
     """The batches' results in the order they come in; `connected` is told the client, once there is one.
@@ -214,9 +275,10 @@ def _results(
     """
     if not todo:
         return
+    workers, scheduler, dashboard = at
     if workers == 0 and scheduler is None:
         for task in todo:
-            yield compute(*task)
+            yield compute(*order(task))
         return
     n_workers = max(1, min(workers, max(len(todo), len(cold))))  # at an address it may be asked for none here
     with connect(n_workers, scheduler, dashboard) as client:
@@ -226,8 +288,9 @@ def _results(
         connected(client)
         try:
             lost = yield from _submit(
-                client, todo, compute_packed, lambda: WINDOW * max(1, sum(client.nthreads().values())), scheduler
-            )
+                client, map(order, todo), compute_packed, lambda: WINDOW * max(1, sum(client.nthreads().values())),
+                scheduler,
+            )  # fmt: skip
             # dask blames a worker's death on all tasks that waited there: in processes of their own most pass
             for _ in range(_ATTEMPTS):
                 lost = yield from _submit(client, lost, compute_alone_packed, lambda: n_workers, scheduler)
@@ -247,16 +310,16 @@ def _results(
 
 def _submit(
     client: Client,
-    todo: list[Task],
+    todo: Iterable[Order],
     work: Callable[..., Result],
     window: Callable[[], int],
     scheduler: str | Client | None,
-) -> Generator[Result, None, list[Task]]:
+) -> Generator[Result, None, list[Order]]:
     """Yield results as they come in, with `window()` batches in flight; return the batches whose workers died."""
     waiting = iter(todo)
     running = as_completed(loop=client.loop)
-    task_of: dict[Future[Any], Task] = {}
-    lost: list[Task] = []
+    task_of: dict[Future[Any], Order] = {}
+    lost: list[Order] = []
     while True:
         # measured each time, as clusters grow and shrink
         for task in itertools.islice(waiting, max(0, window() - running.count())):

@@ -4,27 +4,36 @@ from __future__ import annotations
 
 import contextlib
 import pickle
-import time
+from collections.abc import Sequence
 from typing import Any
 
 from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.machine.processes import Child, ChildDied
-from stickslip.pipeline.running.worker import as_result, failed, run_members
+from stickslip.pipeline.running.kept import Kept
+from stickslip.pipeline.running.worker import compute, failed, run_members
 from stickslip.pipeline.scene.columns import Recording
 
 
-def compute_alone(batch: Batch, recording: Recording) -> Result:
-    """As `compute`, in a process of its own.
+def compute_alone(batch: Batch, recording: Recording, kept: Kept | None = None) -> Result:
+    """As `compute`, with members that run in a process of their own.
 
     When it dies, the member it was at is run again, in another; if that dies too, the member's row says so.
     """
-    start = time.perf_counter()
+    return compute(batch, recording, kept, _run_alone)
+
+
+def compute_alone_packed(task: bytes) -> Result:
+    """As `compute_alone`, for a pickled task."""
+    return compute_alone(*pickle.loads(task))
+
+
+def _run_alone(members: Sequence[Member], recording: Recording) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = []
     process: Child | None = None
     with contextlib.ExitStack() as started:
-        for member in batch.members:
+        for member in members:
             for is_second in (False, True):
                 process = process or started.enter_context(Child(_run_members))
                 try:
@@ -34,12 +43,7 @@ def compute_alone(batch: Batch, recording: Recording) -> Result:
                     process = None
                     if is_second:
                         found.append(failed(member, f"its worker died ({death})"))
-    return as_result(batch, recording, found, start)
-
-
-def compute_alone_packed(task: bytes) -> Result:
-    """As `compute_alone`, for a pickled task."""
-    return compute_alone(*pickle.loads(task))
+    return found
 
 
 def _run_members(task: tuple[list[Member], Recording]) -> list[dict[str, Any]]:

@@ -8,7 +8,7 @@ import pickle
 import socket
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import groupby, islice
@@ -19,13 +19,14 @@ import numpy as np
 from stickslip import sim
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.dataset.result import Result
-from stickslip.pipeline.dataset.schema import encode, schema_of
+from stickslip.pipeline.dataset.schema import Values, encode, schema_of
 from stickslip.pipeline.ensemble.member import NO_NUMBER, Member
 from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.errors import command, foreign
 from stickslip.pipeline.records import ALWAYS
-from stickslip.pipeline.records.record import Made
+from stickslip.pipeline.records.record import Made, Record
 from stickslip.pipeline.running.ends import end_of
+from stickslip.pipeline.running.kept import Kept, Runs
 from stickslip.pipeline.scene.columns import Recording
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Task
@@ -39,31 +40,43 @@ _TOGETHER, _ENTRIES = 128, 2**16
 _loaded: set[str] = set()
 
 
-def compute(batch: Batch, recording: Recording) -> Result:
-    """Run a batch's members and encode their rows; a member that raises becomes a row that says so."""
+def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: Runs | None = None) -> Result:
+    """Run a batch's members and encode their rows; a member that raises becomes a row that says so.
+
+    Parameters
+    ----------
+    batch : Batch
+    recording : Recording
+    kept : Kept, optional
+        Their rows with fewer records, to which the others are added.
+    run : callable, optional
+        How members are run: `run_members` if left out.
+    """
     start = time.perf_counter()
-    return as_result(batch, recording, run_members(batch.members, recording), start)
-
-
-def compute_packed(task: bytes) -> Result:
-    """As `compute`, for a pickled task: what a run sends to workers, which load this module and no driver."""
-    batch, recording = pickle.loads(task)
-    load_kernels(batch.members)
-    return compute(batch, recording)
-
-
-def as_result(batch: Batch, recording: Recording, found: list[dict[str, Any]], start: float) -> Result:
-    """The result of a batch, encoded; `start` is when it was begun, by `time.perf_counter`."""
+    run = run_members if run is None else run
+    rows: Mapping[str, Values]
+    if kept is None:
+        rows = columns(batch.members, run(batch.members, recording), recording)
+    else:
+        rows = kept.extended(batch.members, recording, run)
     return Result(
         name=batch.name,
-        shard=encode(columns(batch.members, found, recording), schema_of(recording)),
+        shard=encode(rows, schema_of(recording)),
         member_ids=tuple(batch.members.ids()),
-        outcomes=dict(Counter(one["outcome"] for one in found)),
+        outcomes=dict(Counter(map(str, rows["outcome"]))),
         program=program(),
         seconds=time.perf_counter() - start,
         host=socket.gethostname(),
         pid=os.getpid(),
     )
+
+
+def compute_packed(task: bytes) -> Result:
+    """As `compute`, for a pickled task: what a run sends to workers, which load this module and no driver."""
+    batch, recording, kept = pickle.loads(task)
+    if kept is None or kept.needs_runs(batch.members, recording):
+        load_kernels(batch.members)
+    return compute(batch, recording, kept)
 
 
 def columns(members: Sequence[Member], found: Sequence[dict[str, Any]], recording: Recording) -> dict[str, list[Any]]:
@@ -104,10 +117,11 @@ def _set_up(members: Sequence[Member], recording: Recording) -> list[_Prepared]:
     """Some members of as many blocks; those with plain systems and the same settings are set up at once."""
     prepared: list[_Prepared] = []
     alike: dict[Engine, dict[int, Task]] = {}
+    stop_early = "always" if any(record.is_certified for record in recording.records) else True
     for k, member in enumerate(members):
         try:
             system = member.system()
-            engine, task = member.task(system, _times(member, recording), end_of(member))
+            engine, task = member.task(system, _times(member, recording), end_of(member), stop_early)
         except Exception as error:  # noqa: BLE001  as in `_result`
             prepared.append((member, None, partial(_raise, error)))
             continue
@@ -156,10 +170,23 @@ def _kept(
     """What is kept of a run."""
     if not np.isfinite(run.events.t).all():
         raise FloatingPointError("the engine returned an event at a time that is not finite")
-    made = Made(member, system, run, member.start(end_of(member)), _again, _drawn_start(member))
+    found = _made(member, system, run)
     for record in (ALWAYS, *recording.records):
-        made.found.update(record.of(made))
-    return run.events, made.found
+        if record.applies(member):
+            found.found.update(record.of(found))
+    return run.events, found.found
+
+
+def made(member: Member, record: Record) -> Made:
+    """A member that was run for one record, which has computed nothing yet."""
+    ((_, system, run),) = _prepared([member], Recording("", records=(record,)))
+    ran = run()
+    assert system is not None  # else that has raised
+    return _made(member, system, ran)
+
+
+def _made(member: Member, system: sim.System, run: sim.Run) -> Made:
+    return Made(member, system, run, member.start(end_of(member)), _again, _drawn_start(member))
 
 
 def _drawn_start(member: Member) -> dict[str, Any]:
@@ -182,7 +209,8 @@ def _states(member: Member, times: tuple[float, ...]) -> sim.Samples:
 
 def _times(member: Member, recording: Recording) -> np.ndarray:
     """When a run is sampled: at all times that some record asks for, in order."""
-    return np.unique(np.concatenate([np.empty(0), *(record.times(member) for record in recording.records)]))
+    asking = (record.times(member) for record in recording.records if record.applies(member))
+    return np.unique(np.concatenate([np.empty(0), *asking]))
 
 
 def is_cold(engine: str) -> bool:

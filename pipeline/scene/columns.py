@@ -1,4 +1,4 @@
-"""The columns of a dataset as plain data, and the names that they leave to parameters of functions.
+"""The columns of a dataset as plain data, and the names that they leave to functions of a user's own.
 
 A row has what a member is, the parameters of its function, what belongs to the parts that its scene has, and what is
 kept of its run. Terms, settings of engines and records declare their own columns.
@@ -173,7 +173,7 @@ class Recording:
         own = [Column("number", name, "parameter of the function that makes the systems", False)
                for name in self.parameters]  # fmt: skip
         of_parts = [column for part in self.parts for column in PARTS[part].columns]
-        return (*fixed, *own, *of_parts, *(column for record in self.records for column in record.columns))
+        return (*fixed, *own, *of_parts, *(column for record in self.records for column in record.kept))
 
 
 # ---------------------------------------------------------------------------------------------- names
@@ -185,7 +185,7 @@ _OF_TABLES = (
 )
 #: Dimensions in NetCDF: as they grow, no variable can have their names (`stickslip.workflows.netcdf`).
 _DIMENSIONS = dict.fromkeys(column.along for column in COLUMNS if column.along)
-#: Names that a parameter of a function cannot have, in lower case, as SQL ignores case, and what has each name.
+#: Names that no parameter or column of a function can have, in lower case, as SQL ignores case, and what has each.
 TAKEN = {
     "rng": "the function's generator",
     **dict.fromkeys(_DIMENSIONS, "a dimension in NetCDF"),
@@ -196,9 +196,14 @@ TAKEN = {
 _LONGEST_NAME = 255
 
 
-def misnamed(names: Iterable[str]) -> tuple[str, str] | None:
-    """The first name that no parameter of a function can have, and why; None: all are good."""
-    known = dict(TAKEN)
+def misnamed(
+    names: Iterable[str], others: Iterable[str] = (), twin: str = "another parameter"
+) -> tuple[str, str] | None:
+    """The first name that no column of a scene's own can have, and why; None: all are good.
+
+    `others` are parameters beside them, and `twin` is what has a name that comes twice.
+    """
+    known = TAKEN | {name.lower(): "a parameter of the function" for name in others}
     for name in names:
         if not name.isidentifier() or keyword.iskeyword(name) or unicodedata.normalize("NFKC", name) != name:
             return name, "it is no name for an argument in Python"
@@ -210,5 +215,5 @@ def misnamed(names: Iterable[str]) -> tuple[str, str] | None:
             return name, "names with this ending are reserved for counts in NetCDF"
         if name.lower() in known:
             return name, f"{known[name.lower()]} has it, in upper or lower case"
-        known[name.lower()] = "another parameter"
+        known[name.lower()] = twin
     return None

@@ -16,8 +16,9 @@ from typing import Any
 from pydantic import BaseModel, Field, PrivateAttr, model_validator
 
 from stickslip.pipeline.errors import SceneError
-from stickslip.pipeline.own.function import resolve
+from stickslip.pipeline.own.function import OwnFunction, resolve
 from stickslip.pipeline.records import RECORDS
+from stickslip.pipeline.records.own import OwnRecord, look_at_functions, named_functions
 from stickslip.pipeline.records.record import Facts, Record, WindowRecord
 from stickslip.pipeline.scene.columns import PARTS, Recording, misnamed
 from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
@@ -118,6 +119,7 @@ class Scene(StrictTable):
         own = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
         own["system"] = {key: value for key, value in own["system"].items() if key not in ("files", "module")}
         own["start"] = {key: value for key, value in own["start"].items() if key != "ends"}
+        own["record"] = {key: value for key, value in own.get("record", {}).items() if key != "functions"}
         for name, given in tables.items():
             old = own.get(name)
             own[name] = {**old, **given} if isinstance(old, dict) and isinstance(given, dict) else given
@@ -169,7 +171,7 @@ class Scene(StrictTable):
     @property
     def records(self) -> tuple[Record, ...]:
         """What is kept of a run, in addition to n_stick."""
-        keys = self.record.model_dump() | {"t_burn": self._record_t_burn}
+        keys = self.record.model_dump() | {"t_burn": self._record_t_burn, "folder": self._folder}
         settings = {name: value for engine in self.engines for name, value in engine.settings.items() if value}
         return tuple(one for record in RECORDS if (one := record.asked(keys, settings)) is not None)
 
@@ -255,7 +257,7 @@ class Scene(StrictTable):
                 f"number of draws"
             )
         self._static_holds()
-        self._parameters_are_columns()
+        self._names_are_columns()
         return self
 
     def _static_holds(self) -> None:
@@ -273,16 +275,19 @@ class Scene(StrictTable):
                     f" with friction = {kinetic}; raise it, or name both in `zip`, whose lists go together"
                 )
 
-    def _parameters_are_columns(self) -> None:
-        """Each parameter of a function is a column like the others, in tables and in SQL."""
-        if not self.system.parameters:
-            return
-        found = misnamed(self.system.parameters)
-        if found is not None:
-            raise ValueError(
-                f"system.parameters: expected names for columns of their own, got {shown(found[0])}: {found[1]};"
-                f" choose another, here and in the function"
-            )
+    def _names_are_columns(self) -> None:
+        """Each parameter of a function, and each field that one returns, is a column like the others."""
+        parameters = tuple(self.system.parameters or ())
+        fields = [field for function in self.record.own_functions.values() for field in function.columns]
+        for key, found, where in (
+            ("system.parameters", misnamed(parameters), "here and in the function"),
+            ("record.own", misnamed(fields, parameters, "another field"), "in the module"),
+        ):
+            if found is not None:
+                raise ValueError(
+                    f"{key}: expected names for columns of their own, got {shown(found[0])}: {found[1]}; choose"
+                    f" another, {where}"
+                )
 
     def check_engines(self) -> None:
         """Refuse engines that cannot run what the scene asks; for a file or a function, its runs tell.
@@ -429,6 +434,18 @@ class Scene(StrictTable):
         return SystemFunction(KEY, self.system.coupling, module.sha256, at, beside, is_sparse=module.is_sparse)
 
     @property
+    def own_record(self) -> OwnRecord | None:
+        """What functions of the user's own measure of runs, if any do."""
+        return next((record for record in self.records if isinstance(record, OwnRecord)), None)
+
+    @property
+    def own_functions(self) -> list[OwnFunction]:
+        """All functions of the user's own that it names."""
+        own = self.own_record
+        made = [] if self._function is None else [self._function]
+        return made + ([] if own is None else [one.function for one in own.functions])
+
+    @property
     def ends(self) -> Ends | None:
         """The dataset at whose ends members start, if any do."""
         if self.start.dataset is None or self.start.ends is None:
@@ -471,8 +488,13 @@ class Scene(StrictTable):
                 keys["system"]["beside"] = self.system.module.beside
         if any(isinstance(record, WindowRecord) for record in self.records):
             keys["record"]["t_burn"] = self._record_t_burn  # else [analysis] has no influence on the data
+        keys["record"].pop("functions", None)
+        if self.record.own:
+            keys["record"]["functions"] = {
+                name: {"sha256": one.sha256, "beside": one.beside} for name, one in self.record.own_functions.items()
+            }
         for record in RECORDS:
-            if keys["record"].get(record.name) is False and record.name not in _OLDEST_RECORDS:
+            if keys["record"].get(record.name) in (False, []) and record.name not in _OLDEST_RECORDS:
                 del keys["record"][record.name]
         if keys["system"]["back_slip"]:
             del keys["system"]["back_slip"]
@@ -526,7 +548,9 @@ def _merged(tables: Mapping[str, Any], seen: Mapping[str, Mapping[str, Any]]) ->
 def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, dict[str, Any]]:
     """What a scene keeps of the files and datasets that it names, by table and key."""
     seen: dict[str, dict[str, Any]] = {}
-    start = tables.get("start")
+    start, record = tables.get("start"), tables.get("record")
+    if isinstance(record, dict) and "functions" not in record and (names := named_functions(record.get("own"))):
+        seen["record"] = {"functions": look_at_functions(names, folder)}
     if isinstance(start, dict) and isinstance(start.get("dataset"), str) and "ends" not in start:
         seen["start"] = {"ends": {"sha256": look_at_dataset(start["dataset"], folder)}}
     # a function is tried in a scene, which has its ends then

@@ -108,8 +108,8 @@ def _read(at: str, sha256: str) -> Mapping[str, Any]:
     return _arrays(at, content)
 
 
-def look_again(origin: SystemFile | SystemFunction) -> None:
-    """See that what systems come from is as it was when the scene was read.
+def look_again(origin: SystemFile | OwnFunction) -> None:
+    """See that a file or a function of the user's own is as it was when the scene was read.
 
     Raises
     ------

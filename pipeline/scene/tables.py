@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import (
+    AfterValidator,
     BeforeValidator,
     ConfigDict,
     Field,
@@ -153,9 +155,45 @@ class TwinsTable(StrictTable):
     )
 
 
+class ColumnTable(StrictTable):
+    """A column of a function of the user's own: its type, words, and whether a run may be without."""
+
+    type: Literal["float", "int", "bool", "str"]
+    words: str
+    is_optional: bool
+
+
+class FunctionTable(StrictTable):
+    """A function that measures runs, as it was when the scene was read; see `pipeline.records.own`."""
+
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    is_sampled: bool
+    columns: dict[str, ColumnTable]
+    beside: dict[str, str] = Field(default_factory=dict)
+
+
+def _functions(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if re.match(PATTERN, name) is None:
+            raise ValueError(
+                f"expected module:function, as in mine:quiet_share, got {name!r}; name a file mine.py so"
+            )
+    return once(names, least=0)
+
+
+_Name = Annotated[str, WithJsonSchema({"type": "string", "pattern": PATTERN})]
+_Names = Annotated[
+    tuple[_Name, ...],
+    BeforeValidator(as_tuple, json_schema_input_type=_Name | list[_Name]),
+    AfterValidator(_functions),
+]
+
+
 def _key(record: type[Record]) -> tuple[Any, Any]:
     """The type of a record's key under [record], and pydantic's field for it."""
     examples = None if record.example is None else [record.example]
+    if record.is_named:
+        return _Names, Field(default=(), description=record.words, examples=examples)
     if record.is_step:
         return Positive | None, Field(default=None, description=record.words, examples=examples)
     return bool, Field(default=False, description=record.words, examples=examples)
@@ -179,6 +217,14 @@ class RecordTable(_Records):  # type: ignore[misc]
         description="time step at which the state is sampled for records that need it",
         examples=[0.1],
     )
+    functions: Annotated[dict[str, FunctionTable] | None, WithJsonSchema({"type": "object"})] = Field(
+        default=None, description="what the functions of `own` were when the scene was read: written by stickslip"
+    )
+
+    @property
+    def own_functions(self) -> dict[str, FunctionTable]:
+        """The functions of `own`, in this order."""
+        return {name: (self.functions or {})[name] for name in self.own}
 
     @property
     def of(self) -> list[type[Record]]:
@@ -187,11 +233,18 @@ class RecordTable(_Records):  # type: ignore[misc]
 
     @model_validator(mode="after")
     def _only_what_applies(self) -> Self:
-        for key, kind in (("t_burn", WindowRecord), ("dt", StateRecord)):
-            if getattr(self, key) is not None and not any(issubclass(one, kind) for one in self.of):
+        lacking = [name for name in self.own if name not in (self.functions or {})]
+        if lacking:
+            raise ValueError(
+                f"functions: expected what `load_scene` and the command write here for {lacking[0]}, found nothing;"
+                " remove the key, and use these"
+            )
+        sampled = [f"own = {name!r}" for name, one in self.own_functions.items() if one.is_sampled]
+        for key, kind, others in (("t_burn", WindowRecord, []), ("dt", StateRecord, sampled)):
+            if getattr(self, key) is not None and not others and not any(issubclass(one, kind) for one in self.of):
                 known = ", ".join(one.name for one in RECORDS if issubclass(one, kind))
                 raise ValueError(f"{key}: expected only with some of {known}, found none; remove it")
-        taking = [one.name for one in self.of if issubclass(one, StateRecord)]
+        taking = [one.name for one in self.of if issubclass(one, StateRecord)] + sampled
         if taking and self.dt is None:
             raise ValueError(f"dt: expected with `{taking[0]}`, found nothing; write e.g. dt = 0.1")
         return self

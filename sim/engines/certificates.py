@@ -298,19 +298,22 @@ class Collapse:
         Error allowed in the motion that is followed.
     law : Smoothed, optional
         None for the Coulomb law.
+    cost : float
+        What a certificate costs, in products of K; 0: it is asked for whenever all blocks slip, see `loop`.
     """
 
-    def __init__(self, system: System, allowed: float, law: Smoothed | None = None) -> None:
+    def __init__(self, system: System, allowed: float, law: Smoothed | None = None, cost: float = 0.0) -> None:
         self._system, self._allowed, self._law = system, allowed, law
         # else slipping blocks are not linear, or rest, w = 0, lies across the belt's speed or in the layer
         may = system.has_one_belt and system.weakening is None and system.n <= _EIGENVALUES_MAX
         may = may and (0.0 if law is None else law.band) < abs(system.belt_speed)
         #: By which kernels see for themselves that a certificate is out of reach, or not to be had.
-        self.precheck = Precheck.blank((system.belt_speed < 0) - (system.belt_speed > 0) if may else 0)
+        self.precheck = Precheck.blank((system.belt_speed < 0) - (system.belt_speed > 0) if may else 0, cost)
 
     def certify(self, z: Floats, w: Floats) -> Certificate:
         """Certificate of a state, shape (n,) each, in which all blocks slip in the direction `precheck.slip`."""
         n, eigenmodes = self._system.n, self._eigenmodes
+        self.precheck = self.precheck._replace(cost=0.0)  # to ask again costs little
         if not eigenmodes.decay or (rest := self._rest) is None:
             return Certificate(False)
         coefficients = eigenmodes.inverse @ np.concatenate((z - rest, w))

@@ -8,7 +8,9 @@ An engine is a subclass of `Engine`, named in `stickslip.sim.engines.ENGINES`, w
    renumbers the run;
 4. a run is `finished` at the t_end asked for; `collapsed` when no block can stick again (proved, see
    `sim.engines.certificates`): its motion from there is linear, and followed to t_end; `diverged` when it escapes
-   for ever (proved, or beyond every bound): then, and only then, the run ends early;
+   for ever (proved, or beyond every bound): then, and only then, the run ends early. A proof of collapse is sought
+   where it pays, counted in products, or whenever all blocks slip, if the task asks for that; so the outcome depends
+   on the task alone, and on no clock or machine;
 5. what the engine cannot carry through raises `IntegrationError`, which names the time and the block;
 6. samples of the state are interpolated within the steps, so asking for them changes nothing else;
 7. two opposite changes of a block's mode that are closer than the tolerance resolves are a touch, and no events.
@@ -44,6 +46,7 @@ class Task(NamedTuple):
     t_end: float
     samples: Samples
     stop_early: bool  #: whether a run ends once its escape is certain, or beyond doubt
+    certify: bool  #: whether it is tested for collapse whenever all blocks slip, and not only where that pays
     modes: NDArray[np.int8] | None = None  #: at the start; None: what the state says
 
 

@@ -28,11 +28,17 @@ DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
 STEPS_A_SLICE = 5_000
 
 #: Counters that every engine keeps, int64.
-N_STEPS, N_REJECTED, N_PRODUCTS, LAST_BLOCK, N_STALLED, N_SAMPLED, IS_ALL_STUCK, N_ALL_STUCK, N_COUNTERS = range(9)
+N_STEPS, N_REJECTED, N_PRODUCTS, LAST_BLOCK, N_STALLED, N_SAMPLED, IS_ALL_STUCK, N_ALL_STUCK = range(8)
+#: The products up to the last event.
+N_PRODUCTS_THEN, N_COUNTERS = 8, 9
 #: Clocks that every engine keeps, float64, from the start of the present piece: the time, and the times after which a
 #: collapse may next be certified, with all blocks slipping left and (the next clock) right. An engine may keep more
-#: behind them. After, not at: a run takes a step between two requests, or would make them for ever.
-TIME, CHECK, _CHECK_RIGHT, N_CLOCKS = range(4)
+#: behind them. After, not at: a run takes a step between two requests, or would make them for ever. Then the time of
+#: the last event.
+TIME, CHECK, _CHECK_RIGHT, _LAST_EVENT, N_CLOCKS = range(5)
+
+#: All blocks are to slip, before a collapse is certified, as long as takes this share of what that costs.
+_SEEN = 0.1
 
 
 class Events(NamedTuple):
@@ -86,15 +92,29 @@ class State(NamedTuple):
         """The state at the start of a task, in arrays of its own; `clocks` are those of the engine."""
         may_collapse = task.stop_early and task.system.has_one_belt and not task.system.changes
         check = -np.inf if may_collapse else np.inf
-        clock = np.array([0.0, check, check, *clocks])
+        clock = np.array([0.0, check, check, 0.0, *clocks])
         samples = Buffers(np.full(len(task.samples), np.inf), task.samples.z, task.samples.w)
         return cls(z, w, mode, clock, np.zeros(N_COUNTERS, dtype=np.int64), samples)
 
 
 @inner
-def is_check_due(clock, mode):  # type: ignore[no-untyped-def]
-    """Whether the pre-check of collapse is due, if all blocks slip in the direction of the first."""
-    return mode[0] != 0 and clock[TIME] > clock[CHECK + (mode[0] > 0)]
+def note_event(clock, counters):  # type: ignore[no-untyped-def]
+    """Note that a block's mode has changed just now."""
+    clock[_LAST_EVENT], counters[N_PRODUCTS_THEN] = clock[TIME], counters[N_PRODUCTS]
+
+
+@inner
+def is_check_due(state, mode, precheck, left):  # type: ignore[no-untyped-def]
+    """Whether the pre-check of collapse is due, if all blocks slip in the direction of the first.
+
+    Only where a certificate pays, counted in products, so that no clock decides: there was no event for a share of
+    what it costs, and at that rate the rest of the run, `left`, would cost as much as all of it.
+    """
+    clock, counters = state.clock, state.counters
+    if mode[0] == 0 or clock[TIME] <= clock[CHECK + (mode[0] > 0)]:
+        return False
+    spent, seen = counters[N_PRODUCTS] - counters[N_PRODUCTS_THEN], clock[TIME] - clock[_LAST_EVENT]
+    return spent >= _SEEN * precheck.cost and spent * left >= precheck.cost * seen
 
 
 @inner

@@ -21,19 +21,22 @@ class Precheck(NamedTuple):
     slip: int  #: the direction in which blocks may slip for ever; 0: in none
     limit: float  #: that bound; 0: not known yet
     growth: float
+    cost: float  #: of a certificate, in products; 0: it is asked for whenever it may be had
     room: Floats  #: shape (2n,)
 
     @classmethod
-    def blank(cls, slip: int) -> Precheck:
-        """Before more than the direction is known."""
-        return cls(_NO_INVERSE, _NO_SIZES, _NO_ROW, slip, 0.0, 0.0, _NO_ROW)
+    def blank(cls, slip: int, cost: float) -> Precheck:
+        """Before more than the direction is known, and what a certificate costs."""
+        return cls(_NO_INVERSE, _NO_SIZES, _NO_ROW, slip, 0.0, 0.0, cost, _NO_ROW)
 
     @classmethod
     def of(
         cls, inverse: NDArray[np.complex128], sizes: Floats, rest: Floats, slip: int, limit: float, growth: float
     ) -> Precheck:
         """With all that is known: T^-1, and the rest as the attributes have it."""
-        return cls(np.array([inverse.real, inverse.imag]), sizes, rest, slip, limit, growth, np.empty(len(inverse)))
+        return cls(
+            np.array([inverse.real, inverse.imag]), sizes, rest, slip, limit, growth, 0.0, np.empty(len(inverse))
+        )
 
 
 _NO_INVERSE, _NO_SIZES, _NO_ROW = np.empty((2, 0, 0)), np.empty((0, 0)), np.empty(0)

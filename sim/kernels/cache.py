@@ -69,7 +69,9 @@ class KernelFiles:
         return f"{self._name}.{hashlib.sha256(repr(key).encode()).hexdigest()[:16]}{ending}"
 
     def load(self, key: object) -> Any:
-        """What was saved under a key; None if nothing was, or if a byte of it has changed: it is then to be compiled.
+        """What was saved under a key; None, and it is to be compiled, if nothing was, or not what can be used here.
+
+        That is a file of which a byte has changed, and one that needs a module of a user's that is not here.
 
         If another process is compiling it, wait for its result.
 
@@ -110,7 +112,12 @@ class KernelFiles:
         except OSError:
             return None
         data, digest = content[:-_DIGEST_SIZE], content[-_DIGEST_SIZE:]
-        return pickle.loads(data) if hashlib.sha256(data).digest() == digest else None
+        if hashlib.sha256(data).digest() != digest:
+            return None
+        try:
+            return pickle.loads(data)
+        except ModuleNotFoundError:  # it has a law of a user's own, from a module under a name that is not here
+            return None
 
     def save(self, key: object, kernel: object) -> None:
         from numba.core.serialize import dumps  # this module is known without loading numba

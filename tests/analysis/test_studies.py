@@ -255,7 +255,7 @@ def test_the_code_says_what_is_missing(rng):
 
 FALSE_ALARMS = ("multiplicity", "change", "equivalence", "methods")
 #: Ensembles of the studies that take longest by far; the others take 500, and 2000 of false alarms.
-FEWER = {"rhythm": 80, "methods": 800}
+FEWER = {"rhythm": 50, "methods": 500, "counting": 250}
 
 
 @pytest.mark.long
@@ -265,7 +265,8 @@ FEWER = {"rhythm": 80, "methods": 800}
 def test_intervals_cover_what_was_planted(name):
     seed = secrets.randbits(32)
     rows = studies.study(name, seed, FEWER.get(name, 500))
-    most = 1.0 if name == "components" else 0.97  # an interval without ends, where there can be no other, holds all
+    # an interval without ends, where there can be no other, holds all, and so may one for whatever censored the times
+    most = 1.0 if name in ("components", "parting") else 0.97
     missed = [row for row in rows if not row.is_covered(high=most)]
     assert not missed, f"seed {seed}: {missed}"
     if name in ("gamma", "dispersion", "growth"):  # each ensemble drawn anew, the answer known exactly

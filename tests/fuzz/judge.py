@@ -274,7 +274,7 @@ class _Judge:
         """None, and a failure, if the run does not end or gives up."""
         case = truth.case
         system = made(case, sparse)
-        settings = self.trial.settings | settings
+        settings = {"stop_early": "always"} | self.trial.settings | settings
         if truth.delta is not None:
             settings["ratio"] = truth.delta / self.trial.settings["eps"]
         bare = {name: value for name, value in settings.items() if name != "t_eval"}

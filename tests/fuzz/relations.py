@@ -51,7 +51,7 @@ class Setup:
     def run(self) -> Run:
         return simulate(
             self.system, self.z, self.w, self.t_end, t_start=self.t_start, t_eval=self.times, engine=self.engine,
-            modes=self.modes, **self.settings,
+            modes=self.modes, stop_early="always", **self.settings,
         )  # fmt: skip
 
     def changed(self, **arguments: Any) -> Setup:

@@ -61,6 +61,8 @@ def test_columns_are_what_sim_finds(scene, tmp_path):
             continue
         settings = dict(member.settings)
         found = attractor(member.simulate(), member.system(), 100.0, **settings)
+        starts = [np.broadcast_to(one, row.n).tolist() for one in member.start()]
+        assert [lists[member.member_id][name] for name in ("start_z", "start_w")] == starts
         assert row.attractor == found.kind
         if found.kind == "periodic":
             assert row[["period", "multiplier"]].tolist() == [found.period, found.multiplier]

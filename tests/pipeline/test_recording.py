@@ -209,3 +209,18 @@ def test_the_growth_rate_is_that_of_the_member_s_own_system(tmp_path):
         # lambda^2 + R lambda + K as the quadratic problem of one matrix polynomial, by its own linearisation
         blocks = np.block([[-np.diag(system.damping), -system.stiffness], [np.eye(4), np.zeros((4, 4))]])
         assert rates[member.member_id] == pytest.approx(np.linalg.eigvals(blocks).real.max(), rel=1e-9)
+
+
+def test_a_proof_of_collapse_is_sought_for_every_run_that_asks_for_it():
+    source = ensemble(10, 200.0, 4, COULOMB, seed=5)
+    asked = parse_scene(f"{source}\n[record]\ncollapse = true\n".encode())
+    plain = parse_scene(source.encode())
+    certain = 0
+    for member, other in zip(expand(asked), expand(plain), strict=True):
+        row, bare = worker.row(member, asked.recording), worker.row(other, plain.recording)
+        assert row["t_collapse"] == (row["t_stop"] if row["outcome"] == "collapsed" else None)
+        assert (bare["outcome"], bare["t_stop"]) == ("finished", 200.0)
+        np.testing.assert_array_equal(bare["t"], row["t"])
+        np.testing.assert_array_equal(bare["n_stick"], row["n_stick"])
+        certain += row["outcome"] == "collapsed"
+    assert certain > 0

@@ -123,7 +123,7 @@ def test_the_same_run_again_is_the_same_to_the_last_bit():
 def test_a_collapse_is_certified_and_followed():
     system = System([[1.0]], 3.0, 1.0, -0.2)
     stopped, whole = (
-        simulate(system, 3.0, 1.0, 60.0, engine="sigmoid", eps=0.01, stop_early=stop) for stop in (True, False)
+        simulate(system, 3.0, 1.0, 60.0, engine="sigmoid", eps=0.01, stop_early=stop) for stop in ("always", False)
     )
     assert stopped.outcome == "collapsed"
     assert stopped.stats.n_steps < whole.stats.n_steps

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 import threading
+import types
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
@@ -28,6 +30,16 @@ def test_a_kernel_comes_back_under_its_own_key(files, tmp_path):
     assert KernelFiles(tmp_path, "b").load(("int64", "x86")) is None
     files.flush()
     assert again.load(("int64", "x86")) is None
+
+
+def test_a_kernel_of_a_law_from_a_module_that_is_gone_is_compiled_anew(files, monkeypatch):
+    module = types.ModuleType("a_law_of_ones_own")
+    exec("class Law: pass", module.__dict__)
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    files.save("key", module.Law())
+    assert isinstance(files.load("key"), module.Law)
+    monkeypatch.delitem(sys.modules, module.__name__)
+    assert files.load("key") is None
 
 
 def test_who_waits_for_a_kernel_takes_the_one_that_was_compiled_meanwhile(files, tmp_path, monkeypatch):

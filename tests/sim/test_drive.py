@@ -291,14 +291,14 @@ def test_products_in_float32_serve_driven_blocks(rng):
 
 
 def test_a_constant_force_shifts_the_rest_after_a_collapse():
-    run = simulate(System([[1.0]], 1.0, 0.3, force=0.5), 0.0, 0.0, 100.0)
+    run = simulate(System([[1.0]], 1.0, 0.3, force=0.5), 0.0, 0.0, 100.0, stop_early="always")
     assert run.outcome == "collapsed"
     assert run.z == pytest.approx([0.2])
 
 
 @pytest.mark.parametrize("drive", [{"force": Harmonic(0.1, 1.0)}, {"belt_speed": Piecewise([0, 50], [-0.2, -0.1])}])
 def test_no_collapse_is_certain_where_something_changes(drive):
-    run = simulate(System([[1.0]], 1.0, 0.3).changed(**drive), 0.0, 0.0, 100.0)
+    run = simulate(System([[1.0]], 1.0, 0.3).changed(**drive), 0.0, 0.0, 100.0, stop_early="always")
     assert run.outcome == "finished"
 
 

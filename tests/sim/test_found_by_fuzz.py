@@ -46,7 +46,7 @@ def test_a_constant_force_moves_the_rest_by_which_a_collapse_is_certain(engine, 
     case = Case.of([[1.0]], 1, 1, -0.2, -1, -0.1, push=push)
     trial = Trial(0, 0, "collapse", engine, case, 40.0, settings)
     assert judge(trial).failures == []
-    run = simulate(made(case), case.z0, case.w0, 40.0, engine=engine, **settings)
+    run = simulate(made(case), case.z0, case.w0, 40.0, engine=engine, stop_early="always", **settings)
     assert run.outcome == "collapsed"
     assert run.z == pytest.approx([push - 1], abs=1e-4)
 

@@ -55,7 +55,7 @@ def test_nothing_happens_after_a_certified_collapse(law, cross):
         if n_stable == 80 or np.linalg.eigvals(system.slip_matrix()).real.max() > -0.02:
             continue
         n_stable += 1
-        run = simulate(system, z0, w0, 150.0, **law)
+        run = simulate(system, z0, w0, 150.0, stop_early="always", **law)
         if run.outcome != "collapsed":
             continue
         n_collapsed += 1
@@ -99,12 +99,12 @@ def test_a_run_is_the_same_whoever_sees_that_it_is_too_early_for_a_certificate(l
     systems = [draw_system("antisymmetric", n, seed=int(rng.integers(2**31))) for n in (1, 2, 5, 20, 20)]
     asked, ask = [], certificates.Collapse.certify
     monkeypatch.setattr(certificates.Collapse, "certify", lambda *state: asked.append(1) or ask(*state))
-    runs = [simulate(system, -0.7, -0.4, 200.0, **law) for system in systems]
+    runs = [simulate(system, -0.7, -0.4, 200.0, stop_early="always", **law) for system in systems]
     n_asked = len(asked)
     first = property(lambda self: vars(self)["first"], lambda self, found: vars(self).setdefault("first", found))
     monkeypatch.setattr(certificates.Collapse, "precheck", first, raising=False)
     for run, system in zip(runs, systems, strict=True):
-        other = simulate(system, -0.7, -0.4, 200.0, **law)
+        other = simulate(system, -0.7, -0.4, 200.0, stop_early="always", **law)
         assert (run.outcome, run.t_collapse, run.stats) == (other.outcome, other.t_collapse, other.stats)
         for one, same in ((run.z, other.z), (run.w, other.w), (run.events.t, other.events.t)):
             np.testing.assert_array_equal(one, same)
@@ -118,7 +118,7 @@ def test_a_run_is_the_same_whoever_sees_that_it_is_too_early_for_a_certificate(l
 def test_a_collapse_is_certified_on_the_side_where_it_comes_to_be(law):
     """The paper's start slips left at once, where nothing can be certified; 20 blocks come to rest slipping right."""
     system = draw_system("antisymmetric", 20, seed=0)
-    run = simulate(system, -0.7, -0.4, 1000.0, **law)
+    run = simulate(system, -0.7, -0.4, 1000.0, stop_early="always", **law)
     assert (run.events.initial_mode == -1).all()
     assert (run.outcome, run.events.t_end) == ("collapsed", 1000.0)
     assert run.t_collapse < 300
@@ -418,3 +418,25 @@ def test_systems_and_runs_go_with_their_last_user(engine, mass):
         assert [one() for one in gone()] == [None, None]
     finally:
         gc.enable()
+
+
+@pytest.mark.parametrize("law", [{"tol": 1e-6}, {"engine": "sigmoid", "eps": 0.01, "rtol": 1e-6, "atol": 1e-6}])
+def test_a_collapse_is_certified_where_that_saves_steps(law, rng):
+    """Of a long run by default, of a short one where asked for; without, nothing differs from no test at all."""
+    outcomes = []
+    for _ in range(5):
+        system = draw_system("antisymmetric", 10, rng.integers(2**32))
+        for t_end in (200.0, 20000.0):
+            run = simulate(system, -0.7, -0.4, t_end, **law)
+            plain = simulate(system, -0.7, -0.4, t_end, stop_early=False, **law)
+            outcomes.append(
+                (t_end, run.outcome, simulate(system, -0.7, -0.4, t_end, stop_early="always", **law).outcome)
+            )
+            if run.outcome == "finished":
+                assert run.z.tobytes() == plain.z.tobytes()
+                assert run.stats == plain.stats
+            else:
+                assert run.stats.n_products < plain.stats.n_products
+    assert all(default == always == "collapsed" for t_end, default, always in outcomes if t_end > 1000)
+    assert {default for t_end, default, _ in outcomes if t_end < 1000} == {"finished"}
+    assert "collapsed" in {always for t_end, _, always in outcomes if t_end < 1000}

@@ -66,7 +66,7 @@ def test_a_collapsed_run_is_the_one_that_goes_on(settings, n, rng):
         start = rng.normal(size=(2, n))
         run, full = (
             simulate(system, *start, 800.0, t_eval=np.linspace(0.0, 800.0, 201), stop_early=stop_early, **settings)
-            for stop_early in (True, False)
+            for stop_early in ("always", False)
         )
         if run.outcome != "collapsed":  # one in some hundreds takes longer
             continue
@@ -87,7 +87,7 @@ def test_a_collapse_ends_no_definition_of_sticking_early():
         system = draw_system("antisymmetric", 20, seed)
         run, full = (
             simulate(system, -0.7, -0.4, 1000.0, engine="sigmoid", thresholds=[5.0, 7.0], stop_early=stop_early)
-            for stop_early in (True, False)
+            for stop_early in ("always", False)
         )
         assert run.outcome == "collapsed"
         for c, at_the_end in ((5.0, 0), (7.0, 20)):

@@ -219,6 +219,20 @@ def test_a_scene_of_a_function_in_si_units(tmp_path, monkeypatch):
         assert low < first < high
 
 
+def test_a_record_of_a_function(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    computed_here(monkeypatch)
+    Path("mine.py").write_text(blocks(page("own-records"), "python")[0])
+    Path("quiet.toml").write_text(blocks(page("own-records"), "toml")[0])
+    assert [main(command) for command in commands("own-records")] == [0] * 3
+    assert "let go after t_burn) rises from 0.675 to 1" in capsys.readouterr().out
+    assert "rises from 0.675 to 1 as" in page("own-records")
+    table = query.members("runs/quiet")
+    assert table.own_problem.isna().all()
+    assert 0 < table.never_left.mean() < 1
+    assert (table.last_exit.isna() == (table.never_left == 1)).all()
+
+
 def test_a_law_of_friction_in_a_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)

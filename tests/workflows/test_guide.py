@@ -23,7 +23,7 @@ SOURCE = ensemble(
     f"{SIGMOID}\nthresholds = [0.25, 1.0, 4.0]",
     seed=3,
     rest="[perturbation]\nsizes = [0.01, 0.1]\n[twins]\nsizes = [1e-6]\n"
-    "[record]\nevents = true\nepisodes = true\nseparation = 5.0",
+    "[record]\ncollapse = true\nevents = true\nepisodes = true\nseparation = 5.0",
     analysis="t_burn = 50.0\ndt = 0.5",
 ).encode()
 

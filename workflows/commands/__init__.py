@@ -14,6 +14,7 @@ from stickslip.pipeline.machine.signals import Interrupted, interruptible
 from stickslip.workflows import NO_FOLDER
 from stickslip.workflows.commands.command import UNFINISHED, WRONG, Wrong, listed
 from stickslip.workflows.commands.completion import Completion
+from stickslip.workflows.commands.extend import Extend
 from stickslip.workflows.commands.plot import Plot
 from stickslip.workflows.commands.query import Export, Query
 from stickslip.workflows.commands.report import Report
@@ -25,7 +26,8 @@ from stickslip.workflows.commands.status import Status, Verify
 COMMANDS = {
     one.name: one
     for one in (
-        Run(), Status(), Verify(), Report(), Query(), Export(), Plot(), Scenes(), Init(), Schema(), Completion(),
+        Run(), Status(), Verify(), Extend(), Report(), Query(), Export(), Plot(), Scenes(), Init(), Schema(),
+        Completion(),
     )
 }  # fmt: skip
 

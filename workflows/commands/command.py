@@ -39,6 +39,26 @@ class Command(ABC):
         """
 
 
+def add_places(parser: argparse.ArgumentParser) -> None:
+    """The options that say where members are run."""
+    where = parser.add_mutually_exclusive_group()
+    # a default in text: argparse takes a value that is the default itself for one that was not given
+    where.add_argument("--workers", type=_count, default="2", metavar="N", help="local processes (default: 2)")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="address of a running dask cluster, tcp:// or tls://")
+    parser.add_argument(
+        "--dashboard",
+        action="store_true",
+        help="serve dask's dashboard at 127.0.0.1, open to every user of this machine (needs bokeh)",
+    )
+
+
+def _count(text: str) -> int:
+    value = int(text) if text.isascii() and text.isdigit() else 0
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"expected a count of at least 1, got {text!r}")
+    return value
+
+
 def listed(examples: tuple[tuple[str, str], ...]) -> str:
     """Examples as the help shows them, in two columns."""
     width = max((len(line) for line, words in examples if words), default=0)

@@ -78,11 +78,7 @@ def write_report(
         print(printable(f"report  {opened.place.named(PAGE)}, unchanged"))
         is_own = has_own(opened)
     else:
-        with (
-            Asking(own_questions.folder_of(opened) if is_own else None)
-            if asking is None
-            else nullcontext(asking) as processes
-        ):
+        with Asking(opened.folder if is_own else None) if asking is None else nullcontext(asking) as processes:
             problems = _build(opened, processes, watch).problems
     for name, problem in problems.items():
         print(printable(f"failed  {name}: {problem}"), file=sys.stderr)

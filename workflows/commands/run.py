@@ -15,12 +15,16 @@ from typing import TYPE_CHECKING
 from stickslip.pipeline.errors import command, printable
 from stickslip.pipeline.machine.processes import forked_workers, loading
 from stickslip.pipeline.machine.signals import Interrupted
-from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong
+from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong, add_places
 from stickslip.workflows.commands.report import check_no_ensemble, publish, write_report
 
 if TYPE_CHECKING:
     from stickslip.pipeline.places.place import Place
     from stickslip.workflows.asking import Asking
+
+
+#: Reasons for which functions of the user's own gave no value, that are shown.
+_REASONS = 5
 
 
 class Run(Command):
@@ -40,17 +44,7 @@ class Run(Command):
         parser.add_argument(
             "--out", metavar="DIR", help="directory of the dataset, or s3://bucket/dir (default: runs/<scene>)"
         )
-        where = parser.add_mutually_exclusive_group()
-        # a default in text: argparse takes a value that is the default itself for one that was not given
-        where.add_argument("--workers", type=_count, default="2", metavar="N", help="local processes (default: 2)")
-        where.add_argument(
-            "--scheduler", metavar="ADDRESS", help="address of a running dask cluster, tcp:// or tls://"
-        )
-        parser.add_argument(
-            "--dashboard",
-            action="store_true",
-            help="serve dask's dashboard at 127.0.0.1, open to every user of this machine (needs bokeh)",
-        )
+        add_places(parser)
         parser.add_argument(
             "--no-report", action="store_true", help="write no report; `stickslip report DIR` does so later"
         )
@@ -149,6 +143,8 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
     print(f"data    {printable(out.named(DATA))}: {status.n_done} members, {status.n_bytes / 1e6:.2f} MB")
     for reason, count in status.failures.items():
         print(f"failed  {count}: {reason}", file=sys.stderr)
+    if scene.own_record is not None:
+        _say_problems(out)
     if status.failures:
         arguments.retry_failed = True
         copy = out.named(SCENE) if isinstance(out, Directory) else arguments.scene
@@ -160,11 +156,23 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
     return UNFINISHED if status.failures or not is_answered else DONE
 
 
+def _say_problems(out: Place) -> None:
+    """Why functions of the user's own gave no value, the commonest reasons."""
+    from stickslip.pipeline.query import members
+
+    reasons = members(out, ["own_problem"])["own_problem"].value_counts()
+    for reason, count in reasons.head(_REASONS).items():
+        print(f"own     {count}: {printable(str(reason))}", file=sys.stderr)
+    if len(reasons) > _REASONS:
+        print(f"own     {reasons[_REASONS:].sum()}: others, in the column own_problem", file=sys.stderr)
+
+
 def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline.dataset.writer import Store
     from stickslip.pipeline.running import ends
     from stickslip.pipeline.running.cluster import check_memory
     from stickslip.pipeline.running.estimate import WITHIN, estimate
+    from stickslip.pipeline.running.trials import check_functions
     from stickslip.workflows import own_questions
     from stickslip.workflows.progress import clock
     from stickslip.workflows.scenes import load
@@ -185,6 +193,7 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
         print(f"to go   {n_to_go} members in {len(to_go)} of the shards; the others are there", flush=True)
     if not to_go:
         return DONE
+    check_functions(scene, store.todo)
     found = estimate(scene, to_go, arguments.workers)
     for reason, count in found.failures.items():
         print(f"failed  {count} of the pilot: {reason}")
@@ -262,10 +271,3 @@ def _check_directory(out: Path, file: Path) -> None:
         raise Wrong(f"--out: expected a directory, got the file {out}; choose another")
     if place == file.resolve().parent and not (place / MANIFEST).exists():
         raise Wrong(f"--out: expected a directory of its own, got {out}, where the scene file is; choose another")
-
-
-def _count(text: str) -> int:
-    value = int(text) if text.isascii() and text.isdigit() else 0
-    if value < 1:
-        raise argparse.ArgumentTypeError(f"expected a count of at least 1, got {text!r}")
-    return value

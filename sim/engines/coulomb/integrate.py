@@ -87,7 +87,7 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
     )
     if task.modes is not None:
         expansion.leaves[:] = np.where(mode == 0, task.modes, 0)
-    collapse = Collapse(system, max(tol * system.fastest_belt, _FOLLOWED))
+    collapse = Collapse(system, max(tol * system.fastest_belt, _FOLLOWED), cost=control.certificate(task))
     slow = Slow.of(system, drive.fastest) if model.weakening is None else None
     _warn_of_short_steps(task, rate if slow is None else slow.rate)
     is_local = len(model.columns.dense) == 0 and model.forcing is None and model.weakening is None and slow is None

@@ -331,11 +331,14 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
             copy(mode, search.known_mode)
         before = n_recorded
         n_recorded, same = record(t, mode, search.known_mode, events, n_recorded)
+        if n_recorded > before:
+            loop.note_event(clock, counters)
         loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)
         if remaining <= 0.0:
             sample(expansion.series, local.origin, order, t, t, state)  # a run of no length
             return loop.DONE, n_recorded
-        if same and loop.is_check_due(clock, mode) and loop.may_collapse(state, mode, precheck):
+        is_asked = same and loop.is_check_due(state, mode, precheck, remaining)
+        if is_asked and loop.may_collapse(state, mode, precheck):
             return loop.ALL_SLIP, n_recorded
 
         _open(model, expansion, search, local, order, h)
@@ -376,8 +379,9 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
             events.mode[n_recorded] = mode[block]
             search.known_mode[block] = mode[block]
             n_recorded += 1
+            loop.note_event(clock, counters)
             n_slip += abs(mode[block]) - abs(was)
-            is_asked = n_slip == n and now > min(clock[loop.CHECK], clock[loop.CHECK + 1])
+            is_asked = n_slip == n and loop.is_check_due(state, mode, precheck, remaining - s)
             if n_slip == 0 or is_asked or n_recorded + n > len(events.t) or counters[loop.N_STEPS] >= n_last:
                 break
         _close(model, state, expansion, search, local.origin, window, s, block)

@@ -112,11 +112,13 @@ def advance(model, goal, state, expansion, search, slow, events, precheck):  # t
             copy(mode, search.known_mode)
         before = n_recorded
         n_recorded, same = record(t, mode, search.known_mode, events, n_recorded)
+        if n_recorded > before:
+            loop.note_event(clock, counters)
         loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)
         if remaining <= 0.0:
             sample(series, None, order, t, t, state)  # a run of no length
             return loop.DONE, n_recorded
-        if same and loop.is_check_due(clock, mode):
+        if same and loop.is_check_due(state, mode, precheck, remaining):
             if loop.may_collapse(state, mode, precheck):
                 return loop.ALL_SLIP, n_recorded
             if n_recorded > 0:

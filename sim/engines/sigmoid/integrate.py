@@ -146,7 +146,8 @@ class _Prepared:
         work.next_h[:], common = limits.FIRST_SUBSTEP * step, Shared(work.shared)
         common.atol, common.rtol, common.safety = atol, rtol, safety
         model = Model(self.layer.law, *self.matrices[k], drive.forcing, self.bands[k], self.borne[k], self.by_force)
-        collapse = certificates.Collapse(system, self.allowed[k], self.smoothed(system.fastest_belt, self.widest[k]))
+        law = self.smoothed(system.fastest_belt, self.widest[k])
+        collapse = certificates.Collapse(system, self.allowed[k], law, limits.certificate(task))
         longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
         rate = limits.single_rate(self.pulls[k])
         _jumped(state, work)

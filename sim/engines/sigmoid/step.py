@@ -225,7 +225,7 @@ def advance(model, work, control, state, events, bound, precheck):  # type: igno
             return loop.DONE, n_recorded
         if n_recorded + most_events > len(events.t):
             return loop.BUFFER_FULL, n_recorded
-        if loop.is_check_due(clock, mode) and _all_slip(mode):
+        if loop.is_check_due(state, mode, precheck, control.t_end - t) and _all_slip(mode):
             if loop.may_collapse(state, mode, precheck):
                 return loop.ALL_SLIP, n_recorded
             if n_recorded > 0:
@@ -254,6 +254,9 @@ def advance(model, work, control, state, events, bound, precheck):  # type: igno
         _accept(work, state, h)
         grow(clock, h, found, may_grow)
         clock[loop.TIME], may_grow = span.end, True
+        for k in range(first_event, n_recorded):
+            if events.block[k] < len(mode):  # by the first definition of sticking
+                loop.note_event(clock, counters)
         if not loop.is_within(state, bound):
             return loop.DIVERGED, n_recorded
     return loop.PAUSED, n_recorded

@@ -1,0 +1,143 @@
+"""What runs settle on, told apart within a system, and where along a key that changes.
+
+Kinds are those of `stickslip.sim.attractors`. Cycles of one system are told apart by their events and exits a period,
+their period, and the state at their section. States of rest are not: a block may stick anywhere between two bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.numerics.arguments import Floats
+
+#: The kinds, in the order of pictures and tables.
+REST, SLIDING, PERIODIC, IRREGULAR, ESCAPING, UNDECIDED = KINDS = (
+    "rest", "sliding", "periodic", "irregular", "escaping", "undecided",
+)  # fmt: skip
+#: Two cycles are one if period and states agree within this, of the period and of the largest number in the states:
+#: runs at loose tolerances come back within 1e-4.
+ONE_CYCLE = 1e-3
+#: So many cycles of one system are told apart; the rest are one.
+_MOST_CYCLES = 100
+
+
+class Cycle(NamedTuple):
+    """A cycle of a run: events and exits a period, the period, z and w at its section, shape (n,) each."""
+
+    n_events: int
+    n_exits: int
+    period: float
+    z: Floats
+    w: Floats
+
+
+def alike(cycles: Sequence[Cycle]) -> list[int]:
+    """The number of the cycle of each run of one system, from 1 on, those of most runs first; 0 for those of no more.
+
+    z counts only relative to the first block's, so that a cycle that drifts along is one wherever it is.
+    """
+    if not cycles:
+        return []
+    states = np.array([np.concatenate([[one.period], one.w, one.z - one.z[0]]) for one in cycles])
+    sizes = np.array([max(np.abs(one.w).max(), np.ptp(one.z), np.abs(one.z).max() * 1e-3) for one in cycles])
+    allowed = ONE_CYCLE * np.column_stack([states[:, 0], np.repeat(sizes[:, None], states.shape[1] - 1, axis=1)])
+    counts = np.array([(one.n_events, one.n_exits) for one in cycles])
+    number = np.zeros(len(cycles), dtype=np.int64)
+    for k in range(1, _MOST_CYCLES + 1):
+        left = np.flatnonzero(number == 0)
+        if not len(left):
+            break
+        first = left[0]
+        is_same = (np.abs(states[left] - states[first]) <= allowed[first]).all(axis=1)
+        number[left[is_same & (counts[left] == counts[first]).all(axis=1)]] = k
+    runs = np.bincount(number, minlength=1)
+    order = 1 + np.argsort(-runs[1:], kind="stable")
+    rank = np.zeros(len(runs), dtype=np.int64)
+    rank[order] = np.arange(1, len(runs))
+    return rank[number].tolist()
+
+
+class Plane(NamedTuple):
+    """The starts of the runs of one system, by the one or two numbers of them that vary.
+
+    `names` of these numbers; `points`, shape (m, 1) or (m, 2), of the runs in their order.
+    """
+
+    names: tuple[str, ...]
+    points: Floats
+
+
+def plane(z: Floats, w: Floats) -> Plane | None:
+    """What varies of some starts, z and w of shape (m, n); None if that is nothing, or more than two numbers.
+
+    Numbers that are the same in every start count once.
+    """
+    n = z.shape[1]
+    found: dict[bytes, list[tuple[str, int]]] = {}
+    for key, values in (("z", z), ("w", w)):
+        for block in range(n):
+            if np.ptp(values[:, block]) > 0:
+                found.setdefault(values[:, block].tobytes(), []).append((key, block))
+        if len(found) > 2:
+            return None
+    if not found:
+        return None
+    names = tuple(_name(some, n) for some in found.values())
+    return Plane(names, np.column_stack([np.frombuffer(column) for column in found]))
+
+
+def _name(numbers: Sequence[tuple[str, int]], n: int) -> str:
+    """In words, which numbers of a start these are."""
+    words = {"z": "displacement z", "w": "velocity w"}
+    parts = []
+    for key in sorted({key for key, _ in numbers}, reverse=True):
+        blocks = [block for one, block in numbers if one == key]
+        if len(blocks) == n:
+            of = "" if n == 1 else " of all blocks"
+        else:
+            of = f" of block{'s' if len(blocks) > 1 else ''} {', '.join(map(str, blocks))}"
+        parts.append(words[key] + of)
+    return " and ".join(parts)
+
+
+def edges(values: Floats) -> Floats:
+    """Edges of cells around two or more rising values: midpoints, and as far beyond the ends."""
+    middle = (values[1:] + values[:-1]) / 2
+    return np.concatenate([[2 * values[0] - middle[0]], middle, [2 * values[-1] - middle[-1]]])
+
+
+def on_grid(points: Floats) -> tuple[Floats, Floats, NDArray[np.int64]] | None:
+    """Rising values along both axes, and which point is at each, shape (len(y), len(x)); None if they are no grid."""
+    x, column = np.unique(points[:, 0], return_inverse=True)
+    y, row = np.unique(points[:, 1], return_inverse=True)
+    if len(x) < 2 or len(y) < 2 or len(x) * len(y) != len(points):
+        return None
+    place = np.full((len(y), len(x)), -1, dtype=np.int64)
+    place[row, column] = np.arange(len(points))
+    return None if (place < 0).any() else (x, y, place)
+
+
+class Range(NamedTuple):
+    """Neighbouring values of a key at which runs settle on the same: the first, the last, and on what."""
+
+    first: int
+    last: int
+    on: tuple[str, ...]
+
+
+def ranges(found: Sequence[tuple[str, ...]]) -> list[Range]:
+    """Where along a key runs settle on the same, from what they settle on at each of its values.
+
+    Values at which that is not known, with an empty tuple, are in a range only if it goes on beyond them.
+    """
+    known = [(k, on) for k, on in enumerate(found) if on]
+    listed = []
+    for on, some in groupby(known, lambda one: one[1]):
+        values = [k for k, _ in some]
+        listed.append(Range(values[0], values[-1], on))
+    return listed

@@ -1,0 +1,75 @@
+"""What a function of a user's own declares that it measures: fields of a named tuple, with types and words."""
+
+from __future__ import annotations
+
+import inspect
+import types
+import typing
+from collections.abc import Callable
+from typing import Any
+
+from stickslip.pipeline.errors import SceneError, foreign
+from stickslip.pipeline.own.function import OwnFunction
+
+#: The types that a field may have.
+TYPES = (float, int, bool, str)
+
+#: Name of the argument by which a function asks for states.
+SAMPLES = "samples"
+
+_FORM = (
+    "write `def share(run, system, window) -> Measured`, with class Measured(NamedTuple) and a line as in `quiet:"
+    ' Annotated[float, "what it is"]` for each column'
+)
+
+
+def declared(function: OwnFunction, found: Callable[..., Any]) -> dict[str, Any]:
+    """The columns of a function that measures runs, as plain values, and whether it asks for states.
+
+    Parameters
+    ----------
+    function : OwnFunction
+    found : callable
+        The function itself, as `use` hands it to its work.
+
+    Raises
+    ------
+    SceneError
+        If it takes other arguments, or does not declare what it returns.
+    """
+    where, parameters = f"{function.key}: {function.name}", inspect.signature(found).parameters
+    is_sampled = SAMPLES in parameters
+    try:
+        inspect.signature(found).bind(*"rsw", **({SAMPLES: ()} if is_sampled else {}))
+    except TypeError:
+        raise SceneError(
+            f"{where}: expected the arguments (run, system, window), and `{SAMPLES}` or none, got"
+            f" ({', '.join(parameters)}); change them"
+        ) from None
+    try:
+        returned = typing.get_type_hints(found, include_extras=True).get("return")
+        fields = getattr(returned, "_fields", ())
+        hints = typing.get_type_hints(returned, include_extras=True) if returned and fields else {}
+    except (NameError, TypeError, AttributeError) as error:  # names that only a checker of types has
+        raise SceneError(f"{where}: its annotations cannot be read ({foreign(error)}); {_FORM}") from None
+    if not fields:
+        got = "none" if returned is None else getattr(returned, "__name__", str(returned))
+        raise SceneError(f"{where}: expected it to declare that it returns a NamedTuple, got {got}; {_FORM}")
+    return {"is_sampled": is_sampled, "columns": {field: _column(where, field, hints.get(field)) for field in fields}}
+
+
+def _column(where: str, field: str, hint: Any) -> dict[str, Any]:
+    """The column of a field, by its annotation."""
+    kind, *notes = typing.get_args(hint) if typing.get_origin(hint) is typing.Annotated else (hint,)
+    words = " ".join(next((note for note in notes if isinstance(note, str)), "").split())
+    if not words or not words.isprintable():
+        raise SceneError(f"{where}: expected words for {field}, got {words or 'none'!a}; {_FORM}")
+    kinds = typing.get_args(kind) if typing.get_origin(kind) in (typing.Union, types.UnionType) else (kind,)
+    plain = [one for one in kinds if one is not type(None)]
+    if len(plain) != 1 or plain[0] not in TYPES:
+        known = ", ".join(one.__name__ for one in TYPES)
+        raise SceneError(
+            f"{where}: expected one of {known} for {field}, with `| None` if it may have no value, got"
+            f" {getattr(kind, '__name__', kind)}; change it"
+        )
+    return {"type": plain[0].__name__, "words": words, "is_optional": len(kinds) > 1}

@@ -1,0 +1,25 @@
+"""Record of when it is certain that no block sticks again."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.record import Made, Record
+
+
+class CollapseRecord(Record):
+    """The time from which on all blocks slip for ever: see `stickslip.sim.engines.certificates.Collapse`."""
+
+    name = "collapse"
+    words = (
+        "whether each run is tested for collapse whenever all blocks slip, even where that costs more than it saves"
+    )
+    asked_by = "`collapse = true` under [record]"
+    is_certified = True
+    columns = (
+        Column("number", "t_collapse", "from when on it is certain that no block sticks again; null if that is not"),
+    )
+
+    def of(self, made: Made) -> dict[str, Any]:
+        return {"t_collapse": made.run.t_collapse}

@@ -1,0 +1,258 @@
+"""What functions of a user's own measure of a run: beside the scene, read when it is, and called by workers."""
+
+from __future__ import annotations
+
+import math
+import numbers
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
+
+import numpy as np
+
+from stickslip.pipeline.errors import SceneError, foreign
+from stickslip.pipeline.own.declared import SAMPLES, declared
+from stickslip.pipeline.own.function import PATTERN, LateError, OwnFunction, resolve, use
+from stickslip.pipeline.own.trial import Trial, tried_once
+from stickslip.pipeline.records.column import Column, Kind
+from stickslip.pipeline.records.record import Facts, Made, Member, Memory, NotKeptError, WindowRecord, sampling, steps
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.runs.run import Run, Samples, Stills
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+#: What errors begin with.
+KEY = "record.own"
+
+#: The types of fields, and the columns that they make.
+_KINDS: dict[str, Kind] = {"float": "number", "int": "count", "bool": "yes or no", "str": "text"}
+
+
+class Own(NamedTuple):
+    """A function, and what it measures.
+
+    Attributes
+    ----------
+    function : OwnFunction
+    columns : tuple of Column
+    optional : tuple of str
+        Those of the columns that it may leave without a value, by returning None.
+    is_sampled : bool
+        Whether it asks for states.
+    """
+
+    function: OwnFunction
+    columns: tuple[Column, ...]
+    optional: tuple[str, ...]
+    is_sampled: bool
+
+    def __repr__(self) -> str:
+        return self.function.name
+
+
+class Measured(NamedTuple):
+    """What a function gave of a run: values by column, and why there are none, or fewer.
+
+    `is_wrong`: it raised, or returned what it does not declare; else a number is not finite.
+    """
+
+    values: dict[str, Any]
+    problem: str = ""
+    is_wrong: bool = False
+
+
+@dataclass(frozen=True)
+class OwnRecord(WindowRecord):
+    """The columns of functions of the user's own."""
+
+    functions: tuple[Own, ...]
+    dt: float | None
+
+    name = "own"
+    words = "functions of your own that measure a run, as module:function, the module beside the scene"
+    example = ("mine:quiet_share",)
+    asked_by = "`own` under [record], and a column for each field that its functions return"
+    columns = (
+        Column("text", "own_problem", "why a function of `own` gave no value, or not all; null if it gave all"),
+    )
+    is_named = True
+    needs = frozenset({"events", "end", "system"})  # all that it may read
+
+    @classmethod
+    def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
+        if not keys[cls.name]:
+            return None
+        known, at = keys["functions"], str(keys["folder"].resolve())
+        functions = tuple(_own(name, at, **known[name]) for name in keys[cls.name])
+        return cls(keys["t_burn"], functions, keys["dt"])
+
+    @property
+    def kept(self) -> tuple[Column, ...]:
+        return (*(column for own in self.functions for column in own.columns), *self.columns)
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether some function asks for states."""
+        return any(own.is_sampled for own in self.functions)
+
+    def times(self, member: Member) -> Floats:
+        if not self.is_sampled:
+            return super().times(member)
+        assert self.dt is not None  # see `RecordTable`
+        return steps(self.t_burn, member.t_end, self.dt)
+
+    def memory(self, facts: Facts) -> Memory | None:
+        return sampling(facts, self.t_burn, self.dt) if self.is_sampled and self.dt is not None else None
+
+    def of(self, made: Made) -> dict[str, Any]:
+        found = [self.measured(own, made) for own in self.functions]
+        kept = {name: value for one in found for name, value in one.values.items()}
+        problems = [
+            f"{own.function.name}: {one.problem}"
+            for own, one in zip(self.functions, found, strict=True)
+            if one.problem
+        ]
+        # words of an exception may hold what Parquet's text cannot
+        return kept | ({"own_problem": "; ".join(problems).encode(errors="replace").decode()} if problems else {})
+
+    def measured(self, own: Own, made: Made) -> Measured:
+        """What one of its functions measures of a run.
+
+        Raises
+        ------
+        SceneError
+            If its module is gone, or has changed.
+        """
+        run, window = made.run, (self.t_burn, made.run.t_end)
+        if window[1] <= window[0]:
+            return Measured({}, f"the run ends at t = {window[1]:g}, not after t_burn = {window[0]:g}")
+        # whatever else is recorded, it is given the same; nor does it change what others are given
+        samples = (
+            made.samples(self.times(made.member)) if own.is_sampled else Samples.blank(np.empty(0), run.events.n)
+        )
+        run = _read_only(replace(run, events=replace(run.events), samples=samples))
+        given = {SAMPLES: samples} if own.is_sampled else {}
+        try:
+            return _checked(own, use(own.function, lambda measure: measure(run, made.system, window, **given)))
+        except LateError as error:
+            return Measured({}, str(error), True)
+        except (SceneError, NotKeptError):
+            raise
+        except Exception as error:  # noqa: BLE001  of code that is not ours: the run has its other columns
+            return Measured({}, foreign(error), True)
+
+
+def _read_only(run: Run) -> Run:
+    """A run whose arrays cannot be written to."""
+    series = (run.events, *run.by_threshold.values())
+    parts = [run, run.samples, *series] + ([run.stills] if isinstance(run.stills, Stills) else [])
+    for part in parts:
+        for array in vars(part).values():
+            if isinstance(array, np.ndarray):
+                array.flags.writeable = False
+    return run
+
+
+# ---------------------------------------------------------------------------------------------- what it returned
+
+
+def _checked(own: Own, returned: object) -> Measured:
+    """The values that a function returned, as its columns hold them."""
+    names = tuple(column.name for column in own.columns)
+    fields = getattr(returned, "_fields", names)
+    if not isinstance(returned, tuple) or len(returned) != len(names) or fields != names:
+        got = type(returned).__name__ + (f" of {len(returned)}" if isinstance(returned, tuple) else "")
+        return Measured({}, f"expected ({', '.join(names)}), got {got}", True)
+    values: dict[str, Any] = {}
+    problems: list[str] = []
+    is_wrong = False
+    for column, value in zip(own.columns, returned, strict=True):
+        if value is None and column.name in own.optional:
+            continue
+        plain = _plain(column.kind, value)
+        if isinstance(plain, float) and not math.isfinite(plain):
+            problems.append(f"expected a finite number for {column.name}, got {plain}")
+        elif plain is None:
+            is_wrong = True
+            problems.append(f"expected {_EXPECTED[column.kind]} for {column.name}, got {type(value).__name__}")
+        else:
+            values[column.name] = plain
+    return Measured(values, ", ".join(problems), is_wrong)
+
+
+_EXPECTED = {
+    "number": "a number",
+    "count": "a whole number below 2^63",
+    "yes or no": "True or False",
+    "text": "a text",
+}
+
+
+def _plain(kind: Kind, value: object) -> Any:
+    """A value as a column of a kind holds it; None if it cannot."""
+    is_bool = isinstance(value, bool | np.bool_)
+    if kind == "yes or no":
+        return bool(value) if is_bool else None
+    if kind == "text":
+        return str(value).encode(errors="replace").decode() if isinstance(value, str) else None
+    if is_bool:
+        return None
+    if kind == "count":
+        return int(value) if isinstance(value, numbers.Integral) and -(2**63) <= int(value) < 2**63 else None
+    return _float(value) if isinstance(value, numbers.Real) else None
+
+
+def _float(number: numbers.Real) -> float:
+    try:
+        return float(number)
+    except OverflowError:  # of a whole number
+        return math.inf
+
+
+# ---------------------------------------------------------------------------------------------- what it declares
+
+
+def _own(
+    name: str, at: str, sha256: str, is_sampled: bool, columns: Mapping[str, Mapping[str, Any]],
+    beside: Mapping[str, str],
+) -> Own:  # fmt: skip
+    """A function from what a scene keeps of it."""
+    return Own(
+        OwnFunction(KEY, name, sha256, at, tuple(sorted(beside.items()))),
+        tuple(Column(_KINDS[one["type"]], key, one["words"]) for key, one in columns.items()),
+        tuple(key for key, one in columns.items() if one["is_optional"]),
+        is_sampled,
+    )
+
+
+def named_functions(own: object) -> list[str]:
+    """The functions that a scene names by the value of its key, before it is checked; none if one is no name."""
+    names = own if isinstance(own, list | tuple) else [own]
+    are_names = all(isinstance(name, str) and re.match(PATTERN, name) for name in names)
+    return [*dict.fromkeys(names)] if are_names else []
+
+
+def look_at_functions(names: Iterable[str], folder: Path) -> dict[str, dict[str, Any]]:
+    """What a scene keeps of functions beside it, by name, as plain values. Their modules are loaded in children.
+
+    Raises
+    ------
+    SceneError
+        If there is none of that name, it cannot be loaded, or does not declare what it returns.
+    """
+    functions = [resolve(name, folder, KEY) for name in names]
+    seen: dict[str, dict[str, Any]] = {}
+    for module in dict.fromkeys(one.module for one in functions):
+        some = [one for one in functions if one.module == module]
+        attempt = partial(_declared, some)
+        facts = tried_once(Trial(KEY, some[0].at, attempt, module, "a module that can be loaded"))
+        seen |= {one.name: {"sha256": one.sha256, **facts[one.name], "beside": facts["beside"]} for one in some}
+    return {one.name: seen[one.name] for one in functions}
+
+
+def _declared(functions: list[OwnFunction]) -> tuple[bytes, dict[str, Any]]:
+    """In a child: what functions of a module declare, by their names."""
+    return b"", {one.name: use(one, partial(declared, one), is_trial=True) for one in functions}

@@ -1,0 +1,75 @@
+"""Functions of a user's own are tried on a run of the scene before others are made."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache, partial
+
+from stickslip.pipeline.ensemble.member import Member
+from stickslip.pipeline.ensemble.pack import Task
+from stickslip.pipeline.errors import SceneError
+from stickslip.pipeline.own.trial import Trial, tried
+from stickslip.pipeline.records.own import KEY, OwnRecord
+from stickslip.pipeline.records.record import Made
+from stickslip.pipeline.running.worker import made
+from stickslip.pipeline.scene.scene import Scene
+
+
+def check_functions(scene: Scene, todo: Sequence[Task]) -> None:
+    """Try what functions of the user's own measure on the cheapest of some members, twice and in two processes.
+
+    A number that is not finite is no mistake, for it may be of this run; a run that fails says so itself.
+
+    Raises
+    ------
+    SceneError
+        If a function raises, returns what it does not declare, or not the same each time, or takes too long.
+    """
+    record = scene.own_record
+    if record is None or not todo:
+        return
+    member = min((one for batch, _ in todo for one in batch.members.firsts()), key=lambda one: one.cost)
+    names = ", ".join(own.function.name for own in record.functions)
+    found = tried(
+        Trial(
+            KEY,
+            str(scene.folder.resolve()),
+            partial(_attempt, record, member),
+            f"{names}, on the run {member.member_id}",
+            "the columns that it declares",
+            "expected the same each time for the same run, got values that differ; draw nothing at random, or with"
+            " a seed of its own",
+            partial(_run, record, member),
+        )
+    )
+    known = {name for own in record.functions for name, _ in own.function.beside}
+    late = sorted(found["beside"].keys() - known)
+    if late:
+        raise SceneError(
+            f"{KEY}: {names}: expected {late[0]} to be read when the module is loaded, so that a change of it is"
+            f" noticed, got it read later; read it at the top of the module"
+        )
+
+
+@lru_cache(maxsize=1)
+def _run(record: OwnRecord, member: Member) -> Made | None:
+    """In a child: a member that was run for a record; None if that failed."""
+    try:
+        return made(member, record)
+    except Exception:  # noqa: BLE001  it fails again, and its row says so
+        return None
+
+
+def _attempt(record: OwnRecord, member: Member) -> tuple[bytes, dict[str, str]]:
+    """In a child: what all functions of a record measure of a member."""
+    run = _run(record, member)
+    if run is None:
+        return b"", {}
+    for own in record.functions:
+        found = record.measured(own, run)
+        if found.is_wrong:
+            words = found.problem.removeprefix(f"{KEY}: {own.function.name}: ")
+            raise SceneError(
+                f"{KEY}: {own.function.name}, on the run {member.member_id}: {words}; correct the function"
+            )
+    return repr(record.of(run)).encode(), {}

@@ -1,0 +1,452 @@
+"""Records by functions of the user's own: what they are given, what is kept of it, and what is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stickslip import sim
+from stickslip.pipeline import (
+    Scene,
+    SceneError,
+    StoreError,
+    expand,
+    load_scene,
+    parse_scene,
+    query,
+    run_ensemble,
+    run_member,
+    verify,
+)
+from stickslip.pipeline.own import function, trial
+from stickslip.pipeline.own.modules import file_of
+from stickslip.pipeline.records.own import OwnRecord
+from stickslip.pipeline.running.worker import row
+from stickslip.workflows.commands import main
+from stickslip.workflows.reporting import study_of
+from tests.processes import computed_here
+from tests.scenes import ENDING
+
+HEAD = "import numpy as np\nfrom typing import Annotated, NamedTuple\nfrom beside import SHIFT\n\n"
+
+#: A record of each type, of events and of states.
+MINE = f"""\
+from __future__ import annotations
+
+{HEAD}class Measured(NamedTuple):
+    events_after: Annotated[int, "events from t_burn on"]
+    Share: Annotated[float, "share of blocks that leave from t_burn on"]
+    leaves: Annotated[bool, "whether one leaves"]
+    busiest: Annotated[str | None, "block with most events, in words; null if there are none"]
+
+
+def counted(run, system, window) -> Measured:
+    since = run.events.t >= window[0]
+    blocks = run.events.block[since]
+    left = blocks[run.events.mode[since] != 0]
+    busiest = f"block {{np.bincount(blocks).argmax() + SHIFT}}" if len(blocks) else None
+    return Measured(len(blocks), len(set(left)) / system.n, len(left) > 0, busiest)
+
+
+class Fast(NamedTuple):
+    fastest: Annotated[float, "largest speed at the samples"]
+    n_samples: Annotated[int, "their number"]
+
+
+def fastest(run, system, window, *, samples) -> Fast:
+    assert (samples.t[0], samples.t[-1]) == window
+    return Fast(np.abs(samples.w).max(), len(samples.t))
+"""
+
+SCENE = (
+    """\
+[system]
+coupling = "antisymmetric"
+n = [3, 4]
+friction = [0.5, 1.0]
+[start]
+z = -0.7
+w = -0.4
+[run]
+t_end = 12.0
+matrices = 3
+seed = SEED
+[record]
+events = true
+t_burn = 2.0
+own = ["mine:counted", "mine:fastest"]
+dt = 0.5
+"""
+    + ENDING
+)
+
+
+@pytest.fixture
+def text(rng):
+    return SCENE.replace("SEED", str(rng.integers(2**31)))
+
+
+def written(folder, text, mine=MINE):
+    folder.mkdir(exist_ok=True)
+    (folder / "mine.py").write_text(mine)
+    (folder / "beside.py").write_text("SHIFT = 0\n")
+    (folder / "scene.toml").write_text(text)
+    return folder / "scene.toml"
+
+
+def short(text):
+    """The scene with one function, of events, and two members, of three and of four blocks."""
+    text = text.replace("friction = [0.5, 1.0]", "friction = 0.5").replace("matrices = 3", "matrices = 1")
+    return text.replace('own = ["mine:counted", "mine:fastest"]\ndt = 0.5', 'own = "mine:one"')
+
+
+def one(lines, returns="float", head=HEAD):
+    """A module with one function of one column."""
+    body = "".join(f"    {line}\n" for line in lines.splitlines())
+    return (
+        f'{head}class Measured(NamedTuple):\n    own: Annotated[{returns}, "mine"]\n\n\n'
+        f"def one(run, system, window) -> Measured:\n{body}"
+    )
+
+
+def test_what_a_function_measures_is_a_column_like_others(text, tmp_path):
+    """Counted again from the events that the dataset keeps, and from runs of `simulate`."""
+    scene = load_scene(written(tmp_path, text))
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    table = query.members(tmp_path / "out").set_index("member_id")
+    assert table.own_problem.isna().all()
+    assert str(table.leaves.dtype) == "bool"
+    for member in expand(scene):
+        kept, events = table.loc[member.member_id], query.events(tmp_path / "out", member.member_id)
+        since = events.t >= 2.0
+        left = {int(block) for block, mode in zip(events.block[since], events.mode[since], strict=True) if mode != 0}
+        assert kept.events_after == since.sum()
+        assert kept.Share == len(left) / member.n
+        assert bool(kept.leaves) == bool(left)
+        run = sim.simulate(member.system(), -0.7, -0.4, 12.0, tol=1e-6, t_eval=2.0 + 0.5 * np.arange(21))
+        assert kept.fastest == np.abs(run.samples.w).max()
+        assert kept.n_samples == len(run.samples.t) == 21
+    asked = "SELECT sum(events_after)::BIGINT AS n, count(*) FILTER (leaves) AS k FROM members"
+    (found,) = query.sql(tmp_path / "out", asked).itertuples(index=False)
+    assert tuple(found) == (table.events_after.sum(), table.leaves.sum())
+    assert set(study_of(str(tmp_path / "out")).data.recorded) == {
+        "events_after", "Share", "leaves", "fastest", "n_samples",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("n_workers", [1, pytest.param(2, marks=pytest.mark.long)])
+def test_the_bytes_are_the_same_on_workers_and_of_a_scene_that_grew(n_workers, text, tmp_path, content):
+    file = written(tmp_path / "here", text)
+    for workers in (0, n_workers):
+        run_ensemble(load_scene(file), tmp_path / f"on_{workers}", workers=workers)
+    assert content(tmp_path / "on_0") == content(tmp_path / f"on_{n_workers}")
+    assert str(tmp_path) not in (tmp_path / "on_0" / "scene.toml").read_text()
+    before = content(tmp_path / "on_0" / "data")
+    file.write_text(text.replace("matrices = 3", "matrices = 4"))
+    run_ensemble(load_scene(file), tmp_path / "on_0", workers=0)
+    assert before.items() < content(tmp_path / "on_0" / "data").items()
+    assert verify(tmp_path / "on_0") == []
+
+
+def test_a_function_does_not_depend_on_what_else_is_recorded(text, tmp_path):
+    """Nor does it change what others are given: the arrays of a run cannot be written to."""
+    more = text.replace("events = true", "events = true\namplitude = true").replace("dt = 0.5", "dt = 0.5", 1)
+    seen = one("return Measured(len(run.samples.t))", "int")
+    for name, scene in (
+        ("alone", short(text)),
+        ("beside", more.replace('"mine:counted", "mine:fastest"', '"mine:one"')),
+    ):
+        run_ensemble(load_scene(written(tmp_path / name, scene, seen)), tmp_path / f"{name}.out", workers=0)
+        assert set(query.members(tmp_path / f"{name}.out").own) == {0}
+    for array in ("run.events.t", "run.events.mode", "run.z", "system.damping"):
+        spoils = one(f"{array}[:1] = 0\nreturn Measured(1.0)")
+        with pytest.raises(SceneError, match="read-only"):
+            run_ensemble(load_scene(written(tmp_path, short(text), spoils)), tmp_path / "out", workers=0)
+
+
+def test_a_scene_without_is_what_it_was(text, tmp_path):
+    plain = load_scene(
+        written(tmp_path, text.replace('t_burn = 2.0\nown = ["mine:counted", "mine:fastest"]\ndt = 0.5\n', ""))
+    )
+    assert "own" not in json.dumps(plain.data_keys())
+    assert plain.own_record is None
+    own = load_scene(written(tmp_path, text))
+    assert isinstance(own.own_record, OwnRecord)
+    fewer = own.source.decode().replace(
+        'own = ["mine:counted", "mine:fastest"]\ndt = 0.5\n', 'own = "mine:counted"\n'
+    )
+    assert (
+        parse_scene(fewer.encode()).hash
+        == load_scene(
+            written(
+                tmp_path, text.replace('own = ["mine:counted", "mine:fastest"]\ndt = 0.5\n', 'own = "mine:counted"\n')
+            )
+        ).hash
+    )
+    again = own.changed(run={"matrices": 1})
+    assert again.recording.columns == own.recording.columns
+    assert own.changed(record={"own": None, "dt": None, "t_burn": None}).hash == plain.hash
+
+
+def test_a_scene_of_python_may_have_one(tmp_path, monkeypatch):
+    written(tmp_path, "", one("return Measured(system.n)"))
+    monkeypatch.chdir(tmp_path)
+    scene = Scene(
+        system={"coupling": "antisymmetric", "n": 3},
+        start="rest",
+        run={"t_end": 5.0, "matrices": 1},
+        engine={"name": "coulomb"},
+        record={"own": "mine:one"},
+        analysis={"t_burn": 1.0, "dt": 0.5},
+    )
+    assert run_member(scene, expand(scene)[0].member_id)["own"] == 3.0
+
+
+# ---------------------------------------------------------------------------------------------- what goes wrong
+
+#: What goes wrong with the members of four blocks alone, and words of the reason.
+SOME = {
+    "raises": ("raise KeyError('a\\nb')", "mine:one: KeyError: 'a\\nb'"),
+    "nan": ("return Measured(float('nan'))", "mine:one: expected a finite number for own, got nan"),
+    "infinite": ("return Measured(10**400)", "mine:one: expected a finite number for own, got inf"),
+    "text": ("return Measured('wide')", "mine:one: expected a number for own, got str"),
+    "bool": ("return Measured(True)", "mine:one: expected a number for own, got bool"),
+    "none": ("return Measured(None)", "mine:one: expected a number for own, got NoneType"),
+    "longer": ("return (1.0, 2.0)", "mine:one: expected (own), got tuple of 2"),
+    "no tuple": ("return 1.0", "mine:one: expected (own), got float"),
+    "exits": ("raise SystemExit(3)", "mine:one: RuntimeError: SystemExit: 3"),
+    "late": ("import late", "import it at the top of the module"),
+}
+
+
+@pytest.mark.parametrize("case", SOME)
+def test_a_function_that_goes_wrong_costs_its_column_and_not_the_run(case, text, tmp_path):
+    line, words = SOME[case]
+    file = written(tmp_path, short(text), one(f"if system.n == 4:\n    {line}\nreturn Measured(len(run.events))"))
+    (tmp_path / "late.py").write_text("")
+    done = run_ensemble(load_scene(file), tmp_path / "out", workers=0)
+    assert "failed" not in done.outcomes
+    table = query.members(tmp_path / "out")
+    small, large = table[table.n == 3], table[table.n == 4]
+    assert small.own.tolist() == small.n_events.tolist()
+    assert small.own_problem.isna().all()
+    assert large.own.isna().all()
+    assert large.n_events.notna().all()
+    assert all(words in reason for reason in large.own_problem), large.own_problem.tolist()
+    assert all(reason.isprintable() for reason in large.own_problem)
+
+
+def test_a_run_that_ends_before_t_burn_has_no_value(text, tmp_path):
+    scene = load_scene(written(tmp_path, short(text), one("return Measured(window[1])")))
+    member = expand(scene)[0]
+    assert row(member, scene.recording)["own"] == 12.0
+    early = row(replace(member, t_end=1.0), scene.recording)
+    assert early["own"] is None
+    assert early["own_problem"] == "mine:one: the run ends at t = 1, not after t_burn = 2"
+
+
+def test_the_command_says_what_has_no_value(text, tmp_path, monkeypatch, capsys):
+    written(tmp_path, short(text), one("return Measured(1 / (4 - system.n))"))
+    monkeypatch.chdir(tmp_path)
+    computed_here(monkeypatch)
+    assert main(["run", "scene.toml", "--no-report"]) == 0
+    assert "own     1: mine:one: ZeroDivisionError: division by zero\n" in capsys.readouterr().err
+
+
+#: What is wrong with a module, and words of the refusal when its scene is read.
+UNREADABLE = {
+    "no module": (None, ["the module 'mine' beside the scene", "mine.py"]),
+    "no function": (
+        one("").replace("def one", "def once") + "    pass\n",
+        ["a function 'one'", "did you mean 'once'"],
+    ),
+    "syntax": ("def one(:\n", ["SyntaxError"]),
+    "import": (one("return 1", head="import nonesuch_at_all\n"), ["ModuleNotFoundError", "nonesuch_at_all"]),
+    "no annotation": (one("return 1").replace(" -> Measured", ""), ["to declare that it returns", "got none"]),
+    "a number": (one("return 1").replace(" -> Measured", " -> float"), ["to declare that it returns", "got float"]),
+    "no words": (one("return 1").replace('Annotated[float, "mine"]', "float"), ["expected words for own", "'none'"]),
+    "a list": (one("return 1", "list[float]"), ["float, int, bool, str for own", "got list"]),
+    "two types": (one("return 1", "int | str"), ["float, int, bool, str for own"]),
+    "unknown type": (one("return 1", "'Nowhere'"), ["annotations cannot be read", "Nowhere"]),
+    "arguments": (one("return 1").replace("(run, system, window)", "(run)"), ["(run, system, window)", "got (run)"]),
+    "sleeps": ("import time; time.sleep(60)\n", ["within 1 s, its process died (signal SIGKILL)"]),
+    "a column": (one("return 1").replace("own:", "N_Events:"), ["record.own", "'N_Events'", "a column of the data"]),
+    "a key": (one("return 1").replace("own:", "Kappa:"), ["record.own", "'Kappa'", "choose another"]),
+    "another": (
+        one("return 1").replace("    own:", "    OWN: Annotated[int, 'x']\n    own:"),
+        ["another field has it"],
+    ),
+    "a dimension": (one("return 1").replace("own:", "change:"), ["record.own", "'change'", "a dimension in NetCDF"]),
+    "its own": (one("return 1").replace("own:", "own_problem:"), ["record.own", "'own_problem'"]),
+}
+
+
+@pytest.mark.parametrize("case", UNREADABLE)
+def test_what_is_no_record_is_refused_in_a_line_and_nothing_is_written(case, text, tmp_path, capsys, monkeypatch):
+    module, words = UNREADABLE[case]
+    file = written(tmp_path, short(text), module or "")
+    if module is None:
+        (tmp_path / "mine.py").unlink()
+    monkeypatch.setattr(trial, "LONGEST_TRIAL", 1.0 if "sleep" in case else 40.0)
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", str(file), "--out", "out"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "record.own" in line
+    assert all(word in line for word in words), line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("own", "words"),
+    [
+        ('"mine"', "expected module:function"),
+        ('["mine:one", "mine:one"]', "each value once"),
+        ("3", "record.own"),
+        ('"mine:one"\nfunctions = {}', "expected what `load_scene` and the command write here for mine:one"),
+        ('"mine:one"\ndt = 0.5', "dt: expected only with some of"),
+        ('"mine:needs"', "dt: expected with `own = 'mine:needs'`"),
+    ],
+)
+def test_a_key_that_is_wrong_is_refused(own, words, text, tmp_path):
+    mine = one("return Measured(1.0)") + "\n\ndef needs(run, system, window, samples) -> Measured:\n    return 1\n"
+    with pytest.raises(SceneError) as refusal:
+        load_scene(written(tmp_path, short(text).replace('own = "mine:one"', f"own = {own}"), mine))
+    assert words in str(refusal.value)
+
+
+def test_a_parameter_and_a_column_have_one_name_space(text, tmp_path):
+    own = "from stickslip import System\ndef draw(n, rng, OWN):\n    return System([[0.5]], 0.1)\n"
+    scene = short(text).replace('"antisymmetric"', '"mine:draw"\nparameters = {OWN = 0.5}')
+    scene = scene.replace("friction = 0.5\n", "").replace("n = [3, 4]", "n = 1")
+    with pytest.raises(SceneError, match=r"record\.own: .* got 'own': a parameter of the function has it"):
+        load_scene(written(tmp_path, scene, f"{own}\n{one('return Measured(1.0)')}"))
+    scene = scene.replace("OWN = 0.5", "mine = 0.5")
+    both = f"{own.replace('OWN', 'mine')}\n{one('return Measured(window[0])')}"
+    run_ensemble(load_scene(written(tmp_path, scene, both)), tmp_path / "out", workers=0)
+    assert set(query.members(tmp_path / "out").own) == {2.0}
+
+
+#: What the trial refuses, and words of the refusal.
+TRIED = {
+    "raises": ("raise KeyError('a\\nb')", ["KeyError", "mine:one", "n3-m000"]),
+    "a text": ("return Measured('wide')", ["expected a number for own, got str"]),
+    "longer": ("return (1.0, 2.0)", ["expected (own), got tuple of 2"]),
+    "random": ("return Measured(float(np.random.default_rng().random()))", ["got values that differ"]),
+    "a set's order": ("return Measured(float(hash('a') % 1000))", ["got values that differ"]),
+    "counts": ("one.k = getattr(one, 'k', 0) + 1\nreturn Measured(one.k)", ["got values that differ"]),
+    "sleeps": ("import time; time.sleep(60)", ["within 1 s, its process died (signal SIGKILL)"]),
+    "dies": ("import os; os._exit(3)", ["exit code 3"]),
+    "forks": ("import os; os.fork(); return Measured(1.0)", ["may not fork"]),
+    "imports late": ("import late; return Measured(1.0)", ["late.py", "import it at the top of the module"]),
+    "reads late": ("return Measured(len(open(__file__[:-7] + 'data.txt').read()))", ["data.txt", "at the top"]),
+}
+
+
+@pytest.mark.parametrize("case", TRIED)
+def test_a_function_that_misbehaves_on_the_first_run_is_refused_before_anything_is_written(
+    case, text, tmp_path, monkeypatch, capsys
+):
+    line, words = TRIED[case]
+    file = written(tmp_path, short(text), one(line))
+    (tmp_path / "late.py").write_text("")
+    (tmp_path / "data.txt").write_text("")
+    scene = load_scene(file)
+    monkeypatch.setattr(trial, "LONGEST_TRIAL", 1.0 if case == "sleeps" else 40.0)
+    with pytest.raises(SceneError) as refusal:
+        run_ensemble(scene, tmp_path / "out", workers=0)
+    assert all(word in str(refusal.value) for word in ["record.own", *words]), str(refusal.value)
+    assert str(refusal.value).isprintable()
+    assert not (tmp_path / "out").exists()
+    if case == "raises":
+        assert main(["run", str(file), "--dry-run", "--out", str(tmp_path / "out")]) == 2
+        assert "KeyError" in capsys.readouterr().err
+
+
+def test_a_number_that_is_not_finite_may_be_of_the_first_run(text, tmp_path):
+    file = written(tmp_path, short(text), one("return Measured(np.nan if system.n == 3 else 1.0)"))
+    run_ensemble(load_scene(file), tmp_path / "out", workers=0)
+    assert query.members(tmp_path / "out").groupby("n").own.count().tolist() == [0, 1]
+
+
+# ---------------------------------------------------------------------------------------------- changes
+
+
+@pytest.mark.parametrize(("name", "old", "new"), [("mine.py", "len(left) > 0", "True"), ("beside.py", "0", "1")])
+def test_a_module_that_changed_is_refused(name, old, new, text, tmp_path, content):
+    """The one that is named, and one that it imports: of the same size or not."""
+    file = written(tmp_path, text)
+    run_ensemble(load_scene(file), tmp_path / "out", workers=0)
+    before = content(tmp_path / "out")
+    scene, changed = load_scene(file), (tmp_path / name).read_text().replace(old, new)
+    (tmp_path / name).write_text(changed)
+    file.write_text(text.replace("matrices = 3", "matrices = 4"))
+    words = "sha256" if name == "mine.py" else r"beside\.beside\.py"
+    with pytest.raises(StoreError, match=rf"record\.functions\.mine:counted\..*{words}"):
+        run_ensemble(load_scene(file), tmp_path / "out", workers=0)
+    assert content(tmp_path / "out") == before
+    assert any(
+        "record.own" in problem and name in problem.replace("'mine'", "mine.py")
+        for problem in verify(tmp_path / "out")
+    )
+    function._module.cache_clear()
+    with pytest.raises(SceneError, match=r"record\.own: expected .* as it was"):  # as it changes while it runs
+        run_ensemble(scene, tmp_path / "another", workers=0)
+    found = run_member(scene, expand(scene)[0].member_id)  # it can be run again, once the module is restored
+    assert found["outcome"] == "failed"
+    assert "as it was" in found["reason"]
+
+
+def test_a_scene_is_code_and_its_dataset_is_not(text, tmp_path, monkeypatch, capsys):
+    """Whatever `run` does loads the module; reading what came of it does not, even beside the module."""
+    file, mark = written(tmp_path, text, f"{MINE}\nopen(__file__ + '.run', 'a').close()\n"), tmp_path / "mine.py.run"
+    member = expand(load_scene(file))[0].member_id
+    monkeypatch.chdir(tmp_path)
+    computed_here(monkeypatch)
+    for more in (["--dry-run"], ["--only", member], ["--no-report"]):
+        mark.unlink()
+        function._module.cache_clear()
+        assert main(["run", "scene.toml", *more]) == 0
+        assert mark.exists(), more
+    mark.unlink()
+    function._module.cache_clear()
+    (tmp_path / "mine.py").rename(tmp_path / "runs" / "scene" / "mine.py")  # as a stranger's dataset may hold it
+    (tmp_path / "beside.py").rename(tmp_path / "runs" / "scene" / "beside.py")
+    monkeypatch.chdir(tmp_path / "runs" / "scene")
+    for read in (
+        ["status", "."],
+        ["verify", "."],
+        ["report", "."],
+        ["report", ".", "--compare", "."],
+        ["query", ".", "SELECT max(Share) AS m FROM members"],
+        ["export", ".", "--netcdf", str(tmp_path / "out.nc")],
+    ):
+        assert main(read) in (0, 1), read
+    assert "Share" in capsys.readouterr().out
+    assert not list(tmp_path.rglob("*.run"))
+
+
+def test_truths_and_texts_are_in_netcdf(text, tmp_path):
+    netcdf = pytest.importorskip("netCDF4")
+    run_ensemble(load_scene(written(tmp_path, text)), tmp_path / "out", workers=0)
+    assert main(["export", str(tmp_path / "out"), "--netcdf", str(tmp_path / "out.nc")]) == 0
+    table = query.members(tmp_path / "out")
+    with netcdf.Dataset(tmp_path / "out.nc") as held:
+        assert held["leaves"][:].tolist() == [int(one) for one in table.leaves]
+        assert held["busiest"][:].tolist() == table.busiest.fillna("").tolist()
+        assert held["Share"].long_name == "share of blocks that leave from t_burn on"
+
+
+def test_a_package_is_found_without_loading_it(tmp_path, monkeypatch):
+    """`verify` looks for the module of a stranger's scene; a package's `__init__` is code."""
+    package = tmp_path / "site" / "strange"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text("raise SystemExit('loaded')\n")
+    (package / "inner.py").write_text("")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    assert file_of("strange.inner", tmp_path) == package / "inner.py"
+    assert file_of("strange.inner.deeper", tmp_path) is None
+    assert file_of("strange.nowhere", tmp_path) is None
+    assert file_of("nowhere.inner", tmp_path) is None
