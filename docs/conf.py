@@ -16,6 +16,7 @@ from sphinx.util.docutils import SphinxDirective
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from stickslip.pipeline.dataset.schema import SCHEMA, as_fields
+from stickslip.pipeline.records import RECORDS
 from stickslip.pipeline.scene.columns import ON_DEMAND
 from stickslip.workflows.scaffold import key_tables
 
@@ -104,9 +105,19 @@ class Columns(SphinxDirective):
 
     def run(self) -> list[nodes.Node]:
         text = _columns("In every dataset:", SCHEMA)
-        for asked_by, columns in ON_DEMAND.values():
-            text += _columns(f"With {asked_by}{':' if columns else '.'}", as_fields(columns))
+        for name, (asked_by, columns) in ON_DEMAND.items():
+            text += _columns(f"With {asked_by}{_added(name)}{':' if columns else '.'}", as_fields(columns))
         return self.parse_text_to_nodes("\n".join(text))
+
+
+def _added(name: str) -> str:
+    """What a finished dataset has to keep so that a record is added to it and nothing is run."""
+    needs = next((record.needs for record in RECORDS if record.name == name), {"run"})
+    kept = " and ".join(f"`{one}`" for one in sorted(needs - {"system"}))
+    if "run" in needs:
+        return ""
+    of = f" where there are {kept}" if kept else ""
+    return f", which is [added](sweeps.md#adding-to-a-finished-dataset) without a run{of}"
 
 
 def _columns(head: str, fields: Iterable[pa.Field]) -> list[str]:

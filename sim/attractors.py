@@ -15,7 +15,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.deviations import Path
+from stickslip.sim.cycles import near_cycle
+from stickslip.sim.deviations import Path, largest
 from stickslip.sim.engines.certificates import steady_sliding
 from stickslip.sim.engines.coulomb.settings import Coulomb
 from stickslip.sim.numerics.arguments import Floats, number
@@ -38,11 +39,17 @@ _NULL = 1e-12
 _EXACT = 1e-12
 #: Rounds of events that are tried as a cycle, the shortest first.
 _TRIED = 8
+#: The same of rounds that only nearly come back, within this share of their time: the run may settle there.
+_TRIED_NEAR, _NEAR = 2, 0.02
+#: A part of a round that misses the state by less than so many times what is allowed is looked at in the same way.
+_ALMOST = 1e3
 #: How often the last event must recur before a run is called irregular, the most events over which its growth rate is
 #: taken, and the logarithm of what a deviation grows by over them.
 _FEW, _FOLLOWED, _GROWN = 30, 512, 2.0
 #: No multiplier of a cycle with more than so many events times (2 n)^3: it would take some seconds.
 _WORK = 2e9
+#: Nor is a cycle of more than so many sought by Newton's method, which takes several.
+_WORK_NEAR = 1e8
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +239,10 @@ class _End:
         if len(last) == 0:
             return self._without_events()
         for cycle in _rounds(last, self._back):
-            if self._has_phase(cycle.period) and (found := self._once_more(cycle, last)) is not None:
+            if not self._has_phase(cycle.period):
+                continue
+            found = self._once_more(cycle, last) if cycle.is_back else self._settled(cycle)
+            if found is not None:
                 return found
         return self._not_periodic(last)
 
@@ -320,11 +330,62 @@ class _End:
         drift, period = self._drift(path.states), float(events.t[p] - events.t[0])
         if drift is None or not self._has_phase(period):
             return None
+        if (part := self._part(path, symbols[:p])) < p:
+            # it settles from side to side, and is still too far off to be back after a part of the round
+            shorter = self._settled(_Cycle(part, period * part / p, is_back=False))
+            if shorter is not None:
+                return shorter
         is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
         multiplier = path.multiplier(drift, bool(self._frequencies)) if is_short else None
         round_, states = _from_lowest(path, events, period, drift)
         why = f"{p} events, and the state at each, come back"
         return Attractor("periodic", why, period, multiplier, None, drift, round_, states)
+
+    def _part(self, path: Path, symbols: NDArray[np.int64]) -> int:
+        """Events of the shortest part of a round after which events repeat and the state nearly comes back."""
+        p, z, w = len(symbols), path.states.z, path.states.w
+        near = _ALMOST * self._back * _size(path.states)
+        for part in range(1, p // 2 + 1):
+            if p % part == 0 and (symbols[part:] == symbols[:-part]).all():
+                off = max(np.abs(z[part] - z[0]).max(), np.abs(w[part] - w[0]).max())
+                if off <= near:
+                    return part
+        return p
+
+    def _settled(self, cycle: _Cycle) -> Attractor | None:
+        """The cycle that the run comes nearer to, if it attracts; else None. No force may depend on time."""
+        s, p = self._system, cycle.n_events
+        if s.changes or p * (2.0 * s.n) ** 3 > _WORK_NEAR:
+            return None
+        after = self._follow(2.2 * cycle.period, np.empty(0)).events
+        events = _in_order(after, 0, self._together)
+        # from an event at which the block has its belt's speed, whatever the state
+        places = np.flatnonzero((events.mode == 0) | (events.previous_mode != 0))
+        if len(places) == 0 or len(events) <= places[0] + p:
+            return None
+        k = int(places[0])
+        t = events.t[k]
+        at = self._follow(float(t), np.array([t])).samples
+        before = events.initial_mode.copy()
+        before[events.block[:k]] = events.mode[:k]
+        once = slice(k, k + p + 1)
+        round_ = replace(events, t=events.t[once] - t, block=events.block[once], mode=events.mode[once],
+                         initial_mode=before)  # fmt: skip
+
+        def follow(z: Floats, w: Floats, modes: NDArray[np.int8], length: float, times: Floats) -> Run:
+            return simulate(s, z, w, length, t_eval=times, modes=modes, stop_early=False, **self._settings)
+
+        found = near_cycle(s, at.z[0], at.w[0], round_, p, self._back,
+                           lambda some: _in_order(some, 0, self._together), follow)  # fmt: skip
+        drift = None if found is None else self._drift(found.path.states)
+        if found is None or drift is None or (multiplier := largest(found.matrix, drift)) >= 1.0:
+            return None
+        if (part := self._part(found.path, _symbols(found.events)[:p])) < p:
+            return self._settled(_Cycle(part, cycle.period * part / p, is_back=False))
+        period = float(found.events.t[-1])
+        listed, states = _from_lowest(found.path, found.events, period, drift)
+        why = f"it settles on a cycle of {p} events, which attracts and is {found.distance:.1g} away"
+        return Attractor("periodic", why, period, multiplier, None, drift, listed, states)
 
     def _drift(self, states: Samples) -> Floats | None:
         """By what z has moved without a change of the forces, if the last of the states is otherwise the first."""
@@ -361,10 +422,14 @@ class _End:
 
 
 class _Cycle(NamedTuple):
-    """A round of events that may be a cycle: how many there are, and the time that they take."""
+    """A round of events that may be a cycle: how many there are, their time, and whether it has come back.
+
+    If it has not, the run may be about to settle on a cycle of as many events.
+    """
 
     n_events: int
     period: float
+    is_back: bool
 
 
 def _rounds(last: EventSeries, back: float) -> Iterator[_Cycle]:
@@ -374,18 +439,20 @@ def _rounds(last: EventSeries, back: float) -> Iterator[_Cycle]:
     ago = last.t[-1] - last.t[place]
     rounds = np.arange(1, (len(place) - 1) // 2 + 1)
     period = ago[rounds]
-    again = np.abs(ago[2 * rounds] - 2.0 * period) <= 2.0 * back * period
+    again = np.abs(ago[2 * rounds] - 2.0 * period) <= 2.0 * _NEAR * period
     again &= 2 * place[rounds] - (n - 1) >= 0
-    tried = 0
+    tried = {True: _TRIED, False: _TRIED_NEAR}
     for k in rounds[again].tolist():
         p, span = n - 1 - int(place[k]), float(ago[k])
         one, before = slice(n - p, n), slice(n - 2 * p, n - p)
         if (symbols[one] != symbols[before]).any():
             continue
-        if (np.abs(last.t[one] - last.t[before] - span) <= 2.0 * back * span).all():
-            yield _Cycle(p, span)
-            tried += 1
-            if tried == _TRIED:
+        off = np.abs(last.t[one] - last.t[before] - span).max(initial=abs(ago[2 * k] - 2.0 * span)) / (2.0 * span)
+        is_back = bool(off <= back)
+        if off <= _NEAR and tried[is_back] > 0:
+            tried[is_back] -= 1
+            yield _Cycle(p, span, is_back)
+            if tried[True] == 0:
                 return
 
 

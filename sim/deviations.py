@@ -117,6 +117,13 @@ class Path:
 
         Those of a shift in time, where no force depends on it, and of one along the drift do not count.
         """
+        return largest(self.monodromy(is_forced), drift)
+
+    def monodromy(self, is_forced: bool) -> Floats:
+        """By what deviations just before the first event are multiplied until just before the last edge.
+
+        Shape (2n, 2n). Where no force depends on time, they are taken there when the first event comes back.
+        """
         n = self.system.n
         moved = np.identity(2 * n)
         moved[n:][self.modes[0] == 0] = 0.0
@@ -125,11 +132,8 @@ class Path:
             moved = flow @ moved
         if not is_forced:
             self._onto_section(0, moved)
-        if drift.any():
-            along = drift / np.linalg.norm(drift)
-            moved[:n] -= np.outer(along, along @ moved[:n])
         moved[n:][self.modes[0] == 0] = 0.0
-        return float(np.abs(np.linalg.eigvals(moved)).max())
+        return moved
 
     def growth_rate(self, is_forced: bool) -> float:
         """The rate at which a deviation grows from the first edge to the last, apart from shifts in time.
@@ -240,6 +244,16 @@ class Path:
         c = _commutator(one, two)
         d = _commutator(one, 2 * three + c) / -60
         return one + three / 12 + _commutator(c - 20 * one - three, two + d) / 240
+
+
+def largest(monodromy: Floats, drift: Floats) -> float:
+    """Largest modulus of the multipliers, but for that of a shift along the drift."""
+    n = len(drift)
+    if drift.any():
+        along = drift / np.linalg.norm(drift)
+        monodromy = monodromy.copy()
+        monodromy[:n] -= np.outer(along, along @ monodromy[:n])
+    return float(np.abs(np.linalg.eigvals(monodromy)).max())
 
 
 def exponential(matrices: Floats) -> Floats:

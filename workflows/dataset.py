@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from stickslip.pipeline import Scene, Status, query, run_ensemble, status
+from stickslip.pipeline import Scene, Status, extend, query, run_ensemble, status
 from stickslip.pipeline.dataset.opened import dataset_scene, open_dataset
 from stickslip.pipeline.places.place import Where
 from stickslip.workflows.progress import Watch
@@ -69,6 +70,27 @@ class Dataset:
     def query(self, sql: str) -> pd.DataFrame:
         """The answer to a question in SQL; see `stickslip.sql`."""
         return query.sql(self.path, sql)
+
+    def extend(self, record: Mapping[str, Any], workers: int = 2, *, quiet: bool = False) -> Dataset:
+        """Add records, as `stickslip.pipeline.extend` does, with the progress on the standard error.
+
+        Parameters
+        ----------
+        record : mapping of str to value
+            Keys under [record], as in ``{"waiting": True, "t_burn": 50.0}``.
+        workers : int
+            Local processes; 0 computes in this one.
+        quiet : bool
+            Whether to show nothing.
+
+        Raises
+        ------
+        SceneError, StoreError, ValueError, ScheduleError
+            As there.
+        """
+        with nullcontext() if quiet else Watch(self.path) as watch:
+            extend(self.path, record, workers, on_progress=watch)
+        return self
 
     def report(self, own: bool = False) -> str:
         """Write the report, unless it is up to date; returns the name of its page.

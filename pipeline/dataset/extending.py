@@ -137,7 +137,7 @@ class Extending(Store):
     def _read_shard(self, name: str) -> pa.Table:
         source = self.before.shards([name])
         with reading(self.place):
-            return source.to_table()
+            return source.to_table(use_threads=False)  # a thread of Arrow's may outlive its library
 
 
 def ended(path: Opened) -> Opened:

@@ -129,8 +129,8 @@ def extend(
     path : str, Path, Place or Opened
         Directory of the dataset, or its address in an object store.
     record : mapping of str to value
-        Keys under [record] of its scene: `{"waiting": True, "t_burn": 50.0}`. The module of functions of a user's
-        own, `{"own": ["mine:quiet_share"]}`, lies beside the dataset, above it, or in the working directory.
+        Keys under [record] of its scene: ``{"waiting": True, "t_burn": 50.0}``. The module of functions of a user's
+        own, ``{"own": ["mine:quiet_share"]}``, lies beside the dataset, above it, or in the working directory.
 
     Raises
     ------

@@ -13,10 +13,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from stickslip.pipeline import expand
+from stickslip.pipeline import expand, extend, run_ensemble, status
 from stickslip.pipeline.places import directory
+from stickslip.pipeline.places.manifest import read_manifest
+from stickslip.pipeline.scene.adding import with_records
 from tests.faults.registry import fault
-from tests.faults.world import INJECT, ROOT, TARGET_COST, World, children, end_of, wait
+from tests.faults.world import INJECT, ROOT, TARGET_COST, World, children, content, end_of, wait
 from tests.processes import dask_by_hand, until
 
 
@@ -93,19 +95,8 @@ def _torn(opened: Callable[..., Any], calls: list[int]) -> Callable[..., Any]:
 @fault(quick=4, full=10_000, timeout=1200)
 def driver_killed_at_each_step(world: World, count: int) -> int:
     """Dead before and after each call of the system that a run makes; the full count is all of them."""
-    tally = world.directory / "tally"
-
-    def counted() -> None:
-        calls = [0]
-        _deadly(0, True, calls)
-        world.run(world.directory / "counted")
-        tally.write_text(json.dumps(calls[0]))
-
-    assert world.fork(counted) == 0
+    moments = _moments(world, world.run, count)
     world.check(world.directory / "counted")
-    moments = [(k + 1, is_before) for k in range(json.loads(tally.read_text())) for is_before in (True, False)]
-    if count < len(moments):
-        moments = world.random.sample(moments, count)
     for moment, is_before in moments:
         out = world.directory / "out"
         shutil.rmtree(out, ignore_errors=True)
@@ -116,6 +107,56 @@ def driver_killed_at_each_step(world: World, count: int) -> int:
 
         assert world.fork(killed) == -signal.SIGKILL
         world.resume(out)
+    return len(moments)
+
+
+def _moments(world: World, act: Callable[[Path], object], count: int) -> list[tuple[int, bool]]:
+    """Calls of the system of an act on the directory `counted`, each before and after; `count` of them at most."""
+    tally = world.directory / "tally"
+
+    def counted() -> None:
+        calls = [0]
+        _deadly(0, True, calls)
+        act(world.directory / "counted")
+        tally.write_text(json.dumps(calls[0]))
+
+    assert world.fork(counted) == 0
+    moments = [(k + 1, is_before) for k in range(json.loads(tally.read_text())) for is_before in (True, False)]
+    return moments if count >= len(moments) else world.random.sample(moments, count)
+
+
+@fault(quick=4, full=10_000, timeout=1200)
+def extension_killed_at_each_step(world: World, count: int) -> int:
+    """Dead before and after each call of the system while a record is added: the old or the new is left, whole."""
+
+    def act(out: Path) -> None:
+        extend(out, {"end": True}, workers=0)
+
+    new = world.directory / "new"
+    scene = with_records(world.scene, {"end": True})
+    assert world.fork(lambda: run_ensemble(scene, new, workers=0) and None) == 0
+    world.copy("counted")
+    moments = _moments(world, act, count)
+    assert content(world.directory / "counted") == content(new)
+    for moment, is_before in moments:
+        out = world.copy()
+
+        def killed(moment: int = moment, is_before: bool = is_before, out: Path = out) -> None:
+            _deadly(moment, is_before, [0])
+            act(out)
+
+        def look(out: Path = out) -> None:
+            assert status(out).is_complete
+
+        assert world.fork(killed) == -signal.SIGKILL
+        assert world.fork(look) == 0
+        found = read_manifest(out)
+        if found.scene is not None or found.scene_hash != scene.hash:
+            assert world.fork(lambda out=out: act(out)) == 0  # type: ignore[misc]
+        assert {name: one for name, one in content(out).items() if name != ".lock"} == content(new), (
+            moment,
+            is_before,
+        )
     return len(moments)
 
 

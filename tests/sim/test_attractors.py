@@ -206,6 +206,34 @@ def test_the_cycles_of_nussbaum_and_ruina_are_those_of_the_map_of_their_episodes
     print(kinds)
 
 
+def test_a_cycle_that_hardly_attracts_is_found_before_the_run_is_on_it():
+    """Before its period doubles, where the state comes back after two rounds sooner than after one.
+
+    The independent engine goes round it once, and says how much it attracts.
+    """
+    pair = two_blocks.Pair(3.2, 0.25, 1e-3, 2.25)
+    found = of_pair(pair, 0.3 / (1 + 2 * 3.2), 8e4)
+    assert (found.kind, found.n_exits) == ("periodic", 3)
+    assert "attracts" in found.reason
+    confirm(pair.system, found, None)
+    values = np.linalg.eigvals(jacobian(pair.system, found))
+    assert values.real.min() == pytest.approx(-found.multiplier, rel=1e-3)
+    assert 0.95 < found.multiplier < 0.97
+
+
+def test_a_cycle_found_early_is_the_one_that_the_run_settles_on(rng):
+    """By the same runs, twenty times as long."""
+    settling = 0
+    for _ in range(60):
+        n = int(rng.integers(2, 4))
+        system, z = drawn(rng, n), rng.normal(size=n)
+        early = settled(system, z, 0.0, 200.0, 20.0)
+        if early.kind == "periodic" and "attracts" in early.reason:
+            settling += 1
+            assert same_cycle(early, settled(system, z, 0.0, 4000.0, 400.0), 1e-4), repr(system)
+    print(settling)
+
+
 def of_pair(pair, difference, t_end, t_burn=0.5):
     system = pair.system
     z = 0.5 * difference * np.array([1.0, -1.0])

@@ -127,7 +127,7 @@ def test_sweeps_do_what_the_page_says(here, tmp_path, monkeypatch, capsys):
         Path(f"{name}.toml").write_text(scene)
     run_python("sweeps")
     Path("own.py").write_text(blocks(page("sweeps"), "python")[1])
-    assert [main(command) for command in commands("sweeps")] == [0] * 13
+    assert [main(command) for command in commands("sweeps")] == [0] * 16
     said = capsys.readouterr().out
     (grid,) = re.findall(r"`(grid +.*?)`", page("sweeps"))
     assert f"\n{grid}\n" in said

@@ -1,0 +1,149 @@
+"""The cycle that a run is about to settle on, by Newton's method.
+
+A run that comes nearer to a cycle by a tenth a period is far from it for long. The cycle is found sooner as the state
+at an event that comes back, x = P(x): with M = dP/dx, from the deviations along one round, x goes to
+x + (1 - M)^-1 (P(x) - x), and the error to its square.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.deviations import Path
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.runs.run import Run, Samples
+from stickslip.sim.runs.series import EventSeries
+from stickslip.sim.systems.system import System
+
+#: Rounds of Newton's method, and how much nearer each has to come.
+_MOST, _NEARER = 12, 0.5
+#: A round is run for so much longer than the last: it may take another time from another state.
+_LONGER = 1.2
+#: A run is near a cycle if its next return is where M puts it, within this share of its distance from the cycle.
+_LINEAR = 0.1
+#: Of that distance, over the largest number in the states, now and by M in as many rounds as here: from further off a
+#: block that is near its belt's speed, or near leaving, may have another event.
+_FAR, _ROUNDS = 1e-3, 100
+
+
+class Follow(Protocol):
+    """Runs a system from a state at time 0, with the modes of the blocks, for a time."""
+
+    def __call__(self, z: Floats, w: Floats, modes: NDArray[np.int8], length: float, times: Floats) -> Run: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Near:
+    """A cycle near a run: its events, those at time 0 first and last, the path of one round, and its matrix.
+
+    `distance` is that of the run's state from it, over the largest number in the states.
+    """
+
+    events: EventSeries
+    path: Path
+    matrix: Floats
+    distance: float
+
+
+def near_cycle(
+    system: System,
+    z: Floats,
+    w: Floats,
+    events: EventSeries,
+    n_events: int,
+    back: float,
+    in_order: Callable[[EventSeries], EventSeries],
+    follow: Follow,
+) -> Near | None:
+    """The cycle near a state at an entry or a crossing, if a run from that state is on its way to it; else None.
+
+    Parameters
+    ----------
+    system : System
+        Whose drive does not depend on time.
+    z, w : float64, shape (n,)
+    events : EventSeries
+        From that state on, the event there first, at time 0, for one round at least.
+    n_events : int
+        Of a round.
+    back : float
+        By how much of the largest number the state may miss itself.
+    in_order : callable
+        Puts the events of one instant in the order of `events`.
+    follow : Follow
+    """
+    n, p = system.n, n_events
+    first = z, w
+    expected, symbol = (events.block[1:p].copy(), events.mode[1:p].copy()), (events.block[0], events.mode[0])
+    block, mode = int(symbol[0]), int(symbol[1])
+    before = events.initial_mode
+    modes = before.copy()
+    modes[block] = mode
+    period = float(events.t[p])
+    missed, returned = math.inf, np.empty(0)
+    is_held = (modes == 0) | (np.arange(n) == block)
+    for k in range(_MOST):
+        w = np.where(is_held, system.belt_speed_at(0.0), w)
+        if not _are_allowed(system, z, w, modes):
+            return None
+        run = follow(z, w, modes, _LONGER * period, np.empty(0))
+        found = in_order(run.events)
+        if len(found) < p or (found.block[p - 1], found.mode[p - 1]) != symbol:
+            return None
+        if (found.block[: p - 1] != expected[0]).any() or (found.mode[: p - 1] != expected[1]).any():
+            return None
+        t = np.append(0.0, found.t[:p])
+        round_ = replace(
+            found, t=t, block=np.append(block, found.block[:p]).astype(found.block.dtype),
+            mode=np.append(mode, found.mode[:p]).astype(found.mode.dtype), initial_mode=before, t_end=float(t[-1]),
+        )  # fmt: skip
+        ending = partial(_samples, follow, z, w, modes, float(t[-1]))
+        path = Path.of(system, round_, t, ending)
+        matrix = path.monodromy(is_forced=False)
+        error = np.concatenate([path.states.z[-1] - z, path.states.w[-1] - w])
+        size = float(max(np.abs(path.states.z).max(), np.abs(path.states.w).max()))
+        if k == 0:
+            returned = error
+        if np.abs(error).max() <= back * size:
+            start = np.concatenate([first[0] - z, first[1] - w])
+            off = np.linalg.norm(start + returned - matrix @ start)
+            far = float(np.linalg.norm(start))
+            is_linear = off <= _LINEAR * far + back * size
+            is_near = _largest_power(matrix, start) <= _FAR * size
+            return Near(round_, path, matrix, far / size) if is_linear and is_near else None
+        if np.linalg.norm(error) > _NEARER * missed:
+            return None
+        missed, period = float(np.linalg.norm(error)), float(t[-1])
+        step = np.linalg.lstsq(np.identity(2 * n) - matrix, error, rcond=1e-12)[0]
+        z, w = z + step[:n], w + step[n:]
+    return None
+
+
+def _largest_power(matrix: Floats, start: Floats) -> float:
+    """The largest norm of a vector, multiplied again and again by a matrix."""
+    largest = 0.0
+    for _ in range(_ROUNDS):
+        largest = max(largest, float(np.linalg.norm(start)))
+        start = matrix @ start
+    return largest
+
+
+def _samples(follow: Follow, z: Floats, w: Floats, modes: NDArray[np.int8], length: float, times: Floats) -> Samples:
+    return follow(z, w, modes, length, times).samples
+
+
+def _are_allowed(system: System, z: Floats, w: Floats, modes: NDArray[np.int8]) -> bool:
+    """Whether blocks can be in some modes: a long step may lead to a state where they cannot."""
+    slip = w - system.belt_speed_at(0.0)
+    pull = -(system.stiffness @ z) - system.damping * w
+    pull += system.force_at(0.0) if system.force else 0.0
+    outward = np.where(system.closed == 0, np.abs(pull), -system.closed * pull)
+    slips = (modes * slip > 0.0) | ((slip == 0.0) & (modes * pull > system.kinetic(0.0 * slip)))
+    return bool(np.where(modes == 0, outward < system.static, slips).all())
