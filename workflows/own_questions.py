@@ -72,7 +72,7 @@ def check(scene: Scene, folder: Path, name: str) -> None:
     """
     loading = [Task(one, str(folder)) for one in names(scene)]
     for task in loading:  # a file that is not there is told without a process
-        own.resolve(task.name, _place(task), f"{name}: {_KEY}")
+        own.resolve(task.name, _place(task), f"{name}: {_KEY}: {task.name}")
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(max(len(loading), 1)))
         children = [stack.enter_context(Child(answer)) for _ in loading]

@@ -101,7 +101,7 @@ def test_a_run_refuses_code_that_cannot_be_loaded_before_it_begins(tmp_path, cap
     Path("mine.toml").write_text(ensemble(5, 8.0, 1, COULOMB, analysis=ASKING))
     assert main(["run", "mine.toml", "--workers", "1"]) == 2
     error = capsys.readouterr().err
-    assert "mine.toml: analysis.question: expected the module 'own' beside the scene, in " in error
+    assert "mine.toml: analysis.question: own:question: expected the module 'own' beside the scene, in " in error
     assert not Path("runs").exists()
 
 
