@@ -212,6 +212,7 @@ def test_a_scene_of_python_may_have_one(tmp_path, monkeypatch):
 #: What goes wrong in a function with the members of four blocks alone, by its name, and words of the reason.
 SOME = {
     "raises": ("raise KeyError('a\\nb')", "KeyError: 'a\\nb'"),
+    "shows": ("raise ValueError(object())", "ValueError: <object object at 0x...>"),
     "nan": ("return Measured(float('nan'))", "expected a finite number for own, got nan"),
     "infinite": ("return Measured(10**400)", "expected a finite number for own, got inf"),
     "text": ("return Measured('wide')", "expected a number for own, got str"),
