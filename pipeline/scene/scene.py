@@ -119,7 +119,7 @@ class Scene(StrictTable):
         own = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
         own["system"] = {key: value for key, value in own["system"].items() if key not in ("files", "module")}
         own["start"] = {key: value for key, value in own["start"].items() if key != "ends"}
-        own["record"] = {key: value for key, value in own.get("record", {}).items() if key != "functions"}
+        own.get("record", {}).pop("functions", None)
         for name, given in tables.items():
             old = own.get(name)
             own[name] = {**old, **given} if isinstance(old, dict) and isinstance(given, dict) else given
