@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, NoReturn, cast
 
 import numpy as np
@@ -16,10 +17,13 @@ from stickslip.pipeline.errors import StoreError, foreign
 from stickslip.pipeline.records import ALWAYS
 from stickslip.pipeline.records.record import Made, NotKeptError, Record
 from stickslip.pipeline.running.ends import end_of
-from stickslip.pipeline.scene.columns import Recording
+from stickslip.pipeline.scene.columns import MEMBER, Recording
 
 #: Runs members: the columns of each, as `stickslip.pipeline.running.worker.run_members`.
 Runs = Callable[[Sequence[Member], Recording], list[dict[str, Any]]]
+
+#: Columns that no record reads: they are the member's own, or made of its events.
+_UNREAD = {column.name for column in MEMBER} - {"t_end"} | {"t", "n_stick"}
 
 
 @dataclass(frozen=True)
@@ -66,9 +70,15 @@ class Kept:
         new, outcomes = added(recording.records, self.records), self.table["outcome"].to_pylist()
         return any(must_run(*one, new, self.records) for one in zip(members, outcomes, strict=True))
 
+    @cached_property
+    def _of_runs(self) -> dict[str, pa.Array]:
+        """The columns that say what came of the members, not what they are."""
+        names = [name for name in self.table.column_names if name not in _UNREAD]
+        return {name: self.table[name].combine_chunks() for name in names}
+
     def _computed(self, member: Member, k: int, new: Sequence[Record]) -> dict[str, Any]:
         """The columns of new records of a member, from its row."""
-        row = {name: self.table[name][k] for name in self.table.column_names}
+        row = {name: values[k] for name, values in self._of_runs.items()}
         has_system = any("system" in record.needs for record in new)
         made = Made(
             member,
