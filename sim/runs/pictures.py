@@ -36,6 +36,9 @@ _VECTORS, _COLUMNS, _ROWS = 4000, 1500, 750
 #: Blocks whose time series are drawn if none are named: lines of more cross each other too often to be told apart.
 _FIRST = 3
 
+#: A map of at most so many blocks a side has the numbers in its cells.
+_NUMBERED = 16
+
 #: At most so many rows of a grid are numbered.
 _TICKS = 12
 
@@ -132,6 +135,42 @@ def _rows(ax: Axes, n: int, width: int) -> None:
     ax.set_ylabel(f"row of the grid, {width} blocks each")
 
 
+def slip(
+    ax: Axes,
+    events: EventSeries,
+    _: Samples | None = None,
+    *,
+    span: Sequence[float] | None = None,
+    width: int | None = None,
+) -> Axes:
+    """How often each block of a grid began to slip, as a map with a number in each cell; crosses: never."""
+    if width is None:
+        raise ValueError(
+            "width: expected the length of a row, since 'slip' is a map of a grid, got none; pass e.g. width=12, or"
+            " draw 'space_time', which is of any blocks"
+        )
+    width, (since, until) = integer("width", width, 1, events.n), _span(events, span)
+    inside = (events.previous_mode == 0) & (events.t >= since) & (events.t <= until)
+    count = np.bincount(events.block[inside], minlength=events.n)
+    cells = np.full(-(-events.n // width) * width, np.nan)
+    cells[: events.n] = count
+    cells = cells.reshape(-1, width)
+    image = ax.imshow(cells, origin="lower", cmap="Blues", vmin=0, vmax=max(int(count.max()), 1))
+    is_small = width <= _NUMBERED and len(cells) <= _NUMBERED
+    for block, n in enumerate(count.tolist()):
+        row, column = divmod(block, width)
+        if n == 0:
+            ax.plot(column, row, "x", color="black", markersize=4)
+        elif is_small:
+            dark = n > 0.6 * count.max()
+            ax.text(column, row, str(n), ha="center", va="center", fontsize=6, color="white" if dark else "black")
+    ax.figure.colorbar(image, ax=ax, label=f"slips from t = {since:g} to {until:g}")
+    ax.set(xlabel="place in the row", ylabel="row of the grid")
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.get_major_locator().set_params(integer=True)
+    return ax
+
+
 def time(
     ax: Axes,
     events: EventSeries,
@@ -218,6 +257,7 @@ def spectrum(
 KINDS: dict[str, Callable[..., Axes]] = {
     "n_stick": n_stick,
     "space_time": space_time,
+    "slip": slip,
     "time": time,
     "phase": phase,
     "spectrum": spectrum,

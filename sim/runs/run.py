@@ -134,6 +134,7 @@ class Run:
             - ``"n_stick"``: n_stick(t) as steps.
             - ``"space_time"``: which block slips when, and which way, from the exact events. ``width``: length of the
               rows of a grid, which are then set apart.
+            - ``"slip"``: how often each block of a grid, of rows of ``width`` blocks, began to slip.
             - ``"time"``: displacements, or ``of="w"`` velocities, of some ``blocks`` against time; default: the first
               three.
             - ``"phase"``: velocity against displacement of a ``block``; default: 0.

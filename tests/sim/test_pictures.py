@@ -19,6 +19,10 @@ def draw_run(coupling, n):
     return simulate(draw_system(coupling, n=n, seed=3), -0.7, -0.4, 5.0)
 
 
+#: Options that a kind cannot do without.
+NEEDED = {"slip": {"width": 2}}
+
+
 def axes():
     return Figure().subplots()
 
@@ -75,6 +79,25 @@ def test_a_grid_is_numbered_by_rows():
     ticks = dict(zip((tick.get_text() for tick in ax.get_yticklabels()), ax.get_yticks(), strict=True))
     assert ticks == {"0": 1.5, "1": 5.5, "2": 9.5}  # blocks 0 to 3, 4 to 7, 8 to 11
     assert sorted(line.get_ydata()[0] for line in ax.lines) == [3.5, 7.5]
+
+
+def test_a_map_of_slips_counts_the_exits_of_each_block():
+    run = simulate(draw_system("grid", n=11, seed=3), np.linspace(-1.0, 1.0, 11), -0.2, 30.0)
+    series = run.events
+    ax = run.plot("slip", ax=axes(), width=4, span=(3.0, 30.0))
+    (image,) = ax.images
+    counts = [0] * 11
+    mode = series.initial_mode.tolist()
+    for t, block, after in zip(series.t, series.block.tolist(), series.mode.tolist(), strict=True):
+        counts[block] += mode[block] == 0 and 3.0 <= t <= 30.0
+        mode[block] = after
+    found = image.get_array()
+    assert found.shape == (3, 4)
+    assert found.filled(-1).ravel().tolist() == [*counts, -1]
+    assert sum(counts) > 0
+    never = [(int(line.get_ydata()[0]), int(line.get_xdata()[0])) for line in ax.lines]
+    assert never == [divmod(block, 4) for block, n in enumerate(counts) if n == 0]
+    assert [text.get_text() for text in ax.texts] == [str(n) for n in counts if n]
 
 
 @pytest.mark.parametrize("of", ["z", "w"])
@@ -162,6 +185,8 @@ WRONG = [
     (RUN, "n_stick", {"span": (5.0, 3.0)}, ValueError, r"span: expected two times, rising, within \[0, 40\]"),
     (draw_run("chain", 2), "spectrum", {"span": (4.0, 5.0)}, ValueError, r"'spectrum' is of what varies"),
     (RUN, "n_stick", {"span": 5.0}, ValueError, "span: expected two times"),
+    (RUN, "slip", {}, ValueError, "width: expected the length of a row, since 'slip' is a map of a grid, got none"),
+    (RUN, "slip", {"width": 3}, ValueError, "width: expected an integer from 1 to 2, got 3"),
     (RUN, "space_time", {"width": 0}, ValueError, "width: expected an integer at least 1, got 0"),
     (simulate(SYSTEM, 0.0, 0.0, 9.0, t_eval=[0, 1, 3]), "spectrum", {"block": 0}, ValueError, "equally spaced"),
     (simulate(SYSTEM, 0.0, 0.0, 9.0, t_eval=[0, 1]), "time", {"span": (2, 3)}, ValueError, r"kept on \[0, 1\]"),
@@ -180,7 +205,7 @@ def test_what_cannot_be_drawn_is_refused_and_leaves_no_figure(run, kind, options
 def test_every_kind_is_drawn_where_it_is_told_with_or_without_a_span(kind):
     for options in ({}, {"span": (10.0, 30.0)}):
         ax = axes()
-        assert RUN.plot(kind, ax, **options) is ax
+        assert RUN.plot(kind, ax, **options, **NEEDED.get(kind, {})) is ax
         assert ax.has_data()
         ax.figure.savefig("/dev/null", format="png")
 
@@ -188,6 +213,6 @@ def test_every_kind_is_drawn_where_it_is_told_with_or_without_a_span(kind):
 def test_a_run_of_no_time_is_drawn():
     run = simulate(SYSTEM, 0.0, 0.0, 0.0, t_eval=[0.0])
     for kind in set(pictures.KINDS) - {"spectrum"}:
-        run.plot(kind, axes()).figure.savefig("/dev/null", format="png")
+        run.plot(kind, axes(), **NEEDED.get(kind, {})).figure.savefig("/dev/null", format="png")
     with pytest.raises(ValueError, match="span: expected a time that passes"):
         run.plot("spectrum", axes())

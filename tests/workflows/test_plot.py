@@ -44,7 +44,7 @@ def member(kept):
 @pytest.mark.parametrize(
     ("name", "begins"), [("a.svg", b"<?xml"), ("a.pdf", b"%PDF"), ("a.PNG", b"\x89PNG")], ids=["svg", "pdf", "png"]
 )
-@pytest.mark.parametrize("kind", ["space_time", "n_stick"])
+@pytest.mark.parametrize("kind", ["space_time", "n_stick", "slip"])
 def test_a_picture_is_a_file_and_twice_the_same(kept, member, tmp_path, kind, name, begins, capsys):
     contents = set()
     for folder in ("one", "two"):
@@ -66,7 +66,7 @@ def test_the_help_names_the_kinds_that_need_no_samples(kept, member):
     said = next(action.help for action in parser._actions if action.dest == "kind")
     named = set(re.findall(r"\w+", said)) & set(pictures.KINDS)
     for kind in named:
-        plt.close(series.plot(kind).figure)
+        plt.close(series.plot(kind, **({"width": 3} if kind == "slip" else {})).figure)
     for kind in set(pictures.KINDS) - named:
         with pytest.raises(ValueError, match="t_eval"):
             series.plot(kind)
@@ -93,3 +93,10 @@ def test_what_cannot_be_drawn_is_refused(kept, member, monkeypatch, arguments, s
     assert main(["plot", *(one.format(member=member) for one in arguments)]) == 2
     assert says in capsys.readouterr().err
     assert not list(kept.glob("a.*"))
+
+
+def test_a_map_of_slips_is_of_a_grid_alone(tmp_path, capsys):
+    run_ensemble(parse_scene(SOURCE.replace('"grid"', '"chain"').encode()), tmp_path / "out", workers=0)
+    member = Dataset(tmp_path / "out").members.member_id[0]
+    assert main(["plot", str(tmp_path / "out"), member, "--kind", "slip", "--out", str(tmp_path / "a.svg")]) == 2
+    assert "--kind: 'slip' is a map of a grid, and these blocks form none" in capsys.readouterr().err

@@ -30,7 +30,8 @@ class Plot(Command):
         parser.add_argument("member", metavar="MEMBER", help="its member_id, as in the view `members`")
         parser.add_argument(
             "--kind", default="space_time", metavar="KIND",
-            help="space_time (default), n_stick, or spectrum, that of n_stick",
+            help="space_time (default), n_stick, slip, a map of how often each block of a grid slips, or spectrum,"
+            " that of n_stick",
         )  # fmt: skip
         parser.add_argument(
             "--span", nargs=2, type=float, metavar=("T0", "T1"), help="times between which to draw (default: all)"
@@ -63,8 +64,11 @@ def _picture(arguments: argparse.Namespace) -> bytes:
     opened = open_dataset(arguments.directory)
     series = events(opened, arguments.member)
     options = {} if arguments.span is None else {"span": arguments.span}
-    if arguments.kind == "space_time":
-        options |= _grid(opened, arguments.member)
+    if arguments.kind in ("space_time", "slip"):
+        width = _grid(opened, arguments.member)
+        if arguments.kind == "slip" and not width:
+            raise Wrong("--kind: 'slip' is a map of a grid, and these blocks form none; draw space_time")
+        options |= width
     with matplotlib.rc_context(STYLE):
         figure = blank(_HEIGHT)
         try:
