@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from stickslip import Dataset, draw_system, simulate
-from stickslip.pipeline import query
+from stickslip.pipeline import load_scene, query, run_ensemble
+from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.machine.signals import Interrupted
 from stickslip.pipeline.places.manifest import read_manifest
 from stickslip.pipeline.running import estimate, extend
@@ -105,6 +106,22 @@ def test_after_an_interruption_the_same_command_goes_on(out, monkeypatch, capsys
 def test_from_python(out):
     found = Dataset(out).extend({"first_exit": True}, workers=0, quiet=True)
     assert found.members.first_exit.notna().all()
+
+
+def test_members_that_failed_are_in_nobodys_way(small_scene, tmp_path, monkeypatch, capsys):
+    task = Member.task
+
+    def fragile(member, *rest):
+        if member.engine == "coulomb":
+            raise ZeroDivisionError
+        return task(member, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Member, "task", fragile)
+        run_ensemble(load_scene(small_scene), tmp_path / "out", workers=0)
+    found = Dataset(tmp_path / "out").extend({"end": True}, workers=0)
+    assert found.status.n_failed == 3
+    assert "6/6 members, 1/1 shards, 3 failed" in capsys.readouterr().err
 
 
 def test_a_run_that_goes_on_is_not_one_in_one_piece(rng):
