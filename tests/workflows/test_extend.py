@@ -57,7 +57,7 @@ def test_a_dry_run_says_what_runs_again_would_take_and_writes_nothing(out, monke
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["wating"], 2, "record.wating: unknown key of [record]; did you mean 'waiting'?"),
+        (["waitings"], 2, "record.waitings: unknown key of [record]; did you mean 'waiting'?"),
         (["events"], 2, "record.events: expected a record that the data lack, got one that they have; leave it out"),
         (
             ["waiting", "t_burn=soon"],
