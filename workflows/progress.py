@@ -115,7 +115,9 @@ class Watch:
             self._print(f"dask    {progress.dashboard}")
         if self._last is not None and progress.last_shard is not None and progress.n_failed > self._last.n_failed:
             self._opened = open_dataset(self._directory) if self._opened is None else self._opened.again()
-            failed = rows_that_failed(self._opened, [progress.last_shard])
+            # those of an extension are known, and its shards are not yet the dataset's
+            shards = [progress.last_shard] if progress.last_shard in self._opened.manifest.shards else []
+            failed = rows_that_failed(self._opened, shards) if shards else []
             for reason, count in Counter(reason for _, reason in failed).most_common():
                 self._print(f"failed  {count}: {reason}")
         self._last = progress

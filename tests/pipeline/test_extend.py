@@ -305,7 +305,7 @@ def content_of(place):
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"wating": True}, r"record\.wating: unknown key of \[record\].*did you mean 'waiting'"),
+        ({"waitings": True}, r"record\.waitings: unknown key of \[record\].*did you mean 'waiting'"),
         (
             {"events": True},
             r"record\.events: expected a record that the data lack, got one that they have; leave",
