@@ -111,7 +111,7 @@ def panel(
     height : float
         In inches.
     **axes
-        Arguments of matplotlib's ``Figure.subplots``; default: the function is given one `Axes`.
+        Arguments of ``Figure.subplots``; default: the function is given one `Axes`.
     """
 
     def of(draw: Callable[Concatenate[Any, P], None]) -> Callable[P, Figure]:
