@@ -12,18 +12,14 @@ import numpy as np
 from stickslip.analysis.answer import F, S
 from stickslip.analysis.contrast import Sample, Statistic
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import Group, by_value, label
+from stickslip.analysis.groups import FIXED, Group, Value, by_value, label
 from stickslip.analysis.measures import GAMMA, MEAN, Measure, Values, of_gamma, of_mean
-from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
+from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
 from stickslip.analysis.stats.estimates import Estimate, over_matrices
 
 IN_MOTION = "share in motion"
 AT_MOST = "share in motion or quiet"  # whether a quiet run is in motion cannot be told
-#: Keys that separate settings and are not swept.
-_FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
-_SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*_FIXED, "drawn", "parameters"))
-Value = float | str
 
 
 @dataclass(frozen=True)
@@ -67,30 +63,14 @@ def settings(groups: Iterable[Group]) -> dict[str, list[Group]]:
     """Groups that differ only in keys that may be swept, by the name of what they share."""
     found: dict[tuple[Any, ...], list[Group]] = {}
     for group in groups:
-        found.setdefault(tuple(group.key[name] for name in (*_FIXED, *ENGINE_KEYS)), []).append(group)
-    keys = [dict(zip((*_FIXED, *ENGINE_KEYS), values, strict=True)) for values in found]
+        found.setdefault(tuple(group.key[name] for name in (*FIXED, *ENGINE_KEYS)), []).append(group)
+    keys = [dict(zip((*FIXED, *ENGINE_KEYS), values, strict=True)) for values in found]
     return {label(key, keys): some for key, some in zip(keys, found.values(), strict=True)}
-
-
-def values(group: Group) -> dict[str, Value]:
-    """Value of each key that may be swept: a number, or the distribution from which it is drawn."""
-    drawn, given = (
-        dict(part.split(" = ", 1) for part in (group.key[name] or "").split("; ") if part)
-        for name in ("drawn", "parameters")
-    )
-    found: dict[str, Value] = {key: float(text) for key, text in given.items()}
-    for column in _SWEPT:
-        key, number = column.removesuffix("0"), group.key[column]
-        if column == "kappa" and group.key["file"] is not None:
-            continue  # it is the scale of the file's K, which is not swept
-        if number is not None or key in drawn:
-            found[key] = drawn[key] if number is None else float(number)
-    return found
 
 
 def axes_of(found: Mapping[str, Sequence[Group]]) -> list[Axis]:
     """The axes of a sweep, the longest first; keys whose values change together share an axis."""
-    by_setting = [[values(group) for group in some] for some in found.values()]
+    by_setting = [[group.at for group in some] for some in found.values()]
     points = [point for some in by_setting for point in some]
     keys = [key for key in dict.fromkeys(key for point in points for key in point)
             if any(len({point.get(key) for point in some}) > 1 for some in by_setting)]  # fmt: skip
@@ -114,7 +94,7 @@ def axes_of(found: Mapping[str, Sequence[Group]]) -> list[Axis]:
 
 def place_of(axes: Sequence[Axis], group: Group) -> dict[Axis, tuple[Value, ...]]:
     """The value of a group on each axis."""
-    own = values(group)
+    own = group.at
     return {axis: tuple(own[key] for key in axis.keys) for axis in axes}
 
 

@@ -30,6 +30,10 @@ from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.engines import ENGINES, SETTINGS
 
 Series = Mapping[str, ChangePoints]
+#: Keys that separate settings and are not swept.
+FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
+_SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*FIXED, "drawn", "parameters"))
+Value = float | str
 
 
 @dataclass
@@ -90,6 +94,22 @@ class Group:
     def unit(self) -> str:
         """What the units are: `MATRIX`, `START` or `FILE`."""
         return str(self.members["unit_is"].iloc[0])
+
+    @property
+    def at(self) -> dict[str, Value]:
+        """Value of each key that a scene may sweep, by its name there: a number, or a distribution to draw from."""
+        drawn, given = (
+            dict(part.split(" = ", 1) for part in (self.key[name] or "").split("; ") if part)
+            for name in ("drawn", "parameters")
+        )
+        found: dict[str, Value] = {key: float(text) for key, text in given.items()}
+        for column in _SWEPT:
+            key, number = column.removesuffix("0"), self.key[column]
+            if column == "kappa" and self.key["file"] is not None:
+                continue  # it is the scale of the file's K, which is not swept
+            if number is not None or key in drawn:
+                found[key] = drawn[key] if number is None else float(number)
+        return found
 
     @property
     def finished(self) -> pd.DataFrame:

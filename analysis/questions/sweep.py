@@ -27,7 +27,6 @@ from stickslip.analysis.grid import (
     IN_MOTION,
     Axis,
     Point,
-    Value,
     as_text,
     axes_of,
     estimate,
@@ -35,6 +34,7 @@ from stickslip.analysis.grid import (
     points_at,
     settings,
 )
+from stickslip.analysis.groups import Value
 from stickslip.analysis.measures import AXES, GAMMA, KEYS, MEAN, Measure, measures
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
 from stickslip.analysis.questions.fates import FATES, shares

@@ -104,7 +104,8 @@ def _prefixed(prefix: str, by_name: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _line(text: str) -> str:
-    return " ".join(text.split())
+    """A text in one line, without what a terminal obeys."""
+    return "".join(c for c in " ".join(text.split()) if c.isprintable())
 
 
 def _kind(found: object) -> str:
@@ -209,14 +210,14 @@ def _sentence(found: Answer, template: Path | None) -> str:
             f"facts['sentence']: expected a text, the answer in one sentence, got {got}; add it, or say it in the"
             f" macro answer(a) of {where}"
         )
-    return str(escape(minus(sentence.strip())))
+    return str(escape(minus(_line(sentence))))
 
 
 def _caption(found: Answer) -> str:
     caption = found.facts.get("caption", "")
     if not isinstance(caption, str):
         raise OwnError(f"facts['caption']: expected a text, what the figures show, got {_kind(caption)}")
-    return minus(caption)
+    return minus(_line(caption))
 
 
 def _shown(prefix: str, name: str, table: pd.DataFrame) -> dict[str, Any]:

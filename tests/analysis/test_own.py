@@ -41,7 +41,7 @@ def answered(rng):
     value = float(rng.uniform(0.1, 0.9))
     length = Estimate(value, value - 0.05, value + 0.05)
     rows = pd.DataFrame([{"name_of": "a<b", **named("length", length), "n_runs": 5, "at": 0.25, "is_long": True}])
-    facts = {"sentence": f"It is {with_interval(length)} & -1 <long>.", "caption": "A line."}
+    facts = {"sentence": f"It is {with_interval(length)} &\x1b -1\n<long>.", "caption": "A line."}
     return Answer(facts, tables={"lengths": rows}, figures={"line": partial(drawn, [1, 2])}), value
 
 
