@@ -144,6 +144,8 @@ def slip(
     width: int | None = None,
 ) -> Axes:
     """How often each block of a grid began to slip, as a map with a number in each cell; crosses: never."""
+    from matplotlib.ticker import MaxNLocator
+
     if width is None:
         raise ValueError(
             "width: expected the length of a row, since 'slip' is a map of a grid, got none; pass e.g. width=12, or"
@@ -152,9 +154,8 @@ def slip(
     width, (since, until) = integer("width", width, 1, events.n), _span(events, span)
     inside = (events.previous_mode == 0) & (events.t >= since) & (events.t <= until)
     count = np.bincount(events.block[inside], minlength=events.n)
-    cells = np.full(-(-events.n // width) * width, np.nan)
-    cells[: events.n] = count
-    cells = cells.reshape(-1, width)
+    cells = np.full((-(-events.n // width), width), np.nan)
+    cells.flat[: events.n] = count
     image = ax.imshow(cells, origin="lower", cmap="Blues", vmin=0, vmax=max(int(count.max()), 1))
     is_small = width <= _NUMBERED and len(cells) <= _NUMBERED
     for block, n in enumerate(count.tolist()):
@@ -167,7 +168,7 @@ def slip(
     ax.figure.colorbar(image, ax=ax, label=f"slips from t = {since:g} to {until:g}")
     ax.set(xlabel="place in the row", ylabel="row of the grid")
     for axis in (ax.xaxis, ax.yaxis):
-        axis.get_major_locator().set_params(integer=True)
+        axis.set_major_locator(MaxNLocator(integer=True))
     return ax
 
 

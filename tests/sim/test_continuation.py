@@ -1,0 +1,41 @@
+"""Attractors along a key, up and down: where steady sliding ends is known in closed form."""
+
+import numpy as np
+import pytest
+
+from stickslip.sim import Stribeck, System
+from stickslip.sim.continuation import continued
+
+OSCILLATOR = System([[1.0]], 0.1, 0.5, 1.5, static=1.0, weakening=Stribeck(0.5))
+#: Steady sliding is stable while damping outweighs the fall of friction: R > exp(-v / 0.5).
+LEAST = 0.5 * np.log(1 / 0.1)
+
+
+def along(speeds, **start):
+    found = continued([OSCILLATOR.changed(belt_speed=float(v)) for v in speeds], **start, t_end=1500.0, t_burn=1000.0)
+    return [one.kind for one in found]
+
+
+def test_steady_sliding_and_the_cycle_both_last_in_between():
+    """Down, sliding lasts to the closed-form bound; up, the cycle lasts far beyond it, and then all slide."""
+    speeds = np.arange(0.9, 2.05, 0.1)
+    assert abs(speeds - LEAST).min() > 0.03
+    down = along(speeds[::-1], z0=0.0, w0=0.0)[::-1]
+    assert down == ["sliding" if v > LEAST else "periodic" for v in speeds]
+    up = along(speeds, z0=1.0, w0=0.0)
+    n_cycles = up.count("periodic")
+    assert up == ["periodic"] * n_cycles + ["sliding"] * (len(up) - n_cycles)
+    assert 1.7 < speeds[n_cycles - 1] < 1.95  # a sweep of random starts has cycles to 1.8, and none at 1.9
+
+
+def test_what_does_not_fit_is_refused():
+    with pytest.raises(ValueError, match="systems: expected 1 blocks in each, as in the first, got 2"):
+        continued([OSCILLATOR, System(np.eye(2), 0.1)], 0.0, 0.0, 10.0)
+    with pytest.raises(ValueError, match="engine"):
+        continued([OSCILLATOR], 0.0, 0.0, 10.0, engine="sigmoid", eps=0.03)
+
+
+def test_after_an_escape_it_starts_afresh():
+    stable, unstable = System([[1.0]], 0.1, 0.1, -0.2), System([[1.0]], -0.2, 0.1, 0.0)
+    found = continued([unstable, stable], 3.0, 0.0, 500.0)
+    assert [one.kind for one in found] == ["escaping", "sliding"]
