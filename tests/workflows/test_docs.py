@@ -366,8 +366,8 @@ def test_a_question_is_a_file_and_a_template(first):
 
 def test_a_question_of_ones_own_is_a_function_beside_the_scene(tmp_path, monkeypatch):
     """Its sentence is that of the dataset: the means over matrices, by another way."""
-    Path(tmp_path / "mine.toml").write_text(blocks(page("extending"), "toml")[-1])
-    Path(tmp_path / "own.py").write_text(blocks(page("extending"), "python")[-1])
+    Path(tmp_path / "mine.toml").write_text(blocks(page("own-questions"), "toml")[0])
+    Path(tmp_path / "own.py").write_text(blocks(page("own-questions"), "python")[0])
     run_ensemble(load_scene(tmp_path / "mine.toml"), tmp_path / "out", workers=0)
     monkeypatch.setattr(sys, "stdin", sys.stdin)  # restored at the end
     (task,) = own_questions.tasks(open_dataset(tmp_path / "out"), tmp_path / "out")
@@ -381,7 +381,7 @@ def test_a_question_of_ones_own_is_a_function_beside_the_scene(tmp_path, monkeyp
     )
     assert found.said["name"] == "At which belt speed do blocks stick longest?"
     assert list(found.figures) == ["own-question-shares"]
-    words = environment().from_string(blocks(page("extending"), "jinja")[-1]).module
+    words = environment().from_string(blocks(page("own-questions"), "jinja")[0]).module
     assert words.answer({"best": -0.1, "share": Estimate(0.5, 0.4, 0.6)}).endswith(
         "0.500 (0.400 to 0.600) of its time."
     )
