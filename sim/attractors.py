@@ -479,7 +479,8 @@ def _from_lowest(path: Path, events: EventSeries, period: float, drift: Floats) 
     t, block, mode = events.t[:p], events.block[:p], events.mode[:p]
     symbols = _symbols(events)[:p]
     places = np.flatnonzero(symbols == symbols.min()).tolist()
-    lowest = min(places, key=lambda k: (np.roll(symbols, -k).tolist(), path.states.z[k, block[k]]))
+    twice = [*symbols.tolist(), *symbols.tolist()]
+    lowest = min(places, key=lambda k: (twice[k : k + p], path.states.z[k, block[k]]))
     turn = (np.arange(p) + lowest) % p
     is_later = turn < lowest
     since = np.maximum.accumulate(t[turn] - t[lowest] + is_later * period)

@@ -169,6 +169,11 @@ class Path:
         return np.where(self.modes == 0, 0.0, forces)
 
     @cached_property
+    def _motion(self) -> Floats:
+        """(z', w') before each edge, shape (m + 1, 2n, 1)."""
+        return np.concatenate([self.states.w, self._slip_rates], axis=1)[:, :, np.newaxis]
+
+    @cached_property
     def _loads(self) -> Floats:
         """Rates at which springs and forces load the blocks at each edge, (K w - f')_i, shape (m + 1, n)."""
         loads = (self.system.stiffness @ self.states.w.T).T
@@ -205,8 +210,7 @@ class Path:
             late = self._rows[i] @ moved[:n] / self._loads[k, i]
         else:
             late = moved[n + i] / self._slip_rates[k, i]
-        moved[:n] -= self.states.w[k][:, np.newaxis] * late
-        moved[n:] -= self._slip_rates[k][:, np.newaxis] * late
+        moved -= self._motion[k] * late
 
     # ------------------------------------------------------------------------------------------ between events
 
