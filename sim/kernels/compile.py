@@ -13,8 +13,8 @@ Decisions, and why:
   every function that it calls, which is half of the time of a cold start.
 - while a kernel is compiled, an operation is resolved once for each set of argument types: numba tries a
   dozen candidates at each place, which is a quarter of the time.
-- the cache directory is named by a digest of every source file of ``sim``: numba's own check sees only a change in
-  the file of a kernel, not in a constant or a callee of another file, and would run stale code.
+- the cache directory is named by a digest of all source files that kernels come from: numba's own check sees only a
+  change in the file of a kernel, not in a constant or a callee of another file, and would run stale code.
 - a compiled kernel is kept in a file of its own that ends in its sha256. numba's own files, numbered through an
   index, raise or crash when truncated, run code with flipped bits, and confuse two kernels that two processes compile
   at once. A file that does not match is compiled anew; a kernel that cannot be written is used without a file; a file

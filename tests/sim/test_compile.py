@@ -7,10 +7,12 @@ import sys
 import threading
 import types
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
 from stickslip.sim.kernels import cache as kept
+from stickslip.sim.kernels import digest
 from stickslip.sim.kernels.cache import KernelFiles, cache_directory
 from stickslip.sim.kernels.compile import kernel
 
@@ -18,6 +20,13 @@ from stickslip.sim.kernels.compile import kernel
 @pytest.fixture
 def files(tmp_path):
     return KernelFiles(tmp_path, "a")
+
+
+def test_what_is_compiled_is_of_the_rooms_that_name_its_files():
+    """Else a change of it would run what was compiled before."""
+    rooms = Path(digest.__file__).parents[1]
+    compiled = {file for file in rooms.rglob("*.py") if "kernels.compile import" in file.read_text()}
+    assert {file.relative_to(rooms).parts[0] for file in compiled} == set(digest._COMPILED) - {"kernels", "systems"}
 
 
 def test_a_kernel_comes_back_under_its_own_key(files, tmp_path):

@@ -17,7 +17,9 @@ def users_own(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("how", [*(pytest.param(how, marks=pytest.mark.long) for how in ("script", "-c")), "-m", "command"])
+@pytest.mark.parametrize(
+    "how", [*(pytest.param(how, marks=pytest.mark.long) for how in ("script", "-c")), "-m", "command"]
+)
 def test_a_users_files_break_nothing(how, users_own, small_scene):
     code = (
         "if __name__ == '__main__':\n"
