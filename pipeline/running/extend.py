@@ -26,6 +26,7 @@ from stickslip.pipeline.running.driver import Order, Progress, Workers, check_ca
 from stickslip.pipeline.running.estimate import Estimate, estimate
 from stickslip.pipeline.running.kept import Kept, added, must_run, reads_more
 from stickslip.pipeline.running.trials import check_functions
+from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.adding import has_records, with_only, with_records
 from stickslip.pipeline.scene.scene import Scene
 
@@ -159,6 +160,10 @@ def extend(
         ends.check(found.scene)
         if scheduler is None:
             check_memory(found.scene, workers)
+    firsts = [member for batch in found.again for member in batch.members.firsts()]
+    for origin in {member.source.origin for member in firsts}:
+        if origin is not None:
+            systems.look_again(origin)  # before the extension is begun
     n_bytes = sum(shard.bytes for shard in opened.manifest.shards.values())
     takes_little = n_bytes < _HERE and not (found.again or any("system" in one.needs for one in found.new))
     at = Workers(0, None, False) if takes_little else Workers(workers, scheduler, dashboard)
@@ -168,6 +173,5 @@ def extend(
         def order(task: Task) -> Order:
             return (*task, Kept(store.rows(task[0]), kept))
 
-        firsts = [member for batch in found.again for member in batch.members.firsts()]
         fill(store, order, firsts, start, at, on_progress)
     return counted(store.opened, store.tasks)

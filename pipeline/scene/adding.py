@@ -56,7 +56,7 @@ def with_records(scene: Scene, keys: Mapping[str, Any], folder: Path = Path()) -
 def _joined(before: Any, value: Any) -> Any:
     """The value of a key that gets more: lists and tables are joined."""
     if isinstance(value, list):
-        return [*(before or []), *value]
+        return [*([before] if isinstance(before, str) else before or []), *value]
     return {**(before or {}), **value} if isinstance(value, dict) else value
 
 

@@ -1,9 +1,9 @@
 """Mode coupling: two degrees of freedom, one contact, friction that does not fall with speed.
 
 The minimal model of N. Hoffmann, M. Fischer, R. Allgaier and L. Gaul, Mechanics Research Communications 29 (2002)
-197-205: a mass on a belt, its motion x along the belt coupled to y across it, the normal force N = N0 + k3 y. While it
-slips against the belt, mu k3 is part of an asymmetric K, and friction is mu N0; so it is too where the belt drags it
-out of stick.
+197-205: a mass on a belt, its motion x along the belt coupled to y across it, the normal force N = N0 + k3 y.
+While it slips against the belt, mu k3 is part of an asymmetric K, and friction is mu N0; so it is too where the belt
+drags it out of stick.
 """
 
 from typing import NamedTuple
