@@ -92,6 +92,7 @@ def follow(system, z0, w0, t_end):
         was_stuck, y[n + i] = mode[i] == 0, v
         mode[i] = side if was_stuck or pulls(y[:n])[i] > static[i] else 0
         events.append((t, i, mode[i]))
+        assert len(events) < 1000, f"the independent method does not go on at t = {t}"
         if was_stuck:  # off the event's own zero
             found = solve_ivp(rate, (t, t + 1e-6), y, "DOP853", rtol=1e-13, atol=1e-16)
             t, y = found.t[-1], found.y[:, -1].copy()
