@@ -76,7 +76,7 @@ def read(study: Study, episodes: pd.DataFrame) -> list[Catalogues]:
     """The catalogues of each group with a run that reached t_end, in the order of `fineness`."""
     of_member = {str(name): some for name, some in episodes.groupby("member_id", sort=False)}
     groups = sorted(study.groups, key=fineness)
-    found = [Catalogues(group, _by_unit(group, of_member, study.settings.t_burn)) for group in groups]
+    found = [Catalogues(group, _by_unit(study, group, of_member)) for group in groups]
     return [one for one in found if one.runs]
 
 
@@ -86,9 +86,10 @@ def fineness(group: Group) -> tuple[Any, ...]:
     return (_ENGINES.index(group.key["engine"]), *steps)
 
 
-def _by_unit(group: Group, of_member: Mapping[str, pd.DataFrame], t_start: float) -> dict[int, list[Catalogue]]:
+def _by_unit(study: Study, group: Group, of_member: Mapping[str, pd.DataFrame]) -> dict[int, list[Catalogue]]:
     """The catalogues of a group's finished runs by unit; that of a run without episodes is empty."""
     found: dict[int, list[Catalogue]] = {}
+    t_start = study.settings.t_burn
     n, v = int(group.key["n"]), group.key["belt_speed"]
     table = (group.finished[name] for name in ("unit", "member_id", "t_end"))
     for unit, member_id, t_end in zip(*table, strict=True):
@@ -99,9 +100,16 @@ def _by_unit(group: Group, of_member: Mapping[str, pd.DataFrame], t_start: float
         start, end, size, moment, first_block = columns
         slip = np.nan if not v else n * abs(float(v)) * (float(t_end) - t_start)
         whole = (size.astype(np.int64), moment, slip, first_block.astype(np.int64))
-        one = Catalogue(t_start, float(t_end), start, end - start, *whole)
+        moving = _moving(*study.data.series[member_id], n, t_start, float(t_end))
+        one = Catalogue(t_start, float(t_end), start, end - start, *whole, moving)
         found.setdefault(int(unit), []).append(one)
     return found
+
+
+def _moving(t: np.ndarray, n_stick: np.ndarray, n: int, t_start: float, t_end: float) -> float:
+    """The time from t_start to t_end in which fewer than n blocks stick."""
+    lasted = np.diff(np.clip(np.append(t, t_end), t_start, t_end))
+    return float(lasted[n_stick < n].sum())
 
 
 def systems(found: Sequence[Catalogues]) -> list[list[Catalogues]]:

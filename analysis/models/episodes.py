@@ -40,6 +40,8 @@ class Catalogue:
         zero or differs between blocks.
     first_block : ndarray of int, shape (m,)
         The block that left first.
+    moving : float
+        The time in which some block slips, also in episodes that begin before t_start, or do not end.
     """
 
     t_start: float
@@ -50,6 +52,7 @@ class Catalogue:
     moment: np.ndarray
     slip: float
     first_block: np.ndarray
+    moving: float = np.nan
 
     @property
     def magnitude(self) -> np.ndarray:
@@ -200,7 +203,7 @@ QUANTITIES: Mapping[str, Quantity] = {
 #: number is proportional to the belt's travel. `FANO` is the variance of counts over their mean: 1 for a Poisson
 #: process in windows of any length, which a CV does not test.
 SLOW_DRIVE: Mapping[str, Quantity] = {
-    OCCUPANCY: Quantity(lambda one, _: (float(one.duration.sum()), one.t_stop - one.t_start)),
+    OCCUPANCY: Quantity(lambda one, _: (one.moving, one.t_stop - one.t_start)),
     BY_WAY: Quantity(lambda one, _: (float(len(one.start)), one.slip)),
     FANO: Quantity(_counts),
 }

@@ -87,7 +87,7 @@ class OwnRecord(WindowRecord):
             return None
         known, at = keys["functions"], str(keys["folder"].resolve())
         functions = tuple(_own(name, at, **known[name]) for name in keys[cls.name])
-        return cls(keys["t_burn"], functions, keys["dt"])
+        return cls(keys["t_burn"], functions, keys["dt"] if any(own.is_sampled for own in functions) else None)
 
     @property
     def kept(self) -> tuple[Column, ...]:

@@ -179,12 +179,25 @@ def test_classes_are_narrow_enough_for_an_exponential():
     assert fit.theta[0] == pytest.approx(-1.0, abs=0.003)
 
 
+def as_moving(data):
+    """The ensemble with series in which a block slips during each episode."""
+    series = {}
+    of_member = dict(list(data.episodes.groupby("member_id", sort=False)))
+    for member, n in zip(data.members["member_id"], data.members["n"], strict=True):
+        start, end = of_member[member][["start", "end"]].to_numpy().T
+        t = np.append(start, end)
+        order = np.argsort(t, kind="stable")
+        slipping = np.cumsum(np.repeat([1, -1], len(start))[order])
+        series[member] = np.append(0.0, t[order]), np.append(n, n - np.minimum(slipping, 1))
+    return replace(data, series=series)
+
+
 def test_a_planted_share_of_time_is_found_and_a_fast_drive_is_an_alert(planted_episodes, strict):
-    """Half an episode a unit of time, each of 0.05; stretched to 0.4 they fill 20% of it."""
+    """Half an episode a unit of time, each of 0.05; stretched to 0.4, with overlaps, 1 - exp(-0.2) of it."""
     slow = planted_episodes(EXACT)
     table = slow.episodes
     fast = replace(slow, episodes=table.assign(end=table["start"] + 0.4))
-    for data, share, is_fast in ((slow, 0.025, False), (fast, 0.2, True)):
+    for data, share, is_fast in ((as_moving(slow), 0.025, False), (as_moving(fast), 1 - np.exp(-0.2), True)):
         facts = episodes.answer(Study(data, strict)).facts
         lead = facts["lead"]
         assert lead[f"{OCCUPANCY}_low"] < 1.02 * share
@@ -366,13 +379,24 @@ def test_dead_time_is_no_regularity_and_no_order(planted_episodes, settings, rng
     start = table["start"] + before
     stretched = table.assign(start=start, end=start + took, size=size)[start + took < 1000.0]
     assert own.ngroups == 12
-    lead = episodes.answer(Study(replace(data, episodes=stretched), settings)).facts["lead"]
+    lead = episodes.answer(Study(as_moving(replace(data, episodes=stretched)), settings)).facts["lead"]
     assert lead[OCCUPANCY] == pytest.approx(0.5, abs=0.05)
     assert lead["regularity"] not in (catalogues.REGULAR, catalogues.CLUSTERED)  # 12 runs cannot always exclude 10%
     assert lead[FANO] == pytest.approx(1.0, abs=ERRORS * np.sqrt(2 / 19 / 12))
     sizes, starts_of = (stretched[name].to_numpy(float) for name in ("size", "start"))
     whole = Catalogue(0.0, 1e3, starts_of[:300], 0.1 * sizes[:300], sizes[:300], sizes[:300], 1e3, sizes[:300])
     assert abs(np.corrcoef(whole.sizes_and_quiets, rowvar=False)[0, 1]) < ERRORS / np.sqrt(299)
+
+
+def test_an_episode_that_does_not_end_is_motion(planted_episodes, settings):
+    """From t = 500 to the end, 1000: no episode has that time."""
+    data = as_moving(planted_episodes(EXACT))
+    for name, (t, n_stick) in data.series.items():
+        before = t < 500.0
+        data.series[name] = np.append(t[before], 500.0), np.append(n_stick[before], 0)
+    lead = episodes.answer(Study(data, settings)).facts["lead"]
+    share = (1000.0 - 500.0) / (1000.0 - settings.t_burn)
+    assert share < lead[OCCUPANCY] < share + 0.05
 
 
 def test_the_cv_of_a_few_quiet_times_is_theirs(rng):
