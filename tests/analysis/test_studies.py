@@ -254,7 +254,7 @@ def test_the_code_says_what_is_missing(rng):
 
 
 FALSE_ALARMS = ("multiplicity", "change", "equivalence", "methods")
-#: Ensembles of the studies that take longest by far; the others take 500, and 2000 of false alarms.
+#: Ensembles of the studies that take longest by far; the others take 300, and 1200 of false alarms.
 FEWER = {"rhythm": 50, "methods": 500, "counting": 250}
 
 
@@ -264,7 +264,7 @@ FEWER = {"rhythm": 50, "methods": 500, "counting": 250}
 )
 def test_intervals_cover_what_was_planted(name):
     seed = secrets.randbits(32)
-    rows = studies.study(name, seed, FEWER.get(name, 500))
+    rows = studies.study(name, seed, FEWER.get(name, 300))
     # an interval without ends, where there can be no other, holds all, and so may one for whatever censored the times
     most = 1.0 if name in ("components", "parting") else 0.97
     missed = [row for row in rows if not row.is_covered(high=most)]
@@ -288,7 +288,7 @@ def test_tau_is_not_too_small_where_the_window_can_tell():
 @pytest.mark.parametrize("name", FALSE_ALARMS)
 def test_false_alarms_are_as_rare_as_promised(name):
     seed = secrets.randbits(32)
-    for row in studies.study(name, seed, FEWER.get(name, 2000)):
+    for row in studies.study(name, seed, FEWER.get(name, 1200)):
         if row.study == "methods: power":
             continue
         assert row.is_covered(low=0.94, high=1.0), f"seed {seed}: {row}"

@@ -96,6 +96,7 @@ def test_a_script_that_every_worker_runs_is_told_so(source, tmp_path):
     assert 'expected a scene to be run under if __name__ == "__main__":, got a script' in done.stderr
 
 
+@pytest.mark.long
 def test_a_batch_whose_workers_died_is_run_again(scene, source, finished, content, tmp_path, monkeypatch):
     compute = driver.compute_packed
 

@@ -413,6 +413,7 @@ def test_what_a_function_forks_does_not_go_on_in_the_place_of_its_process(fork, 
 ODD = "type('BaseOdd', (Exception,), {'__str__': lambda self: 7})"
 
 
+@pytest.mark.long
 def test_a_function_that_ends_its_worker_fails_its_members_alone(tmp_path):
     errors = {1.0: "SystemExit(3)", 2.0: "KeyboardInterrupt", 3.0: "BaseException(7)", 4.0: ODD}
     lines = "".join(f"if gap == {gap}: raise {error}\n    " for gap, error in errors.items())

@@ -88,6 +88,7 @@ with cluster.local(1) as client:  # as ever
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux")
 def test_workers_of_a_program_are_forked_from_what_has_loaded_all_and_goes_with_it(tmp_path, monkeypatch):
     for name in ("sim", "numba", "queue", "stickslip"):

@@ -96,14 +96,14 @@ def study(n_systems, seed, tolerances, t_max, kind=""):
 def test_random_systems_keep_to_the_stated_multiple(kind):
     seed = secrets.randbits(32)
     print(f"seed {seed}")
-    rows = study(10, seed, (1e-3, 1e-5, 1e-7, 1e-9), 4.0, kind)
+    rows = study(8, seed, (1e-3, 1e-5, 1e-7, 1e-9), 4.0, kind)
     worst = max(rows, key=lambda row: max(row[3:]))
     print(f"{len(rows)} runs, worst {worst}")
-    assert len(rows) > 20  # the others have no reference
+    assert len(rows) > 16  # the others have no reference
     multiples_of = np.array([max(row[3:]) for row in rows])
     assert np.quantile(multiples_of, 0.9) < 0.25 * BOUND
     beyond = {row[0] for row, multiple in zip(rows, multiples_of, strict=True) if multiple >= BOUND}
-    assert agrees(len(beyond), 10, 0.0, 0.01)  # of systems, of which some are beyond: one in five hundred
+    assert agrees(len(beyond), 8, 0.0, 0.01)  # of systems, of which some are beyond: one in five hundred
     assert np.median([row[3] for row in rows]) < 1
 
 

@@ -20,6 +20,7 @@ def server():
         yield address
 
 
+@pytest.mark.long
 def test_run_status_verify_query_and_report_at_an_address(here, server, tmp_path, capsys):
     scene, out = tmp_path / "scene.toml", "s3://bucket/deep/out"
     scene.write_text(SOURCE)

@@ -83,6 +83,7 @@ def test_what_slurm_is_told(slurm, tmp_path, monkeypatch):
     assert lifetime + stagger < 90 * 60 - 60  # the last worker leaves before the job ends
 
 
+@pytest.mark.long
 def test_the_script_ends_by_sigterm_and_goes_on(slurm, scene_file, reference, tmp_path, capsys):
     out = tmp_path / "out"
     arguments = [str(scene_file), "--out", str(out), "--local", "--workers", "1"]
@@ -101,6 +102,7 @@ def test_the_script_ends_by_sigterm_and_goes_on(slurm, scene_file, reference, tm
     assert shards(out) == reference
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("worker", "warned"),
     [

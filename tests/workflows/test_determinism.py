@@ -7,7 +7,10 @@ import secrets
 import subprocess
 import sys
 
+import pytest
 
+
+@pytest.mark.long
 def test_two_processes_with_different_hash_seeds_write_the_same_bytes(small_scene, dataset, tmp_path):
     """Data, manifest, figures, tables and page: all but the record of times. One is this process."""
     seed = 1 + secrets.randbelow(2**32 - 1)

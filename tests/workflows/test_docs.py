@@ -119,6 +119,7 @@ def test_first_scene_does_what_the_page_says(first):
     assert (first / "runs" / "mine" / "report.html").stat().st_size > 10_000
 
 
+@pytest.mark.long
 def test_sweeps_do_what_the_page_says(here, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name, scene in zip(
@@ -149,6 +150,7 @@ def test_first_scene_in_python(first, monkeypatch):
     assert run_python("first-scene", 2)["run"].outcome == "finished"
 
 
+@pytest.mark.long
 def test_first_scene_as_a_script(first, tmp_path):
     script = tmp_path / "script.py"
     script.write_text(blocks(page("first-scene"), "python")[1])
@@ -297,6 +299,7 @@ def tree(tmp_path):
     return tmp_path, python
 
 
+@pytest.mark.long
 def test_a_term_is_a_row(tree):
     """What follows from it, but the physics, which the guide does not have."""
     root, python = tree
@@ -322,6 +325,7 @@ print(*("drag" in some for some in known[:3]), sorted(known[3]), columns["drag"]
     assert said.startswith("True True True [0.1, 0.2] drag of every block; null if drawn n20-m000-drag=0.1-")
 
 
+@pytest.mark.long
 def test_a_record_is_a_file_and_a_line(tree):
     root, python = tree
     (root / "pipeline" / "records" / "largest.py").write_text(blocks(page("extending"), "python")[1])
