@@ -854,7 +854,8 @@ def occupancy_study(rng, ensembles):
                 start = np.cumsum(rng.exponential(own, n)) + np.r_[0.0, np.cumsum(took)[:-1]]
                 some = (start >= 0) & (start + took <= 8000)
                 one = np.ones(some.sum(), int)
-                rows.append(quantity.sums(Catalogue(0.0, 8e3, start[some], took[some], one, one, 1.0, one), 0.0))
+                spans = start[some], took[some]
+                rows.append(quantity.sums(Catalogue(0.0, 8e3, *spans, one, one, 1.0, one, float(spans[1].sum())), 0.0))
             found.append(over_matrices(quantity.of, np.array(rows), CONFIDENCE))
         yield judged("time in episodes", f"{answer:.3f}", float(answer), found)
 
