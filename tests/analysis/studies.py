@@ -855,7 +855,8 @@ def occupancy_study(rng, ensembles):
                 some = (start >= 0) & (start + took <= 8000)
                 one = np.ones(some.sum(), int)
                 spans = start[some], took[some]
-                rows.append(quantity.sums(Catalogue(0.0, 8e3, *spans, one, one, 1.0, one, float(spans[1].sum())), 0.0))
+                whole = Catalogue(0.0, 8e3, *spans, one, one, 1.0, one, float(spans[1].sum()))
+                rows.append(quantity.sums(whole, 0.0))
             found.append(over_matrices(quantity.of, np.array(rows), CONFIDENCE))
         yield judged("time in episodes", f"{answer:.3f}", float(answer), found)
 
