@@ -43,6 +43,8 @@ _TRIED = 8
 _TRIED_NEAR, _NEAR = 2, 0.02
 #: A part of a round that misses the state by less than so many times what is allowed is looked at in the same way.
 _ALMOST = 1e3
+#: A round comes back by itself, and not as a spiral onto a part of it, if it comes back so much nearer than that part.
+_APART = 0.02
 #: How often the last event must recur before a run is called irregular, the most events over which its growth rate is
 #: taken, and the logarithm of what a deviation grows by over them.
 _FEW, _FOLLOWED, _GROWN = 30, 512, 2.0
@@ -333,7 +335,8 @@ class _End:
         if (part := self._part(path, symbols[:p])) < p:
             # it settles from side to side, and is still too far off to be back after a part of the round
             shorter = self._settled(_Cycle(part, period * part / p, is_back=False))
-            if shorter is not None:
+            # in so many turns a spiral onto the shorter cycle may come as near as a longer cycle does
+            if shorter is not None or _off(path, p) > _APART * _off(path, part):
                 return shorter
         is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
         multiplier = path.multiplier(drift, bool(self._frequencies)) if is_short else None
@@ -343,13 +346,11 @@ class _End:
 
     def _part(self, path: Path, symbols: NDArray[np.int64]) -> int:
         """Events of the shortest part of a round after which events repeat and the state nearly comes back."""
-        p, z, w = len(symbols), path.states.z, path.states.w
+        p = len(symbols)
         near = _ALMOST * self._back * _size(path.states)
         for part in range(1, p // 2 + 1):
-            if p % part == 0 and (symbols[part:] == symbols[:-part]).all():
-                off = max(np.abs(z[part] - z[0]).max(), np.abs(w[part] - w[0]).max())
-                if off <= near:
-                    return part
+            if p % part == 0 and (symbols[part:] == symbols[:-part]).all() and _off(path, part) <= near:
+                return part
         return p
 
     def _settled(self, cycle: _Cycle) -> Attractor | None:
@@ -454,6 +455,12 @@ def _rounds(last: EventSeries, back: float) -> Iterator[_Cycle]:
             yield _Cycle(p, span, is_back)
             if tried[True] == 0:
                 return
+
+
+def _off(path: Path, k: int) -> float:
+    """How far the state at the k-th event of a path is from the first."""
+    z, w = path.states.z, path.states.w
+    return float(max(np.abs(z[k] - z[0]).max(), np.abs(w[k] - w[0]).max()))
 
 
 def _symbols(events: EventSeries) -> NDArray[np.int64]:

@@ -483,3 +483,29 @@ def test_a_method_that_shares_no_code_confirms_the_class_of_random_systems(rng):
 @pytest.mark.long
 def test_a_method_that_shares_no_code_confirms_the_class_of_200_random_systems(rng):
     assert confirmed(rng, 200, 2000.0) < 0.15
+
+
+def test_a_spiral_onto_a_cycle_is_not_taken_for_one_of_six_rounds():
+    """Its multiplier has the phase 60 degrees: six rounds of 1.24678825, as a longer run has it, come nearer than one.
+
+    A contact with mode coupling, from which a chain hangs.
+    """
+    n, across, along = 10, np.radians(150.0), np.radians(30.0)
+    k = np.diag(np.full(n, 6.0 + 4.0)) - 4.0 * (np.eye(n, k=1) + np.eye(n, k=-1))
+    k[n - 2, n - 2] = 6.0
+    k[n - 1, n - 2] = k[n - 2, n - 1] = 0.0
+    k[0, 0] = 11 * np.cos(across) ** 2 + 20 * np.cos(along) ** 2 + 4.0
+    k[0, n - 1] = k[n - 1, 0] = 11 * np.sin(across) * np.cos(across) + 20 * np.sin(along) * np.cos(along)
+    k[0, n - 1] -= 0.4 * 11
+    k[n - 1, n - 1] = 11 * np.sin(across) ** 2 + 20 * np.sin(along) ** 2 + 11
+    none, belt = np.zeros(n - 1), np.append(0.4, np.full(n - 1, 20.0))
+    system = System(k, 0.1, np.append(4.0, none), belt, np.append(6.0, none), back_slip=False)
+    z = [
+        -0.18263366319378843, -0.18007472375925804, -0.032549686712113335, -0.038535840257526655,
+        -0.04397118204643022, 0.01707327913202944, -0.11689887716905685, -0.033089425273934076,
+        0.07981873590231581, 0.04070839415396171,
+    ]  # fmt: skip
+    for t_end in (300.0, 300.2, 600.0):
+        found = attractor(simulate(system, z, 0.0, t_end, tol=1e-10), system, 200.0, tol=1e-10)
+        assert found.kind == "undecided" or found.period == pytest.approx(1.24678825, abs=1e-6)
+    assert found.kind == "periodic"
