@@ -43,7 +43,7 @@ _TRIED = 8
 _TRIED_NEAR, _NEAR = 2, 0.02
 #: A part of a round that misses the state by less than so many times what is allowed is looked at in the same way.
 _ALMOST = 1e3
-#: A round comes back by itself, and not as a spiral onto a part of it, if it comes back so much nearer than that part.
+#: A round comes back by itself, not as a spiral onto a part of it, if it comes back so much nearer than that part.
 _APART = 0.02
 #: How often the last event must recur before a run is called irregular, the most events over which its growth rate is
 #: taken, and the logarithm of what a deviation grows by over them.

@@ -486,7 +486,7 @@ def test_a_method_that_shares_no_code_confirms_the_class_of_200_random_systems(r
 
 
 def test_a_spiral_onto_a_cycle_is_not_taken_for_one_of_six_rounds():
-    """Its multiplier has the phase 60 degrees: six rounds of 1.24678825, as a longer run has it, come nearer than one.
+    """Its multiplier has the phase 60 degrees: six rounds of 1.24678825 come nearer than one.
 
     A contact with mode coupling, from which a chain hangs.
     """
