@@ -447,9 +447,10 @@ def confirm(system, found, run):
         assert (np.abs(z_there - z).max(axis=1) + np.abs(w_there - w).max(axis=1) > 1e-6 * size).all()
     elif found.kind == "irregular":
         mode = run.events.mode_at(run.t_end)
-        path = independent.follow(case(system, run.z, np.where(mode == 0, system.belt_speed, run.w)), 100.0)
+        path = independent.follow(case(system, run.z, np.where(mode == 0, system.belt_speed, run.w)), 200.0)
         events = list(zip(path.block, path.mode, strict=True))
-        leaves = [t for t, event in zip(path.t, events, strict=True) if event == events[-1]]
+        commonest, _ = Counter(events).most_common(1)[0]
+        leaves = [t for t, event in zip(path.t, events, strict=True) if event == commonest]
         states = np.hstack(path.at(np.array(leaves)))
         apart = np.abs(states[:, None] - states[None]).max(axis=2)[np.triu_indices(len(leaves), 1)]
         assert len(leaves) > 3
