@@ -288,7 +288,7 @@ class _End:
         )  # fmt: skip
 
     def _path(self, events: EventSeries, edges: Floats) -> Path:
-        length = float(edges[-1]) - self._start
+        length = float(edges.max()) - self._start  # those of one instant are in the order of blocks
         return Path.of(self._system, events, edges, lambda times: self._follow(length, times).samples)
 
     def _has_phase(self, period: float) -> bool:
@@ -336,7 +336,7 @@ class _End:
             # it settles from side to side, and is still too far off to be back after a part of the round
             shorter = self._settled(_Cycle(part, period * part / p, is_back=False))
             # in so many turns a spiral onto the shorter cycle may come as near as a longer cycle does
-            if shorter is not None or _off(path, p) > _APART * _off(path, part):
+            if shorter is not None or self._system.changes or _off(path, p) > _APART * _off(path, part):
                 return shorter
         is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
         multiplier = path.multiplier(drift, bool(self._frequencies)) if is_short else None
