@@ -115,7 +115,7 @@ class Attractor:
     @property
     def busiest(self) -> int | None:
         """The block with most exits in `events`, the lowest of several; None if there are no exits."""
-        if self.events is None or not (leaves := self.events.previous_mode == 0).any():
+        if self.events is None or not (leaves := self.events.is_exit).any():
             return None
         return int(np.bincount(self.events.block[leaves]).argmax())
 
@@ -124,7 +124,7 @@ class Attractor:
         block = self.busiest if block is None else block
         if block is None or self.events is None or self.states is None:
             return np.empty(0)
-        return np.asarray(self.states.z[(self.events.previous_mode == 0) & (self.events.block == block), block])
+        return np.asarray(self.states.z[self.events.is_exit & (self.events.block == block), block])
 
     def __repr__(self) -> str:
         if self.kind == "periodic":

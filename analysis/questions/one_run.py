@@ -65,7 +65,7 @@ def _counts(events: EventSeries) -> Mapping[str, int]:
     """Numbers of exits and of blocks that never slip, and the block with most exits."""
     slips = events.initial_mode != 0
     slips[events.block[events.mode != 0]] = True
-    exits = np.bincount(events.block[events.previous_mode == 0], minlength=events.n)
+    exits = np.bincount(events.block[events.is_exit], minlength=events.n)
     return {
         "n_exits": int(exits.sum()), "n_never": int((~slips).sum()), "block": int(exits.argmax()),
         "of_block": int(exits.max()),

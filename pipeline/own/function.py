@@ -88,15 +88,7 @@ def resolve(name: str, folder: Path, key: str) -> OwnFunction:
 
 
 def look_again(function: OwnFunction) -> None:
-    """See that a function's module, and what lies beside it, is as it was; nothing is loaded.
-
-    Raises
-    ------
-    ChangedError
-        If it is another.
-    SceneError
-        If it is gone.
-    """
+    """See that a module, and what lies beside it, is as it was. Nothing is loaded; raises as `module_file`."""
     module_file(function)
     check_beside(function.root, function.beside, function.key)
 

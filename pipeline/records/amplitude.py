@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from stickslip.pipeline.records.column import Column
-from stickslip.pipeline.records.record import Made, StateRecord
+from stickslip.pipeline.records.record import StateRecord
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Samples
+from stickslip.sim.systems.system import System
 
 
 @dataclass(frozen=True)
@@ -29,10 +30,7 @@ class Amplitude(StateRecord):
         Column("number", "amplitude_mean", "its mean over the blocks"),
     )
 
-    def of(self, made: Made) -> dict[str, Any]:
-        samples = made.samples(self.times(made.member))
-        if len(samples) < 2:
-            return {}
+    def of_states(self, samples: Samples, system: System) -> dict[str, Any]:
         turns = _turns(samples)
         half = (np.maximum(samples.z.max(0), turns.max(0)) - np.minimum(samples.z.min(0), turns.min(0))) / 2
         return {"amplitude": half.max(), "amplitude_mean": half.mean()}

@@ -24,7 +24,7 @@ class FirstExit(Record):
 
     def of(self, made: Made) -> dict[str, Any]:
         events = made.run.events
-        exits = np.flatnonzero((events.mode != 0) & (events.previous_mode == 0))
+        exits = np.flatnonzero(events.is_exit)
         if not len(exits):
             return {}
         return {"first_exit": events.t[exits[0]], "first_exit_block": int(events.block[exits[0]])}

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from stickslip.pipeline.records.column import Column
-from stickslip.pipeline.records.record import Facts, Made, Member, StateRecord, is_exact, needs_exact
+from stickslip.pipeline.records.record import Facts, Member, StateRecord, is_exact, mean_in_time, needs_exact
+from stickslip.sim.runs.run import Samples
+from stickslip.sim.systems.system import System
 
 
 @dataclass(frozen=True)
@@ -33,10 +35,7 @@ class FrictionPower(StateRecord):
     def problem(self, facts: Facts) -> str:
         return needs_exact(facts)
 
-    def of(self, made: Made) -> dict[str, Any]:
-        samples = made.samples(self.times(made.member))
-        if len(samples) < 2:
-            return {}
-        slip = samples.w - made.system.belt_speed_at(samples.t)
-        power = (made.system.kinetic(slip) * np.abs(slip)).sum(1)
-        return {"friction_power": np.trapezoid(power, samples.t) / (samples.t[-1] - samples.t[0])}
+    def of_states(self, samples: Samples, system: System) -> dict[str, Any]:
+        slip = samples.w - system.belt_speed_at(samples.t)
+        power = (system.kinetic(slip) * np.abs(slip)).sum(1)
+        return {"friction_power": mean_in_time(power, samples)}

@@ -218,6 +218,14 @@ class StateRecord(WindowRecord):
     def times(self, member: Member) -> Floats:
         return steps(self.t_burn, member.t_end, self.dt)
 
+    def of(self, made: Made) -> dict[str, Any]:
+        samples = made.samples(self.times(made.member))
+        return self.of_states(samples, made.system) if len(samples) > 1 else {}
+
+    @abstractmethod
+    def of_states(self, samples: Samples, system: System) -> dict[str, Any]:
+        """The values of its columns, from two or more states."""
+
     def memory(self, facts: Facts) -> Memory:
         return sampling(facts, self.t_burn, self.dt)
 
@@ -226,6 +234,11 @@ def steps(t_burn: float, t_end: float, dt: float) -> Floats:
     """t_burn, t_burn + dt ... to t_end."""
     n_steps = math.floor((t_end - t_burn) / dt * (1 + 1e-12))
     return np.minimum(t_burn + dt * np.arange(n_steps + 1), t_end)
+
+
+def mean_in_time(values: Floats, samples: Samples) -> float:
+    """The mean of numbers at the times of samples, shape (m,), by trapezoids."""
+    return float(np.trapezoid(values, samples.t) / (samples.t[-1] - samples.t[0]))
 
 
 def sampling(facts: Facts, t_burn: float, dt: float) -> Memory:

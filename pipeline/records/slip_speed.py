@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from stickslip.pipeline.records.column import Column
-from stickslip.pipeline.records.record import Made, StateRecord
+from stickslip.pipeline.records.record import StateRecord, mean_in_time
+from stickslip.sim.runs.run import Samples
+from stickslip.sim.systems.system import System
 
 
 @dataclass(frozen=True)
@@ -27,11 +29,7 @@ class SlipSpeed(StateRecord):
         Column("number", "slip_speed_rms", "its root mean square"),
     )
 
-    def of(self, made: Made) -> dict[str, Any]:
-        samples = made.samples(self.times(made.member))
-        if len(samples) < 2:
-            return {}
-        slip = np.abs(samples.w - made.system.belt_speed_at(samples.t))
-        span = samples.t[-1] - samples.t[0]
-        mean, square = (np.trapezoid(one.mean(1), samples.t) / span for one in (slip, slip**2))
+    def of_states(self, samples: Samples, system: System) -> dict[str, Any]:
+        slip = np.abs(samples.w - system.belt_speed_at(samples.t))
+        mean, square = (mean_in_time(one.mean(1), samples) for one in (slip, slip**2))
         return {"slip_speed": mean, "slip_speed_rms": np.sqrt(square)}

@@ -27,7 +27,7 @@ class Waiting(WindowRecord):
 
     def of(self, made: Made) -> dict[str, Any]:
         events = made.run.events
-        exits = np.flatnonzero((events.mode != 0) & (events.previous_mode == 0) & (events.t >= self.t_burn))
+        exits = np.flatnonzero(events.is_exit & (events.t >= self.t_burn))
         order = exits[np.argsort(events.block[exits], kind="stable")]  # in time within a block
         gaps = np.diff(events.t[order])[np.diff(events.block[order]) == 0]
         kept: dict[str, Any] = {"waiting_times": len(gaps)}

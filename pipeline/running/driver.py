@@ -24,6 +24,7 @@ from stickslip.pipeline.ensemble.expand import expand
 from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.ensemble.pack import Batch, Task
 from stickslip.pipeline.errors import ScheduleError
+from stickslip.pipeline.own.function import OwnFunction
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.running import ends
 from stickslip.pipeline.running.cluster import check_address, check_memory, connect
@@ -134,10 +135,22 @@ def run_ensemble(
         check_functions(scene, Store(out, scene, retry_failed, accept_version).look()[1])
     with Store(out, scene, retry_failed, accept_version) as store:
         firsts = [member for batch, _ in store.todo for member in batch.members.firsts()]
-        for function in scene.own_functions if firsts else ():
-            systems.look_again(function)  # as it was, or a word here and not a row for each member
+        look_at_origins(firsts, scene.own_functions if firsts else ())
         fill(store, lambda task: (*task, None), firsts, start, Workers(workers, scheduler, dashboard), on_progress)
     return counted(store.opened, store.tasks)
+
+
+def look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction] = ()) -> None:
+    """See that what members come from, and functions, are as they were: a word here, and not a row for each member.
+
+    Raises
+    ------
+    SceneError
+        If one is gone, or another.
+    """
+    for origin in {member.source.origin for member in firsts} | set(functions):
+        if origin is not None:
+            systems.look_again(origin)
 
 
 def check_caller(workers: int) -> None:
@@ -197,9 +210,6 @@ def fill(
     SceneError, StoreError, ScheduleError
         As `run_ensemble`.
     """
-    for origin in {member.source.origin for member in firsts}:
-        if origin is not None:
-            systems.look_again(origin)  # as it was, or a word here and not a row for each member
     todo = {batch.name: batch.cost for batch, _ in store.todo}
     tally = before = Tally.of(store.tasks, {name: done for name, done in store.done.items() if name not in todo})
     by_engine = {member.engine: member for member in reversed(firsts)}

@@ -22,11 +22,10 @@ from stickslip.pipeline.records.own import OwnRecord, look_at_functions, named_f
 from stickslip.pipeline.records.record import Record
 from stickslip.pipeline.running import ends
 from stickslip.pipeline.running.cluster import check_address, check_memory
-from stickslip.pipeline.running.driver import Order, Progress, Workers, check_caller, fill
+from stickslip.pipeline.running.driver import Order, Progress, Workers, check_caller, fill, look_at_origins
 from stickslip.pipeline.running.estimate import Estimate, estimate
-from stickslip.pipeline.running.kept import Kept, added, must_run, reads_more
+from stickslip.pipeline.running.kept import Kept, added, held_by, must_run, reads_more
 from stickslip.pipeline.running.trials import check_functions
-from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.adding import has_records, with_only, with_records
 from stickslip.pipeline.scene.scene import Scene
 
@@ -60,8 +59,7 @@ class Addition:
     @cached_property
     def again(self) -> list[Batch]:
         """The members that are run again, by shard."""
-        kept = self.before.scene.records
-        held = {"system", *(record.name for record in kept)}
+        held = held_by(self.before.scene.records)
         if not any(reads_more(record, held) for record in self.new):
             return []
         names = query.table(self.before, ["member_id", "outcome"]).to_pydict()
@@ -71,7 +69,7 @@ class Addition:
         batches = []
         for number, (batch, _) in enumerate(self.todo):
             places = [place[one.member_id] for one in batch.members
-                      if must_run(one, outcomes[one.member_id], self.new, kept)]  # fmt: skip
+                      if must_run(one, outcomes[one.member_id], self.new, held)]  # fmt: skip
             if places:
                 batches.append(as_batch(number, members.at(places), self.scene.hash))
         return batches
@@ -161,9 +159,7 @@ def extend(
         if scheduler is None:
             check_memory(found.scene, workers)
     firsts = [member for batch in found.again for member in batch.members.firsts()]
-    for origin in {member.source.origin for member in firsts}:
-        if origin is not None:
-            systems.look_again(origin)  # before the extension is begun
+    look_at_origins(firsts)  # before the extension is begun
     n_bytes = sum(shard.bytes for shard in opened.manifest.shards.values())
     takes_little = n_bytes < _HERE and not (found.again or any("system" in one.needs for one in found.new))
     at = Workers(0, None, False) if takes_little else Workers(workers, scheduler, dashboard)

@@ -44,10 +44,11 @@ class Kept:
             If a run that is made again is not the one that is kept, or a record cannot be computed.
         """
         new = added(recording.records, self.records)
+        held = held_by(self.records)
         rows: list[dict[str, Any]] = [{} for _ in members]
         again = []
         for k, (member, outcome) in enumerate(zip(members, self.table["outcome"].to_pylist(), strict=True)):
-            if must_run(member, outcome, new, self.records):
+            if must_run(member, outcome, new, held):
                 again.append(k)
             elif outcome != "failed":
                 rows[k] = self._computed(member, k, new)
@@ -68,7 +69,8 @@ class Kept:
     def needs_runs(self, members: Sequence[Member], recording: Recording) -> bool:
         """Whether a member has to be run again."""
         new, outcomes = added(recording.records, self.records), self.table["outcome"].to_pylist()
-        return any(must_run(*one, new, self.records) for one in zip(members, outcomes, strict=True))
+        held = held_by(self.records)
+        return any(must_run(*one, new, held) for one in zip(members, outcomes, strict=True))
 
     @cached_property
     def _of_runs(self) -> dict[str, pa.Array]:
@@ -124,14 +126,18 @@ def added(records: Sequence[Record], kept: Sequence[Record]) -> tuple[Record, ..
     return tuple(one for one in records if one not in kept)
 
 
+def held_by(kept: Sequence[Record]) -> Set[str]:
+    """What a row holds of a run by the records that are kept, and what is had without one: names as in `needs`."""
+    return {"system", *(record.name for record in kept)}
+
+
 def reads_more(record: Record, held: Set[str]) -> bool:
     """Whether a record reads more of a run than what is held of it: names as in `Record.needs`."""
     return record.is_sampled or not record.needs <= held
 
 
-def must_run(member: Member, outcome: str, new: Sequence[Record], kept: Sequence[Record]) -> bool:
-    """Whether a member is run again for new records, of a dataset that keeps others."""
-    held = {"system", *(record.name for record in kept)}
+def must_run(member: Member, outcome: str, new: Sequence[Record], held: Set[str]) -> bool:
+    """Whether a member is run again for new records, of a dataset that holds so much of it."""
     return outcome != "failed" and any(reads_more(one, held) for one in new if one.applies(member))
 
 

@@ -59,8 +59,6 @@ def acts(forcing):  # type: ignore[no-untyped-def]
 @inner
 def begin(forcing, s):  # type: ignore[no-untyped-def]
     """Prepare the coefficients of the series about the time s."""
-    if not acts(forcing):
-        return
     amplitude, frequency, phase, waves = forcing.amplitude, forcing.frequency, forcing.phase, forcing.waves
     m = len(amplitude)
     for j in range(m):
@@ -104,8 +102,6 @@ def take_off(forcing, s, k, forces):  # type: ignore[no-untyped-def]
 @inner
 def may_change(forcing, s, h):  # type: ignore[no-untyped-def]
     """A bound of the change of g from s to s + h."""
-    if not acts(forcing):
-        return 0.0
     poly, amplitude, frequency, most = forcing.poly, forcing.amplitude, forcing.frequency, 0.0
     for i in range(poly.shape[1]):
         change = abs(poly[1, i] + 2.0 * s * poly[2, i]) * h + abs(poly[2, i]) * h * h
@@ -117,9 +113,7 @@ def may_change(forcing, s, h):  # type: ignore[no-untyped-def]
 
 @inner
 def value_at(forcing, s, values):  # type: ignore[no-untyped-def]
-    """g at the time s, shape (n,)."""
-    if not acts(forcing):
-        return
+    """g at the time s, shape (n,), of a force that acts."""
     poly, amplitude, frequency, phase = forcing.poly, forcing.amplitude, forcing.frequency, forcing.phase
     for i in range(len(values)):
         value = poly[0, i] + s * (poly[1, i] + s * poly[2, i])
@@ -136,9 +130,7 @@ class Drive:
     belt_speed : float64, shape (n,)
         v of the present piece; changed in place, as `forcing` is.
     forcing : Forcing
-        None acts if there is no external force, and no belt changes its speed.
-    is_forced : bool
-        Whether one acts.
+        None acts if there is no external force, and no belt changes its speed; see `is_forced`.
     start, end, length : float
         Of the present piece.
     is_last, is_instant : bool
@@ -156,7 +148,7 @@ class Drive:
         self.belt_speed[:] = system.belt_speed.at(t_start) if self._moves else system.belt_speed
         self._gains, self._is_carried = np.zeros(n), False
         self._starts, self._ends, self._turns = list[float](), list[float](), list[float]()
-        self.forcing, self.is_forced = Forcing.none(), False
+        self.forcing = Forcing.none()
         self.fastest, self.is_instant, self.ahead, self.instant = 0.0, False, 0.0, 0.0
         if not (self._moves or system.force):
             self._next = iter([(t_end, True)])
@@ -169,7 +161,6 @@ class Drive:
             for name in ("amplitude", "frequency")
         )
         m = len(self._waves)
-        self.is_forced = True
         self.forcing = Forcing(
             np.zeros((3, n)), amplitude, frequency, np.zeros((m, n)), np.zeros((2 * m, n)), np.zeros((orders, n))
         )
@@ -179,6 +170,11 @@ class Drive:
         inside = self._knots = np.unique(np.concatenate(knots)) if knots else np.empty(0)
         self._next = self._cut(t_start, [*inside[(inside > t_start) & (inside <= t_end)].tolist(), t_end])
         self._enter(t_start)
+
+    @property
+    def is_forced(self) -> bool:
+        """Whether a force acts."""
+        return len(self.forcing.poly) > 0
 
     def value(self) -> Floats:
         """g at the start of the present piece, shape (n,)."""

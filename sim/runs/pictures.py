@@ -152,7 +152,7 @@ def slip(
             " draw 'space_time', which is of any blocks"
         )
     width, (since, until) = integer("width", width, 1, events.n), _span(events, span)
-    inside = (events.previous_mode == 0) & (events.t >= since) & (events.t <= until)
+    inside = events.is_exit & (events.t >= since) & (events.t <= until)
     count = np.bincount(events.block[inside], minlength=events.n)
     cells = np.full((-(-events.n // width), width), np.nan)
     cells.flat[: events.n] = count

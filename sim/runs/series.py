@@ -68,6 +68,11 @@ class EventSeries:
         previous[order] = before
         return previous
 
+    @property
+    def is_exit(self) -> NDArray[np.bool_]:
+        """Whether each event ends a stick, shape (m,)."""
+        return self.previous_mode == 0
+
     def counts(self) -> dict[str, int]:
         """Numbers of entries, exits and crossings."""
         return summaries([self])[0].counts
