@@ -12,7 +12,7 @@ import numpy as np
 from stickslip.analysis.answer import F, S
 from stickslip.analysis.contrast import Sample, Statistic
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import FIXED, Group, Value, by_value, label
+from stickslip.analysis.groups import FIXED, Group, Value, by_value, labels
 from stickslip.analysis.measures import GAMMA, MEAN, Measure, Values, of_gamma, of_mean
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
@@ -65,7 +65,7 @@ def settings(groups: Iterable[Group]) -> dict[str, list[Group]]:
     for group in groups:
         found.setdefault(tuple(group.key[name] for name in (*FIXED, *ENGINE_KEYS)), []).append(group)
     keys = [dict(zip((*FIXED, *ENGINE_KEYS), values, strict=True)) for values in found]
-    return {label(key, keys): some for key, some in zip(keys, found.values(), strict=True)}
+    return dict(zip(labels(keys), found.values(), strict=True))
 
 
 def axes_of(found: Mapping[str, Sequence[Group]]) -> list[Axis]:

@@ -12,8 +12,9 @@ units, as matrices are.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -90,12 +91,12 @@ class Group:
     n_quiet: int = 0
     n_short: int = 0
 
-    @property
+    @cached_property
     def unit(self) -> str:
         """What the units are: `MATRIX`, `START` or `FILE`."""
         return str(self.members["unit_is"].iloc[0])
 
-    @property
+    @cached_property
     def at(self) -> dict[str, Value]:
         """Value of each key that a scene may sweep, by its name there: a number, or a distribution to draw from."""
         drawn, given = (
@@ -111,7 +112,7 @@ class Group:
                 found[key] = drawn[key] if number is None else float(number)
         return found
 
-    @property
+    @cached_property
     def finished(self) -> pd.DataFrame:
         return self.members[self.members["outcome"] == "finished"]
 
@@ -183,9 +184,10 @@ def groups(members: pd.DataFrame) -> list[Group]:
         key = part[0]
         return (key["perturbation_size"], key["n"], key["engine"], [by_value(value) for value in key.values()])
 
-    parts = sorted(split(members, (*SYSTEM_KEYS, *ENGINE_KEYS)), key=order)
-    keys = [key for key, _ in parts]
-    return [Group(label(key, keys), key, alike.sort_values(["unit", "member_id"])) for key, alike in parts]
+    in_order = members.sort_values(["unit", "member_id"]).copy()  # in one piece, of which parts are taken quickly
+    parts = sorted(split(in_order, (*SYSTEM_KEYS, *ENGINE_KEYS)), key=order)
+    names = labels([key for key, _ in parts])
+    return [Group(name, key, alike) for name, (key, alike) in zip(names, parts, strict=True)]
 
 
 def by_value(value: object) -> tuple[int, float, str]:
@@ -200,17 +202,26 @@ def engine_name(engine: str) -> str:
     return "exact" if engine == "coulomb" else engine
 
 
-def label(key: Mapping[str, Any], rivals: Sequence[Mapping[str, Any]]) -> str:
-    """Name of a group: n, engine, its rule of sticking, and whatever distinguishes it from the other groups."""
+def labels(keys: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Names of groups: n, engine, its rule of sticking, and whatever distinguishes each from the others."""
+    values: dict[tuple[str, str], set[Any]] = {}
+    for key in keys:
+        for name, value in key.items():
+            values.setdefault((key["engine"], name), set()).add(value)
+    differ = {place for place, some in values.items() if len(some) > 1}
+    return [_label(key, differ) for key in keys]
+
+
+def _label(key: Mapping[str, Any], differ: Collection[tuple[str, str]]) -> str:
+    """Name of a group; `differ` holds engine and name of each setting in which groups of that engine differ."""
     parts = [f"n = {key['n']}", engine_name(key["engine"])]
     defaults = ENGINES[key["engine"]].defaults()
     for name in key:
         if name in ("n", "engine", "perturbation_size") or key[name] is None:
             continue
-        values = {rival[name] for rival in rivals if rival["engine"] == key["engine"]}
         rule = SETTINGS[name].in_label if name in SETTINGS else "if it differs"
         is_said = rule == "always" or (rule == "unless default" and key[name] != defaults[name])
-        if is_said or len(values) > 1:
+        if is_said or (key["engine"], name) in differ:
             parts.append(_plain(key[name]) if name in ("drawn", "parameters") else f"{name} = {_plain(key[name])}")
     if key["perturbation_size"] > 0:
         parts.append(f"perturbed by {_plain(key['perturbation_size'])}")

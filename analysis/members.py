@@ -104,6 +104,11 @@ def unchanged(members: pd.DataFrame) -> pd.DataFrame:
 
 def split(members: pd.DataFrame, keys: Sequence[str]) -> list[tuple[dict[str, Any], pd.DataFrame]]:
     """Members split by their values of some columns: each set of values, None for null, with its members."""
+    return [(key, members.iloc[some]) for key, some in places(members, keys)]
+
+
+def places(members: pd.DataFrame, keys: Sequence[str]) -> list[tuple[dict[str, Any], list[int]]]:
+    """As `split`, with the places of the members in their table instead."""
     # most columns hold one value only, which is then handled once for all members
     differ = {name: len(members[name].unique()) > 1 for name in keys}
     short = {name: members[name] if differ[name] else members[name].iloc[:1] for name in keys}
@@ -112,4 +117,4 @@ def split(members: pd.DataFrame, keys: Sequence[str]) -> list[tuple[dict[str, An
     columns = (plain[name] if differ[name] else repeat(plain[name].iloc[0], len(members)) for name in keys)
     for k, row in enumerate(zip(*columns, strict=True) if len(members) else ()):
         at.setdefault(row, []).append(k)
-    return [(dict(zip(keys, row, strict=True)), members.iloc[some]) for row, some in at.items()]
+    return [(dict(zip(keys, row, strict=True)), some) for row, some in at.items()]

@@ -16,8 +16,8 @@ import pandas as pd
 
 from stickslip.analysis.answer import Row, records
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import label
-from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, split
+from stickslip.analysis.groups import labels
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, places
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SETTLED
 from stickslip.analysis.series import parting
 
@@ -138,9 +138,10 @@ def settings(members: pd.DataFrame) -> list[Setting]:
     list of Setting
         Sorted by n and engine; settings without an unchanged member are left out.
     """
-    parts = [(key | {"perturbation_size": 0.0}, records(some[_COLUMNS])) for key, some in split(members, _SETTING)]
-    keys = [key for key, _ in parts]
-    found = [Setting(label(key, keys), key, *_compared(rows)) for key, rows in parts]
+    rows = records(members[_COLUMNS])
+    parts = [(key | {"perturbation_size": 0.0}, [rows[k] for k in some]) for key, some in places(members, _SETTING)]
+    names = labels([key for key, _ in parts])
+    found = [Setting(name, key, *_compared(own)) for name, (key, own) in zip(names, parts, strict=True)]
     return sorted((one for one in found if one.bases), key=lambda s: (s.key["n"], s.key["engine"], s.label))
 
 

@@ -6,6 +6,7 @@ their period, and the state at their section. States of rest are not: a block ma
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from itertools import groupby
 from typing import NamedTuple
@@ -141,3 +142,31 @@ def ranges(found: Sequence[tuple[str, ...]]) -> list[Range]:
         values = [k for k, _ in some]
         listed.append(Range(values[0], values[-1], on))
     return listed
+
+
+class Turn(NamedTuple):
+    """Where along a key runs begin, or cease, to settle on one thing alone, on several lines along it.
+
+    `is_last`: they do so from `places` on, to the end of each line; else up to `places`, from its beginning. A place
+    is None on a line where there is no such range.
+    """
+
+    kind: str
+    is_last: bool
+    places: tuple[int | None, ...]
+
+
+def turn(lines: Sequence[tuple[Sequence[tuple[int, int, tuple[str, ...]]], tuple[int, int]]], is_last: bool) -> Turn | None:
+    """The turn to, or from, what most lines end, or begin, with; None if no line turns.
+
+    A line is its ranges, each with the places of its first and last value and on what runs settle there, and the
+    places of its first and last value.
+    """
+    ends = [found[-1 if is_last else 0] if found else None for found, _ in lines]
+    n_of = Counter(end[2][0] for end, (_, bounds) in zip(ends, lines, strict=True)
+                   if end is not None and len(end[2]) == 1 and end[:2] != bounds)  # fmt: skip
+    if not n_of:
+        return None
+    kind = n_of.most_common(1)[0][0]
+    places = tuple(end[0 if is_last else 1] if end is not None and end[2] == (kind,) else None for end in ends)
+    return Turn(kind, is_last, places)

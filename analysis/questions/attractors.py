@@ -1,10 +1,11 @@
-"""What runs settle on: shares, basins in the plane of the starts, and what changes along a swept key.
+"""What runs settle on: shares, basins in the plane of the starts, and what changes along swept keys.
 
 Starts are no part of a setting here: runs that differ in their start alone are one group, drawn or swept.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import pairwise
@@ -12,76 +13,97 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
-from matplotlib.colors import ListedColormap
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from matplotlib.ticker import PercentFormatter
 
+from stickslip.analysis import attractor_figures as figures_of
 from stickslip.analysis.answer import Answer, F, I, Question, Recipe, Row, S, frame
+from stickslip.analysis.attractor_figures import Look, Points, Scale, Sections
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.grid import as_text, axes_of, order, place_of, settings
-from stickslip.analysis.groups import Group, label
+from stickslip.analysis.grid import Axis, as_text, axes_of, order, place_of, settings
+from stickslip.analysis.groups import Group, Value, labels
 from stickslip.analysis.models.attractors import (
-    ESCAPING,
     IRREGULAR,
     KINDS,
     ONE_CYCLE,
     PERIODIC,
-    REST,
-    SLIDING,
     UNDECIDED,
     Cycle,
+    Turn,
     alike,
-    edges,
     on_grid,
     plane,
     ranges,
+    turn,
 )
 from stickslip.analysis.stats.compare import share_over_matrices, wilson
-from stickslip.analysis.style import GREY, panel
-from stickslip.sim.numerics.arguments import Floats
 
 NO_RECORD = "no record"  # in this ensemble
 NONE_EXACT = "none exact"  # no run that has one
 _MOST_BARS = 24
 _MOST_CYCLES = 4  # that are named apart
-_VECTORS = 2000  # more marks than this are a bitmap inside the SVG
+_MOST_DIAGRAMS = 3  # of bifurcations, at values of a second key
 _ONE_DOT = 1e-3  # of the range of values: what is closer is drawn once
-_DECADES = 30.0  # largest over least value from which an axis is logarithmic
 _LEAST_UNITS = 4  # for a bound on a share that is 1
 _SCHEMA = {
     "group": S, "attractor": S, "cycle": I, "n_runs": I, "of": I, "share": F, "share_low": F, "share_high": F,
     "exits": I, "period_least": F, "period_median": F, "period_most": F, "multiplier": F,
 }  # fmt: skip
 _RANGES = {
-    "key": S, "first": S, "last": S, "attractors": S, "n_runs": I, "n_undecided": I, "least_share": F,
+    "setting": S, "key": S, "first": S, "last": S, "attractors": S, "n_runs": I, "n_undecided": I, "least_share": F,
     "multiplier_first": F, "multiplier_last": F,
 }  # fmt: skip
-
-
-class Look(NamedTuple):
-    """How an attractor is drawn: colours differ in lightness as well, for black and white."""
-
-    colour: str
-    mark: str
-    hatch: str
-
-
-_LOOKS = {
-    REST: Look("#9ECAE1", "D", "..."), SLIDING: Look("#0072B2", "s", ""), PERIODIC: Look("#E69F00", "o", ""),
-    IRREGULAR: Look("#6A3D9A", "X", "xxx"), ESCAPING: Look("black", "*", ""), UNDECIDED: Look("#D9D9D9", ".", "///"),
-}  # fmt: skip
-#: Of the cycles of one system, and of all that come after these.
-_CYCLES = (_LOOKS[PERIODIC], Look("#7F2704", "^", ""), Look("#F0E442", "v", ""), Look("#D55E00", "P", ""))
-_OTHERS = Look("#FDD0A2", "p", "\\\\\\")
-_WORDS = {
-    REST: "come to rest", SLIDING: "slide steadily", PERIODIC: "settle on a cycle", IRREGULAR: "stay irregular",
-    ESCAPING: "run away", UNDECIDED: "undecided",
-}  # fmt: skip
+_NUMBERS = ("period", "multiplier", "exits_per_period", "events_per_period")
 #: A kind, and the number of the cycle among those of its system: 0 for those that are not told apart.
 _What = tuple[str, int]
+
+
+class Runs(NamedTuple):
+    """Runs that have an attractor: arrays of a length.
+
+    Numbers of a cycle are NaN for what is none; `cycle` tells apart the cycles of one system, 0 where they are not.
+    """
+
+    member_id: np.ndarray
+    matrix: np.ndarray
+    unit: np.ndarray
+    attractor: np.ndarray
+    reason: np.ndarray
+    period: np.ndarray
+    multiplier: np.ndarray
+    exits_per_period: np.ndarray
+    events_per_period: np.ndarray
+    cycle: np.ndarray
+
+    @property
+    def n(self) -> int:
+        return len(self.member_id)
+
+    @property
+    def is_one_system(self) -> bool:
+        return bool((self.matrix == self.matrix[0]).all())
+
+    @property
+    def what(self) -> list[_What]:
+        """What each run settles on."""
+        return list(zip(self.attractor.tolist(), self.cycle.tolist(), strict=True))
+
+    def at(self, which: np.ndarray) -> Runs:
+        return Runs(*(column[which] for column in self))
+
+    def n_of(self, kind: str) -> int:
+        return int((self.attractor == kind).sum())
+
+
+class _Line(NamedTuple):
+    """The runs along a swept key at one value of each other key: `at`, and of the scene's other settings."""
+
+    setting: str
+    at: dict[Axis, tuple[Value, ...]]
+    values: list[tuple[Value, ...]]
+    own: list[Runs]
+
+    @property
+    def ticks(self) -> list[str]:
+        return [as_text(value) for value in self.values]
 
 
 def answer(study: Study) -> Answer | None:
@@ -91,37 +113,36 @@ def answer(study: Study) -> Answer | None:
     if not groups:
         return Answer(lack=NONE_EXACT)
     runs = {group.label: _runs(study, group) for group in groups}
-    rows = [row for group in groups for row in _rows(study, group.label, runs[group.label])]
-    found = [{"group": name, "of": len(some), "rows": [row for row in rows if row["group"] == name],
-              "is_one_system": _is_one_system(some)} for name, some in runs.items()]  # fmt: skip
+    by_group = {name: list(_rows(study, name, some)) for name, some in runs.items()}
+    rows = [row for some in by_group.values() for row in some]
+    found = [{"group": name, "of": some.n, "rows": by_group[name], "is_one_system": some.is_one_system}
+             for name, some in runs.items()]  # fmt: skip
     basin, along = _basin(study, runs), _along(study, groups, runs)
     facts: dict[str, Any] = {
         "groups": found, "rows": rows, "t_burn": study.settings.t_burn,
         "n_undecided": sum(row["n_runs"] for row in rows if row["attractor"] == UNDECIDED),
-        "why_undecided": _reasons(pd.concat(runs.values())),
-        "n_runs": sum(map(len, runs.values())), "most_bars": _MOST_BARS,
+        "why_undecided": _reasons([some.reason[some.attractor == UNDECIDED] for some in runs.values()]),
+        "n_runs": sum(some.n for some in runs.values()), "most_bars": _MOST_BARS,
         "level": f"{100 * study.settings.confidence:g}%", "basin": _without(basin, "drawn"),
-        "along": _without(along, "shares", "sections"), "one_cycle": ONE_CYCLE,
+        "along": _without(along, "drawn", "keys"), "one_cycle": ONE_CYCLE,
     }  # fmt: skip
     tables = {"attractors": frame(_SCHEMA, rows)}
     figures: dict[str, Recipe] = {}
     if basin is not None:
         figures["basin_of_attractors"] = basin["drawn"]
     if along is not None:
-        tables["attractor_ranges"] = frame(_RANGES, ({"key": along["name"]} | row for row in along["ranges"]))
-        figures["attractors"] = partial(_shares_along, *(along[key] for key in ("name", "x", "ticks", "shares")))
-        if along["sections"] is not None:
-            figures["bifurcation"] = partial(_bifurcation, *(along[key] for key in ("name", "x", "sections")))
+        tables["attractor_ranges"] = frame(along["keys"] | _RANGES, along["ranges"])
+        figures |= along["drawn"]
     elif len(runs) > 1 or basin is None:
         shares: dict[str, dict[str, float]] = {name: dict.fromkeys(KINDS, 0.0) for name in runs}
         for row in rows:
             shares[row["group"]][row["attractor"]] += row["share"]
-        figures["attractors"] = partial(_bars, dict(list(shares.items())[:_MOST_BARS]))
+        figures["attractors"] = partial(figures_of.bars, dict(list(shares.items())[:_MOST_BARS]))
     return Answer(facts | {"figures": list(figures)}, tables=tables, figures=figures)
 
 
 def _without(row: Row | None, *names: str) -> Row | None:
-    """A row without what only figures need."""
+    """A row without what only figures and tables need."""
     return None if row is None else {name: value for name, value in row.items() if name not in names}
 
 
@@ -133,76 +154,80 @@ def _regardless_of_start(study: Study) -> list[Group]:
     found: dict[tuple[Any, ...], list[Group]] = {}
     for group in study.groups:
         found.setdefault(tuple((group.key | {"z0": None, "w0": None}).values()), []).append(group)
-    members = [pd.concat([one.members for one in some]) for some in found.values()]
-    known = [(key, some[some["attractor"].notna()]) for key, some in zip(found, members, strict=True)]
-    keys = [dict(zip(study.groups[0].key, key, strict=True)) for key, some in known if len(some)]
-    return [Group(label(key, keys), key, some)
-            for key, some in zip(keys, (some for _, some in known if len(some)), strict=True)]  # fmt: skip
+    known = []
+    for key, some in found.items():
+        members = some[0].members if len(some) == 1 else pd.concat([one.members for one in some])
+        has = members["attractor"].notna()
+        if has.any():
+            known.append((dict(zip(study.groups[0].key, key, strict=True)), members if has.all() else members[has]))
+    names = labels([key for key, _ in known])
+    return [Group(name, key, some) for name, (key, some) in zip(names, known, strict=True)]
 
 
-def _runs(study: Study, group: Group) -> pd.DataFrame:
-    """The runs of a group: member_id, matrix, unit, attractor, reason, numbers of a cycle, and which cycle it is.
+def _runs(study: Study, group: Group) -> Runs:
+    """The runs of a group; cycles are told apart where all are of one system."""
+    members, recorded = group.members, study.data.recorded
+    names = members["member_id"].to_numpy(object)
+    numbers = (np.array([recorded[name].values[one] for one in names], dtype=np.float64) for name in _NUMBERS)
+    reason = members["attractor_reason"]
+    found = Runs(
+        names, members["matrix"].to_numpy(), members["unit"].to_numpy(), members["attractor"].to_numpy(object),
+        reason.astype(object).where(reason.notna(), None).to_numpy(), *numbers, np.zeros(len(names), dtype=np.int64),
+    )  # fmt: skip
+    return _numbered(study, found) if found.is_one_system else found
 
-    Cycles are told apart where all runs are of one system.
-    """
-    found = group.members[["member_id", "matrix", "unit", "attractor"]].copy()
-    found["reason"] = group.members["attractor_reason"]
-    for name in ("period", "multiplier", "exits_per_period", "events_per_period"):
-        _, numbers = study.data.recorded[name]
-        found[name] = np.array([numbers[one] for one in found["member_id"]], dtype=np.float64)
-    found["cycle"] = 0
-    return _numbered(study, found) if _is_one_system(found) else found
 
-
-def _numbered(study: Study, runs: pd.DataFrame) -> pd.DataFrame:
+def _numbered(study: Study, runs: Runs) -> Runs:
     """The runs of one system with the number of the cycle of each."""
-    is_cycle = runs["attractor"] == PERIODIC
+    which = np.flatnonzero(runs.attractor == PERIODIC)
     section_z, section_w = (study.data.lists[name] for name in ("section_z", "section_w"))
-    columns = ["member_id", "events_per_period", "exits_per_period", "period"]
-    cycles = [Cycle(int(events), int(exits), period, section_z[name], section_w[name])
-              for name, events, exits, period in runs.loc[is_cycle, columns].itertuples(index=False)]  # fmt: skip
-    number = np.zeros(len(runs), dtype=np.int64)
-    number[is_cycle.to_numpy()] = [one if one <= _MOST_CYCLES else 0 for one in alike(cycles)]
-    return runs.assign(cycle=number)
+    columns = (runs.member_id, runs.events_per_period, runs.exits_per_period, runs.period)
+    cycles = [Cycle(int(events), int(exits), float(period), section_z[name], section_w[name])
+              for name, events, exits, period in zip(*(column[which] for column in columns), strict=True)]  # fmt: skip
+    number = np.zeros(runs.n, dtype=np.int64)
+    number[which] = [one if one <= _MOST_CYCLES else 0 for one in alike(cycles)]
+    return runs._replace(cycle=number)
 
 
-def _is_one_system(runs: pd.DataFrame) -> bool:
-    return len(runs["matrix"].unique()) == 1
-
-
-def _rows(study: Study, name: str, runs: pd.DataFrame) -> Iterator[Row]:
+def _rows(study: Study, name: str, runs: Runs) -> Iterator[Row]:
     """A row for each attractor of a group: its share of the runs, and what its cycles are like."""
-    units = runs["member_id"] if _is_one_system(runs) else runs["unit"]
-    for kind, cycle in _attractors(runs):
-        has = (runs["attractor"] == kind) & (runs["cycle"] == cycle)
-        counts = has.groupby(units).agg(["sum", "count"]).to_numpy()
+    units = np.arange(runs.n) if runs.is_one_system else np.unique(runs.unit, return_inverse=True)[1]
+    of = np.bincount(units)
+    for what in _attractors(runs):
+        kind, cycle = what
+        has = (runs.attractor == kind) & (runs.cycle == cycle)
+        counts = np.column_stack([np.bincount(units, has), of])
         share, low, high, _ = share_over_matrices(counts, study.settings.confidence)
-        own = runs[has]
-        exits = own["exits_per_period"].dropna().unique()
-        row: Row = {
-            "group": name, "attractor": kind, "cycle": cycle or None, "n_runs": len(own), "of": len(runs),
-            "share": share, "share_low": low, "share_high": high, "exits": int(exits[0]) if len(exits) == 1 else None,
-            "multiplier": _most(own["multiplier"]), "what": (kind, cycle),
-        }  # fmt: skip
-        known = own["period"].dropna()
+        own = runs.at(has)
+        exits = np.unique(_known(own.exits_per_period))
+        known = _known(own.period)
         least, median, most = np.percentile(known, (0, 50, 100)).tolist() if len(known) else 3 * [None]
-        yield row | {"period_least": least, "period_median": median, "period_most": most}
+        yield {
+            "group": name, "attractor": kind, "cycle": cycle or None, "n_runs": own.n, "of": runs.n,
+            "share": share, "share_low": low, "share_high": high, "exits": int(exits[0]) if len(exits) == 1 else None,
+            "period_least": least, "period_median": median, "period_most": most,
+            "multiplier": _most(own.multiplier), "what": what,
+        }  # fmt: skip
 
 
-def _attractors(runs: pd.DataFrame) -> list[_What]:
+def _attractors(runs: Runs) -> list[_What]:
     """What runs settle on, in the order of the page; cycles in the order of their numbers, the others last."""
-    found = set(zip(runs["attractor"], runs["cycle"].tolist(), strict=True))
-    return sorted(found, key=lambda what: (KINDS.index(what[0]), what[1] or _MOST_CYCLES + 1))
+    return sorted(set(runs.what), key=lambda what: (KINDS.index(what[0]), what[1] or _MOST_CYCLES + 1))
 
 
-def _most(numbers: pd.Series) -> float | None:
-    known = numbers.dropna()
+def _known(numbers: np.ndarray) -> np.ndarray:
+    return numbers[~np.isnan(numbers)]
+
+
+def _most(numbers: np.ndarray) -> float | None:
+    known = _known(numbers)
     return float(known.max()) if len(known) else None
 
 
-def _reasons(runs: pd.DataFrame) -> list[tuple[str, int]]:
+def _reasons(reasons: Sequence[np.ndarray]) -> list[tuple[str, int]]:
     """Why runs are undecided, the commonest reason first, with how many; dots stand for numbers that differ."""
-    words = runs.loc[runs["attractor"] == UNDECIDED, "reason"].dropna().str.removesuffix("; lengthen the run")
+    words = pd.Series([str(one) for some in reasons for one in some if one is not None], dtype=object)
+    words = words.str.removesuffix("; lengthen the run")
     kinds = words.groupby(words.str.replace(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", "…", regex=True))
     found = [(str(some.iloc[0] if len(some.unique()) == 1 else plain), len(some)) for plain, some in kinds]
     return sorted(found, key=lambda one: -one[1])
@@ -211,7 +236,7 @@ def _reasons(runs: pd.DataFrame) -> list[tuple[str, int]]:
 # ------------------------------------------------------------------------------------------------- basins
 
 
-def _basin(study: Study, runs: Mapping[str, pd.DataFrame]) -> Row | None:
+def _basin(study: Study, runs: Mapping[str, Runs]) -> Row | None:
     """The starts of one system by what they settle on; None if all settle on one, or not one or two numbers vary.
 
     Of several systems, that of which most runs settle on others than the commonest.
@@ -219,26 +244,27 @@ def _basin(study: Study, runs: Mapping[str, pd.DataFrame]) -> Row | None:
     lists = study.data.lists
     if not lists.get("start_z"):  # a dataset of before
         return None
-    systems = [(name, own) for name, some in runs.items() for _, own in some.groupby("matrix")]
-    name, own = max(systems, key=lambda one: len(one[1]) - one[1].value_counts(["attractor", "cycle"]).iloc[0])
+    systems = [(name, some.at(some.matrix == matrix)) for name, some in runs.items()
+               for matrix in np.unique(some.matrix)]  # fmt: skip
+    name, own = max(systems, key=lambda one: one[1].n - max(Counter(one[1].what).values()))
     own = _numbered(study, own)
-    order = _attractors(own)
-    z, w = (np.array([lists[key][one] for one in own["member_id"]]) for key in ("start_z", "start_w"))
+    found = _attractors(own)
+    z, w = (np.array([lists[key][one] for one in own.member_id]) for key in ("start_z", "start_w"))
     varies = plane(z, w)
-    if len(order) == 1 or varies is None:
+    if len(found) == 1 or varies is None:
         return None
-    number = np.array([order.index(one) for one in zip(own["attractor"], own["cycle"].tolist(), strict=True)])
+    number = np.array([found.index(one) for one in own.what])
     row_of = {row["what"]: row for row in _rows(study, name, own)}
-    entries = [(_look(what), _entry(row_of[what])) for what in order]
+    entries = [(_look(what), _entry(row_of[what])) for what in found]
     grid = on_grid(varies.points) if len(varies.names) == 2 else None
     if len(varies.names) == 1:
-        drawn = partial(_strip, varies.names[0], varies.points[:, 0], number, entries)
+        drawn = partial(figures_of.strip, varies.names[0], varies.points[:, 0], number, entries)
     elif grid is not None:
-        drawn = partial(_cells, varies.names, grid, number, entries)
+        drawn = partial(figures_of.cells, varies.names, grid, number, entries)
     else:
-        drawn = partial(_scatter, varies.names, varies.points, number, entries)
+        drawn = partial(figures_of.scatter, varies.names, varies.points, number, entries)
     return {
-        "group": name, "n": len(own), "is_grid": grid is not None, "names": varies.names, "n_systems": len(systems),
+        "group": name, "n": own.n, "is_grid": grid is not None, "names": varies.names, "n_systems": len(systems),
         "drawn": drawn,
     }  # fmt: skip
 
@@ -246,13 +272,13 @@ def _basin(study: Study, runs: Mapping[str, pd.DataFrame]) -> Row | None:
 def _look(what: _What) -> Look:
     kind, cycle = what
     if kind != PERIODIC:
-        return _LOOKS[kind]
-    return _CYCLES[cycle - 1] if cycle else _OTHERS
+        return figures_of.LOOKS[kind]
+    return figures_of.CYCLES[cycle - 1] if cycle else figures_of.OTHERS
 
 
 def _entry(row: Row) -> str:
     """An attractor in a legend, with its share and the interval."""
-    words = _WORDS[row["attractor"]]
+    words = figures_of.WORDS[row["attractor"]]
     if row["cycle"] is not None:
         words = f"cycle, period {row['period_median']:.4g}"
         if row["exits"] is not None and row["exits"] > 1:
@@ -263,112 +289,78 @@ def _entry(row: Row) -> str:
     return f"{words}: {100 * row['share']:.1f}% ({low} to {high})"
 
 
-@panel(3.5)
-def _scatter(
-    ax: Axes, names: Sequence[str], points: Floats, number: np.ndarray, entries: Sequence[tuple[Look, str]]
-) -> None:
-    """Starts in their plane, a mark each, by what they settle on."""
-    size = float(np.clip(170.0 / np.sqrt(len(points)), 1.5, 6.0))  # marks fill the plane
-    for k, (look, _) in enumerate(entries):
-        x, y = points[number == k].T
-        ax.plot(x, y, look.mark, color=look.colour, markersize=size, markeredgewidth=0.2,
-                markeredgecolor="black" if size > 3 else "none", rasterized=len(points) > _VECTORS)  # fmt: skip
-    ax.margins(0.01)
-    ax.set(xlabel=f"{names[0]} at start", ylabel=f"{names[1]} at start")
-    marks = [Line2D([], [], linestyle="", marker=look.mark, color=look.colour, markeredgecolor="black",
-                    markeredgewidth=0.3, markersize=5, label=words) for look, words in entries]  # fmt: skip
-    _explain(ax, marks)
-
-
-@panel(3.5)
-def _cells(
-    ax: Axes,
-    names: Sequence[str],
-    grid: tuple[Floats, Floats, np.ndarray],
-    number: np.ndarray,
-    entries: Sequence[tuple[Look, str]],
-) -> None:
-    """A cell for each start of a grid, by what it settles on, with a line between different ones."""
-    x, y, place = grid
-    left, low, what = edges(x), edges(y), number[place]
-    colours = ListedColormap([look.colour for look, _ in entries])
-    ax.pcolormesh(left, low, what, cmap=colours, vmin=-0.5, vmax=len(entries) - 0.5, rasterized=what.size > _VECTORS)
-    upright = [[(left[k + 1], low[j]), (left[k + 1], low[j + 1])]
-               for j, k in zip(*np.nonzero(what[:, 1:] != what[:, :-1]), strict=True)]  # fmt: skip
-    level = [[(left[k], low[j + 1]), (left[k + 1], low[j + 1])]
-             for j, k in zip(*np.nonzero(what[1:] != what[:-1]), strict=True)]  # fmt: skip
-    lines = [*upright, *level]
-    ax.add_collection(LineCollection(lines, colors="black", linewidths=0.5, rasterized=len(lines) > _VECTORS))
-    ax.set(xlabel=f"{names[0]} at start", ylabel=f"{names[1]} at start")
-    _explain(ax, [Patch(facecolor=look.colour, edgecolor="black", linewidth=0.3, label=words)
-                  for look, words in entries])  # fmt: skip
-
-
-@panel(1.9)
-def _strip(ax: Axes, name: str, start: Floats, number: np.ndarray, entries: Sequence[tuple[Look, str]]) -> None:
-    """Starts along a line, each coloured, as far as half way to the next, by what it settles on."""
-    order = np.argsort(start, kind="stable")
-    bounds = edges(start[order])
-    for k, (look, _) in enumerate(entries):
-        own = np.flatnonzero(number[order] == k)
-        ax.bar(bounds[own], 1.0, np.diff(bounds)[own], align="edge", color=look.colour, hatch=look.hatch, linewidth=0,
-               rasterized=len(start) > _VECTORS)  # fmt: skip
-    change = np.flatnonzero(np.diff(number[order]) != 0) + 1
-    ax.vlines(bounds[change], 0, 1, color="black", linewidth=0.5, rasterized=len(change) > _VECTORS)
-    ax.set(xlim=(bounds[0], bounds[-1]), ylim=(0, 1), xlabel=f"{name} at start", yticks=[])
-    ax.spines["left"].set_visible(False)
-    _explain(ax, [Patch(facecolor=look.colour, hatch=look.hatch, label=words) for look, words in entries])
-
-
-def _explain(ax: Axes, handles: Sequence[Any]) -> None:
-    """One entry a line above the axes: shares and intervals are long."""
-    ax.figure.legend(handles=handles, loc="outside upper left", ncols=1, fontsize=7, handletextpad=0.4)
-
-
 # ------------------------------------------------------------------------------------------------- along a key
 
 
-def _along(study: Study, groups: Sequence[Group], runs: Mapping[str, pd.DataFrame]) -> Row | None:
-    """What runs settle on along the swept key of most values, at the first values of the others; None without one."""
+def _along(study: Study, groups: Sequence[Group], runs: Mapping[str, Runs]) -> Row | None:
+    """What runs settle on along the swept key of most values, a line for each value of the others; None without one."""
     by_setting = settings(groups)
     axes = axes_of(by_setting)
     if not axes:
         return None
     axis, *others = axes
-    setting, some = max(by_setting.items(), key=lambda one: len(one[1]))
-    placed = [(place_of(axes, group), group) for group in some]
-    here = min((tuple(at[other] for other in others) for at, _ in placed), key=lambda at: [*map(order, at)])
-    line = sorted(((at[axis], runs[group.label]) for at, group in placed if tuple(at[one] for one in others) == here),
-                  key=lambda one: order(one[0]))  # fmt: skip
-    ticks = [as_text(value) for value, _ in line]
-    own = [some for _, some in line]
-    x = [value[0] for value, _ in line if isinstance(value[0], float)]
-    is_numeric = len(x) == len(line)  # no distributions
-    by_exits = _ranges(study, ticks, own, _kind_and_exits)
+    lines = [line for setting, some in by_setting.items() for line in _lines(setting, some, axes, runs)]
+    told = [_told(study, axis, line, len(by_setting) > 1) for line in lines]
+    name_of = {key: axis.dtype(k) for axis in others for k, key in enumerate(axis.keys)}
+    found = {
+        "name": axis.name, "others": [one.name for one in others],
+        "columns": [(key, key, "g" if kind == F else None) for key, kind in name_of.items()],
+        "has_settings": len(by_setting) > 1, "lines": told, "turns": _turns(axis, others, told, len(by_setting) > 1),
+        "is_of_starts": all(some.is_one_system for line in lines for some in line.own), "tally": _tally(lines),
+        "ranges": [row | {"key": axis.name, "setting": line.setting if len(by_setting) > 1 else None}
+                   | {key: value for one, at in line.at.items() for key, value in zip(one.keys, at, strict=True)}
+                   for line, one_told in zip(lines, told, strict=True) for row in one_told["ranges"]],
+        "keys": name_of,
+    }  # fmt: skip
+    return found | _figures(study, axes, lines, told)
+
+
+def _lines(
+    setting: str, groups: Sequence[Group], axes: Sequence[Axis], runs: Mapping[str, Runs]
+) -> Iterator[_Line]:
+    """The lines of a setting along the first axis, in the order of the values of the others."""
+    axis, *others = axes
+    at_others: dict[tuple[tuple[Value, ...], ...], list[tuple[tuple[Value, ...], Runs]]] = {}
+    for group in groups:
+        at = place_of(axes, group)
+        at_others.setdefault(tuple(at[one] for one in others), []).append((at[axis], runs[group.label]))
+    for here in sorted(at_others, key=lambda at: [*map(order, at)]):
+        values, own = zip(*sorted(at_others[here], key=lambda one: order(one[0])), strict=True)
+        yield _Line(setting, dict(zip(others, here, strict=True)), list(values), list(own))
+
+
+def _told(study: Study, axis: Axis, line: _Line, has_settings: bool) -> Row:
+    """What is said of a line: its place, its values, and where along it runs settle on something else."""
+    ticks, x = line.ticks, _numbers(line.values)
+    by_exits = _ranges(study, ticks, line.own, _kind_and_exits)
+    at = [f"{one.name} = {as_text(value)}" for one, value in line.at.items()]
     return {
-        "name": axis.name,
-        "at": ", ".join(f"{one.name} = {as_text(at)}" for one, at in zip(others, here, strict=True)),
-        "setting": setting if len(by_setting) > 1 else "", "ticks": ticks, "x": x if is_numeric else None,
-        "told": _ranges(study, ticks, own, lambda runs: runs["attractor"]), "ranges": by_exits,
-        "changes": _changes_of_exits(by_exits, ticks, x) if is_numeric else [],
-        "is_of_starts": all(map(_is_one_system, own)), "shares": _stacked(own),
-        "sections": _sections(study, x, own) if is_numeric else None,
+        "at": ", ".join([*([line.setting] if has_settings else []), *at]), "ticks": ticks,
+        "told": _ranges(study, ticks, line.own, lambda runs: runs.attractor.tolist()), "ranges": by_exits,
+        "changes": _changes_of_exits(by_exits, ticks, x) if x is not None else [],
+        "places": [axis.values.index(value) for value in line.values],
     }  # fmt: skip
 
 
-def _kind_and_exits(runs: pd.DataFrame) -> pd.Series:
+def _numbers(values: Sequence[tuple[Value, ...]]) -> list[float] | None:
+    """Values of an axis as numbers; None where one is a distribution."""
+    found = [value[0] for value in values if isinstance(value[0], float)]
+    return found if len(found) == len(values) else None
+
+
+def _kind_and_exits(runs: Runs) -> list[str]:
     """What each run settles on, and of a cycle the exits a period."""
-    of = runs["exits_per_period"].map(lambda exits: f", {exits:g} exit{'' if exits == 1 else 's'} a period")
-    return runs["attractor"].where(runs["attractor"] != PERIODIC, runs["attractor"] + of)
+    return [f"{kind}, {exits:g} exit{'' if exits == 1 else 's'} a period" if kind == PERIODIC else kind
+            for kind, exits in zip(runs.attractor.tolist(), runs.exits_per_period.tolist(), strict=True)]  # fmt: skip
 
 
-def _decided(found: pd.Series) -> tuple[str, ...]:
+def _decided(found: Sequence[str]) -> tuple[str, ...]:
     """On what runs settle, each once, but for those that are undecided."""
     return tuple(sorted(set(found) - {UNDECIDED}, key=lambda one: (KINDS.index(one.split(",")[0]), len(one), one)))
 
 
 def _ranges(
-    study: Study, ticks: Sequence[str], own: Sequence[pd.DataFrame], of: Callable[[pd.DataFrame], pd.Series]
+    study: Study, ticks: Sequence[str], own: Sequence[Runs], of: Callable[[Runs], Sequence[str]]
 ) -> list[Row]:
     """Rows of ranges of a key; where all runs settle on one attractor, with the least share that has this in reach.
 
@@ -377,21 +369,21 @@ def _ranges(
     rows: list[Row] = []
     for one in ranges([_decided(of(some)) for some in own]):
         listed = own[one.first : one.last + 1]
-        n_runs = sum(map(len, listed))
-        n_undecided = sum(int((some["attractor"] == UNDECIDED).sum()) for some in listed)
-        n_units = max(len(some) if _is_one_system(some) else some["unit"].nunique() for some in listed)
+        n_undecided = sum(some.n_of(UNDECIDED) for some in listed)
+        n_units = max(some.n if some.is_one_system else len(np.unique(some.unit)) for some in listed)
         is_all = len(one.on) == 1 and not n_undecided and n_units >= _LEAST_UNITS
+        multipliers = [_most(some.multiplier) for some in listed]
         rows.append({
             "first": ticks[one.first], "last": ticks[one.last], "on": one.on, "attractors": "; ".join(one.on),
-            "n_values": len(listed), "n_runs": n_runs, "n_undecided": n_undecided,
+            "n_values": len(listed), "n_runs": sum(some.n for some in listed), "n_undecided": n_undecided,
             "least_share": wilson(n_units, n_units, study.settings.confidence)[0] if is_all else None,
-            "place": (one.first, one.last), "multipliers": [_most(some["multiplier"]) for some in listed],
+            "place": (one.first, one.last), "multipliers": multipliers, "multiplier_first": multipliers[0],
+            "multiplier_last": multipliers[-1],
         })  # fmt: skip
-        rows[-1] |= {"multiplier_first": rows[-1]["multipliers"][0], "multiplier_last": rows[-1]["multipliers"][-1]}
     return rows
 
 
-def _changes_of_exits(found: Sequence[Row], ticks: Sequence[str], x: Sequence[Any]) -> list[Row]:
+def _changes_of_exits(found: Sequence[Row], ticks: Sequence[str], x: Sequence[float]) -> list[Row]:
     """Where along a key the cycle of all runs gets another number of exits, and where its multiplier comes to one.
 
     The latter by a line through the last two values before it, if that is where it has to be.
@@ -412,124 +404,146 @@ def _changes_of_exits(found: Sequence[Row], ticks: Sequence[str], x: Sequence[An
     return rows
 
 
-def _stacked(own: Sequence[pd.DataFrame]) -> dict[str, list[float]]:
+def _turns(axis: Axis, others: Sequence[Axis], told: Sequence[Row], has_settings: bool) -> list[Row]:
+    """How the value up to which, and that from which on, all runs settle on one thing moves from line to line."""
+    is_in_order = len(others) == 1 and not has_settings
+    ends = [([(row["places"][one["place"][0]], row["places"][one["place"][1]], one["on"]) for one in row["told"]],
+             (row["places"][0], row["places"][-1])) for row in told]  # fmt: skip
+    found = [turn(ends, is_last) for is_last in (False, True)] if len(told) > 1 else []
+    return [_turn_row(axis, others, told, one, is_in_order) for one in found if one is not None]
+
+
+def _turn_row(axis: Axis, others: Sequence[Axis], told: Sequence[Row], one: Turn, is_in_order: bool) -> Row:
+    known = [(line, place) for line, place in enumerate(one.places) if place is not None]
+    least, most = (of(known, key=lambda pair: pair[1]) for of in (min, max))
+    steps = [second[1] - first[1] for first, second in pairwise(known)]
+    way = "" if not is_in_order else "rises" if min(steps, default=0) >= 0 else "falls" if max(steps) <= 0 else ""
+    ends = (known[0], known[-1]) if way else (least, most)
+    return {
+        "kind": one.kind, "is_last": one.is_last, "way": way, "is_same": least[1] == most[1],
+        "ends": [{"value": as_text(axis.values[place]), "at": told[line]["at"]} for line, place in ends],
+        "n": len(known), "of": len(told),
+    }  # fmt: skip
+
+
+def _tally(lines: Sequence[_Line]) -> Row:
+    """At how many settings all runs that are decided settle on one thing, by kind; on several; and none is decided."""
+    on = [_decided(some.attractor.tolist()) for line in lines for some in line.own]
+    alone = Counter(one[0] for one in on if len(one) == 1)
+    return {
+        "n": len(on), "alone": [(kind, alone[kind]) for kind in KINDS if alone[kind]],
+        "several": sum(len(one) > 1 for one in on), "none": sum(not one for one in on),
+    }  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------------- figures
+
+
+def _figures(study: Study, axes: Sequence[Axis], lines: Sequence[_Line], told: Sequence[Row]) -> Row:
+    """Shares along the one key or a map over the first two, and bifurcation diagrams; and which values they are at.
+
+    Of several settings that of most groups, and the first values of further keys, are in the map.
+    """
+    axis, *others = axes
+    setting = max(Counter(line.setting for line in lines).items(), key=lambda one: one[1])[0]
+    further = [(one, min((line.at[one] for line in lines if line.setting == setting), key=order))
+               for one in others[1:]]  # fmt: skip
+    chosen = [k for k, line in enumerate(lines)
+              if line.setting == setting and all(line.at[one] == value for one, value in further)]  # fmt: skip
+    drawn: dict[str, Recipe] = {}
+    if not others:
+        line = lines[chosen[0]]
+        drawn["attractors"] = partial(
+            figures_of.shares_along, axis.name, _numbers(line.values), line.ticks, _stacked(line.own)
+        )
+    else:
+        drawn["attractors"] = _map(axis, others[0], [lines[k] for k in chosen])
+    at_map = [f"{one.name} = {as_text(value)}" for one, value in further]
+    diagrams, shown = [], chosen
+    if len(chosen) > _MOST_DIAGRAMS:
+        shown = [chosen[round(k)] for k in np.linspace(0, len(chosen) - 1, _MOST_DIAGRAMS)]
+    for k in shown:
+        x = _numbers(lines[k].values)
+        sections = None if x is None else _sections(study, x, lines[k].own)
+        if sections is not None:
+            name = "bifurcation" if not diagrams else f"bifurcation_{len(diagrams) + 1}"
+            title = told[k]["at"] if len(lines) > 1 else ""
+            along = Scale(axis.name, x, lines[k].ticks)
+            drawn[name] = partial(figures_of.bifurcation, along, sections, title)
+            diagrams.append({"figure": name, "at": told[k]["at"], "n_left_out": _n_left_out(study, lines[k].own)})
+    return {
+        "drawn": drawn, "map_at": ", ".join([*([setting] if len({one.setting for one in lines}) > 1 else []), *at_map]),
+        "diagrams": diagrams,
+    }  # fmt: skip
+
+
+def _stacked(own: Sequence[Runs]) -> dict[str, list[float]]:
     """The share of each kind at each value of a key."""
-    return {kind: shares for kind in KINDS
-            if any(shares := [float((some["attractor"] == kind).mean()) for some in own])}  # fmt: skip
+    return {kind: shares for kind in KINDS if any(shares := [some.n_of(kind) / some.n for some in own])}
 
 
-class _Points(NamedTuple):
-    """Values against a key: at which of its values, shape (m,), and what."""
+def _map(axis: Axis, up: Axis, lines: Sequence[_Line]) -> Recipe:
+    """The picture of what most runs settle on over two keys."""
+    what = np.full((len(up.values), len(axis.values)), -1)
+    is_mixed = np.zeros(what.shape, dtype=np.bool_)
+    for line in lines:
+        row = up.values.index(line.at[up])
+        for value, some in zip(line.values, line.own, strict=True):
+            counts = [some.n_of(kind) for kind in KINDS]
+            place = row, axis.values.index(value)
+            what[place], is_mixed[place] = int(np.argmax(counts)), np.count_nonzero(counts) > 1
+    scales = [Scale(one.name, one.x, [as_text(value) for value in one.values]) for one in (axis, up)]
+    return partial(figures_of.over_two_keys, *scales, what, is_mixed)
 
-    x: Floats
-    y: Floats
+
+def _n_left_out(study: Study, own: Sequence[Runs]) -> int:
+    """Number of runs that a bifurcation diagram has nothing of: those that are undecided or run away."""
+    exits_z, section_z = study.data.lists["exits_z"], study.data.lists["section_z"]
+    return sum(name not in exits_z and name not in section_z for some in own for name in some.member_id)
 
 
-def _sections(study: Study, x: Sequence[float], own: Sequence[pd.DataFrame]) -> dict[str, Any] | None:
-    """z of the blocks at exits, by block and kind, and multipliers and periods of cycles; None if nothing exits."""
-    exits_z, block_of = study.data.lists["exits_z"], study.data.members.set_index("member_id")["exits_block"]
+def _sections(study: Study, x: Sequence[float], own: Sequence[Runs]) -> Sections | None:
+    """What a bifurcation diagram shows; None if no run is on a cycle or irregular."""
+    if not any(some.n_of(PERIODIC) + some.n_of(IRREGULAR) for some in own):
+        return None
+    exits_z, section_z = study.data.lists["exits_z"], study.data.lists["section_z"]
+    members = study.data.members
+    block_of = dict(zip(members["member_id"], members["exits_block"], strict=True))
     at: dict[tuple[int, str], tuple[list[float], list[float]]] = {}
+    without: list[tuple[float, str, str]] = []
     for value, runs in zip(x, own, strict=True):
-        for name, kind in zip(runs["member_id"], runs["attractor"], strict=True):
+        for name, kind in zip(runs.member_id, runs.attractor, strict=True):
             if name in exits_z:
-                xs, zs = at.setdefault((int(block_of[name]), str(kind)), ([], []))
+                xs, zs = at.setdefault((int(block_of[name]), kind), ([], []))
                 xs += [value] * len(exits_z[name])
                 zs += exits_z[name].tolist()
-    if not at:
-        return None
-    found: dict[str, Any] = {"z": {key: _apart(*both) for key, both in sorted(at.items())}}
-    every = pd.concat([runs.assign(x=value) for value, runs in zip(x, own, strict=True)])
-    for name in ("multiplier", "period"):
-        known = every[every[name].notna()]
-        found[name] = _apart(known["x"], known[name])
-    return found
+            elif name in section_z:
+                without.append((value, kind, name))
+    n_exits = Counter({block: 0 for block, _ in at})
+    for (block, _), (xs, _) in at.items():
+        n_exits[block] += len(xs)
+    block = n_exits.most_common(1)[0][0] if n_exits else 0
+    states: dict[str, tuple[list[float], list[float]]] = {}
+    for value, kind, name in without:
+        xs, zs = states.setdefault(kind, ([], []))
+        xs.append(value)
+        zs.append(float(section_z[name][block]))
+    both = [np.concatenate([getattr(some, name) for some in own]) for name in ("multiplier", "period")]
+    every = np.repeat(x, [some.n for some in own])
+    return Sections(
+        {key: _apart(*some) for key, some in sorted(at.items())},
+        {kind: _apart(*states[kind]) for kind in KINDS if kind in states}, block,
+        *(_apart(every[~np.isnan(one)], _known(one)) for one in both),
+    )  # fmt: skip
 
 
-def _apart(x: Sequence[float] | pd.Series, y: Sequence[float] | pd.Series) -> _Points:
+def _apart(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray) -> Points:
     """Points of which none lies on another: many runs have one cycle."""
     both = np.column_stack([x, y]).astype(np.float64)
     extent = np.ptp(both[:, 1]) if len(both) else 0.0
     near = np.round(both[:, 1] / (_ONE_DOT * max(extent, 1e-9 * np.abs(both[:, 1]).max(initial=1.0))))
     _, first = np.unique(np.column_stack([both[:, 0], near]), axis=0, return_index=True)
-    return _Points(*both[np.sort(first)].T)
-
-
-def _beside(x: Sequence[float]) -> tuple[Floats, str]:
-    """Edges of cells around the values of a key, and the scale of its axis."""
-    if x[0] > 0 and x[-1] > _DECADES * x[0]:
-        return np.exp(edges(np.log(x))), "log"
-    return edges(np.array(x, dtype=np.float64)), "linear"
-
-
-@panel()
-def _shares_along(
-    ax: Axes, name: str, x: Sequence[float] | None, ticks: Sequence[str], shares: Mapping[str, Sequence[float]]
-) -> None:
-    """Stacked shares at each value of a key, each as wide as to half way to the next."""
-    bounds, scale = _beside(range(len(ticks)) if x is None else x)
-    floor = np.zeros(len(ticks))
-    for kind, some in shares.items():
-        look = _LOOKS[kind]
-        ax.bar(bounds[:-1], some, np.diff(bounds), floor, align="edge", color=look.colour, hatch=look.hatch,
-               edgecolor="white", linewidth=0.3, label=_WORDS[kind])  # fmt: skip
-        floor += some
-    if x is None:
-        ax.set_xticks(range(len(ticks)), ticks, rotation=30, ha="right")
-    ax.set(xscale=scale, xlim=(bounds[0], bounds[-1]), ylim=(0, 1), xlabel=name, ylabel="share of runs")
-    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
-    ax.figure.legend(loc="outside upper left", ncols=3, fontsize=7, handlelength=1.2)
-
-
-#: How exits of one block are drawn in a bifurcation diagram, by the order of the blocks: colour and mark.
-_BLOCKS = (("black", "o"), ("#D55E00", "s"), ("#0072B2", "^"), ("#CC79A7", "D"))
-
-
-@panel(5.2, nrows=3, sharex=True, gridspec_kw={"height_ratios": (3, 1, 1)})
-def _bifurcation(axes: Sequence[Axes], name: str, x: Sequence[float], found: Mapping[str, Any]) -> None:
-    """z at exits of cycles and of irregular runs against a key, above the multipliers and periods of the cycles."""
-    above, middle, below = axes
-    total = sum(len(one.x) for one in found["z"].values())
-    size = float(np.clip(60.0 / np.sqrt(total), 0.8, 3.0))
-    blocks = sorted({block for block, _ in found["z"]})
-    for (block, kind), one in found["z"].items():
-        colour, mark = _BLOCKS[blocks.index(block) % len(_BLOCKS)]
-        is_cycle = kind == PERIODIC
-        above.plot(one.x, one.y, mark, color=colour, markersize=size if is_cycle else 0.5 * size, markeredgewidth=0,
-                   alpha=1.0 if is_cycle else 0.4, rasterized=total > _VECTORS)  # fmt: skip
-    handles = [Line2D([], [], linestyle="", marker=_BLOCKS[k % len(_BLOCKS)][1], markersize=4, markeredgewidth=0,
-                      color=_BLOCKS[k % len(_BLOCKS)][0], label=f"block {block}")
-               for k, block in enumerate(blocks)]  # fmt: skip
-    if len(blocks) > 1:
-        above.figure.legend(handles=handles, loc="outside upper left", ncols=4, fontsize=7, handletextpad=0.1)
-    above.set_ylabel("z at exits" + (f", block {blocks[0]}" if len(blocks) == 1 else ""))
-    for ax, key in ((middle, "multiplier"), (below, "period")):
-        is_many = len(found[key].x) > _VECTORS
-        ax.plot(*found[key], "o", color="black", markersize=1.8, markeredgewidth=0, rasterized=is_many)
-        ax.set_ylabel(key)
-        ax.set_ylim(*np.array([-0.08, 1.1]) * max(found[key].y.max(initial=0.0), float(key == "multiplier")))
-    middle.axhline(1.0, color=GREY, linewidth=0.8, linestyle="--")
-    bounds, scale = _beside(x)
-    below.set(xlabel=name, xscale=scale, xlim=(bounds[0], bounds[-1]))
-    above.figure.align_ylabels(list(axes))
-
-
-# ------------------------------------------------------------------------------------------------- by group
-
-
-@panel()
-def _bars(ax: Axes, shares: Mapping[str, Mapping[str, float]]) -> None:
-    """A stacked bar a group, from below in the order of the page."""
-    labels: Sequence[str] = list(shares)[::-1]
-    left = np.zeros(len(labels))
-    for kind, look in _LOOKS.items():
-        width = np.array([shares[label].get(kind, 0.0) for label in labels])
-        if width.any():
-            ax.barh(labels, width, left=left, color=look.colour, hatch=look.hatch, edgecolor="white", linewidth=0.3,
-                    label=_WORDS[kind])  # fmt: skip
-        left += width
-    ax.set(xlim=(0, 1), xlabel="share of runs")
-    ax.xaxis.set_major_formatter(PercentFormatter(1.0))
-    ax.figure.legend(loc="outside upper left", ncols=3, fontsize=7, handlelength=1.2)
+    return Points(*both[np.sort(first)].T)
 
 
 QUESTION = Question(answer, rank=2, beside=("fates",))

@@ -1,0 +1,302 @@
+"""Pictures of what runs settle on: basins, shares and maps along swept keys, bifurcation diagrams."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import chain
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import PercentFormatter
+
+from stickslip.analysis.models.attractors import (
+    ESCAPING,
+    IRREGULAR,
+    KINDS,
+    PERIODIC,
+    REST,
+    SLIDING,
+    UNDECIDED,
+    edges,
+)
+from stickslip.analysis.style import GREY, panel
+from stickslip.sim.numerics.arguments import Floats
+
+_VECTORS = 2000  # more marks than this are a bitmap inside the SVG
+_DECADES = 30.0  # largest over least value from which an axis is logarithmic
+_MOST_TICKS = 12  # of values that are no numbers
+
+
+class Look(NamedTuple):
+    """How an attractor is drawn: colours differ in lightness as well, for black and white."""
+
+    colour: str
+    mark: str
+    hatch: str
+
+
+LOOKS = {
+    REST: Look("#9ECAE1", "D", "..."), SLIDING: Look("#0072B2", "s", ""), PERIODIC: Look("#E69F00", "o", ""),
+    IRREGULAR: Look("#6A3D9A", "X", "xxx"), ESCAPING: Look("black", "*", ""), UNDECIDED: Look("#D9D9D9", ".", "///"),
+}  # fmt: skip
+#: Of the cycles of one system, and of all that come after these.
+CYCLES = (LOOKS[PERIODIC], Look("#7F2704", "^", ""), Look("#F0E442", "v", ""), Look("#D55E00", "P", ""))
+OTHERS = Look("#FDD0A2", "p", "\\\\\\")
+WORDS = {
+    REST: "come to rest", SLIDING: "slide steadily", PERIODIC: "settle on a cycle", IRREGULAR: "stay irregular",
+    ESCAPING: "run away", UNDECIDED: "undecided",
+}  # fmt: skip
+#: How exits of one block are drawn in a bifurcation diagram, by the order of the blocks: colour and mark.
+_BLOCKS = (("black", "o"), ("#D55E00", "s"), ("#0072B2", "^"), ("#CC79A7", "D"))
+#: How the state of what has no exits is drawn there, and its name.
+_AT_SECTION = {
+    PERIODIC: ("#E69F00", "+", "cycle without exits, at one event"), SLIDING: ("#0072B2", "x", "steady sliding"),
+    REST: ("#9ECAE1", "D", "at rest"),
+}  # fmt: skip
+
+
+class Points(NamedTuple):
+    """Values against a key: at which of its values, shape (m,), and what."""
+
+    x: Floats
+    y: Floats
+
+
+class Sections(NamedTuple):
+    """A bifurcation diagram.
+
+    Attributes
+    ----------
+    exits : mapping of (int, str) to Points
+        z of a block at exits, by block and kind.
+    states : mapping of str to Points
+        z of the block `block` on what has no exits, by kind.
+    block : int
+    multiplier, period : Points
+        Of cycles.
+    """
+
+    exits: Mapping[tuple[int, str], Points]
+    states: Mapping[str, Points]
+    block: int
+    multiplier: Points
+    period: Points
+
+
+# ------------------------------------------------------------------------------------------------- basins
+
+
+@panel(3.5)
+def scatter(
+    ax: Axes, names: Sequence[str], points: Floats, number: np.ndarray, entries: Sequence[tuple[Look, str]]
+) -> None:
+    """Starts in their plane, a mark each, by what they settle on."""
+    size = float(np.clip(170.0 / np.sqrt(len(points)), 1.5, 6.0))  # marks fill the plane
+    for k, (look, _) in enumerate(entries):
+        x, y = points[number == k].T
+        ax.plot(x, y, look.mark, color=look.colour, markersize=size, markeredgewidth=0.2,
+                markeredgecolor="black" if size > 3 else "none", rasterized=len(points) > _VECTORS)  # fmt: skip
+    ax.margins(0.01)
+    ax.set(xlabel=f"{names[0]} at start", ylabel=f"{names[1]} at start")
+    marks = [Line2D([], [], linestyle="", marker=look.mark, color=look.colour, markeredgecolor="black",
+                    markeredgewidth=0.3, markersize=5, label=words) for look, words in entries]  # fmt: skip
+    _explain(ax, marks)
+
+
+@panel(3.5)
+def cells(
+    ax: Axes,
+    names: Sequence[str],
+    grid: tuple[Floats, Floats, np.ndarray],
+    number: np.ndarray,
+    entries: Sequence[tuple[Look, str]],
+) -> None:
+    """A cell for each start of a grid, by what it settles on, with a line between different ones."""
+    x, y, place = grid
+    _mesh(ax, edges(x), edges(y), number[place], [look for look, _ in entries])
+    ax.set(xlabel=f"{names[0]} at start", ylabel=f"{names[1]} at start")
+    _explain(ax, [_patch(look, words) for look, words in entries])
+
+
+def _mesh(ax: Axes, left: Floats, low: Floats, what: np.ndarray, looks: Sequence[Look]) -> None:
+    """Cells coloured by what each holds, an index of `looks`, with a line between different ones; white below 0."""
+    shown = np.ma.masked_less(what, 0)
+    ax.pcolormesh(left, low, shown, cmap=ListedColormap([look.colour for look in looks]), vmin=-0.5,
+                  vmax=len(looks) - 0.5, rasterized=what.size > _VECTORS)  # fmt: skip
+    upright = [[(left[k + 1], low[j]), (left[k + 1], low[j + 1])]
+               for j, k in zip(*np.nonzero(what[:, 1:] != what[:, :-1]), strict=True)]  # fmt: skip
+    level = [[(left[k], low[j + 1]), (left[k + 1], low[j + 1])]
+             for j, k in zip(*np.nonzero(what[1:] != what[:-1]), strict=True)]  # fmt: skip
+    lines = [*upright, *level]
+    ax.add_collection(LineCollection(lines, colors="black", linewidths=0.5, rasterized=len(lines) > _VECTORS))
+
+
+def _patch(look: Look, words: str) -> Patch:
+    return Patch(facecolor=look.colour, edgecolor="black", linewidth=0.3, label=words)
+
+
+@panel(1.9)
+def strip(ax: Axes, name: str, start: Floats, number: np.ndarray, entries: Sequence[tuple[Look, str]]) -> None:
+    """Starts along a line, each coloured, as far as half way to the next, by what it settles on."""
+    order = np.argsort(start, kind="stable")
+    bounds = edges(start[order])
+    for k, (look, _) in enumerate(entries):
+        own = np.flatnonzero(number[order] == k)
+        ax.bar(bounds[own], 1.0, np.diff(bounds)[own], align="edge", color=look.colour, hatch=look.hatch, linewidth=0,
+               rasterized=len(start) > _VECTORS)  # fmt: skip
+    change = np.flatnonzero(np.diff(number[order]) != 0) + 1
+    ax.vlines(bounds[change], 0, 1, color="black", linewidth=0.5, rasterized=len(change) > _VECTORS)
+    ax.set(xlim=(bounds[0], bounds[-1]), ylim=(0, 1), xlabel=f"{name} at start", yticks=[])
+    ax.spines["left"].set_visible(False)
+    _explain(ax, [Patch(facecolor=look.colour, hatch=look.hatch, label=words) for look, words in entries])
+
+
+def _explain(ax: Axes, handles: Sequence[Any]) -> None:
+    """One entry a line above the axes: shares and intervals are long."""
+    ax.figure.legend(handles=handles, loc="outside upper left", ncols=1, fontsize=7, handletextpad=0.4)
+
+
+# ------------------------------------------------------------------------------------------------- along keys
+
+
+def _beside(x: Sequence[float] | None, n: int) -> tuple[Floats, str]:
+    """Edges of cells around the n values of a key, evenly spaced if they are no numbers, and the scale of its axis."""
+    if x is None or n == 1:
+        return np.arange(n + 1) - 0.5 if x is None else x[0] + max(abs(x[0]), 1.0) * np.array([-0.5, 0.5]), "linear"
+    if x[0] > 0 and x[-1] > _DECADES * x[0]:
+        return np.exp(edges(np.log(x))), "log"
+    return edges(np.array(x, dtype=np.float64)), "linear"
+
+
+@panel()
+def shares_along(
+    ax: Axes, name: str, x: Sequence[float] | None, ticks: Sequence[str], shares: Mapping[str, Sequence[float]]
+) -> None:
+    """Stacked shares at each value of a key, each as wide as to half way to the next."""
+    bounds, scale = _beside(x, len(ticks))
+    floor = np.zeros(len(ticks))
+    for kind, some in shares.items():
+        look = LOOKS[kind]
+        ax.bar(bounds[:-1], some, np.diff(bounds), floor, align="edge", color=look.colour, hatch=look.hatch,
+               edgecolor="white", linewidth=0.3, label=WORDS[kind])  # fmt: skip
+        floor += some
+    if x is None:
+        ax.set_xticks(range(len(ticks)), ticks, rotation=30, ha="right")
+    ax.set(xscale=scale, xlim=(bounds[0], bounds[-1]), ylim=(0, 1), xlabel=name, ylabel="share of runs")
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+    ax.figure.legend(loc="outside upper left", ncols=3, fontsize=7, handlelength=1.2)
+
+
+class Scale(NamedTuple):
+    """A swept key: its name, its values as numbers, None if one is a distribution, and as texts."""
+
+    name: str
+    x: Sequence[float] | None
+    ticks: Sequence[str]
+
+
+@panel(3.4)
+def over_two_keys(ax: Axes, across: Scale, up: Scale, what: np.ndarray, is_mixed: np.ndarray) -> None:
+    """A cell for each pair of values of two keys, by what most of its runs settle on.
+
+    `what`, shape (len(up.ticks), len(across.ticks)), is a place in `KINDS`, and -1 where there is no run. A dot marks
+    cells, where `is_mixed`, whose runs settle on different things.
+    """
+    (left, of_x), (low, of_y) = (_beside(one.x, len(one.ticks)) for one in (across, up))
+    seen = [k for k in range(len(KINDS)) if (what == k).any()]
+    looks = [LOOKS[KINDS[k]] for k in seen]
+    place = np.full(len(KINDS) + 1, -1)
+    place[seen] = range(len(seen))
+    _mesh(ax, left, low, place[what], looks)
+    middles = [np.sqrt(one[1:] * one[:-1]) if scale == "log" else (one[1:] + one[:-1]) / 2
+               for one, scale in ((left, of_x), (low, of_y))]  # fmt: skip
+    rows, columns = np.nonzero(is_mixed)
+    size = float(np.clip(60.0 / max(what.shape), 1.2, 4.0))
+    ax.plot(middles[0][columns], middles[1][rows], "o", color="white", markersize=size, markeredgecolor="black",
+            markeredgewidth=0.4, rasterized=len(rows) > _VECTORS)  # fmt: skip
+    for axis, one in ((ax.xaxis, across), (ax.yaxis, up)):
+        if one.x is None:
+            step = -(-len(one.ticks) // _MOST_TICKS)
+            axis.set_ticks(range(0, len(one.ticks), step), one.ticks[::step])
+    ax.set(xscale=of_x, yscale=of_y, xlim=(left[0], left[-1]), ylim=(low[0], low[-1]), xlabel=across.name,
+           ylabel=up.name)  # fmt: skip
+    handles: list[Any] = [_patch(look, WORDS[KINDS[k]]) for k, look in zip(seen, looks, strict=True)]
+    if len(rows):
+        handles.append(_handle("white", "o", "not all alike", edge=0.4))
+    if (what < 0).any():
+        handles.append(Patch(facecolor="white", edgecolor="black", linewidth=0.3, label="no run"))
+    ax.figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=7, handlelength=1.2)
+
+
+def _handle(colour: str, mark: str, words: str, edge: float = 0.0) -> Line2D:
+    is_line = mark in "+x"
+    return Line2D([], [], linestyle="", marker=mark, markersize=4, color=colour,
+                  markeredgecolor=colour if is_line else "black", markeredgewidth=0.8 if is_line else edge,
+                  label=words)  # fmt: skip
+
+
+@panel(5.2, nrows=3, sharex=True, gridspec_kw={"height_ratios": (3, 1, 1)})
+def bifurcation(axes: Sequence[Axes], along: Scale, found: Sections, title: str = "") -> None:
+    """z at exits of cycles and of irregular runs against a key, and z of what has no exits, above multipliers, periods.
+
+    `along` has numbers.
+    """
+    above, middle, below = axes
+    total = sum(len(one.x) for one in chain(found.exits.values(), found.states.values()))
+    size = float(np.clip(60.0 / np.sqrt(total), 0.8, 3.0))
+    is_many = total > _VECTORS
+    blocks = sorted({block for block, _ in found.exits})
+    handles = []
+    for kind, one in found.states.items():
+        colour, mark, words = _AT_SECTION[kind]
+        above.plot(one.x, one.y, mark, color=colour, markersize=max(size, 2.0), markeredgewidth=0.7 * (mark in "+x"),
+                   rasterized=is_many)  # fmt: skip
+        handles.append(_handle(colour, mark, words))
+    for (block, kind), one in found.exits.items():
+        colour, mark = _BLOCKS[blocks.index(block) % len(_BLOCKS)]
+        is_cycle = kind == PERIODIC
+        above.plot(one.x, one.y, mark, color=colour, markersize=size if is_cycle else 0.5 * size, markeredgewidth=0,
+                   alpha=1.0 if is_cycle else 0.4, rasterized=is_many)  # fmt: skip
+    of_blocks = [_handle(*_BLOCKS[k % len(_BLOCKS)], f"exits of block {block}") for k, block in enumerate(blocks)]
+    if len(blocks) == 1:
+        of_blocks = [_handle(*_BLOCKS[0], "at exits")]
+    if len(of_blocks) + len(handles) > 1:
+        above.figure.legend(handles=[*of_blocks, *handles], loc="outside upper left", ncols=3, fontsize=7,
+                            handletextpad=0.1)  # fmt: skip
+    is_one = {*blocks} <= {found.block}
+    above.set_ylabel(f"z of block {found.block}" if is_one else "z")
+    if title:
+        above.set_title(title)
+    for ax, key, points in ((middle, "multiplier", found.multiplier), (below, "period", found.period)):
+        ax.plot(*points, "o", color="black", markersize=1.8, markeredgewidth=0, rasterized=len(points.x) > _VECTORS)
+        ax.set_ylabel(key)
+        top = max(points.y.max(initial=0.0), float(key == "multiplier")) or 1.0
+        ax.set_ylim(-0.08 * top, 1.1 * top)
+    middle.axhline(1.0, color=GREY, linewidth=0.8, linestyle="--")
+    bounds, scale = _beside(along.x, len(along.ticks))
+    below.set(xlabel=along.name, xscale=scale, xlim=(bounds[0], bounds[-1]))
+    above.figure.align_ylabels(list(axes))
+
+
+# ------------------------------------------------------------------------------------------------- by group
+
+
+@panel()
+def bars(ax: Axes, shares: Mapping[str, Mapping[str, float]]) -> None:
+    """A stacked bar a group, from below in the order of the page."""
+    labels: Sequence[str] = list(shares)[::-1]
+    left = np.zeros(len(labels))
+    for kind, look in LOOKS.items():
+        width = np.array([shares[label].get(kind, 0.0) for label in labels])
+        if width.any():
+            ax.barh(labels, width, left=left, color=look.colour, hatch=look.hatch, edgecolor="white", linewidth=0.3,
+                    label=WORDS[kind])  # fmt: skip
+        left += width
+    ax.set(xlim=(0, 1), xlabel="share of runs")
+    ax.xaxis.set_major_formatter(PercentFormatter(1.0))
+    ax.figure.legend(loc="outside upper left", ncols=3, fontsize=7, handlelength=1.2)
