@@ -156,10 +156,13 @@ class Member:
             }
         )  # fmt: skip
 
+    def _key(self, purpose: int, *draw: int | None) -> tuple[int, ...]:
+        """What one draw means: members that share it share its numbers."""
+        return (purpose, self.n, self.source.matrix, *(number for number in draw if number is not None))
+
     def _seed(self, purpose: int, *draw: int | None) -> np.random.SeedSequence:
-        """Seed of one draw, keyed by its meaning, so that members that share a draw share its numbers."""
-        known = [number for number in draw if number is not None]
-        return np.random.SeedSequence(self.source.seed, spawn_key=(purpose, self.n, self.source.matrix, *known))
+        """Seed of one draw."""
+        return np.random.SeedSequence(self.source.seed, spawn_key=self._key(purpose, *draw))
 
     @property
     def scales(self) -> dict[str, Any]:
@@ -180,7 +183,7 @@ class Member:
         if isinstance(value, Ratio):
             return self._by_block(value.factor, purpose, *draw)
         if isinstance(value, Distribution):
-            return value.draw(self._seed(purpose, *draw), self.n)
+            return _drawn(value, self.source.seed, self._key(purpose, *draw), self.n)
         if not isinstance(value, Named):
             return value
         if value == BELT:
@@ -254,22 +257,25 @@ class Member:
         return 1.0 - np.random.default_rng(self._seed(RATIO, self.ratio_draw)).random(self.n)
 
     def task(
-        self, system: sim.System, t_eval: ArrayLike = (), end: State | None = None, stop_early: bool | str = True
+        self,
+        system: sim.System,
+        start: tuple[float | np.ndarray, float | np.ndarray],
+        t_eval: ArrayLike = (),
+        stop_early: bool | str = True,
     ) -> tuple[Engine, contract.Task]:
         """Its engine, one for all members of the same settings, and what that is to run.
 
-        `end` is as in `start`, `t_eval` and `stop_early` as in `stickslip.sim.simulate`.
+        `t_eval` and `stop_early` are as in `stickslip.sim.simulate`.
         """
         if self.ratio_draw is None:
             engine = _engine(self.engine, self.settings)
         else:
             engine = as_engine(self.engine, dict(self.settings) | {"ratio": self.ratios()})
-        start = self.start(end)
         return engine, as_task(engine, system, *start, t_end=self.t_end, t_eval=t_eval, stop_early=stop_early)
 
     def simulate(self, t_eval: ArrayLike = (), end: State | None = None) -> sim.Run:
         """Draw the system and run it; `end` as in `start`."""
-        engine, task = self.task(self.system(), t_eval, end)
+        engine, task = self.task(self.system(), self.start(end), t_eval)
         return engine.integrate(task)
 
     @property
@@ -299,6 +305,14 @@ def _plain(value: Any) -> Any:
 def _engine(name: str, settings: tuple[tuple[str, Any], ...]) -> Engine:
     """An engine with a member's settings; its ratios, if it has any, are one."""
     return as_engine(name, {key: 1.0 if key == "ratio" else value for key, value in settings})
+
+
+@lru_cache(maxsize=8)  # engines follow on each other
+def _drawn(value: Distribution, seed: int, key: tuple[int, ...], n: int) -> np.ndarray:
+    """What is drawn for the blocks, shape (n,), read-only."""
+    array = value.draw(np.random.SeedSequence(seed, spawn_key=key), n)
+    array.flags.writeable = False
+    return array
 
 
 #: The last system that each function made, after the values that it depends on.
