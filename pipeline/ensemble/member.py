@@ -195,12 +195,7 @@ class Member:
     @property
     def drawn(self) -> str | None:
         """What is drawn for each block, or read from a file, as text; None: nothing."""
-        terms = dict(self.terms)
-        own = {key: terms[key] for key in _PURPOSES if key in terms}
-        own |= {"force": terms.get("forces", terms.get("force_course")), "force_blocks": terms.get("force_blocks")}
-        own |= {"z": self.begin.z0, "w": self.begin.w0}
-        given = {key: one for key, one in own.items() if isinstance(one, NO_NUMBER)}
-        return "; ".join(f"{key} = {one}" for key, one in given.items()) or None
+        return _words_of(self.terms, self.begin.z0, self.begin.w0)
 
     def system(self) -> sim.System:
         """Draw the member's system: the matrix's own, then moved if the member is a perturbed one.
@@ -305,6 +300,17 @@ def _plain(value: Any) -> Any:
 def _engine(name: str, settings: tuple[tuple[str, Any], ...]) -> Engine:
     """An engine with a member's settings; its ratios, if it has any, are one."""
     return as_engine(name, {key: 1.0 if key == "ratio" else value for key, value in settings})
+
+
+@lru_cache(maxsize=8)  # most members have the terms of their neighbours
+def _words_of(terms: tuple[tuple[str, Any], ...], z0: Value, w0: Value) -> str | None:
+    """As `Member.drawn`."""
+    of = dict(terms)
+    own = {key: of[key] for key in _PURPOSES if key in of}
+    own |= {"force": of.get("forces", of.get("force_course")), "force_blocks": of.get("force_blocks")}
+    own |= {"z": z0, "w": w0}
+    given = {key: one for key, one in own.items() if isinstance(one, NO_NUMBER)}
+    return "; ".join(f"{key} = {one}" for key, one in given.items()) or None
 
 
 @lru_cache(maxsize=8)  # engines follow on each other

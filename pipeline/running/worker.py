@@ -36,6 +36,7 @@ from stickslip.sim.systems.system import work_out
 
 #: Members that are set up at once, and entries of K that they have together, at most.
 _TOGETHER, _ENTRIES = 128, 2**16
+_NEVER = np.empty(0)
 #: Engines whose kernels this process has.
 _loaded: set[str] = set()
 
@@ -210,8 +211,8 @@ def _states(member: Member, times: tuple[float, ...]) -> sim.Samples:
 
 def _times(member: Member, recording: Recording) -> np.ndarray:
     """When a run is sampled: at all times that some record asks for, in order."""
-    asking = (record.times(member) for record in recording.records if record.applies(member))
-    return np.unique(np.concatenate([np.empty(0), *asking]))
+    asking = [record.times(member) for record in recording.records if record.applies(member)]
+    return np.unique(np.concatenate(asking)) if asking else _NEVER
 
 
 def is_cold(engine: str) -> bool:
