@@ -20,7 +20,7 @@ from markupsafe import Markup, escape
 
 from stickslip.analysis.stats.compare import WITHIN
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.sim.kernels.cache import CacheError, KernelFiles, cache_directory
+from stickslip.sim.kernels.cache import CacheError, CacheFiles, cache_directory
 
 MINUS, DASH = "\u2212", "\u2013"
 MOST_DIGITS = 8  # of the ends of an interval, to show that they differ
@@ -287,7 +287,7 @@ class _Compiled(BytecodeCache):
 
     def __init__(self) -> None:
         self._code: dict[tuple[str, str], CodeType] = {}
-        self._files = KernelFiles(cache_directory(), "templates")
+        self._files = CacheFiles(cache_directory(), "templates")
 
     def load_bytecode(self, bucket: Bucket) -> None:
         key = bucket.key, bucket.checksum
