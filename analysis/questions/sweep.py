@@ -323,13 +323,22 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
         ],
         "gaps": [{"of": of, "runs": runs} for runs, of in gaps.items() if runs],
         "withheld": [
-            {"subject": one.subject, "why": some[0].values[one.name].withheld, "n": len(some)}
+            {"subject": one.subject, "why": why, "at": [point.group.label for point in some]}
             for one in asked
-            if (some := [point for point in every if point.values[one.name].withheld])
+            for why, some in _withheld(one, every).items()
         ],
         "cells": [cell for name, key in shown
                   for cell in ((name, key, "#"), ("interval", (f"{key}_low", f"{key}_high"), "#"))],
     }  # fmt: skip
+
+
+def _withheld(one: Measure, points: Sequence[Point]) -> dict[str, list[Point]]:
+    """The points at which a measure is not given although runs have it, by the reason."""
+    found: dict[str, list[Point]] = {}
+    for point in points:
+        if why := point.values[one.name].withheld:
+            found.setdefault(why, []).append(point)
+    return found
 
 
 _OF = {
