@@ -121,7 +121,7 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
         (B, B_VALUE, "episode_b", "b of the episodes", f"by Aki {beyond}".strip(), f"{B} {beyond}".strip()),
     ):
         of = partial(_episodes, by_label, quantity, least, study.settings.confidence)
-        yield Measure(Statistic(name, QUANTITIES[quantity].of, MARGIN), key, subject, words, axis, of)
+        yield Measure(Statistic(name, QUANTITIES[quantity].of, MARGIN, least=0.0), key, subject, words, axis, of)
 
 
 def _episodes(by_label: dict[str, Catalogues], name: str, least: float, level: float, group: Group) -> Values:
@@ -166,7 +166,9 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
             continue
         words = column.words.partition(";")[0]
         yield Measure(
-            Statistic(f"mean {name}", ratio, MARGIN), name, f"mean {name}", words, name, partial(_column, numbers),
+            Statistic(f"mean {name}", ratio, MARGIN, least=study.data.least.get(name)),
+            name, f"mean {name}", words, name,
+            partial(_column, numbers),
             is_recorded=not is_own,
         )  # fmt: skip
 

@@ -113,6 +113,36 @@ def test_a_change_has_the_sign_of_the_difference(recorded, settings, values, ver
     assert not re.search(r"\b(nan|inf|none)\b", said + sentence(answer, "main"), re.IGNORECASE)
 
 
+def test_a_change_of_the_size_of_the_tolerance_is_none(recorded, settings):
+    """Every run has tol = 1e-10: 1e-11 of the number may be its error, and 1e-8 is not."""
+    for change, is_same in ((1e-11, True), (1e-8, False)):
+        data = recorded({"work": lambda rng, matrix, v, by=change: 3.0 * (1 + by * (v > -0.2))})
+        data.members["tol"] = 1e-10
+        said = sentence(sweep.answer(Study(data, settings)))
+        assert ("is the same as belt_speed goes from −0.3 to −0.1 to the accuracy of the runs" in said) is is_same
+        assert ("within 10%" in said) is not is_same
+    rest = recorded({"work": lambda rng, matrix, v: {-0.3: 1e-14 * matrix, -0.2: 1.0, -0.1: 1e-13 * matrix}[v]})
+    row = rows_of(sweep.answer(Study(rest, settings)), "mean work").loc["-0.1"]
+    assert row["verdict"] == sweep.WITHIN, "beside runs that move, ten times nothing is nothing"
+
+
+def test_no_interval_goes_below_what_a_number_is_never_below(recorded, settings):
+    """One matrix in eight moves at all: 1 with a standard error of 1."""
+    data = recorded({"amplitude": lambda rng, matrix, v: 8.0 * (matrix == 0) * (1 - v)})
+    low = {}
+    for least in ({}, {"amplitude": 0.0}):
+        answer = sweep.answer(Study(replace(data, least=least), settings))
+        row = rows_of(answer, "mean amplitude").loc["-0.1"]
+        low[bool(least)] = (row["first_low"], *answer.tables["sweep_measures"]["estimate_low"])
+        assert row["first_high"] > row["first"] == pytest.approx(1.3)
+        assert row[["relative", "relative_low", "relative_high"]].isna().all(), (
+            "the first is 0 within its uncertainty"
+        )
+        assert "%" not in sentence(answer)
+    assert max(low[False]) < 0
+    assert set(low[True]) == {0.0}
+
+
 def test_runs_without_a_value_are_counted_and_named(recorded, settings):
     lost = {"m2-1": {"outcome": "failed", "reason": "no more memory", "t_stop": None}}
     holes = {(0, -0.3): None, (1, -0.3): np.nan, (4, -0.3): np.inf}
