@@ -14,10 +14,24 @@ from stickslip.analysis.contrast import Sample
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import SYSTEM_KEYS, TOLERANCES
-from stickslip.analysis.models.episodes import QUANTITIES, QUIET, SLOW_DRIVE, Catalogue, completeness, drift
+from stickslip.analysis.models.episodes import (
+    FITTED,
+    QUANTITIES,
+    QUIET,
+    SLOW_DRIVE,
+    BValue,
+    Catalogue,
+    b_values,
+    completeness,
+    drift,
+    follows,
+    in_classes,
+    laws_of_moments,
+)
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, Words, against
 from stickslip.analysis.stats.estimates import Undefined, over_matrices
+from stickslip.analysis.stats.families import Fit, maximise
 
 MARGIN = 0.1  # relative margin of every statistic, and of Poisson's CV: about twenty systems can exclude it
 REGULAR, CLUSTERED, AS_POISSON = "more regular", "less regular", "as Poisson"
@@ -33,6 +47,9 @@ class Catalogues:
     group : Group
     runs : dict of int to list of Catalogue
         By unit.
+    least : float
+        Magnitude from which laws are fitted: the completeness of the first group of the same systems that has
+        episodes, so that they compare. Filled by `read`.
     sample : Sample
         Sums of each quantity by unit, for contrasts; filled by `summarise`.
     row : dict
@@ -41,6 +58,7 @@ class Catalogues:
 
     group: Group
     runs: dict[int, list[Catalogue]]
+    least: float = 0.0
     sample: Sample = field(default_factory=Sample)
     row: Row = field(default_factory=dict)
 
@@ -77,7 +95,13 @@ def read(study: Study, episodes: pd.DataFrame) -> list[Catalogues]:
     of_member = {str(name): some for name, some in episodes.groupby("member_id", sort=False)}
     groups = sorted(study.groups, key=fineness)
     found = [Catalogues(group, _by_unit(study, group, of_member)) for group in groups]
-    return [one for one in found if one.runs]
+    found = [one for one in found if one.runs]
+    for some in systems(found):
+        magnitudes = (one.magnitudes() for one in some)
+        least = next((completeness(known) for known in magnitudes if len(known)), 0.0)
+        for one in some:
+            one.least = least
+    return found
 
 
 def fineness(group: Group) -> tuple[Any, ...]:
@@ -120,24 +144,13 @@ def systems(found: Sequence[Catalogues]) -> list[list[Catalogues]]:
     return list(by_key.values())
 
 
-def summarise(some: Sequence[Catalogues], level: float) -> None:
-    """Fill in the statistics of groups of the same systems, all from one least magnitude, so that they compare.
-
-    It is the completeness of the first group that has episodes.
-    """
-    magnitudes = (one.magnitudes() for one in some)
-    least = next((completeness(known) for known in magnitudes if len(known)), 0.0)
-    for one in some:
-        _fill(one, least, level)
-
-
-def _fill(one: Catalogues, least: float, level: float) -> None:
+def summarise(one: Catalogues, level: float) -> None:
     """Fill in the statistics of a group, each with its interval over units."""
     quantities = {**QUANTITIES, **SLOW_DRIVE}
     for unit, runs in one.runs.items():
         for run in runs:
             for name, quantity in quantities.items():
-                sums = quantity.sums(run, least)
+                sums = quantity.sums(run, one.least)
                 if np.isfinite(sums).all():
                     one.sample.add(name, unit, sums)
     halves = np.array([sum(run.halves() for run in runs) for runs in one.runs.values()])
@@ -145,7 +158,7 @@ def _fill(one: Catalogues, least: float, level: float) -> None:
     basis = enough.basis(halves, n_episodes, level, drift)
     sizes = np.concatenate([run.size for run in one.each()])
     one.row = {
-        "group": one.label, "least": least, "stuck_below": _stuck_below(one.group),
+        "group": one.label, "least": one.least, "stuck_below": _stuck_below(one.group),
         "n_systems": len(one.runs), "n_episodes": n_episodes,
         "basis": basis.code, "n_matrices": len(one.runs), "n_cascades": n_episodes, **named("drift", basis.drift),
         "largest": float(one.magnitudes().max()) if n_episodes else None,
@@ -174,3 +187,38 @@ def _regularity(sums: np.ndarray, level: float) -> str:
     except Undefined:
         return UNKNOWN
     return test.verdict(level, Words(AS_POISSON, CLUSTERED, REGULAR))
+
+
+# ------------------------------------------------------------------------------------------- the law of moments
+
+
+def classes(one: Catalogues) -> np.ndarray:
+    """Histogram of magnitudes of each unit, from `least` to the largest, shape (G, K)."""
+    by_unit = [np.concatenate([run.magnitude for run in runs]) for runs in one.runs.values()]
+    n_classes = int(np.floor((one.magnitudes().max() - one.least) / FITTED + 1e-9)) + 1
+    return np.array([in_classes(some, one.least, max(n_classes, 0)) for some in by_unit], dtype=np.float64)
+
+
+def fits_of(one: Catalogues, n_laws: int = 3) -> list[Fit]:
+    """The fit of the first of `laws_of_moments` to a group; empty where a likelihood has no maximum."""
+    magnitudes = one.magnitudes()
+    above = magnitudes[magnitudes >= one.least]
+    if not len(above):
+        return []
+    counts = classes(one).sum(axis=0)
+    laws = laws_of_moments(one.least, float(np.mean(10.0**above)))[:n_laws]
+    try:
+        return [maximise(law, np.arange(1.0, len(counts) + 1), counts) for law in laws]
+    except Undefined:
+        return []
+
+
+def values_of_b(one: Catalogues, level: float) -> list[BValue]:
+    """Aki's b of a group from its completeness on, and from higher magnitudes."""
+    fits = fits_of(one, 1)
+    return b_values([*one.runs.values()], fits[0], one.least, enough.LEAST_CASCADES, level) if fits else []
+
+
+def has_b(one: Catalogues, level: float) -> bool:
+    """Whether a group has one b: no estimate is shown to leave what its law predicts for it."""
+    return follows(values_of_b(one, level), len(one.runs), level)

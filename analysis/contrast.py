@@ -30,7 +30,7 @@ from stickslip.analysis.stats.compare import (
     wilson,
 )
 from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
-from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, Undefined, at_least, over_matrices, ratio
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.stats.quantities import QUANTITIES
 
@@ -51,12 +51,13 @@ SCHEMA: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Statistic:
-    """A statistic: its name, how it follows from two sums, and its margin."""
+    """A statistic: its name, how it follows from two sums, its margin, and what it is never below."""
 
     name: str
     of: estimates.Statistic
     margin: float
     is_share: bool = False
+    least: float | None = None
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confid
         a, b = a / a[:, 1:], b / b[:, 1:]
     estimate = _share if one.is_share else over_matrices
     before, after = (estimate(one.of, rows, confidence) for rows in (a, b))
-    row |= named("first", before) | named("second", after)
+    row |= named("first", at_least(before, one.least)) | named("second", at_least(after, one.least))
     if before.value is None or after.value is None:
         return row | {"reason": before.reason or after.reason}
     of = share_difference(a[:, 0], b[:, 0], paired) if one.is_share else None

@@ -55,6 +55,8 @@ class Data:
         One row an episode: member_id, start, end, size, moment. None if the scene does not record them.
     recorded : mapping of str to Recorded
         Every number that a record keeps of a run, by the name of its column.
+    least : mapping of str to float
+        What numbers of `recorded` are never below, by what they are: 0 for an amplitude.
     lists : mapping of str to mapping of str to ndarray
         Every list of numbers that a record keeps of a run for its own sake, by the name of its column; a member
         without one is left out.
@@ -67,6 +69,7 @@ class Data:
     thresholds: Mapping[str, Mapping[float, ChangePoints]] = field(default_factory=dict)
     episodes: pd.DataFrame | None = None
     recorded: Mapping[str, Recorded] = field(default_factory=dict)
+    least: Mapping[str, float] = field(default_factory=dict)
     lists: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -16,7 +16,7 @@ from stickslip.analysis.groups import FIXED, Group, Value, by_value, labels
 from stickslip.analysis.measures import GAMMA, MEAN, Measure, Values, of_gamma, of_mean
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
-from stickslip.analysis.stats.estimates import Estimate, over_matrices
+from stickslip.analysis.stats.estimates import Estimate, at_least, over_matrices
 
 IN_MOTION = "share in motion"
 AT_MOST = "share in motion or quiet"  # whether a quiet run is in motion cannot be told
@@ -131,7 +131,7 @@ def estimate(of: Statistic, points: Iterable[Point], confidence: float) -> Estim
     if of.is_share and len(rows):
         at_most = both.rows(AT_MOST)[1][:, 0]
         return bounded_share(np.column_stack([rows[:, 0], at_most - rows[:, 0], rows[:, 1]]), confidence)
-    return over_matrices(of.of, rows, confidence)
+    return at_least(over_matrices(of.of, rows, confidence), of.least)
 
 
 def points_at(points: Iterable[Point], axis: Axis, value: tuple[Value, ...]) -> list[Point]:

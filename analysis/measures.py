@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from stickslip.analysis import contrast
-from stickslip.analysis.catalogues import MARGIN, Catalogues, read
+from stickslip.analysis.catalogues import MARGIN, Catalogues, has_b, read
 from stickslip.analysis.contrast import Statistic
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
@@ -103,7 +103,10 @@ def measures(study: Study, beside: Study | None = None) -> list[Measure]:
 
 
 def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
-    """Rate, mean size and b of episodes; b from the completeness of every group that has enough episodes for it."""
+    """Rate, mean size and b of episodes; b from the completeness of every group that has enough episodes for it.
+
+    A group has a b only where its law holds from its own completeness on, as on the page of episodes.
+    """
     if study.data.episodes is None or (beside is not None and beside.data.episodes is None):
         return
     found = read(study, study.data.episodes)
@@ -117,11 +120,11 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
         (MEAN_SIZE, SIZE, "episode_size", f"the {MEAN_SIZE}", "in blocks that slip", MEAN_SIZE),
         (B, B_VALUE, "episode_b", "b of the episodes", f"by Aki {beyond}".strip(), f"{B} {beyond}".strip()),
     ):
-        of = partial(_episodes, by_label, quantity, least)
-        yield Measure(Statistic(name, QUANTITIES[quantity].of, MARGIN), key, subject, words, axis, of)
+        of = partial(_episodes, by_label, quantity, least, study.settings.confidence)
+        yield Measure(Statistic(name, QUANTITIES[quantity].of, MARGIN, least=0.0), key, subject, words, axis, of)
 
 
-def _episodes(by_label: dict[str, Catalogues], name: str, least: float, group: Group) -> Values:
+def _episodes(by_label: dict[str, Catalogues], name: str, least: float, level: float, group: Group) -> Values:
     """The sums of a quantity of episodes over the runs of a group that reached t_end."""
     missing, sums = _unfinished(group), dict[int, np.ndarray]()
     if group.label not in by_label:
@@ -130,6 +133,8 @@ def _episodes(by_label: dict[str, Catalogues], name: str, least: float, group: G
     if name == B_VALUE and np.count_nonzero(found.magnitudes() >= least) < enough.LEAST_CASCADES:
         beyond = f" from M = {least:.3g} on" if np.isfinite(least) else ""
         return Values(sums, missing, f"fewer than {enough.LEAST_CASCADES} episodes{beyond}")
+    if name == B_VALUE and not has_b(found, level):
+        return Values(sums, missing, "no single b is shown to hold")
     of_unit = {unit: iter(runs) for unit, runs in found.runs.items()}  # in the order of the members
     for unit, member_id in zip(group.finished["unit"], group.finished["member_id"], strict=True):
         row = np.array(QUANTITIES[name].sums(next(of_unit[int(unit)]), least), dtype=np.float64)
@@ -161,7 +166,9 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
             continue
         words = column.words.partition(";")[0]
         yield Measure(
-            Statistic(f"mean {name}", ratio, MARGIN), name, f"mean {name}", words, name, partial(_column, numbers),
+            Statistic(f"mean {name}", ratio, MARGIN, least=study.data.least.get(name)),
+            name, f"mean {name}", words, name,
+            partial(_column, numbers),
             is_recorded=not is_own,
         )  # fmt: skip
 

@@ -11,7 +11,6 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
@@ -55,6 +54,8 @@ def svg(figure: Figure) -> str:
 
 def pdf(figure: Figure) -> bytes:
     """A figure as PDF, without date."""
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf  # takes a tenth of a second to load
+
     buffer = io.BytesIO()
     with matplotlib.rc_context(STYLE):
         FigureCanvasPdf(figure)

@@ -7,6 +7,8 @@ import shlex
 
 def printable(text: str) -> str:
     """Words of a dataset for a terminal, which obeys control characters: those are written as Python writes them."""
+    if text.isprintable():  # as most are
+        return text
     return "".join(c if c.isprintable() or c in "\n " else ascii(c)[1:-1] for c in text)
 
 

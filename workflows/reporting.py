@@ -58,6 +58,12 @@ def _data(opened: Opened) -> Data:
         thresholds=by_threshold(opened),
         episodes=episodes(opened) if scene.record.episodes else None,
         recorded=recorded,
+        least={
+            column.name: column.least
+            for record in scene.records
+            for column in record.kept
+            if column.least is not None
+        },
         lists={
             column.name: lists(opened, column.name)
             for record in scene.records

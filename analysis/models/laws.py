@@ -14,7 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special, stats
+import pandas as pd
+from scipy import special
 
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.enough import FEW_MATRICES
@@ -183,4 +184,4 @@ def _below(ordered: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def _rank_correlation(columns: np.ndarray) -> float:
-    return float(np.corrcoef(stats.rankdata(columns, axis=0), rowvar=False)[0, 1])
+    return float(np.corrcoef(pd.DataFrame(columns).rank(), rowvar=False)[0, 1])

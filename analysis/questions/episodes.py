@@ -14,8 +14,18 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, I, Question, Recipe, Row, S, frame, named
-from stickslip.analysis.catalogues import MARGIN, Catalogues, fineness, read, summarise, systems
+from stickslip.analysis.answer import Answer, B, F, I, Question, Recipe, Row, S, frame, named
+from stickslip.analysis.catalogues import (
+    MARGIN,
+    Catalogues,
+    classes,
+    fineness,
+    fits_of,
+    read,
+    summarise,
+    systems,
+    values_of_b,
+)
 from stickslip.analysis.contrast import SCHEMA, Statistic, contrast, judge
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.methods import against_reference, by_laws, comparison, names
@@ -29,15 +39,11 @@ from stickslip.analysis.models.episodes import (
     SLOW_DRIVE,
     WINDOWS,
     BValue,
-    b_values,
     follows,
-    in_classes,
-    laws_of_moments,
 )
-from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, relative_difference
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
-from stickslip.analysis.stats.families import Fit, maximise, parameter
+from stickslip.analysis.stats.families import parameter
 from stickslip.analysis.stats.goodness import REJECTED, goodness
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
@@ -50,7 +56,7 @@ MOST_OVER = 2.5  # largest rate in a figure, over the reference's
 _GROUPS: Mapping[str, str] = {
     "group": S, "method": S, "n_systems": I, "n_episodes": I, "least": F, "largest": F, "whole": F,
     **{f"{name}{end}": F for name in (*QUANTITIES, *SLOW_DRIVE) for end in ("", "_low", "_high")},
-    "drift": F, "drift_low": F, "drift_high": F, "stuck_below": F, "basis": S,
+    "drift": F, "drift_low": F, "drift_high": F, "stuck_below": F, "has_b": B, "basis": S,
 }  # fmt: skip
 _CONTRASTS: Mapping[str, str] = {"setting": S, "reference": S, **SCHEMA}
 _METHODS: Mapping[str, str] = {
@@ -66,7 +72,7 @@ _SIZES: Mapping[str, str] = {
     "group": S, "size": I, "n_episodes": I, "share": F, "share_low": F, "share_high": F,
 }  # fmt: skip
 _LAWS: Mapping[str, str] = {
-    "law": S, "parameters": S, "gain": F, "gap": F, "p_value": F, "fit": S, "reason": S,
+    "group": S, "law": S, "parameters": S, "gain": F, "gap": F, "p_value": F, "fit": S, "reason": S,
 }  # fmt: skip
 _RATES: Mapping[str, str] = {
     "group": S, "magnitude": F, "n_episodes": I, "rate": F, "rate_low": F, "rate_high": F, "over": F, "over_low": F,
@@ -82,28 +88,29 @@ def answer(study: Study) -> Answer | None:
     if not any(len(one.magnitudes()) for one in found):
         return Answer({"n_systems": max((len(one.runs) for one in found), default=0)}, lack="no episode")
     by_system = systems(found)
-    for some in by_system:
-        summarise(some, level)
     for one, method in zip(found, names(found), strict=True):
+        summarise(one, level)
         one.row["method"] = method
     judged = [one for one in found if one.is_judged]
+    b = {one.label: values_of_b(one, level) for one in judged}
+    for one in found:
+        one.row["has_b"] = one.is_judged and follows(b[one.label], len(one.runs), level)
     tables = {"episodes": frame(_GROUPS, [one.row for one in found])}
     if not judged:
         best = max(found, key=lambda one: one.row["n_episodes"]).row
         return Answer({"best": best, "t_burn": study.settings.t_burn}, lack=best["basis"], tables=tables)
     lead = _lead(judged)
-    least = float(lead.row["least"])
     leaders = [first for first, *_ in by_system if first.is_judged]
     contrasts, changes = against_reference(by_system, level), _changes(leaders, level)
     compared = by_laws(study, by_system)
-    rates = _rates(by_system, lead, least - CLASS, level)  # from the fullest class on: no law is asked of a rate
-    laws, moments = _laws(study, lead)
-    b = {one.label: _b_values(one, level) for one in judged}
+    rates = _rates(by_system, lead, lead.least - CLASS, level)  # from the fullest class on: no law is asked of a rate
+    told = [lead, *(one for one in leaders if one is not lead)]
+    laws, moments = zip(*(_laws(study, one, b[one.label]) for one in told), strict=True)
     sizes = [row for one in leaders for row in _sizes(one, level)]
     tables |= {
         "episode_contrasts": frame(_CONTRASTS, [row for rows in (*contrasts, changes) for row in rows]),
         "episode_methods": frame(_METHODS, compared),
-        "episode_laws": frame(_LAWS, laws),
+        "episode_laws": frame(_LAWS, [row for rows in laws for row in rows]),
         "episode_rates": frame(_RATES, rates),
         "episode_sizes": frame(_SIZES, sizes),
         "b_values": frame(_B_VALUES, _b_rows(b)),
@@ -111,13 +118,13 @@ def answer(study: Study) -> Answer | None:
     figures = _figures(found, leaders, lead, rates, sizes, b, bool(contrasts))
     references = [one.row for one in leaders]
     facts = {
-        "lead": lead.row, "rows": [one.row for one in found], "laws": laws, "moments": moments, "least": least,
+        "lead": lead.row, "rows": [one.row for one in found], "laws": [row for rows in laws for row in rows],
+        "moments": moments[0], "others": moments[1:], "least": lead.least,
         "class": CLASS, "fitted": FITTED, "windows": WINDOWS, "margin": MARGIN,
         "window": (float(lead.group.key["t_end"]) - study.settings.t_burn) * (1 - lead.row[OCCUPANCY]) / WINDOWS,
         "t_burn": study.settings.t_burn, "n_blocks": lead.group.key["n"],
         "refused": [one.row for one in found if not one.is_judged],
         "ends": (references[0], references[-1]), "changes": changes, "b": b[lead.label], "slow": SLOW,
-        "has_b": follows(b[lead.label], len(lead.runs), level),
         "most_over": MOST_OVER if any((row["over"] or 0.0) > MOST_OVER for row in rates) else None,
         "fast": [row for row in references if row[OCCUPANCY] > SLOW],
         "has_sizes": "episode_sizes" in figures, "is_sweep": len(by_system) > 1,
@@ -195,50 +202,26 @@ def _sizes(one: Catalogues, level: float) -> list[Row]:
     return rows
 
 
-def _in_classes(one: Catalogues) -> np.ndarray:
-    """Histogram of magnitudes of each unit, from the least class to the largest, shape (G, K)."""
-    least, by_unit = one.row["least"], [np.concatenate([run.magnitude for run in runs]) for runs in one.runs.values()]
-    n_classes = int(np.floor((one.magnitudes().max() - least) / FITTED + 1e-9)) + 1
-    return np.array([in_classes(some, least, max(n_classes, 0)) for some in by_unit], dtype=np.float64)
-
-
-def _fits(one: Catalogues, counts: np.ndarray) -> list[Fit]:
-    """The fit of each law of moments; empty where the likelihood has no maximum."""
-    magnitudes, least = one.magnitudes(), one.row["least"]
-    if magnitudes.max() < least:
-        return []
-    laws = laws_of_moments(least, float(np.mean(10.0 ** magnitudes[magnitudes >= least])))
-    try:
-        return [maximise(law, np.arange(1.0, counts.shape[1] + 1), counts.sum(axis=0)) for law in laws]
-    except Undefined:
-        return []
-
-
-def _b_values(one: Catalogues, level: float) -> list[BValue]:
-    fits = _fits(one, _in_classes(one))
-    of_units = list(one.runs.values())
-    return b_values(of_units, fits[0], one.row["least"], enough.LEAST_CASCADES, level) if fits else []
-
-
-def _laws(study: Study, lead: Catalogues) -> tuple[list[Row], Row]:
+def _laws(study: Study, one: Catalogues, b: Sequence[BValue]) -> tuple[list[Row], Row]:
     """Rows of the table `episode_laws`, and facts: the law that the moments of a group follow, with its exponents."""
-    level, counts = study.settings.confidence, _in_classes(lead)
-    fits = _fits(lead, counts)
+    level, counts = study.settings.confidence, classes(one)
+    own = {"group": one.label, "method": one.row["method"], "has_b": one.row["has_b"], "n_b": len(b)}
+    fits = fits_of(one)
     if not fits:
-        return [], {"exponent": Estimate(), "b": Estimate(), "law": UNKNOWN}
+        return [], own | {"exponent": Estimate(), "b": Estimate(), "law": UNKNOWN}
     base, with_cut_off, _ = fits
     rows: list[Row] = []
     for fit in fits:
         name = fit.family.name
         good = goodness(fit.sizes, counts, level, study.generator(f"moment {name}"), fit.family)
-        rows.append({
+        rows.append(own | {
             "law": name, "parameters": ", ".join(f"{key} = {value:.3g}" for key, value in fit.parameters.items()),
             "gain": None if fit is base else (fit.log_likelihood - base.log_likelihood) / counts.sum(),
             "gap": good.gap, "p_value": good.p_value, "fit": good.verdict(1 - level), "reason": good.reason or None,
         })  # fmt: skip
     exponent, cut_off = (parameter(with_cut_off, which, counts, level) for which in (0, 1))
     bounded = parameter(base, 0, counts, level)
-    return rows, {"exponent": exponent, "b": bounded, "law": _verdict(rows[1]["fit"], exponent, cut_off)}
+    return rows, own | {"exponent": exponent, "b": bounded, "law": _verdict(rows[1]["fit"], exponent, cut_off)}
 
 
 def _verdict(fit: str, exponent: Estimate, cut_off: Estimate) -> str:

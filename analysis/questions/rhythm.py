@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
-from scipy import special, stats
+from scipy import special
 
 from stickslip.analysis.answer import Answer, F, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
@@ -310,7 +310,7 @@ def _p_apart(slopes: np.ndarray) -> float | None:
         return None
     off = apart[:, 1:] - apart[:, 1:].mean(axis=1, keepdims=True)
     square = apart[:, 0] @ np.linalg.solve((n - 1) / n * off @ off.T, apart[:, 0])
-    return float(stats.f.sf((n - k) / (k * (n - 1)) * square, k, n - k))
+    return float(special.fdtrc(k, n - k, (n - k) / (k * (n - 1)) * square))
 
 
 def _is_power(found: Row, alpha: float) -> bool:

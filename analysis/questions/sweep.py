@@ -44,6 +44,8 @@ from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
 
+#: Tolerances of engines relative to the state, and what sums over a run lose to rounding at any tolerance.
+RELATIVE, ROUNDING = ("tol", "rtol"), 1e-12
 RISES, FALLS = "rises", "falls"
 MOST_LINES = 6  # in one figure
 MOST_COLUMNS = 5  # of measures in the table of values
@@ -76,9 +78,12 @@ def answer(study: Study) -> Answer | None:
     contrasts = [row for name, some in points.items() for row in _contrasts(name, axes, some, asked, study)]
     subjects = {one.name: (one.subject, one.words) for one in asked if one.name not in KEYS}
     for row in contrasts:  # a change from zero is a change, although it has no ratio
+        if not row["is_share"] and row["first_low"] is not None and row["first_low"] <= 0 <= row["first_high"]:
+            row |= dict.fromkeys(("relative", "relative_low", "relative_high", "p_equivalent"))
         row |= {"p_different": row["p_absolute"], "p_equivalent": _known(row["p_equivalent"], row["p_absolute"])}
-        if row["relative"] is None and row["difference_low"] == row["difference_high"] == 0.0:
-            row["p_equivalent"] = 0.0  # zero in every run
+        row["is_same"] = row["difference"] is not None and abs(row["difference"]) <= row["noise"]
+        if row["is_same"] and row["difference_low"] is not None:
+            row["p_equivalent"] = 0.0
         row["subject"], row["words"] = subjects.get(row["quantity"], ("", ""))
         row.setdefault("is_few", False)
     contrast.judge(contrasts, 1 - level, Words(WITHIN, RISES, FALLS))
@@ -135,9 +140,20 @@ def _contrasts(
     """Contrasts of each value of each axis with the first that has enough units, not judged yet."""
     by_place = {tuple(point.at.values()): point for point in points}
     level, recorded = study.settings.confidence, {one.name for one in asked} - {*KEYS}
+    # a change below it, in units of the largest value of a unit, is of the size of the runs' own errors
+    noise = max([ROUNDING, *(point.group.key[name] or 0.0 for point in points for name in RELATIVE)])
     statistics = [*(one.statistic for one in asked), Statistic(IN_MOTION, ratio, SHARE_MARGIN, is_share=True)]
     for axis, one in product(axes, statistics):
         known = [value for value in axis.values if _n_units(one.name, points, axis, value) >= enough.LEAST_MATRICES]
+        largest = max(
+            (
+                abs(row[0] / row[1])
+                for point in points
+                for row in point.sample.sums.get(one.name, {}).values()
+                if row[1] > 0
+            ),
+            default=0.0,
+        )
         base, *others = known if len(known) > 1 else axis.values
         for value in others:
             first, second = Sample(), Sample()
@@ -155,7 +171,7 @@ def _contrasts(
                 row |= _of_few(one, first, second, level)
             yield row | {
                 "setting": setting, "key": axis.name, "first_value": as_text(base), "second_value": as_text(value),
-                "is_last": value == others[-1],
+                "is_last": value == others[-1], "noise": noise * largest,
             }  # fmt: skip
 
 
@@ -246,7 +262,7 @@ def _everywhere(rows: Sequence[Row], n_settings: int) -> Row:
 
 def _weight(row: Row) -> float:
     """Size of a change in units of its margin; infinite for a change from zero, 0 where it was not tested."""
-    if row["p_different"] is None or row["difference"] == 0.0:
+    if row["p_different"] is None or row["is_same"]:
         return 0.0
     return np.inf if row["relative"] is None else contrast.weight(row)
 
@@ -258,7 +274,7 @@ def _known(*p: float | None) -> float | None:
 
 def _by_change(asked: Sequence[Measure], rows: Sequence[Row]) -> list[str]:
     """Measures in order, last those that are the same everywhere, as the energy of a start."""
-    moved = {row["quantity"] for row in rows if row["difference"] or row["difference_low"] != row["difference_high"]}
+    moved = {row["quantity"] for row in rows if row["difference"] is not None and not row["is_same"]}
     return sorted((one.name for one in asked), key=lambda name: name not in moved)
 
 
@@ -323,13 +339,22 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
         ],
         "gaps": [{"of": of, "runs": runs} for runs, of in gaps.items() if runs],
         "withheld": [
-            {"subject": one.subject, "why": some[0].values[one.name].withheld, "n": len(some)}
+            {"subject": one.subject, "why": why, "at": [point.group.label for point in some]}
             for one in asked
-            if (some := [point for point in every if point.values[one.name].withheld])
+            for why, some in _withheld(one, every).items()
         ],
         "cells": [cell for name, key in shown
                   for cell in ((name, key, "#"), ("interval", (f"{key}_low", f"{key}_high"), "#"))],
     }  # fmt: skip
+
+
+def _withheld(one: Measure, points: Sequence[Point]) -> dict[str, list[Point]]:
+    """The points at which a measure is not given although runs have it, by the reason."""
+    found: dict[str, list[Point]] = {}
+    for point in points:
+        if why := point.values[one.name].withheld:
+            found.setdefault(why, []).append(point)
+    return found
 
 
 _OF = {

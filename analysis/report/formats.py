@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import marshal
 import re
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from inspect import signature
 from types import CodeType
 from typing import Any
 
+import jinja2
 import numpy as np
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from jinja2.bccache import Bucket, BytecodeCache
@@ -16,6 +20,7 @@ from markupsafe import Markup, escape
 
 from stickslip.analysis.stats.compare import WITHIN
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.sim.kernels.cache import CacheError, CacheFiles, cache_directory
 
 MINUS, DASH = "\u2212", "\u2013"
 MOST_DIGITS = 8  # of the ends of an interval, to show that they differ
@@ -275,17 +280,33 @@ def _left(column: Column) -> str:
 
 
 class _Compiled(BytecodeCache):
-    """Cache of the templates that this process has compiled, since compiling all takes most of a second."""
+    """Compiled templates, which take most of a second: of this process, and kept where compiled kernels are.
+
+    Where nothing can be kept, or others could have written what is, they are compiled anew.
+    """
 
     def __init__(self) -> None:
         self._code: dict[tuple[str, str], CodeType] = {}
+        self._files = CacheFiles(cache_directory(), "templates")
 
     def load_bytecode(self, bucket: Bucket) -> None:
-        bucket.code = self._code.get((bucket.key, bucket.checksum))
+        key = bucket.key, bucket.checksum
+        if key not in self._code:
+            with suppress(CacheError):
+                if (kept := self._files.load((*_BY, *key))) is not None:
+                    self._code[key] = marshal.loads(kept)
+        bucket.code = self._code.get(key)
 
     def dump_bytecode(self, bucket: Bucket) -> None:
         assert bucket.code is not None
-        self._code[bucket.key, bucket.checksum] = bucket.code
+        key = bucket.key, bucket.checksum
+        self._code[key] = bucket.code
+        with suppress(CacheError, OSError):
+            self._files.save((*_BY, *key), marshal.dumps(bucket.code))
+
+
+#: What compiles them.
+_BY = (jinja2.__version__, sys.version)
 
 
 _COMPILED = _Compiled()

@@ -152,6 +152,7 @@ class Report:
     def files(self) -> dict[str, bytes]:
         """Contents of the report's files by path. The page comes last: once it exists, all that it names exists."""
         found = {f"report/{name}.parquet": table.to_parquet(index=False) for name, table in self.tables.items()}
+        found |= {f"report/{name}.csv": table.to_csv(index=False).encode() for name, table in self.tables.items()}
         found["report/tables.json"] = _json(self.tables)
         for name, drawn in self.figures.items():
             found |= {f"report/figures/{name}.svg": drawn.svg.encode(), f"report/figures/{name}.pdf": drawn.pdf}

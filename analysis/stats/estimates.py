@@ -8,7 +8,7 @@ at a time; resampling cascades or time samples would give intervals far too shor
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import fft
@@ -36,6 +36,16 @@ class Estimate:
         value = "no value" if self.value is None else f"{self.value:.6g}"
         interval = "" if self.low is None or self.high is None else f" ({self.low:.6g} to {self.high:.6g})"
         return f"Estimate({value}{interval}{self.reason and f': {self.reason}'})"
+
+
+def at_least(estimate: Estimate, least: float | None) -> Estimate:
+    """An estimate whose interval does not go below what the number is never below, by what it is.
+
+    A t interval is symmetric and may; what is cut off cannot be covered, so the coverage stays what it is.
+    """
+    if least is None or estimate.low is None:
+        return estimate
+    return replace(estimate, low=max(estimate.low, least))
 
 
 Statistic = Callable[[np.ndarray], np.ndarray]  # sums, shape (m, c) -> values, shape (m,); may raise Undefined

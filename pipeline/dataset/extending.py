@@ -8,21 +8,18 @@ next does the rest. What there is in the end has the bytes of a run that had the
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping
 from functools import cached_property, lru_cache
 
 import pyarrow as pa
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset, reading
-from stickslip.pipeline.dataset.writer import Store
+from stickslip.pipeline.dataset.writer import Store, begun
 from stickslip.pipeline.ensemble.pack import Batch, pack, tasks
 from stickslip.pipeline.errors import StoreError
 from stickslip.pipeline.places.manifest import Extension, Manifest, Shard, read_manifest
 from stickslip.pipeline.places.place import MANIFEST, SCENE
 from stickslip.pipeline.scene.scene import Scene
-
-log = logging.getLogger(__name__)
 
 #: Old shards that are in memory at once: members of a new one are in a few of them.
 _SHARDS_KEPT = 8
@@ -42,7 +39,8 @@ class Extending(Store):
     Raises
     ------
     StoreError
-        As `Store`; or if the dataset is not finished, a shard is damaged, or it has changed since it was opened.
+        As `Store`; or if the dataset is not finished, a shard is damaged, it has changed since it was opened, or an
+        extension by other records was begun.
     """
 
     def __init__(self, before: Opened, scene: Scene, accept_version: bool = False) -> None:
@@ -78,8 +76,7 @@ class Extending(Store):
         self.before.check()
         found, source = manifest.extension, self.scene.source.decode()
         if found is not None and found.scene != source:
-            log.warning("%s: another extension that was begun is given up", self.place)
-            found = None
+            raise begun(self.place, manifest)
         if found is None:
             found = Extension(scene=source, packing=list(pack(self.scene, None)), programs=[])
         manifest.extension = found
@@ -138,6 +135,28 @@ class Extending(Store):
         source = self.before.shards([name])
         with reading(self.place):
             return source.to_table(use_threads=False)  # a thread of Arrow's may outlive its library
+
+
+class _GivingUp(Store):
+    """The right to forget an extension that was begun: nothing is computed, and the data stay as they are."""
+
+    def _plan(self, manifest: Manifest) -> None:
+        manifest.extension = None
+        self.tasks, self.todo = [], []
+
+
+def give_up(path: Opened) -> None:
+    """Remove what is done of an extension that was begun; the dataset stays what it is.
+
+    Raises
+    ------
+    StoreError
+        If none was begun, or it cannot be written.
+    """
+    if path.manifest.extension is None:
+        raise StoreError(f"{path.place}: expected an extension that was begun, got none; there is nothing to give up")
+    with _GivingUp(path.place, path.scene):
+        pass
 
 
 def ended(path: Opened) -> Opened:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import io
+import sys
 import tokenize
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 import stickslip
+from stickslip.sim.kernels.cache import CacheError, CacheFiles, cache_directory
 from stickslip.version import __version__
 
 #: Packages and modules that determine numbers: a system and its run, which draws and settings a member has, what is
@@ -34,13 +37,23 @@ _OUTSIDE = ("sim/theory/", "sim/runs/pictures.py", "sim/runs/show.py")
 def program() -> str:
     """What numbers come from: the version of stickslip, and a digest of its code, as this process loaded it.
 
-    The digest is of the code's tokens: a comment, a docstring, an empty or a broken line leaves it as it is.
+    The digest is of the code's tokens: a comment, a docstring, an empty or a broken line leaves it as it is. Reading
+    these takes a third of a second, so it is kept, by the digest of the files.
     """
-    digest = hashlib.sha256()
     root = Path(stickslip.__file__).parent
-    for name, file in sorted(_sources(root)):
-        digest.update("\0".join((name, *_words(file.read_bytes()), "")).encode())
-    return f"{__version__}-{digest.hexdigest()[:16]}"
+    sources = [(name, file.read_bytes()) for name, file in sorted(_sources(root))]
+    makes = __version__, sys.version, Path(__file__).read_bytes(), sources
+    files, key = CacheFiles(cache_directory(), "program"), hashlib.sha256(repr(makes).encode()).hexdigest()
+    with contextlib.suppress(CacheError):  # where it could be another's it is found anew
+        if isinstance(kept := files.load(key), str):
+            return kept
+    digest = hashlib.sha256()
+    for name, source in sources:
+        digest.update("\0".join((name, *_words(source), "")).encode())
+    found = f"{__version__}-{digest.hexdigest()[:16]}"
+    with contextlib.suppress(CacheError, OSError):
+        files.save(key, found)
+    return found
 
 
 def _sources(root: Path) -> Iterator[tuple[str, Path]]:

@@ -31,7 +31,7 @@ from stickslip.pipeline.places.manifest import (
 from stickslip.pipeline.places.place import DATA, LOCK, MANIFEST, SCENE, TEMPORARY, TIMINGS, Place, Where
 from stickslip.pipeline.records import End
 from stickslip.pipeline.scene.adding import lines_between
-from stickslip.pipeline.scene.scene import Scene
+from stickslip.pipeline.scene.scene import Scene, parse_scene
 from stickslip.pipeline.scene.toml import parse_toml
 
 log = logging.getLogger(__name__)
@@ -270,6 +270,8 @@ class Store:
         again = {name for name, shard in manifest.shards.items() if self._retry_failed and shard.n_failed}
         self.todo = [task for task in self.tasks if task[0].name not in manifest.shards or task[0].name in again]
         if self.todo:
+            if manifest.extension is not None:
+                raise begun(self.place, manifest)
             manifest.programs = self._with_this_program(manifest)
 
     def _forget_damaged(self, shards: dict[str, Shard]) -> None:
@@ -312,13 +314,10 @@ class Store:
             self._keep_scene()
 
     def _end_extension(self, manifest: Manifest) -> None:
-        """Do the rest of an extension that a crash cut short at its end; give up one that the data grow out of."""
+        """Do the rest of an extension that a crash cut short at its end."""
         if manifest.scene is not None:
             self._keep_scene()
             manifest.scene = None
-        if self.todo and manifest.extension is not None:
-            log.warning("%s: an extension that was begun is given up; extend the dataset again", self.place)
-            manifest.extension = None
 
     def _keep_scene(self) -> None:
         self.place.replace(SCENE, self.scene.source)
@@ -368,6 +367,19 @@ class Store:
                     self._remove(f"{DATA}/{result.name}")
                 raise
         return shard
+
+
+def begun(place: Place, manifest: Manifest) -> StoreError:
+    """The refusal of what would lose an extension that was begun."""
+    found = manifest.extension
+    assert found is not None
+    keys = lines_between(stored_scene(place, manifest), parse_scene(found.scene.encode(), "extension"))
+    how = f"`{command('extend', str(place), '--record', *keys)}`" if keys else "the command that began it"
+    return StoreError(
+        f"{place}: expected no extension that was begun, got one by {', '.join(keys) or 'other records'}, of which "
+        f"{len(found.shards)} of {len(found.packing)} shards are done; finish it with {how}, or give it up with "
+        f"`{command('extend', str(place), '--give-up')}`"
+    )
 
 
 def _told(value: object) -> str:

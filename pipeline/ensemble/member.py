@@ -156,10 +156,13 @@ class Member:
             }
         )  # fmt: skip
 
+    def _key(self, purpose: int, *draw: int | None) -> tuple[int, ...]:
+        """What one draw means: members that share it share its numbers."""
+        return (purpose, self.n, self.source.matrix, *(number for number in draw if number is not None))
+
     def _seed(self, purpose: int, *draw: int | None) -> np.random.SeedSequence:
-        """Seed of one draw, keyed by its meaning, so that members that share a draw share its numbers."""
-        known = [number for number in draw if number is not None]
-        return np.random.SeedSequence(self.source.seed, spawn_key=(purpose, self.n, self.source.matrix, *known))
+        """Seed of one draw."""
+        return np.random.SeedSequence(self.source.seed, spawn_key=self._key(purpose, *draw))
 
     @property
     def scales(self) -> dict[str, Any]:
@@ -180,7 +183,7 @@ class Member:
         if isinstance(value, Ratio):
             return self._by_block(value.factor, purpose, *draw)
         if isinstance(value, Distribution):
-            return value.draw(self._seed(purpose, *draw), self.n)
+            return _drawn(value, self.source.seed, self._key(purpose, *draw), self.n)
         if not isinstance(value, Named):
             return value
         if value == BELT:
@@ -192,12 +195,7 @@ class Member:
     @property
     def drawn(self) -> str | None:
         """What is drawn for each block, or read from a file, as text; None: nothing."""
-        terms = dict(self.terms)
-        own = {key: terms[key] for key in _PURPOSES if key in terms}
-        own |= {"force": terms.get("forces", terms.get("force_course")), "force_blocks": terms.get("force_blocks")}
-        own |= {"z": self.begin.z0, "w": self.begin.w0}
-        given = {key: one for key, one in own.items() if isinstance(one, NO_NUMBER)}
-        return "; ".join(f"{key} = {one}" for key, one in given.items()) or None
+        return _words_of(self.terms, self.begin.z0, self.begin.w0)
 
     def system(self) -> sim.System:
         """Draw the member's system: the matrix's own, then moved if the member is a perturbed one.
@@ -254,22 +252,25 @@ class Member:
         return 1.0 - np.random.default_rng(self._seed(RATIO, self.ratio_draw)).random(self.n)
 
     def task(
-        self, system: sim.System, t_eval: ArrayLike = (), end: State | None = None, stop_early: bool | str = True
+        self,
+        system: sim.System,
+        start: tuple[float | np.ndarray, float | np.ndarray],
+        t_eval: ArrayLike = (),
+        stop_early: bool | str = True,
     ) -> tuple[Engine, contract.Task]:
         """Its engine, one for all members of the same settings, and what that is to run.
 
-        `end` is as in `start`, `t_eval` and `stop_early` as in `stickslip.sim.simulate`.
+        `t_eval` and `stop_early` are as in `stickslip.sim.simulate`.
         """
         if self.ratio_draw is None:
             engine = _engine(self.engine, self.settings)
         else:
             engine = as_engine(self.engine, dict(self.settings) | {"ratio": self.ratios()})
-        start = self.start(end)
         return engine, as_task(engine, system, *start, t_end=self.t_end, t_eval=t_eval, stop_early=stop_early)
 
     def simulate(self, t_eval: ArrayLike = (), end: State | None = None) -> sim.Run:
         """Draw the system and run it; `end` as in `start`."""
-        engine, task = self.task(self.system(), t_eval, end)
+        engine, task = self.task(self.system(), self.start(end), t_eval)
         return engine.integrate(task)
 
     @property
@@ -299,6 +300,25 @@ def _plain(value: Any) -> Any:
 def _engine(name: str, settings: tuple[tuple[str, Any], ...]) -> Engine:
     """An engine with a member's settings; its ratios, if it has any, are one."""
     return as_engine(name, {key: 1.0 if key == "ratio" else value for key, value in settings})
+
+
+@lru_cache(maxsize=8)  # most members have the terms of their neighbours
+def _words_of(terms: tuple[tuple[str, Any], ...], z0: Value, w0: Value) -> str | None:
+    """As `Member.drawn`."""
+    of = dict(terms)
+    own = {key: of[key] for key in _PURPOSES if key in of}
+    own |= {"force": of.get("forces", of.get("force_course")), "force_blocks": of.get("force_blocks")}
+    own |= {"z": z0, "w": w0}
+    given = {key: one for key, one in own.items() if isinstance(one, NO_NUMBER)}
+    return "; ".join(f"{key} = {one}" for key, one in given.items()) or None
+
+
+@lru_cache(maxsize=8)  # engines follow on each other
+def _drawn(value: Distribution, seed: int, key: tuple[int, ...], n: int) -> np.ndarray:
+    """What is drawn for the blocks, shape (n,), read-only."""
+    array = value.draw(np.random.SeedSequence(seed, spawn_key=key), n)
+    array.flags.writeable = False
+    return array
 
 
 #: The last system that each function made, after the values that it depends on.

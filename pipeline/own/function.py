@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import sys
 import threading
 import types
 from collections.abc import Callable
@@ -124,7 +126,7 @@ def call(function: OwnFunction, *arguments: Any, is_trial: bool = False, **by_na
 def use(function: OwnFunction, work: Callable[[Callable[..., Any]], Any], is_trial: bool = False) -> Any:
     """What some work with a function gives; only where code of the user's may run.
 
-    Its module is loaded once a process, from the file on disk.
+    Its module is loaded once a process, from the file on disk. What it prints goes to the standard error.
 
     Raises
     ------
@@ -137,7 +139,7 @@ def use(function: OwnFunction, work: Callable[[Callable[..., Any]], Any], is_tri
     """
     process = os.getpid()
     with _alone:
-        with own_modules(function.root, function.beside, is_trial) as late, np.errstate():
+        with own_modules(function.root, function.beside, is_trial) as late, np.errstate(), _aside():
             try:
                 found = work(_found(function))
             except Exception:
@@ -157,6 +159,11 @@ def use(function: OwnFunction, work: Callable[[Callable[..., Any]], Any], is_tri
     # modules stay as they were loaded; other files are read again
     check_beside(function.root, [one for one in function.beside if not module_of(one[0])], function.key)
     return found
+
+
+def _aside() -> contextlib.AbstractContextManager[object]:
+    """What a function prints is no part of what a command says: it goes to the standard error."""
+    return contextlib.redirect_stdout(sys.stderr)
 
 
 def _found(function: OwnFunction) -> Callable[..., Any]:

@@ -26,8 +26,9 @@ class Amplitude(StateRecord):
             "number",
             "amplitude",
             "half of peak to peak of z after t_burn, the largest of the blocks; null if the run ended before",
+            least=0.0,
         ),
-        Column("number", "amplitude_mean", "its mean over the blocks"),
+        Column("number", "amplitude_mean", "its mean over the blocks", least=0.0),
     )
 
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:

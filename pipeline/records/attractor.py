@@ -9,7 +9,6 @@ import numpy as np
 
 from stickslip.pipeline.records.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Sharing, WindowRecord
-from stickslip.sim.attractors import attractor
 from stickslip.sim.engines.coulomb.settings import Coulomb
 
 #: Values of z at exits that are kept, the last.
@@ -87,6 +86,8 @@ class AttractorRecord(WindowRecord):
         return 0.2 * member.cost if self.applies(member) else 0.0
 
     def of(self, made: Made) -> dict[str, Any]:
+        from stickslip.sim.attractors import attractor  # it loads numba, which who reads a dataset does not need
+
         # a run that is certain to escape may end before
         t_burn = min(self.t_burn, made.run.t_end)
         found = attractor(made.run, made.system, t_burn, engine=made.member.engine, **dict(made.member.settings))

@@ -18,7 +18,12 @@ class CollapseRecord(Record):
     asked_by = "`collapse = true` under [record]"
     is_certified = True
     columns = (
-        Column("number", "t_collapse", "from when on it is certain that no block sticks again; null if that is not"),
+        Column(
+            "number",
+            "t_collapse",
+            "from when on it is certain that no block sticks again; null if that is not",
+            least=0.0,
+        ),
     )
 
     def of(self, made: Made) -> dict[str, Any]:

@@ -26,6 +26,8 @@ class Column(NamedTuple):
         Whether values repeat. Those that do not, as times, are stored without a dictionary and split into bytes.
     is_label : bool
         Whether a number says which, as that of a block, so that no mean is taken.
+    least : float, optional
+        What a number is never below, by what it is: 0 for an amplitude.
     """
 
     kind: Kind
@@ -35,6 +37,7 @@ class Column(NamedTuple):
     along: str = ""
     repeats: bool = True
     is_label: bool = False
+    least: float | None = None
 
     @property
     def is_list(self) -> bool:

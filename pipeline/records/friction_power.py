@@ -26,6 +26,7 @@ class FrictionPower(StateRecord):
             "friction_power",
             "heat of all blocks by slip on the belt, mean in time after t_burn; null if the run"
             " ended before, or is not of the exact law",
+            least=0.0,
         ),
     )
 

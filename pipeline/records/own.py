@@ -6,11 +6,13 @@ import math
 import numbers
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass, is_dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar, cast
 
 import numpy as np
+from scipy import sparse
 
 from stickslip.pipeline.errors import SceneError, foreign
 from stickslip.pipeline.own.declared import SAMPLES, declared
@@ -19,10 +21,12 @@ from stickslip.pipeline.own.trial import Trial, tried_once
 from stickslip.pipeline.records.column import Column, Kind
 from stickslip.pipeline.records.record import Facts, Made, Member, Memory, NotKeptError, WindowRecord, sampling, steps
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.runs.run import Run, Samples, Stills
+from stickslip.sim.runs.run import Samples
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+_T = TypeVar("_T")
 
 #: What errors begin with.
 KEY = "record.own"
@@ -133,10 +137,10 @@ class OwnRecord(WindowRecord):
         samples = (
             made.samples(self.times(made.member)) if own.is_sampled else Samples.blank(np.empty(0), run.events.n)
         )
-        run = _read_only(replace(run, events=replace(run.events), samples=samples))
-        given = {SAMPLES: samples} if own.is_sampled else {}
+        run = read_only(replace(run, events=replace(run.events), samples=samples))
+        system, given = read_only(made.system), {SAMPLES: run.samples} if own.is_sampled else {}
         try:
-            return _checked(own, use(own.function, lambda measure: measure(run, made.system, window, **given)))
+            return _checked(own, use(own.function, lambda measure: measure(run, system, window, **given)))
         except LateError as error:
             return Measured({}, str(error), True)
         except (SceneError, NotKeptError):
@@ -146,15 +150,25 @@ class OwnRecord(WindowRecord):
             return Measured({}, re.sub(r"\b0x[0-9a-fA-F]{6,}", "0x...", foreign(error)), True)
 
 
-def _read_only(run: Run) -> Run:
-    """A run whose arrays cannot be written to."""
-    series = (run.events, *run.by_threshold.values())
-    parts = [run, run.samples, *series] + ([run.stills] if isinstance(run.stills, Stills) else [])
-    for part in parts:
-        for array in vars(part).values():
-            if isinstance(array, np.ndarray):
-                array.flags.writeable = False
-    return run
+def read_only(value: _T) -> _T:
+    """A run, a system or what else it is, with the same arrays, which cannot be written to: those of sparse ones too.
+
+    Objects are copied, not their arrays; the value itself stays as it is.
+    """
+    if isinstance(value, np.ndarray):
+        found: Any = value.view()
+        found.flags.writeable = False
+    elif isinstance(value, tuple | list) and type(value) in (tuple, list):
+        found = type(value)(map(read_only, value))
+    elif isinstance(value, Mapping):
+        found = {key: read_only(one) for key, one in value.items()}
+    elif is_dataclass(value) or sparse.issparse(value):
+        found = copy(value)
+        for name in vars(value):
+            object.__setattr__(found, name, read_only(getattr(value, name)))
+    else:
+        found = value
+    return cast("_T", found)
 
 
 # ---------------------------------------------------------------------------------------------- what it returned

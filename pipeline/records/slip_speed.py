@@ -25,8 +25,9 @@ class SlipSpeed(StateRecord):
             "number",
             "slip_speed",
             "mean of |w - v| over blocks and time after t_burn, 0 while they stick; null if the run ended before",
+            least=0.0,
         ),
-        Column("number", "slip_speed_rms", "its root mean square"),
+        Column("number", "slip_speed_rms", "its root mean square", least=0.0),
     )
 
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:

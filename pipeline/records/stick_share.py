@@ -25,8 +25,9 @@ class StickShare(WindowRecord):
             "number",
             "stick_share",
             "share of the time after t_burn that a block sticks, mean over the blocks; null if the run ended before",
+            least=0.0,
         ),
-        Column("number", "never_slipped", "share of the blocks that stick from t_burn to the end"),
+        Column("number", "never_slipped", "share of the blocks that stick from t_burn to the end", least=0.0),
     )
     needs = frozenset({"events"})
 

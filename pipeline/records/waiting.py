@@ -19,9 +19,16 @@ class Waiting(WindowRecord):
     words = "whether to keep the mean and the scatter of times between exits of the same block after t_burn"
     asked_by = "`waiting = true` under [record]"
     columns = (
-        Column("count", "waiting_times", "number of times between successive exits of the same block after t_burn"),
-        Column("number", "waiting_mean", "their mean; null if there are none"),
-        Column("number", "waiting_cv", "their standard deviation over their mean; null with fewer than two"),
+        Column(
+            "count",
+            "waiting_times",
+            "number of times between successive exits of the same block after t_burn",
+            least=0.0,
+        ),
+        Column("number", "waiting_mean", "their mean; null if there are none", least=0.0),
+        Column(
+            "number", "waiting_cv", "their standard deviation over their mean; null with fewer than two", least=0.0
+        ),
     )
     needs = frozenset({"events"})
 

@@ -136,8 +136,8 @@ def extend(
     SceneError
         If a key is unknown or does not apply, or the data have that record already; or as `run_ensemble`.
     StoreError
-        If the dataset is not finished, damaged, or cannot be written; or if a member that is run again does not run
-        as it did.
+        If the dataset is not finished, damaged, or cannot be written; if an extension by other records was begun; or
+        if a member that is run again does not run as it did.
     ValueError, AddressError, ScheduleError
         As `run_ensemble`.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache, partial
+from heapq import nsmallest
 
 from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.ensemble.pack import Task
@@ -18,7 +19,9 @@ from stickslip.pipeline.scene.scene import Scene
 def check_functions(scene: Scene, todo: Sequence[Task]) -> None:
     """Try what functions of the user's own measure on the cheapest of some members, twice and in two processes.
 
-    A number that is not finite is no mistake, for it may be of this run; a run that fails says so itself.
+    One process has measured the next cheapest before, the other measures it afterwards: that shows what is kept from
+    call to call. A number that is not finite is no mistake, for it may be of this run, and neither is anything that
+    goes wrong with the next cheapest; a run that fails says so itself.
 
     Raises
     ------
@@ -28,18 +31,20 @@ def check_functions(scene: Scene, todo: Sequence[Task]) -> None:
     record = scene.own_record
     if record is None or not todo:
         return
-    member = min((one for batch, _ in todo for one in batch.members.firsts()), key=lambda one: one.cost)
+    firsts = (one for batch, _ in todo for one in batch.members.firsts())
+    members = nsmallest(2, firsts, key=lambda one: one.cost)
     names = ", ".join(own.function.name for own in record.functions)
     found = tried(
         Trial(
             KEY,
             str(scene.folder.resolve()),
-            partial(_attempt, record, member),
-            f"{names}, on the run {member.member_id}",
+            partial(_attempt, record, members[0], members),
+            f"{names}, on the run {members[0].member_id}",
             "the columns that it declares",
             "expected the same each time for the same run, got values that differ; draw nothing at random, or with"
-            " a seed of its own",
-            partial(_run, record, member),
+            " a seed of its own, and keep nothing from call to call",
+            partial(_runs, record, members),
+            partial(_attempt, record, members[0], members[::-1]),
         )
     )
     known = {name for own in record.functions for name, _ in own.function.beside}
@@ -51,7 +56,7 @@ def check_functions(scene: Scene, todo: Sequence[Task]) -> None:
         )
 
 
-@lru_cache(maxsize=1)
+@lru_cache(maxsize=2)
 def _run(record: OwnRecord, member: Member) -> Made | None:
     """In a child: a member that was run for a record; None if that failed."""
     try:
@@ -60,16 +65,29 @@ def _run(record: OwnRecord, member: Member) -> Made | None:
         return None
 
 
-def _attempt(record: OwnRecord, member: Member) -> tuple[bytes, dict[str, str]]:
-    """In a child: what all functions of a record measure of a member."""
+def _runs(record: OwnRecord, members: Sequence[Member]) -> None:
+    """In a child: run some members."""
+    for member in members:
+        _run(record, member)
+
+
+def _attempt(record: OwnRecord, strict: Member, members: Sequence[Member]) -> tuple[bytes, dict[str, str]]:
+    """In a child: what all functions of a record measure of members in turn; of one, nothing may go wrong."""
+    found = [
+        (member.member_id, _measured(record, member, member.member_id == strict.member_id)) for member in members
+    ]
+    return repr(sorted(found)).encode(), {}
+
+
+def _measured(record: OwnRecord, member: Member, is_strict: bool) -> str:
     run = _run(record, member)
     if run is None:
-        return b"", {}
-    for own in record.functions:
+        return ""
+    for own in record.functions if is_strict else ():
         found = record.measured(own, run)
         if found.is_wrong:
             words = found.problem.removeprefix(f"{KEY}: {own.function.name}: ")
             raise SceneError(
                 f"{KEY}: {own.function.name}, on the run {member.member_id}: {words}; correct the function"
             )
-    return repr(record.of(run)).encode(), {}
+    return repr(record.of(run))

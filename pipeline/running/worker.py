@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from itertools import groupby, islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from stickslip.sim.systems.system import work_out
 
 #: Members that are set up at once, and entries of K that they have together, at most.
 _TOGETHER, _ENTRIES = 128, 2**16
+_NEVER = np.empty(0)
 #: Engines whose kernels this process has.
 _loaded: set[str] = set()
 
@@ -54,15 +55,16 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
     """
     start = time.perf_counter()
     run = run_members if run is None else run
+    members = tuple(batch.members)  # made once: they are made on demand
     rows: Mapping[str, Values]
     if kept is None:
-        rows = columns(batch.members, run(batch.members, recording), recording)
+        rows = columns(members, run(members, recording), recording)
     else:
-        rows = kept.extended(batch.members, recording, run)
+        rows = kept.extended(members, recording, run)
     return Result(
         name=batch.name,
         shard=encode(rows, schema_of(recording)),
-        member_ids=tuple(batch.members.ids()),
+        member_ids=tuple(member.member_id for member in members),
         outcomes=dict(Counter(map(str, rows["outcome"]))),
         program=program(),
         seconds=time.perf_counter() - start,
@@ -92,7 +94,7 @@ def row(member: Member, recording: Recording) -> dict[str, Any]:
 
 def run_members(members: Sequence[Member], recording: Recording) -> list[dict[str, Any]]:
     """Run members: what came of each, by column; of one that raised, the words that say so."""
-    found = [_result(member, system, run, recording) for member, system, run in _prepared(members, recording)]
+    found = [_result(one, recording) for one in _prepared(members, recording)]
     summarised = iter(summaries([events for events, _ in found if events is not None]))
     for events, result in found:
         if events is not None:
@@ -101,8 +103,13 @@ def run_members(members: Sequence[Member], recording: Recording) -> list[dict[st
     return [result for _, result in found]
 
 
-#: A member, its system, and its run, which starts when it is called; what failed before is raised then.
-_Prepared = tuple[Member, sim.System | None, Callable[[], sim.Run]]
+class _Prepared(NamedTuple):
+    """A member that is set up: with its run, which starts when it is called; what failed before is raised then."""
+
+    member: Member
+    run: Callable[[], sim.Run]
+    system: sim.System | None = None
+    start: tuple[Any, Any] | None = None
 
 
 def _prepared(members: Sequence[Member], recording: Recording) -> Iterator[_Prepared]:
@@ -120,12 +127,12 @@ def _set_up(members: Sequence[Member], recording: Recording) -> list[_Prepared]:
     stop_early = "always" if any(record.is_certified for record in recording.records) else True
     for k, member in enumerate(members):
         try:
-            system = member.system()
-            engine, task = member.task(system, _times(member, recording), end_of(member), stop_early)
+            system, start = member.system(), member.start(end_of(member))
+            engine, task = member.task(system, start, _times(member, recording), stop_early)
         except Exception as error:  # noqa: BLE001  as in `_result`
-            prepared.append((member, None, partial(_raise, error)))
+            prepared.append(_Prepared(member, partial(_raise, error)))
             continue
-        prepared.append((member, system, partial(engine.integrate, task)))
+        prepared.append(_Prepared(member, partial(engine.integrate, task), system, start))
         if task.system.is_plain:
             alike.setdefault(engine, {})[k] = task
     plain = {task.system: None for tasks in alike.values() for task in tasks.values()}
@@ -134,7 +141,7 @@ def _set_up(members: Sequence[Member], recording: Recording) -> list[_Prepared]:
     for engine, tasks in alike.items():
         with contextlib.suppress(Exception):  # each is then set up alone, when it is run, and says what is wrong
             for k, run in zip(tasks, engine.prepare([*tasks.values()]), strict=True):
-                prepared[k] = (*prepared[k][:2], run)
+                prepared[k] = prepared[k]._replace(run=run)
     return prepared
 
 
@@ -142,18 +149,14 @@ def _raise(error: Exception) -> sim.Run:
     raise error
 
 
-def _result(
-    member: Member, system: sim.System | None, run: Callable[[], sim.Run], recording: Recording
-) -> tuple[sim.EventSeries | None, dict[str, Any]]:
+def _result(one: _Prepared, recording: Recording) -> tuple[sim.EventSeries | None, dict[str, Any]]:
     """A member's events and what else came of it."""
     try:
-        ran = run()
-        assert system is not None  # else that has raised
-        return _kept(member, system, ran, recording)
+        return _kept(_made(one), recording)
     except CacheError:  # no member of this machine can be run
         raise
     except Exception as error:  # noqa: BLE001  whatever went wrong is this member's outcome, not its neighbours'
-        return None, failed(member, foreign(error))
+        return None, failed(one.member, foreign(error))
 
 
 def failed(member: Member, reason: str) -> dict[str, Any]:
@@ -164,38 +167,37 @@ def failed(member: Member, reason: str) -> dict[str, Any]:
     return {"outcome": "failed", "reason": reason, "reproduce": again}
 
 
-def _kept(
-    member: Member, system: sim.System, run: sim.Run, recording: Recording
-) -> tuple[sim.EventSeries, dict[str, Any]]:
+def _kept(made: Made, recording: Recording) -> tuple[sim.EventSeries, dict[str, Any]]:
     """What is kept of a run."""
-    if not np.isfinite(run.events.t).all():
+    if not np.isfinite(made.run.events.t).all():
         raise FloatingPointError("the engine returned an event at a time that is not finite")
-    found = _made(member, system, run)
     for record in (ALWAYS, *recording.records):
-        if record.applies(member):
-            found.found.update(record.of(found))
-    return run.events, found.found
+        if record.applies(made.member):
+            made.found.update(record.of(made))
+    return made.run.events, made.found
 
 
 def made(member: Member, record: Record) -> Made:
     """A member that was run for one record, which has computed nothing yet."""
-    ((_, system, run),) = _prepared([member], Recording("", records=(record,)))
-    ran = run()
-    assert system is not None  # else that has raised
-    return _made(member, system, ran)
+    (one,) = _prepared([member], Recording("", records=(record,)))
+    return _made(one)
 
 
-def _made(member: Member, system: sim.System, run: sim.Run) -> Made:
-    return Made(member, system, run, member.start(end_of(member)), _again, _drawn_start(member))
+def _made(one: _Prepared) -> Made:
+    run = one.run()
+    assert one.system is not None  # else that has raised
+    assert one.start is not None
+    return Made(one.member, one.system, run, one.start, _again, _drawn_start(one.member, one.start))
 
 
-def _drawn_start(member: Member) -> dict[str, Any]:
+def _drawn_start(member: Member, start: tuple[Any, Any]) -> dict[str, Any]:
     """z0 and w0 of a start that is drawn or read, before it is moved, where all blocks have the same number."""
     if not any(isinstance(one, NO_NUMBER) for one in (member.begin.z0, member.begin.w0)):
         return {}
-    found = replace(member, change=member.change._replace(twin_size=None)).start(end_of(member))
-    unique = zip(("z0", "w0"), map(np.unique, found), strict=True)
-    return {name: float(values[0]) for name, values in unique if len(values) == 1}
+    if member.change.twin_size is not None:
+        start = replace(member, change=member.change._replace(twin_size=None)).start(end_of(member))
+    found = zip(("z0", "w0"), map(np.ravel, start), strict=True)
+    return {name: float(one[0]) for name, one in found if (one == one[0]).all()}
 
 
 def _again(member: Member, times: tuple[float, ...]) -> sim.Samples:
@@ -209,8 +211,8 @@ def _states(member: Member, times: tuple[float, ...]) -> sim.Samples:
 
 def _times(member: Member, recording: Recording) -> np.ndarray:
     """When a run is sampled: at all times that some record asks for, in order."""
-    asking = (record.times(member) for record in recording.records if record.applies(member))
-    return np.unique(np.concatenate([np.empty(0), *asking]))
+    asking = [record.times(member) for record in recording.records if record.applies(member)]
+    return np.unique(np.concatenate(asking)) if asking else _NEVER
 
 
 def is_cold(engine: str) -> bool:

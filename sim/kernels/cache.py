@@ -1,4 +1,4 @@
-"""Compiled kernels on disk: where they are, who may own them, and how they are kept.
+"""What was compiled or computed of sources, on disk: where it is, who may own it, and how it is kept.
 
 A kept kernel is a pickle of machine code: whoever can put one there can make whoever loads it do anything. So the
 cache, the directories that lead to it and its files must belong to this user or root, and nobody else may write them.
@@ -18,7 +18,7 @@ import stat
 import sys
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -58,11 +58,21 @@ def has_kernel(package: str) -> bool:
         return False
 
 
-class KernelFiles:
-    """Compiled kernels on disk, each in a file named by its key, with the interface of numba's cache files."""
+class CacheFiles:
+    """Things on disk, each in a file named by its key, with the interface of numba's cache files.
 
-    def __init__(self, directory: Path, name: str) -> None:
-        self._directory, self._name = directory, name
+    Parameters
+    ----------
+    directory : Path
+        `cache_directory()`.
+    name : str
+        What files begin with.
+    dumps : callable, optional
+        Pickles a thing; for kernels, numba's.
+    """
+
+    def __init__(self, directory: Path, name: str, dumps: Callable[[Any], bytes] = pickle.dumps) -> None:
+        self._directory, self._name, self._dumps = directory, name, dumps
         self._locks: dict[str, contextlib.ExitStack] = {}
 
     def _file(self, key: object, ending: str = _ENDING) -> str:
@@ -119,10 +129,8 @@ class KernelFiles:
         except ModuleNotFoundError:  # it has a law of a user's own, from a module under a name that is not here
             return None
 
-    def save(self, key: object, kernel: object) -> None:
-        from numba.core.serialize import dumps  # this module is known without loading numba
-
-        data = dumps(kernel)
+    def save(self, key: object, thing: object) -> None:
+        data = self._dumps(thing)
         temporary = f"{self._name}.{uuid.uuid4().hex}.tmp"
         try:
             with _opened(self._directory) as directory:

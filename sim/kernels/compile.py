@@ -35,18 +35,19 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLoca
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.runtime import rtsys
+from numba.core.serialize import dumps
 from numba.core.targetconfig import ConfigStack
 from numba.core.types import Integer, Type, unliteral
 from numba.core.types.functions import BaseFunction
 
-from stickslip.sim.kernels.cache import KernelFiles, cache_directory
+from stickslip.sim.kernels.cache import CacheFiles, cache_directory
 
 _jit: Any = numba.njit
 _POLICY: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 
 
 class _Locator(_CacheLocator):
-    """Names the files of a kernel; `KernelFiles` alone decides where they are."""
+    """Names the files of a kernel; `CacheFiles` alone decides where they are."""
 
     def __init__(self, function: Callable[..., Any], file: str) -> None:
         self._py_file, self._lineno = file, function.__code__.co_firstlineno
@@ -77,7 +78,7 @@ class _KernelCache(FunctionCache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self._cache_file: Any = KernelFiles(cache_directory(), f"{function.__module__}.{function.__qualname__}")
+        self._cache_file: Any = CacheFiles(cache_directory(), f"{function.__module__}.{function.__qualname__}", dumps)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """The kept kernel. numba would first load all that it needs to compile, which takes half a second."""

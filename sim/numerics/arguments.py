@@ -16,6 +16,8 @@ Floats: TypeAlias = NDArray[np.float64]
 
 def floats(name: str, value: ArrayLike, expected: str) -> Floats:
     """A new float64 array in C order; TypeError for what holds no real numbers, or masks some."""
+    if type(value) is np.ndarray and value.dtype == np.float64:  # at once, as most are
+        return value.copy("C")
     parts = value if isinstance(value, list | tuple) else (value,)
     if any(isinstance(part, np.ma.MaskedArray) for part in parts):
         raise TypeError(f"{name}: expected {expected}, got a masked array; fill it, or leave out what is masked")

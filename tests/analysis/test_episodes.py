@@ -25,6 +25,7 @@ from stickslip.analysis.models.episodes import (
     laws_of_moments,
 )
 from stickslip.analysis.questions import engines, episodes, sweep
+from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import over_matrices
 from stickslip.analysis.stats.families import maximise, parameter
@@ -213,7 +214,7 @@ def test_b_is_led_with_where_it_does_not_depend_on_the_least_magnitude(planted_e
         data = planted_episodes(EXACT, rate=4.0, moments=moments, n_matrices=30)
         facts = episodes.answer(Study(data, strict)).facts
         assert len(facts["b"]) > 1
-        assert facts["has_b"] is is_one
+        assert facts["moments"]["has_b"] is is_one
         html = build(data, replace(strict, question=("episodes",)), "A chain", "", {}).html
         assert ("There is no single b" in html) is not is_one
 
@@ -227,7 +228,7 @@ def test_one_b_of_a_power_law_up_to_the_largest_moment_though_akis_rises(planted
     """Aki's is 1 / E ln(m / m_c), of the bounded law in closed form."""
     data = planted_episodes(EXACT, rate=6.0, moments=bounded(0.3, 100.0))
     facts = episodes.answer(Study(data, strict)).facts
-    assert facts["has_b"]
+    assert facts["moments"]["has_b"]
     assert facts["moments"]["b"].low < 0.3 < facts["moments"]["b"].high
     first, *_, last = facts["b"]
     assert last.b.value > 1.5 * first.b.value
@@ -267,6 +268,27 @@ def test_each_size_of_a_chain_has_its_own_least_magnitude(planted_episodes, stri
         {"n\u00a0=\u00a0100": 0.1, "n\u00a0=\u00a0200": 1.1}
     )
     assert found.facts["least"] == pytest.approx(1.1)
+
+
+def test_every_size_of_a_chain_has_its_law_and_each_sentence_names_it(planted_episodes, strict, rng):
+    """A power law for the larger chain, which leads, and for the smaller one exponential moments."""
+    sizes = {name: ({"n": n}, 1.0) for name, n in (("small", 100), ("large", 200))}
+    data = planted_episodes(sizes, rate=4.0, n_matrices=30)
+    is_small = data.episodes["member_id"].str.endswith("small")
+    moment = data.episodes["moment"].where(~is_small, 1.0 + rng.exponential(20.0, len(is_small)))
+    answer = episodes.answer(Study(replace(data, episodes=data.episodes.assign(moment=moment)), strict))
+    assert answer.tables["episode_laws"].groupby("group", sort=False)["law"].count().tolist() == [3, 3]
+    assert answer.tables["episodes"].set_index("n_systems")["has_b"].tolist() == [False, True]
+    words = vars(environment().get_template("episodes.html").module)
+    said, warned, part = (
+        re.sub(r"\s+", " ", re.sub("<[^>]*>", "", str(words[macro](*given)))).replace("\u00a0", " ")
+        for macro, given in (("answer", [answer.facts]), ("alerts", [answer.facts]),
+                             ("part", [answer.facts, lambda *_: ""]))
+    )  # fmt: skip
+    assert re.search(r"their moments follow a power law [^;]*; for n = 100 their moments are exponential", said)
+    assert "There is no single b for n = 100: Aki's" in warned
+    assert "n = 200:" not in warned
+    assert "For n = 200, a single b holds" in part
 
 
 def test_what_changes_with_the_number_of_blocks_has_a_verdict(planted_episodes, settings):

@@ -255,7 +255,7 @@ def test_the_code_says_what_is_missing(rng):
 
 FALSE_ALARMS = ("multiplicity", "change", "equivalence", "methods")
 #: Ensembles of the studies that take longest by far; the others take 300, and 1200 of false alarms.
-FEWER = {"rhythm": 50, "methods": 500, "counting": 250}
+FEWER = {"rhythm": 30, "definitions": 150, "methods": 400, "counting": 200}
 
 
 @pytest.mark.long

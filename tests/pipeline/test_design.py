@@ -234,7 +234,7 @@ def test_settings_reach_the_engine(source):
 
     def asked(name):
         member = members[name]
-        engine, task = member.task(member.system())
+        engine, task = member.task(member.system(), member.start())
         return task, {"engine": engine.name} | {key: getattr(engine, key) for key in engine.settings()}
 
     task, settings = asked("n3-m000-coulomb-1e-10")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import re
 import shutil
 
 import pytest
@@ -19,7 +20,7 @@ from stickslip.pipeline import (
     status,
     verify,
 )
-from stickslip.pipeline.dataset.extending import Extending
+from stickslip.pipeline.dataset.extending import Extending, give_up
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.places.directory import Directory
@@ -259,7 +260,7 @@ def begun(out):
         extend(out, KEYS, workers=0, on_progress=progress)
 
 
-def test_what_was_begun_is_gone_on_with_and_not_in_the_way(out, tmp_path, caplog):
+def test_what_was_begun_is_gone_on_with_and_lost_only_by_giving_it_up(out, tmp_path, content):
     before = query.table(out)
     begun(out)
     found = status(out).extension
@@ -273,15 +274,22 @@ def test_what_was_begun_is_gone_on_with_and_not_in_the_way(out, tmp_path, caplog
     assert (seen[0].n_shards_done, seen[0].n_shards) == (3, found.n_shards)
     assert status(out).extension is None
     (damaged / "data" / next(iter(read_manifest(damaged).shards))).write_bytes(b"")
-    for path, matrices in ((damaged, 2), (grown, 3)):
-        caplog.clear()
-        run_ensemble(parse_scene(source(matrices=matrices)), path, workers=0)
-        assert "an extension that was begun is given up; extend the dataset again" in caplog.text
+    for path, go_on in (
+        (damaged, lambda path: run_ensemble(parse_scene(source()), path, workers=0)),
+        (grown, lambda path: run_ensemble(parse_scene(source(matrices=3)), path, workers=0)),
+        (other, lambda path: extend(path, {"first_exit": True}, workers=0)),
+    ):
+        left = content(path)
+        words = re.escape(f"by waiting, of which 3 of {found.n_shards} shards are done; finish it with `stickslip")
+        with pytest.raises(StoreError, match=rf"{words} extend \S+ --record waiting`, or .* --give-up`"):
+            go_on(path)
+        assert content(path) == left
+        give_up(open_dataset(path))
         assert status(path).extension is None
+        with pytest.raises(StoreError, match="got none; there is nothing to give up"):
+            give_up(open_dataset(path))
+        assert go_on(path).is_complete
         assert verify(path) == []
-    extend(other, {"first_exit": True}, workers=0)
-    assert "another extension that was begun is given up" in caplog.text
-    assert verify(other) == []
 
 
 def test_in_an_object_store_it_is_the_same(out):

@@ -193,8 +193,8 @@ def test_a_scene_without_is_what_it_was(text, tmp_path):
     assert own.changed(record={"own": None, "dt": None, "t_burn": None}).hash == plain.hash
 
 
-def test_a_scene_of_python_may_have_one(tmp_path, monkeypatch):
-    written(tmp_path, "", one("return Measured(system.n)"))
+def test_a_scene_of_python_may_have_one_and_what_it_prints_is_beside_the_answer(tmp_path, monkeypatch, capsys):
+    written(tmp_path, "", one("print('seen')\nreturn Measured(system.n)"))
     monkeypatch.chdir(tmp_path)
     scene = Scene(
         system={"coupling": "antisymmetric", "n": 3},
@@ -205,6 +205,7 @@ def test_a_scene_of_python_may_have_one(tmp_path, monkeypatch):
         analysis={"t_burn": 1.0, "dt": 0.5},
     )
     assert run_member(scene, expand(scene)[0].member_id)["own"] == 3.0
+    assert capsys.readouterr() == ("", "seen\n")
 
 
 # ---------------------------------------------------------------------------------------------- what goes wrong
@@ -222,6 +223,7 @@ SOME = {
     "no_tuple": ("return 1.0", "expected (own), got float"),
     "exits": ("raise SystemExit(3)", "RuntimeError: SystemExit: 3"),
     "spoils": ("run.events.t[:] = 0.0", "read-only"),
+    "loosens": ("system.stiffness[:] = 0.0", "read-only"),
     "late": ("import late; return Measured(1.0)", "import it at the top of the module"),
 }
 
@@ -235,12 +237,13 @@ def test_a_function_that_goes_wrong_costs_its_column_and_not_the_run(text, tmp_p
         module = module.replace("def one(", f"def {name}(")
     names = [f"mine:{name}" for name in SOME]
     scene = short(text).replace('own = "mine:one"', f"own = {json.dumps([*names, 'mine:well'])}")
+    scene = scene.replace("n = [3, 4]", "n = [2, 3, 4]")  # the trial measures the first two
     module += one("return Measured(len(run.events))", "int", head="").replace("def one(", "def well(")
     file = written(tmp_path, scene, module)
     (tmp_path / "late.py").write_text("")
     done = run_ensemble(load_scene(file), tmp_path / "out", workers=0)
     assert "failed" not in done.outcomes
-    small, large = (row for _, row in query.members(tmp_path / "out").set_index("n").iterrows())
+    _, small, large = (row for _, row in query.members(tmp_path / "out").set_index("n").iterrows())
     assert small.own_problem is pd.NA
     assert {small[f"{name}_"] for name in SOME} == {small.n_events}
     assert all(large[f"{name}_"] is pd.NA for name in SOME)
@@ -348,7 +351,10 @@ TRIED = {
     "longer": ("return (1.0, 2.0)", ["expected (own), got tuple of 2"]),
     "random": ("return Measured(float(np.random.default_rng().random()))", ["got values that differ"]),
     "a set's order": ("return Measured(float(hash('a') % 1000))", ["got values that differ"]),
-    "counts": ("one.k = getattr(one, 'k', 0) + 1\nreturn Measured(one.k)", ["got values that differ"]),
+    "keeps the most": (
+        "one.k = max(getattr(one, 'k', 0), system.n)\nreturn Measured(one.k)",
+        ["got values that differ", "keep nothing from call to call"],
+    ),
     "sleeps": ("import time; time.sleep(60)", ["within 1 s, its process died (signal SIGKILL)"]),
     "imports late": ("import late; return Measured(1.0)", ["late.py", "import it at the top of the module"]),
     "reads late": ("return Measured(len(open(__file__[:-7] + 'data.txt').read()))", ["data.txt", "at the top"]),

@@ -13,13 +13,13 @@ import pytest
 
 from stickslip.sim.kernels import cache as kept
 from stickslip.sim.kernels import digest
-from stickslip.sim.kernels.cache import KernelFiles, cache_directory
+from stickslip.sim.kernels.cache import CacheFiles, cache_directory
 from stickslip.sim.kernels.compile import kernel
 
 
 @pytest.fixture
 def files(tmp_path):
-    return KernelFiles(tmp_path, "a")
+    return CacheFiles(tmp_path, "a")
 
 
 def test_what_is_compiled_is_of_the_rooms_that_name_its_files():
@@ -32,11 +32,11 @@ def test_what_is_compiled_is_of_the_rooms_that_name_its_files():
 def test_a_kernel_comes_back_under_its_own_key(files, tmp_path):
     files.save(("float64", "x86"), {"code": b"1"})
     files.save(("int64", "x86"), {"code": b"2"})
-    again = KernelFiles(tmp_path, "a")
+    again = CacheFiles(tmp_path, "a")
     assert again.load(("float64", "x86")) == {"code": b"1"}
     assert again.load(("int64", "x86")) == {"code": b"2"}
     assert again.load(("int64", "arm")) is None
-    assert KernelFiles(tmp_path, "b").load(("int64", "x86")) is None
+    assert CacheFiles(tmp_path, "b").load(("int64", "x86")) is None
     files.flush()
     assert again.load(("int64", "x86")) is None
 
@@ -56,7 +56,7 @@ def test_who_waits_for_a_kernel_takes_the_one_that_was_compiled_meanwhile(files,
     monkeypatch.setattr(kept.time, "sleep", lambda _: (waits.set(), saved.wait(60)))
     assert files.load("key") is None  # who asks first compiles it
     with ThreadPoolExecutor() as other:
-        found = other.submit(KernelFiles(tmp_path, "a").load, "key")
+        found = other.submit(CacheFiles(tmp_path, "a").load, "key")
         waits.wait(60)
         files.save("key", "compiled")
         saved.set()
@@ -91,7 +91,7 @@ def test_a_kernel_that_cannot_be_kept_is_used_without(monkeypatch):
     def full(self, key, data):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(KernelFiles, "save", full)
+    monkeypatch.setattr(CacheFiles, "save", full)
 
     @kernel
     def double(x):

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from stickslip.sim.kernels.cache import CacheError, KernelFiles
+from stickslip.sim.kernels.cache import CacheError, CacheFiles
 from tests.processes import until
 from tests.scenes import COULOMB, ensemble
 
@@ -63,7 +63,7 @@ def mark(top):
 
 
 def files(cache):
-    return KernelFiles(cache, "a")
+    return CacheFiles(cache, "a")
 
 
 def planted(mark):

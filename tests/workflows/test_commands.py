@@ -541,12 +541,12 @@ def test_the_status_of_a_dataset_that_has_lost_a_shard(dataset, tmp_path, capsys
     assert "damaged" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("n_whole", [0, 1, 2])
+@pytest.mark.parametrize("n_whole", [0, 2, 3])
 def test_a_report_that_cannot_be_written_leaves_the_old_one_whole(n_whole, tmp_path, monkeypatch):
     table = pd.DataFrame({"gamma": [0.7]})
     write(Report("<old>", {"law": table}, []), tmp_path / "deep" / "er")
     before = {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}
-    assert before.keys() == {"law.parquet", "tables.json", "report.html"}
+    assert before.keys() == {"law.parquet", "law.csv", "tables.json", "report.html"}
     fsync, calls = os.fsync, []
 
     def full(descriptor):

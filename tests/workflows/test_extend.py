@@ -98,6 +98,12 @@ def test_after_an_interruption_the_same_command_goes_on(out, monkeypatch, capsys
         "extend  waiting, 0 of 1 shards: rerun `stickslip extend` with the same keys to go on"
         in capsys.readouterr().out
     )
+    left = listing(out)
+    assert main(["extend", str(out), "--record", "first_exit", "--dry-run"]) == 1
+    assert f"give it up with `stickslip extend {out} --give-up`" in capsys.readouterr().err
+    assert listing(out) == left
+    assert main(["extend", str(out), "--give-up"]) == 0
+    assert "given up; " in capsys.readouterr().out
     assert main(command) == 0
     assert "waiting_mean" in query.members(out)
     assert read_manifest(out).extension is None

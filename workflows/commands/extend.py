@@ -31,10 +31,14 @@ class Extend(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("directory", metavar="DIR")
-        parser.add_argument(
-            "--record", nargs="+", required=True, metavar="KEY[=VALUE]",
+        what = parser.add_mutually_exclusive_group(required=True)
+        what.add_argument(
+            "--record", nargs="+", metavar="KEY[=VALUE]",
             help="keys under [record] of a scene; one without a value is true; or module:function, for its `own`",
         )  # fmt: skip
+        what.add_argument(
+            "--give-up", action="store_true", help="forget an extension that was begun; the dataset stays as it is"
+        )
         add_places(parser)
         parser.add_argument("--accept-version", action="store_true", help="extend data that another version wrote")
         parser.add_argument(
@@ -42,6 +46,8 @@ class Extend(Command):
         )
 
     def __call__(self, arguments: argparse.Namespace) -> int:
+        if arguments.give_up:
+            return _give_up(arguments.directory)
         keys = _keys(arguments.record)
         if arguments.dry_run and arguments.scheduler is not None:
             raise Wrong("--scheduler: expected none with --dry-run, which uses this machine; leave it out")
@@ -87,6 +93,16 @@ def _extend(arguments: argparse.Namespace, keys: dict[str, Any]) -> int:
     )
     print(f"report  as before; rewrite it with: {command('report', str(place))}")
     print(f"time    {clock(watch.elapsed)}")
+    return DONE
+
+
+def _give_up(directory: str) -> int:
+    from stickslip.pipeline.dataset.extending import give_up
+    from stickslip.pipeline.dataset.opened import open_dataset
+
+    opened = open_dataset(directory)
+    give_up(opened)
+    print(printable(f"given up; {opened.place} is as it was before the extension was begun"))
     return DONE
 
 
