@@ -165,9 +165,11 @@ def _explain(ax: Axes, handles: Sequence[Any]) -> None:
 
 
 def _beside(x: Sequence[float] | None, n: int) -> tuple[Floats, str]:
-    """Edges of cells around the n values of a key, evenly spaced if they are no numbers, and the scale of its axis."""
-    if x is None or n == 1:
-        return np.arange(n + 1) - 0.5 if x is None else x[0] + max(abs(x[0]), 1.0) * np.array([-0.5, 0.5]), "linear"
+    """Edges of cells around the values of a key, evenly spaced if they are no numbers, and the scale of its axis."""
+    if x is None:
+        return np.arange(-0.5, n), "linear"
+    if n == 1:
+        return x[0] + max(abs(x[0]), 1.0) * np.array([-0.5, 0.5]), "linear"
     if x[0] > 0 and x[-1] > _DECADES * x[0]:
         return np.exp(edges(np.log(x))), "log"
     return edges(np.array(x, dtype=np.float64)), "linear"
@@ -242,7 +244,7 @@ def _handle(colour: str, mark: str, words: str, edge: float = 0.0) -> Line2D:
 
 @panel(5.2, nrows=3, sharex=True, gridspec_kw={"height_ratios": (3, 1, 1)})
 def bifurcation(axes: Sequence[Axes], along: Scale, found: Sections, title: str = "") -> None:
-    """z at exits of cycles and of irregular runs against a key, and z of what has no exits, above multipliers, periods.
+    """z at exits of cycles and irregular runs against a key, and z of what has none, above multipliers and periods.
 
     `along` has numbers.
     """

@@ -39,6 +39,15 @@ class Axis:
         found = [value[0] for value in self.values]
         return [one for one in found if isinstance(one, float)] if all(isinstance(v, float) for v in found) else None
 
+    @property
+    def texts(self) -> list[str]:
+        """The values in words."""
+        return [as_text(value) for value in self.values]
+
+    def place(self, value: tuple[Value, ...]) -> int:
+        """The place of a value among them."""
+        return self.values.index(value)
+
     def dtype(self, k: int) -> str:
         """Type of a column of the values of its k-th key: numbers, or texts where one is a distribution."""
         return F if all(isinstance(value[k], float) for value in self.values) else S

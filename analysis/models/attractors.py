@@ -156,17 +156,20 @@ class Turn(NamedTuple):
     places: tuple[int | None, ...]
 
 
-def turn(lines: Sequence[tuple[Sequence[tuple[int, int, tuple[str, ...]]], tuple[int, int]]], is_last: bool) -> Turn | None:
-    """The turn to, or from, what most lines end, or begin, with; None if no line turns.
+class Along(NamedTuple):
+    """A line along a key: its ranges, by places among the values of all lines, and the first and last place on it."""
 
-    A line is its ranges, each with the places of its first and last value and on what runs settle there, and the
-    places of its first and last value.
-    """
+    found: Sequence[Range]
+    bounds: tuple[int, int]
+
+
+def turn(lines: Sequence[Along], is_last: bool) -> Turn | None:
+    """The turn to, or from, what most lines end, or begin, with; None if no line turns."""
     ends = [found[-1 if is_last else 0] if found else None for found, _ in lines]
-    n_of = Counter(end[2][0] for end, (_, bounds) in zip(ends, lines, strict=True)
-                   if end is not None and len(end[2]) == 1 and end[:2] != bounds)  # fmt: skip
+    n_of = Counter(end.on[0] for end, (_, bounds) in zip(ends, lines, strict=True)
+                   if end is not None and len(end.on) == 1 and (end.first, end.last) != bounds)  # fmt: skip
     if not n_of:
         return None
     kind = n_of.most_common(1)[0][0]
-    places = tuple(end[0 if is_last else 1] if end is not None and end[2] == (kind,) else None for end in ends)
-    return Turn(kind, is_last, places)
+    places = [None if end is None or end.on != (kind,) else end.first if is_last else end.last for end in ends]
+    return Turn(kind, is_last, tuple(places))

@@ -26,7 +26,9 @@ from stickslip.analysis.models.attractors import (
     ONE_CYCLE,
     PERIODIC,
     UNDECIDED,
+    Along,
     Cycle,
+    Range,
     Turn,
     alike,
     on_grid,
@@ -94,16 +96,20 @@ class Runs(NamedTuple):
 
 
 class _Line(NamedTuple):
-    """The runs along a swept key at one value of each other key: `at`, and of the scene's other settings."""
+    """The runs along a swept key at one value of each other key, `at`, and of the scene's other settings."""
 
     setting: str
     at: dict[Axis, tuple[Value, ...]]
-    values: list[tuple[Value, ...]]
+    along: list[tuple[Value, ...]]
     own: list[Runs]
+
+    def value(self, axis: Axis) -> tuple[Value, ...]:
+        """Its value of another key."""
+        return self.at[axis]
 
     @property
     def ticks(self) -> list[str]:
-        return [as_text(value) for value in self.values]
+        return [as_text(value) for value in self.along]
 
 
 def answer(study: Study) -> Answer | None:
@@ -168,11 +174,14 @@ def _runs(study: Study, group: Group) -> Runs:
     """The runs of a group; cycles are told apart where all are of one system."""
     members, recorded = group.members, study.data.recorded
     names = members["member_id"].to_numpy(object)
-    numbers = (np.array([recorded[name].values[one] for one in names], dtype=np.float64) for name in _NUMBERS)
+    period, multiplier, exits, events = (
+        np.array([of[one] for one in names], dtype=np.float64) for _, of in map(recorded.__getitem__, _NUMBERS)
+    )
     reason = members["attractor_reason"]
     found = Runs(
         names, members["matrix"].to_numpy(), members["unit"].to_numpy(), members["attractor"].to_numpy(object),
-        reason.astype(object).where(reason.notna(), None).to_numpy(), *numbers, np.zeros(len(names), dtype=np.int64),
+        reason.astype(object).where(reason.notna(), None).to_numpy(), period, multiplier, exits, events,
+        np.zeros(len(names), dtype=np.int64),
     )  # fmt: skip
     return _numbered(study, found) if found.is_one_system else found
 
@@ -182,8 +191,9 @@ def _numbered(study: Study, runs: Runs) -> Runs:
     which = np.flatnonzero(runs.attractor == PERIODIC)
     section_z, section_w = (study.data.lists[name] for name in ("section_z", "section_w"))
     columns = (runs.member_id, runs.events_per_period, runs.exits_per_period, runs.period)
+    rows = zip(*(column[which] for column in columns), strict=True)
     cycles = [Cycle(int(events), int(exits), float(period), section_z[name], section_w[name])
-              for name, events, exits, period in zip(*(column[which] for column in columns), strict=True)]  # fmt: skip
+              for name, events, exits, period in rows]  # fmt: skip
     number = np.zeros(runs.n, dtype=np.int64)
     number[which] = [one if one <= _MOST_CYCLES else 0 for one in alike(cycles)]
     return runs._replace(cycle=number)
@@ -293,7 +303,7 @@ def _entry(row: Row) -> str:
 
 
 def _along(study: Study, groups: Sequence[Group], runs: Mapping[str, Runs]) -> Row | None:
-    """What runs settle on along the swept key of most values, a line for each value of the others; None without one."""
+    """What runs settle on along the swept key of most values, a line for each value of the others; None without."""
     by_setting = settings(groups)
     axes = axes_of(by_setting)
     if not axes:
@@ -315,9 +325,7 @@ def _along(study: Study, groups: Sequence[Group], runs: Mapping[str, Runs]) -> R
     return found | _figures(study, axes, lines, told)
 
 
-def _lines(
-    setting: str, groups: Sequence[Group], axes: Sequence[Axis], runs: Mapping[str, Runs]
-) -> Iterator[_Line]:
+def _lines(setting: str, groups: Sequence[Group], axes: Sequence[Axis], runs: Mapping[str, Runs]) -> Iterator[_Line]:
     """The lines of a setting along the first axis, in the order of the values of the others."""
     axis, *others = axes
     at_others: dict[tuple[tuple[Value, ...], ...], list[tuple[tuple[Value, ...], Runs]]] = {}
@@ -331,14 +339,14 @@ def _lines(
 
 def _told(study: Study, axis: Axis, line: _Line, has_settings: bool) -> Row:
     """What is said of a line: its place, its values, and where along it runs settle on something else."""
-    ticks, x = line.ticks, _numbers(line.values)
+    ticks, x = line.ticks, _numbers(line.along)
     by_exits = _ranges(study, ticks, line.own, _kind_and_exits)
     at = [f"{one.name} = {as_text(value)}" for one, value in line.at.items()]
     return {
         "at": ", ".join([*([line.setting] if has_settings else []), *at]), "ticks": ticks,
         "told": _ranges(study, ticks, line.own, lambda runs: runs.attractor.tolist()), "ranges": by_exits,
         "changes": _changes_of_exits(by_exits, ticks, x) if x is not None else [],
-        "places": [axis.values.index(value) for value in line.values],
+        "places": [axis.place(value) for value in line.along],
     }  # fmt: skip
 
 
@@ -407,10 +415,13 @@ def _changes_of_exits(found: Sequence[Row], ticks: Sequence[str], x: Sequence[fl
 def _turns(axis: Axis, others: Sequence[Axis], told: Sequence[Row], has_settings: bool) -> list[Row]:
     """How the value up to which, and that from which on, all runs settle on one thing moves from line to line."""
     is_in_order = len(others) == 1 and not has_settings
-    ends = [([(row["places"][one["place"][0]], row["places"][one["place"][1]], one["on"]) for one in row["told"]],
-             (row["places"][0], row["places"][-1])) for row in told]  # fmt: skip
-    found = [turn(ends, is_last) for is_last in (False, True)] if len(told) > 1 else []
-    return [_turn_row(axis, others, told, one, is_in_order) for one in found if one is not None]
+    ends = []
+    for row in told:
+        places = row["places"]
+        found = [Range(places[one["place"][0]], places[one["place"][1]], one["on"]) for one in row["told"]]
+        ends.append(Along(found, (places[0], places[-1])))
+    turns = [turn(ends, is_last) for is_last in (False, True)] if len(told) > 1 else []
+    return [_turn_row(axis, others, told, one, is_in_order) for one in turns if one is not None]
 
 
 def _turn_row(axis: Axis, others: Sequence[Axis], told: Sequence[Row], one: Turn, is_in_order: bool) -> Row:
@@ -421,13 +432,13 @@ def _turn_row(axis: Axis, others: Sequence[Axis], told: Sequence[Row], one: Turn
     ends = (known[0], known[-1]) if way else (least, most)
     return {
         "kind": one.kind, "is_last": one.is_last, "way": way, "is_same": least[1] == most[1],
-        "ends": [{"value": as_text(axis.values[place]), "at": told[line]["at"]} for line, place in ends],
+        "ends": [{"value": axis.texts[place], "at": told[line]["at"]} for line, place in ends],
         "n": len(known), "of": len(told),
     }  # fmt: skip
 
 
 def _tally(lines: Sequence[_Line]) -> Row:
-    """At how many settings all runs that are decided settle on one thing, by kind; on several; and none is decided."""
+    """At how many settings all decided runs settle on one thing, by kind; on several; and none is decided."""
     on = [_decided(some.attractor.tolist()) for line in lines for some in line.own]
     alone = Counter(one[0] for one in on if len(one) == 1)
     return {
@@ -446,24 +457,25 @@ def _figures(study: Study, axes: Sequence[Axis], lines: Sequence[_Line], told: S
     """
     axis, *others = axes
     setting = max(Counter(line.setting for line in lines).items(), key=lambda one: one[1])[0]
-    further = [(one, min((line.at[one] for line in lines if line.setting == setting), key=order))
+    further = [(one, min((line.value(one) for line in lines if line.setting == setting), key=order))
                for one in others[1:]]  # fmt: skip
     chosen = [k for k, line in enumerate(lines)
-              if line.setting == setting and all(line.at[one] == value for one, value in further)]  # fmt: skip
+              if line.setting == setting and all(line.value(one) == value for one, value in further)]  # fmt: skip
     drawn: dict[str, Recipe] = {}
     if not others:
         line = lines[chosen[0]]
         drawn["attractors"] = partial(
-            figures_of.shares_along, axis.name, _numbers(line.values), line.ticks, _stacked(line.own)
+            figures_of.shares_along, axis.name, _numbers(line.along), line.ticks, _stacked(line.own)
         )
     else:
         drawn["attractors"] = _map(axis, others[0], [lines[k] for k in chosen])
     at_map = [f"{one.name} = {as_text(value)}" for one, value in further]
-    diagrams, shown = [], chosen
+    diagrams: list[Row] = []
+    shown = chosen
     if len(chosen) > _MOST_DIAGRAMS:
         shown = [chosen[round(k)] for k in np.linspace(0, len(chosen) - 1, _MOST_DIAGRAMS)]
     for k in shown:
-        x = _numbers(lines[k].values)
+        x = _numbers(lines[k].along)
         sections = None if x is None else _sections(study, x, lines[k].own)
         if sections is not None:
             name = "bifurcation" if not diagrams else f"bifurcation_{len(diagrams) + 1}"
@@ -472,7 +484,8 @@ def _figures(study: Study, axes: Sequence[Axis], lines: Sequence[_Line], told: S
             drawn[name] = partial(figures_of.bifurcation, along, sections, title)
             diagrams.append({"figure": name, "at": told[k]["at"], "n_left_out": _n_left_out(study, lines[k].own)})
     return {
-        "drawn": drawn, "map_at": ", ".join([*([setting] if len({one.setting for one in lines}) > 1 else []), *at_map]),
+        "drawn": drawn,
+        "map_at": ", ".join([*([setting] if len({one.setting for one in lines}) > 1 else []), *at_map]),
         "diagrams": diagrams,
     }  # fmt: skip
 
@@ -484,16 +497,16 @@ def _stacked(own: Sequence[Runs]) -> dict[str, list[float]]:
 
 def _map(axis: Axis, up: Axis, lines: Sequence[_Line]) -> Recipe:
     """The picture of what most runs settle on over two keys."""
-    what = np.full((len(up.values), len(axis.values)), -1)
+    what = np.full((len(up.texts), len(axis.texts)), -1)
     is_mixed = np.zeros(what.shape, dtype=np.bool_)
     for line in lines:
-        row = up.values.index(line.at[up])
-        for value, some in zip(line.values, line.own, strict=True):
+        row = up.place(line.value(up))
+        for value, some in zip(line.along, line.own, strict=True):
             counts = [some.n_of(kind) for kind in KINDS]
-            place = row, axis.values.index(value)
+            place = row, axis.place(value)
             what[place], is_mixed[place] = int(np.argmax(counts)), np.count_nonzero(counts) > 1
-    scales = [Scale(one.name, one.x, [as_text(value) for value in one.values]) for one in (axis, up)]
-    return partial(figures_of.over_two_keys, *scales, what, is_mixed)
+    across, upwards = (Scale(one.name, one.x, one.texts) for one in (axis, up))
+    return partial(figures_of.over_two_keys, across, upwards, what, is_mixed)
 
 
 def _n_left_out(study: Study, own: Sequence[Runs]) -> int:

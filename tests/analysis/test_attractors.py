@@ -246,12 +246,12 @@ def swept(planted_runs):
 
 def test_where_along_a_key_attractors_change(swept, settings):
     found = answer(Study(swept, settings))
-    told = [(row["first"], row["last"], row["on"]) for row in found.facts["along"]["told"]]
+    told = [(row["first"], row["last"], row["on"]) for row in found.facts["along"]["lines"][0]["told"]]
     assert told == [("1", "7", ("periodic",)), ("9", "12", ("sliding",))]
     ranges = found.tables["attractor_ranges"]
     assert ranges["attractors"].tolist() == ["periodic, 1 exit a period", "periodic, 2 exits a period", "sliding"]
     np.testing.assert_allclose(ranges["least_share"].astype(float), wilson(5, 5)[0], rtol=1e-9)  # of five starts
-    (change,) = found.facts["along"]["changes"]
+    (change,) = found.facts["along"]["lines"][0]["changes"]
     assert (change["before"], change["after"], change["last"], change["first"]) == ("1", "2", "4", "5")
     assert change["at"] == pytest.approx(4.5)
     page = build(swept, replace(settings, question=("attractors",)), "Planted", "", {})
