@@ -57,6 +57,8 @@ class Data:
         Every number that a record keeps of a run, by the name of its column.
     least : mapping of str to float
         What numbers of `recorded` are never below, by what they are: 0 for an amplitude.
+    absent : mapping of str to str
+        Why a run may have no such number, by what it is: a steady slide has no period.
     lists : mapping of str to mapping of str to ndarray
         Every list of numbers that a record keeps of a run for its own sake, by the name of its column; a member
         without one is left out.
@@ -70,6 +72,7 @@ class Data:
     episodes: pd.DataFrame | None = None
     recorded: Mapping[str, Recorded] = field(default_factory=dict)
     least: Mapping[str, float] = field(default_factory=dict)
+    absent: Mapping[str, str] = field(default_factory=dict)
     lists: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

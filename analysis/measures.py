@@ -72,6 +72,8 @@ class Measure:
         How an axis of a figure is named.
     of : callable
         Maps a group to its `Values`.
+    absent : str
+        The reason in `Values.missing` of runs that have none by what they are; empty if all should have one.
     is_recorded : bool
         Whether it is what the scene records for its own sake; if nothing is, n_stick and gamma are all that is
         measured, and otherwise they are left out, unless the scene asks for cascades.
@@ -83,6 +85,7 @@ class Measure:
     words: str
     axis: str
     of: Callable[[Group], Values]
+    absent: str = ""
     is_recorded: bool = True
 
     @property
@@ -164,18 +167,19 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
         numbers = dict(zip(members["member_id"], members[name], strict=True)) if is_own else column.values
         if (beside is not None and name not in beside.data.recorded) or (is_own and members[name].isna().all()):
             continue
-        words = column.words.partition(";")[0]
+        words, absent = column.words.partition(";")[0], study.data.absent.get(name, "")
         yield Measure(
             Statistic(f"mean {name}", ratio, MARGIN, least=study.data.least.get(name)),
             name, f"mean {name}", words, name,
-            partial(_column, numbers),
+            partial(_column, numbers, absent or NO_VALUE),
+            absent,
             is_recorded=not is_own,
         )  # fmt: skip
 
 
-def _column(numbers: Mapping[str, float | None], group: Group) -> Values:
+def _column(numbers: Mapping[str, float | None], reason: str, group: Group) -> Values:
     missing = {
-        str(member_id): outcome if outcome == FAILED else NO_VALUE
+        str(member_id): outcome if outcome == FAILED else reason
         for member_id, outcome in zip(group.members["member_id"], group.members["outcome"], strict=True)
         if (number := numbers[member_id]) is None or not np.isfinite(number)
     }

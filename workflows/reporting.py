@@ -50,6 +50,7 @@ def _data(opened: Opened) -> Data:
     for name in ("file", "parameters", "reason"):  # words from outside, which pages and figures show
         if name in table and table[name].notna().any():
             table[name] = table[name].map(printable if name == "reason" else _drawable, na_action="ignore")
+    kept = [column for record in scene.records for column in record.kept]
     return Data(
         table,
         series=series(opened),
@@ -58,12 +59,8 @@ def _data(opened: Opened) -> Data:
         thresholds=by_threshold(opened),
         episodes=episodes(opened) if scene.record.episodes else None,
         recorded=recorded,
-        least={
-            column.name: column.least
-            for record in scene.records
-            for column in record.kept
-            if column.least is not None
-        },
+        least={column.name: column.least for column in kept if column.least is not None},
+        absent={column.name: column.absent for column in kept if column.absent},
         lists={
             column.name: lists(opened, column.name)
             for record in scene.records

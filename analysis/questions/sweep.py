@@ -328,7 +328,9 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
     every = [point for some in points.values() for point in some]
     gaps: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for one in asked:
-        missing = tuple(found for point in every for found in point.values[one.name].missing.items())
+        missing = tuple(
+            found for point in every for found in point.values[one.name].missing.items() if found[1] != one.absent
+        )
         gaps.setdefault(missing, []).append(one.axis)
     shown = [(one.name, _cell(k)) for k, one in enumerate(asked[:MOST_COLUMNS])]
     return {

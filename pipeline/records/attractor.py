@@ -11,6 +11,7 @@ from stickslip.pipeline.records.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Sharing, WindowRecord
 from stickslip.sim.engines.coulomb.settings import Coulomb
 
+_NO_CYCLE = "on no cycle"
 #: Values of z at exits that are kept, the last.
 _MOST = 64
 
@@ -32,19 +33,28 @@ class AttractorRecord(WindowRecord):
             "rest, sliding, periodic, irregular, escaping or undecided; null, as all below, if not the exact law",
         ),
         Column("text", "attractor_reason", "how that is known, or why it is undecided"),
-        Column("number", "period", "of a periodic run; null otherwise"),
-        Column("count", "exits_per_period", "exits in a period; null if not periodic"),
-        Column("count", "events_per_period", "entries, exits and crossings in a period; null if not periodic"),
+        Column("number", "period", "of a periodic run; null otherwise", least=0.0, absent=_NO_CYCLE),
+        Column("count", "exits_per_period", "exits in a period; null if not periodic", least=0.0, absent=_NO_CYCLE),
+        Column(
+            "count",
+            "events_per_period",
+            "entries, exits and crossings in a period; null if not periodic",
+            least=0.0,
+            absent=_NO_CYCLE,
+        ),
         Column(
             "number",
             "multiplier",
             "largest modulus of the Floquet multipliers of a periodic run, but for shifts in time and along its"
             " drift; below 1 the cycle attracts",
+            least=0.0,
+            absent="on no cycle, or one of too many events",
         ),
         Column(
             "number",
             "deviation_rate",
             "rate at which a small deviation grows, of a run in no cycle with many events; above 0 if irregular",
+            absent="on a cycle, or few events",
         ),
         Column(
             "numbers",

@@ -23,6 +23,7 @@ class CollapseRecord(Record):
             "t_collapse",
             "from when on it is certain that no block sticks again; null if that is not",
             least=0.0,
+            absent="no collapse is certain",
         ),
     )
 

@@ -28,6 +28,9 @@ class Column(NamedTuple):
         Whether a number says which, as that of a block, so that no mean is taken.
     least : float, optional
         What a number is never below, by what it is: 0 for an amplitude.
+    absent : str
+        Why a run has no such number, in words, where that is what it is, as a steady slide has no period; empty if a
+        run without one lacks it.
     """
 
     kind: Kind
@@ -38,6 +41,7 @@ class Column(NamedTuple):
     repeats: bool = True
     is_label: bool = False
     least: float | None = None
+    absent: str = ""
 
     @property
     def is_list(self) -> bool:

@@ -17,7 +17,13 @@ class FirstExit(Record):
     words = "whether to keep when the first block that sticks lets go, and which"
     asked_by = "`first_exit = true` under [record]"
     columns = (
-        Column("number", "first_exit", "time of the first exit; null, as below, if there is none", least=0.0),
+        Column(
+            "number",
+            "first_exit",
+            "time of the first exit; null, as below, if there is none",
+            least=0.0,
+            absent="no exit",
+        ),
         Column("whole", "first_exit_block", "the block that lets go first", is_label=True),
     )
     needs = frozenset({"events"})

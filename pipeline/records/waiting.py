@@ -25,9 +25,15 @@ class Waiting(WindowRecord):
             "number of times between successive exits of the same block after t_burn",
             least=0.0,
         ),
-        Column("number", "waiting_mean", "their mean; null if there are none", least=0.0),
         Column(
-            "number", "waiting_cv", "their standard deviation over their mean; null with fewer than two", least=0.0
+            "number", "waiting_mean", "their mean; null if there are none", least=0.0, absent="no block left twice"
+        ),
+        Column(
+            "number",
+            "waiting_cv",
+            "their standard deviation over their mean; null with fewer than two",
+            least=0.0,
+            absent="fewer than two times",
         ),
     )
     needs = frozenset({"events"})
