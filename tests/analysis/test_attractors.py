@@ -279,3 +279,52 @@ def test_ranges_bridge_what_is_not_known_only_between_alikes():
     assert ranges([(), ("a",), (), ("a",), (), ("b",), ("a", "b")]) == [
         Range(1, 3, ("a",)), Range(5, 5, ("b",)), Range(6, 6, ("a", "b"))
     ]  # fmt: skip
+
+
+# ---------------------------------------------------------------------------------------------- over two keys
+
+
+@pytest.fixture
+def over_two(planted_runs):
+    """Five starts at each of 5 belts and 3 static frictions: a cycle up to v = 1, 2, 3, then steady sliding."""
+
+    def at(v, k):
+        return cycle(3.0, 0.1, 1) | {"exits_z": [0.5]} if v <= k + 1 else SLIDES | {"section_z": [0.0]}
+
+    return planted_runs([
+        started(0.1 * s, 0.0, start_draw=s, drawn="z = uniform(0, 1)", belt_speed=float(v), static=1.2 + 0.2 * k)
+        | at(v, k) for v in range(1, 6) for k in range(3) for s in range(5)
+    ])  # fmt: skip
+
+
+def test_the_page_covers_each_value_of_a_second_key(over_two, settings):
+    page = build(over_two, replace(settings, question=("attractors",)), "Planted", "", {})
+    said = page.headline[1]
+    assert said.startswith(
+        "At static = 1.2 at belt_speed = 1 all 5 runs settle on a cycle; from belt_speed = 2 on all"
+    )
+    assert (
+        "The belt_speed up to which all settle on a cycle rises from 1 at static = 1.2 to 3 at static = 1.6." in said
+    )
+    assert (
+        "The belt_speed from which on all slide steadily rises from 2 at static = 1.2 to 4 at static = 1.6." in said
+    )
+    assert said.endswith("all runs slide steadily at 9 and settle on a cycle at 6.")
+    ranges = page.tables["attractor_ranges"]
+    assert ranges[["static", "first", "last"]].to_numpy().tolist() == [
+        [1.2, "1", "1"], [1.2, "2", "5"], [1.4, "1", "2"], [1.4, "3", "5"], [1.6, "1", "3"], [1.6, "4", "5"],
+    ]  # fmt: skip
+
+
+def test_the_figures_over_two_keys(over_two, settings):
+    figures = answer(Study(over_two, settings)).figures
+    assert [name for name in figures if name != "basin_of_attractors"] == [
+        "attractors", "bifurcation", "bifurcation_2", "bifurcation_3",
+    ]  # fmt: skip
+    (ax,) = figures["attractors"]().axes
+    cells = np.ma.filled(ax.collections[0].get_array(), -1).reshape(3, 5)
+    assert [len(set(row[: k + 1])) for k, row in enumerate(cells)] == [1, 1, 1]
+    assert [(row[k + 1 :] != row[0]).all() for k, row in enumerate(cells)] == [True] * 3
+    above, *_ = figures["bifurcation"]().axes
+    drawn = {tuple(line.get_xdata()) for line in above.lines}
+    assert drawn == {(1.0,), (2.0, 3.0, 4.0, 5.0)}  # exits of the cycle, and the slides
