@@ -108,7 +108,7 @@ def answer(study: Study) -> Answer:
         "has_ends": any(row["fate"] in ENDS for row in runs),
         "basin": _basin(followed),
         "few": [row for row in moving if row["basis"] == enough.FEW_MATRICES],
-        "drifting": [row for row in moving if row["basis"] != enough.ENOUGH and _is_off_zero(row["drifts"])],
+        "drifting": [row for row in moving if row["is_drifting"]],
         "unsure": [row for row in moving if row["basis"] == enough.DRIFT_UNKNOWN],
         "t_burn": study.settings.t_burn,
         "drift_margin": enough.MARGIN,
@@ -280,12 +280,16 @@ def _group_row(study: Study, group: Group, runs: Sequence[Row]) -> Row:
         "last_quiet": max((row["times"][0] for row in followed if row["fate"] == QUIET), default=None),
         **named("mean", mean), "drifts": drift, **named("drift", drift),
         "effective_samples": memory and len(group.units) * span / (2 * memory),
-        "basis": basis.code,
+        "basis": basis.code, "is_drifting": _is_drifting(drift, basis),
     }  # fmt: skip
 
 
-def _is_off_zero(estimate: Estimate) -> bool:
-    return estimate.low is not None and estimate.high is not None and not estimate.low <= 0 <= estimate.high
+def _is_drifting(drift: Estimate, basis: enough.Basis) -> bool:
+    """Whether a drift is shown, and is not harmless: few runs may show one of 1e-7."""
+    if drift.low is None or drift.high is None or drift.low <= 0 <= drift.high:
+        return False
+    size = basis.drift.value
+    return basis.code != enough.ENOUGH and (size is None or not abs(size) <= enough.MARGIN)
 
 
 def _brief(groups: Sequence[Row]) -> list[Row]:
