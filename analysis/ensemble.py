@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip.analysis.groups import Group, Series, fill, groups, window_of
-from stickslip.analysis.members import OUTCOMES, REQUIRED, completed, unchanged
+from stickslip.analysis.members import OUTCOMES, REQUIRED, completed, known_outcomes, unchanged
 from stickslip.analysis.models.fates import fate
 from stickslip.analysis.series.cascades import ChangePoints, Window
 from stickslip.analysis.settings import AnalysisSettings
@@ -117,7 +117,8 @@ class Study:
     @cached_property
     def _fated(self) -> Mapping[str, tuple[str, float, float]]:
         """Outcome, t_end and growth rate of each member."""
-        columns = (self.data.members[name] for name in ("member_id", "outcome", "t_end", "growth_rate"))
+        members = self.data.members
+        columns = (members["member_id"], known_outcomes(members), members["t_end"], members["growth_rate"])
         return {name: (outcome, float(t_end), rate) for name, outcome, t_end, rate in zip(*columns, strict=True)}
 
     @cached_property

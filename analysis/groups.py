@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, split
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, known_outcomes, split
 from stickslip.analysis.models.counting import lulls
 from stickslip.analysis.models.fates import MOVING, QUIET, fate
 from stickslip.analysis.series.cascades import EVENTS, ChangePoints, Window, sizes, window
@@ -241,7 +241,8 @@ def fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
     group.histograms = [np.zeros(1, np.int64)] * n_rows
     group.last = np.full((len(group.members), 2), np.nan)
     row_of = {unit: row for row, unit in enumerate(group.units)}
-    columns = (group.members[name] for name in ("unit", "member_id", "outcome", "t_end", "growth_rate"))
+    unit, member_id, t_end, rate = (group.members[name] for name in ("unit", "member_id", "t_end", "growth_rate"))
+    columns = (unit, member_id, known_outcomes(group.members), t_end, rate)
     for k, (unit, member_id, outcome, t_end, rate) in enumerate(zip(*columns, strict=True)):
         points = None if outcome == "failed" else series[member_id]
         group.fates.append(fate(outcome, points, float(t_end), rate))

@@ -8,6 +8,8 @@ from typing import Any
 
 import pandas as pd
 
+from stickslip.analysis.models.attractors import SLIDING
+from stickslip.analysis.models.fates import COLLAPSED
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number, Numbers
 from stickslip.sim.systems.terms import TERMS
@@ -52,6 +54,14 @@ def completed(members: pd.DataFrame) -> pd.DataFrame:
     """Members with every column: missing ones as null, and those that the functions `with_*` add or set to null."""
     absent = [name for name in (*OPTIONAL, *_NOT_EVERYWHERE) if name not in members]
     return with_rates(with_starts(with_units(members.assign(**dict.fromkeys(absent)))))
+
+
+def known_outcomes(members: pd.DataFrame) -> pd.Series:
+    """Outcomes, where a finished run counts as collapsed that is recorded to slide for ever, which is a proof."""
+    outcomes = members["outcome"]
+    if "attractor" not in members:
+        return outcomes
+    return outcomes.mask((outcomes == "finished") & (members["attractor"] == SLIDING), COLLAPSED)
 
 
 def with_units(members: pd.DataFrame) -> pd.DataFrame:

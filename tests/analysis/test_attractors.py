@@ -328,3 +328,11 @@ def test_the_figures_over_two_keys(over_two, settings):
     above, *_ = figures["bifurcation"]().axes
     drawn = {tuple(line.get_xdata()) for line in above.lines}
     assert drawn == {(1.0,), (2.0, 3.0, 4.0, 5.0)}  # exits of the cycle, and the slides
+
+
+def test_what_is_certain_to_slide_for_ever_has_collapsed(over_two, settings):
+    quiet = {name: (np.array([0.0, 1.0]), np.array([1, 0])) for name in over_two.members["member_id"]}
+    study = Study(replace(over_two, series=quiet), settings)
+    kinds = study.data.members.set_index("member_id")["attractor"]
+    fates = {(kinds[name], study.fate(name)) for name in kinds.index}
+    assert fates == {("sliding", "collapsed"), ("periodic", "quiet")}
