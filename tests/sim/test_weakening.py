@@ -79,7 +79,13 @@ def follow(system, z0, w0, t_end):
         function.terminal, function.direction = True, -1
         return function
 
+    def off_its_zero(t, y):  # a first step too short to change w would find the event that has just been again
+        found = solve_ivp(rate, (t, t + 1e-6), y, "DOP853", rtol=1e-13, atol=1e-16)
+        return found.t[-1], found.y[:, -1].copy()
+
     y = np.concatenate([z, w])
+    if leaves.any():
+        t, y = off_its_zero(t, y)
     while True:
         found = solve_ivp(
             rate, (t, t_end), y, "DOP853", rtol=1e-12, atol=1e-13, events=[watch(i) for i in range(n)], max_step=0.02
@@ -93,9 +99,8 @@ def follow(system, z0, w0, t_end):
         mode[i] = side if was_stuck or pulls(y[:n])[i] > static[i] else 0
         events.append((t, i, mode[i]))
         assert len(events) < 1000, f"the independent method does not go on at t = {t}"
-        if was_stuck:  # off the event's own zero
-            found = solve_ivp(rate, (t, t + 1e-6), y, "DOP853", rtol=1e-13, atol=1e-16)
-            t, y = found.t[-1], found.y[:, -1].copy()
+        if mode[i]:
+            t, y = off_its_zero(t, y)
 
 
 @pytest.mark.parametrize("n", [1, 2])
