@@ -29,10 +29,9 @@ from stickslip.sim.systems.system import System
 Kind = Literal["rest", "sliding", "periodic", "irregular", "escaping", "undecided"]
 
 #: A state has come back if it differs by less than this many tolerances of the run, of its largest number; the same
-#: for times, of the period. Within bounds: of rounding, and of what can be told from a return by chance.
+#: for times, of the period. Within bounds: of rounding, and of what can be told from a return by chance. Events within
+#: that time of each other are at one instant: blocks that synchronise change order from round to round.
 _BACK, _CLOSEST, _WIDEST = 1e4, 1e-9, 1e-4
-#: Events within this share of that, in units of time, are at one instant: rounding decides their order.
-_TOGETHER = 1e-3
 #: Of K dz, over that of its terms: below, z has only moved along the null space of K.
 _NULL = 1e-12
 #: States within this share of a period from an event are those at the event.
@@ -237,7 +236,7 @@ class _End:
         ):
             return self._sliding(why)
         first = int(np.searchsorted(run.events.t, self._since, side="right"))
-        last = _in_order(run.events, first, self._together)
+        last = _in_order(run.events, first, self._back)
         if len(last) == 0:
             return self._without_events()
         for cycle in _rounds(last, self._back):
@@ -253,10 +252,6 @@ class _End:
         """The system with the belts and forces of the end."""
         s = self._system
         return s.changed(belt_speed=self._v, force=s.force_at(self._run.t_end)) if s.changes else s
-
-    @property
-    def _together(self) -> float:
-        return _TOGETHER * self._back
 
     # ---------------------------------------------------------------------------------------------- rest and sliding
 
@@ -320,7 +315,7 @@ class _End:
         expected = np.maximum.accumulate(np.maximum(expected, self._start))
         length = float(expected[-1]) - self._start + 100.0 * self._back * cycle.period
         after = self._follow(length, expected)
-        events = _in_order(after.events, 0, self._together)
+        events = _in_order(after.events, 0, self._back)
         symbols = _symbols(events)
         if len(events) <= p or symbols[p] != symbols[0] or (symbols[:p] != _symbols(last)[-p:]).any():
             return None
@@ -359,7 +354,7 @@ class _End:
         if s.changes or p * (2.0 * s.n) ** 3 > _WORK_NEAR:
             return None
         after = self._follow(2.2 * cycle.period, np.empty(0)).events
-        events = _in_order(after, 0, self._together)
+        events = _in_order(after, 0, self._back)
         # from an event at which the block has its belt's speed, whatever the state
         places = np.flatnonzero((events.mode == 0) | (events.previous_mode != 0))
         if len(places) == 0 or len(events) <= places[0] + p:
@@ -377,7 +372,7 @@ class _End:
             return simulate(s, z, w, length, t_eval=times, modes=modes, stop_early=False, **self._settings)
 
         found = near_cycle(s, at.z[0], at.w[0], round_, p, self._back,
-                           lambda some: _in_order(some, 0, self._together), follow)  # fmt: skip
+                           lambda some: _in_order(some, 0, self._back), follow)  # fmt: skip
         drift = None if found is None else self._drift(found.path.states)
         if found is None or drift is None or (multiplier := largest(found.matrix, drift)) >= 1.0:
             return None
@@ -408,7 +403,7 @@ class _End:
             why = f"no cycle, and the last event recurs {n_again} times after t = {self._since:g}, of at least {_FEW}"
             return Attractor("undecided", f"{why}; lengthen the run")
         length = self._run.t_end - float(last.t[-min(len(last), _FOLLOWED)])
-        events = _in_order(self._follow(length, np.empty(0)).events, 0, self._together)
+        events = _in_order(self._follow(length, np.empty(0)).events, 0, self._back)
         if len(events) < _FEW:
             return Attractor("undecided", f"few events follow on t = {self._run.t_end:g}; lengthen the run")
         path = self._path(events, events.t)

@@ -510,3 +510,32 @@ def test_a_spiral_onto_a_cycle_is_not_taken_for_one_of_six_rounds():
         found = attractor(simulate(system, z, 0.0, t_end, tol=1e-10), system, 200.0, tol=1e-10)
         assert found.kind == "undecided" or found.period == pytest.approx(1.24678825, abs=1e-6)
     assert found.kind == "periodic"
+
+
+def test_blocks_that_synchronise_under_a_force_do_not_lengthen_the_period(rng):
+    """Alike and pushed alike, they leave 1e-9 to 1e-7 apart, in an order that changes from period to period."""
+    n_periodic = 0
+    for _ in range(25):
+        n = int(rng.integers(2, 6))
+        springs = 0.4 * (2 * np.identity(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+        springs[0, 0] = springs[-1, -1] = 0.4
+        frequency, belt = rng.uniform(0.3, 2.0), float(rng.choice([-0.2, -0.5, 0.1]))
+        force = Harmonic(rng.uniform(0.2, 2.0), frequency)
+        system = System(springs + 0.5 * np.identity(n), rng.uniform(0.02, 0.4), belt_speed=belt,
+                        static=rng.uniform(1.0, 1.6), force=force)  # fmt: skip
+        run = simulate(system, rng.uniform(-1, 1, n), rng.uniform(-0.3, 0.3, n), 400.0)
+        found = attractor(run, system, 200.0)
+        if found.kind != "periodic":
+            continue
+        n_periodic += 1
+        turns = round(found.period * frequency / (2 * np.pi))
+        times = 400.0 + 2 * np.pi / frequency * np.arange(turns + 1)
+        modes = run.events.mode_at(400.0)
+        w = np.where(modes == 0, belt, run.w)
+        after = simulate(
+            system, run.z, w, times[-1], t_start=400.0, t_eval=times, modes=modes, stop_early=False
+        ).samples
+        states = np.hstack([after.z, after.w])
+        off = np.abs(states - states[0]).max(axis=1) / np.abs(states).max()
+        assert np.flatnonzero(off[1:] < 1e-6)[:1].tolist() in ([turns - 1], []), (system, found)
+    assert n_periodic > 5
