@@ -29,8 +29,8 @@ from stickslip.sim.systems.system import System
 Kind = Literal["rest", "sliding", "periodic", "irregular", "escaping", "undecided"]
 
 #: A state has come back if it differs by less than this many tolerances of the run, of its largest number; the same
-#: for times, of the period. Within bounds: of rounding, and of what can be told from a return by chance. Events within
-#: that time of each other are at one instant: blocks that synchronise change order from round to round.
+#: for times, of the period. Within bounds: of rounding, and of what can be told from a return by chance. Events so
+#: close in time are at one instant: blocks that synchronise change order from round to round.
 _BACK, _CLOSEST, _WIDEST = 1e4, 1e-9, 1e-4
 #: Of K dz, over that of its terms: below, z has only moved along the null space of K.
 _NULL = 1e-12
