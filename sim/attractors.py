@@ -36,8 +36,6 @@ _BACK, _CLOSEST, _WIDEST = 1e4, 1e-9, 1e-4
 _NULL = 1e-12
 #: States within this share of a period from an event are those at the event.
 _EXACT = 1e-12
-#: The same for events whose order rounding alone decides, over that: they are tried after, as few blocks synchronise.
-_ROUNDED = 1e-3
 #: Rounds of events that are tried as a cycle, the shortest first.
 _TRIED = 8
 #: The same of rounds that only nearly come back, within this share of their time: the run may settle there.
@@ -224,8 +222,6 @@ class _End:
         self._frequencies = sorted({abs(f) for x in waves for f in x.frequency[x.amplitude != 0.0].tolist() if f})
         #: where what follows begins: the time matters only where the drive depends on it
         self._start = run.t_end if system.changes else 0.0
-        #: events so close in time are at one instant
-        self._together = back
 
     def found(self) -> Attractor:
         run = self._run
@@ -240,17 +236,15 @@ class _End:
         ):
             return self._sliding(why)
         first = int(np.searchsorted(run.events.t, self._since, side="right"))
-        if first == len(run.events):
+        last = _in_order(run.events, first, self._back)
+        if len(last) == 0:
             return self._without_events()
-        for together in (self._back, _ROUNDED * self._back):
-            self._together = together
-            last = _in_order(run.events, first, self._together)
-            for cycle in _rounds(last, self._back):
-                if not self._has_phase(cycle.period):
-                    continue
-                found = self._once_more(cycle, last) if cycle.is_back else self._settled(cycle)
-                if found is not None:
-                    return found
+        for cycle in _rounds(last, self._back):
+            if not self._has_phase(cycle.period):
+                continue
+            found = self._once_more(cycle, last) if cycle.is_back else self._settled(cycle)
+            if found is not None:
+                return found
         return self._not_periodic(last)
 
     @property
@@ -321,7 +315,7 @@ class _End:
         expected = np.maximum.accumulate(np.maximum(expected, self._start))
         length = float(expected[-1]) - self._start + 100.0 * self._back * cycle.period
         after = self._follow(length, expected)
-        events = _in_order(after.events, 0, self._together)
+        events = _in_order(after.events, 0, self._back)
         symbols = _symbols(events)
         if len(events) <= p or symbols[p] != symbols[0] or (symbols[:p] != _symbols(last)[-p:]).any():
             return None
@@ -333,8 +327,6 @@ class _End:
         drift, period = self._drift(path.states), float(events.t[p] - events.t[0])
         if drift is None or not self._has_phase(period):
             return None
-        if self._together < self._back and self._is_near_between(path, p):
-            return None  # of that order a part is no round, but it may be of another
         if (part := self._part(path, symbols[:p])) < p:
             # it settles from side to side, and is still too far off to be back after a part of the round
             shorter = self._settled(_Cycle(part, period * part / p, is_back=False))
@@ -346,11 +338,6 @@ class _End:
         round_, states = _from_lowest(path, events, period, drift)
         why = f"{p} events, and the state at each, come back"
         return Attractor("periodic", why, period, multiplier, None, drift, round_, states)
-
-    def _is_near_between(self, path: Path, p: int) -> bool:
-        """Whether the state nearly comes back after a part of a round, in whatever order its events are."""
-        near = _ALMOST * self._back * _size(path.states)
-        return any(p % part == 0 and _off(path, part) <= near for part in range(1, p // 2 + 1))
 
     def _part(self, path: Path, symbols: NDArray[np.int64]) -> int:
         """Events of the shortest part of a round after which events repeat and the state nearly comes back."""
@@ -367,7 +354,7 @@ class _End:
         if s.changes or p * (2.0 * s.n) ** 3 > _WORK_NEAR:
             return None
         after = self._follow(2.2 * cycle.period, np.empty(0)).events
-        events = _in_order(after, 0, self._together)
+        events = _in_order(after, 0, self._back)
         # from an event at which the block has its belt's speed, whatever the state
         places = np.flatnonzero((events.mode == 0) | (events.previous_mode != 0))
         if len(places) == 0 or len(events) <= places[0] + p:
@@ -385,7 +372,7 @@ class _End:
             return simulate(s, z, w, length, t_eval=times, modes=modes, stop_early=False, **self._settings)
 
         found = near_cycle(s, at.z[0], at.w[0], round_, p, self._back,
-                           lambda some: _in_order(some, 0, self._together), follow)  # fmt: skip
+                           lambda some: _in_order(some, 0, self._back), follow)  # fmt: skip
         drift = None if found is None else self._drift(found.path.states)
         if found is None or drift is None or (multiplier := largest(found.matrix, drift)) >= 1.0:
             return None
@@ -416,7 +403,7 @@ class _End:
             why = f"no cycle, and the last event recurs {n_again} times after t = {self._since:g}, of at least {_FEW}"
             return Attractor("undecided", f"{why}; lengthen the run")
         length = self._run.t_end - float(last.t[-min(len(last), _FOLLOWED)])
-        events = _in_order(self._follow(length, np.empty(0)).events, 0, self._together)
+        events = _in_order(self._follow(length, np.empty(0)).events, 0, self._back)
         if len(events) < _FEW:
             return Attractor("undecided", f"few events follow on t = {self._run.t_end:g}; lengthen the run")
         path = self._path(events, events.t)
