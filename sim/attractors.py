@@ -15,7 +15,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.cycles import near_cycle
+from stickslip.sim.cycles import by_block, near_cycle
 from stickslip.sim.deviations import Path, largest
 from stickslip.sim.engines.certificates import steady_sliding
 from stickslip.sim.engines.coulomb.settings import Coulomb
@@ -30,8 +30,11 @@ Kind = Literal["rest", "sliding", "periodic", "irregular", "escaping", "undecide
 
 #: A state has come back if it differs by less than this many tolerances of the run, of its largest number; the same
 #: for times, of the period. Within bounds: of rounding, and of what can be told from a return by chance. Events so
-#: close in time are at one instant: blocks that synchronise change order from round to round.
+#: close in time are at one instant.
 _BACK, _CLOSEST, _WIDEST = 1e4, 1e-9, 1e-4
+#: Rounds are compared as if events within so many times that were: blocks that synchronise change order from round to
+#: round, at times apart that pass through the first bound, but hardly move near this one in a round that comes back.
+_TOGETHER = 100.0
 #: Of K dz, over that of its terms: below, z has only moved along the null space of K.
 _NULL = 1e-12
 #: States within this share of a period from an event are those at the event.
@@ -239,7 +242,7 @@ class _End:
         last = _in_order(run.events, first, self._back)
         if len(last) == 0:
             return self._without_events()
-        for cycle in _rounds(last, self._back):
+        for cycle in _rounds(_in_order(run.events, first, self._together), self._back):
             if not self._has_phase(cycle.period):
                 continue
             found = self._once_more(cycle, last) if cycle.is_back else self._settled(cycle)
@@ -252,6 +255,10 @@ class _End:
         """The system with the belts and forces of the end."""
         s = self._system
         return s.changed(belt_speed=self._v, force=s.force_at(self._run.t_end)) if s.changes else s
+
+    @property
+    def _together(self) -> float:
+        return _TOGETHER * self._back
 
     # ---------------------------------------------------------------------------------------------- rest and sliding
 
@@ -313,13 +320,19 @@ class _End:
         p, begin = cycle.n_events, self._run.t_end - self._start
         expected = np.append(last.t[-p:], last.t[-p] + cycle.period) + (cycle.period - begin)
         expected = np.maximum.accumulate(np.maximum(expected, self._start))
-        length = float(expected[-1]) - self._start + 100.0 * self._back * cycle.period
+        length = float(expected[-1]) - self._start + self._together * (1.0 + cycle.period)
         after = self._follow(length, expected)
-        events = _in_order(after.events, 0, self._back)
-        symbols = _symbols(events)
-        if len(events) <= p or symbols[p] != symbols[0] or (symbols[:p] != _symbols(last)[-p:]).any():
+        events, symbols = after.events, _symbols(last)[-p:]
+        again = np.flatnonzero(_symbols(events)[p:] == symbols[0])
+        if len(again) == 0:
             return None
-        edges = events.t[: p + 1]
+        # as in the round before, so that the first event comes first again
+        order = np.append(np.empty(p, dtype=np.intp), p + again[0])
+        order[by_block(last.block[-p:])] = by_block(events.block[:p])
+        events = replace(events, t=events.t[order], block=events.block[order], mode=events.mode[order])
+        if (_symbols(events)[:p] != symbols).any():
+            return None
+        edges = events.t
         if self._system.weakening is None and (np.abs(edges - expected) <= _EXACT * cycle.period).all():
             path = Path.of(self._system, events, edges, lambda _: after.samples)
         else:
@@ -327,7 +340,7 @@ class _End:
         drift, period = self._drift(path.states), float(events.t[p] - events.t[0])
         if drift is None or not self._has_phase(period):
             return None
-        if (part := self._part(path, symbols[:p])) < p:
+        if (part := self._part(path, events)) < p:
             # it settles from side to side, and is still too far off to be back after a part of the round
             shorter = self._settled(_Cycle(part, period * part / p, is_back=False))
             # in so many turns a spiral onto the shorter cycle may come as near as a longer cycle does
@@ -339,9 +352,10 @@ class _End:
         why = f"{p} events, and the state at each, come back"
         return Attractor("periodic", why, period, multiplier, None, drift, round_, states)
 
-    def _part(self, path: Path, symbols: NDArray[np.int64]) -> int:
+    def _part(self, path: Path, events: EventSeries) -> int:
         """Events of the shortest part of a round after which events repeat and the state nearly comes back."""
-        p = len(symbols)
+        p = len(path.block)
+        symbols = _symbols(_in_order(events, 0, self._together))[:p]
         near = _ALMOST * self._back * _size(path.states)
         for part in range(1, p // 2 + 1):
             if p % part == 0 and (symbols[part:] == symbols[:-part]).all() and _off(path, part) <= near:
@@ -376,7 +390,7 @@ class _End:
         drift = None if found is None else self._drift(found.path.states)
         if found is None or drift is None or (multiplier := largest(found.matrix, drift)) >= 1.0:
             return None
-        if (part := self._part(found.path, _symbols(found.events)[:p])) < p:
+        if (part := self._part(found.path, found.events)) < p:
             return self._settled(_Cycle(part, cycle.period * part / p, is_back=False))
         period = float(found.events.t[-1])
         listed, states = _from_lowest(found.path, found.events, period, drift)

@@ -81,7 +81,8 @@ def near_cycle(
     """
     n, p = system.n, n_events
     first = z, w
-    expected, symbol = (events.block[1:p].copy(), events.mode[1:p].copy()), (events.block[0], events.mode[0])
+    order = 1 + by_block(events.block[1:p])
+    expected, symbol = (events.block[order], events.mode[order]), (events.block[0], events.mode[0])
     block, mode = int(symbol[0]), int(symbol[1])
     before = events.initial_mode
     modes = before.copy()
@@ -97,7 +98,8 @@ def near_cycle(
         found = in_order(run.events)
         if len(found) < p or (found.block[p - 1], found.mode[p - 1]) != symbol:
             return None
-        if (found.block[: p - 1] != expected[0]).any() or (found.mode[: p - 1] != expected[1]).any():
+        order = by_block(found.block[: p - 1])
+        if (found.block[order] != expected[0]).any() or (found.mode[order] != expected[1]).any():
             return None
         t = np.append(0.0, found.t[:p])
         round_ = replace(
@@ -124,6 +126,11 @@ def near_cycle(
         step = np.linalg.lstsq(np.identity(2 * n) - matrix, error, rcond=1e-12)[0]
         z, w = z + step[:n], w + step[n:]
     return None
+
+
+def by_block(block: NDArray[np.int32]) -> NDArray[np.intp]:
+    """The order of events by block, those of one block in time: the same whatever blocks come at one instant."""
+    return np.argsort(block, kind="stable")
 
 
 def _largest_power(matrix: Floats, start: Floats) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -539,3 +540,56 @@ def test_blocks_that_synchronise_under_a_force_do_not_lengthen_the_period(rng):
         off = np.abs(states - states[0]).max(axis=1) / np.abs(states).max()
         assert np.flatnonzero(off[1:] < 1e-6)[:1].tolist() in ([turns - 1], []), (system, found)
     assert n_periodic > 5
+
+
+def test_a_cycle_once_found_is_found_at_every_later_end():
+    """Of two blocks alike that synchronise: wherever the run ends as the order of their events is lost to rounding.
+
+    Where events had to come in one order, the first had twice its period up to some end, and the second none at some.
+    """
+    cases = [(1.6, 0.4, 1.4, 0.1), (0.5, 0.8, 1.2, 0.1)]
+    for frequency, push, static, damping in cases:
+        force = Harmonic(push, frequency)
+        system = System([[1.0, -0.4], [-0.4, 1.0]], damping, 1.0, -0.2, static=static, force=force)
+        turn = 2 * np.pi / frequency
+        found = [settled(system, [0.3, -0.2], 0.0, (k + 0.3) * turn, (k - 14) * turn) for k in range(20, 100, 2)]
+        kinds = [one.kind for one in found]
+        first = kinds.index("periodic")
+        assert set(kinds[first:]) == {"periodic"}
+        assert [one.period / turn for one in found[first:]] == pytest.approx([1.0] * (len(found) - first), abs=1e-5)
+
+
+def test_rounds_that_come_nearer_under_a_force_are_no_cycle():
+    """One block follows the force; another, on its own, dies out, and turns by 120 degrees in a period of the force.
+
+    So after three periods the state is back, but for what dies out in them, 1.2%, and after one it is not yet.
+    """
+    turn, damping = 4.0, 0.002
+    stiffness = (2 * np.pi / (3 * turn)) ** 2 + damping**2 / 4
+    force = Harmonic([1.0, 0.0], 2 * np.pi / turn)
+    system = System(np.diag([1.0, stiffness]), [0.1, damping], 1.0, [-0.2, -1.0], static=[1.3, 1.0], force=force)
+    start = [0.0, 2e-5 - 1.0 / stiffness], [-0.2, 0.0]
+    early, late = (settled(system, *start, turns * turn) for turns in (20.3, 1000.3))
+    assert early.kind == "undecided"
+    assert late.period == pytest.approx(turn, rel=1e-10)
+    assert late.multiplier == pytest.approx(np.exp(-damping * turn / 2), rel=1e-6)
+
+
+def test_events_of_one_instant_may_end_what_is_followed_of_an_irregular_run():
+    """Two copies of a chaotic pair, together until the end of the run: then one leads, by less than can be told.
+
+    They are followed in the order of their blocks, whichever leads, and deviations grow about as those of one pair.
+    """
+    pair, friction = np.array([[3.9, -2.9], [-2.9, 3.9]]), np.array([1.0, 1.2])
+    one = System(pair, 0.0, friction, -0.05, static=1.47 * friction)
+    two = System(np.kron(np.identity(2), pair), 0.0, np.tile(friction, 2), -0.05, static=np.tile(1.47 * friction, 2))
+    start = np.array([0.3, -0.2])
+    rate = settled(one, start, 0.0, 260.0, 20.0).growth_rate
+    run = simulate(two, np.tile(start, 2), 0.0, 260.0)
+    is_later = []
+    for ahead in np.geomspace(1e-14, 2e-13, 8):
+        found = attractor(replace(run, z=run.z - [ahead, 0.0, 0.0, 0.0]), two, 20.0)
+        assert found.kind == "irregular"
+        assert found.growth_rate == pytest.approx(rate, rel=0.25)  # another first deviation
+        is_later.append(found.events.t[-1] < found.events.t[-2])
+    assert any(is_later)
