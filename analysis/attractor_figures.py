@@ -164,11 +164,20 @@ def _explain(ax: Axes, handles: Sequence[Any]) -> None:
 # ------------------------------------------------------------------------------------------------- along keys
 
 
-def _beside(x: Sequence[float] | None, n: int) -> tuple[Floats, str]:
+class Scale(NamedTuple):
+    """A swept key: its name, its values as numbers, None if one is a distribution, and as texts."""
+
+    name: str
+    x: Sequence[float] | None
+    ticks: Sequence[str]
+
+
+def _beside(key: Scale) -> tuple[Floats, str]:
     """Edges of cells around the values of a key, evenly spaced if they are no numbers, and the scale of its axis."""
+    x = key.x
     if x is None:
-        return np.arange(-0.5, n), "linear"
-    if n == 1:
+        return np.arange(-0.5, len(key.ticks)), "linear"
+    if len(x) == 1:
         return x[0] + max(abs(x[0]), 1.0) * np.array([-0.5, 0.5]), "linear"
     if x[0] > 0 and x[-1] > _DECADES * x[0]:
         return np.exp(edges(np.log(x))), "log"
@@ -176,30 +185,20 @@ def _beside(x: Sequence[float] | None, n: int) -> tuple[Floats, str]:
 
 
 @panel()
-def shares_along(
-    ax: Axes, name: str, x: Sequence[float] | None, ticks: Sequence[str], shares: Mapping[str, Sequence[float]]
-) -> None:
+def shares_along(ax: Axes, along: Scale, shares: Mapping[str, Sequence[float]]) -> None:
     """Stacked shares at each value of a key, each as wide as to half way to the next."""
-    bounds, scale = _beside(x, len(ticks))
-    floor = np.zeros(len(ticks))
+    bounds, scale = _beside(along)
+    floor = np.zeros(len(along.ticks))
     for kind, some in shares.items():
         look = LOOKS[kind]
         ax.bar(bounds[:-1], some, np.diff(bounds), floor, align="edge", color=look.colour, hatch=look.hatch,
                edgecolor="white", linewidth=0.3, label=WORDS[kind])  # fmt: skip
         floor += some
-    if x is None:
-        ax.set_xticks(range(len(ticks)), ticks, rotation=30, ha="right")
-    ax.set(xscale=scale, xlim=(bounds[0], bounds[-1]), ylim=(0, 1), xlabel=name, ylabel="share of runs")
+    if along.x is None:
+        ax.set_xticks(range(len(along.ticks)), along.ticks, rotation=30, ha="right")
+    ax.set(xscale=scale, xlim=(bounds[0], bounds[-1]), ylim=(0, 1), xlabel=along.name, ylabel="share of runs")
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     ax.figure.legend(loc="outside upper left", ncols=3, fontsize=7, handlelength=1.2)
-
-
-class Scale(NamedTuple):
-    """A swept key: its name, its values as numbers, None if one is a distribution, and as texts."""
-
-    name: str
-    x: Sequence[float] | None
-    ticks: Sequence[str]
 
 
 @panel(3.4)
@@ -209,7 +208,7 @@ def over_two_keys(ax: Axes, across: Scale, up: Scale, what: np.ndarray, is_mixed
     `what`, shape (len(up.ticks), len(across.ticks)), is a place in `KINDS`, and -1 where there is no run. A dot marks
     cells, where `is_mixed`, whose runs settle on different things.
     """
-    (left, of_x), (low, of_y) = (_beside(one.x, len(one.ticks)) for one in (across, up))
+    (left, of_x), (low, of_y) = (_beside(one) for one in (across, up))
     seen = [k for k in range(len(KINDS)) if (what == k).any()]
     looks = [LOOKS[KINDS[k]] for k in seen]
     place = np.full(len(KINDS) + 1, -1)
@@ -280,7 +279,7 @@ def bifurcation(axes: Sequence[Axes], along: Scale, found: Sections, title: str 
         top = max(points.y.max(initial=0.0), float(key == "multiplier")) or 1.0
         ax.set_ylim(-0.08 * top, 1.1 * top)
     middle.axhline(1.0, color=GREY, linewidth=0.8, linestyle="--")
-    bounds, scale = _beside(along.x, len(along.ticks))
+    bounds, scale = _beside(along)
     below.set(xlabel=along.name, xscale=scale, xlim=(bounds[0], bounds[-1]))
     above.figure.align_ylabels(list(axes))
 

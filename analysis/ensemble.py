@@ -28,10 +28,24 @@ Separation = tuple[np.ndarray, np.ndarray]
 
 
 class Recorded(NamedTuple):
-    """A number that a record keeps of every run: what it is, and its values by member_id; None where it has none."""
+    """A number that a record keeps of every run.
+
+    Attributes
+    ----------
+    words : str
+        What it is.
+    values : mapping of str to float
+        By member_id; None where a run has none.
+    least : float, optional
+        What it is never below, by what it is: 0 for an amplitude.
+    absent : str
+        Why a run may have none, by what it is: a steady slide has no period. Empty if all should have one.
+    """
 
     words: str
     values: Mapping[str, float | None]
+    least: float | None = None
+    absent: str = ""
 
 
 @dataclass(frozen=True)
@@ -55,10 +69,6 @@ class Data:
         One row an episode: member_id, start, end, size, moment. None if the scene does not record them.
     recorded : mapping of str to Recorded
         Every number that a record keeps of a run, by the name of its column.
-    least : mapping of str to float
-        What numbers of `recorded` are never below, by what they are: 0 for an amplitude.
-    absent : mapping of str to str
-        Why a run may have no such number, by what it is: a steady slide has no period.
     lists : mapping of str to mapping of str to ndarray
         Every list of numbers that a record keeps of a run for its own sake, by the name of its column; a member
         without one is left out.
@@ -71,8 +81,6 @@ class Data:
     thresholds: Mapping[str, Mapping[float, ChangePoints]] = field(default_factory=dict)
     episodes: pd.DataFrame | None = None
     recorded: Mapping[str, Recorded] = field(default_factory=dict)
-    least: Mapping[str, float] = field(default_factory=dict)
-    absent: Mapping[str, str] = field(default_factory=dict)
     lists: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

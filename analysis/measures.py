@@ -167,12 +167,12 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
         numbers = dict(zip(members["member_id"], members[name], strict=True)) if is_own else column.values
         if (beside is not None and name not in beside.data.recorded) or (is_own and members[name].isna().all()):
             continue
-        words, absent = column.words.partition(";")[0], study.data.absent.get(name, "")
+        words = column.words.partition(";")[0]
         yield Measure(
-            Statistic(f"mean {name}", ratio, MARGIN, least=study.data.least.get(name)),
+            Statistic(f"mean {name}", ratio, MARGIN, least=column.least),
             name, f"mean {name}", words, name,
-            partial(_column, numbers, absent or NO_VALUE),
-            absent,
+            partial(_column, numbers, column.absent or NO_VALUE),
+            column.absent,
             is_recorded=not is_own,
         )  # fmt: skip
 

@@ -15,13 +15,13 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.cycles import by_block, near_cycle
+from stickslip.sim.cycles import near_cycle
 from stickslip.sim.deviations import Path, largest
 from stickslip.sim.engines.certificates import steady_sliding
 from stickslip.sim.engines.coulomb.settings import Coulomb
 from stickslip.sim.numerics.arguments import Floats, number
 from stickslip.sim.runs.run import Run, Samples
-from stickslip.sim.runs.series import EventSeries
+from stickslip.sim.runs.series import EventSeries, by_block
 from stickslip.sim.simulation import simulate
 from stickslip.sim.systems.drive import Harmonic, Piecewise
 from stickslip.sim.systems.system import System

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from stickslip.sim.deviations import Path
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run, Samples
-from stickslip.sim.runs.series import EventSeries
+from stickslip.sim.runs.series import EventSeries, by_block
 from stickslip.sim.systems.system import System
 
 #: Rounds of Newton's method, and how much nearer each has to come.
@@ -126,11 +126,6 @@ def near_cycle(
         step = np.linalg.lstsq(np.identity(2 * n) - matrix, error, rcond=1e-12)[0]
         z, w = z + step[:n], w + step[n:]
     return None
-
-
-def by_block(block: NDArray[np.int32]) -> NDArray[np.intp]:
-    """The order of events by block, those of one block in time: the same whatever blocks come at one instant."""
-    return np.argsort(block, kind="stable")
 
 
 def _largest_power(matrix: Floats, start: Floats) -> float:

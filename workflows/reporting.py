@@ -50,7 +50,6 @@ def _data(opened: Opened) -> Data:
     for name in ("file", "parameters", "reason"):  # words from outside, which pages and figures show
         if name in table and table[name].notna().any():
             table[name] = table[name].map(printable if name == "reason" else _drawable, na_action="ignore")
-    kept = [column for record in scene.records for column in record.kept]
     return Data(
         table,
         series=series(opened),
@@ -59,8 +58,6 @@ def _data(opened: Opened) -> Data:
         thresholds=by_threshold(opened),
         episodes=episodes(opened) if scene.record.episodes else None,
         recorded=recorded,
-        least={column.name: column.least for column in kept if column.least is not None},
-        absent={column.name: column.absent for column in kept if column.absent},
         lists={
             column.name: lists(opened, column.name)
             for record in scene.records
@@ -71,14 +68,12 @@ def _data(opened: Opened) -> Data:
 
 
 def _recorded(scene: Scene, table: pd.DataFrame) -> dict[str, Recorded]:
-    """Every number that the scene's records keep of a run, with the words of its column."""
+    """Every number that the scene's records keep of a run, with what its column says of it."""
     columns = [column for record in scene.records for column in record.kept if column.is_number]
     plain = table[[column.name for column in columns]].astype(object)
     found = plain.where(plain.notna(), None)
-    return {
-        one.name: Recorded(printable(one.words), dict(zip(table["member_id"], found[one.name], strict=True)))
-        for one in columns
-    }
+    values = {one.name: dict(zip(table["member_id"], found[one.name], strict=True)) for one in columns}
+    return {one.name: Recorded(printable(one.words), values[one.name], one.least, one.absent) for one in columns}
 
 
 def _drawable(text: str) -> str:

@@ -96,16 +96,12 @@ class Runs(NamedTuple):
 
 
 class _Line(NamedTuple):
-    """The runs along a swept key at one value of each other key, `at`, and of the scene's other settings."""
+    """The runs along a swept key at one value of each other key, `others`, and of the scene's other settings."""
 
     setting: str
-    at: dict[Axis, tuple[Value, ...]]
+    others: dict[Axis, tuple[Value, ...]]
     along: list[tuple[Value, ...]]
     own: list[Runs]
-
-    def value(self, axis: Axis) -> tuple[Value, ...]:
-        """Its value of another key."""
-        return self.at[axis]
 
     @property
     def ticks(self) -> list[str]:
@@ -175,7 +171,7 @@ def _runs(study: Study, group: Group) -> Runs:
     members, recorded = group.members, study.data.recorded
     names = members["member_id"].to_numpy(object)
     period, multiplier, exits, events = (
-        np.array([of[one] for one in names], dtype=np.float64) for _, of in map(recorded.__getitem__, _NUMBERS)
+        np.array([of[one] for one in names], dtype=np.float64) for _, of, *_ in map(recorded.__getitem__, _NUMBERS)
     )
     reason = members["attractor_reason"]
     found = Runs(
@@ -318,7 +314,7 @@ def _along(study: Study, groups: Sequence[Group], runs: Mapping[str, Runs]) -> R
         "has_settings": len(by_setting) > 1, "lines": told, "turns": _turns(axis, others, told, len(by_setting) > 1),
         "is_of_starts": all(some.is_one_system for line in lines for some in line.own), "tally": _tally(lines),
         "ranges": [row | {"key": axis.name, "setting": line.setting if len(by_setting) > 1 else None}
-                   | {key: value for one, at in line.at.items() for key, value in zip(one.keys, at, strict=True)}
+                   | {key: value for one, at in line.others.items() for key, value in zip(one.keys, at, strict=True)}
                    for line, one_told in zip(lines, told, strict=True) for row in one_told["ranges"]],
         "keys": name_of,
     }  # fmt: skip
@@ -341,7 +337,7 @@ def _told(study: Study, axis: Axis, line: _Line, has_settings: bool) -> Row:
     """What is said of a line: its place, its values, and where along it runs settle on something else."""
     ticks, x = line.ticks, _numbers(line.along)
     by_exits = _ranges(study, ticks, line.own, _kind_and_exits)
-    at = [f"{one.name} = {as_text(value)}" for one, value in line.at.items()]
+    at = [f"{one.name} = {as_text(value)}" for one, value in line.others.items()]
     return {
         "at": ", ".join([*([line.setting] if has_settings else []), *at]), "ticks": ticks,
         "told": _ranges(study, ticks, line.own, lambda runs: runs.attractor.tolist()), "ranges": by_exits,
@@ -457,16 +453,15 @@ def _figures(study: Study, axes: Sequence[Axis], lines: Sequence[_Line], told: S
     """
     axis, *others = axes
     setting = max(Counter(line.setting for line in lines).items(), key=lambda one: one[1])[0]
-    further = [(one, min((line.value(one) for line in lines if line.setting == setting), key=order))
+    further = [(one, min((line.others[one] for line in lines if line.setting == setting), key=order))
                for one in others[1:]]  # fmt: skip
     chosen = [k for k, line in enumerate(lines)
-              if line.setting == setting and all(line.value(one) == value for one, value in further)]  # fmt: skip
+              if line.setting == setting and all(line.others[one] == value for one, value in further)]  # fmt: skip
     drawn: dict[str, Recipe] = {}
     if not others:
         line = lines[chosen[0]]
-        drawn["attractors"] = partial(
-            figures_of.shares_along, axis.name, _numbers(line.along), line.ticks, _stacked(line.own)
-        )
+        along = Scale(axis.name, _numbers(line.along), line.ticks)
+        drawn["attractors"] = partial(figures_of.shares_along, along, _stacked(line.own))
     else:
         drawn["attractors"] = _map(axis, others[0], [lines[k] for k in chosen])
     at_map = [f"{one.name} = {as_text(value)}" for one, value in further]
@@ -500,7 +495,7 @@ def _map(axis: Axis, up: Axis, lines: Sequence[_Line]) -> Recipe:
     what = np.full((len(up.texts), len(axis.texts)), -1)
     is_mixed = np.zeros(what.shape, dtype=np.bool_)
     for line in lines:
-        row = up.place(line.value(up))
+        row = up.place(line.others[up])
         for value, some in zip(line.along, line.own, strict=True):
             counts = [some.n_of(kind) for kind in KINDS]
             place = row, axis.place(value)

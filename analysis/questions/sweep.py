@@ -143,17 +143,9 @@ def _contrasts(
     # a change below it, in units of the largest value of a unit, is of the size of the runs' own errors
     noise = max([ROUNDING, *(point.group.key[name] or 0.0 for point in points for name in RELATIVE)])
     statistics = [*(one.statistic for one in asked), Statistic(IN_MOTION, ratio, SHARE_MARGIN, is_share=True)]
+    largest = {one.name: _largest(one.name, points) for one in statistics}
     for axis, one in product(axes, statistics):
         known = [value for value in axis.values if _n_units(one.name, points, axis, value) >= enough.LEAST_MATRICES]
-        largest = max(
-            (
-                abs(row[0] / row[1])
-                for point in points
-                for row in point.sample.sums.get(one.name, {}).values()
-                if row[1] > 0
-            ),
-            default=0.0,
-        )
         base, *others = known if len(known) > 1 else axis.values
         for value in others:
             first, second = Sample(), Sample()
@@ -171,7 +163,7 @@ def _contrasts(
                 row |= _of_few(one, first, second, level)
             yield row | {
                 "setting": setting, "key": axis.name, "first_value": as_text(base), "second_value": as_text(value),
-                "is_last": value == others[-1], "noise": noise * largest,
+                "is_last": value == others[-1], "noise": noise * largest[one.name],
             }  # fmt: skip
 
 
@@ -207,6 +199,12 @@ def _of_few(one: Statistic, first: Sample, second: Sample, confidence: float) ->
 def _n_units(name: str, points: Sequence[Point], axis: Axis, value: tuple[Value, ...]) -> int:
     """Number of units for which a statistic is known at one value of an axis."""
     return len({unit for point in points if point.at[axis] == value for unit in point.sample.sums.get(name, ())})
+
+
+def _largest(name: str, points: Sequence[Point]) -> float:
+    """The largest size of a statistic of one unit."""
+    sums = (row for point in points for row in point.sample.sums.get(name, {}).values())
+    return max((abs(row[0] / row[1]) for row in sums if row[1] > 0), default=0.0)
 
 
 def _add_common(name: str, a: Point, b: Point, first: Sample, second: Sample) -> None:

@@ -7,7 +7,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
+from functools import cached_property, partial
 from inspect import signature
 from types import CodeType
 from typing import Any
@@ -287,7 +287,10 @@ class _Compiled(BytecodeCache):
 
     def __init__(self) -> None:
         self._code: dict[tuple[str, str], CodeType] = {}
-        self._files = CacheFiles(cache_directory(), "templates")
+
+    @cached_property
+    def _files(self) -> CacheFiles:
+        return CacheFiles(cache_directory(), "templates")
 
     def load_bytecode(self, bucket: Bucket) -> None:
         key = bucket.key, bucket.checksum

@@ -12,7 +12,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar, cast
 
 import numpy as np
-from scipy import sparse
 
 from stickslip.pipeline.errors import SceneError, foreign
 from stickslip.pipeline.own.declared import SAMPLES, declared
@@ -22,6 +21,7 @@ from stickslip.pipeline.records.column import Column, Kind
 from stickslip.pipeline.records.record import Facts, Made, Member, Memory, NotKeptError, WindowRecord, sampling, steps
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Samples
+from stickslip.sim.systems.system import is_sparse
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -162,7 +162,7 @@ def read_only(value: _T) -> _T:
         found = type(value)(map(read_only, value))
     elif isinstance(value, Mapping):
         found = {key: read_only(one) for key, one in value.items()}
-    elif is_dataclass(value) or sparse.issparse(value):
+    elif is_dataclass(value) or is_sparse(value):
         found = copy(value)
         for name in vars(value):
             object.__setattr__(found, name, read_only(getattr(value, name)))

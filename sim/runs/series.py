@@ -55,7 +55,7 @@ class EventSeries:
     @cached_property
     def by_block(self) -> NDArray[np.intp]:
         """The order of the events by block; those of one block keep their order."""
-        return np.argsort(self.block, kind="stable")
+        return by_block(self.block)
 
     @cached_property
     def previous_mode(self) -> NDArray[np.int8]:
@@ -136,6 +136,11 @@ class EventSeries:
         return show.table(
             f"events of {self.n} blocks on [{self.t_start:g}, {self.t_end:g}]", {"events": len(self)} | counts
         )
+
+
+def by_block(block: NDArray[np.int32]) -> NDArray[np.intp]:
+    """The order of events by block, those of one block in time: the same whatever blocks come at one instant."""
+    return np.argsort(block, kind="stable")
 
 
 class Summary(NamedTuple):

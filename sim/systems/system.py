@@ -114,7 +114,7 @@ class System:
         weakening: Weakening | None = None,
         back_slip: bool = True,
     ) -> None:
-        if _is_sparse(stiffness):
+        if is_sparse(stiffness):
             from scipy.sparse import csc_array
 
             matrix = csc_array(_checked(stiffness), copy=True)  # its entries are sorted in place
@@ -578,7 +578,7 @@ def require_plain(system: System, what: str) -> None:
     require_within((), system, what)
 
 
-def _is_sparse(matrix: object) -> bool:
+def is_sparse(matrix: object) -> bool:
     """As `scipy.sparse.issparse`, without loading that: whoever has a sparse matrix has loaded it."""
     sparse = sys.modules.get("scipy.sparse")
     return sparse is not None and bool(sparse.issparse(matrix))

@@ -130,10 +130,11 @@ def test_no_interval_goes_below_what_a_number_is_never_below(recorded, settings)
     """One matrix in eight moves at all: 1 with a standard error of 1."""
     data = recorded({"amplitude": lambda rng, matrix, v: 8.0 * (matrix == 0) * (1 - v)})
     low = {}
-    for least in ({}, {"amplitude": 0.0}):
-        answer = sweep.answer(Study(replace(data, least=least), settings))
+    for least in (None, 0.0):
+        own = {"amplitude": data.recorded["amplitude"]._replace(least=least)}
+        answer = sweep.answer(Study(replace(data, recorded=own), settings))
         row = rows_of(answer, "mean amplitude").loc["-0.1"]
-        low[bool(least)] = (row["first_low"], *answer.tables["sweep_measures"]["estimate_low"])
+        low[least is not None] = (row["first_low"], *answer.tables["sweep_measures"]["estimate_low"])
         assert row["first_high"] > row["first"] == pytest.approx(1.3)
         assert row[["relative", "relative_low", "relative_high"]].isna().all(), (
             "the first is 0 within its uncertainty"
