@@ -9,6 +9,7 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -30,6 +31,7 @@ LONGEST = 600.0
 
 #: What errors begin with that are about its file.
 _KEY = "analysis.question"
+_ANSWER = "a stickslip.analysis.Answer"
 
 
 class Task(NamedTuple):
@@ -122,7 +124,7 @@ def answer(task: Task) -> Spoken:
         template = _template(function)
         found = _asked(task, function, template)
     except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
-        found = Spoken(task.name, {}, problem=_told(error, function, template))
+        found = Spoken(task.name, {}, problem=_told(error, _ANSWER, function, template))
     if function is None:
         return found
     return Spoken(**(vars(found) | {"sources": _sources(function, template, set(sys.modules) - before)}))
@@ -153,7 +155,8 @@ def _asked(task: Task, function: own.OwnFunction, template: Path | None) -> Spok
     study = study_of(task.opened)
 
     def ask(found: Callable[[Study], object]) -> Spoken:
-        return spoken(study, task.name, found(study), found.__doc__ or "", template)
+        told = partial(_told, function=function, template=template)
+        return spoken(study, task.name, found(study), found.__doc__ or "", template, told)
 
     asked: Spoken = own.use(function, ask, is_trial=True)  # with its figures and words, which may load modules too
     return asked
@@ -169,7 +172,7 @@ def _sources(function: own.OwnFunction, template: Path | None, loaded: Iterable[
     return {name: digest(content_of(one, _KEY)) for one, name in named.items() if name is not None}
 
 
-def _told(error: BaseException, function: own.OwnFunction | None, template: Path | None) -> str:
+def _told(error: BaseException, expected: str, function: own.OwnFunction | None, template: Path | None) -> str:
     """An error in a line, with the last line of the user's code that it went through."""
     from stickslip.analysis.report.own import OwnError
 
@@ -181,5 +184,5 @@ def _told(error: BaseException, function: own.OwnFunction | None, template: Path
     lines = [one for one in traceback.extract_tb(error.__traceback__) if one.filename in files]
     where = [f"{Path(lines[-1].filename).name}, line {lines[-1].lineno}"] if lines else []
     where = [*getattr(error, "__notes__", ()), *where]
-    said = f"expected a stickslip.analysis.Answer, got {foreign(error)}"
+    said = f"expected {expected}, got {foreign(error)}"
     return f"{said} ({'; '.join(where)})" if where else said

@@ -23,7 +23,7 @@ from stickslip.analysis.stats.estimates import Estimate
 from stickslip.sim.kernels.cache import CacheError, CacheFiles, cache_directory
 
 MINUS, DASH = "\u2212", "\u2013"
-MOST_DIGITS = 8  # of the ends of an interval, to show that they differ
+MOST_DIGITS = 8  # of the ends of an interval, to show that they differ; and decimals, for the digits of what is small
 Row = Mapping[str, Any]
 
 
@@ -114,7 +114,9 @@ def interval(estimate: Estimate, digits: int = 3) -> str:
     """The interval of an estimate as text, with the decimals of the value; "no interval" if there is none."""
     if estimate.low is None or estimate.high is None:
         return "no interval"
-    return between(estimate.low, estimate.high, fixed, _decimals([estimate.value or estimate.high], digits))
+    decimals = _decimals([estimate.value or estimate.high], digits)
+    how: tuple[Any, ...] = (fixed, decimals) if decimals <= MOST_DIGITS else (number, digits)  # or all would be zeros
+    return between(estimate.low, estimate.high, *how)
 
 
 def with_interval(estimate: Estimate, digits: int = 3) -> str:
@@ -138,7 +140,7 @@ def _decimals(values: Iterable[float | None], digits: int) -> int:
     sizes = [abs(value) for value in values if value]
     if not sizes:
         return 0
-    return int(np.clip(digits - 1 - np.floor(np.log10(np.median(sizes))), 0, 8))
+    return max(int(digits - 1 - np.floor(np.log10(np.median(sizes)))), 0)
 
 
 Show = Callable[[Any], str]
@@ -257,7 +259,10 @@ def _aligned(
     values: Sequence[Sequence[float | None]], others: Sequence[Sequence[float | None]], digits: int, sign: str
 ) -> list[str]:
     every = [*values, *others]
-    decimals = _apart(every, _decimals((value for some in every for value in some), digits), fixed)
+    decimals = _decimals((value for some in every for value in some), digits)
+    if decimals > MOST_DIGITS:  # as in `interval`
+        return [_joined(some, lambda value: sign * (value >= 0) + number(value, digits)) for some in values]
+    decimals = _apart(every, decimals, fixed)
     return [_joined(some, lambda value: sign * (value >= 0) + fixed(value, decimals)) for some in values]
 
 

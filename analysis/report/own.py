@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Container, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from jinja2 import ChoiceLoader, FileSystemLoader
-from markupsafe import escape
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from stickslip.analysis.answer import Answer, records
@@ -37,8 +36,10 @@ class OwnError(ValueError):
     """What a function or a template of the user's gave cannot be shown: expected, got, what to do."""
 
 
-def spoken(study: Study, key: str, found: object, doc: str, template: Path | None) -> Spoken:
-    """The answer that a question of the user's own returned, in words.
+def spoken(
+    study: Study, key: str, found: object, doc: str, template: Path | None, told: Callable[[Exception, str], str]
+) -> Spoken:
+    """The answer that a question of the user's own returned, in words; figures and tables that fail are left out.
 
     Parameters
     ----------
@@ -52,13 +53,15 @@ def spoken(study: Study, key: str, found: object, doc: str, template: Path | Non
         Its docstring: a heading, and how the answer is found. The name is the heading if there is none.
     template : Path, optional
         The file with its words; what that lacks, or all of it, is laid out from the answer.
+    told : callable
+        Puts an error, and what was expected in its place, into a line.
 
     Raises
     ------
     OwnError
         If it returned no answer, or one that cannot be shown.
     Exception
-        Whatever a recipe of a figure, or the template, raises.
+        Whatever the template raises.
     """
     if not isinstance(found, Answer):
         raise OwnError(
@@ -67,11 +70,13 @@ def spoken(study: Study, key: str, found: object, doc: str, template: Path | Non
         )
     _check(found)
     prefix = key.replace(":", "-")
-    drawn = {name: _drawn(name, made) for name, made in found.figures.items()}
-    tables = {name: _plain(name, table) for name, table in found.tables.items()}
+    drawn, undrawn = _kept(found.figures, _drawn, lambda error: told(error, "a matplotlib Figure"))
+    tables, unreadable = _kept(found.tables, _plain, lambda error: told(error, "a pandas.DataFrame"))
+    missing = [f"figures[{name!r}]: {why}" for name, why in undrawn.items()]
+    missing += [f"tables[{name!r}]: {why}" for name, why in unreadable.items()]
     own = Answered(key, found.facts, found.lack, tables, drawn)
     heading, *method = map(_line, re.split(r"\n\s*\n", inspect.cleandoc(doc))) if doc.strip() else (key,)
-    theirs, said = ({}, {}) if template is None else _filled(study, own, template)
+    theirs, said = ({}, {}) if template is None else _filled(study, own, template, undrawn)
     if not (found.lack or said.get("answer")):
         said["answer"] = _sentence(found, template)
     ours = {name: macro for name, macro in _macros(study, None).items() if name not in theirs}
@@ -85,17 +90,21 @@ def spoken(study: Study, key: str, found: object, doc: str, template: Path | Non
     }  # fmt: skip
     said = _said(own, laid, ours) | said
     titles = {"name": heading, "question": heading} | {name: _line(str(theirs[name])) for name in _TITLES & {*theirs}}
-    return Spoken(key, {}, found.lack, _prefixed(prefix, tables), _prefixed(prefix, drawn), titles | said)
+    files = _prefixed(prefix, tables), _prefixed(prefix, drawn)
+    return Spoken(key, {}, found.lack, *files, titles | said, missing=tuple(missing))
 
 
-@contextmanager
-def _doing(what: str) -> Iterator[None]:
-    """Note at an error what was being done."""
-    try:
-        yield
-    except Exception as error:
-        error.add_note(f"while {what}")
-        raise
+def _kept(
+    given: Mapping[str, Any], make: Callable[[Any], Any], told: Callable[[Exception], str]
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """What can be made of each figure or table, and why nothing can be made of the others."""
+    made, failed = {}, {}
+    for name, one in given.items():
+        try:
+            made[name] = make(one)
+        except Exception as error:  # noqa: BLE001  whatever it is, it is told in a line
+            failed[name] = told(error)
+    return made, failed
 
 
 def _prefixed(prefix: str, by_name: Mapping[str, Any]) -> dict[str, Any]:
@@ -124,43 +133,41 @@ def _check(found: Answer) -> None:
             raise OwnError(f"{name}: expected names of letters, digits and underscores, got {odd!r}; rename it")
 
 
-def _drawn(name: str, made: object) -> Drawn:
+def _drawn(made: object) -> Drawn:
     """A figure, of a recipe or as it is."""
 
     def figure() -> Figure:
         got = made() if callable(made) else made
         if not isinstance(got, Figure):
             raise OwnError(
-                f"figures[{name!r}]: expected a matplotlib Figure, or a function without arguments that returns one,"
-                f" got {_kind(got)}"
+                f"expected a matplotlib Figure, or a function without arguments that returns one, got {_kind(got)}"
             )
         return got
 
-    with _doing(f"drawing {name!r}"):
-        return draw(figure)
+    return draw(figure)
 
 
-def _plain(name: str, table: object) -> pd.DataFrame:
+def _plain(table: object) -> pd.DataFrame:
     """A table with nullable types: a missing value is null, never NaN. A named index becomes columns."""
     if not isinstance(table, pd.DataFrame):
-        raise OwnError(f"tables[{name!r}]: expected a pandas.DataFrame, got {_kind(table)}")
+        raise OwnError(f"expected a pandas.DataFrame, got {_kind(table)}")
     whole = table.reset_index() if any(one is not None for one in table.index.names) else table
     if not (whole.columns.is_unique and all(isinstance(one, str) and one for one in whole.columns)):
-        raise OwnError(f"tables[{name!r}]: expected columns with different names, got {list(whole.columns)}")
-    columns = {column: _column(f"tables[{name!r}][{column!r}]", whole[column]) for column in whole}
+        raise OwnError(f"expected columns with different names, got {list(whole.columns)}")
+    columns = {column: _column(str(column), whole[column]) for column in whole}
     return pd.DataFrame(columns, index=range(len(whole)))
 
 
-def _column(where: str, given: pd.Series) -> Any:
+def _column(name: str, given: pd.Series) -> Any:
     """A column as numbers, truths or texts."""
     values = given.astype(object).where(given.notna(), None).tolist()
     kinds = {type(one.item() if isinstance(one, np.generic) else one) for one in values if one is not None}
     dtype = next((dtype for of, dtype in _DTYPES if kinds <= of), None)
     if dtype is None:
         names = ", ".join(sorted(kind.__name__ for kind in kinds))
-        raise OwnError(f"{where}: expected numbers, true and false, or texts, got {names}")
+        raise OwnError(f"column {name!r}: expected numbers, true and false, or texts, got {names}")
     if dtype == "Float64" and (odd := next((one for one in values if one is not None and np.isinf(one)), None)):
-        raise OwnError(f"{where}: expected finite numbers, got {odd}; write None where there is none")
+        raise OwnError(f"column {name!r}: expected finite numbers, got {odd}; write None where there is none")
     return pd.array(values, dtype=dtype)
 
 
@@ -183,22 +190,31 @@ def _macros(study: Study, template: Path | None) -> dict[str, Any]:
     return vars(filled.get_template("own.html" if template is None else template.name).module)
 
 
-def _filled(study: Study, own: Answered, template: Path) -> tuple[dict[str, Any], dict[str, str]]:
+def _filled(
+    study: Study, own: Answered, template: Path, undrawn: Container[str]
+) -> tuple[dict[str, Any], dict[str, str]]:
     """Names and macros of a user's template, and the texts of its macros; errors name the line of the template."""
-    with _doing(f"filling {template.name}"):
-        try:
-            macros = _macros(study, template)
-            return macros, _said(own, own.facts, macros)
-        except Exception:  # noqa: BLE001  whatever it is, it is raised again
-            environment().handle_exception()  # raises it, with lines of the template in place of those compiled
+    try:
+        macros = _macros(study, template)
+        return macros, _said(own, own.facts, macros, undrawn)
+    except Exception as error:  # noqa: BLE001  whatever it is, it is raised again
+        error.add_note(f"while filling {template.name}")
+        environment().handle_exception()  # raises it, with lines of the template in place of those compiled
 
 
-def _said(own: Answered, facts: Mapping[str, Any], macros: Mapping[str, Any]) -> dict[str, str]:
+def _said(
+    own: Answered, facts: Mapping[str, Any], macros: Mapping[str, Any], undrawn: Container[str] = ()
+) -> dict[str, str]:
     """Texts of those macros that a page may show."""
+
+    def figure(name: str, alt: str) -> Markup:
+        note = Markup('<p class="note">{}: not drawn</p>')
+        return note.format(name) if name in undrawn else own.figure(name, alt)
+
     if own.lack:
         return {name: str(macros[name](facts, own.lack)).strip() for name in ("lack",) if name in macros}
     of_facts = {name: str(macros[name](facts)).strip() for name in _OF_FACTS if name in macros}
-    return of_facts | {name: str(macros[name](facts, own.figure)).strip() for name in _OF_FIGURES if name in macros}
+    return of_facts | {name: str(macros[name](facts, figure)).strip() for name in _OF_FIGURES if name in macros}
 
 
 def _sentence(found: Answer, template: Path | None) -> str:

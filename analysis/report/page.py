@@ -81,11 +81,14 @@ class Spoken(Answered):
         The files that it was made by, and the sha256 of each.
     problem : str
         Why there is neither an answer nor a `lack`: what was expected of the function, and what came.
+    missing : tuple of str
+        Figures and tables that could not be made, and why, a line each.
     """
 
     said: Mapping[str, str] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
     problem: str = ""
+    missing: tuple[str, ...] = ()
 
     @property
     def words(self) -> SimpleNamespace:
@@ -137,7 +140,7 @@ class Report:
         The main statements, for a terminal.
     figures : dict of str to Drawn
     problems : dict of str to str
-        Why questions of the user's own have no answer, by name.
+        Why questions of the user's own have no answer, or not all of it, by name.
     not_run : list of str
         Questions of the user's own that were not run.
     """
@@ -206,6 +209,7 @@ def build(
     made = [ask(study, key) for key in QUESTIONS] if answers is None else answers(study)
     own = {one.key: one for one in made if isinstance(one, Spoken)}
     problems = {key: one.problem for key, one in own.items() if one.problem}
+    missing = {key: "; ".join(one.missing) for key, one in own.items() if one.missing}
     not_run = [key for key in settings.question if is_own(key) and key not in own]
     found = [one for one in made if one is not None and one.key not in problems]
     groups = groups_table(study)
@@ -228,6 +232,7 @@ def build(
         asked_in_vain=[one for one in shown if one.lack and one.key in settings.question],
         not_raised=[_words(filled, key) for key in settings.question if not is_own(key) and key not in raised],
         problems=problems,
+        missing=missing,
         not_run=not_run,
         mark_of_own=Markup(OF_OWN),
         sources={file: digest for one in own.values() for file, digest in one.sources.items()},
@@ -244,7 +249,7 @@ def build(
     tables = {"groups": groups} | {name: table for one in found for name, table in one.tables.items()}
     figures = {name: drawn for one in found for name, drawn in one.figures.items()}
     headline = [*(plain(text) for text in alarms), title, *(plain(text) for text in said)]
-    return Report(page, tables, headline, figures, problems, not_run)
+    return Report(page, tables, headline, figures, problems | missing, not_run)
 
 
 def _words(filled: Environment, key: str) -> SimpleNamespace:

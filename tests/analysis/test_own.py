@@ -58,7 +58,7 @@ def shown(page):
 @pytest.mark.usefixtures("undrawn")
 def test_a_planted_answer_leads_the_page(study, rng):
     found, value = answered(rng)
-    report = page_of(study, spoken(study, KEY, found, DOC, None))
+    report = page_of(study, spoken(study, KEY, found, DOC, None, told))
     page = shown(report.html)
     first, figure, table, rest = (
         page.index(one) for one in ("&amp; \u22121 &lt;long&gt;.</li>", "<figcaption>A line.", "a&lt;b", "<nav>")
@@ -90,7 +90,7 @@ def test_a_planted_answer_leads_the_page(study, rng):
 def test_it_stands_where_the_scene_asks_it(study, rng):
     object.__setattr__(study.settings, "question", ("cascades", KEY))
     found, _ = answered(rng)
-    page = shown(page_of(study, spoken(study, KEY, found, DOC, None)).html)
+    page = shown(page_of(study, spoken(study, KEY, found, DOC, None, told)).html)
     assert page.startswith("Title</h1>")
     said = re.findall(r"<li>(.*?)</li>", page.partition('<ul class="answer">')[2].partition("</ul>")[0], re.DOTALL)
     assert said[1].startswith("It is ")
@@ -112,7 +112,7 @@ def test_a_template_has_the_words_and_escapes(study, rng, tmp_path):
     )
     found, _ = answered(rng)
     own = Answer({"word": "<i>'&", "mean": Estimate(2.0, 1.0, 3.0)}, tables=found.tables, figures=found.figures)
-    page = shown(page_of(study, spoken(study, KEY, own, DOC, tmp_path / "question.html")).html)
+    page = shown(page_of(study, spoken(study, KEY, own, DOC, tmp_path / "question.html", told)).html)
     assert page.startswith("How &lt;wide&gt;?</h1>")
     assert "<li>&lt;i&gt;&#39;&amp;&lt;i&gt;&#39;&amp; at 2.00 (1.00 to 3.00) over matrices</li>" in page
     assert 'alt="&lt;i&gt;&#39;&amp;"' in page
@@ -124,7 +124,7 @@ def test_a_template_has_the_words_and_escapes(study, rng, tmp_path):
 
 @pytest.mark.usefixtures("undrawn")
 def test_no_answer_is_a_line_and_the_page_stands(study):
-    lacking = spoken(study, KEY, Answer(lack="No run is <long>."), DOC, None)
+    lacking = spoken(study, KEY, Answer(lack="No run is <long>."), DOC, None, told)
     failed = Spoken("own:other", {}, problem="expected <this>, got that")
     object.__setattr__(study.settings, "question", (KEY, "own:other", "own:third"))
     report = page_of(study, lacking, failed)
@@ -139,6 +139,11 @@ def test_no_answer_is_a_line_and_the_page_stands(study):
     assert report.not_run == ["own:third"]
     asked_nothing = build(study.data, study.settings, "Title", "", {})
     assert asked_nothing.not_run == [KEY, "own:other", "own:third"]
+
+
+def told(error, expected):
+    """An error in a line, as the process of a question puts it."""
+    return f"{error} for {expected}"
 
 
 def figure_of_nothing():
@@ -161,24 +166,38 @@ S = {"sentence": "Yes."}
         (Answer(S, lack=3), r"lack: expected text, got a int"),
         (Answer(S, tables=pd.DataFrame()), r"tables: expected a dictionary, got a DataFrame"),
         (Answer(S, tables={"a/b": pd.DataFrame()}), r"tables: expected names of letters, .*, got 'a/b'; rename it"),
-        (Answer(S, tables={"a": [1]}), r"tables\['a'\]: expected a pandas.DataFrame, got a list"),
-        (Answer(S, tables={"a": pd.DataFrame([[1]])}), r"tables\['a'\]: expected columns with different names, got"),
-        (Answer(S, tables={"a": pd.DataFrame({"x": [1, "b"]})}), r"tables\['a'\]\['x'\]: .* texts, got int, str"),
-        (Answer(S, tables={"a": pd.DataFrame({"x": [[1]]})}), r"tables\['a'\]\['x'\]: .* texts, got list"),
-        (Answer(S, tables={"a": pd.DataFrame({"x": [np.inf]})}), r"expected finite numbers, got inf; write None"),
         (Answer(S, figures={"..": 3}), r"figures: expected names of letters, digits and underscores, got '\.\.'"),
-        (Answer(S, figures={"a": figure_of_nothing}), r"figures\['a'\]: expected a matplotlib Figure, .*, got a int"),
     ],
 )
 def test_what_is_no_answer_is_refused(study, found, words):
     with pytest.raises(OwnError, match=words):
-        spoken(study, KEY, found, DOC, None)
+        spoken(study, KEY, found, DOC, None, told)
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (Answer(S, tables={"a": [1]}), r"tables\['a'\]: expected a pandas.DataFrame, got a list"),
+        (Answer(S, tables={"a": pd.DataFrame([[1]])}), r"tables\['a'\]: expected columns with different names, got"),
+        (Answer(S, tables={"a": pd.DataFrame({"x": [1, "b"]})}), r"tables\['a'\]: column 'x': .*, got int, str"),
+        (Answer(S, tables={"a": pd.DataFrame({"x": [[1]]})}), r"tables\['a'\]: column 'x': .*, got list"),
+        (Answer(S, tables={"a": pd.DataFrame({"x": [np.inf]})}), r"expected finite numbers, got inf; write None"),
+        (Answer(S, figures={"a": figure_of_nothing}), r"figures\['a'\]: expected a matplotlib Figure, .*, got a int"),
+    ],
+)
+def test_a_figure_or_table_that_cannot_be_shown_is_left_out(study, found, words):
+    made = spoken(study, KEY, found, DOC, None, told)
+    assert made.said["answer"] == "Yes."
+    (line,) = made.missing
+    assert re.search(words, line), line
+    assert not made.tables
+    assert not made.figures
 
 
 def test_a_figure_may_be_one_that_is_drawn_already(study):
     figure = Figure()
     figure.subplots().plot([1, 2])
-    made = spoken(study, KEY, Answer(S, figures={"line": figure}), "", None)
+    made = spoken(study, KEY, Answer(S, figures={"line": figure}), "", None, told)
     assert made.figures["own-question-line"].svg.lstrip().startswith("<?xml")
     assert made.said["name"] == KEY  # it has no docstring
 
@@ -188,7 +207,7 @@ def test_numbers_of_a_table_have_nulls_and_a_named_index_stays(study):
         {"x": [1.5, np.nan], "k": [3, 4], "t": [None, "b"], "none": [None, None], "is": [np.True_, None]},
         index=pd.Index([10, 20], name="belt"),
     )
-    made = spoken(study, "a.b:c", Answer(S, tables={"t": given}), DOC, None).tables["a.b-c-t"]
+    made = spoken(study, "a.b:c", Answer(S, tables={"t": given}), DOC, None, told).tables["a.b-c-t"]
     assert {name: str(dtype) for name, dtype in made.dtypes.items()} == {
         "belt": "Int64", "x": "Float64", "k": "Int64", "t": "string", "none": "string", "is": "boolean",
     }  # fmt: skip

@@ -121,6 +121,13 @@ def test_an_interval_never_shows_as_a_point(rng):
     assert between(0.5, 0.5) == "0.500 to 0.500"
 
 
+def test_what_is_tiny_is_not_shown_as_zeros(rng):
+    size = 10.0 ** -rng.uniform(9.0, 300.0)
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", shown([{"x": size}, {"x": 3 * size}], [("x", "x", 3)]))
+    cells += re.split(" to ", interval(Estimate(2 * size, size, 3 * size)))
+    np.testing.assert_allclose([*map(float, cells)], [size, 3 * size] * 2, rtol=6e-3)
+
+
 @pytest.mark.parametrize("how", [3, "+2", "%.1f", "%+.1f", "%", "+%", "#"])
 def test_a_value_lies_in_its_interval_as_shown_too(rng, how):
     """Decimals follow the width of the narrowest interval, in the column of the values as well."""

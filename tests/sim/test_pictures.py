@@ -1,5 +1,7 @@
 """Pictures of a run: what is drawn is what the run says, and a wrong question is answered in a line."""
 
+from functools import cache
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -11,8 +13,20 @@ from stickslip.sim.runs import pictures
 
 T = np.linspace(0.0, 40.0, 2001)
 SYSTEM = System(np.array([[2.0, -1.0], [-1.0, 2.0]]), 0.1, static=1.5, belt_speed=0.3)
-RUN = simulate(SYSTEM, 0.0, [0.5, -0.2], 40.0, t_eval=T)
-BARE = simulate(SYSTEM, 0.0, [0.5, -0.2], 40.0)
+
+
+@cache
+def kept():
+    """A run that is sampled; none is made while tests are collected, which would compile in one process."""
+    return simulate(SYSTEM, 0.0, [0.5, -0.2], 40.0, t_eval=T)
+
+
+def bare():
+    return simulate(SYSTEM, 0.0, [0.5, -0.2], 40.0)
+
+
+def at_rest(*t):
+    return simulate(SYSTEM, 0.0, 0.0, 9.0, t_eval=t)
 
 
 def draw_run(coupling, n):
@@ -102,30 +116,30 @@ def test_a_map_of_slips_counts_the_exits_of_each_block():
 
 @pytest.mark.parametrize("of", ["z", "w"])
 def test_time_series_are_the_samples_and_broad_where_the_block_sticks(of):
-    ax = RUN.plot("time", ax=axes(), of=of, blocks=[1, 0])
+    ax = kept().plot("time", ax=axes(), of=of, blocks=[1, 0])
     lines = [line for line in ax.lines if not line.get_label().startswith("_")]
     assert [line.get_label() for line in lines] == ["block 1", "block 0"]
     for block, line in zip((1, 0), lines, strict=True):
         t, value = line.get_data()
         at = np.isin(t, T)
-        np.testing.assert_array_equal(value[at], (RUN.samples.z if of == "z" else RUN.samples.w)[:, block])
+        np.testing.assert_array_equal(value[at], (kept().samples.z if of == "z" else kept().samples.w)[:, block])
         assert at.sum() == len(T)
     for block, broad in zip((1, 0), (line for line in ax.lines if line.get_label() == "_sticks"), strict=True):
         t, value = broad.get_data()
-        ends = np.isin(t, np.concatenate((RUN.events.t, [0.0, 40.0])))
-        sticks = np.array([RUN.events.mode_at(one)[block] == 0 for one in t[~ends]])
+        ends = np.isin(t, np.concatenate((kept().events.t, [0.0, 40.0])))
+        sticks = np.array([kept().events.mode_at(one)[block] == 0 for one in t[~ends]])
         np.testing.assert_array_equal(~np.isnan(value[~ends]), sticks)
         assert sticks.any()
         assert not sticks.all()
 
 
 def test_a_slip_between_two_samples_is_not_bridged():
-    """Block 0 of `RUN` sampled at so few times that whole slips lie between them."""
+    """Block 0 of `kept` sampled at so few times that whole slips lie between them."""
     coarse = simulate(SYSTEM, 0.0, [0.5, -0.2], 40.0, t_eval=[0.0, 40.0])
     ax = coarse.plot("time", ax=axes(), blocks=0)
     broad = next(line for line in ax.lines if line.get_label() == "_sticks")
     pieces = np.diff(np.isnan(broad.get_ydata()), prepend=True) & ~np.isnan(broad.get_ydata())
-    stays = np.concatenate(([RUN.events.initial_mode[0]], RUN.events.mode[RUN.events.block == 0])) == 0
+    stays = np.concatenate(([kept().events.initial_mode[0]], kept().events.mode[kept().events.block == 0])) == 0
     assert pieces.sum() == stays.sum() > 1
 
 
@@ -170,26 +184,26 @@ def test_the_spectrum_of_n_stick_is_that_of_a_square_wave():
 
 
 WRONG = [
-    (RUN, "space-time", {}, ValueError, "kind: expected one of n_stick, .*; did you mean 'space_time'?"),
-    (RUN, None, {}, ValueError, "kind: expected one of"),
-    (BARE, "time", {}, ValueError, r"'time' draws the state .* simulate\(..., t_eval="),
-    (BARE, "phase", {}, ValueError, "t_eval="),
-    (BARE, "spectrum", {"block": 0}, ValueError, "t_eval="),
-    (RUN.events, "phase", {}, ValueError, "t_eval="),
-    (RUN, "time", {"block": 0}, TypeError, "block: unknown to the kind 'time', .* did you mean 'blocks'?"),
-    (RUN, "space_time", {"color": "red"}, TypeError, "color: unknown .*, which takes span, width"),
-    (RUN, "phase", {"colour": "red"}, TypeError, "did you mean 'color'?"),
-    (RUN, "phase", {"block": 2}, ValueError, "block: expected an integer from 0 to 1, got 2"),
-    (RUN, "time", {"blocks": [0, 1.5]}, TypeError, "blocks: expected an integer, got 1.5"),
-    (RUN, "time", {"of": "v"}, ValueError, "of: expected 'z' or 'w', got 'v'"),
-    (RUN, "n_stick", {"span": (5.0, 3.0)}, ValueError, r"span: expected two times, rising, within \[0, 40\]"),
-    (draw_run("chain", 2), "spectrum", {"span": (4.0, 5.0)}, ValueError, r"'spectrum' is of what varies"),
-    (RUN, "n_stick", {"span": 5.0}, ValueError, "span: expected two times"),
-    (RUN, "slip", {}, ValueError, "width: expected the length of a row, since 'slip' is a map of a grid, got none"),
-    (RUN, "slip", {"width": 3}, ValueError, "width: expected an integer from 1 to 2, got 3"),
-    (RUN, "space_time", {"width": 0}, ValueError, "width: expected an integer at least 1, got 0"),
-    (simulate(SYSTEM, 0.0, 0.0, 9.0, t_eval=[0, 1, 3]), "spectrum", {"block": 0}, ValueError, "equally spaced"),
-    (simulate(SYSTEM, 0.0, 0.0, 9.0, t_eval=[0, 1]), "time", {"span": (2, 3)}, ValueError, r"kept on \[0, 1\]"),
+    (kept, "space-time", {}, ValueError, "kind: expected one of n_stick, .*; did you mean 'space_time'?"),
+    (kept, None, {}, ValueError, "kind: expected one of"),
+    (bare, "time", {}, ValueError, r"'time' draws the state .* simulate\(..., t_eval="),
+    (bare, "phase", {}, ValueError, "t_eval="),
+    (bare, "spectrum", {"block": 0}, ValueError, "t_eval="),
+    (lambda: kept().events, "phase", {}, ValueError, "t_eval="),
+    (kept, "time", {"block": 0}, TypeError, "block: unknown to the kind 'time', .* did you mean 'blocks'?"),
+    (kept, "space_time", {"color": "red"}, TypeError, "color: unknown .*, which takes span, width"),
+    (kept, "phase", {"colour": "red"}, TypeError, "did you mean 'color'?"),
+    (kept, "phase", {"block": 2}, ValueError, "block: expected an integer from 0 to 1, got 2"),
+    (kept, "time", {"blocks": [0, 1.5]}, TypeError, "blocks: expected an integer, got 1.5"),
+    (kept, "time", {"of": "v"}, ValueError, "of: expected 'z' or 'w', got 'v'"),
+    (kept, "n_stick", {"span": (5.0, 3.0)}, ValueError, r"span: expected two times, rising, within \[0, 40\]"),
+    (lambda: draw_run("chain", 2), "spectrum", {"span": (4.0, 5.0)}, ValueError, r"'spectrum' is of what varies"),
+    (kept, "n_stick", {"span": 5.0}, ValueError, "span: expected two times"),
+    (kept, "slip", {}, ValueError, "width: expected the length of a row, since 'slip' is a map of a grid, got none"),
+    (kept, "slip", {"width": 3}, ValueError, "width: expected an integer from 1 to 2, got 3"),
+    (kept, "space_time", {"width": 0}, ValueError, "width: expected an integer at least 1, got 0"),
+    (lambda: at_rest(0, 1, 3), "spectrum", {"block": 0}, ValueError, "equally spaced"),
+    (lambda: at_rest(0, 1), "time", {"span": (2, 3)}, ValueError, r"kept on \[0, 1\]"),
 ]  # fmt: skip
 
 
@@ -197,7 +211,7 @@ WRONG = [
 def test_what_cannot_be_drawn_is_refused_and_leaves_no_figure(run, kind, options, error, says):
     before = plt.get_fignums()
     with pytest.raises(error, match=says):
-        run.plot(kind, **options)
+        run().plot(kind, **options)
     assert plt.get_fignums() == before
 
 
@@ -205,7 +219,7 @@ def test_what_cannot_be_drawn_is_refused_and_leaves_no_figure(run, kind, options
 def test_every_kind_is_drawn_where_it_is_told_with_or_without_a_span(kind):
     for options in ({}, {"span": (10.0, 30.0)}):
         ax = axes()
-        assert RUN.plot(kind, ax, **options, **NEEDED.get(kind, {})) is ax
+        assert kept().plot(kind, ax, **options, **NEEDED.get(kind, {})) is ax
         assert ax.has_data()
         ax.figure.savefig("/dev/null", format="png")
 

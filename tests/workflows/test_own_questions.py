@@ -170,10 +170,6 @@ ANSWER = "from stickslip.analysis import Answer\ndef question(study):\n    retur
         ("def question(study):\n    raise SystemExit(0)", r"got RuntimeError: SystemExit: 0"),
         ("def question(study): return input()", r"got EOFError"),
         ("def question(study): pass", r"expected a stickslip.analysis.Answer, got None"),
-        (
-            f"{ANSWER}, figures={{'a': lambda: 1 / 0}})",
-            r"got ZeroDivisionError: .* \(while drawing 'a'; own.py, line",
-        ),
     ],
 )
 def test_what_goes_wrong_is_a_line_that_says_where(asked, code, words):
@@ -181,6 +177,28 @@ def test_what_goes_wrong_is_a_line_that_says_where(asked, code, words):
     assert re.search(words, found.problem), found.problem
     assert "\n" not in found.problem
     assert list(found.sources) == ["own.py"]
+
+
+@pytest.mark.parametrize("template", [None, "{% macro panels(a, figure) %}{{ figure('a', 'A') }}{% endmacro %}"])
+def test_what_cannot_be_drawn_or_shown_is_left_out_and_the_answer_stands(asked, template, monkeypatch):
+    monkeypatch.setattr(page, "draw", lambda recipe: recipe() and page.Drawn("<svg/>", b"%PDF"))
+    figures = "'a': lambda: 1 / 0, 'b': 3, 'c': Figure()"
+    tables = "'d': pd.DataFrame({'n': [1]}), 'e': pd.DataFrame({'z': [1j]}), 'f': []"
+    code = "import pandas as pd\nfrom matplotlib.figure import Figure\n" + ANSWER
+    found = asked(f"{code},\n    figures={{{figures}}}, tables={{{tables}}})", template)
+    expected = [
+        r"figures\['a'\]: expected a matplotlib Figure, got ZeroDivisionError: .* \(own.py, line 6\)",
+        r"figures\['b'\]: expected a matplotlib Figure, or a function .*, got a int",
+        r"tables\['e'\]: column 'z': expected numbers, true and false, or texts, got complex",
+        r"tables\['f'\]: expected a pandas.DataFrame, got a list",
+    ]
+    for line, words in zip(found.missing, expected, strict=True):
+        assert re.fullmatch(words, line), line
+    assert not found.problem
+    assert found.said["answer"] == "Yes."
+    assert [*found.figures] == ["own-question-c"]
+    assert [*found.tables] == ["own-question-d"]
+    assert ("a: not drawn" in found.said["panels"]) == (template is not None)
 
 
 @pytest.mark.parametrize(
