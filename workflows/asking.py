@@ -30,10 +30,12 @@ class Asking:
     ----------
     own : Path, optional
         Where the scene lies, or its copy, if questions of the user's own may be run; each has a process of its own.
+    with_pdf : bool
+        Whether to draw figures as PDF too.
     """
 
-    def __init__(self, own: Path | None = None) -> None:
-        self.own = own
+    def __init__(self, own: Path | None = None, with_pdf: bool = False) -> None:
+        self.own, self.with_pdf = own, with_pdf
         self._stack = ExitStack()
         n_children = min(n_cores(), MOST_PROCESSES) - 1
         self._children = [self._stack.enter_context(Child(answer)) for _ in range(n_children)]
@@ -60,7 +62,7 @@ class Asking:
 
         to_go = deque(sorted(QUESTIONS, key=lambda key: -question(key).share))
         found: dict[str, Answered | None] = {}
-        tasks = [] if self.own is None else own_questions.tasks(opened, self.own)
+        tasks = [] if self.own is None else own_questions.tasks(opened, self.own, self.with_pdf)
         n_asked = len(QUESTIONS) + len(tasks)
 
         def next_ones() -> Iterator[str]:
@@ -74,7 +76,7 @@ class Asking:
                 child(opened)
             for key in next_ones():
                 try:
-                    found[key] = child(key)
+                    found[key] = child((key, self.with_pdf))
                 except ChildDied:
                     to_go.append(key)
                     return
@@ -86,7 +88,7 @@ class Asking:
 
         def here() -> None:
             for key in next_ones():
-                found[key] = ask(study, key)
+                found[key] = ask(study, key, self.with_pdf)
                 on_answer(len(found), n_asked)
 
         asked = [self._pool.submit(by_child, *one) for one in self._loading]
@@ -114,8 +116,11 @@ def _load(child: Child) -> None:
 _study: Study | None = None
 
 
-def answer(argument: Opened | str | None) -> Answered | None:
-    """In a child: load what answering takes (None), take over a dataset, or answer one question to it, by name."""
+def answer(argument: Opened | tuple[str, bool] | None) -> Answered | None:
+    """In a child: load what answering takes (None), take over a dataset, or answer one question to it.
+
+    A question is its name, and whether to draw figures as PDF too.
+    """
     global _study
     gc.disable()  # the process ends with the report
     from stickslip.analysis.report.page import ask
@@ -126,5 +131,5 @@ def answer(argument: Opened | str | None) -> Answered | None:
         _study = study_of(argument)
     elif argument is not None:
         assert _study is not None
-        return ask(_study, argument)
+        return ask(_study, *argument)
     return None

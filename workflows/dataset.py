@@ -92,7 +92,7 @@ class Dataset:
             extend(self.path, record, workers, on_progress=watch)
         return self
 
-    def report(self, own: bool = False) -> str:
+    def report(self, own: bool = False, pdf: bool = False) -> str:
         """Write the report, unless it is up to date; returns the name of its page.
 
         Parameters
@@ -101,6 +101,8 @@ class Dataset:
             Whether to answer the scene's questions `module:function`. That runs the code beside the scene, or beside
             the dataset; the report is then always made again. A question that fails is a warning, and a line of the
             page.
+        pdf : bool
+            Whether to draw figures as PDF too; the report is then always made again.
         """
         from stickslip.analysis.report import PAGE
         from stickslip.workflows import own_questions, reporting
@@ -108,9 +110,9 @@ class Dataset:
         from stickslip.workflows.fresh import is_current
 
         opened = open_dataset(self.path)
-        if is_current(opened) and not (own and own_questions.names(opened.scene)):
+        if is_current(opened) and not pdf and not (own and own_questions.names(opened.scene)):
             return opened.place.named(PAGE)
-        with Asking(opened.folder if own else None) as asking, Watch(opened.place) as watch:
+        with Asking(opened.folder if own else None, pdf) as asking, Watch(opened.place) as watch:
             built = reporting.report(opened, asking, watch.answered)
         for name, problem in built.problems.items():
             warnings.warn(f"{name}: {problem}", stacklevel=2)

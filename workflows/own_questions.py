@@ -45,11 +45,14 @@ class Task(NamedTuple):
         Where the scene lies, or its copy: the module is looked for there, above, and where Python finds it.
     opened : Opened, optional
         The dataset that it is asked of; if None, code and template are only loaded.
+    with_pdf : bool
+        Whether to draw figures as PDF too.
     """
 
     name: str
     folder: str
     opened: Opened | None = None
+    with_pdf: bool = False
 
 
 def names(scene: Scene) -> tuple[str, ...]:
@@ -59,9 +62,9 @@ def names(scene: Scene) -> tuple[str, ...]:
     return tuple(name for name in dict.fromkeys(scene.analysis.question) if is_own(name))
 
 
-def tasks(opened: Opened, folder: Path) -> list[Task]:
+def tasks(opened: Opened, folder: Path, with_pdf: bool) -> list[Task]:
     """What the questions of a user's own are that a dataset's scene asks; `folder` is as in `Task`."""
-    return [Task(name, str(folder), opened) for name in names(opened.scene)]
+    return [Task(name, str(folder), opened, with_pdf) for name in names(opened.scene)]
 
 
 def check(scene: Scene, folder: Path, name: str) -> None:
@@ -156,7 +159,7 @@ def _asked(task: Task, function: own.OwnFunction, template: Path | None) -> Spok
 
     def ask(found: Callable[[Study], object]) -> Spoken:
         told = partial(_told, function=function, template=template)
-        return spoken(study, task.name, found(study), found.__doc__ or "", template, told)
+        return spoken(study, task.name, found(study), found.__doc__ or "", template, told, task.with_pdf)
 
     asked: Spoken = own.use(function, ask, is_trial=True)  # with its figures and words, which may load modules too
     return asked

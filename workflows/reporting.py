@@ -173,6 +173,8 @@ def write(built: Report, where: Where) -> str:
     place = place_of(where)
     if isinstance(place, Directory):
         (place.path / "report" / "figures").mkdir(parents=True, exist_ok=True)
+    for name in built.gone():
+        place.remove(name)
     for name, content in built.files().items():
         place.replace(name, content)
     return place.named(PAGE)

@@ -164,7 +164,7 @@ def _report(facts: Mapping[str, Any], tables: dict[str, Any]) -> Report:
     drawn = {}
     some = next((match["rows"] for match in facts["matches"] if match["rows"]), None)
     if some:
-        drawn["contrasts"] = draw(partial(contrasts, some))
+        drawn["contrasts"] = draw(partial(contrasts, some), with_pdf=True)
     page = filled.get_template("compare.html").render(**facts, figures=drawn)
     said = plain(filled.get_template("contrasts.html").module.compared(facts))  # type: ignore[attr-defined]
     return Report(page, tables, [said], drawn)

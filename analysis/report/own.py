@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Container, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,13 @@ class OwnError(ValueError):
 
 
 def spoken(
-    study: Study, key: str, found: object, doc: str, template: Path | None, told: Callable[[Exception, str], str]
+    study: Study,
+    key: str,
+    found: object,
+    doc: str,
+    template: Path | None,
+    told: Callable[[Exception, str], str],
+    with_pdf: bool = False,
 ) -> Spoken:
     """The answer that a question of the user's own returned, in words; figures and tables that fail are left out.
 
@@ -55,6 +62,8 @@ def spoken(
         The file with its words; what that lacks, or all of it, is laid out from the answer.
     told : callable
         Puts an error, and what was expected in its place, into a line.
+    with_pdf : bool
+        Whether to draw figures as PDF too.
 
     Raises
     ------
@@ -70,7 +79,9 @@ def spoken(
         )
     _check(found)
     prefix = key.replace(":", "-")
-    drawn, undrawn = _kept(found.figures, _drawn, lambda error: told(error, "a matplotlib Figure"))
+    drawn, undrawn = _kept(
+        found.figures, partial(_drawn, with_pdf=with_pdf), lambda error: told(error, "a matplotlib Figure")
+    )
     tables, unreadable = _kept(found.tables, _plain, lambda error: told(error, "a pandas.DataFrame"))
     missing = [f"figures[{name!r}]: {why}" for name, why in undrawn.items()]
     missing += [f"tables[{name!r}]: {why}" for name, why in unreadable.items()]
@@ -133,7 +144,7 @@ def _check(found: Answer) -> None:
             raise OwnError(f"{name}: expected names of letters, digits and underscores, got {odd!r}; rename it")
 
 
-def _drawn(made: object) -> Drawn:
+def _drawn(made: object, with_pdf: bool) -> Drawn:
     """A figure, of a recipe or as it is."""
 
     def figure() -> Figure:
@@ -144,7 +155,7 @@ def _drawn(made: object) -> Drawn:
             )
         return got
 
-    return draw(figure)
+    return draw(figure, with_pdf)
 
 
 def _plain(table: object) -> pd.DataFrame:

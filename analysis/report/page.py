@@ -44,10 +44,10 @@ _GROUPS: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Drawn:
-    """A drawn figure: the contents of its two files in a report."""
+    """A drawn figure: the contents of its files in a report; as PDF if it was asked for."""
 
     svg: str
-    pdf: bytes
+    pdf: bytes | None = None
 
     def address(self) -> str:
         """Data URL of the SVG, for an image inside the page; with inline SVGs, ids of two figures would clash."""
@@ -110,20 +110,20 @@ def prepare() -> None:
         filled.get_template(f"{name}.html")
 
 
-def ask(study: Study, key: str) -> Answered | None:
+def ask(study: Study, key: str, with_pdf: bool = False) -> Answered | None:
     """Answer to one of `QUESTIONS`; None if such data do not raise it, as one block has no cascades."""
     asked = question(key)
     found = asked.answer(study) if asked.is_asked_of(study) else None
     if found is None:
         return None
-    figures = {name: draw(recipe) for name, recipe in found.figures.items()}
+    figures = {name: draw(recipe, with_pdf) for name, recipe in found.figures.items()}
     return Answered(key, found.facts, found.lack, found.tables, figures)
 
 
-def draw(recipe: Recipe) -> Drawn:
-    """A figure drawn as SVG and PDF."""
+def draw(recipe: Recipe, with_pdf: bool) -> Drawn:
+    """A figure drawn as SVG, and as PDF."""
     figure = recipe()
-    return Drawn(svg(figure), pdf(figure))
+    return Drawn(svg(figure), pdf(figure) if with_pdf else None)
 
 
 @dataclass(frozen=True)
@@ -158,8 +158,14 @@ class Report:
         found |= {f"report/{name}.csv": table.to_csv(index=False).encode() for name, table in self.tables.items()}
         found["report/tables.json"] = _json(self.tables)
         for name, drawn in self.figures.items():
-            found |= {f"report/figures/{name}.svg": drawn.svg.encode(), f"report/figures/{name}.pdf": drawn.pdf}
+            found[f"report/figures/{name}.svg"] = drawn.svg.encode()
+            if drawn.pdf is not None:
+                found[f"report/figures/{name}.pdf"] = drawn.pdf
         return found | {PAGE: self.html.encode()}
+
+    def gone(self) -> list[str]:
+        """Files of an earlier report that this one lacks, by path."""
+        return [f"report/figures/{name}.pdf" for name, drawn in self.figures.items() if drawn.pdf is None]
 
 
 def _json(tables: Mapping[str, pd.DataFrame]) -> bytes:

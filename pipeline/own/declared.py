@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import inspect
+import math
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from stickslip.pipeline.errors import SceneError, foreign
@@ -72,4 +73,32 @@ def _column(where: str, field: str, hint: Any) -> dict[str, Any]:
             f"{where}: expected one of {known} for {field}, with `| None` if it may have no value, got"
             f" {getattr(kind, '__name__', kind)}; change it"
         )
-    return {"type": plain[0].__name__, "words": words, "is_optional": len(kinds) > 1}
+    column = {"type": plain[0].__name__, "words": words, "is_optional": len(kinds) > 1}
+    return column | _meaning(where, field, column, [note for note in notes if isinstance(note, dict)])
+
+
+def _meaning(where: str, field: str, column: Mapping[str, Any], notes: Sequence[Mapping[Any, Any]]) -> dict[str, Any]:
+    """What a field says of its values besides its words: below what they never are, and why a run may have none."""
+    given = {key: value for note in notes for key, value in note.items()}
+    odd = next((key for key in given if key not in ("least", "absent")), None)
+    if odd is not None:
+        raise SceneError(f"{where}: expected 'least' or 'absent' for {field}, got {odd!r:.80}; remove it")
+    found: dict[str, Any] = {}
+    if "least" in given:
+        least, is_number = given["least"], column["type"] in ("float", "int")
+        is_least = isinstance(least, int | float) and not isinstance(least, bool) and math.isfinite(least)
+        if not (is_number and is_least):
+            got = f"{least!r:.80}" if is_number else f"a {column['type']}"
+            raise SceneError(
+                f"{where}: expected a finite number as 'least' of {field}, a number, got {got}; change it"
+            )
+        found["least"] = float(least)
+    if "absent" in given:
+        absent = given["absent"]
+        if not (column["is_optional"] and isinstance(absent, str) and absent and absent.isprintable()):
+            got = f"{absent!r:.80}" if column["is_optional"] else "a type without it"
+            raise SceneError(
+                f"{where}: expected words as 'absent' of {field}, whose type has `| None`, got {got}; change it"
+            )
+        found["absent"] = absent
+    return found

@@ -190,6 +190,8 @@ def _checked(own: Own, returned: object) -> Measured:
         plain = _plain(column.kind, value)
         if isinstance(plain, float) and not math.isfinite(plain):
             problems.append(f"expected a finite number for {column.name}, got {plain}")
+        elif column.least is not None and plain is not None and plain < column.least:
+            problems.append(f"expected at least {column.least:g} for {column.name}, got {plain:g}")
         elif plain is None:
             is_wrong = True
             problems.append(f"expected {_EXPECTED[column.kind]} for {column.name}, got {type(value).__name__}")
@@ -237,7 +239,10 @@ def _own(
     """A function from what a scene keeps of it."""
     return Own(
         OwnFunction(KEY, name, sha256, at, tuple(sorted(beside.items()))),
-        tuple(Column(_KINDS[one["type"]], key, one["words"]) for key, one in columns.items()),
+        tuple(
+            Column(_KINDS[one["type"]], key, one["words"], least=one["least"], absent=one["absent"])
+            for key, one in columns.items()
+        ),
         tuple(key for key, one in columns.items() if one["is_optional"]),
         is_sampled,
     )

@@ -156,11 +156,13 @@ class TwinsTable(StrictTable):
 
 
 class ColumnTable(StrictTable):
-    """A column of a function of the user's own: its type, words, and whether a run may be without."""
+    """A column of a function of the user's own: its type, words, and whether a run may be without; see `Column`."""
 
     type: Literal["float", "int", "bool", "str"]
     words: str
     is_optional: bool
+    least: float | None = None
+    absent: str = ""
 
 
 class FunctionTable(StrictTable):

@@ -84,7 +84,7 @@ def test_the_parts_add_up(rng):
 
 def test_intervals_of_the_parts_hold_the_planted_ones(rng):
     """Alike blocks without memory, where coupling and habits are zero; and two kinds of coupling."""
-    for row in studies.study("counting", int(rng.integers(2**32)), 120):
+    for row in studies.study("counting", int(rng.integers(2**32)), 60):
         assert row.is_covered(), row
 
 

@@ -205,8 +205,8 @@ def test_a_power_is_said_over_a_wide_range_and_where_it_is_one(rng):
 
 
 def test_a_change_is_told_with_the_numbers_of_the_named_group_and_where_it_is_not_shown(rng):
-    periods = {(150, -0.1): 440, (175, -0.1): 400, (200, -0.1): 360, (150, -0.2): 500, (175, -0.2): 500,
-               (200, -0.2): 500}  # fmt: skip
+    periods = {(150, -0.1): 440, (175, -0.1): 400, (200, -0.1): 360, (150, -0.2): 500, (175, -0.2): 504,
+               (200, -0.2): 508}  # fmt: skip
     points = [point({"n": n, "belt_speed": v}, period, rng, 0.005) for (n, v), period in periods.items()]
     changes = question._changes(points, 0.95)
     told = question._told(changes, "n = 200, coulomb, belt_speed = -0.1")

@@ -72,7 +72,7 @@ def test_a_start_that_is_not_drawn_is_one_run_of_its_matrix(planted, settings, r
 def test_the_page_says_what_the_units_are(planted, settings, rng, monkeypatch):
     from stickslip.analysis.report import page
 
-    monkeypatch.setattr(page, "draw", lambda recipe: page.Drawn("<svg/>", b"%PDF"))
+    monkeypatch.setattr(page, "draw", lambda *_, **__: page.Drawn("<svg/>"))
     one_system = build(runs_of(planted, rng, [(None, 0)], 20), settings, "Starts", "", {})
     text = plain(one_system.html.partition("</style>")[2])
     assert "over starts of this system" in text

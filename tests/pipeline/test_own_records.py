@@ -40,9 +40,9 @@ from __future__ import annotations
 
 {HEAD}class Measured(NamedTuple):
     events_after: Annotated[int, "events from t_burn on"]
-    Share: Annotated[float, "share of blocks that leave from t_burn on"]
+    Share: Annotated[float, "share of blocks that leave from t_burn on", {{"least": 0}}]
     leaves: Annotated[bool, "whether one leaves"]
-    busiest: Annotated[str | None, "block with most events, in words; null if there are none"]
+    busiest: Annotated[str | None, "block with most events, in words", {{"absent": "no event"}}]
 
 
 def counted(run, system, window) -> Measured:
@@ -105,11 +105,11 @@ def short(text):
     return text.replace('own = ["mine:counted", "mine:fastest"]\ndt = 0.5', 'own = "mine:one"')
 
 
-def one(lines, returns="float", head=HEAD):
+def one(lines, returns="float", head=HEAD, note="{}"):
     """A module with one function of one column."""
     body = "".join(f"    {line}\n" for line in lines.splitlines())
     return (
-        f'{head}class Measured(NamedTuple):\n    own: Annotated[{returns}, "mine"]\n\n\n'
+        f'{head}class Measured(NamedTuple):\n    own: Annotated[{returns}, "mine", {note}]\n\n\n'
         f"def one(run, system, window) -> Measured:\n{body}"
     )
 
@@ -216,6 +216,7 @@ SOME = {
     "shows": ("raise ValueError(object())", "ValueError: <object object at 0x...>"),
     "nan": ("return Measured(float('nan'))", "expected a finite number for own, got nan"),
     "infinite": ("return Measured(10**400)", "expected a finite number for own, got inf"),
+    "below": ("return Measured(-3)", "expected at least -2.5 for own, got -3"),
     "text": ("return Measured('wide')", "expected a number for own, got str"),
     "truth": ("return Measured(True)", "expected a number for own, got bool"),
     "none": ("return Measured(None)", "expected a number for own, got NoneType"),
@@ -233,7 +234,9 @@ def test_a_function_that_goes_wrong_costs_its_column_and_not_the_run(text, tmp_p
     module = HEAD
     for name, (line, _) in SOME.items():
         lines = f"if system.n == 4:\n    {line}\nreturn Measured(len(run.events))"
-        module += one(lines, head="").replace("own:", f"{name}_:").replace("Measured", f"Of_{name}")
+        module += (
+            one(lines, head="", note='{"least": -2.5}').replace("own:", f"{name}_:").replace("Measured", f"Of_{name}")
+        )
         module = module.replace("def one(", f"def {name}(")
     names = [f"mine:{name}" for name in SOME]
     scene = short(text).replace('own = "mine:one"', f"own = {json.dumps([*names, 'mine:well'])}")
@@ -284,7 +287,14 @@ UNREADABLE = {
     "import": (one("return 1", head="import nonesuch_at_all\n"), ["ModuleNotFoundError", "nonesuch_at_all"]),
     "no annotation": (one("return 1").replace(" -> Measured", ""), ["to declare that it returns", "got none"]),
     "a number": (one("return 1").replace(" -> Measured", " -> float"), ["to declare that it returns", "got float"]),
-    "no words": (one("return 1").replace('Annotated[float, "mine"]', "float"), ["expected words for own", "'none'"]),
+    "no note": (one("return 1", note='{"most": 1}'), ["'least' or 'absent' for own", "'most'"]),
+    "no least": (one("return 1", note='{"least": "0"}'), ["a finite number as 'least' of own", "got '0'"]),
+    "least text": (one("return 1", "str", note='{"least": 0}'), ["a finite number as 'least' of own", "got a str"]),
+    "never absent": (one("return 1", note='{"absent": "none"}'), ["words as 'absent' of own", "`| None`"]),
+    "no words": (
+        one("return 1").replace('Annotated[float, "mine", {}]', "float"),
+        ["expected words for own", "'none'"],
+    ),
     "a list": (one("return 1", "list[float]"), ["float, int, bool, str for own", "got list"]),
     "two types": (one("return 1", "int | str"), ["float, int, bool, str for own"]),
     "unknown type": (one("return 1", "'Nowhere'"), ["annotations cannot be read", "Nowhere"]),

@@ -6,7 +6,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stickslip.pipeline import Scene, SceneError, load_scene, parse_scene
@@ -29,6 +29,7 @@ def test_a_scene_that_is_written_is_read_back(name):
     assert again.hash == read.hash
 
 
+@settings(max_examples=40)
 @given(st.dictionaries(st.text(st.characters(exclude_categories=["Cs"])), VALUES))
 def test_what_is_written_as_toml_is_read_back(tables):
     assert tomllib.loads(written(tables)) == tables

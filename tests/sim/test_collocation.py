@@ -90,7 +90,13 @@ def test_a_layer_just_after_the_start_of_a_step_is_seen():
         assert np.abs(np.stack([got.z, got.w], axis=1) - exact).max() < 1e-9 * 20 * 10
 
 
-@pytest.mark.parametrize(("seed", "number"), [(3864865147, 1311), (2340751905, 1071), (4198940115, 830)])
+@pytest.mark.parametrize(
+    ("seed", "number"),
+    [
+        (3864865147, 1311),
+        *(pytest.param(*one, marks=pytest.mark.long) for one in [(2340751905, 1071), (4198940115, 830)]),
+    ],
+)
 def test_errors_that_add_up_undamped_stay_small(seed, number):
     """Cases of the fuzz that cost a method of order four 115 to 276 tolerances."""
     verdict = judge(draw(seed, number, terms=()))

@@ -77,12 +77,12 @@ def test_parts_of_a_chaotic_run_give_what_the_whole_does(terms, rng, monkeypatch
         **more
     )
     start = rng.normal(0.0, 0.3, n), system.belt_speed_at(0.0)
-    run, whole = run_with_energy(system, *start, 400.0, tol=1e-12)
+    run, whole = run_with_energy(system, *start, 250.0, tol=1e-12)
     monkeypatch.setattr("stickslip.sim.energy._ROOM", 9 * n * (len(whole.t) // 100))
     monkeypatch.setattr("stickslip.sim.energy._AT_A_TIME", 9 * n * 7)
     found = energy(system, run, *start, tol=1e-12)
     turnover = np.abs(whole.belt).max() + np.abs(whole.outside).max() + whole.damping[-1] + whole.heat[-1]
-    beside = simulate(system, start[0] + 1e-12, start[1], 400.0, tol=1e-12)
+    beside = simulate(system, start[0] + 1e-12, start[1], 250.0, tol=1e-12)
     print(len(run.events), turnover, np.abs(whole.imbalance).max(), np.abs(beside.z - run.z).max())
     assert np.abs(found.imbalance).max() < 1e-10 * turnover
     for name in ("t", "kinetic", "elastic", "belt", "outside", "damping", "heat", "coupling"):

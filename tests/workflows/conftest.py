@@ -70,7 +70,7 @@ def here(monkeypatch):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Pages of charts without their figures, which take most of their time."""
-    monkeypatch.setattr(runner, "draw", lambda recipe: Drawn("", b""))
+    monkeypatch.setattr(runner, "draw", lambda *_, **__: Drawn(""))
 
 
 @pytest.fixture(scope="session")

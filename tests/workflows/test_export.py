@@ -17,10 +17,12 @@ import netCDF4
 import numpy as np
 import pytest
 
+from stickslip.analysis.report.page import Drawn, Report
 from stickslip.pipeline import parse_scene, query, run_ensemble
 from stickslip.pipeline.ensemble import member
 from stickslip.workflows.commands import main
 from stickslip.workflows.export import whole
+from stickslip.workflows.reporting import write
 from tests.faults.world import Unshown, small_disk
 from tests.scenes import COULOMB, ensemble
 
@@ -179,6 +181,11 @@ def test_files_with_any_name_leave_pages_and_figures_that_open(here, rng, tmp_pa
     assert any(re.search(rb"a\\?\$x_", svg) for svg in drawn), "no figure shows a name"
     assert not set(page) & {c for c in OUT if not c.isprintable()}
     assert r"a\x01b" in page.partition("</title>")[0]
-    assert len(list((out / "report" / "figures").glob("*.pdf"))) == len(figures)
-    for figure in (out / "report" / "figures").glob("*.pdf"):
-        assert figure.read_bytes().startswith(b"%PDF")
+    pdf = [figure.with_suffix(".pdf") for figure in figures]
+    assert not any(figure.exists() for figure in pdf)
+    assert main(["report", str(out), "--pdf"]) == 0
+    assert all(figure.read_bytes().startswith(b"%PDF") for figure in pdf)
+    assert main(["report", str(out)]) == 0
+    assert capsys.readouterr().out.endswith("unchanged\n")
+    write(Report("", {}, [], {figure.stem: Drawn("<svg/>") for figure in figures}), out)
+    assert not any(figure.exists() for figure in pdf), "they are of another report"

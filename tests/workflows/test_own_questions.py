@@ -4,6 +4,7 @@ import hashlib
 import re
 import sys
 from pathlib import Path
+from shutil import copytree
 
 import pytest
 
@@ -43,7 +44,7 @@ def place(tmp_path_factory):
 def alone(monkeypatch, place):
     """No processes but those of questions of the user's own, and no mark of these; no figures of ours."""
     monkeypatch.setattr(asking, "MOST_PROCESSES", 1)
-    monkeypatch.setattr(page, "draw", lambda _: page.Drawn("<svg/>", b"%PDF"))
+    monkeypatch.setattr(page, "draw", lambda *_, **__: page.Drawn("<svg/>"))
     (place / "ran").unlink(missing_ok=True)
     (place / "runs" / "mine" / "report.html").unlink(missing_ok=True)
 
@@ -134,7 +135,8 @@ def test_editing_a_question_makes_no_other_data(place, tmp_path):
     (tmp_path / "own.py").write_text("another = 1 +\n")
     scene = load_scene(tmp_path / "mine.toml")
     assert scene.hash == before
-    assert run_ensemble(scene, place / "runs" / "mine", workers=0).n_done == 3
+    copytree(place / "runs" / "mine", tmp_path / "runs" / "mine")
+    assert run_ensemble(scene, tmp_path / "runs" / "mine", workers=0).n_done == 3
 
 
 # ---------------------------------------------------------------------------------------------- in the child
@@ -181,7 +183,7 @@ def test_what_goes_wrong_is_a_line_that_says_where(asked, code, words):
 
 @pytest.mark.parametrize("template", [None, "{% macro panels(a, figure) %}{{ figure('a', 'A') }}{% endmacro %}"])
 def test_what_cannot_be_drawn_or_shown_is_left_out_and_the_answer_stands(asked, template, monkeypatch):
-    monkeypatch.setattr(page, "draw", lambda recipe: recipe() and page.Drawn("<svg/>", b"%PDF"))
+    monkeypatch.setattr(page, "draw", lambda recipe, _: recipe() and page.Drawn("<svg/>"))
     figures = "'a': lambda: 1 / 0, 'b': 3, 'c': Figure()"
     tables = "'d': pd.DataFrame({'n': [1]}), 'e': pd.DataFrame({'z': [1j]}), 'f': []"
     code = "import pandas as pd\nfrom matplotlib.figure import Figure\n" + ANSWER

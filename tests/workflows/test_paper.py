@@ -67,7 +67,7 @@ def measured(scene):
 def report(scene, measured):
     """Without what is drawn, which is looked at figure by figure."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(runner, "draw", lambda recipe: Drawn("", b""))
+        patch.setattr(runner, "draw", lambda *_, **__: Drawn(""))
         return runner.report(scene, measured)
 
 

@@ -27,6 +27,7 @@ class Report(Command):
     examples = (
         ("stickslip report runs/quick", "writes runs/quick/report.html"),
         ("stickslip report runs/mine --own", "with your own questions: runs the code beside the scene"),
+        ("stickslip report runs/mine --pdf", "its figures as PDF too"),
         ("stickslip report runs/a --compare runs/b", "do their statistics agree?"),
     )
 
@@ -41,25 +42,33 @@ class Report(Command):
             action="store_true",
             help="answer the questions module:function of the scene: runs the code beside it, or beside DIR",
         )
+        parser.add_argument("--pdf", action="store_true", help="draw the figures as PDF too")
 
     def __call__(self, arguments: argparse.Namespace) -> int:
         if arguments.compare is None:
             if arguments.out is not None:
                 raise Wrong("--out: expected with --compare alone; a report belongs to its dataset")
-            return DONE if write_report(arguments.directory, is_own=arguments.own) else UNFINISHED
+            is_done = write_report(arguments.directory, is_own=arguments.own, with_pdf=arguments.pdf)
+            return DONE if is_done else UNFINISHED
         if arguments.own:
             raise Wrong("--own: expected without --compare, which runs no code of the scene's; leave it out")
+        if arguments.pdf:
+            raise Wrong("--pdf: expected without --compare, which draws its figure as PDF in any case; leave it out")
         _write_comparison(arguments.directory, arguments.compare, arguments.out)
         return DONE
 
 
 def write_report(
-    directory: Where, asking: Asking | None = None, watch: Watch | None = None, is_own: bool = False
+    directory: Where,
+    asking: Asking | None = None,
+    watch: Watch | None = None,
+    is_own: bool = False,
+    with_pdf: bool = False,
 ) -> bool:
     """Write the report of a dataset, unless it is up to date; False if a question of the user's own failed.
 
     If they may be run, which `asking` knows, or else `is_own` says, the report is always made again: they may depend
-    on anything.
+    on anything. So is one with figures as PDF.
     """
     from stickslip.analysis.report import PAGE
     from stickslip.pipeline.dataset.opened import open_dataset
@@ -72,13 +81,17 @@ def write_report(
     if asking is not None:
         is_own = asking.own is not None
     own, problems = own_questions.names(opened.scene), dict[str, str]()
-    if is_current(opened) and not (own and is_own):
+    if is_current(opened) and not with_pdf and not (own and is_own):
         if watch is not None:
             watch.close()
         print(printable(f"report  {opened.place.named(PAGE)}, unchanged"))
         is_own = has_own(opened)
     else:
-        with Asking(opened.folder if is_own else None) if asking is None else nullcontext(asking) as processes:
+        with (
+            Asking(opened.folder if is_own else None, with_pdf)
+            if asking is None
+            else nullcontext(asking) as processes
+        ):
             problems = _build(opened, processes, watch).problems
     for name, problem in problems.items():
         print(printable(f"failed  {name}: {problem}"), file=sys.stderr)

@@ -46,7 +46,7 @@ def report(scene: ChartScene, measured: Any) -> Report:
     environment = page_environment("stickslip.workflows.gallery.charts")
     assert environment.loader is not None
     environment.loader = ChoiceLoader([FileSystemLoader(_folder(scene)), environment.loader])
-    figures = {name: draw(recipe) for name, recipe in shown.figures.items()}
+    figures = {name: draw(recipe, with_pdf=True) for name, recipe in shown.figures.items()}
     environment.filters |= FORMS
     environment.globals |= FORMS | {"image": partial(_image, figures)}
     template = environment.get_template(f"{scene.chart}.html")
