@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from stickslip.analysis.series.cascades import Law, Window
 #: variance of a difference from chance: 10 widen intervals by 5%. The intervals include this, as each matrix is
 #: compared with its own rotations.
 DRAWS = 10
+_PLACES = 2**31  # in a window, of the events of a surrogate
 Sums = dict[Law, np.ndarray]  # total size and number of cascades, the two columns that `estimates.gamma` takes
 
 
@@ -52,6 +54,15 @@ class BlockSteps:
     @property
     def span(self) -> float:
         return self.t_stop - self.t_start
+
+    @cached_property
+    def phases(self) -> np.ndarray:
+        """Places of the events in the window as whole numbers, uint32, shape (m,), which wrap around with it.
+
+        The last bit is one for an exit, the others count units of span / 2^31.
+        """
+        places = ((self.t - self.t_start) * (_PLACES / self.span)).astype(np.uint32) << np.uint32(1)
+        return places | (self.step < 0)
 
     def exits(self) -> tuple[np.ndarray, np.ndarray]:
         """Times and blocks of the exits."""
@@ -111,19 +122,19 @@ def rotated(steps: BlockSteps, rng: np.random.Generator) -> tuple[np.ndarray, np
     entries; its path may then leave 0..n, which does not matter as only falls are counted. In 20 runs of n = 200 over
     400 units the seams would have added 1.3% of changes; with and without them gamma by `events` agreed to 0.0001.
 
+    Times are rounded to span / 2^31: whole numbers of 32 bits are sorted in half the time that floats of 64
+    take, and need no remainder. Of two events that are closer than that an entry comes first.
+
     Returns
     -------
     t, step : ndarray, shape (m,)
         Times since t_start, in order, and changes of n_stick.
     """
     n_blocks = int(steps.block.max()) + 1 if len(steps.block) else 0
-    shift = rng.uniform(0, steps.span, n_blocks)
-    # positive floats sort as their bits do, so the last bit of a time can carry the sign of the step through the sort
-    bits = ((steps.t - steps.t_start + shift[steps.block]) % steps.span).view(np.int64)
-    bits &= -2
-    bits |= steps.step < 0
-    bits.sort()
-    return bits.view(np.float64), 1 - 2 * (bits & 1)
+    shift = rng.integers(_PLACES, size=n_blocks, dtype=np.uint32) << np.uint32(1)
+    places = steps.phases + shift[steps.block]  # a sum beyond 32 bits begins again at zero
+    places.sort()
+    return (places >> np.uint32(1)) * (steps.span / _PLACES), 1 - 2 * (places & np.uint32(1)).astype(np.int64)
 
 
 def rotations(steps: BlockSteps, dts: Sequence[float], draws: int, rng: np.random.Generator) -> Sums:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import gc
 import sys
-from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.errors import command, printable
@@ -70,29 +69,32 @@ def write_report(
     If they may be run, which `asking` knows, or else `is_own` says, the report is always made again: they may depend
     on anything. So is one with figures as PDF.
     """
+    from stickslip.workflows.asking import Asking
+
+    if asking is not None:
+        return _written(directory, asking, watch, asking.own is not None)
+    with Asking(with_pdf=with_pdf) as processes:  # they load what they need while this one does
+        return _written(directory, processes, watch, is_own)
+
+
+def _written(directory: Where, asking: Asking, watch: Watch | None, is_own: bool) -> bool:
     from stickslip.analysis.report import PAGE
     from stickslip.pipeline.dataset.opened import open_dataset
     from stickslip.pipeline.dataset.status import Tally
     from stickslip.workflows import own_questions
-    from stickslip.workflows.asking import Asking
     from stickslip.workflows.fresh import has_own, is_current
 
     opened = open_dataset(directory)
-    if asking is not None:
-        is_own = asking.own is not None
     own, problems = own_questions.names(opened.scene), dict[str, str]()
-    if is_current(opened) and not with_pdf and not (own and is_own):
+    if is_current(opened) and not asking.with_pdf and not (own and is_own):
         if watch is not None:
             watch.close()
         print(printable(f"report  {opened.place.named(PAGE)}, unchanged"))
         is_own = has_own(opened)
     else:
-        with (
-            Asking(opened.folder if is_own else None, with_pdf)
-            if asking is None
-            else nullcontext(asking) as processes
-        ):
-            problems = _build(opened, processes, watch).problems
+        if is_own and asking.own is None:
+            asking.own = opened.folder
+        problems = _build(opened, asking, watch).problems
     for name, problem in problems.items():
         print(printable(f"failed  {name}: {problem}"), file=sys.stderr)
     if not is_own:
