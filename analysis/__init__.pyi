@@ -5,7 +5,6 @@ from .ensemble import Study as Study
 from .report.formats import with_interval as with_interval
 from .report.page import Report as Report
 from .report.page import build as build
-from .seismology import catalogue as catalogue
 from .series.cascades import DEFINITIONS as DEFINITIONS
 from .series.cascades import Law as Law
 from .series.cascades import Window as Window
@@ -13,6 +12,7 @@ from .series.cascades import laws as laws
 from .series.cascades import sample as sample
 from .series.cascades import sizes as sizes
 from .series.cascades import window as window
+from .series.seismology import catalogue as catalogue
 from .settings import AnalysisSettings as AnalysisSettings
 from .stats.compare import share_over_matrices as share_over_matrices
 from .stats.compare import wilson as wilson

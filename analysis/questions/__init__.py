@@ -1,6 +1,6 @@
 """The questions that a report can answer: one file each, with a template of the same name in `report/templates`."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -9,16 +9,17 @@ from stickslip.sim.numerics.arguments import did_you_mean
 if TYPE_CHECKING:
     from stickslip.analysis.answer import Question
 
-#: In the order of the page.
-QUESTIONS = (
-    "sweep", "attractors", "episodes", "cascades", "counting", "exponential", "definitions", "rhythm", "clustering",
-    "fates", "engines", "sensitivity", "robustness", "one_run",
-)  # fmt: skip
+#: In the order of the page, with the room of each.
+QUESTIONS: Mapping[str, str] = {
+    "sweep": "runs", "attractors": "runs", "episodes": "slips", "cascades": "slips", "counting": "slips",
+    "exponential": "slips", "definitions": "slips", "rhythm": "slips", "clustering": "slips", "fates": "runs",
+    "engines": "runs", "sensitivity": "runs", "robustness": "runs", "one_run": "runs",
+}  # fmt: skip
 
 
 def question(name: str) -> "Question":
     """The question of a name in `QUESTIONS`; its module is loaded only now."""
-    found: Question = import_module(f"{__name__}.{name}").QUESTION
+    found: Question = import_module(f"{__name__}.{QUESTIONS[name]}.{name}").QUESTION
     return found
 
 
@@ -31,7 +32,7 @@ def refuse_unknown(names: Iterable[str]) -> None:
     """Raise a ValueError if a name is neither one of `QUESTIONS` nor of the form of a user's own."""
     for name in names:
         if name not in QUESTIONS and not is_own(name):
-            remedy = did_you_mean(name, QUESTIONS) or "; choose one of these"
+            remedy = did_you_mean(name, [*QUESTIONS]) or "; choose one of these"
             raise ValueError(
                 f"question: expected one of {', '.join(QUESTIONS)}, or module:function, got {name!r}{remedy}"
             )

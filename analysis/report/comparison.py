@@ -23,7 +23,7 @@ from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import KEYS, Measure, measures
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS
-from stickslip.analysis.questions.engines import contrasts, summary
+from stickslip.analysis.questions.runs.engines import contrasts, summary
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import Report, draw, plain
 from stickslip.analysis.settings import AnalysisSettings

@@ -1,23 +1,23 @@
 """What is kept of a run: a file and a line here make a record known to scenes, workers, datasets and the guide."""
 
-from stickslip.pipeline.records.amplitude import Amplitude
 from stickslip.pipeline.records.attractor import AttractorRecord
 from stickslip.pipeline.records.collapse import CollapseRecord
-from stickslip.pipeline.records.end import End
-from stickslip.pipeline.records.energy import EnergyRecord, EpisodeEnergy
-from stickslip.pipeline.records.episodes import EpisodesRecord
-from stickslip.pipeline.records.events import Events
-from stickslip.pipeline.records.first_exit import FirstExit
-from stickslip.pipeline.records.friction_power import FrictionPower
-from stickslip.pipeline.records.growth_rate import GrowthRate
+from stickslip.pipeline.records.motion.amplitude import Amplitude
+from stickslip.pipeline.records.motion.end import End
+from stickslip.pipeline.records.motion.energy import EnergyRecord, EpisodeEnergy
+from stickslip.pipeline.records.motion.friction_power import FrictionPower
+from stickslip.pipeline.records.motion.growth_rate import GrowthRate
+from stickslip.pipeline.records.motion.separation import Separation
+from stickslip.pipeline.records.motion.slip_speed import SlipSpeed
 from stickslip.pipeline.records.outcome import OutcomeRecord
 from stickslip.pipeline.records.own import OwnRecord
 from stickslip.pipeline.records.record import Record
-from stickslip.pipeline.records.separation import Separation
-from stickslip.pipeline.records.slip_speed import SlipSpeed
-from stickslip.pipeline.records.stick_share import StickShare
-from stickslip.pipeline.records.thresholds import Thresholds
-from stickslip.pipeline.records.waiting import Waiting
+from stickslip.pipeline.records.slips.episodes import EpisodesRecord
+from stickslip.pipeline.records.slips.events import Events
+from stickslip.pipeline.records.slips.first_exit import FirstExit
+from stickslip.pipeline.records.slips.stick_share import StickShare
+from stickslip.pipeline.records.slips.thresholds import Thresholds
+from stickslip.pipeline.records.slips.waiting import Waiting
 
 __all__ = ["ALWAYS", "RECORDS", "TABLES", "End", "Record"]
 

@@ -15,7 +15,7 @@ from scipy import fft, linalg, signal, special, stats
 
 from stickslip.analysis.models import clustering, counting, fates, growth, laws, pool, rhythm
 from stickslip.analysis.models.episodes import OCCUPANCY, SLOW_DRIVE, Catalogue
-from stickslip.analysis.questions.robustness import BOUND
+from stickslip.analysis.questions.runs.robustness import BOUND
 from stickslip.analysis.series.cascades import Law, Window, sizes, sums, window
 from stickslip.analysis.series.cascades import laws as cascade_laws
 from stickslip.analysis.series.nulls import DRAWS, BlockSteps, rotations

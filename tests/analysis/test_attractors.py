@@ -10,7 +10,7 @@ from scipy.stats import norm
 from stickslip.analysis import Data, Study, build
 from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.models.attractors import Cycle, Range, alike, plane, ranges
-from stickslip.analysis.questions.attractors import answer
+from stickslip.analysis.questions.runs.attractors import answer
 from stickslip.analysis.report.formats import environment
 
 SERIES = (np.array([0.0, 150.0]), np.array([3, 2]))

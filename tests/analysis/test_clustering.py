@@ -10,7 +10,7 @@ import pytest
 from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.answer import records
 from stickslip.analysis.models.clustering import FANO, PAIRS, Part, fano, measure, n_windows, own_gaps, pairs
-from stickslip.analysis.questions import clustering, counting, definitions
+from stickslip.analysis.questions.slips import clustering, counting, definitions
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.series.nulls import BlockSteps, rotated
 from stickslip.analysis.stats.compare import WITHIN

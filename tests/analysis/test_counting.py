@@ -10,8 +10,8 @@ from scipy import stats
 
 from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.models import counting, pool
-from stickslip.analysis.questions import cascades
-from stickslip.analysis.questions import counting as question
+from stickslip.analysis.questions.slips import cascades
+from stickslip.analysis.questions.slips import counting as question
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import plain
 from stickslip.analysis.series.cascades import Window

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study, build
-from stickslip.analysis.questions.engines import answer, contrasts
+from stickslip.analysis.questions.runs.engines import answer, contrasts
 from stickslip.analysis.report.formats import environment
 
 SETTINGS = AnalysisSettings(

@@ -24,7 +24,8 @@ from stickslip.analysis.models.episodes import (
     in_classes,
     laws_of_moments,
 )
-from stickslip.analysis.questions import engines, episodes, sweep
+from stickslip.analysis.questions.runs import engines, sweep
+from stickslip.analysis.questions.slips import episodes
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import over_matrices

@@ -7,7 +7,7 @@ import pytest
 
 from stickslip.analysis import Data, Study
 from stickslip.analysis.models import pool
-from stickslip.analysis.questions import exponential
+from stickslip.analysis.questions.slips import exponential
 from stickslip.analysis.report.formats import environment
 from tests.analysis import studies
 from tests.chance import ERRORS, agrees

@@ -21,7 +21,7 @@ from stickslip.analysis.models.fates import (
     kaplan_meier,
     median,
 )
-from stickslip.analysis.questions.fates import answer
+from stickslip.analysis.questions.runs.fates import answer
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import MOST_ALERTS, _primary, _Shown
 from stickslip.analysis.stats.compare import wilson

@@ -9,7 +9,7 @@ import pytest
 
 from stickslip.analysis import Data, Study, build, measures
 from stickslip.analysis.ensemble import Recorded
-from stickslip.analysis.questions import sweep
+from stickslip.analysis.questions.runs import sweep
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.compare import UNKNOWN

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import Data, Study, build
-from stickslip.analysis.questions.one_run import MOST_MEMBERS, answer
+from stickslip.analysis.questions.runs.one_run import MOST_MEMBERS, answer
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import ask
 

@@ -15,7 +15,7 @@ import pytest
 from stickslip import analysis
 from stickslip.analysis import AnalysisSettings, Data, Study, build, members
 from stickslip.analysis.questions import QUESTIONS
-from stickslip.analysis.questions.cascades import STEEP, verdict_on
+from stickslip.analysis.questions.slips.cascades import STEEP, verdict_on
 from stickslip.analysis.report import formats
 from stickslip.analysis.report.formats import between, capital, environment, fixed, interval
 from stickslip.analysis.report.formats import table as shown
@@ -356,7 +356,7 @@ def _texts(tree):
 
 @pytest.mark.parametrize("room", ["stats", "questions", "report"])
 def test_no_sentence_in_python(room):
-    for file in sorted((Path(analysis.__file__).parent / room).glob("*.py")):
+    for file in sorted((Path(analysis.__file__).parent / room).rglob("*.py")):
         found = [(line, text) for line, text in _texts(ast.parse(file.read_text())) if len(text.split()) > 5]
         assert not found, f"{file.name}: {found}"
 

@@ -9,7 +9,7 @@ import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.models import rhythm
-from stickslip.analysis.questions import rhythm as question
+from stickslip.analysis.questions.slips import rhythm as question
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats.estimates import Estimate

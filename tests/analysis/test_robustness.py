@@ -8,7 +8,7 @@ import pytest
 from scipy import signal
 
 from stickslip.analysis.ensemble import Data, Study
-from stickslip.analysis.questions.robustness import MOVES, NO_MOTION, NO_REPLICATES, STAYS, UNKNOWN, answer
+from stickslip.analysis.questions.runs.robustness import MOVES, NO_MOTION, NO_REPLICATES, STAYS, UNKNOWN, answer
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import build
 from stickslip.analysis.stats import enough

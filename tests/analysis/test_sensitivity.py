@@ -9,7 +9,7 @@ from stickslip.analysis.models.fates import median
 from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, level
 from stickslip.analysis.pairs import settings as sorted_settings
-from stickslip.analysis.questions.sensitivity import GROWS, SHRINKS, UNKNOWN, answer
+from stickslip.analysis.questions.runs.sensitivity import GROWS, SHRINKS, UNKNOWN, answer
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.series import parting
 

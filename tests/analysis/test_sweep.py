@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import Data, Study, build
-from stickslip.analysis.questions import sweep
+from stickslip.analysis.questions.runs import sweep
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats import enough
 

@@ -183,12 +183,12 @@ OUTSIDE = (
 SAID = [
     ("sim/engines/loop.py", "from __future__", "# A comment.\nfrom __future__"),
     ("sim/engines/loop.py", '"""', '"""Another docstring. '),
-    ("pipeline/records/end.py", "class End(Record):\n", "class End(\n    Record\n):  # a comment\n\n"),
-    ("pipeline/records/end.py", '    """', '    """Another docstring. '),
+    ("pipeline/records/motion/end.py", "class End(Record):\n", "class End(\n    Record\n):  # a comment\n\n"),
+    ("pipeline/records/motion/end.py", '    """', '    """Another docstring. '),
 ]
 DONE = [
     ("pipeline/scene/toml.py", "tuple(sorted(once(values, least=0)))", "tuple(sorted(once(values, least=0))[::-1])"),
-    ("pipeline/records/end.py", '"z_end": run.z', '"z_end": run.w'),
+    ("pipeline/records/motion/end.py", '"z_end": run.z', '"z_end": run.w'),
 ]
 
 

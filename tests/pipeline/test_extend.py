@@ -27,8 +27,8 @@ from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import read_manifest
 from stickslip.pipeline.records import RECORDS
-from stickslip.pipeline.records.first_exit import FirstExit
 from stickslip.pipeline.records.record import Record
+from stickslip.pipeline.records.slips.first_exit import FirstExit
 from stickslip.pipeline.running import worker
 from stickslip.pipeline.running.extend import addition
 from stickslip.pipeline.running.isolation import compute_alone

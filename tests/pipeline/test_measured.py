@@ -7,7 +7,7 @@ from scipy.integrate import quad
 from stickslip import Dataset
 from stickslip.pipeline import SceneError, parse_scene, run_ensemble
 from stickslip.pipeline.ensemble.expand import expand
-from stickslip.pipeline.records.amplitude import Amplitude
+from stickslip.pipeline.records.motion.amplitude import Amplitude
 
 ASKED = ("amplitude", "slip_speed", "stick_share", "first_exit", "waiting", "friction_power")
 SOURCE = """\

@@ -328,9 +328,10 @@ print(*("drag" in some for some in known[:3]), sorted(known[3]), columns["drag"]
 @pytest.mark.long
 def test_a_record_is_a_file_and_a_line(tree):
     root, python = tree
-    (root / "pipeline" / "records" / "largest.py").write_text(blocks(page("extending"), "python")[1])
+    (root / "pipeline" / "records" / "motion" / "largest.py").write_text(blocks(page("extending"), "python")[1])
     file, before = root / "pipeline" / "records" / "__init__.py", "from stickslip.pipeline.records.outcome"
-    text = file.read_text().replace(before, f"from stickslip.pipeline.records.largest import Largest\n{before}")
+    line = "from stickslip.pipeline.records.motion.largest import Largest\n"
+    text = file.read_text().replace(before, line + before)
     file.write_text(text.replace("= (\n    End,", "= (\n    End,\n    Largest,"))
     scene = (ROOT / "workflows" / "scenes" / "quick.toml").read_text()
     (root / "mine.toml").write_text(scene.replace("[record]", "[record]\nlargest = true\n#"))

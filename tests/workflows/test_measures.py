@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stickslip.analysis.questions import sweep
+from stickslip.analysis.questions.runs import sweep
 from stickslip.pipeline import parse_scene, query, run_ensemble
 from stickslip.workflows.reporting import study_of
 

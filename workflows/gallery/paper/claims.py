@@ -20,9 +20,9 @@ from stickslip.analysis.models.fates import (
     WATCHED,
     median,
 )
-from stickslip.analysis.questions.cascades import PAPER_GAMMA
-from stickslip.analysis.questions.exponential import MARGIN as FORM
-from stickslip.analysis.questions.robustness import BOUND
+from stickslip.analysis.questions.runs.robustness import BOUND
+from stickslip.analysis.questions.slips.cascades import PAPER_GAMMA
+from stickslip.analysis.questions.slips.exponential import MARGIN as FORM
 from stickslip.analysis.stats import components
 from stickslip.analysis.stats.compare import Words
 from stickslip.analysis.stats.compare import verdict as compared
@@ -223,7 +223,7 @@ def sensitive(scene: Asked, measured: Measured) -> Claim:
 def robust(scene: Asked, measured: Measured) -> Claim:
     """Whether a small change moves mean n_stick by less than `BOUND` of what another matrix would, in mean squares.
 
-    As in `analysis.questions.robustness`: replicates are the unchanged run and one from another start, and only
+    As in `analysis.questions.runs.robustness`: replicates are the unchanged run and one from another start, and only
     matrices all of whose runs are in motion enter. How many runs are, under each change, is counted beside it.
     """
     by_setting: dict[str, dict[int, Row]] = {}

@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.signal import periodogram
 
 from stickslip.analysis.models import fates
-from stickslip.analysis.questions.cascades import PAPER_GAMMA
+from stickslip.analysis.questions.slips.cascades import PAPER_GAMMA
 from stickslip.analysis.series import cascades
 from stickslip.analysis.stats import dispersion, estimates
 from stickslip.analysis.style import CYCLE, EXACT, GREY, PANEL, SMOOTHED, STYLE, panel, size_axis

@@ -55,7 +55,7 @@ WORDS = {
 _BLOCKS = (("black", "o"), ("#D55E00", "s"), ("#0072B2", "^"), ("#CC79A7", "D"))
 #: How the state of what has no exits is drawn there, and its name.
 _AT_SECTION = {
-    PERIODIC: ("#E69F00", "+", "cycle without exits, at one event"), SLIDING: ("#0072B2", "x", "steady sliding"),
+    PERIODIC: ("#E69F00", "+", "cycle without exits, one event"), SLIDING: ("#0072B2", "x", "steady sliding"),
     REST: ("#9ECAE1", "D", "at rest"),
 }  # fmt: skip
 

@@ -25,7 +25,7 @@ from stickslip.analysis.models.rhythm import (
     SLOW,
     Spectra,
 )
-from stickslip.analysis.questions.sweep import FALLS, RISES, curves
+from stickslip.analysis.questions.runs.sweep import FALLS, RISES, curves
 from stickslip.analysis.series.nulls import block_steps
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import UNKNOWN, equivalence_test

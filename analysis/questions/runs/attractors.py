@@ -14,9 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis import attractor_figures as figures_of
 from stickslip.analysis.answer import Answer, F, I, Question, Recipe, Row, S, frame
-from stickslip.analysis.attractor_figures import Look, Points, Scale, Sections
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.grid import Axis, as_text, axes_of, order, place_of, settings
 from stickslip.analysis.groups import Group, Value, labels
@@ -36,6 +34,8 @@ from stickslip.analysis.models.attractors import (
     ranges,
     turn,
 )
+from stickslip.analysis.questions.runs import attractor_figures as figures_of
+from stickslip.analysis.questions.runs.attractor_figures import Look, Points, Scale, Sections
 from stickslip.analysis.stats.compare import share_over_matrices, wilson
 
 NO_RECORD = "no record"  # in this ensemble

@@ -37,7 +37,7 @@ from stickslip.analysis.grid import (
 from stickslip.analysis.groups import Value
 from stickslip.analysis.measures import AXES, GAMMA, KEYS, MEAN, Measure, measures
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
-from stickslip.analysis.questions.fates import FATES, shares
+from stickslip.analysis.questions.runs.fates import FATES, shares
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import WITHIN, Words
 from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio

@@ -16,7 +16,7 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.counting import MEAN, N_COLUMNS, OBSERVED, parts, run_sums, without_lulls
-from stickslip.analysis.questions.cascades import GAMMA_MARGIN, verdict_on
+from stickslip.analysis.questions.slips.cascades import GAMMA_MARGIN, verdict_on
 from stickslip.analysis.series.nulls import block_steps
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN

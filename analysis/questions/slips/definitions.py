@@ -12,7 +12,7 @@ from matplotlib.ticker import NullFormatter
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
-from stickslip.analysis.questions.cascades import GAMMA_MARGIN, PAPER_GAMMA, SHALLOWER, STEEP, STEEPER
+from stickslip.analysis.questions.slips.cascades import GAMMA_MARGIN, PAPER_GAMMA, SHALLOWER, STEEP, STEEPER
 from stickslip.analysis.series import cascades
 from stickslip.analysis.series.cascades import DEFINITIONS, SAMPLED, Window
 from stickslip.analysis.series.nulls import DRAWS, Sums, block_steps, rotations

@@ -1,0 +1,1 @@
+"""Questions about whole runs, and about settings that differ: one file each."""

@@ -1,0 +1,1 @@
+"""Questions about cascades, episodes and single exits: one file each."""

@@ -1,0 +1,1 @@
+"""Records of how blocks move: one file each."""

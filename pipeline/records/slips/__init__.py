@@ -1,0 +1,1 @@
+"""Records of when blocks stick and slip: one file each."""
