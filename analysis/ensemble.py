@@ -19,7 +19,7 @@ from stickslip.analysis.series.cascades import ChangePoints, Window
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import share_over_matrices
-from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, at_least, over_matrices, ratio
 
 #: Events of a run: t float64, block int32, mode int8 (-1, 0, +1 after the event), each (m,); and initial_mode (n,).
 Events = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -176,7 +176,7 @@ class Study:
         for unit, member_id, t_end in zip(*columns, strict=True):
             yield row_of[int(unit)], str(member_id), self.window(str(member_id), float(t_end))
 
-    def mean(self, group: Group, numbers: Mapping[str, float | None]) -> Estimate:
+    def mean(self, group: Group, numbers: Mapping[str, float | None], least: float | None = None) -> Estimate:
         """The mean over a group of a number of each run, every unit with the same weight; its interval is over units.
 
         Parameters
@@ -184,14 +184,17 @@ class Study:
         group : Group
         numbers : mapping of str to float
             By member_id, as ``data.recorded[column].values``; a run that is missing, None or not finite is left out.
+        least : float, optional
+            What the number is never below, as ``data.recorded[column].least``: nor is the interval then.
 
         Returns
         -------
         Estimate
-            By `stats.estimates.over_matrices`; without an interval, and with the reason, for fewer than two units.
+            By `stats.estimates.over_matrices`; without an interval, and with the reason, for fewer than two units;
+            without a value for none.
         """
         sums = list(group.sums_of(numbers).values())
-        return over_matrices(ratio, np.array(sums).reshape(-1, 2), self.settings.confidence)
+        return at_least(over_matrices(ratio, np.array(sums).reshape(-1, 2), self.settings.confidence), least)
 
     def share(self, group: Group, has: Mapping[str, bool | None]) -> Estimate:
         """The share of a group's runs that have a property, with Wilson's interval for as many effective runs.

@@ -187,5 +187,5 @@ def _told(error: BaseException, expected: str, function: own.OwnFunction | None,
     lines = [one for one in traceback.extract_tb(error.__traceback__) if one.filename in files]
     where = [f"{Path(lines[-1].filename).name}, line {lines[-1].lineno}"] if lines else []
     where = [*getattr(error, "__notes__", ()), *where]
-    said = f"expected {expected}, got {foreign(error)}"
+    said = f"expected {expected}, but it raised {foreign(error)}"
     return f"{said} ({'; '.join(where)})" if where else said

@@ -30,13 +30,15 @@ def clock(seconds: float) -> str:
     return str(tqdm.format_interval(max(seconds, 0.0)))
 
 
-def say(directory: Where) -> None:
-    """Print the status of a dataset."""
-    print("\n".join(_status_lines(status(directory))))
+def say(directory: Where) -> Status:
+    """Print the status of a dataset, and return it."""
+    found = status(directory)
+    print("\n".join(_status_lines(found)))
+    return found
 
 
-def watch(directory: Where) -> None:
-    """Print the status of a dataset repeatedly until no process writes it."""
+def watch(directory: Where) -> Status:
+    """Print the status of a dataset repeatedly until no process writes it, and return the last one."""
     follower = Follower(directory)
     last: list[str] = []
     while True:
@@ -48,7 +50,7 @@ def watch(directory: Where) -> None:
             print("\n".join(lines), flush=True)
         last = lines
         if found.running is None:
-            return
+            return found
         time.sleep(_LOOK if sys.stdout.isatty() else _EVERY)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import pandas as pd
@@ -24,6 +25,10 @@ from stickslip.pipeline.scene.quantity import short
 from stickslip.version import __version__
 from stickslip.workflows.fresh import made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
+
+#: The files of a report, one a line; and what such a line may name, whoever wrote it.
+_LIST = "report/files.txt"
+_OURS = re.compile(r"report/(figures/)?[\w-]+\.(parquet|csv|svg|pdf)")
 
 #: Who puts the questions of a dataset: the dataset, its study, and whom to tell how many are answered.
 Asking = Callable[[Opened, Study, Callable[[int, int], None]], list[Answered | None]]
@@ -163,7 +168,10 @@ def _provenance(scene: Scene, found: Tally) -> dict[str, str]:
 
 
 def write(built: Report, where: Where) -> str:
-    """Write a report into a directory or to an address, the page last; return the name of the page.
+    """Write a report into a directory or to an address; return the name of the page.
+
+    The page comes after what it names; then files of the earlier report are removed that this one lacks, as both list
+    them in `report/files.txt`.
 
     Raises
     ------
@@ -173,8 +181,12 @@ def write(built: Report, where: Where) -> str:
     place = place_of(where)
     if isinstance(place, Directory):
         (place.path / "report" / "figures").mkdir(parents=True, exist_ok=True)
-    for name in built.gone():
-        place.remove(name)
-    for name, content in built.files().items():
+    files, (listed,) = built.files(), place.read_each([_LIST])
+    for name, content in files.items():
         place.replace(name, content)
+    earlier = built.gone() if listed is None else listed.decode(errors="replace").splitlines()
+    for name in earlier:
+        if _OURS.fullmatch(name) and name not in files:
+            place.remove(name)
+    place.replace(_LIST, "".join(f"{name}\n" for name in files).encode())
     return place.named(PAGE)

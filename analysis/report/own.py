@@ -46,7 +46,9 @@ def spoken(
     told: Callable[[Exception, str], str],
     with_pdf: bool = False,
 ) -> Spoken:
-    """The answer that a question of the user's own returned, in words; figures and tables that fail are left out.
+    """The answer that a question of the user's own returned, in words; what of it fails is left out.
+
+    That is figures and tables, and the template, unless the sentence is its.
 
     Parameters
     ----------
@@ -70,7 +72,7 @@ def spoken(
     OwnError
         If it returned no answer, or one that cannot be shown.
     Exception
-        Whatever the template raises.
+        Whatever the template raises, if there is no sentence without it.
     """
     if not isinstance(found, Answer):
         raise OwnError(
@@ -87,7 +89,14 @@ def spoken(
     missing += [f"tables[{name!r}]: {why}" for name, why in unreadable.items()]
     own = Answered(key, found.facts, found.lack, tables, drawn)
     heading, *method = map(_line, re.split(r"\n\s*\n", inspect.cleandoc(doc))) if doc.strip() else (key,)
-    theirs, said = ({}, {}) if template is None else _filled(study, own, template, undrawn)
+    theirs, said = dict[str, Any](), dict[str, str]()
+    if template is not None:
+        try:
+            theirs, said = _filled(study, own, template, undrawn)
+        except Exception as error:
+            if not (found.lack or isinstance(found.facts.get("sentence"), str)):
+                raise
+            missing.append(f"{template.name}: {told(error, 'a template')}")
     if not (found.lack or said.get("answer")):
         said["answer"] = _sentence(found, template)
     ours = {name: macro for name, macro in _macros(study, None).items() if name not in theirs}

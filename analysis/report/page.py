@@ -82,7 +82,7 @@ class Spoken(Answered):
     problem : str
         Why there is neither an answer nor a `lack`: what was expected of the function, and what came.
     missing : tuple of str
-        Figures and tables that could not be made, and why, a line each.
+        Figures, tables and the template, as far as they could not be made, and why, a line each.
     """
 
     said: Mapping[str, str] = field(default_factory=dict)
@@ -164,7 +164,7 @@ class Report:
         return found | {PAGE: self.html.encode()}
 
     def gone(self) -> list[str]:
-        """Files of an earlier report that this one lacks, by path."""
+        """Files that a report which listed none may have, and this one lacks, by path."""
         return [f"report/figures/{name}.pdf" for name, drawn in self.figures.items() if drawn.pdf is None]
 
 

@@ -132,7 +132,7 @@ class OwnRecord(WindowRecord):
         """
         run, window = made.run, (self.t_burn, made.run.t_end)
         if window[1] <= window[0]:
-            return Measured({}, f"the run ends at t = {window[1]:g}, not after t_burn = {window[0]:g}")
+            return Measured({}, f"the run ends before t_burn = {window[0]:g}")
         # whatever else is recorded, it is given the same; nor does it change what others are given
         samples = (
             made.samples(self.times(made.member)) if own.is_sampled else Samples.blank(np.empty(0), run.events.n)

@@ -337,7 +337,8 @@ class Scene(StrictTable):
     def extent(self) -> str:
         """How many values there are of what is swept, and of starts that are drawn; "" if nothing is."""
         drawn = any(isinstance(one, Distribution) for key in ("z", "w") for one in values(self.quantities[key]))
-        starts = [f"{self.start.draws or 1} draws of the start"] if drawn else []
+        draws = self.start.draws or 1
+        starts = [f"{draws} draw{'s' * (draws > 1)} of the start"] if drawn else []
         tables = [f"{len(self.engines)} engines"] if len(self.engines) > 1 else []
         parts = [*map(str, self.axes), *starts]
         return " x ".join(parts + tables) if parts else ""

@@ -126,6 +126,30 @@ def test_a_change_of_the_size_of_the_tolerance_is_none(recorded, settings):
     assert row["verdict"] == sweep.WITHIN, "beside runs that move, ten times nothing is nothing"
 
 
+def test_a_change_that_is_shown_is_told_whether_or_not_the_margin_is(recorded, settings):
+    """By 9.7%, scattering by 1.2 points over eight matrices, at a margin of 10%."""
+    data = recorded({"work": lambda rng, matrix, v: 1 + (0.097 + 0.012 * (-1) ** matrix) * (v > -0.2)})
+    answer = sweep.answer(Study(data, settings))
+    assert rows_of(answer, "mean work").loc["-0.1", "verdict"] == "cannot be told"
+    said = sentence(answer)
+    assert re.match(r"Mean work \(.*\) rises from 1.00 to 1.10 \(by", said), said
+    assert said.endswith(", but whether by more than 10% cannot be told.")
+    assert "rises; beyond 10% or not, cannot be told" in sentence(answer, "main")
+
+
+def test_each_change_is_told_between_the_values_that_it_is_between(recorded, settings):
+    """Of `late`, two matrices have a value at the first point, and four at the second."""
+    data = recorded({
+        "early": lambda rng, matrix, v: 1.0 + matrix + 50 * (v + 0.3),
+        "late": lambda rng, matrix, v: None if matrix >= {-0.3: 2, -0.2: 4, -0.1: 8}[v] else 3.0 + matrix - 20 * v,
+    })  # fmt: skip
+    said = sentence(sweep.answer(Study(data, settings)))
+    early, late = said.split("; ")
+    assert early.endswith("as belt_speed goes from −0.3 to −0.1")
+    assert late.startswith("mean late falls from 8.50 to 6.50 (by ")
+    assert late.endswith(" as belt_speed goes from −0.2 to −0.1 over the 4 matrices that have it at both.")
+
+
 def test_no_interval_goes_below_what_a_number_is_never_below(recorded, settings):
     """One matrix in eight moves at all: 1 with a standard error of 1."""
     data = recorded({"amplitude": lambda rng, matrix, v: 8.0 * (matrix == 0) * (1 - v)})

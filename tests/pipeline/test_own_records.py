@@ -265,7 +265,7 @@ def test_a_run_that_ends_before_t_burn_has_no_value(text, tmp_path):
     assert row(member, scene.recording)["own"] == 12.0
     early = row(replace(member, t_end=1.0), scene.recording)
     assert early["own"] is None
-    assert early["own_problem"] == "mine:one: the run ends at t = 1, not after t_burn = 2"
+    assert early["own_problem"] == "mine:one: the run ends before t_burn = 2"
 
 
 def test_the_command_says_what_has_no_value(text, tmp_path, monkeypatch, capsys):

@@ -534,7 +534,7 @@ def test_the_status_of_a_dataset_that_has_lost_a_shard(dataset, tmp_path, capsys
     shard = next((copy / "data").iterdir())
     for damage in (lambda: shard.write_bytes(shard.read_bytes()[:-1]), shard.unlink):
         damage()
-        assert main(["status", str(copy)]) == 0
+        assert main(["status", str(copy)]) == 1
         said = capsys.readouterr().out
         assert f"damaged 1 of the shards, or missing: `stickslip verify '{copy}'` says which" in said
     assert main(["status", str(dataset)]) == 0

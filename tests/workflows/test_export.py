@@ -187,5 +187,8 @@ def test_files_with_any_name_leave_pages_and_figures_that_open(here, rng, tmp_pa
     assert all(figure.read_bytes().startswith(b"%PDF") for figure in pdf)
     assert main(["report", str(out)]) == 0
     assert capsys.readouterr().out.endswith("unchanged\n")
-    write(Report("", {}, [], {figure.stem: Drawn("<svg/>") for figure in figures}), out)
-    assert not any(figure.exists() for figure in pdf), "they are of another report"
+    notes = out / "report" / "notes.csv"
+    notes.write_text("the user's own")
+    write(Report("", {}, [], {figures[0].stem: Drawn("<svg/>")}), out)
+    left = {file.name for file in (out / "report").rglob("*") if file.is_file()}
+    assert left == {figures[0].name, "tables.json", "files.txt", notes.name}, "others are of another report"

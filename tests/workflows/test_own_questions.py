@@ -164,13 +164,16 @@ ANSWER = "from stickslip.analysis import Answer\ndef question(study):\n    retur
 @pytest.mark.parametrize(
     ("code", "words"),
     [
-        ("def question(study):\n    x = 1\n    return x / 0\n", r"got ZeroDivisionError: .* \(own.py, line 3\)$"),
-        ("1 / 0", r"got ZeroDivisionError: .* \(own.py, line 1\)$"),
-        ("def question(:", r"got SyntaxError: "),
+        (
+            "def question(study):\n    x = 1\n    return x / 0\n",
+            r"raised ZeroDivisionError: .* \(own.py, line 3\)$",
+        ),
+        ("1 / 0", r"it raised ZeroDivisionError: .* \(own.py, line 1\)$"),
+        ("def question(:", r"it raised SyntaxError: "),
         ("def questoin(study): pass", r"expected a function 'question' in .*own.py, found none.*'questoin'"),
-        ("import nothing_like_it", r"got ModuleNotFoundError: .*nothing_like_it"),
-        ("def question(study):\n    raise SystemExit(0)", r"got RuntimeError: SystemExit: 0"),
-        ("def question(study): return input()", r"got EOFError"),
+        ("import nothing_like_it", r"it raised ModuleNotFoundError: .*nothing_like_it"),
+        ("def question(study):\n    raise SystemExit(0)", r"it raised RuntimeError: SystemExit: 0"),
+        ("def question(study): return input()", r"it raised EOFError"),
         ("def question(study): pass", r"expected a stickslip.analysis.Answer, got None"),
     ],
 )
@@ -189,7 +192,7 @@ def test_what_cannot_be_drawn_or_shown_is_left_out_and_the_answer_stands(asked, 
     code = "import pandas as pd\nfrom matplotlib.figure import Figure\n" + ANSWER
     found = asked(f"{code},\n    figures={{{figures}}}, tables={{{tables}}})", template)
     expected = [
-        r"figures\['a'\]: expected a matplotlib Figure, got ZeroDivisionError: .* \(own.py, line 6\)",
+        r"figures\['a'\]: expected a matplotlib Figure, but it raised ZeroDivisionError: .* \(own.py, line 6\)",
         r"figures\['b'\]: expected a matplotlib Figure, or a function .*, got a int",
         r"tables\['e'\]: column 'z': expected numbers, true and false, or texts, got complex",
         r"tables\['f'\]: expected a pandas.DataFrame, got a list",
@@ -206,15 +209,20 @@ def test_what_cannot_be_drawn_or_shown_is_left_out_and_the_answer_stands(asked, 
 @pytest.mark.parametrize(
     ("template", "words"),
     [
-        ("{% macro answer(a) %}", r"got TemplateSyntaxError: .*while filling question.html"),
+        ("{% macro answer(a) %}", r"it raised TemplateSyntaxError: .*while filling question.html"),
         ("\n{% macro answer(a) %}{{ a.m }}{% endmacro %}", r"UndefinedError: .*'m' .*; question.html, line 2\)$"),
         ("{% macro answer() %}{% endmacro %}", r"TypeError: macro 'answer' takes"),
     ],
 )
-def test_a_broken_template_is_a_line_too(asked, template, words):
+def test_a_broken_template_is_a_line_too_and_the_sentence_stands(asked, template, words):
     found = asked(f"{ANSWER})", template)
-    assert re.search(words, found.problem), found.problem
+    (line,) = found.missing
+    assert re.search(words, line), line
+    assert not found.problem
+    assert found.said["answer"] == "Yes."
     assert list(found.sources) == ["own.py", "question.html"]
+    without = asked(f"{ANSWER})".replace("'sentence'", "'other'"), template)
+    assert re.search(words, without.problem), without.problem
 
 
 def test_it_is_found_above_the_dataset_and_what_it_loads_is_named(asked, tmp_path):

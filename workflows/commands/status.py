@@ -23,10 +23,10 @@ class Status(Command):
         from stickslip.workflows.progress import say, watch
 
         try:
-            (watch if arguments.watch else say)(arguments.directory)
+            found = (watch if arguments.watch else say)(arguments.directory)
         except Interrupted as interrupt:  # ends the watching, not the run
             return interrupt.exit_code
-        return DONE
+        return UNFINISHED if found.n_damaged else DONE
 
 
 class Verify(Command):

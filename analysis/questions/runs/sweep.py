@@ -16,7 +16,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FixedLocator, MaxNLocator
 
 from stickslip.analysis import contrast
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
@@ -39,7 +39,7 @@ from stickslip.analysis.measures import AXES, GAMMA, KEYS, MEAN, Measure, measur
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
 from stickslip.analysis.questions.runs.fates import FATES, shares
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import WITHIN, Words
+from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words
 from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
@@ -50,6 +50,7 @@ RISES, FALLS = "rises", "falls"
 MOST_LINES = 6  # in one figure
 MOST_COLUMNS = 5  # of measures in the table of values
 MOST_FIGURES = 8  # of statistics along a key
+_FEW_TICKS = 4  # so few values of a key are its ticks
 DECADES = 30.0  # largest over least value from which an axis is logarithmic
 _ESTIMATES = {f"{name}{end}": F for name in ("mean", "gamma", "moving") for end in ("", "_low", "_high")}
 _VALUES: Mapping[str, str] = {
@@ -87,6 +88,9 @@ def answer(study: Study) -> Answer | None:
         row["subject"], row["words"] = subjects.get(row["quantity"], ("", ""))
         row.setdefault("is_few", False)
     contrast.judge(contrasts, 1 - level, Words(WITHIN, RISES, FALLS))
+    for row in contrasts:  # a change that is shown, but neither to be beyond the margin nor within
+        is_shown = row["p_different_holm"] is not None and row["p_different_holm"] < 1 - level
+        row["open"] = (RISES if row["difference"] > 0 else FALLS) if is_shown and row["verdict"] == UNKNOWN else ""
     keys = {key: axis.dtype(k) for axis in axes for k, key in enumerate(axis.keys)}
     tables = {"sweep": frame({**_VALUES, **keys}, rows), "sweep_changes": frame(_CONTRASTS, contrasts)}
     recorded = [one for one in asked if one.is_recorded]
@@ -116,15 +120,20 @@ def answer(study: Study) -> Answer | None:
         few = max(rows, key=lambda row: row["n_units"])
         return Answer(facts | {"few": few}, lack=enough.FEW_MATRICES, tables=tables)
     leading = (*_by_change(asked, own), IN_MOTION) if recorded else _leading(own)
+    still = {one.name for one in asked} - {row["quantity"] for row in contrasts if not row["is_same"]}
     told = _told(own, axes, leading, bool(recorded))
     for row in own:
         row |= _everywhere([one for one in contrasts if _place(one) == _place(row)], len(points))
     most = max(own, key=lambda row: (row["quantity"] == leading[0], row["is_last"], _weight(row)))["key"]
     in_order = [most, *(row["key"] for row in told), *(axis.name for axis in axes)]
     in_order = sorted(axes, key=lambda axis: in_order.index(axis.name))
-    figures = _figures(points, lead, in_order, leading, asked, level)
+    drawn = [name for name in leading if name not in still] or leading[:1]
+    figures = _figures(points, lead, in_order, drawn, asked, level)
     facts |= {
-        "changes": _ends(own, axes),
+        "changes": sorted(
+            ({**row, "is_told": bool(row["open"]) or row["verdict"] != UNKNOWN} for row in _ends(own, axes)),
+            key=lambda row: row["is_same"],
+        ),
         "ends": [row for row in contrasts if row["is_last"]],
         "told": told,
         "figures": list(figures),
@@ -145,8 +154,8 @@ def _contrasts(
     statistics = [*(one.statistic for one in asked), Statistic(IN_MOTION, ratio, SHARE_MARGIN, is_share=True)]
     largest = {one.name: _largest(one.name, points) for one in statistics}
     for axis, one in product(axes, statistics):
-        known = [value for value in axis.values if _n_units(one.name, points, axis, value) >= enough.LEAST_MATRICES]
-        base, *others = known if len(known) > 1 else axis.values
+        many = [value for value in axis.values if _n_units(one.name, points, axis, value) >= enough.LEAST_MATRICES]
+        base, *others = many if len(many) > 1 else axis.values
         for value in others:
             first, second = Sample(), Sample()
             for point in points:
@@ -161,9 +170,11 @@ def _contrasts(
                 row |= _either_way(row, one, first, second, level)
             if one.name in recorded and row["reason"] == enough.FEW_MATRICES:
                 row |= _of_few(one, first, second, level)
+            known = max(_n_units(one.name, points, axis, at) for at in (base, value))
             yield row | {
                 "setting": setting, "key": axis.name, "first_value": as_text(base), "second_value": as_text(value),
                 "is_last": value == others[-1], "noise": noise * largest[one.name],
+                "is_part": not one.is_share and row["n_first"] < known,
             }  # fmt: skip
 
 
@@ -445,7 +456,7 @@ def curves(
     if x is None:
         ax.set_xticks(at, ticks)
     elif not is_log:
-        ax.xaxis.set_major_locator(MaxNLocator(nbins=6))
+        ax.xaxis.set_major_locator(FixedLocator(at.tolist()) if len(at) <= _FEW_TICKS else MaxNLocator(nbins=6))
     margin = 0.05 * (at.max() - at.min())
     ax.set(xlim=(at.min() - margin, at.max() + margin), xlabel=key, ylabel=what)
     if is_log:
