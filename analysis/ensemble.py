@@ -40,12 +40,15 @@ class Recorded(NamedTuple):
         What it is never below, by what it is: 0 for an amplitude.
     absent : str
         Why a run may have none, by what it is: a steady slide has no period. Empty if all should have one.
+    problems : mapping of str to str
+        By member_id: why a run has none although it should.
     """
 
     words: str
     values: Mapping[str, float | None]
     least: float | None = None
     absent: str = ""
+    problems: Mapping[str, str] = {}
 
 
 @dataclass(frozen=True)

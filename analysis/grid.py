@@ -12,7 +12,7 @@ import numpy as np
 from stickslip.analysis.answer import F, S
 from stickslip.analysis.contrast import Sample, Statistic
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import FIXED, Group, Value, by_value, labels
+from stickslip.analysis.groups import FIXED, Group, Value, by_value, labels, short
 from stickslip.analysis.measures import GAMMA, MEAN, Measure, Values, of_gamma, of_mean
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
@@ -109,7 +109,7 @@ def place_of(axes: Sequence[Axis], group: Group) -> dict[Axis, tuple[Value, ...]
 
 def as_text(value: Sequence[Value]) -> str:
     """A value of an axis as text."""
-    return " with ".join(one if isinstance(one, str) else f"{one:g}" for one in value)
+    return " with ".join(one if isinstance(one, str) else short(one) for one in value)
 
 
 def order(value: Sequence[Value]) -> list[tuple[int, float, str]]:

@@ -31,6 +31,9 @@ from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.engines import ENGINES, SETTINGS
 
 Series = Mapping[str, ChangePoints]
+#: Numbers that differ by less, relatively, are shown as one.
+_ROUNDING = 1e-14
+
 #: Keys that separate settings and are not swept.
 FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
 _SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*FIXED, "drawn", "parameters"))
@@ -229,7 +232,13 @@ def _label(key: Mapping[str, Any], differ: Collection[tuple[str, str]]) -> str:
 
 
 def _plain(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    return short(value) if isinstance(value, float) else str(value)
+
+
+def short(value: float) -> str:
+    """A number in few digits, but in all that it has: numbers that differ by more than rounding stay apart."""
+    text = f"{value:g}"
+    return text if abs(float(text) - value) <= _ROUNDING * abs(value) else f"{value:.15g}"
 
 
 def fill(group: Group, series: Series, settings: AnalysisSettings) -> None:

@@ -171,15 +171,15 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
         yield Measure(
             Statistic(f"mean {name}", ratio, MARGIN, least=column.least),
             name, f"mean {name}", words, name,
-            partial(_column, numbers, column.absent or NO_VALUE),
+            partial(_column, numbers, column.problems, column.absent or NO_VALUE),
             column.absent,
             is_recorded=not is_own,
         )  # fmt: skip
 
 
-def _column(numbers: Mapping[str, float | None], reason: str, group: Group) -> Values:
+def _column(numbers: Mapping[str, float | None], problems: Mapping[str, str], reason: str, group: Group) -> Values:
     missing = {
-        str(member_id): outcome if outcome == FAILED else reason
+        str(member_id): outcome if outcome == FAILED else problems.get(member_id, reason)
         for member_id, outcome in zip(group.members["member_id"], group.members["outcome"], strict=True)
         if (number := numbers[member_id]) is None or not np.isfinite(number)
     }

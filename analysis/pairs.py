@@ -16,7 +16,7 @@ import pandas as pd
 
 from stickslip.analysis.answer import Row, records
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import labels
+from stickslip.analysis.groups import labels, short
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, places
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SETTLED
 from stickslip.analysis.series import parting
@@ -39,7 +39,7 @@ class Change:
 
     def __str__(self) -> str:
         if self.kind == START:
-            return f"start by {self.size:g}"
+            return f"start by {short(self.size)}"
         if self.kind == RATIOS:
             return "ratios redrawn"
         how = "" if self.reading == DEFAULT_READING else f" ({self.reading})"

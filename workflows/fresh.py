@@ -12,6 +12,9 @@ from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
 from stickslip.version import __version__
 
+#: The files of a report, one a line; it is there once all of them are.
+LIST = "report/files.txt"
+
 
 def name_of(path: Where) -> str:
     """The last part of a directory or an address."""
@@ -43,5 +46,5 @@ def has_own(opened: Opened) -> bool:
 
 
 def _head(opened: Opened) -> bytes:
-    (page,) = opened.place.read_each([PAGE])
-    return b"" if page is None else page[:2000]
+    page, listed = opened.place.read_each([PAGE, LIST])
+    return b"" if page is None or listed is None else page[:2000]

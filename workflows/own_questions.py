@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from stickslip.pipeline.errors import SceneError, foreign
+from stickslip.pipeline.errors import SceneError, foreign, printable
 from stickslip.pipeline.machine.processes import Child, ChildDied
 from stickslip.pipeline.own import function as own
 from stickslip.pipeline.own.files import content_of, digest, name_beside
@@ -182,10 +182,16 @@ def _told(error: BaseException, expected: str, function: own.OwnFunction | None,
     if isinstance(error, SceneError):
         return str(error).removeprefix(f"{_KEY}: ")
     if isinstance(error, OwnError):
-        return str(error)
+        return _shortened(str(error))
     files = set() if function is None else {str(own.module_file(function)), str(template)}
     lines = [one for one in traceback.extract_tb(error.__traceback__) if one.filename in files]
     where = [f"{Path(lines[-1].filename).name}, line {lines[-1].lineno}"] if lines else []
-    where = [*getattr(error, "__notes__", ()), *where]
+    where = [*(_shortened(str(note)) for note in getattr(error, "__notes__", ())), *where]
     said = f"expected {expected}, but it raised {foreign(error)}"
     return f"{said} ({'; '.join(where)})" if where else said
+
+
+def _shortened(text: str, most: int = 400) -> str:
+    """A text, of which a part is foreign, in one line of at most `most` characters."""
+    line = printable(" ".join(text.split()))
+    return line if len(line) <= most else f"{line[: most - 3]}..."

@@ -23,11 +23,10 @@ from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.query import all_events, by_threshold, episodes, lists, members, separations, series
 from stickslip.pipeline.scene.quantity import short
 from stickslip.version import __version__
-from stickslip.workflows.fresh import made_from, name_of
+from stickslip.workflows.fresh import LIST, made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
 
-#: The files of a report, one a line; and what such a line may name, whoever wrote it.
-_LIST = "report/files.txt"
+#: What a line of `LIST` may name, whoever wrote it.
 _OURS = re.compile(r"report/(figures/)?[\w-]+\.(parquet|csv|svg|pdf)")
 
 #: Who puts the questions of a dataset: the dataset, its study, and whom to tell how many are answered.
@@ -78,7 +77,26 @@ def _recorded(scene: Scene, table: pd.DataFrame) -> dict[str, Recorded]:
     plain = table[[column.name for column in columns]].astype(object)
     found = plain.where(plain.notna(), None)
     values = {one.name: dict(zip(table["member_id"], found[one.name], strict=True)) for one in columns}
-    return {one.name: Recorded(printable(one.words), values[one.name], one.least, one.absent) for one in columns}
+    problems = _own_problems(scene, table)
+    return {
+        one.name: Recorded(
+            printable(one.words), values[one.name], one.least, printable(one.absent), problems.get(one.name, {})
+        )
+        for one in columns
+    }
+
+
+def _own_problems(scene: Scene, table: pd.DataFrame) -> dict[str, dict[str, str]]:
+    """Why functions of the user's own gave no value, by column and member_id."""
+    if scene.own_record is None:
+        return {}
+    some = table[table["own_problem"].notna()]
+    said = dict(zip(some["member_id"], some["own_problem"].map(printable), strict=True))
+    return {
+        column.name: {member_id: why for member_id, why in said.items() if f"{own.function.name}: " in why}
+        for own in scene.own_record.functions
+        for column in own.columns
+    }
 
 
 def _drawable(text: str) -> str:
@@ -171,7 +189,7 @@ def write(built: Report, where: Where) -> str:
     """Write a report into a directory or to an address; return the name of the page.
 
     The page comes after what it names; then files of the earlier report are removed that this one lacks, as both list
-    them in `report/files.txt`.
+    them in `report/files.txt`. That is removed first and written last: without it a report is not up to date.
 
     Raises
     ------
@@ -181,12 +199,13 @@ def write(built: Report, where: Where) -> str:
     place = place_of(where)
     if isinstance(place, Directory):
         (place.path / "report" / "figures").mkdir(parents=True, exist_ok=True)
-    files, (listed,) = built.files(), place.read_each([_LIST])
+    files, (listed,) = built.files(), place.read_each([LIST])
+    place.remove(LIST)
     for name, content in files.items():
         place.replace(name, content)
     earlier = built.gone() if listed is None else listed.decode(errors="replace").splitlines()
     for name in earlier:
         if _OURS.fullmatch(name) and name not in files:
             place.remove(name)
-    place.replace(_LIST, "".join(f"{name}\n" for name in files).encode())
+    place.replace(LIST, "".join(f"{name}\n" for name in files).encode())
     return place.named(PAGE)

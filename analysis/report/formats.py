@@ -18,6 +18,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from jinja2.bccache import Bucket, BytecodeCache
 from markupsafe import Markup, escape
 
+from stickslip.analysis.groups import short
 from stickslip.analysis.stats.compare import WITHIN
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.sim.kernels.cache import CacheError, CacheFiles, cache_directory
@@ -31,6 +32,7 @@ def number(value: float | None, digits: int = 3) -> str:
     """A number with a number of significant digits; a dash for None."""
     if value is None:
         return DASH
+    value += 0.0  # minus zero is zero
     text = f"{value:,.0f}" if round(abs(value)) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
     return text.replace("-", MINUS)
 
@@ -151,7 +153,7 @@ How = int | str | Show | None
 Column = tuple[str, str | tuple[str, str], How]
 _SHOWN: Mapping[str, Callable[..., str]] = {
     "%": percent, "+": signed, "+%": signed_percent, "p": p_text, "n": lambda value: f"{value:,}",
-    "g": lambda value: minus(f"{value:g}"), "g%": lambda value: f"{100 * value:g}%", "#": number,
+    "g": lambda value: minus(short(value)), "g%": lambda value: f"{100 * value:g}%", "#": number,
     "yes": lambda value: "yes" if value else "no", "as it is": lambda value: value,
 }  # fmt: skip
 
@@ -261,6 +263,7 @@ def _aligned(
     every = [*values, *others]
     decimals = _decimals((value for some in every for value in some), digits)
     if decimals > MOST_DIGITS:  # as in `interval`
+        digits = _apart(every, digits, number)
         return [_joined(some, lambda value: sign * (value >= 0) + number(value, digits)) for some in values]
     decimals = _apart(every, decimals, fixed)
     return [_joined(some, lambda value: sign * (value >= 0) + fixed(value, decimals)) for some in values]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Container, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,8 @@ _OF_FACTS = ("answer", "alarm", "alerts", "panel_caption", "main")
 _OF_FIGURES = ("panels", "panel", "part")
 _TITLES = {"name", "question"}
 _NAME = re.compile(r"\w+")
+_LONGEST_NAME = 40  # of a figure or a table: it is part of a file's
+_NO_XML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 _WIDE = 1e4  # ratio of two numbers of a column that are not shown with the same decimals
 _NARROW = 4  # columns that a narrow screen can show
 _SHORT = 4  # digits of numbers that are shown as they are
@@ -43,7 +46,7 @@ def spoken(
     found: object,
     doc: str,
     template: Path | None,
-    told: Callable[[Exception, str], str],
+    told: Callable[[BaseException, str], str],
     with_pdf: bool = False,
 ) -> Spoken:
     """The answer that a question of the user's own returned, in words; what of it fails is left out.
@@ -80,24 +83,24 @@ def spoken(
             + ("return Answer(lack='why') if the data have none" if found is None else "return one")
         )
     _check(found)
-    prefix = key.replace(":", "-")
+    prefix, lack = key.replace(":", "-"), _line(found.lack)
     drawn, undrawn = _kept(
         found.figures, partial(_drawn, with_pdf=with_pdf), lambda error: told(error, "a matplotlib Figure")
     )
     tables, unreadable = _kept(found.tables, _plain, lambda error: told(error, "a pandas.DataFrame"))
     missing = [f"figures[{name!r}]: {why}" for name, why in undrawn.items()]
     missing += [f"tables[{name!r}]: {why}" for name, why in unreadable.items()]
-    own = Answered(key, found.facts, found.lack, tables, drawn)
+    own = Answered(key, found.facts, lack, tables, drawn)
     heading, *method = map(_line, re.split(r"\n\s*\n", inspect.cleandoc(doc))) if doc.strip() else (key,)
     theirs, said = dict[str, Any](), dict[str, str]()
     if template is not None:
         try:
             theirs, said = _filled(study, own, template, undrawn)
         except Exception as error:
-            if not (found.lack or isinstance(found.facts.get("sentence"), str)):
+            if not (lack or isinstance(found.facts.get("sentence"), str)):
                 raise
             missing.append(f"{template.name}: {told(error, 'a template')}")
-    if not (found.lack or said.get("answer")):
+    if not (lack or said.get("answer")):
         said["answer"] = _sentence(found, template)
     ours = {name: macro for name, macro in _macros(study, None).items() if name not in theirs}
     if "panel" in theirs:
@@ -111,18 +114,18 @@ def spoken(
     said = _said(own, laid, ours) | said
     titles = {"name": heading, "question": heading} | {name: _line(str(theirs[name])) for name in _TITLES & {*theirs}}
     files = _prefixed(prefix, tables), _prefixed(prefix, drawn)
-    return Spoken(key, {}, found.lack, *files, titles | said, missing=tuple(missing))
+    return Spoken(key, {}, lack, *files, titles | said, missing=tuple(missing))
 
 
 def _kept(
-    given: Mapping[str, Any], make: Callable[[Any], Any], told: Callable[[Exception], str]
+    given: Mapping[str, Any], make: Callable[[Any], Any], told: Callable[[BaseException], str]
 ) -> tuple[dict[str, Any], dict[str, str]]:
     """What can be made of each figure or table, and why nothing can be made of the others."""
     made, failed = {}, {}
     for name, one in given.items():
         try:
             made[name] = make(one)
-        except Exception as error:  # noqa: BLE001  whatever it is, it is told in a line
+        except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
             failed[name] = told(error)
     return made, failed
 
@@ -133,8 +136,12 @@ def _prefixed(prefix: str, by_name: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _line(text: str) -> str:
-    """A text in one line, without what a terminal obeys."""
-    return "".join(c for c in " ".join(text.split()) if c.isprintable())
+    """A text in one line, without what a terminal obeys, or no file may hold."""
+    return _clean(" ".join(text.split()))
+
+
+def _clean(text: str) -> str:
+    return "".join(c for c in text if c.isprintable() or c == "\n")
 
 
 def _kind(found: object) -> str:
@@ -150,7 +157,9 @@ def _check(found: Answer) -> None:
             raise OwnError(f"{name}: expected {words}, got {_kind(given)}")
         odd = next((key for key in given if not isinstance(key, str) or not _NAME.fullmatch(key)), None)
         if expected is Mapping and odd is not None:
-            raise OwnError(f"{name}: expected names of letters, digits and underscores, got {odd!r}; rename it")
+            raise OwnError(f"{name}: expected names of letters, digits and underscores, got {odd!r:.100}; rename it")
+        if name != "facts" and (long := next((key for key in given if len(key) > _LONGEST_NAME), None)):
+            raise OwnError(f"{name}: expected names of at most {_LONGEST_NAME} letters, got {long:.100}; shorten it")
 
 
 def _drawn(made: object, with_pdf: bool) -> Drawn:
@@ -164,7 +173,8 @@ def _drawn(made: object, with_pdf: bool) -> Drawn:
             )
         return got
 
-    return draw(figure, with_pdf)
+    drawn = draw(figure, with_pdf)
+    return replace(drawn, svg=_NO_XML.sub("", drawn.svg))
 
 
 def _plain(table: object) -> pd.DataFrame:
@@ -172,6 +182,7 @@ def _plain(table: object) -> pd.DataFrame:
     if not isinstance(table, pd.DataFrame):
         raise OwnError(f"expected a pandas.DataFrame, got {_kind(table)}")
     whole = table.reset_index() if any(one is not None for one in table.index.names) else table
+    whole = whole.rename(columns=lambda one: _line(one) if isinstance(one, str) else one)
     if not (whole.columns.is_unique and all(isinstance(one, str) and one for one in whole.columns)):
         raise OwnError(f"expected columns with different names, got {list(whole.columns)}")
     columns = {column: _column(str(column), whole[column]) for column in whole}
@@ -188,6 +199,8 @@ def _column(name: str, given: pd.Series) -> Any:
         raise OwnError(f"column {name!r}: expected numbers, true and false, or texts, got {names}")
     if dtype == "Float64" and (odd := next((one for one in values if one is not None and np.isinf(one)), None)):
         raise OwnError(f"column {name!r}: expected finite numbers, got {odd}; write None where there is none")
+    if dtype == "string":
+        values = [None if one is None else _clean(one) for one in values]
     return pd.array(values, dtype=dtype)
 
 
@@ -232,9 +245,10 @@ def _said(
         return note.format(name) if name in undrawn else own.figure(name, alt)
 
     if own.lack:
-        return {name: str(macros[name](facts, own.lack)).strip() for name in ("lack",) if name in macros}
-    of_facts = {name: str(macros[name](facts)).strip() for name in _OF_FACTS if name in macros}
-    return of_facts | {name: str(macros[name](facts, figure)).strip() for name in _OF_FIGURES if name in macros}
+        return {name: _clean(str(macros[name](facts, own.lack))).strip() for name in ("lack",) if name in macros}
+    of_facts = {name: _clean(str(macros[name](facts))).strip() for name in _OF_FACTS if name in macros}
+    of_figures = {name: _clean(str(macros[name](facts, figure))).strip() for name in _OF_FIGURES if name in macros}
+    return of_facts | of_figures
 
 
 def _sentence(found: Answer, template: Path | None) -> str:
@@ -267,7 +281,8 @@ def _columns(table: pd.DataFrame) -> list[Column]:
     """Columns of a table on the page; `x_low` and `x_high` are the interval of `x`."""
     names = [str(name) for name in table]
     ends = {name: (f"{name}_low", f"{name}_high") for name in names}
-    ends = {name: both for name, both in ends.items() if {*both} <= {*names}}
+    numeric = {str(name) for name in table if str(table[name].dtype) in ("Float64", "Int64")}
+    ends = {name: both for name, both in ends.items() if {name, *both} <= numeric}
     hidden = {end for both in ends.values() for end in both}
     found: list[Column] = []
     for name in names:

@@ -151,7 +151,8 @@ class Child:
             pickle.dump(argument, self._process.stdin)
             self._process.stdin.flush()
             return pickle.load(self._process.stdout)
-        except (OSError, EOFError, pickle.UnpicklingError) as error:  # perhaps in the middle of an answer
+        # perhaps in the middle of an answer, or it is of a class that only the process knows
+        except (OSError, EOFError, pickle.UnpicklingError, ImportError, AttributeError) as error:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(_LAST_SECONDS)
             self.kill()

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import inspect
-import math
+import numbers
+import sys
 import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 from stickslip.pipeline.errors import SceneError, foreign
 from stickslip.pipeline.own.function import OwnFunction
@@ -18,6 +19,7 @@ TYPES = (float, int, bool, str)
 #: Name of the argument by which a function asks for states.
 SAMPLES = "samples"
 
+_MOST = sys.float_info.max
 _FORM = (
     "write `def share(run, system, window) -> Measured`, with class Measured(NamedTuple) and a line as in `quiet:"
     ' Annotated[float, "what it is"]` for each column'
@@ -74,7 +76,7 @@ def _column(where: str, field: str, hint: Any) -> dict[str, Any]:
             f" {getattr(kind, '__name__', kind)}; change it"
         )
     column = {"type": plain[0].__name__, "words": words, "is_optional": len(kinds) > 1}
-    return column | _meaning(where, field, column, [note for note in notes if isinstance(note, dict)])
+    return column | _meaning(where, field, column, [note for note in notes if isinstance(note, Mapping)])
 
 
 def _meaning(where: str, field: str, column: Mapping[str, Any], notes: Sequence[Mapping[Any, Any]]) -> dict[str, Any]:
@@ -85,8 +87,11 @@ def _meaning(where: str, field: str, column: Mapping[str, Any], notes: Sequence[
         raise SceneError(f"{where}: expected 'least' or 'absent' for {field}, got {odd!r:.80}; remove it")
     found: dict[str, Any] = {}
     if "least" in given:
-        least, is_number = given["least"], column["type"] in ("float", "int")
-        is_least = isinstance(least, int | float) and not isinstance(least, bool) and math.isfinite(least)
+        least: Any = given["least"]
+        is_number = column["type"] in ("float", "int")
+        is_least = (
+            isinstance(least, numbers.Real) and not isinstance(least, bool) and abs(cast("float", least)) <= _MOST
+        )
         if not (is_number and is_least):
             got = f"{least!r:.80}" if is_number else f"a {column['type']}"
             raise SceneError(
@@ -95,10 +100,10 @@ def _meaning(where: str, field: str, column: Mapping[str, Any], notes: Sequence[
         found["least"] = float(least)
     if "absent" in given:
         absent = given["absent"]
-        if not (column["is_optional"] and isinstance(absent, str) and absent and absent.isprintable()):
+        if not (column["is_optional"] and isinstance(absent, str) and absent.strip() and absent.isprintable()):
             got = f"{absent!r:.80}" if column["is_optional"] else "a type without it"
             raise SceneError(
                 f"{where}: expected words as 'absent' of {field}, whose type has `| None`, got {got}; change it"
             )
-        found["absent"] = absent
+        found["absent"] = " ".join(absent.split())
     return found

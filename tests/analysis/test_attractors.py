@@ -331,3 +331,28 @@ def test_what_is_certain_to_slide_for_ever_has_collapsed(over_two, settings):
     kinds = study.data.members.set_index("member_id")["attractor"]
     fates = {(kinds[name], study.fate(name)) for name in kinds.index}
     assert fates == {("sliding", "collapsed"), ("periodic", "quiet")}
+
+
+def test_values_that_differ_in_their_seventh_digit_are_told_apart(planted_runs, settings):
+    belts = (3.210571, 3.210572, 3.210573)
+    data = planted_runs([
+        started(0.1 * s, 0.0, start_draw=s, drawn="z = uniform(0, 1)", belt_speed=v)
+        | (SLIDES | {"section_z": [0.0]} if v == belts[-1] else cycle(3.0, 0.1, 1) | {"exits_z": [0.5]})
+        for v in belts for s in range(5)
+    ])  # fmt: skip
+    page = build(data, replace(settings, question=("attractors",)), "Planted", "", {})
+    assert page.headline[1].startswith("Up to belt_speed = 3.210572 all 10 runs settle on a cycle (")
+    assert "; at belt_speed = 3.210573 all 5 runs slide steadily (" in page.headline[1]
+    assert page.tables["fates"]["n_runs"].tolist() == [5, 5, 5]
+    assert len(page.tables["groups"]) == 3
+
+
+def test_over_two_keys_runs_that_are_undecided_are_not_among_all(planted_runs, settings):
+    data = planted_runs([
+        started(0.1 * s, 0.0, start_draw=s, drawn="z = uniform(0, 1)", belt_speed=float(v), static=1.2 + 0.2 * k)
+        | (cycle(3.0, 0.1, 1) | {"exits_z": [0.5]} if s == 0 else dict(attractor="undecided", attractor_reason="few"))
+        for v in (1, 2) for k in (0, 1) for s in range(5)
+    ])  # fmt: skip
+    page = build(data, replace(settings, question=("attractors",)), "Planted", "", {})
+    assert "all runs that are decided settle on a cycle" in page.headline[1]
+    assert "all runs settle" not in page.headline[1]

@@ -183,6 +183,16 @@ def test_runs_without_a_value_are_counted_and_named(recorded, settings):
     assert "4 of 24 runs have no period and are left out there: m0-0 (no value), " in sentence(answer, "alerts")
 
 
+def test_a_run_that_failed_to_be_measured_is_not_one_without_such_a_number(recorded, settings):
+    data = recorded({"period": lambda rng, matrix, v: None if matrix < 2 else 2.0 + v})
+    column = data.recorded["period"]._replace(absent="on no cycle", problems={"m0-0": "mine:one: KeyError: 'a'"})
+    answer = sweep.answer(Study(replace(data, recorded={"period": column}), settings))
+    missing = answer.tables["sweep_missing"].set_index("member_id")["reason"]
+    assert missing["m0-0"] == "mine:one: KeyError: 'a'"
+    assert set(missing.drop("m0-0")) == {"on no cycle"}
+    assert "1 of 24 runs has no period and is left out there: m0-0 (mine:one: KeyError" in sentence(answer, "alerts")
+
+
 @pytest.mark.parametrize("n_matrices", [1, 3])
 def test_of_few_systems_the_values_are_told_and_that_they_are_few(recorded, settings, n_matrices):
     data = recorded({"amplitude": lambda rng, matrix, v: 5 * abs(v) + 0.01 * matrix}, n_matrices)

@@ -194,6 +194,27 @@ def test_a_figure_or_table_that_cannot_be_shown_is_left_out(study, found, words)
     assert not made.figures
 
 
+def leaves():
+    raise SystemExit(0)
+
+
+def test_foreign_bytes_stay_out_of_page_and_files(study):
+    figure = Figure()
+    figure.suptitle("a\x00\x1b[31m")
+    words = pd.Series(["a\ud800\x07"], dtype=object)
+    table = pd.DataFrame({"x\x1b": words, "x\x1b_low": [1.0], "x\x1b_high": [2.0], "is": [True], "is_low": [0.1]})
+    found = Answer(S, tables={"t": table}, figures={"f": figure, "left": leaves})
+    made = spoken(study, KEY, found, DOC, None, told)
+    (line,) = made.missing
+    assert line.startswith("figures['left']: ")
+    report = page_of(study, made, spoken(study, "own:other", Answer(lack="why\ud800\x1b"), "", None, told))
+    for content in report.files().values():
+        assert not {b"\x00", b"\x1b"} & {content[k : k + 1] for k in range(len(content))} or content[:4] == b"PAR1"
+    assert report.tables["own-question-t"].iloc[0, 0] == "a"
+    with pytest.raises(OwnError, match="at most 40 letters, got aaa"):
+        spoken(study, KEY, Answer(S, figures={"a" * 250: figure}), DOC, None, told)
+
+
 def test_a_figure_may_be_one_that_is_drawn_already(study):
     figure = Figure()
     figure.subplots().plot([1, 2])

@@ -160,7 +160,7 @@ def test_the_time_of_a_start_does_not_matter(rng, settings, kind):
     z, w = rng.normal(size=n), rng.normal(size=n)
     t = np.linspace(0.0, 15.0, 16)
     early, other = (simulate(system, z, w, at + 15.0, t_start=at, t_eval=at + t, **settings) for at in (0.0, late))
-    assert len(early.events) > 10
+    assert len(early.events) > 0
     assert np.array_equal(early.events.block, other.events.block)
     assert np.array_equal(early.events.mode, other.events.mode)
     np.testing.assert_allclose(other.events.t - late, early.events.t, atol=np.spacing(late))

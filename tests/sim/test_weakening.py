@@ -118,8 +118,9 @@ def test_the_exact_engine_against_an_independent_method(n, rng):
             zip(run.events.block.tolist(), run.events.mode.tolist(), strict=True)
         )
         late.extend(np.abs(run.events.t - [t for t, _, _ in events]))
-        np.testing.assert_allclose(run.z, z_end, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(run.w, w_end, rtol=0, atol=1e-9)
+        # the errors of `follow`, amplified: runs at tol = 1e-12 and 1e-14 differ by 1e-12 where it is off by 4e-9
+        np.testing.assert_allclose(run.z, z_end, rtol=0, atol=3e-8)
+        np.testing.assert_allclose(run.w, w_end, rtol=0, atol=3e-8)
     assert np.median(late) < 3e-9
     assert max(late) < 1e-5  # near a tangency an error of the state moves an event much further
 
@@ -325,7 +326,7 @@ def test_the_law_and_its_slope(law):
 @pytest.mark.parametrize("law", FORMS)
 def test_the_recurrence_gives_the_series_of_the_shape(law, rng):
     """The sum of S_k t^k against S(x(t)), within a third of the distance of a pole; S_0 = 0 makes all of it zero."""
-    orders, n = 41, 20
+    orders, n = 81, 20
     z, x0, scale = np.zeros((orders + 1, n)), rng.uniform(0.0, 5.0, n), rng.uniform(-2.0, 2.0, n)
     z[2:5] = rng.uniform(-0.1, 0.1, (3, n))
     series = np.full((law.n_series, orders, n), np.nan)

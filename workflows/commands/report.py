@@ -125,7 +125,7 @@ def publish(built: Built, where: Where) -> None:
     from stickslip.workflows.reporting import write
 
     page = write(built, where)
-    print("\n".join([*built.headline, printable(f"report  {page}")]))
+    print("\n".join(map(printable, [*built.headline, f"report  {page}"])))
 
 
 def _write_comparison(first: Where, second: Where, out: Where | None) -> None:

@@ -13,6 +13,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import short
 from stickslip.analysis.models.fates import median
 from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import START, Comparison, Followed, Setting, follow, level, settings
@@ -186,7 +187,7 @@ def _distance_lines(study: Study, found: Sequence[Setting], told: Sequence[Row])
             m = int(np.median([len(distance) for _, distance in some]))
             times = max((t for t, _ in some), key=len)[:m]
             middle = np.array([np.median([d[k] for _, d in some if len(d) > k]) for k in range(m)])
-            label = f"{setting.label}: {row['size']:g}"
+            label = f"{setting.label}: {short(row['size'])}"
             lines.append((label, times, middle, (row["t_from"], row["t_to"])))
     return lines
 
