@@ -9,13 +9,17 @@ import pytest
 
 from stickslip.analysis import Data, Study, build, catalogues
 from stickslip.analysis import catalogue as as_catalogue
+from stickslip.analysis.catalogues import Catalogues
+from stickslip.analysis.groups import Group
 from stickslip.analysis.models.episodes import (
+    BY_WAY,
     FANO,
     FITTED,
     OCCUPANCY,
     QUANTITIES,
     QUIET,
     RATE,
+    SIZE,
     SLOW_DRIVE,
     Catalogue,
     b_values,
@@ -300,15 +304,44 @@ def test_what_changes_with_the_number_of_blocks_has_a_verdict(planted_episodes, 
     of_size = (2 + np.arange(len(table)) % 2) * np.where(table["member_id"].str.endswith("large"), 2, 1)
     data = replace(data, episodes=table.assign(size=of_size))
     changes = episodes.answer(Study(data, settings)).facts["changes"]
-    assert [(row["quantity"], row["verdict"], row["is_shown"]) for row in changes] == [
-        ("mean size", "differ", True),
-        ("episodes by block and way", "differ", True),
+    assert [(row["quantity"], row["verdict"]) for row in changes] == [
+        ("mean size", sweep.RISES),
+        ("episodes by block and way", sweep.FALLS),
     ]
     assert [row["relative"] for row in changes] == pytest.approx([1.0, -0.5], abs=0.1)
     alike = replace(data, episodes=data.episodes.assign(size=2))
     words = " ".join(build(alike, replace(settings, question=("episodes",)), "A chain", "", {}).headline)
-    assert "no change of their mean size is shown" in words
+    assert "their mean size is the same" in words
     assert "unit of belt travel falls by" in words
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_settings_that_share_their_draws_are_compared_system_by_system(sense, rng):
+    """Of 100 ensembles of 12 systems: what a system has more of at one value it has more, or fewer, of at the other.
+
+    A tenth fewer; numbers of two independent sets of systems would have intervals six times as wide, or 0.7 times.
+    """
+    held, widths = 0, []
+    for _ in range(100):
+        own = 0.2 * rng.normal(size=12)
+        found = [
+            Catalogues(
+                Group(name, {"n": 100, "coupling": "chain", "file": None}, pd.DataFrame({"unit_is": ["matrix"]})), {}
+            )
+            for name in ("first", "last")
+        ]
+        for one, factor, power in zip(found, (1.0, 0.9), (1, sense), strict=True):
+            for unit, n_episodes in enumerate(rng.poisson(1000 * factor * np.exp(power * own))):
+                one.sample.add(SIZE, unit, (2.0 * n_episodes, n_episodes))
+                one.sample.add(BY_WAY, unit, (n_episodes, 1000.0))
+        row = episodes._changes(found, 0.95)[1]
+        found[1].group.key["n"] = 200
+        apart = episodes._changes(found, 0.95)[1]  # systems of other sizes are other draws
+        held += row["relative_low"] <= -0.1 <= row["relative_high"]
+        widths.append((row["relative_high"] - row["relative_low"]) / (apart["relative_high"] - apart["relative_low"]))
+    print(held, np.mean(widths))
+    assert agrees(held, 100, 0.92, 0.97)
+    assert np.mean(widths) < 0.4 if sense == 1 else np.mean(widths) > 1.2
 
 
 @pytest.mark.parametrize(("stick", "ratio", "speed"), [("manifold", "one", 6.9078), ("manifold", "uniform", None)])

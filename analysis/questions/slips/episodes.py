@@ -28,6 +28,7 @@ from stickslip.analysis.catalogues import (
 )
 from stickslip.analysis.contrast import SCHEMA, Statistic, contrast, judge
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.members import DRAWN
 from stickslip.analysis.methods import against_reference, by_laws, comparison, names
 from stickslip.analysis.models.episodes import (
     BY_WAY,
@@ -41,7 +42,8 @@ from stickslip.analysis.models.episodes import (
     BValue,
     follows,
 )
-from stickslip.analysis.stats.compare import UNKNOWN, relative_difference
+from stickslip.analysis.questions.runs.sweep import FALLS, RISES
+from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, relative_difference
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import parameter
 from stickslip.analysis.stats.goodness import REJECTED, goodness
@@ -165,18 +167,20 @@ def _figures(
 
 
 def _changes(leaders: Sequence[Catalogues], level: float) -> list[Row]:
-    """Contrasts of the last of some systems with the first: mean size, and episodes by the belt's travel."""
+    """Contrasts of the last of some systems with the first: mean size, and episodes by the belt's travel.
+
+    Paired if both share their random draws.
+    """
     first, last = leaders[0], leaders[-1]
     if first is last:
         return []
     asked = [Statistic(SIZE, QUANTITIES[SIZE].of, MARGIN), Statistic(BY_WAY, SLOW_DRIVE[BY_WAY].of, MARGIN)]
+    a, b = ([one.group.unit, *(one.group.key[name] for name in DRAWN)] for one in (first, last))
     rows: list[Row] = [
-        {"setting": last.label, "reference": first.label} | contrast(one, first.sample, last.sample, False, level)
+        {"setting": last.label, "reference": first.label} | contrast(one, first.sample, last.sample, a == b, level)
         for one in asked
     ]
-    judge(rows, 1 - level)
-    for row in rows:
-        row["is_shown"] = row["p_different"] is not None and row["p_different_holm"] < 1 - level
+    judge(rows, 1 - level, Words(WITHIN, RISES, FALLS))
     return rows
 
 
