@@ -254,7 +254,7 @@ def _laws(study: Study, one: Catalogues, b: Sequence[BValue]) -> tuple[list[Row]
             "gap": good.gap, "p_value": good.p_value, "fit": good.verdict(1 - level), "reason": good.reason or None,
         })  # fmt: skip
     law = _verdict(rows[1]["fit"], exponent, cut_off)
-    says = f"{law} {of_b['single']}" if law in (POWER, CUT_OFF, UNKNOWN) else law
+    says = f"{law} {of_b['single']}" if law in (POWER, CUT_OFF) or has_b else law
     return rows, own | of_b | {"exponent": exponent, "b": bounded, "law": law, "says": says}
 
 
