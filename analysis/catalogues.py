@@ -30,8 +30,8 @@ from stickslip.analysis.models.episodes import (
 )
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, Words, against
-from stickslip.analysis.stats.estimates import Undefined, over_matrices
-from stickslip.analysis.stats.families import Fit, maximise
+from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices
+from stickslip.analysis.stats.families import Fit, maximise, parameter
 
 MARGIN = 0.1  # relative margin of every statistic, and of Poisson's CV: about twenty systems can exclude it
 REGULAR, CLUSTERED, AS_POISSON = "more regular", "less regular", "as Poisson"
@@ -49,7 +49,7 @@ class Catalogues:
         By unit.
     least : float
         Magnitude from which laws are fitted: the completeness of the first group of the same systems that has
-        episodes, so that they compare. Filled by `read`.
+        episodes (`complete_from`), so that they compare. Filled by `read`.
     sample : Sample
         Sums of each quantity by unit, for contrasts; filled by `summarise`.
     row : dict
@@ -79,6 +79,20 @@ class Catalogues:
         """Magnitudes of all episodes, run by run."""
         return np.concatenate([one.magnitude for one in self.each()] or [np.zeros(0)])
 
+    def complete_from(self) -> float:
+        """Completeness of the magnitudes of episodes that do not take all blocks; of all where every episode does.
+
+        Episodes of all blocks have moments of their own, the characteristic events of a fault. Where they are many,
+        the fullest class is theirs, and says nothing about which small episodes are missing.
+        """
+        magnitudes = self.magnitudes()
+        is_part = np.concatenate([one.size for one in self.each()]) < self.group.key["n"]
+        return completeness(magnitudes[is_part] if is_part.any() else magnitudes)
+
+    def n_from(self, magnitude: float) -> int:
+        """Number of episodes of at least that magnitude."""
+        return int(np.count_nonzero(self.magnitudes() >= magnitude))
+
     def at_least(self, magnitude: float) -> dict[int, np.ndarray]:
         """Number of episodes of at least that magnitude and the time in which they were counted, by unit."""
         return {
@@ -97,8 +111,7 @@ def read(study: Study, episodes: pd.DataFrame) -> list[Catalogues]:
     found = [Catalogues(group, _by_unit(study, group, of_member)) for group in groups]
     found = [one for one in found if one.runs]
     for some in systems(found):
-        magnitudes = (one.magnitudes() for one in some)
-        least = next((completeness(known) for known in magnitudes if len(known)), 0.0)
+        least = next((one.complete_from() for one in some if any(len(run.start) for run in one.each())), 0.0)
         for one in some:
             one.least = least
     return found
@@ -217,6 +230,12 @@ def values_of_b(one: Catalogues, level: float) -> list[BValue]:
     """Aki's b of a group from its completeness on, and from higher magnitudes."""
     fits = fits_of(one, 1)
     return b_values([*one.runs.values()], fits[0], one.least, enough.LEAST_CASCADES, level) if fits else []
+
+
+def b_of_law(one: Catalogues, level: float) -> Estimate:
+    """b of the power law up to the largest moment; no value where it cannot be fitted."""
+    fits = fits_of(one, 1)
+    return parameter(fits[0], 0, classes(one), level) if fits else Estimate()
 
 
 def has_b(one: Catalogues, level: float) -> bool:

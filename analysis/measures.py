@@ -21,7 +21,7 @@ from stickslip.analysis.contrast import Statistic
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
-from stickslip.analysis.models.episodes import B_VALUE, QUANTITIES, RATE, SIZE, completeness
+from stickslip.analysis.models.episodes import B_VALUE, QUANTITIES, RATE, SIZE
 from stickslip.analysis.models.fates import FAILED
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import ratio
@@ -106,36 +106,45 @@ def measures(study: Study, beside: Study | None = None) -> list[Measure]:
 
 
 def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
-    """Rate, mean size and b of episodes; b from the completeness of every group that has enough episodes for it.
+    """Rate, mean size and b of episodes.
 
-    A group has a b only where its law holds from its own completeness on, as on the page of episodes.
+    b is taken from the largest completeness of the groups that have enough episodes from their own on, or, where that
+    leaves one of them too few, from each group's own. A group has a b only where its law holds from its own
+    completeness on, as on the page of episodes.
     """
     if study.data.episodes is None or (beside is not None and beside.data.episodes is None):
         return
     found = read(study, study.data.episodes)
     rivals = [] if beside is None or beside.data.episodes is None else read(beside, beside.data.episodes)
-    magnitudes = [one.magnitudes() for one in (*found, *rivals)]
-    least = max((completeness(some) for some in magnitudes if len(some) >= enough.LEAST_CASCADES), default=-np.inf)
+    full = [one for one in (*found, *rivals) if one.n_from(one.least) >= enough.LEAST_CASCADES]
+    least = max((one.least for one in full), default=None)
+    if least is not None and any(one.n_from(least) < enough.LEAST_CASCADES for one in full):
+        least = None
     by_label = {one.label: one for one in found}
-    beyond = f"from M = {least:.3g} on" if np.isfinite(least) else ""
+    beyond = "from each point's own completeness on" if least is None else f"from M = {least:.3g} on"
     for name, quantity, key, subject, words, axis in (
         (RATE, RATE, "episode_rate", f"the {RATE}", "per unit of time", RATE),
         (MEAN_SIZE, SIZE, "episode_size", f"the {MEAN_SIZE}", "in blocks that slip", MEAN_SIZE),
-        (B, B_VALUE, "episode_b", "b of the episodes", f"by Aki {beyond}".strip(), f"{B} {beyond}".strip()),
+        (B, B_VALUE, "episode_b", "b of the episodes", f"by Aki {beyond}", f"{B} {beyond}"),
     ):
-        of = partial(_episodes, by_label, quantity, least, study.settings.confidence)
+        of = partial(_episodes, by_label, quantity, least, beyond, study.settings.confidence)
         yield Measure(Statistic(name, QUANTITIES[quantity].of, MARGIN, least=0.0), key, subject, words, axis, of)
 
 
-def _episodes(by_label: dict[str, Catalogues], name: str, least: float, level: float, group: Group) -> Values:
-    """The sums of a quantity of episodes over the runs of a group that reached t_end."""
+def _episodes(
+    by_label: dict[str, Catalogues], name: str, common: float | None, beyond: str, level: float, group: Group
+) -> Values:
+    """The sums of a quantity of episodes over the runs of a group that reached t_end.
+
+    b is from the magnitude `common` on, or from the group's own if it is None; `beyond` says so in words.
+    """
     missing, sums = _unfinished(group), dict[int, np.ndarray]()
     if group.label not in by_label:
         return Values(sums, missing)
     found = by_label[group.label]
-    if name == B_VALUE and np.count_nonzero(found.magnitudes() >= least) < enough.LEAST_CASCADES:
-        beyond = f" from M = {least:.3g} on" if np.isfinite(least) else ""
-        return Values(sums, missing, f"fewer than {enough.LEAST_CASCADES} episodes{beyond}")
+    least = found.least if common is None else common
+    if name == B_VALUE and found.n_from(least) < enough.LEAST_CASCADES:
+        return Values(sums, missing, f"fewer than {enough.LEAST_CASCADES} episodes {beyond}")
     if name == B_VALUE and not has_b(found, level):
         return Values(sums, missing, "no single b is shown to hold")
     of_unit = {unit: iter(runs) for unit, runs in found.runs.items()}  # in the order of the members

@@ -24,6 +24,8 @@ OPTIONAL = (
     *(term.name for term in TERMS if term.name not in _ALWAYS),
     *("back_slip", "z0", "w0", "drawn"),
 )
+#: The keys that draws depend on: along other keys draws are shared.
+DRAWN = ("n", "coupling", "file")
 #: What the independent units of a group may be.
 MATRIX, START, FILE = "matrix", "start", "file"
 SYSTEM_KEYS = ("n", "coupling", *_ALWAYS, *OPTIONAL, "t_end", "perturbation_size")

@@ -91,7 +91,8 @@ def completeness(magnitudes: np.ndarray) -> float:
 
     By maximum curvature: S. Wiemer and M. Wyss, Bull. Seismol. Soc. Am. 90 (2000) 859-869. The fullest class may
     itself be incomplete if the least moments lie in it, so laws begin one class higher: J. Woessner and S. Wiemer,
-    Bull. Seismol. Soc. Am. 95 (2005) 684-698, doi:10.1785/0120040007.
+    Bull. Seismol. Soc. Am. 95 (2005) 684-698, doi:10.1785/0120040007. Magnitudes should be those without a hump of
+    characteristic events, such as of episodes that take all blocks, which may be fuller.
 
     Raises
     ------

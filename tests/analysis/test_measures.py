@@ -263,6 +263,20 @@ def test_rate_size_and_b_of_episodes_lead_and_b_only_where_it_holds(recorded, se
     assert "b of the episodes is not given at 3 of 3 points of the sweep, fewer than 200 episodes" in said
 
 
+def test_b_is_from_one_magnitude_where_that_leaves_every_point_enough_episodes(recorded, settings, rng):
+    """At one speed moments are a hundred times as large: from their least on the others have one in 10**(2 b)."""
+    data, rates = recorded({}), {-0.3: 1.0, -0.2: 1.0, -0.1: 1.0}
+    table = planted_episodes(rng, data.members, rates, dict.fromkeys(rates, 1.5))
+    is_fast = table["member_id"].isin(data.members["member_id"][data.members["belt_speed"] == -0.3])
+    shifted = table.assign(moment=table["moment"] * np.where(is_fast, 100.0, 1.0))
+    for one, words in ((table, "by Aki from M = 0.1 on"), (shifted, "by Aki from each point's own completeness on")):
+        study = Study(replace(data, episodes=one), replace(settings, confidence=SURE))
+        (b,) = (each for each in measures.measures(study) if each.name == "b of episodes")
+        assert b.words == words
+        found = [np.sum([*b.of(group).sums.values()], axis=0) for group in study.groups]
+        assert [one[0] / one[1] for one in found] == pytest.approx([1.5] * 3, rel=0.25)
+
+
 def test_two_datasets_are_compared_in_what_both_record(recorded, settings):
     def ensemble(name, **columns):
         data = recorded({key: lambda rng, matrix, v, x=x: x + 0.01 * matrix * (x != 0) for key, x in columns.items()})

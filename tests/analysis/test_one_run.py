@@ -41,7 +41,7 @@ def test_it_counts_the_first_run_that_finished(study):
     assert facts["sticks"] == pytest.approx((3 + 2 * 2 + 3 + 2) / (4 * 5))
     said = environment().get_template("one_run.html").module.answer(facts)
     assert " ".join(said.split()) == (
-        "In one run of 4 blocks to t = 5, a block lets go 2 times, block 0 most often (2); 2 of 4 never slip."
+        "In one run of 4 blocks to t = 5, blocks let go 2 times, block 0 most often (2); 2 of 4 never slip."
     )
 
 

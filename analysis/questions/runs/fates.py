@@ -20,7 +20,7 @@ from matplotlib.axes import Axes
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
-from stickslip.analysis.members import ENGINE_KEYS, SPEED_DEPENDENT
+from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SPEED_DEPENDENT
 from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
@@ -50,7 +50,6 @@ from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, p
 MOST_CURVES = 8  # in one figure
 MOST_STEPS = 2000  # drawn of one curve: each is then a quarter of a dot wide
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
-_DRAWN = ("n", "coupling", "file")  # the keys that draws depend on: along other keys draws are shared
 FATES = {
     COLLAPSED: ("slips for good", BLUE, "s"), QUIET: ("quiet", "#56B4E9", "D"),
     SUSTAINED: ("in motion", GREEN, "o"), LULL: ("in a lull", PURPLE, "v"), DIVERGED: ("ran away", ORANGE, "^"),
@@ -172,7 +171,7 @@ def _runs(group: Group) -> Iterator[Row]:
             "growth_rate": None if pd.isna(rate) else float(rate),
             "untold": "law" if is_speed_dependent else "rate" if pd.isna(rate) else "stable",
             "is_held": how == SUSTAINED and is_held((last[0], last[1]), int(group.key["n"]), float(t_end)),
-            "drawn": (*(group.key[name] for name in _DRAWN), int(unit)),
+            "drawn": (*(group.key[name] for name in DRAWN), int(unit)),
             "setting": (*setting, int(matrix)),
             "z_start": None if pd.isna(z) else float(z), "w_start": None if pd.isna(w) else float(w),
         }  # fmt: skip
