@@ -298,9 +298,9 @@ def test_two_datasets_are_compared_in_what_both_record(recorded, settings):
 
 @pytest.mark.long
 def test_intervals_of_a_change_cover_it(recorded, settings, rng):
-    """Of 100 ensembles with a random change by matrix, 95% of intervals hold its mean, -0.4."""
+    """Of 60 ensembles with a random change by matrix, 95% of intervals hold its mean, -0.4."""
     inside = []
-    for _ in range(100):
+    for _ in range(60):
         own = rng.normal(5, 1, 8)
         slope = rng.normal(2, 1, 8)
         data = recorded({"x": lambda rng, m, v: own[m] + slope[m] * v})  # noqa: B023  drawn at once

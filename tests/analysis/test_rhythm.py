@@ -133,14 +133,14 @@ def test_overdamped_motion_is_slow_and_a_motion_slower_than_the_window_is_said_t
 def test_intervals_hold_what_was_planted(rng):
     """A small version of the study `rhythm`; the answers are exact where all matrices are alike."""
     answers = {"period": 470.0, "quality": 1.2, "width": 1 / 470 / 1.2, "share": 11 / (11 + 4.95)}
-    every = [rhythm.rhythm(one, 0.95, rng).found for one in studies.rhythmic(rng, 30, SPAN, 470.0, 1.2)]
+    every = [rhythm.rhythm(one, 0.95, rng).found for one in studies.rhythmic(rng, 20, SPAN, 470.0, 1.2)]
     for name, answer in answers.items():
-        assert agrees(sum(one[name].low <= answer <= one[name].high for one in every), 30, 0.92, 0.98), name
+        assert agrees(sum(one[name].low <= answer <= one[name].high for one in every), 20, 0.92, 0.98), name
 
 
 def test_blocks_without_a_rhythm_are_told_so(rng):
-    p = np.array([rhythm.p_value(one, rng) for one in studies.rhythmic(rng, 60, SPAN, 470.0, 1.2, variance=0.0)])
-    assert agrees(int(np.sum(p <= 0.05)), 60, 0.05)
+    p = np.array([rhythm.p_value(one, rng) for one in studies.rhythmic(rng, 40, SPAN, 470.0, 1.2, variance=0.0)])
+    assert agrees(int(np.sum(p <= 0.05)), 40, 0.05)
 
 
 def test_several_runs_of_a_matrix_are_no_more_surrogates_than_they_are(rng):

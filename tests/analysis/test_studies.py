@@ -255,7 +255,7 @@ def test_the_code_says_what_is_missing(rng):
 
 FALSE_ALARMS = ("multiplicity", "change", "equivalence", "methods")
 #: Ensembles of the studies that take longest by far; the others take 300, and 1200 of false alarms.
-FEWER = {"rhythm": 30, "definitions": 150, "methods": 400, "counting": 200}
+FEWER = {"rhythm": 20, "definitions": 100, "methods": 250, "counting": 150}
 
 
 @pytest.mark.long
@@ -277,7 +277,7 @@ def test_intervals_cover_what_was_planted(name):
 @pytest.mark.long
 def test_tau_is_not_too_small_where_the_window_can_tell():
     seed = secrets.randbits(32)
-    rows = studies.study("effective", seed, 400)
+    rows = studies.study("effective", seed, 250)
     for (name, (_, can_tell)), tau in zip(studies.WANDERS.items(), rows, strict=True):
         if can_tell:
             assert tau.bias > -0.05 * tau.answer, f"seed {seed}: {name}"

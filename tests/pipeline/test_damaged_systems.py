@@ -20,7 +20,7 @@ from tests.damaged import DAMAGE, NO_FILES, judge
 N_KINDS = len(DAMAGE | NO_FILES)
 
 
-@pytest.mark.parametrize("n_files", [3 * N_KINDS, pytest.param(400, marks=pytest.mark.long)])
+@pytest.mark.parametrize("n_files", [3 * N_KINDS, pytest.param(250, marks=pytest.mark.long)])
 def test_a_damaged_file_is_read_right_or_refused_in_a_line(n_files, tmp_path):
     seed = secrets.randbits(32)
     print("seed", seed)

@@ -240,6 +240,7 @@ def test_a_scene_is_code_and_its_dataset_is_not(tmp_path, monkeypatch, capsys):
     assert not mark.exists()
 
 
+@pytest.mark.long
 def test_a_function_of_an_installed_package(tmp_path):
     """As a cluster has it: not beside the scene."""
     package = tmp_path / "site" / "lab"

@@ -138,10 +138,10 @@ def study(n_systems, seed, tolerances):
 def test_all_terms_at_once():
     seed = secrets.randbits(32)
     print(f"seed {seed}")
-    rows = study(3, seed, (1e-5, 1e-7))
+    rows = study(2, seed, (1e-5, 1e-7))
     print(*rows, sep="\n")
     beyond = {row[0] for row in rows if row[-1] >= BOUND}
-    assert agrees(len(beyond), 3, 0.0, 0.01)
+    assert agrees(len(beyond), 2, 0.0, 0.01)
     assert np.median([row[-1] for row in rows]) < 0.5
 
 

@@ -109,7 +109,7 @@ def test_a_run_refuses_code_that_cannot_be_loaded_before_it_begins(tmp_path, cap
 @pytest.mark.long
 def test_a_run_answers_it_and_an_edited_one_is_answered_anew(tmp_path, capsys, monkeypatch):
     """The whole command, with its processes; one that fails, or never ends, leaves the page of the others."""
-    monkeypatch.setattr(own_questions, "LONGEST", 8.0)
+    monkeypatch.setattr(own_questions, "LONGEST", 5.0)
     asked = ASKING.replace('["own:question",', '["own:question", "own:endless",')
     file, out = tmp_path / "mine.toml", str(tmp_path / "runs" / "mine")
     file.write_text(ensemble(5, 8.0, 3, COULOMB, analysis=asked))
@@ -118,9 +118,9 @@ def test_a_run_answers_it_and_an_edited_one_is_answered_anew(tmp_path, capsys, m
     assert main(["run", str(file), "--out", out, "--workers", "1"]) == 1
     said = capsys.readouterr()
     assert said.out.startswith("How many?\nThere are 3 runs.\n")
-    assert "failed  own:endless: expected an answer within 8 s, got none; correct the function\n" in said.err
+    assert "failed  own:endless: expected an answer within 5 s, got none; correct the function\n" in said.err
     shown = Path(out, "report.html").read_text()
-    assert "Asked, but not answered: own:endless: expected an answer within 8 s, got none" in shown
+    assert "Asked, but not answered: own:endless: expected an answer within 5 s, got none" in shown
     assert '<details id="fates">' in shown
     (tmp_path / "own.py").write_text(OWN.replace("runs.", "members.") + "\n\nendless = question\n")
     assert main(["run", str(file), "--out", out, "--workers", "1"]) == 0

@@ -594,6 +594,7 @@ def test_a_jump_is_told_only_where_there_is_one(told, measured):
 # ---------------------------------------------------------------------------------------------- drawings
 
 
+@pytest.mark.long
 def test_each_figure_has_its_panels(scene, measured):
     titles = {}
     for name, recipe in scene.show(measured).figures.items():
