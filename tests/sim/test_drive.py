@@ -225,8 +225,8 @@ def test_a_belt_that_gains_speed_is_a_force(rng, settings):
     resting = System(k, r, 1.0, 0.0, static, mass=2.0, force=Piecewise(t, push))
     settings = settings | ({"eps": 0.1} if "eps" in settings else {})
     one, other = (simulate(system, start, 0.0, 8.0, **settings) for system in (moving, resting))
-    assert len(one.events) == len(other.events)
-    np.testing.assert_allclose(one.events.t, other.events.t, atol=1e-4)
+    early, late = (run.events.t[run.events.t < 8.0] for run in (one, other))  # the belt bends at the end itself
+    np.testing.assert_allclose(early, late, atol=1e-4)
     np.testing.assert_allclose(one.z - gain * 32.0, other.z, atol=1e-5)
     np.testing.assert_allclose(one.w - gain * 8.0, other.w, atol=1e-5)
 
