@@ -18,8 +18,13 @@ def foreign(error: BaseException, most: int = 300) -> str:
         words = str(error)
     except BaseException as another:  # noqa: BLE001  its own words are foreign code too
         words = f"its message cannot be had ({type(another).__name__})"
-    text = printable(" ".join(f"{type(error).__name__}: {words}".split())).removesuffix(":")
-    return text if len(text) <= most else f"{text[: most - 3]}..."
+    return shortened(f"{type(error).__name__}: {words}".strip().removesuffix(":"), most)
+
+
+def shortened(text: str, most: int) -> str:
+    """A text, of which a part may be foreign, in one line of at most `most` characters."""
+    line = printable(" ".join(text.split()))
+    return line if len(line) <= most else f"{line[: most - 3]}..."
 
 
 def command(*words: str) -> str:

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from stickslip.pipeline.errors import SceneError, foreign, printable
+from stickslip.pipeline.errors import SceneError, foreign, shortened
 from stickslip.pipeline.machine.processes import Child, ChildDied
 from stickslip.pipeline.own import function as own
 from stickslip.pipeline.own.files import content_of, digest, name_beside
@@ -32,6 +32,7 @@ LONGEST = 600.0
 #: What errors begin with that are about its file.
 _KEY = "analysis.question"
 _ANSWER = "a stickslip.analysis.Answer"
+_MOST = 400  # characters of what an error says
 
 
 class Task(NamedTuple):
@@ -182,16 +183,10 @@ def _told(error: BaseException, expected: str, function: own.OwnFunction | None,
     if isinstance(error, SceneError):
         return str(error).removeprefix(f"{_KEY}: ")
     if isinstance(error, OwnError):
-        return _shortened(str(error))
+        return shortened(str(error), _MOST)
     files = set() if function is None else {str(own.module_file(function)), str(template)}
     lines = [one for one in traceback.extract_tb(error.__traceback__) if one.filename in files]
     where = [f"{Path(lines[-1].filename).name}, line {lines[-1].lineno}"] if lines else []
-    where = [*(_shortened(str(note)) for note in getattr(error, "__notes__", ())), *where]
+    where = [*(shortened(str(note), _MOST) for note in getattr(error, "__notes__", ())), *where]
     said = f"expected {expected}, but it raised {foreign(error)}"
     return f"{said} ({'; '.join(where)})" if where else said
-
-
-def _shortened(text: str, most: int = 400) -> str:
-    """A text, of which a part is foreign, in one line of at most `most` characters."""
-    line = printable(" ".join(text.split()))
-    return line if len(line) <= most else f"{line[: most - 3]}..."

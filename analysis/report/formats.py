@@ -116,9 +116,7 @@ def interval(estimate: Estimate, digits: int = 3) -> str:
     """The interval of an estimate as text, with the decimals of the value; "no interval" if there is none."""
     if estimate.low is None or estimate.high is None:
         return "no interval"
-    decimals = _decimals([estimate.value or estimate.high], digits)
-    how: tuple[Any, ...] = (fixed, decimals) if decimals <= MOST_DIGITS else (number, digits)  # or all would be zeros
-    return between(estimate.low, estimate.high, *how)
+    return between(estimate.low, estimate.high, *_alike([estimate.value or estimate.high], digits))
 
 
 def with_interval(estimate: Estimate, digits: int = 3) -> str:
@@ -137,12 +135,14 @@ def with_interval(estimate: Estimate, digits: int = 3) -> str:
     return f"{number(estimate.value, digits)} ({interval(estimate, digits)})"
 
 
-def _decimals(values: Iterable[float | None], digits: int) -> int:
-    """Number of decimals with which the median of some numbers has a number of significant digits."""
+def _alike(values: Iterable[float | None], digits: int) -> tuple[Callable[[float | None, int], str], int]:
+    """How to show some numbers alike: with the decimals by which their median has a number of significant digits.
+
+    Where these are more than `MOST_DIGITS`, each has that number of digits itself, or all would be zeros.
+    """
     sizes = [abs(value) for value in values if value]
-    if not sizes:
-        return 0
-    return max(int(digits - 1 - np.floor(np.log10(np.median(sizes)))), 0)
+    decimals = max(int(digits - 1 - np.floor(np.log10(np.median(sizes)))), 0) if sizes else 0
+    return (fixed, decimals) if decimals <= MOST_DIGITS else (number, digits)
 
 
 Show = Callable[[Any], str]
@@ -261,12 +261,9 @@ def _aligned(
     values: Sequence[Sequence[float | None]], others: Sequence[Sequence[float | None]], digits: int, sign: str
 ) -> list[str]:
     every = [*values, *others]
-    decimals = _decimals((value for some in every for value in some), digits)
-    if decimals > MOST_DIGITS:  # as in `interval`
-        digits = _apart(every, digits, number)
-        return [_joined(some, lambda value: sign * (value >= 0) + number(value, digits)) for some in values]
-    decimals = _apart(every, decimals, fixed)
-    return [_joined(some, lambda value: sign * (value >= 0) + fixed(value, decimals)) for some in values]
+    show, first = _alike((value for some in every for value in some), digits)
+    enough = _apart(every, first, show)
+    return [_joined(some, lambda value: sign * (value >= 0) + show(value, enough)) for some in values]
 
 
 def _joined(values: Sequence[Any], show: Show) -> str:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Container, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -90,12 +90,12 @@ def spoken(
     tables, unreadable = _kept(found.tables, _plain, lambda error: told(error, "a pandas.DataFrame"))
     missing = [f"figures[{name!r}]: {why}" for name, why in undrawn.items()]
     missing += [f"tables[{name!r}]: {why}" for name, why in unreadable.items()]
-    own = Answered(key, found.facts, lack, tables, drawn)
+    own = _Own(key, found.facts, lack, tables, drawn, undrawn)
     heading, *method = map(_line, re.split(r"\n\s*\n", inspect.cleandoc(doc))) if doc.strip() else (key,)
     theirs, said = dict[str, Any](), dict[str, str]()
     if template is not None:
         try:
-            theirs, said = _filled(study, own, template, undrawn)
+            theirs, said = _filled(study, own, template)
         except Exception as error:
             if not (lack or isinstance(found.facts.get("sentence"), str)):
                 raise
@@ -223,32 +223,35 @@ def _macros(study: Study, template: Path | None) -> dict[str, Any]:
     return vars(filled.get_template("own.html" if template is None else template.name).module)
 
 
-def _filled(
-    study: Study, own: Answered, template: Path, undrawn: Container[str]
-) -> tuple[dict[str, Any], dict[str, str]]:
+@dataclass(frozen=True)
+class _Own(Answered):
+    """An answer, of which some figures could not be drawn: a template may show them all the same."""
+
+    undrawn: Container[str] = ()
+
+    def figure(self, name: str, alt: str) -> Markup:
+        if name not in self.undrawn:
+            return super().figure(name, alt)
+        return Markup('<p class="note">{}: not drawn</p>').format(name)
+
+
+def _filled(study: Study, own: Answered, template: Path) -> tuple[dict[str, Any], dict[str, str]]:
     """Names and macros of a user's template, and the texts of its macros; errors name the line of the template."""
     try:
         macros = _macros(study, template)
-        return macros, _said(own, own.facts, macros, undrawn)
+        return macros, _said(own, own.facts, macros)
     except Exception as error:  # noqa: BLE001  whatever it is, it is raised again
         error.add_note(f"while filling {template.name}")
         environment().handle_exception()  # raises it, with lines of the template in place of those compiled
 
 
-def _said(
-    own: Answered, facts: Mapping[str, Any], macros: Mapping[str, Any], undrawn: Container[str] = ()
-) -> dict[str, str]:
+def _said(own: Answered, facts: Mapping[str, Any], macros: Mapping[str, Any]) -> dict[str, str]:
     """Texts of those macros that a page may show."""
 
-    def figure(name: str, alt: str) -> Markup:
-        note = Markup('<p class="note">{}: not drawn</p>')
-        return note.format(name) if name in undrawn else own.figure(name, alt)
+    def of(names: Sequence[str], *given: Any) -> dict[str, str]:
+        return {name: _clean(str(macros[name](*given))).strip() for name in names if name in macros}
 
-    if own.lack:
-        return {name: _clean(str(macros[name](facts, own.lack))).strip() for name in ("lack",) if name in macros}
-    of_facts = {name: _clean(str(macros[name](facts))).strip() for name in _OF_FACTS if name in macros}
-    of_figures = {name: _clean(str(macros[name](facts, figure))).strip() for name in _OF_FIGURES if name in macros}
-    return of_facts | of_figures
+    return of(("lack",), facts, own.lack) if own.lack else of(_OF_FACTS, facts) | of(_OF_FIGURES, facts, own.figure)
 
 
 def _sentence(found: Answer, template: Path | None) -> str:

@@ -171,7 +171,8 @@ def _runs(study: Study, group: Group) -> Runs:
     members, recorded = group.members, study.data.recorded
     names = members["member_id"].to_numpy(object)
     period, multiplier, exits, events = (
-        np.array([of[one] for one in names], dtype=np.float64) for _, of, *_ in map(recorded.__getitem__, _NUMBERS)
+        np.array([recorded[name].values[one] for one in names], dtype=np.float64)
+        for name in _NUMBERS  # noqa: PD011  a mapping
     )
     reason = members["attractor_reason"]
     found = Runs(

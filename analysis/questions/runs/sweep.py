@@ -91,6 +91,7 @@ def answer(study: Study) -> Answer | None:
     for row in contrasts:  # a change that is shown, but neither to be beyond the margin nor within
         is_shown = row["p_different_holm"] is not None and row["p_different_holm"] < 1 - level
         row["open"] = (RISES if row["difference"] > 0 else FALLS) if is_shown and row["verdict"] == UNKNOWN else ""
+        row["is_told"] = row["verdict"] != UNKNOWN or bool(row["open"])
     keys = {key: axis.dtype(k) for axis in axes for k, key in enumerate(axis.keys)}
     tables = {"sweep": frame({**_VALUES, **keys}, rows), "sweep_changes": frame(_CONTRASTS, contrasts)}
     recorded = [one for one in asked if one.is_recorded]
@@ -130,10 +131,7 @@ def answer(study: Study) -> Answer | None:
     drawn = [name for name in leading if name not in still] or leading[:1]
     figures = _figures(points, lead, in_order, drawn, asked, level)
     facts |= {
-        "changes": sorted(
-            ({**row, "is_told": bool(row["open"]) or row["verdict"] != UNKNOWN} for row in _ends(own, axes)),
-            key=lambda row: row["is_same"],
-        ),
+        "changes": sorted(_ends(own, axes), key=lambda row: row["is_same"]),
         "ends": [row for row in contrasts if row["is_last"]],
         "told": told,
         "figures": list(figures),
@@ -154,7 +152,8 @@ def _contrasts(
     statistics = [*(one.statistic for one in asked), Statistic(IN_MOTION, ratio, SHARE_MARGIN, is_share=True)]
     largest = {one.name: _largest(one.name, points) for one in statistics}
     for axis, one in product(axes, statistics):
-        many = [value for value in axis.values if _n_units(one.name, points, axis, value) >= enough.LEAST_MATRICES]
+        n_units = {value: _n_units(one.name, points, axis, value) for value in axis.values}
+        many = [value for value, n in n_units.items() if n >= enough.LEAST_MATRICES]
         base, *others = many if len(many) > 1 else axis.values
         for value in others:
             first, second = Sample(), Sample()
@@ -170,11 +169,10 @@ def _contrasts(
                 row |= _either_way(row, one, first, second, level)
             if one.name in recorded and row["reason"] == enough.FEW_MATRICES:
                 row |= _of_few(one, first, second, level)
-            known = max(_n_units(one.name, points, axis, at) for at in (base, value))
             yield row | {
                 "setting": setting, "key": axis.name, "first_value": as_text(base), "second_value": as_text(value),
                 "is_last": value == others[-1], "noise": noise * largest[one.name],
-                "is_part": not one.is_share and row["n_first"] < known,
+                "is_part": not one.is_share and row["n_first"] < max(n_units[base], n_units[value]),
             }  # fmt: skip
 
 
