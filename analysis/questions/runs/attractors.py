@@ -171,8 +171,8 @@ def _runs(study: Study, group: Group) -> Runs:
     members, recorded = group.members, study.data.recorded
     names = members["member_id"].to_numpy(object)
     period, multiplier, exits, events = (
-        np.array([recorded[name].values[one] for one in names], dtype=np.float64)
-        for name in _NUMBERS  # noqa: PD011  a mapping
+        np.array([recorded[name].values[one] for one in names], dtype=np.float64)  # noqa: PD011  a mapping
+        for name in _NUMBERS
     )
     reason = members["attractor_reason"]
     found = Runs(
