@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stickslip.analysis.answer import F, I, Row, S, named
 from stickslip.analysis.groups import Group
@@ -82,7 +83,7 @@ class Sample:
         kept = sorted(unit for unit, row in found.items() if row[1] > 0)
         return np.array(kept, dtype=np.int64), np.array([found[unit] for unit in kept]).reshape(-1, 2)
 
-    def add(self, name: str, unit: int, row: Sequence[float]) -> None:
+    def add(self, name: str, unit: int, row: ArrayLike) -> None:
         """Add the two sums of a run to those of its unit."""
         held = self.sums.setdefault(name, {})
         held[unit] = held.get(unit, np.zeros(2)) + np.array(row, dtype=np.float64)
@@ -90,7 +91,7 @@ class Sample:
     def add_window(self, unit: int, win: Window, of: Collection[str]) -> None:
         """Add the sums of some quantities over a run's window."""
         for name in of:
-            self.add(QUANTITIES[name].label, unit, QUANTITIES[name].sums(win))
+            self.add(QUANTITIES[name].label, unit, QUANTITIES[name].sums(win.alone)[0])
 
 
 def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(QUANTITIES)) -> list[Statistic]:

@@ -12,15 +12,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.groups import Group, Series, fill, groups, window_of
+from stickslip.analysis.groups import Group, fill, groups
 from stickslip.analysis.members import OUTCOMES, REQUIRED, completed, known_outcomes, unchanged
 from stickslip.analysis.models.fates import fate
-from stickslip.analysis.series.cascades import ChangePoints, Window
+from stickslip.analysis.models.motion import Ended, Motion, motion
+from stickslip.analysis.series.cascades import Window, window
+from stickslip.analysis.series.windows import ChangePoints
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, at_least, over_matrices, ratio
 
+Series = Mapping[str, ChangePoints]
 #: Events of a run: t float64, block int32, mode int8 (-1, 0, +1 after the event), each (m,); and initial_mode (n,).
 Events = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 #: Distance of a run's state from its unperturbed twin's: times, shape (m,), and distance, shape (m,).
@@ -103,10 +106,18 @@ class Study:
     @cached_property
     def groups(self) -> list[Group]:
         """Groups of the unchanged members, filled, by n and engine."""
-        found = groups(unchanged(self.data.members))
+        members = unchanged(self.data.members)
+        given = self.motion(members)
+        place = pd.Series(np.arange(len(members)), index=members.index)
+        found = groups(members)
         for group in found:
-            fill(group, self.data.series, self.settings)
+            fill(group, given.take(place[group.members.index].to_numpy()))
         return found
+
+    def motion(self, members: pd.DataFrame) -> Motion:
+        """What each of some members gives, in their order; raises as `window`."""
+        columns = (members["member_id"], known_outcomes(members), members["t_end"], members["growth_rate"])
+        return motion(map(Ended, *columns), self.data.series, self.settings.t_burn)
 
     @property
     def margins(self) -> dict[str, float]:
@@ -146,12 +157,18 @@ class Study:
         ValueError
             If its change points are not a series; the error names the member.
         """
-        return window_of(self.data.series[member_id], member_id, self.settings.t_burn, t_end)
+        return self._window(self.data.series[member_id], member_id, t_end)
+
+    def _window(self, points: ChangePoints, member_id: str, t_end: float) -> Window:
+        try:
+            return window(*points, self.settings.t_burn, t_end)
+        except ValueError as error:
+            raise ValueError(f"series of member {member_id!r}: {error}") from error
 
     def by_threshold(self, member_id: str, t_end: float) -> dict[float, Window]:
         """n_stick of a member on [t_burn, t_end] under each further threshold; raises as `window`."""
         found = self.data.thresholds.get(member_id, {})
-        return {c: window_of(points, member_id, self.settings.t_burn, t_end) for c, points in found.items()}
+        return {c: self._window(points, member_id, t_end) for c, points in found.items()}
 
     def judged(self) -> list[Group]:
         """Groups whose runs allow a statistic of a steady state.

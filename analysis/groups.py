@@ -20,17 +20,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, known_outcomes, split
-from stickslip.analysis.models.counting import lulls
-from stickslip.analysis.models.fates import MOVING, QUIET, fate
-from stickslip.analysis.series.cascades import EVENTS, ChangePoints, Window, sizes, window
-from stickslip.analysis.settings import AnalysisSettings
-from stickslip.analysis.stats import effective, enough
-from stickslip.analysis.stats.estimates import Estimate, add_histograms, is_short, over_matrices, ratio
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, split
+from stickslip.analysis.models.fates import MOVING, QUIET
+from stickslip.analysis.models.motion import COLUMNS, Motion
+from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.engines import ENGINES, SETTINGS
 
-Series = Mapping[str, ChangePoints]
 #: Numbers that differ by less, relatively, are shown as one.
 _ROUNDING = 1e-14
 
@@ -63,8 +60,8 @@ class Group:
     stuck : ndarray, shape (G, 2)
         Sums over runs of the integral of n_stick and of the time without lulls (`models.counting`). Their quotient is
         the mean n_stick of the pool with which the runs are compared.
-    histograms : list of ndarray
-        Of each unit: histogram[k] cascades of size k, by the definition `events`.
+    counts : ndarray of int, shape (G, K)
+        Number of cascades of each size from 1 on, by the definition `events`.
     effective : ndarray, shape (G, 4)
         Mean of `effective.row` over the runs of each unit.
     fates : list of str
@@ -86,7 +83,7 @@ class Group:
     means: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
     quantities: dict[str, np.ndarray] = field(default_factory=dict)
     stuck: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    histograms: list[np.ndarray] = field(default_factory=list)
+    counts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int64))
     effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     fates: list[str] = field(default_factory=list)
     last: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
@@ -133,15 +130,6 @@ class Group:
         """Mean n_stick without lulls, which the pool shares; None if no block ever sticks."""
         stuck, time = self.stuck.sum(axis=0)
         return float(stuck / time) if stuck else None
-
-    @property
-    def counts(self) -> np.ndarray:
-        """Number of cascades of each size from 1 on, shape (G, K)."""
-        longest = max((len(h) for h in self.histograms), default=1)
-        found = np.zeros((len(self.histograms), longest), dtype=np.int64)
-        for row, one in zip(found, self.histograms, strict=True):
-            row[: len(one)] = one
-        return found[:, 1:]
 
     def by_unit(self) -> np.ndarray:
         """`means` averaged over the runs of each unit, so that every unit has the same weight."""
@@ -241,50 +229,21 @@ def short(value: float) -> str:
     return text if abs(float(text) - value) <= _ROUNDING * abs(value) else f"{value:.15g}"
 
 
-def fill(group: Group, series: Series, settings: AnalysisSettings) -> None:
-    """Fill in a group's sums: read each run once and add those in motion."""
-    group.units = [int(unit) for unit in group.finished["unit"].unique()]
-    n_rows = len(group.units)
-    group.means, group.effective, group.stuck = (np.zeros((n_rows, k)) for k in (5, 4, 2))
-    group.quantities = {name: np.zeros((n_rows, 2)) for name in QUANTITIES}
-    group.histograms = [np.zeros(1, np.int64)] * n_rows
-    group.last = np.full((len(group.members), 2), np.nan)
-    row_of = {unit: row for row, unit in enumerate(group.units)}
-    unit, member_id, t_end, rate = (group.members[name] for name in ("unit", "member_id", "t_end", "growth_rate"))
-    columns = (unit, member_id, known_outcomes(group.members), t_end, rate)
-    for k, (unit, member_id, outcome, t_end, rate) in enumerate(zip(*columns, strict=True)):
-        points = None if outcome == "failed" else series[member_id]
-        group.fates.append(fate(outcome, points, float(t_end), rate))
-        if points is None:
-            continue
-        group.last[k] = points[0][-1], points[1][-1]
-        if group.fates[k] not in MOVING:
-            continue
-        row, win = row_of[int(unit)], window_of(points, str(member_id), settings.t_burn, float(t_end))
-        given = {name: quantity.sums(win) for name, quantity in QUANTITIES.items()}
-        for name, two in given.items():
-            group.quantities[name][row] += two
-        first, second, variance = enough.halves(win)
-        group.means[row] += [0.5 * (first + second), first, second, variance, 1.0]
-        span = win.t_stop - win.t_start
-        group.stuck[row] += [0.5 * (first + second) * span, span - lulls(win).sum()]
-        tau, is_known = given["correlation_time"]
-        group.effective[row] += effective.row(win, tau)
-        group.n_short += not is_known or is_short(win, tau)
-        found = sizes(win, EVENTS)
-        group.histograms[row] = add_histograms(group.histograms[row], np.bincount(found))
-    group.n_quiet = group.fates.count(QUIET)
-    group.moving = group.members[[how in MOVING for how in group.fates]]
-    kept = np.flatnonzero(group.means[:, 4])
-    group.units, group.histograms = [group.units[k] for k in kept], [group.histograms[k] for k in kept]
-    group.means, group.quantities = group.means[kept], {name: of[kept] for name, of in group.quantities.items()}
-    group.stuck = group.stuck[kept]
-    group.effective = group.effective[kept] / group.means[:, 4:]
-
-
-def window_of(points: ChangePoints, member_id: str, t_burn: float, t_end: float) -> Window:
-    """n_stick of a run on [t_burn, t_end]; ValueError naming the member if its series is not one."""
-    try:
-        return window(*points, t_burn, t_end)
-    except ValueError as error:
-        raise ValueError(f"series of member {member_id!r}: {error}") from error
+def fill(group: Group, found: Motion) -> None:
+    """Fill in a group's sums from what each of its members gives."""
+    group.fates, group.last, group.n_quiet = found.fates, found.last, found.fates.count(QUIET)
+    is_moving = np.array([how in MOVING for how in found.fates])
+    group.moving, sums = group.members[is_moving], found.sums[is_moving]
+    units, row = np.unique(group.moving["unit"].to_numpy(np.int64), return_inverse=True)
+    group.units, group.n_short = units.tolist(), int(sums[:, COLUMNS["short"]].sum())
+    of_units = np.zeros((len(units), sums.shape[1] + 1))
+    np.add.at(of_units, row, np.column_stack([sums, np.ones(len(sums))]))
+    group.quantities = {name: of_units[:, COLUMNS[name]] for name in QUANTITIES}
+    mean, halves, count = of_units[:, COLUMNS["mean"]][:, :1], of_units[:, COLUMNS["halves"]], of_units[:, -1:]
+    group.means = np.hstack([mean, halves, count])
+    group.stuck, group.effective = of_units[:, COLUMNS["stuck"]], of_units[:, COLUMNS["effective"]] / count
+    group.counts = np.zeros((len(units), int(found.sizes[:, 1].max(initial=0))), dtype=np.int64)
+    row_of = np.zeros(len(is_moving), dtype=np.int64)
+    row_of[is_moving] = row
+    run, size, n_times = found.sizes.T
+    np.add.at(group.counts, (row_of[run], size - 1), n_times)

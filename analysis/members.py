@@ -53,9 +53,12 @@ READ = ("growth_rate",)
 
 
 def completed(members: pd.DataFrame) -> pd.DataFrame:
-    """Members with every column: missing ones as null, and those that the functions `with_*` add or set to null."""
+    """Members with every column: missing ones as null, and those that the functions `with_*` add or set to null.
+
+    Rows are numbered from 0 on, so that what is found of them can be told by their number.
+    """
     absent = [name for name in (*OPTIONAL, *_NOT_EVERYWHERE) if name not in members]
-    return with_rates(with_starts(with_units(members.assign(**dict.fromkeys(absent)))))
+    return with_rates(with_starts(with_units(members.assign(**dict.fromkeys(absent)).reset_index(drop=True))))
 
 
 def known_outcomes(members: pd.DataFrame) -> pd.Series:

@@ -24,6 +24,7 @@ import numpy as np
 from stickslip.analysis.models import pool
 from stickslip.analysis.series.cascades import EVENTS, Window, sums
 from stickslip.analysis.series.nulls import BlockSteps, rotations
+from stickslip.analysis.series.windows import Windows
 from stickslip.analysis.stats import estimates
 from stickslip.analysis.stats.estimates import LN2, Statistic, ratio
 
@@ -36,16 +37,15 @@ OBSERVED, ROTATED, MEAN, SLOPE = (slice(k, k + 2) for k in (0, 2, 4, 6))
 N_COLUMNS = 8
 
 
-def lulls(win: Window) -> np.ndarray:
-    """Length of each lull at its place in the path of n_stick, shape (m + 1,), and 0 elsewhere."""
-    lengths = np.diff(win.t, prepend=win.t_start, append=win.t_stop)
-    return np.where((lengths > LULL) & (win.path() == 0), lengths, 0.0)
+def lulls(runs: Windows) -> np.ndarray:
+    """Length of each lull at its place among the levels of n_stick, shape (M,), and 0 elsewhere."""
+    return np.where((runs.lasted > LULL) & (runs.level == 0), runs.lasted, 0.0)
 
 
 def without_lulls(win: Window, steps: BlockSteps) -> tuple[Window, BlockSteps, float]:
     """A window and its blocks' changes with the lulls cut out, and the total length of the lulls."""
     edges = np.concatenate(([win.t_start], win.t, [win.t_stop]))
-    cut = np.concatenate(([0.0], np.cumsum(lulls(win))))
+    cut = np.concatenate(([0.0], np.cumsum(lulls(win.alone))))
     total = float(cut[-1])
     if not total:
         return win, steps, 0.0

@@ -31,11 +31,10 @@ from functools import cached_property
 
 import numpy as np
 
+from stickslip.analysis.series.windows import Windows, windows
+
 SAMPLED = ("drop", "length", "descent", "decreases")
 DEFINITIONS = ("events", *SAMPLED)
-#: Change points of n_stick of a run: t and n_stick, each shape (m,); n_stick[k] holds on [t[k], t[k+1]), the last for
-#: ever.
-ChangePoints = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, order=True)
@@ -127,35 +126,21 @@ class Window:
 
     def time_mean(self) -> float:
         """Exact time mean of n_stick over the window."""
-        return self._moments[0]
+        return float(self.alone.mean[0])
 
     def time_variance(self) -> float:
         """Exact variance over time of n_stick in the window."""
-        return self._moments[1]
+        return float(self.alone.variance[0])
 
     def means(self, count: int) -> np.ndarray:
-        """Exact time means of n_stick over `count` equal parts of the window."""
-        length = (self.t_stop - self.t_start) / count
-        area = np.interp(self.t_start + length * np.arange(count + 1), self._edges, self._area)
-        return (area[1:] - area[:-1]) / length
+        """Exact time means of n_stick over `count` equal parts of the window, shape (count,)."""
+        return self.alone.means(count)[0]
 
     @cached_property
-    def _edges(self) -> np.ndarray:
-        """Ends of the intervals on which n_stick is constant, shape (m + 2,)."""
-        return np.concatenate(([self.t_start], self.t, [self.t_stop]))
-
-    @cached_property
-    def _area(self) -> np.ndarray:
-        """The integral of n_stick from t_start to each edge."""
-        found = np.zeros(len(self._edges))
-        np.cumsum(self._path * (self._edges[1:] - self._edges[:-1]), out=found[1:])
-        return found
-
-    @cached_property
-    def _moments(self) -> tuple[float, float]:
-        weights = (self._edges[1:] - self._edges[:-1]) / (self.t_stop - self.t_start)
-        mean = float(weights @ self._path)
-        return mean, float(weights @ (self._path - mean) ** 2)
+    def alone(self) -> Windows:
+        """This window as the only one of `Windows`."""
+        t, first = np.concatenate(([self.t_start], self.t)), np.array([0, len(self.t) + 1])
+        return Windows(self.t_start, np.array([self.t_stop]), first, t, self._path)
 
 
 def window(t: np.ndarray, n_stick: np.ndarray, t_start: float, t_stop: float) -> Window:
@@ -175,25 +160,8 @@ def window(t: np.ndarray, n_stick: np.ndarray, t_start: float, t_stop: float) ->
     ValueError
         If shapes differ, values are not integers, times decrease, or the window is empty or starts before the series.
     """
-    times = np.asarray(t, dtype=np.float64)
-    values = np.asarray(n_stick)
-    if times.ndim != 1 or times.shape != values.shape or times.size == 0:
-        raise ValueError(
-            f"t, n_stick: expected two non-empty arrays of one length, got {times.shape} and {values.shape}"
-        )
-    if not np.issubdtype(values.dtype, np.integer):
-        raise ValueError(f"n_stick: expected integers, got dtype {values.dtype}")
-    if not np.isfinite(times).all() or (np.diff(times) < 0).any():
-        raise ValueError("t: expected finite times that do not decrease; sort the change points by time")
-    if not t_start < t_stop:
-        raise ValueError(f"t_start: expected t_start < t_stop, got {t_start!r} and {t_stop!r}")
-    if times[0] > t_start:
-        raise ValueError(f"t: expected a change point at or before t_start = {t_start!r}, first is {times[0]!r}")
-    first = int(np.searchsorted(times, t_start, side="right")) - 1
-    last = int(np.searchsorted(times, t_stop, side="right"))
-    step = np.diff(values[first:last].astype(np.int64))
-    moved = step != 0
-    return Window(float(t_start), float(t_stop), int(values[first]), times[first + 1 : last][moved], step[moved])
+    found = windows([(np.asarray(t), np.asarray(n_stick))], float(t_start), [float(t_stop)])
+    return Window(float(t_start), float(t_stop), int(found.level[0]), found.t[1:], found.step[1:])
 
 
 def sample(t: np.ndarray, n_stick: np.ndarray, grid: np.ndarray) -> np.ndarray:

@@ -11,7 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stickslip.analysis.series.cascades import ChangePoints, sample
+from stickslip.analysis.series.cascades import sample
+from stickslip.analysis.series.windows import ChangePoints
 
 SPAN = 20.0
 SHARE = 0.5

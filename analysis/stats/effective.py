@@ -4,8 +4,8 @@ There are two estimates, each pooled over runs; the larger one is used.
 
 - Means of 10 batches: 2 L var(L) - (L/2) var(L/2), with L the length of a batch, in which the error of order 1 / L
   cancels (Vats and Flegal 2022, Biometrika 109, 735). It sees motion as slow as a batch is long.
-- Sokal's: the autocorrelation summed up to the first lag of five tau (`estimates.correlation_time`). It is sharper
-  where one time scale dominates, and misses a slow motion of small amplitude under a fast one.
+- Sokal's: the autocorrelation summed up to the first lag of five tau (`correlation_times`). It is sharper where one
+  time scale dominates, and misses a slow motion of small amplitude under a fast one.
 
 Under a slow oscillation neither is too small. Both are too large, by up to a factor of three, since the mean of many
 periods is known better than their power suggests. Both are too small where motion is slower than the batches and does
@@ -15,25 +15,85 @@ not oscillate.
 from __future__ import annotations
 
 import numpy as np
+from scipy import fft
 
 from stickslip.analysis.series.cascades import Window
+from stickslip.analysis.series.windows import Windows
+from stickslip.analysis.stats.estimates import Estimate
 
 BATCHES = 10
+CORRELATION_SAMPLES = 8192  # of a window, at most: far finer than the correlation time, and cheap by FFT
+LEAST_SAMPLES = 256
+SAMPLES_A_CHANGE = 16  # enough for a window with few changes
+SOKAL_WINDOW = 5.0  # sum the autocorrelation up to the first lag >= 5 tau (Sokal 1997, section 3)
+SHORT_WINDOW = 20.0  # in a window of fewer correlation times, the estimate of tau itself is too low
+_TOGETHER = 1 << 20  # samples whose spectra are in memory at once
 
 
-def row(win: Window, tau: float) -> np.ndarray:
-    """The sums of one run, shape (4,), from its window and its correlation time `tau` (0 if it has none).
+def correlation_times(runs: Windows) -> np.ndarray:
+    """Integrated autocorrelation times of n_stick, tau = int_0^inf rho(s) ds, with Sokal's window, shape (R,).
+
+    A window of length T holds T / (2 tau) effectively independent samples. It is 0, which no other tau is, where
+    n_stick does not change; `is_short` says where it cannot be known.
+    """
+    n_changes = np.diff(runs.first) - 1
+    wanted = 2.0 ** (np.floor(np.log2(np.maximum(SAMPLES_A_CHANGE * n_changes, 1))) + 1)
+    n_samples = np.clip(wanted, LEAST_SAMPLES, CORRELATION_SAMPLES).astype(int)
+    found = np.zeros(len(runs))
+    for count in np.unique(n_samples[n_changes > 0]):
+        alike = np.flatnonzero((n_samples == count) & (n_changes > 0))
+        for k in range(0, len(alike), max(1, _TOGETHER // count)):
+            some = alike[k : k + max(1, _TOGETHER // count)]
+            part = runs.take(some)
+            found[some] = _sokal(part.level[part.at(count)].astype(np.float64)) * part.span / count
+    return found
+
+
+def correlation_time(win: Window) -> Estimate:
+    """The correlation time of one window: `correlation_times`.
+
+    Returns
+    -------
+    Estimate
+        tau (dimensionless). It has no value if n_stick does not change, and a reason beside the value if the window
+        is too short.
+    """
+    taus = correlation_times(win.alone)
+    if not taus[0]:
+        return Estimate(reason="n_stick does not change")
+    return Estimate(float(taus[0]), reason="short window" if is_short(win.alone, taus)[0] else "")
+
+
+def _sokal(samples: np.ndarray) -> np.ndarray:
+    """Sum of the autocorrelation of each row in steps of a sample; 0 for a row that is constant."""
+    samples -= samples.mean(axis=1, keepdims=True)
+    n = samples.shape[1]
+    size = fft.next_fast_len(2 * n, real=True)
+    products = fft.irfft(np.abs(fft.rfft(samples, size)) ** 2, size)[:, :n]
+    moves = products[:, 0] > 0
+    taus = np.cumsum(products[moves] / products[moves, :1], axis=1) - 0.5  # the trapezoidal rule halves the first
+    wide_enough = np.argmax(np.arange(n) >= SOKAL_WINDOW * taus, axis=1)
+    # The sum over an oscillating series can be negative; a window never holds more than its own samples.
+    found = np.zeros(len(samples))
+    found[moves] = np.maximum(np.take_along_axis(taus, wide_enough[:, None], axis=1)[:, 0], 0.5)
+    return found
+
+
+def is_short(runs: Windows, taus: np.ndarray) -> np.ndarray:
+    """Whether windows hold too few correlation times, `taus`, to estimate these, shape (R,)."""
+    return runs.span < SHORT_WINDOW * taus
+
+
+def rows(runs: Windows, taus: np.ndarray) -> np.ndarray:
+    """The sums of each run, shape (R, 4), from its window and its correlation time, 0 if it has none.
 
     They are the variance in time; length times variance of the means of 10 and of 20 batches; and Sokal's 2 tau times
     the variance.
     """
-    span, variance, finest = win.t_stop - win.t_start, win.time_variance(), win.means(2 * BATCHES)
-    spread = []
-    for count in (BATCHES, 2 * BATCHES):
-        means = finest.reshape(count, -1).mean(axis=1)
-        means -= means.mean()
-        spread.append(span / count * (means @ means) / (count - 1))
-    return np.array([variance, *spread, 2 * tau * variance])
+    finest = runs.means(2 * BATCHES)
+    tens = finest.reshape(len(runs), BATCHES, 2).mean(axis=2)
+    spread = [runs.span / some.shape[1] * some.var(axis=1, ddof=1) for some in (tens, finest)]
+    return np.column_stack([runs.variance, *spread, 2 * taus * runs.variance])
 
 
 def tau(rows: np.ndarray) -> float | None:

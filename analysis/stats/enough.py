@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stickslip.analysis.series.cascades import Window
+from stickslip.analysis.series.windows import Windows
 from stickslip.analysis.stats.compare import AGREE, DIFFER, equivalence_test
 from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, jackknife
 
@@ -42,9 +42,9 @@ class Basis:
     drift: Estimate
 
 
-def halves(win: Window) -> np.ndarray:
-    """Time means of n_stick in the first and the second half, and its variance in time, shape (3,)."""
-    return np.array([*win.means(2), win.time_variance()])
+def halves(runs: Windows) -> np.ndarray:
+    """Time means of n_stick in the first and the second half, and its variance in time, shape (R, 3)."""
+    return np.column_stack([runs.means(2), runs.variance])
 
 
 def _drift(sums: np.ndarray) -> np.ndarray:

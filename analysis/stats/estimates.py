@@ -11,9 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import fft
 
-from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.stats import student
 
 LN2 = float(np.log(2.0))  # gamma of P(k) = 2^-k: exits and entries equally likely and independent
@@ -142,53 +140,3 @@ def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> 
         return Estimate(value, reason=f"one left out: {undefined}")
     half = student.half_width(confidence, len(sums) - 1) * error
     return Estimate(value, value - half, value + half)
-
-
-def add_histograms(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Sum of two histograms, the shorter padded with zeros."""
-    out = np.zeros(max(len(a), len(b)), dtype=np.int64)
-    out[: len(a)] += a
-    out[: len(b)] += b
-    return out
-
-
-CORRELATION_SAMPLES = 8192  # of a window, at most: far finer than the correlation time, and cheap by FFT
-SAMPLES_A_CHANGE = 16  # enough for a window with few changes
-SOKAL_WINDOW = 5.0  # sum the autocorrelation up to the first lag >= 5 tau (Sokal 1997, section 3)
-SHORT_WINDOW = 20.0  # in a window of fewer correlation times, the estimate of tau itself is too low
-
-
-def is_short(win: Window, tau: float) -> bool:
-    """Whether a window holds too few correlation times tau to estimate tau."""
-    return win.t_stop - win.t_start < SHORT_WINDOW * tau
-
-
-def correlation_time(win: Window) -> Estimate:
-    """Integrated autocorrelation time of n_stick, tau = int_0^inf rho(s) ds, with Sokal's automatic window.
-
-    A window of length T holds T / (2 tau) effectively independent samples.
-
-    Returns
-    -------
-    Estimate
-        tau (dimensionless). It has no value if n_stick does not change, and a reason beside the value if the window
-        is too short.
-    """
-    span = win.t_stop - win.t_start
-    enough = 1 << int(SAMPLES_A_CHANGE * len(win.t)).bit_length()
-    dt = span / min(CORRELATION_SAMPLES, max(enough, 256))
-    samples = win.path()[win.grid_index(dt)].astype(np.float64)
-    samples -= samples.mean()
-    if not samples.any():
-        return Estimate(reason="n_stick does not change")
-    n = len(samples)
-    spectrum = fft.rfft(samples, fft.next_fast_len(2 * n, real=True))
-    products = fft.irfft(np.abs(spectrum) ** 2, fft.next_fast_len(2 * n, real=True))[:n]
-    rho = products / products[0]
-    taus = np.cumsum(rho) - 0.5  # in samples; the trapezoidal rule halves the first
-    wide_enough = np.flatnonzero(np.arange(n) >= SOKAL_WINDOW * taus)
-    # The sum over an oscillating series can be negative; a window never holds more than its own samples.
-    tau = max(float(taus[wide_enough[0]]), 0.5) * dt
-    if is_short(win, tau):
-        return Estimate(tau, reason="short window")
-    return Estimate(tau)

@@ -266,24 +266,27 @@ def _member_row(opened: Opened, source: ds.Dataset, member_id: str, columns: lis
 
 def series(path: Where | Opened) -> Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]:
     """t and n_stick as of `n_stick` by member_id. Failed members, which have no series, are left out."""
-    return Recorded(open_dataset(path), "t", ["t", "n_stick"], lambda row: (_array(row["t"]), _array(row["n_stick"])))
+    return Recorded(open_dataset(path), "t", ["t", "n_stick"], lambda row: (row("t"), row("n_stick")))
 
 
 def all_events(path: Where | Opened) -> Recorded[_Events]:
     """Times, blocks and modes of events, and the modes at t = 0, by member_id; empty if they are not recorded."""
-    return Recorded(open_dataset(path), "event_t", _EVENT_COLUMNS[:4], _arrays_of_events)
+    t, block, mode, initial_mode = names = _EVENT_COLUMNS[:4]
+
+    def entry(row: _Row) -> _Events:
+        return row(t), row(block), row(mode), row(initial_mode)
+
+    return Recorded(open_dataset(path), t, names, entry)
 
 
 def ends(path: Where | Opened) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """z and w at the end by member_id; empty if they are not recorded."""
-    return Recorded(
-        open_dataset(path), "z_end", ["z_end", "w_end"], lambda row: (_array(row["z_end"]), _array(row["w_end"]))
-    )
+    return Recorded(open_dataset(path), "z_end", ["z_end", "w_end"], lambda row: (row("z_end"), row("w_end")))
 
 
 def lists(path: Where | Opened, column: str) -> Recorded[NDArray[np.float64]]:
     """A column of lists of numbers by member_id; empty if it is not recorded."""
-    return Recorded(open_dataset(path), column, [column], lambda row: _array(row[column]))
+    return Recorded(open_dataset(path), column, [column], lambda row: row(column))
 
 
 def separations(path: Where | Opened) -> Recorded[tuple[NDArray[np.float64], NDArray[np.float64]]]:
@@ -296,7 +299,7 @@ def separations(path: Where | Opened) -> Recorded[tuple[NDArray[np.float64], NDA
 
     def entry(row: _Row) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         assert step is not None  # there would be no such column
-        distance: NDArray[np.float64] = _array(row["separation"])
+        distance: NDArray[np.float64] = row("separation")
         return step * np.arange(len(distance), dtype=np.float64), distance
 
     return Recorded(opened, "separation", ["separation"], entry)
@@ -306,13 +309,14 @@ def by_threshold(path: Where | Opened) -> Recorded[dict[float, tuple[NDArray[np.
     """t and n_stick by threshold, for further definitions of sticking, by member_id; empty without `thresholds`."""
 
     def entry(row: _Row) -> dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]:
-        found = row["by_threshold"].values  # noqa: PD011  an Arrow scalar, no data frame
+        found = row("by_threshold").values  # noqa: PD011  an Arrow scalar, no data frame
         return {one["threshold"].as_py(): (_array(one["t"]), _array(one["n_stick"])) for one in found}
 
     return Recorded(open_dataset(path), "by_threshold", ["by_threshold"], entry)
 
 
-_Row = dict[str, pa.Scalar]
+#: What a column holds in one row: an array where it is a list of numbers, else an Arrow scalar.
+_Row = Callable[[str], Any]
 
 
 class Recorded(Mapping[str, _Value]):
@@ -325,29 +329,28 @@ class Recorded(Mapping[str, _Value]):
         source = opened.shards()
         self._opened, self._recorded, self._columns, self._entry = opened, recorded, columns, entry
         self._fragments = list(source.get_fragments()) if recorded in source.schema.names else []
-        self._kept: dict[int, dict[str, pa.Array]] = {}  # columns by shard, the last one that was read last
+        self._kept: dict[int, _Shard] = {}  # the last one was read last
 
-    def _shard(self, k: int) -> dict[str, pa.Array]:
+    def _shard(self, k: int) -> _Shard:
         if k not in self._kept:
             names = ["member_id", *self._columns]
             with reading(self._opened.place):
                 table = self._fragments[k].to_table(columns=names, filter=pc.field(self._recorded).is_valid())
             while len(self._kept) >= _SHARDS_KEPT and self._n_bytes() + table.nbytes > _KEPT:
                 del self._kept[next(iter(self._kept))]
-            self._kept[k] = {name: _joined(table[name]) for name in names}
+            self._kept[k] = _Shard(table)
         return self._kept[k]
 
     def _n_bytes(self) -> int:
-        return sum(column.nbytes for columns in self._kept.values() for column in columns.values())
+        return sum(shard.n_bytes for shard in self._kept.values())
 
     def _at(self, k: int, row: int) -> _Value:
-        columns = self._shard(k)
-        return self._entry({name: columns[name][row] for name in self._columns})
+        return self._entry(self._shard(k).row(row))
 
     @cached_property
     def _place(self) -> dict[str, tuple[int, int]]:
         """Shard and row of each member."""
-        names = (self._shard(k)["member_id"].to_pylist() for k in range(len(self._fragments)))
+        names = (self._shard(k).member_ids for k in range(len(self._fragments)))
         return {name: (k, row) for k, listed in enumerate(names) for row, name in enumerate(listed)}
 
     def __getitem__(self, key: str) -> _Value:
@@ -374,8 +377,33 @@ class _Items(ItemsView[str, _Value]):
     def __iter__(self) -> Iterator[tuple[str, _Value]]:
         found = self._mapping
         for k in range(len(found._fragments)):
-            for row, name in enumerate(found._shard(k)["member_id"].to_pylist()):
+            for row, name in enumerate(found._shard(k).member_ids):
                 yield name, found._at(k, row)
+
+
+class _Shard:
+    """Columns of a shard in memory, of which rows are taken quickly."""
+
+    def __init__(self, table: pa.Table) -> None:
+        self.n_bytes = table.nbytes
+        columns = {name: _joined(table[name]) for name in table.column_names}
+        self.member_ids: list[str] = columns.pop("member_id").to_pylist()
+        self._lists, self._others = dict[str, tuple[np.ndarray, list[int]]](), dict[str, pa.Array]()
+        for name, column in columns.items():
+            if pa.types.is_primitive(column.type.value_type):
+                values = column.values.to_numpy(zero_copy_only=False)  # noqa: PD011  an Arrow array, no data frame
+                self._lists[name] = values, column.offsets.to_pylist()
+            else:
+                self._others[name] = column
+
+    def row(self, k: int) -> _Row:
+        def at(name: str) -> Any:
+            if name not in self._lists:
+                return self._others[name][k]
+            values, offsets = self._lists[name]
+            return values[offsets[k] : offsets[k + 1]]
+
+        return at
 
 
 def _joined(column: pa.ChunkedArray) -> pa.Array:
@@ -387,12 +415,8 @@ def _joined(column: pa.ChunkedArray) -> pa.Array:
 def _event_series(row: dict[str, pa.Scalar]) -> sim.EventSeries:
     # nothing happens any more after a collapse: its series is known to the end
     end = row["t_stop"] if row["outcome"].as_py() == "diverged" else row["t_end"]
-    return sim.EventSeries(*_arrays_of_events(row), t_start=0.0, t_end=end.as_py())
-
-
-def _arrays_of_events(row: dict[str, pa.Scalar]) -> _Events:
     t, block, mode, initial_mode = (_array(row[name]) for name in _EVENT_COLUMNS[:4])
-    return t, block, mode, initial_mode
+    return sim.EventSeries(t, block, mode, initial_mode, t_start=0.0, t_end=end.as_py())
 
 
 def _array(entry: pa.ListScalar) -> np.ndarray:

@@ -21,7 +21,7 @@ from stickslip.analysis.series.cascades import laws as cascade_laws
 from stickslip.analysis.series.nulls import DRAWS, BlockSteps, rotations
 from stickslip.analysis.stats import compare, components, dispersion, effective, enough, multiplicity
 from stickslip.analysis.stats.effects import over_null
-from stickslip.analysis.stats.estimates import LN2, Estimate, correlation_time, gamma, over_matrices, ratio
+from stickslip.analysis.stats.estimates import LN2, Estimate, gamma, over_matrices, ratio
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness
 from tests.chance import ERRORS, agrees
@@ -513,7 +513,7 @@ def effective_study(rng, ensembles, t_end=2400.0):
         runs = 4 * ensembles  # of few, all ensembles would be alike
         x = np.rint(100 + 20 * wandering(rng, runs, t_end, **shares)).astype(np.int64)
         windows = [window(np.arange(t_end), one, 0.0, t_end) for one in x]
-        rows = np.array([effective.row(win, correlation_time(win).value or 0.0) for win in windows])
+        rows = np.concatenate([effective.rows(one.alone, effective.correlation_times(one.alone)) for one in windows])
         means, answer = x.mean(axis=1), wandering_tau(t_end, **shares)
         taus, held = [], []
         for some in rng.integers(runs, size=(ensembles, MATRICES)):
@@ -721,7 +721,7 @@ def drift_study(rng, ensembles, t_end=2400.0):
         x = wandering(rng, runs, t_end, oscillation=0.3)
         x[:, int(t_end) // 2 :] += drift
         x = np.rint(100 + 20 * x).astype(np.int64)
-        rows = np.array([enough.halves(window(np.arange(t_end), one, 0.0, t_end)) for one in x])
+        rows = np.concatenate([enough.halves(window(np.arange(t_end), one, 0.0, t_end).alone) for one in x])
         answer = float(ratio(np.column_stack([rows[:, 1] - rows[:, 0], np.ones(runs)]).sum(axis=0, keepdims=True))[0])
         answer /= np.sqrt(rows[:, 2].mean())
         for g in (MATRICES, 6):

@@ -147,12 +147,12 @@ def test_the_spread_of_batches_by_hand():
     """n_stick a_k on 20 batches of length 2: length times variance with 9 and 19 degrees of freedom."""
     a = np.random.default_rng(0).integers(0, 100, 20)
     twenties, pairs = a.var(ddof=1), a.reshape(10, 2).mean(axis=1).var(ddof=1)
-    found = effective.row(window(np.arange(0.0, 40.0, 2.0), a, 0.0, 40.0), 3.0)
+    found = effective.rows(window(np.arange(0.0, 40.0, 2.0), a, 0.0, 40.0).alone, np.array([3.0]))[0]
     np.testing.assert_allclose(found, [a.var(), 4.0 * pairs, 2.0 * twenties, 6.0 * a.var()], rtol=1e-12)
 
 
 def test_n_stick_that_does_not_change_has_no_effective_samples():
-    still = effective.row(window(np.zeros(1), np.array([3]), 0.0, 10.0), 0.0)
+    still = effective.rows(window(np.zeros(1), np.array([3]), 0.0, 10.0).alone, np.zeros(1))[0]
     assert effective.tau(np.array([still, still])) is None
 
 

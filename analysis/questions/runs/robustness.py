@@ -159,7 +159,7 @@ class _Judged:
                 continue
             self.sums[member] = found
             if member in bases:
-                halves.append(enough.halves(win))
+                halves.append(enough.halves(win.alone)[0])
                 n_cascades += len(sizes(win, EVENTS))
         self.basis = enough.basis(np.array(halves), n_cascades, self.level)
         self.lack = self._lack()
@@ -294,7 +294,7 @@ def _of(comparison: Comparison, matrix: int) -> list[str]:
 
 def _sums(win: Window) -> np.ndarray | None:
     """Sums of each of `PRIMARY`, shape (3, 2); None where one of them has no value."""
-    rows = np.array([QUANTITIES[name].sums(win) for name in PRIMARY])
+    rows = np.array([QUANTITIES[name].sums(win.alone)[0] for name in PRIMARY])
     try:
         for name, row in zip(PRIMARY, rows, strict=True):
             QUANTITIES[name].of(row[None])

@@ -75,7 +75,7 @@ def _row(study: Study, group: Group) -> Row | None:
         lulls, total = lulls + lull, total + win.t_stop - win.t_start
         if len(cut.t):
             sums[k] += run_sums(cut, steps, min(study.settings.resamples, ROTATIONS), study.generator(member_id))
-            halves[k] += [*enough.halves(cut), 1.0]
+            halves[k] += [*enough.halves(cut.alone)[0], 1.0]
     cascades = sums[:, OBSERVED][:, 1]
     sums, halves, of = sums[cascades > 0], halves[cascades > 0], parts(n)
     if not len(sums):

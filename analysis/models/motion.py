@@ -1,0 +1,131 @@
+"""What a run gives to its group: its fate, its last change of n_stick, and the sums of its motion after t_burn."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from stickslip.analysis.models.counting import lulls
+from stickslip.analysis.models.fates import FAILED, MOVING, fate
+from stickslip.analysis.series.windows import ChangePoints, NoSeries, Windows, windows
+from stickslip.analysis.stats import effective, enough
+from stickslip.analysis.stats.quantities import QUANTITIES
+
+#: Change points and runs that are worked on at once.
+_POINTS, _RUNS = 1 << 19, 1 << 13
+_LENGTHS = {**dict.fromkeys(QUANTITIES, 2), "halves": 3, "stuck": 2, "effective": 4, "short": 1}
+
+
+def _columns() -> Iterator[tuple[str, slice]]:
+    k = 0
+    for name, length in _LENGTHS.items():
+        yield name, slice(k, k + length)
+        k += length
+
+
+#: Columns of `Motion.sums`: those of `QUANTITIES`; `enough.halves`; the integral of n_stick and the time without
+#: lulls; `effective.rows`; and whether the window is too short for a correlation time or has none.
+COLUMNS: Mapping[str, slice] = dict(_columns())
+
+
+class Ended(NamedTuple):
+    """How a run ended: its growth rate is None if it is not known."""
+
+    member_id: str
+    outcome: str
+    t_end: float
+    growth_rate: float | None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Some runs, in order, R of them.
+
+    Attributes
+    ----------
+    fates : list of str
+        From `models.fates.fate`.
+    last : ndarray, shape (R, 2)
+        Time of the last change of n_stick, and n_stick from then on; NaN if a run failed.
+    sums : ndarray, shape (R, C)
+        `COLUMNS` over the window of a run in motion; 0 for others.
+    sizes : ndarray of int, shape (S, 3)
+        Run, size and number of its complete cascades of that size, by the definition `events`.
+    """
+
+    fates: list[str]
+    last: np.ndarray
+    sums: np.ndarray
+    sizes: np.ndarray
+
+    def take(self, some: np.ndarray) -> Motion:
+        """Some of the runs, by their places."""
+        place = np.full(len(self.fates), -1)
+        place[some] = np.arange(len(some))
+        sizes = self.sizes[place[self.sizes[:, 0]] >= 0]
+        sizes = np.column_stack([place[sizes[:, 0]], sizes[:, 1:]])
+        return Motion([self.fates[k] for k in some], self.last[some], self.sums[some], sizes)
+
+
+def joined(parts: Sequence[Motion]) -> Motion:
+    """The runs of several, one after the other."""
+    first = np.cumsum([0, *(len(one.fates) for one in parts[:-1])])
+    sizes = [one.sizes + np.array([k, 0, 0]) for k, one in zip(first, parts, strict=True)]
+    return Motion(
+        [how for one in parts for how in one.fates],
+        np.concatenate([one.last for one in parts]),
+        np.concatenate([one.sums for one in parts]),
+        np.concatenate(sizes),
+    )
+
+
+def motion(runs: Iterable[Ended], series: Mapping[str, ChangePoints], t_burn: float) -> Motion:
+    """What at least one run gives; each is read once.
+
+    Raises
+    ------
+    ValueError
+        If the change points of a member are not a series; the error names the member.
+    """
+    found: list[Motion] = []
+    some: list[tuple[Ended, ChangePoints | None]] = []
+    n_points = 0
+    for one in runs:
+        points = None if one.outcome == FAILED else series[one.member_id]
+        some.append((one, points))
+        n_points += 0 if points is None else len(points[0])
+        if n_points > _POINTS or len(some) == _RUNS:
+            found.append(_together(some, t_burn))
+            some, n_points = [], 0
+    return joined([*found, _together(some, t_burn)] if some else found)
+
+
+def _together(some: Sequence[tuple[Ended, ChangePoints | None]], t_burn: float) -> Motion:
+    fates = [fate(one.outcome, points, one.t_end, one.growth_rate) for one, points in some]
+    last = np.array([(np.nan, np.nan) if points is None else (points[0][-1], points[1][-1]) for _, points in some])
+    sums = np.zeros((len(some), sum(_LENGTHS.values())))
+    moving = np.array([k for k, how in enumerate(fates) if how in MOVING], dtype=int)
+    if not len(moving):
+        return Motion(fates, last, sums, np.zeros((0, 3), int))
+    in_motion = [(one, points) for k in moving if (points := some[k][1]) is not None and (one := some[k][0])]
+    try:
+        runs = windows([points for _, points in in_motion], t_burn, [one.t_end for one, _ in in_motion])
+    except NoSeries as error:
+        raise ValueError(f"series of member {in_motion[error.place][0].member_id!r}: {error}") from error
+    sums[moving] = _sums(runs)
+    run, depth = runs.falls
+    sizes, n_times = np.unique(np.column_stack([moving[run], depth]), axis=0, return_counts=True)
+    return Motion(fates, last, sums, np.column_stack([sizes, n_times]))
+
+
+def _sums(runs: Windows) -> np.ndarray:
+    """`COLUMNS` of each run, shape (R, C)."""
+    given = {name: quantity.sums(runs) for name, quantity in QUANTITIES.items()}
+    tau = given["correlation_time"][:, 0]
+    halves = enough.halves(runs)
+    stuck = np.column_stack([halves[:, :2].mean(axis=1) * runs.span, runs.span - runs.total(lulls(runs))])
+    is_short = (tau == 0) | effective.is_short(runs, tau)
+    return np.column_stack([*given.values(), halves, stuck, effective.rows(runs, tau), is_short])
