@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any, NamedTuple
+from functools import cached_property, partial
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -15,17 +14,17 @@ import pandas as pd
 from stickslip.analysis.groups import Group, fill, groups
 from stickslip.analysis.members import OUTCOMES, REQUIRED, completed, known_outcomes, unchanged
 from stickslip.analysis.models.fates import fate
-from stickslip.analysis.models.motion import Ended, Motion, motion
-from stickslip.analysis.series.cascades import Window, window
+from stickslip.analysis.models.motion import joined, motion
+from stickslip.analysis.series.cascades import Window
+from stickslip.analysis.series.runs import Ended, Events, Put, Run, Runs, generator, named_window
 from stickslip.analysis.series.windows import ChangePoints
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, at_least, over_matrices, ratio
 
+T = TypeVar("T")
 Series = Mapping[str, ChangePoints]
-#: Events of a run: t float64, block int32, mode int8 (-1, 0, +1 after the event), each (m,); and initial_mode (n,).
-Events = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 #: Distance of a run's state from its unperturbed twin's: times, shape (m,), and distance, shape (m,).
 Separation = tuple[np.ndarray, np.ndarray]
 
@@ -95,10 +94,19 @@ class Data:
 
 @dataclass
 class Study:
-    """What every question is given: the data, the settings declared beforehand, and the groups."""
+    """What every question is given: the data, the settings declared beforehand, and the groups.
+
+    Attributes
+    ----------
+    data : Data
+    settings : AnalysisSettings
+    put : Put, optional
+        Puts functions to runs; by default here, one run after the other.
+    """
 
     data: Data
     settings: AnalysisSettings
+    put: Put | None = None
 
     def __post_init__(self) -> None:
         check(self.data.members, self.data.series, self.settings)
@@ -107,17 +115,52 @@ class Study:
     def groups(self) -> list[Group]:
         """Groups of the unchanged members, filled, by n and engine."""
         members = unchanged(self.data.members)
-        given = self.motion(members)
+        parts = self._put(motion, ended(members))
+        order = np.argsort(np.concatenate([places for places, _ in parts]))
+        given = joined([part for _, part in parts]).take(order)
         place = pd.Series(np.arange(len(members)), index=members.index)
         found = groups(members)
         for group in found:
             fill(group, given.take(place[group.members.index].to_numpy()))
         return found
 
-    def motion(self, members: pd.DataFrame) -> Motion:
-        """What each of some members gives, in their order; raises as `window`."""
-        columns = (members["member_id"], known_outcomes(members), members["t_end"], members["growth_rate"])
-        return motion(map(Ended, *columns), self.data.series, self.settings.t_burn)
+    @cached_property
+    def runs(self) -> Runs:
+        """What the runs recorded."""
+        return Runs(self.data.series, self.data.events, self.settings.t_burn, self.settings.seed)
+
+    def _put(
+        self, of: Callable[[Runs, Sequence[Ended]], T], some: Sequence[Ended]
+    ) -> Sequence[tuple[Sequence[int], T]]:
+        return [(range(len(some)), of(self.runs, some))] if self.put is None else self.put(of, some)
+
+    def sums(self, group: Group, of: Callable[[Run], np.ndarray | None], n_columns: int) -> np.ndarray:
+        """The sums over runs of what a function gives of each run in motion of a group.
+
+        Parameters
+        ----------
+        group : Group
+        of : callable
+            Gives an array of `n_columns` numbers, or None. It is of a module, or a `functools.partial` of one, for it
+            may be put to the runs in other processes.
+        n_columns : int
+
+        Returns
+        -------
+        ndarray, shape (G, n_columns + 1)
+            One row a unit; at its end how many of its runs gave something.
+
+        Raises
+        ------
+        ValueError
+            If the change points of a member are not a series; the error names the member.
+        """
+        row_of = {unit: row for row, unit in enumerate(group.units)}
+        found = np.zeros((len(group.units), n_columns + 1))
+        for _, given in self._put(partial(Runs.sums, of=of), ended(group.moving)):
+            for unit, row in given.items():
+                found[row_of[unit]] += row
+        return found
 
     @property
     def margins(self) -> dict[str, float]:
@@ -150,25 +193,13 @@ class Study:
         return dict(zip(table["member_id"], zip(table["outcome"], table["t_stop"], strict=True), strict=True))
 
     def window(self, member_id: str, t_end: float) -> Window:
-        """n_stick of a member on [t_burn, t_end].
-
-        Raises
-        ------
-        ValueError
-            If its change points are not a series; the error names the member.
-        """
-        return self._window(self.data.series[member_id], member_id, t_end)
-
-    def _window(self, points: ChangePoints, member_id: str, t_end: float) -> Window:
-        try:
-            return window(*points, self.settings.t_burn, t_end)
-        except ValueError as error:
-            raise ValueError(f"series of member {member_id!r}: {error}") from error
+        """n_stick of a member on [t_burn, t_end]; raises as `Runs.window`."""
+        return self.runs.window(member_id, t_end)
 
     def by_threshold(self, member_id: str, t_end: float) -> dict[float, Window]:
         """n_stick of a member on [t_burn, t_end] under each further threshold; raises as `window`."""
         found = self.data.thresholds.get(member_id, {})
-        return {c: self._window(points, member_id, t_end) for c, points in found.items()}
+        return {c: named_window(points, member_id, self.settings.t_burn, t_end) for c, points in found.items()}
 
     def judged(self) -> list[Group]:
         """Groups whose runs allow a statistic of a steady state.
@@ -240,8 +271,19 @@ class Study:
 
     def generator(self, member_id: str) -> np.random.Generator:
         """Random numbers of a member, which depend on its name and the seed but not on its place in the table."""
-        words = np.frombuffer(hashlib.sha256(member_id.encode()).digest(), dtype="<u4")
-        return np.random.default_rng(np.random.SeedSequence([self.settings.seed, *words.tolist()]))
+        return generator(self.settings.seed, member_id)
+
+
+def ended(members: pd.DataFrame) -> list[Ended]:
+    """How the runs of some members ended, in their order."""
+    columns = (
+        members["member_id"],
+        members["unit"],
+        known_outcomes(members),
+        members["t_end"],
+        members["growth_rate"],
+    )
+    return list(map(Ended, members.index.tolist(), *(column.tolist() for column in columns)))
 
 
 def check(members: pd.DataFrame, series: Series, settings: AnalysisSettings) -> None:

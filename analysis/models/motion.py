@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from stickslip.analysis.models.counting import lulls
 from stickslip.analysis.models.fates import FAILED, MOVING, fate
+from stickslip.analysis.series.runs import Ended, Runs
 from stickslip.analysis.series.windows import ChangePoints, NoSeries, Windows, windows
 from stickslip.analysis.stats import effective, enough
 from stickslip.analysis.stats.quantities import QUANTITIES
@@ -29,15 +29,6 @@ def _columns() -> Iterator[tuple[str, slice]]:
 #: Columns of `Motion.sums`: those of `QUANTITIES`; `enough.halves`; the integral of n_stick and the time without
 #: lulls; `effective.rows`; and whether the window is too short for a correlation time or has none.
 COLUMNS: Mapping[str, slice] = dict(_columns())
-
-
-class Ended(NamedTuple):
-    """How a run ended: its growth rate is None if it is not known."""
-
-    member_id: str
-    outcome: str
-    t_end: float
-    growth_rate: float | None
 
 
 @dataclass(frozen=True)
@@ -82,8 +73,8 @@ def joined(parts: Sequence[Motion]) -> Motion:
     )
 
 
-def motion(runs: Iterable[Ended], series: Mapping[str, ChangePoints], t_burn: float) -> Motion:
-    """What at least one run gives; each is read once.
+def motion(runs: Runs, some: Sequence[Ended]) -> Motion:
+    """What some runs give, at least one; each is read once.
 
     Raises
     ------
@@ -91,16 +82,16 @@ def motion(runs: Iterable[Ended], series: Mapping[str, ChangePoints], t_burn: fl
         If the change points of a member are not a series; the error names the member.
     """
     found: list[Motion] = []
-    some: list[tuple[Ended, ChangePoints | None]] = []
+    read: list[tuple[Ended, ChangePoints | None]] = []
     n_points = 0
-    for one in runs:
-        points = None if one.outcome == FAILED else series[one.member_id]
-        some.append((one, points))
+    for one in some:
+        points = None if one.outcome == FAILED else runs.series[one.member_id]
+        read.append((one, points))
         n_points += 0 if points is None else len(points[0])
-        if n_points > _POINTS or len(some) == _RUNS:
-            found.append(_together(some, t_burn))
-            some, n_points = [], 0
-    return joined([*found, _together(some, t_burn)] if some else found)
+        if n_points > _POINTS or len(read) == _RUNS:
+            found.append(_together(read, runs.t_burn))
+            read, n_points = [], 0
+    return joined([*found, _together(read, runs.t_burn)] if read else found)
 
 
 def _together(some: Sequence[tuple[Ended, ChangePoints | None]], t_burn: float) -> Motion:

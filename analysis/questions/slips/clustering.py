@@ -14,7 +14,7 @@ from stickslip.analysis.answer import Answer, F, Question, Row, S, frame
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.models.clustering import FANO, PAIRS, POWER, VARIANCE, Part, measure, periods
-from stickslip.analysis.series.nulls import block_steps
+from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import UNKNOWN, WITHIN
 from stickslip.analysis.stats.effects import LESS, MORE, Effect, over_null, together
@@ -105,18 +105,22 @@ def _measured(study: Study, group: Group) -> _Measured:
     longest = min(longest, SLOW)
     edges = np.geomspace(max(shortest, min(1.0, longest / 2)), longest, CURVE + 1).tolist()
     bands = [Part(POWER, high, low) for low, high in pairwise([*edges[:-1], longest])]
-    runs, n_exits, n_runs = np.zeros((len(group.units), len(parts) + len(bands), 2)), 0, 0
-    for row, member_id, win in study.windows(group):
-        if member_id not in study.data.events:
-            continue
-        steps = block_steps(*study.data.events[member_id], win.t_start, win.t_stop)
-        try:
-            runs[row] += measure(steps, [*parts, *bands])
-        except Undefined:  # with fewer than two exits there is nothing to measure
-            continue
-        n_exits, n_runs = n_exits + int(np.sum(steps.step < 0)), n_runs + 1
+    n_columns = 2 * len([*parts, *bands])
+    found = study.sums(group, partial(_of_run, (*parts, *bands)), n_columns + 1)
+    runs = found[:, :n_columns].reshape(len(found), -1, 2)
+    n_exits, n_runs = found[:, n_columns:].sum(axis=0)
     seen = runs[:, :, 1].any(axis=1)
     return _Measured(group, parts, bands, runs[seen], n_exits / max(seen.sum(), 1), n_runs * span / max(n_exits, 1))
+
+
+def _of_run(parts: Sequence[Part], run: Run) -> np.ndarray | None:
+    """`measure` of a run and its number of exits; None without events, or with fewer than two exits."""
+    if run.steps is None:
+        return None
+    try:
+        return np.append(measure(run.steps, parts), np.sum(run.steps.step < 0))
+    except Undefined:
+        return None
 
 
 def _effect(rows: np.ndarray, confidence: float, margin: float = 0.0) -> Effect:

@@ -17,7 +17,7 @@ from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.counting import MEAN, N_COLUMNS, OBSERVED, parts, run_sums, without_lulls
 from stickslip.analysis.questions.slips.cascades import GAMMA_MARGIN, verdict_on
-from stickslip.analysis.series.nulls import block_steps
+from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.stats.estimates import LN2, over_matrices, ratio
@@ -65,38 +65,45 @@ def answer(study: Study) -> Answer | None:
 def _row(study: Study, group: Group) -> Row | None:
     """Row of the table `counting`: the parts of a group without its lulls; None if it has no events."""
     level, n = study.settings.confidence, int(group.key["n"])
-    sums, halves = np.zeros((len(group.units), N_COLUMNS)), np.zeros((len(group.units), 4))
-    lulls, total = 0.0, 0.0
-    for k, member_id, win in study.windows(group):
-        if member_id not in study.data.events:
-            continue
-        steps = block_steps(*study.data.events[member_id], win.t_start, win.t_stop)
-        cut, steps, lull = without_lulls(win, steps)
-        lulls, total = lulls + lull, total + win.t_stop - win.t_start
-        if len(cut.t):
-            sums[k] += run_sums(cut, steps, min(study.settings.resamples, ROTATIONS), study.generator(member_id))
-            halves[k] += [*enough.halves(cut.alone)[0], 1.0]
+    found = study.sums(group, partial(_of_run, min(study.settings.resamples, ROTATIONS)), N_COLUMNS + 6)
+    sums, halves, spans = np.hsplit(found[:, :-1], (N_COLUMNS, N_COLUMNS + 4))
+    lulls, total = spans.sum(axis=0)
     cascades = sums[:, OBSERVED][:, 1]
     sums, halves, of = sums[cascades > 0], halves[cascades > 0], parts(n)
     if not len(sums):
         return None
     basis = enough.basis(halves[:, :3] / halves[:, 3:], int(cascades.sum()), level)
-    found = {name: over_matrices(of[name], sums, level) for name in _PARTS}
+    estimates = {name: over_matrices(of[name], sums, level) for name in _PARTS}
     mean = float(ratio(sums[:, MEAN].sum(axis=0, keepdims=True))[0])
     row: Row = {
         "group": group.label, "n": n, "n_matrices": len(sums), "n_cascades": basis.n_cascades, "basis": basis.code,
         "is_judged": basis.code in enough.JUDGED,
-        "mean": mean, "variance": mean * (1 - mean / n), "in_lulls": lulls / total,
+        "mean": mean, "variance": mean * (1 - mean / n), "in_lulls": float(lulls / total),
         "n_runs": len(group.members), "n_moving": len(group.moving), "verdict": UNKNOWN, "slope_verdict": UNKNOWN,
         "slope_of_pool": pool.slope(n, mean) if pool.is_one(n, mean) else None,
         "of": [group.key[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name != "n"],
     }  # fmt: skip
-    for name, one in found.items():
+    for name, one in estimates.items():
         row |= named(name, one)
     if row["is_judged"]:
         row["verdict"] = verdict_on(of["coupling"], sums, GAMMA_MARGIN, level)
         row["slope_verdict"] = verdict_on(of["over_slope"], sums, SLOPE_MARGIN, level)
     return row
+
+
+def _of_run(draws: int, run: Run) -> np.ndarray | None:
+    """`run_sums` of a run without its lulls, `enough.halves` and 1, its time in lulls and all of its time.
+
+    None without events. Of a run of which nothing is left, all but the times are 0.
+    """
+    if run.steps is None:
+        return None
+    cut, steps, lull = without_lulls(run.win, run.steps)
+    times = [lull, run.win.t_stop - run.win.t_start]
+    if not len(cut.t):
+        return np.concatenate([np.zeros(N_COLUMNS + 4), times])
+    halves = enough.halves(cut.alone)[0]
+    return np.concatenate([run_sums(cut, steps, draws, run.generator()), halves, [1.0], times])
 
 
 def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:

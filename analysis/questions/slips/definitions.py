@@ -15,7 +15,8 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.questions.slips.cascades import GAMMA_MARGIN, PAPER_GAMMA, SHALLOWER, STEEP, STEEPER
 from stickslip.analysis.series import cascades
 from stickslip.analysis.series.cascades import DEFINITIONS, SAMPLED, Window
-from stickslip.analysis.series.nulls import DRAWS, Sums, block_steps, rotations
+from stickslip.analysis.series.nulls import DRAWS, Sums, rotations
+from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats.effects import over_null, together
 from stickslip.analysis.stats.estimates import gamma, over_matrices
 from stickslip.analysis.style import CYCLE, GREY, panel
@@ -89,21 +90,19 @@ def _few(dts: Sequence[float]) -> list[float]:
 
 def _sums(study: Study, group: Group) -> tuple[Sums, Sums]:
     """Sums by law of a group's runs, and of independent blocks: one row a matrix, zero where nothing is known."""
-    settings, events = study.settings, study.data.events
-    dts = sorted({*settings.dt, *settings.map_dt})
-    observed, chance = ({law: np.zeros((len(group.units), 2)) for law in cascades.laws(dts)} for _ in range(2))
-    for row, member_id, win in study.windows(group):
-        _add(observed, row, _observed(win, dts))
-        if member_id in events:
-            steps = block_steps(*events[member_id], win.t_start, win.t_stop)
-            draws, rng = min(settings.resamples, DRAWS), study.generator(member_id)
-            _add(chance, row, rotations(steps, dts, draws, rng))
+    dts = sorted({*study.settings.dt, *study.settings.map_dt})
+    laws = cascades.laws(dts)
+    found = study.sums(group, partial(_of_run, dts, min(study.settings.resamples, DRAWS)), 4 * len(laws))
+    both = found[:, :-1].reshape(-1, 2, len(laws), 2)
+    observed, chance = ({law: both[:, k, i] for i, law in enumerate(laws)} for k in range(2))
     return observed, chance
 
 
-def _add(to: Sums, row: int, found: Sums) -> None:
-    for law, one in found.items():
-        to[law][row] += one
+def _of_run(dts: Sequence[float], draws: int, run: Run) -> np.ndarray:
+    """Sums of every law of a run, and of its rotations; these are 0 without events."""
+    laws, none = cascades.laws(dts), np.zeros(2)
+    chance = {} if run.steps is None else rotations(run.steps, dts, draws, run.generator())
+    return np.concatenate([sums.get(law, none) for sums in (_observed(run.win, dts), chance) for law in laws])
 
 
 def _observed(win: Window, dts: Iterable[float]) -> Sums:

@@ -14,7 +14,8 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.models import pool
 from stickslip.analysis.series.cascades import EVENTS, Window
 from stickslip.analysis.series.cascades import sizes as cascade_sizes
-from stickslip.analysis.series.nulls import DRAWS, block_steps, rotated
+from stickslip.analysis.series.nulls import DRAWS, rotated
+from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats.compare import against
 from stickslip.analysis.stats.dispersion import excess, moments
 from stickslip.analysis.stats.effects import MANY
@@ -109,22 +110,27 @@ def _pool(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float
 
 def _rotation(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> Row:
     """The same ratio for the runs' own blocks if they ignore each other, and how far the runs lie from it."""
-    settings, events = study.settings, study.data.events
-    sums = np.zeros((len(group.units), 3))
-    for row, member_id, win in study.windows(group):
-        if member_id in events:
-            steps, rng = block_steps(*events[member_id], win.t_start, win.t_stop), study.generator(member_id)
-            for _ in range(min(settings.resamples, DRAWS)):
-                t, step = rotated(steps, rng)
-                found = cascade_sizes(Window(0.0, steps.span, 0, t, step), EVENTS)
-                sums[row] += moments(np.bincount(found, minlength=int(sizes[0]) + 1)[int(sizes[0]) :])
+    of = partial(_of_run, int(sizes[0]), min(study.settings.resamples, DRAWS))
+    sums = study.sums(group, of, 3)[:, :3]
     sums = sums[group.counts.sum(axis=1) > 0]
     seen = sums[:, 0] > 0
-    value, over = over_matrices(excess, sums[seen], settings.confidence).value, Estimate()
+    value, over = over_matrices(excess, sums[seen], study.settings.confidence).value, Estimate()
     if value is not None:
         both = np.hstack([moments(counts), sums])[seen]
-        over = over_matrices(paired_difference(excess), both, settings.confidence)
+        over = over_matrices(paired_difference(excess), both, study.settings.confidence)
     return {"rotation": None if value is None else 1 + value, **named("over_rotation", over)}
+
+
+def _of_run(least: int, draws: int, run: Run) -> np.ndarray | None:
+    """Sums of `moments`, from a least size on, of a run's rotations, shape (3,); None without events."""
+    if run.steps is None:
+        return None
+    sums, rng = np.zeros(3), run.generator()
+    for _ in range(draws):
+        t, step = rotated(run.steps, rng)
+        found = cascade_sizes(Window(0.0, run.steps.span, 0, t, step), EVENTS)
+        sums += moments(np.bincount(found, minlength=least + 1)[least:])
+    return sums
 
 
 def _quotients(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[Row]:

@@ -26,7 +26,7 @@ from stickslip.analysis.models.rhythm import (
     Spectra,
 )
 from stickslip.analysis.questions.runs.sweep import FALLS, RISES, curves
-from stickslip.analysis.series.nulls import block_steps
+from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import UNKNOWN, equivalence_test
 from stickslip.analysis.stats.effects import over_null
@@ -123,33 +123,34 @@ def answer(study: Study) -> Answer:
 def _measured(study: Study, group: Group) -> _Measured | None:
     """The spectra and the rhythm of a group; None if fewer than two units have exits."""
     span = float(group.key["t_end"]) - study.settings.t_burn
-    runs = []
-    for row, member_id, win in study.windows(group):
-        if member_id in study.data.events:
-            steps = block_steps(*study.data.events[member_id], win.t_start, win.t_stop)
-            if (steps.step < 0).any():
-                runs.append((row, steps, win.time_variance()))
-    cycles = [len(np.unique(steps.exits()[1])) * span / np.sum(steps.step < 0) for _, steps, _ in runs]
-    if len({row for row, _, _ in runs}) < 2:
-        return None
-    cycle = float(np.mean(cycles))
-    m = rhythm.n_harmonics(span, CYCLES * cycle)
-    sums, variance, n_runs = (
-        np.zeros((len(group.units), 2, m)),
-        np.zeros(len(group.units)),
-        np.zeros(len(group.units)),
-    )
-    for row, steps, var in runs:
-        sums[row] += rhythm.periodogram(steps, m)
-        variance[row] += var
-        n_runs[row] += 1
+    cycles, n_runs = study.sums(group, _cycle, 1).T
     seen = n_runs > 0
-    means, n_runs = sums[seen] / n_runs[seen, None, None], n_runs[seen]
-    data = Spectra(span, means[:, 0], means[:, 1], variance[seen] / n_runs, n_runs)
+    if np.count_nonzero(seen) < 2:
+        return None
+    cycle = float(cycles.sum() / n_runs.sum())
+    m = rhythm.n_harmonics(span, CYCLES * cycle)
+    found = study.sums(group, partial(_spectrum, m), 2 * m + 1)[seen]
+    sums, variance, n_runs = found[:, : 2 * m].reshape(-1, 2, m), found[:, 2 * m], found[:, -1]
+    means = sums / n_runs[:, None, None]
+    data = Spectra(span, means[:, 0], means[:, 1], variance / n_runs, n_runs)
     rng = study.generator(f"rhythm of {group.label}")
-    found = rhythm.rhythm(data, study.settings.confidence, rng) if m >= LEAST_HARMONICS else None
+    law = rhythm.rhythm(data, study.settings.confidence, rng) if m >= LEAST_HARMONICS else None
     units = [unit for unit, is_seen in zip(group.units, seen, strict=True) if is_seen]
-    return _Measured(group, units, data, cycle, found)
+    return _Measured(group, units, data, cycle, law)
+
+
+def _cycle(run: Run) -> np.ndarray | None:
+    """Time in which each block that lets go does so once, on average; None for a run without exits or events."""
+    if run.steps is None or not (run.steps.step < 0).any():
+        return None
+    return np.array([len(np.unique(run.steps.exits()[1])) * run.steps.span / np.sum(run.steps.step < 0)])
+
+
+def _spectrum(m: int, run: Run) -> np.ndarray | None:
+    """`periodogram` of a run, and its variance in time; None as `_cycle`."""
+    if run.steps is None or not (run.steps.step < 0).any():
+        return None
+    return np.append(rhythm.periodogram(run.steps, m), run.win.time_variance())
 
 
 def _row(one: _Measured, t_burn: float) -> Row:
