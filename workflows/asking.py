@@ -6,7 +6,7 @@ import gc
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from stickslip.workflows import own_questions
 if TYPE_CHECKING:
     from stickslip.analysis.ensemble import Study
     from stickslip.analysis.report.page import Answered
+    from stickslip.analysis.series.runs import Put
     from stickslip.pipeline.dataset.opened import Opened
 
 MOST_PROCESSES = 4  # there are few questions, and the longest one takes its time
@@ -32,12 +33,24 @@ class Asking:
         Where the scene lies, or its copy, if questions of the user's own may be run; each has a process of its own.
     with_pdf : bool
         Whether to draw figures as PDF too.
+    workers : int, optional
+        Local processes of dask that what questions ask of each run is computed by; instead of processes that answer
+        questions.
+    scheduler : str, optional
+        Address of a running dask cluster to be used instead.
     """
 
-    def __init__(self, own: Path | None = None, with_pdf: bool = False) -> None:
-        self.own, self.with_pdf = own, with_pdf
+    def __init__(
+        self,
+        own: Path | None = None,
+        with_pdf: bool = False,
+        workers: int | None = None,
+        scheduler: str | None = None,
+    ) -> None:
+        self.own, self.with_pdf, self._workers, self._scheduler = own, with_pdf, workers, scheduler
         self._stack = ExitStack()
-        n_children = min(n_cores(), MOST_PROCESSES) - 1
+        is_spread = workers is not None or scheduler is not None
+        n_children = 0 if is_spread else min(n_cores(), MOST_PROCESSES) - 1
         self._children = [self._stack.enter_context(Child(answer)) for _ in range(n_children)]
         self._pool = ThreadPoolExecutor(max(n_children, 1))
         self._loading = [(child, self._pool.submit(_load, child)) for child in self._children]
@@ -91,6 +104,8 @@ class Asking:
                 found[key] = ask(study, key, self.with_pdf)
                 on_answer(len(found), n_asked)
 
+        if self._workers is not None or self._scheduler is not None:
+            study.put = self._stack.enter_context(_spread(opened, study, self._workers or 0, self._scheduler))
         asked = [self._pool.submit(by_child, *one) for one in self._loading]
         if tasks:
             pool = self._stack.enter_context(ThreadPoolExecutor(len(tasks)))
@@ -103,6 +118,18 @@ class Asking:
             one.result()
         here()
         return [found[key] for key in (*QUESTIONS, *(task.name for task in tasks))]
+
+
+@contextmanager
+def _spread(opened: Opened, study: Study, workers: int, scheduler: str | None) -> Iterator[Put]:
+    """Puts functions to runs on workers of dask, which are there as long as the with-block."""
+    from stickslip.pipeline.running.cluster import check_address, connect
+    from stickslip.workflows.on_workers import OnWorkers
+
+    if scheduler is not None:
+        check_address(scheduler)
+    with connect(workers, scheduler) as client:
+        yield OnWorkers(opened, study.settings, client, scheduler)
 
 
 def _load(child: Child) -> None:

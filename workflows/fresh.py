@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import cache
 from pathlib import Path
 
 from stickslip.analysis import report
@@ -24,12 +25,17 @@ def name_of(path: Where) -> str:
 def made_from(opened: Opened) -> str:
     """Digest of all that a report depends on: data, scene, program."""
     title = opened.scene.title or name_of(opened.place)
-    words = f"{title} {opened.scene.model_dump_json()} {__version__} {opened.manifest.digest}"
-    digest = hashlib.sha256(words.encode())
-    folder = Path(report.__file__).parents[1]
+    words = f"{title} {opened.scene.model_dump_json()} {program()} {opened.manifest.digest}"
+    return hashlib.sha256(words.encode()).hexdigest()
+
+
+@cache
+def program() -> str:
+    """The version of the program and a digest of all code that makes a report."""
+    digest, folder = hashlib.sha256(), Path(report.__file__).parents[1]
     for file in sorted(file for file in folder.rglob("*") if file.suffix in (".py", ".html", ".css")):
         digest.update(file.read_bytes())
-    return digest.hexdigest()
+    return f"{__version__}-{digest.hexdigest()[:12]}"
 
 
 def is_current(opened: Opened) -> bool:

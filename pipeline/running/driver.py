@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import itertools
 import logging
-import pickle
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from concurrent.futures import CancelledError
 from dataclasses import dataclass
 from multiprocessing import current_process
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from distributed import Client, Future, KilledWorker, as_completed, fire_and_forget
-from distributed.comm import CommClosedError
+from distributed import Client, fire_and_forget
 
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.dataset.result import Result
@@ -30,6 +26,7 @@ from stickslip.pipeline.running import ends
 from stickslip.pipeline.running.cluster import check_address, check_memory, connect
 from stickslip.pipeline.running.isolation import compute_alone_packed
 from stickslip.pipeline.running.kept import Kept
+from stickslip.pipeline.running.submit import ATTEMPTS, LOST, in_flight, lost_scheduler, submit
 from stickslip.pipeline.running.trials import check_functions
 from stickslip.pipeline.running.worker import compute, compute_packed, is_cold, load_kernels, row
 from stickslip.pipeline.scene import systems
@@ -38,17 +35,8 @@ from stickslip.pipeline.scene.scene import Scene
 
 log = logging.getLogger(__name__)
 
-#: Batches in flight for each worker: enough that none waits, few enough to hold and to lose little.
-WINDOW = 3
-
-#: Seconds without a single worker, or without the scheduler, after which a run gives up.
-LOST_TIMEOUT = 60.0
-
-#: Seconds between two looks at what has come in; meanwhile the workers have their next batches.
-_LOOK = 0.02
-
-#: How often batches whose workers died are tried again, their members in processes of their own.
-_ATTEMPTS = 3
+#: What is to be done after a run that broke off.
+_AGAIN = "rerun the scene: finished shards are kept"
 
 
 @dataclass(frozen=True)
@@ -297,101 +285,16 @@ def _results(
             fire_and_forget(client.submit(load_kernels, [member], pure=False))
         connected(client)
         try:
-            lost = yield from _submit(
-                client, map(order, todo), compute_packed, lambda: WINDOW * max(1, sum(client.nthreads().values())),
-                scheduler,
-            )  # fmt: skip
+            lost = yield from submit(client, map(order, todo), compute_packed, in_flight(client), scheduler, _AGAIN)
             # dask blames a worker's death on all tasks that waited there: in processes of their own most pass
-            for _ in range(_ATTEMPTS):
-                lost = yield from _submit(client, lost, compute_alone_packed, lambda: n_workers, scheduler)
-        except (CancelledError, CommClosedError, OSError) as error:  # OSError: TimeoutError among them
-            raise ScheduleError(
-                "expected the scheduler to stay until the end, lost it; start it again, then rerun the scene: "
-                "finished shards are kept"
-            ) from error
+            for _ in range(ATTEMPTS):
+                lost = yield from submit(client, lost, compute_alone_packed, lambda: n_workers, scheduler, _AGAIN)
+        except LOST as error:
+            raise lost_scheduler(_AGAIN) from error
     if lost:
         first = lost[0][0].members
         raise ScheduleError(
-            f"expected workers to stay alive, got {len(lost)} batches whose workers died {_ATTEMPTS + 1} times, but "
+            f"expected workers to stay alive, got {len(lost)} batches whose workers died {ATTEMPTS + 1} times, but "
             f"not of their members; the first holds {first[0].member_id} to {first[-1].member_id}; see who kills "
-            f"them, then rerun the scene: finished shards are kept"
+            f"them, then {_AGAIN}"
         )
-
-
-def _submit(
-    client: Client,
-    todo: Iterable[Order],
-    work: Callable[..., Result],
-    window: Callable[[], int],
-    scheduler: str | Client | None,
-) -> Generator[Result, None, list[Order]]:
-    """Yield results as they come in, with `window()` batches in flight; return the batches whose workers died."""
-    waiting = iter(todo)
-    running = as_completed(loop=client.loop)
-    task_of: dict[Future[Any], Order] = {}
-    lost: list[Order] = []
-    while True:
-        # measured each time, as clusters grow and shrink
-        for task in itertools.islice(waiting, max(0, window() - running.count())):
-            # in bytes: the scheduler, in this process, would unpack and pack the members one by one
-            future = client.submit(work, pickle.dumps(task), pure=False)
-            task_of[future] = task
-            running.add(future)
-        if running.is_empty():
-            return lost
-        patience = _Patience(client, scheduler)
-        _until(running.has_ready, patience)
-        future = next(running)
-        task = task_of.pop(future)
-        try:
-            result = _fetch(future, patience)
-        except KilledWorker:
-            lost.append(task)
-        except (ImportError, AttributeError) as error:
-            raise ScheduleError(
-                f"expected workers with this version of the program ({program()}), got one that cannot run it "
-                f"({error}); install the same there, then rerun the scene"
-            ) from error
-        else:
-            yield result
-        future.release()  # a held result is computed again when its worker dies
-
-
-class _Patience:
-    """Ends a wait after `LOST_TIMEOUT` without a scheduler or, on this machine, without a worker."""
-
-    def __init__(self, client: Client, scheduler: str | Client | None) -> None:
-        self._client, self._scheduler = client, scheduler
-        self._looked = self._alive = time.monotonic()
-
-    def look(self) -> None:
-        """Raise if it is time to give up; a cluster at an address may be without workers for any time."""
-        now = time.monotonic()
-        if now - self._looked < 1.0:
-            return
-        self._looked = now
-        is_connected = self._client.status == "running"
-        if is_connected and (self._scheduler is not None or self._client.nthreads()):
-            self._alive = now
-        elif now - self._alive > LOST_TIMEOUT:
-            if not is_connected:
-                raise CommClosedError
-            raise ScheduleError(
-                f"expected workers, got none for {LOST_TIMEOUT:.0f} s; see what ends them (memory?), then rerun "
-                f"the scene: finished shards are kept"
-            )
-
-
-def _until(is_so: Callable[[], bool], patience: _Patience) -> None:
-    while not is_so():
-        time.sleep(_LOOK)
-        patience.look()
-
-
-def _fetch(future: Future[Any], patience: _Patience) -> Result:
-    """The result of a future that is done; dask computes it again if its worker has died since."""
-    while True:
-        try:
-            return future.result(timeout=LOST_TIMEOUT / 2)
-        except TimeoutError:
-            patience.look()

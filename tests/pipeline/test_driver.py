@@ -14,7 +14,7 @@ import pytest
 from stickslip.pipeline import Progress, ScheduleError, expand, run_ensemble, status, verify
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.machine.processes import ONE_THREAD
-from stickslip.pipeline.running import cluster, driver, worker
+from stickslip.pipeline.running import cluster, driver, submit, worker
 from stickslip.sim.engines import ENGINES
 from tests.pipeline.conftest import SOURCE
 
@@ -137,11 +137,11 @@ def test_workers_of_another_version_are_refused(scene, source, tmp_path, monkeyp
 
 
 def test_a_run_without_workers_gives_up(monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.running.driver.LOST_TIMEOUT", 0.5)
+    monkeypatch.setattr("stickslip.pipeline.running.submit.LOST_TIMEOUT", 0.5)
     with cluster.connect(1, None) as client:
         client.cluster.scale(0)
         with pytest.raises(ScheduleError, match="expected workers, got none for"):
-            driver._until(lambda: False, driver._Patience(client, None))
+            submit._until(lambda: False, submit._Patience(client, None, "go on"))
 
 
 def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
@@ -171,14 +171,14 @@ def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
         def __next__(self):
             return self.pop(0)
 
-    def submit(work, task, pure):
+    def send(work, task, pure):
         future = Done(task)
         most.append(len(in_flight))
         return future
 
-    monkeypatch.setattr(driver, "as_completed", lambda loop: Running())
-    client = SimpleNamespace(loop=None, submit=submit)
-    assert list(driver._submit(client, list(range(10)), None, lambda: 3, None)) == list(range(10))
+    monkeypatch.setattr(submit, "as_completed", lambda loop: Running())
+    client = SimpleNamespace(loop=None, submit=send)
+    assert list(submit.submit(client, list(range(10)), None, lambda: 3, None, "go on")) == list(range(10))
     assert max(most) == 3
 
 

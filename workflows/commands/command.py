@@ -43,7 +43,7 @@ def add_places(parser: argparse.ArgumentParser) -> None:
     """The options that say where members are run."""
     where = parser.add_mutually_exclusive_group()
     # a default in text: argparse takes a value that is the default itself for one that was not given
-    where.add_argument("--workers", type=_count, default="2", metavar="N", help="local processes (default: 2)")
+    where.add_argument("--workers", type=count, default="2", metavar="N", help="local processes (default: 2)")
     where.add_argument("--scheduler", metavar="ADDRESS", help="address of a running dask cluster, tcp:// or tls://")
     parser.add_argument(
         "--dashboard",
@@ -52,7 +52,8 @@ def add_places(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _count(text: str) -> int:
+def count(text: str) -> int:
+    """A count from the command line."""
     value = int(text) if text.isascii() and text.isdigit() else 0
     if value < 1:
         raise argparse.ArgumentTypeError(f"expected a count of at least 1, got {text!r}")

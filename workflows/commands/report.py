@@ -8,7 +8,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.errors import command, printable
-from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong
+from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong, count
 
 if TYPE_CHECKING:
     from stickslip.analysis import Report as Built
@@ -42,13 +42,25 @@ class Report(Command):
             help="answer the questions module:function of the scene: runs the code beside it, or beside DIR",
         )
         parser.add_argument("--pdf", action="store_true", help="draw the figures as PDF too")
+        where = parser.add_mutually_exclusive_group()
+        where.add_argument("--workers", type=count, metavar="N", help="dask's local processes that look at the runs")
+        where.add_argument(
+            "--scheduler", metavar="ADDRESS", help="a running dask cluster that does, tcp:// or tls://"
+        )
 
     def __call__(self, arguments: argparse.Namespace) -> int:
         if arguments.compare is None:
             if arguments.out is not None:
                 raise Wrong("--out: expected with --compare alone; a report belongs to its dataset")
-            is_done = write_report(arguments.directory, is_own=arguments.own, with_pdf=arguments.pdf)
+            from stickslip.workflows.asking import Asking
+
+            with Asking(None, arguments.pdf, arguments.workers, arguments.scheduler) as asking:
+                is_done = write_report(arguments.directory, asking, is_own=arguments.own)
             return DONE if is_done else UNFINISHED
+        if arguments.workers is not None or arguments.scheduler is not None:
+            raise Wrong(
+                "--workers, --scheduler: expected without --compare, which looks at the runs here; leave them out"
+            )
         if arguments.own:
             raise Wrong("--own: expected without --compare, which runs no code of the scene's; leave it out")
         if arguments.pdf:
@@ -57,33 +69,19 @@ class Report(Command):
         return DONE
 
 
-def write_report(
-    directory: Where,
-    asking: Asking | None = None,
-    watch: Watch | None = None,
-    is_own: bool = False,
-    with_pdf: bool = False,
-) -> bool:
+def write_report(directory: Where, asking: Asking, watch: Watch | None = None, is_own: bool = False) -> bool:
     """Write the report of a dataset, unless it is up to date; False if a question of the user's own failed.
 
     If they may be run, which `asking` knows, or else `is_own` says, the report is always made again: they may depend
     on anything. So is one with figures as PDF.
     """
-    from stickslip.workflows.asking import Asking
-
-    if asking is not None:
-        return _written(directory, asking, watch, asking.own is not None)
-    with Asking(with_pdf=with_pdf) as processes:  # they load what they need while this one does
-        return _written(directory, processes, watch, is_own)
-
-
-def _written(directory: Where, asking: Asking, watch: Watch | None, is_own: bool) -> bool:
     from stickslip.analysis.report import PAGE
     from stickslip.pipeline.dataset.opened import open_dataset
     from stickslip.pipeline.dataset.status import Tally
     from stickslip.workflows import own_questions
     from stickslip.workflows.fresh import has_own, is_current
 
+    is_own = is_own or asking.own is not None
     opened = open_dataset(directory)
     own, problems = own_questions.names(opened.scene), dict[str, str]()
     if is_current(opened) and not asking.with_pdf and not (own and is_own):

@@ -1,0 +1,145 @@
+"""Tasks on dask's workers, results as they come in: what a run and a report do on a cluster."""
+
+from __future__ import annotations
+
+import itertools
+import pickle
+import time
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import CancelledError
+from typing import Any, TypeVar
+
+from distributed import Client, Future, KilledWorker, as_completed
+from distributed.comm import CommClosedError
+
+from stickslip.pipeline.dataset.program import program
+from stickslip.pipeline.errors import ScheduleError
+
+#: Tasks in flight for each worker: enough that none waits, few enough to hold and to lose little.
+WINDOW = 3
+
+#: Seconds without a single worker, or without the scheduler, after which a run gives up.
+LOST_TIMEOUT = 60.0
+
+#: Seconds between two looks at what has come in; meanwhile the workers have their next tasks.
+_LOOK = 0.02
+
+#: How often tasks whose workers died are tried again.
+ATTEMPTS = 3
+
+#: What is raised where the scheduler is lost; TimeoutError is an OSError.
+LOST = (CancelledError, CommClosedError, OSError)
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def in_flight(client: Client) -> Callable[[], int]:
+    """How many tasks are to be in flight, for as many workers as there are each time that it is asked."""
+    return lambda: WINDOW * max(1, sum(client.nthreads().values()))
+
+
+def lost_scheduler(again: str) -> ScheduleError:
+    """The error for a scheduler that is lost."""
+    return ScheduleError(f"expected the scheduler to stay until the end, lost it; start it again, then {again}")
+
+
+def submit(
+    client: Client,
+    todo: Iterable[T],
+    work: Callable[[bytes], R],
+    window: Callable[[], int],
+    scheduler: str | Client | None,
+    again: str,
+) -> Generator[R, None, list[T]]:
+    """Yield results as they come in, with `window()` tasks in flight; return the tasks whose workers died.
+
+    Parameters
+    ----------
+    client : Client
+    todo : iterable
+        Tasks, each taken when there is room for it.
+    work : callable
+        Takes a pickled task.
+    window : callable
+    scheduler : str, Client or None
+        As of `connect`.
+    again : str
+        What errors say to do once their reason is gone.
+
+    Raises
+    ------
+    ScheduleError
+        If workers do not come up, or run another version.
+    Exception
+        One of `LOST` if the scheduler is lost, and whatever `work` raises.
+    """
+    waiting = iter(todo)
+    running = as_completed(loop=client.loop)
+    task_of: dict[Future[Any], T] = {}
+    lost: list[T] = []
+    while True:
+        # measured each time, as clusters grow and shrink
+        for task in itertools.islice(waiting, max(0, window() - running.count())):
+            # in bytes: the scheduler, in this process, would unpack and pack the members one by one
+            future = client.submit(work, pickle.dumps(task), pure=False)
+            task_of[future] = task
+            running.add(future)
+        if running.is_empty():
+            return lost
+        patience = _Patience(client, scheduler, again)
+        _until(running.has_ready, patience)
+        future = next(running)
+        task = task_of.pop(future)
+        try:
+            result = _fetch(future, patience)
+        except KilledWorker:
+            lost.append(task)
+        except (ImportError, AttributeError) as error:
+            raise ScheduleError(
+                f"expected workers with this version of the program ({program()}), got one that cannot run it "
+                f"({error}); install the same there, then {again}"
+            ) from error
+        else:
+            yield result
+        future.release()  # a held result is computed again when its worker dies
+
+
+class _Patience:
+    """Ends a wait after `LOST_TIMEOUT` without a scheduler or, on this machine, without a worker."""
+
+    def __init__(self, client: Client, scheduler: str | Client | None, again: str) -> None:
+        self._client, self._scheduler, self._again = client, scheduler, again
+        self._looked = self._alive = time.monotonic()
+
+    def look(self) -> None:
+        """Raise if it is time to give up; a cluster at an address may be without workers for any time."""
+        now = time.monotonic()
+        if now - self._looked < 1.0:
+            return
+        self._looked = now
+        is_connected = self._client.status == "running"
+        if is_connected and (self._scheduler is not None or self._client.nthreads()):
+            self._alive = now
+        elif now - self._alive > LOST_TIMEOUT:
+            if not is_connected:
+                raise CommClosedError
+            raise ScheduleError(
+                f"expected workers, got none for {LOST_TIMEOUT:.0f} s; see what ends them (memory?), then "
+                f"{self._again}"
+            )
+
+
+def _until(is_so: Callable[[], bool], patience: _Patience) -> None:
+    while not is_so():
+        time.sleep(_LOOK)
+        patience.look()
+
+
+def _fetch(future: Future[Any], patience: _Patience) -> Any:
+    """The result of a future that is done; dask computes it again if its worker has died since."""
+    while True:
+        try:
+            return future.result(timeout=LOST_TIMEOUT / 2)
+        except TimeoutError:
+            patience.look()
