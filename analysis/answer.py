@@ -92,6 +92,12 @@ def frame(schema: Mapping[str, str], rows: Iterable[Mapping[str, object]]) -> pd
     )
 
 
+def columns(schema: Mapping[str, str], table: pd.DataFrame) -> pd.DataFrame:
+    """A table with the columns and nullable types of a schema; what is not a number there is null."""
+    found: dict[str, Any] = dict(schema)
+    return pd.DataFrame({name: pd.array(table[name].to_numpy(), dtype=dtype) for name, dtype in found.items()})
+
+
 def named(name: str, estimate: Estimate) -> Row:
     """Columns of an estimate: its value and the ends of its interval."""
     return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}

@@ -9,8 +9,6 @@ be told.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy import special
 
@@ -69,7 +67,7 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float) -> Cur
 
 
 def survival(
-    fates: Sequence[str], t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray, confidence: float
+    fates: np.ndarray, t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray, confidence: float
 ) -> Curve:
     """Share of runs that have not ended by a time: `kaplan_meier` of the results of `ends_at`.
 
@@ -77,14 +75,14 @@ def survival(
 
     Parameters
     ----------
-    fates : sequence of str
+    fates : ndarray of str, shape (m,)
         Fates of runs that did not fail.
     t_last, t_stop, t_end : ndarray, shape (m,)
         Of each run: its last event; when it was certified or left every bound; and the end that was asked for.
     """
     times, ended, earliest = _ends(fates, t_last, t_stop, t_end)
     curve = kaplan_meier(times, ended, confidence)
-    is_quiet = np.array([how == QUIET for how in fates])
+    is_quiet = fates == QUIET
     if not is_quiet.any():
         return curve
     least = kaplan_meier(earliest, ended | is_quiet, confidence)
@@ -97,7 +95,7 @@ def survival(
 
 
 def half_ended(
-    fates: Sequence[str], t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray, confidence: float
+    fates: np.ndarray, t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray, confidence: float
 ) -> Estimate:
     """Time by which half of the runs have ended: `median` of the runs of `survival`, with the same parameters.
 
@@ -108,12 +106,11 @@ def half_ended(
 
 
 def _ends(
-    fates: Sequence[str], t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray
+    fates: np.ndarray, t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Results of `ends_at` of some runs, and the times with quiet runs taken as ended at their last events."""
-    found = [ends_at(*one) for one in zip(fates, t_last, t_stop, t_end, strict=True)]
-    times, ended = np.array([t for t, _ in found], dtype=np.float64), np.array([is_end for _, is_end in found])
-    return times, ended, np.where([how == QUIET for how in fates], t_last, times)
+    times, ended = ends_at(fates, t_last, t_stop, t_end)
+    return times, ended, np.where(fates == QUIET, t_last, times)
 
 
 def median(times: np.ndarray, ended: np.ndarray, confidence: float, earliest: np.ndarray | None = None) -> Estimate:
@@ -172,8 +169,10 @@ def fate(
     return LULL if is_unstable(growth_rate) else QUIET
 
 
-def ends_at(how: str, t_last: float, t_stop: float, t_end: float) -> tuple[float, bool]:
-    """When a run ended or was censored, and whether it ended: the input of `kaplan_meier`.
+def ends_at(
+    fates: np.ndarray, t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """When runs ended or were censored, and whether they ended, shape (m,): the input of `kaplan_meier`.
 
     A collapsed run ends at `t_last`, its last event. Its certificate, at `t_stop`, comes later: when the engine
     checks and the motion has decayed far enough. A runaway ends at `t_stop`, when it left every bound. All others are
@@ -181,9 +180,8 @@ def ends_at(how: str, t_last: float, t_stop: float, t_end: float) -> tuple[float
     seems in motion. In that quarter shares are therefore too high; before it, the interval of `survival` covers both
     possible fates of quiet runs.
     """
-    if how == COLLAPSED:
-        return t_last, True
-    return (t_stop, True) if how == DIVERGED else (t_end, False)
+    is_collapsed, is_diverged = fates == COLLAPSED, fates == DIVERGED
+    return np.where(is_collapsed, t_last, np.where(is_diverged, t_stop, t_end)), is_collapsed | is_diverged
 
 
 def is_all_slip(last: tuple[float, float], t_end: float) -> bool:
@@ -192,14 +190,13 @@ def is_all_slip(last: tuple[float, float], t_end: float) -> bool:
     return n_stick == 0 and t <= (1 - LAST_SHARE) * t_end
 
 
-def is_held(last: tuple[float, float], n: int, t_end: float) -> bool:
-    """Whether all n blocks stick throughout the last quarter, from the t and n_stick of the last change point.
+def is_held(t_last: np.ndarray, n_last: np.ndarray, n: int, t_end: np.ndarray) -> np.ndarray:
+    """Whether all n blocks stick throughout the last quarter, from the t and n_stick of runs' last change points.
 
     Such a run counts as in motion, since a belt may load its blocks until one lets go. On a belt at rest it is at
     rest.
     """
-    t, n_stick = last
-    return n_stick == n and t <= (1 - LAST_SHARE) * t_end
+    return (n_last == n) & (t_last <= (1 - LAST_SHARE) * t_end)
 
 
 def bounded_share(counts: np.ndarray, confidence: float) -> Estimate:

@@ -121,10 +121,11 @@ def test_fates_by_their_last_change_and_the_growth_rate():
 
 
 def test_only_what_is_certain_is_an_end():
-    assert ends_at(COLLAPSED, 150.0, 230.0, 1000.0) == (150.0, True)  # certified 80 units after its last event
-    assert ends_at(DIVERGED, 150.0, 230.0, 1000.0) == (230.0, True)
-    for how in (LULL, QUIET, SUSTAINED):
-        assert ends_at(how, 150.0, 1000.0, 1000.0) == (1000.0, False)
+    hows = np.array([COLLAPSED, DIVERGED, LULL, QUIET, SUSTAINED])
+    t_stop = np.array([230.0, 230.0, 1000.0, 1000.0, 1000.0])  # certified 80 units after its last event
+    times, ended = ends_at(hows, np.full(5, 150.0), t_stop, np.full(5, 1000.0))
+    assert times.tolist() == [150.0, 230.0, 1000.0, 1000.0, 1000.0]
+    assert ended.tolist() == [True, True, False, False, False]
 
 
 def test_what_cannot_be_told_widens_the_interval_of_a_share():
@@ -433,7 +434,7 @@ def test_starts_of_one_block_show_their_basin(planted, rng):
         "came to slip for good or had no stick from t = 750 to t = 1000; the others stick and slip."
     )
     points = found.facts["basin"]["points"]
-    assert sorted(points["no late stick"]) == sorted(zip(z[slides], w[slides], strict=True))
+    assert sorted(map(tuple, points["no late stick"])) == sorted(zip(z[slides], w[slides], strict=True))
     assert sum(map(len, points.values())) == 400
     (ax,) = found.figures["basin"]().axes
     assert sorted(len(line.get_xdata()) for line in ax.lines) == sorted([slides.sum(), (~slides).sum()])

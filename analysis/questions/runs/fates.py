@@ -7,9 +7,8 @@ motion, in a lull or quiet, are censored at t_end.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
-from types import MappingProxyType
 from typing import Any
 
 import matplotlib
@@ -17,7 +16,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Question, Row, S, columns, frame, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SPEED_DEPENDENT
@@ -75,23 +74,27 @@ _RUN = {
 def answer(study: Study) -> Answer:
     """What became of the unchanged runs, and whether what lasts is steady."""
     level = study.settings.confidence
-    runs = [row for group in study.groups for row in _runs(group)]
-    curves = {group.label: curve for group in study.groups if (curve := _curve(runs, group, level))}
-    groups = [_group_row(study, group, runs) for group in study.groups]
+    by_group = {group.label: _runs(group) for group in study.groups}
+    runs = pd.concat([*by_group.values()], ignore_index=True)
+    curves = {
+        label: survival(*_first(own), level) for label, own in by_group.items() if (own["fate"] != FAILED).any()
+    }
+    groups = [_group_row(study, group, by_group[group.label]) for group in study.groups]
     moving = sorted((row for row in groups if row["n_moving"]), key=lambda row: -row["n"])
     systems = _brief(groups)
     is_one_engine = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
     members = study.data.members
     failed = members[members["outcome"] == FAILED]
-    followed = [row for row in runs if row["fate"] != FAILED]
+    followed = runs[runs["fate"] != FAILED]
+    drawn, setting = _of_draws(study.groups, followed)
     facts: dict[str, Any] = {
         "systems": systems,
         "groups": groups,
         "moving": moving,
         "total": {**_counts(runs), "runs": len(followed), "held": sum(row["n_held"] for row in groups)},
-        "share": _share(followed, MOVING, level),
+        "share": _share(followed, drawn, MOVING, level),
         "level": f"{100 * level:g}%",
-        "n_systems": len({row["drawn"] for row in followed}),
+        "n_systems": len(np.unique(drawn)),
         "has_copies": len(members) > len(runs),
         "t_end": sorted({float(group.key["t_end"]) for group in study.groups}),
         "last_share": LAST_SHARE,
@@ -103,9 +106,9 @@ def answer(study: Study) -> Answer:
         "linear": _linear(followed),
         "rated": [row for row in systems if row["is_rated"]],
         "is_certified": "t_collapse" in study.data.members,
-        "untold": Counter(row["untold"] for row in runs if row["fate"] == QUIET),
-        "has_ends": any(row["fate"] in ENDS for row in runs),
-        "basin": _basin(followed),
+        "untold": Counter(runs.loc[runs["fate"] == QUIET, "untold"]),
+        "has_ends": bool(runs["fate"].isin(ENDS).any()),
+        "basin": _basin(followed, setting),
         "few": [row for row in moving if row["basis"] == enough.FEW_MATRICES],
         "drifting": [row for row in moving if row["is_drifting"]],
         "unsure": [row for row in moving if row["basis"] == enough.DRIFT_UNKNOWN],
@@ -115,21 +118,14 @@ def answer(study: Study) -> Answer:
     }
     tables = {
         "fates": frame(_GROUP, groups),
-        "survival_curves": frame(
-            _CURVE,
-            [
-                dict(zip(_CURVE, (label, *row), strict=True))
-                for label, curve in curves.items()
-                for row in zip(*curve, strict=True)
-            ],
-        ),
-        "runs": frame(_RUN, runs),
+        "survival_curves": pd.concat([frame(_CURVE, []), *(_curve_table(*one) for one in curves.items())]),
+        "runs": columns(_RUN, runs),
     }
     return Answer(facts, tables=tables, figures=_figures(study, facts, runs, curves))
 
 
 def _figures(
-    study: Study, facts: Mapping[str, Any], runs: Sequence[Row], curves: Mapping[str, Curve]
+    study: Study, facts: Mapping[str, Any], runs: pd.DataFrame, curves: Mapping[str, Curve]
 ) -> dict[str, Any]:
     """Shares by fate and times of ends if some runs ended; else n_stick of all runs of the largest group."""
     shown = {}
@@ -142,8 +138,8 @@ def _figures(
         if facts["has_ends"]:
             shown["survival"] = partial(survival_curves, some, max(facts["t_end"]))
         if facts["linear"]:
-            known = [row for row in runs if row["growth_rate"] is not None and row["fate"] != FAILED]
-            shown["growth"] = partial(growth, facts["rated"], known)
+            known = runs[runs["growth_rate"].notna() & (runs["fate"] != FAILED)]
+            shown["growth"] = partial(growth, facts["rated"], known[["group", "fate", "growth_rate"]])
         if facts["basin"] is not None:
             shown["basin"] = partial(basin, facts["basin"]["points"])
     else:
@@ -155,55 +151,49 @@ def _figures(
     return shown
 
 
-def _runs(group: Group) -> Iterator[Row]:
-    """Fate of each run, with the time at which its motion ended or up to which it was followed."""
-    table = group.members
-    setting = tuple(value for name, value in group.key.items() if name not in ("z0", "w0"))
+def _runs(group: Group) -> pd.DataFrame:
+    """A row a run: its fate, and the times that tell when its motion ended or up to which it was followed."""
+    members, fates = group.members, np.array(group.fates)
+    numbers = {name: members[name].to_numpy(np.float64, na_value=np.nan)
+               for name in ("t_stop", "t_end", "growth_rate", "z_start", "w_start")}  # fmt: skip
+    t_last, n_last = group.last.T
+    t, _ = ends_at(fates, t_last, numbers["t_stop"], numbers["t_end"])
     is_speed_dependent = any(group.key[name] is not None for name in SPEED_DEPENDENT)
-    columns = ("member_id", "matrix", "unit", "t_end", "t_stop", "growth_rate", "z_start", "w_start")
-    rows = zip(*(table[name] for name in columns), group.fates, group.last, strict=True)
-    for member_id, matrix, unit, t_end, t_stop, rate, z, w, how, last in rows:
-        times = (0.0, 0.0, 0.0) if how == FAILED else (float(last[0]), float(t_stop), float(t_end))
-        yield {
-            "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
-            "matrix": int(matrix), "unit": int(unit), "member_id": str(member_id), "fate": how,
-            "times": times, "t": None if how == FAILED else ends_at(how, *times)[0],
-            "growth_rate": None if pd.isna(rate) else float(rate),
-            "untold": "law" if is_speed_dependent else "rate" if pd.isna(rate) else "stable",
-            "is_held": how == SUSTAINED and is_held((last[0], last[1]), int(group.key["n"]), float(t_end)),
-            "drawn": (*(group.key[name] for name in DRAWN), int(unit)),
-            "setting": (*setting, int(matrix)),
-            "z_start": None if pd.isna(z) else float(z), "w_start": None if pd.isna(w) else float(w),
-        }  # fmt: skip
+    untold = np.where(np.isnan(numbers["growth_rate"]), "rate", "stable")
+    held = is_held(t_last, n_last, int(group.key["n"]), numbers["t_end"])
+    words = {"group": group.label, "fate": fates, "untold": "law" if is_speed_dependent else untold}
+    return pd.DataFrame({
+        "n": group.key["n"], "kappa_n": _kappa_n(group.key), "matrix": members["matrix"].to_numpy(np.int64),
+        "unit": members["unit"].to_numpy(np.int64), "member_id": members["member_id"].to_numpy(), **numbers,
+        "t_last": t_last, "t": np.where(fates == FAILED, np.nan, t), "is_held": (fates == SUSTAINED) & held,
+        **{name: pd.Categorical(np.broadcast_to(some, len(fates))) for name, some in words.items()},
+    })  # fmt: skip
 
 
-def _curve(runs: Sequence[Row], group: Group, confidence: float) -> Curve | None:
-    """Survival of the first run of each unit of a group."""
-    followed = _followed(runs, group)
-    return survival(*followed, confidence) if followed else None
+def _of_draws(groups: Sequence[Group], followed: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
+    """Of each run, numbers of what it was drawn with, its system and unit, and of its setting and matrix."""
+    labels = [group.label for group in groups]
+    systems = [tuple(group.key[name] for name in DRAWN) for group in groups]
+    settings = [tuple(one for name, one in group.key.items() if name not in ("z0", "w0")) for group in groups]
+    found = []
+    for keys, drawn in ((systems, "unit"), (settings, "matrix")):
+        number = dict(zip(labels, map(keys.index, keys), strict=True))
+        both = np.column_stack([followed["group"].map(number).astype(np.int64), followed[drawn]])
+        found.append(np.unique(both, axis=0, return_inverse=True)[1].ravel())
+    return found[0], found[1]
 
 
-def _half(
-    runs: Sequence[Row], group: Group, confidence: float, ends: Mapping[str, str] = MappingProxyType({})
-) -> Estimate:
-    """When half of the runs of `_curve` have ended; `ends` maps fates to those that they are counted as."""
-    followed = _followed(runs, group)
-    if not followed:
-        return Estimate()
-    hows, t_last, t_stop, t_end = followed
-    return half_ended([ends.get(how, how) for how in hows], t_last, t_stop, t_end, confidence)
+def _curve_table(label: str, curve: Curve) -> pd.DataFrame:
+    """A curve of survival as a table; of many steps `MOST_STEPS`, so that each holds to a share of one in as many."""
+    some = np.unique(np.linspace(0, len(curve[0]) - 1, MOST_STEPS).astype(np.int64))
+    return columns(_CURVE, pd.DataFrame(dict(zip(_CURVE, (label, *(x[some] for x in curve)), strict=True))))
 
 
-def _followed(runs: Sequence[Row], group: Group) -> tuple[list[str], np.ndarray, np.ndarray, np.ndarray] | None:
-    """Fates and times of the first run of each unit of a group that did not fail; None if all failed."""
-    first: dict[int, Row] = {}
-    for row in runs:
-        if row["group"] == group.label and row["fate"] != FAILED:
-            first.setdefault(row["unit"], row)
-    if not first:
-        return None
-    t_last, t_stop, t_end = np.array([row["times"] for row in first.values()]).T
-    return [row["fate"] for row in first.values()], t_last, t_stop, t_end
+def _first(runs: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Fates and times of the first run of each unit of a group that did not fail."""
+    first = runs[runs["fate"] != FAILED].drop_duplicates("unit")
+    t_last, t_stop, t_end = (first[name].to_numpy() for name in ("t_last", "t_stop", "t_end"))
+    return np.array(first["fate"]), t_last, t_stop, t_end
 
 
 def _kappa_n(key: Mapping[str, Any]) -> float | None:
@@ -211,76 +201,80 @@ def _kappa_n(key: Mapping[str, Any]) -> float | None:
     return None if key["kappa"] is None or key["n"] == 1 else key["n"] * key["kappa"]
 
 
-def _counts(runs: Sequence[Row]) -> dict[str, int]:
+def _counts(runs: pd.DataFrame) -> dict[str, int]:
     """Number of runs of each fate, and of those in motion."""
-    how = Counter(row["fate"] for row in runs)
+    how = Counter(runs["fate"].value_counts().to_dict())
     return {**{f"n_{name}": how[name] for name in (*WATCHED, FAILED)}, "n_moving": sum(how[name] for name in MOVING)}
 
 
 def _share(
-    followed: Sequence[Row], of: Sequence[str], confidence: float, untold: Sequence[str] = (QUIET,)
+    followed: pd.DataFrame, drawn: np.ndarray, of: Sequence[str], confidence: float, untold: Sequence[str] = (QUIET,)
 ) -> Estimate:
-    """Share of runs with one of some fates, where the runs of one unit, over all points of a grid, are dependent.
+    """Share of runs with one of some fates; runs with one number of `drawn`, of one unit, are dependent.
 
     For the fates in `untold` it is unknown whether the run belongs to them, and the interval covers both cases; with
     () every run counts as it is seen.
     """
-    if not followed:
+    if not len(followed):
         return Estimate(reason="every run failed")
-    counts: dict[tuple[object, ...], list[int]] = {}
-    for row in followed:
-        held = counts.setdefault(row["drawn"], [0, 0, 0])
-        held[0] += row["fate"] in of
-        held[1] += row["fate"] in untold
-        held[2] += 1
-    return bounded_share(np.array(list(counts.values())), confidence)
+    counts = [np.bincount(drawn, followed["fate"].isin(some)) for some in (of, untold)]
+    return bounded_share(np.column_stack([*counts, np.bincount(drawn)]), confidence)
 
 
-def _basin(followed: Sequence[Row]) -> Row | None:
+def _basin(followed: pd.DataFrame, setting: np.ndarray) -> Row | None:
     """Starts of the runs of one system by what they do at the end (`KINDS`); None if all do the same.
 
     A start must be given by two numbers, and both must vary; else None. Of several such systems or engines, the one
     with most runs.
     """
-    by_setting: dict[tuple[object, ...], list[Row]] = {}
-    for row in followed:
-        by_setting.setdefault(row["setting"], []).append(row)
-    found = []
-    for rows in by_setting.values():
-        known = [row for row in rows if row["z_start"] is not None and row["w_start"] is not None]
+    start = followed[["z_start", "w_start"]]
+    is_known = start.notna().all(axis=1).to_numpy()
+    by_setting = start[is_known].groupby(setting[is_known])
+    varies = (by_setting.min() < by_setting.max()).all(axis=1)
+    found: list[Row] = []
+    for one in varies.index[varies]:
+        own = followed[setting == one]
+        known = own[is_known[setting == one]]
         points = {
-            kind: [(row["z_start"], row["w_start"]) for row in known if row["fate"] in fates]
+            kind: known.loc[known["fate"].isin(fates), ["z_start", "w_start"]].to_numpy()
             for kind, (fates, _, _) in KINDS.items()
         }
-        varies = all(len({row[name] for row in known}) > 1 for name in ("z_start", "w_start"))
-        if varies and sum(map(bool, points.values())) > 1:
-            found.append({"points": points, "n": len(known), "of": len(rows), "group": known[0]["group"]})
-    return max(found, key=lambda one: one["n"], default=None)
+        if sum(map(bool, map(len, points.values()))) > 1:
+            found.append({"points": points, "n": len(known), "of": len(own), "group": str(known["group"].iloc[0])})
+    return max(found, key=lambda one: int(one["n"]), default=None)
 
 
-def _group_row(study: Study, group: Group, runs: Sequence[Row]) -> Row:
+def _group_row(study: Study, group: Group, own: pd.DataFrame) -> Row:
     """Row of the table `fates`: the runs of a group by fate, when they end, and their mean n_stick."""
     level = study.settings.confidence
-    own = [row for row in runs if row["group"] == group.label]
-    followed = [row for row in own if row["fate"] != FAILED]
+    followed = own[own["fate"] != FAILED]
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
     span = float(group.key["t_end"]) - study.settings.t_burn
     memory = tau(group.effective)
-    half, least = _half(runs, group, level), _half(runs, group, level, {QUIET: COLLAPSED})
-    ended = [row for row in followed if row["fate"] in ENDS]
-    share, settled = _share(followed, MOVING, level), _share(followed, SETTLED, level, untold=())
+    half, least = Estimate(), Estimate()
+    if len(followed):
+        fates, t_last, t_stop, t_end = _first(own)
+        half = half_ended(fates, t_last, t_stop, t_end, level)
+        least = half_ended(np.where(fates == QUIET, COLLAPSED, fates), t_last, t_stop, t_end, level)
+    unit = followed["unit"].to_numpy()
+    share, settled = _share(followed, unit, MOVING, level), _share(followed, unit, SETTLED, level, untold=())
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
         "engine": group.key["engine"], "n_runs": len(followed), "t_end": float(group.key["t_end"]),
         **_counts(own), **named("moving", share), **named("settled", settled),
-        "n_held": sum(row["is_held"] for row in own), "is_rated": any(row["growth_rate"] is not None for row in own),
+        "n_held": int(own["is_held"].sum()), "is_rated": bool(own["growth_rate"].notna().any()),
         "half": half, **named("median", half), "median_least": least.value,
-        "last_end": max((row["t"] for row in ended), default=None),
-        "last_quiet": max((row["times"][0] for row in followed if row["fate"] == QUIET), default=None),
+        "last_end": _latest(followed, "t", ENDS), "last_quiet": _latest(followed, "t_last", (QUIET,)),
         **named("mean", mean), "drifts": drift, **named("drift", drift),
         "effective_samples": memory and len(group.units) * span / (2 * memory),
         "basis": basis.code, "is_drifting": _is_drifting(drift, basis),
     }  # fmt: skip
+
+
+def _latest(runs: pd.DataFrame, time: str, of: Sequence[str]) -> float | None:
+    """The latest time of runs of some fates; None if there is none."""
+    found = runs.loc[runs["fate"].isin(of), time]
+    return float(found.max()) if len(found) else None
 
 
 def _is_drifting(drift: Estimate, basis: enough.Basis) -> bool:
@@ -302,18 +296,15 @@ def _brief(groups: Sequence[Row]) -> list[Row]:
     return sorted((row for row in found if row["n_runs"]), key=lambda row: (row["n"], row["kappa_n"]))
 
 
-def _linear(followed: Sequence[Row]) -> list[Row]:
+def _linear(followed: pd.DataFrame) -> list[Row]:
     """Number of runs of each fate where slipping all together is linearly stable, and where it is unstable.
 
     Empty if no growth rate is known.
     """
-    known = [row for row in followed if row["growth_rate"] is not None]
-    found = []
-    for state, has in (("stable", False), ("unstable", True)):
-        some = [row for row in known if is_unstable(row["growth_rate"]) == has]
-        if some:
-            found.append({"state": state, "n_runs": len(some), **_counts(some)})
-    return found
+    known = followed[followed["growth_rate"].notna()]
+    has = known["growth_rate"].map(is_unstable).astype(bool)
+    parts = {"stable": known[~has], "unstable": known[has]}
+    return [{"state": state, "n_runs": len(some), **_counts(some)} for state, some in parts.items() if len(some)]
 
 
 def _commonest(reasons: pd.Series) -> str:
@@ -348,18 +339,16 @@ def _by_system(systems: Sequence[Row]) -> tuple[str, list[str]]:
 
 
 @panel()
-def growth(ax: Axes, systems: Sequence[Row], runs: Sequence[Row]) -> None:
+def growth(ax: Axes, systems: Sequence[Row], runs: pd.DataFrame) -> None:
     """Linear growth rate of the all-slip state of each run, marked by its fate and sorted within a system."""
-    points: dict[str, list[tuple[float, float]]] = {}
-    for k, system in enumerate(systems):
-        own = sorted((row for row in runs if row["group"] == system["group"]), key=lambda row: row["growth_rate"])
-        for rank, row in enumerate(own):
-            x = k + 0.6 * (rank / max(len(own) - 1, 1) - 0.5)
-            points.setdefault(row["fate"], []).append((x, row["growth_rate"]))
+    in_order = [runs[runs["group"] == system["group"]].sort_values("growth_rate") for system in systems]
+    x = [k + 0.6 * (np.arange(len(own)) / max(len(own) - 1, 1) - 0.5) for k, own in enumerate(in_order)]
+    drawn = pd.concat(in_order).assign(x=np.concatenate(x))
     ax.axhline(0, color=GREY, linewidth=0.8)
     for name, (label, colour, marker) in FATES.items():
-        if name in points:
-            ax.plot(*zip(*points[name], strict=True), marker, color=colour, markersize=3, label=label)
+        some = drawn[drawn["fate"] == name]
+        if len(some):
+            ax.plot(some["x"], some["growth_rate"], marker, color=colour, markersize=3, label=label)
     key, ticks = _by_system(systems)
     ax.set(xlim=(-0.6, len(ticks) - 0.4), xlabel=key, ylabel="linear growth rate, all slip")
     ax.set_xticks(range(len(ticks)), ticks)
@@ -367,13 +356,13 @@ def growth(ax: Axes, systems: Sequence[Row], runs: Sequence[Row]) -> None:
 
 
 @panel()
-def basin(ax: Axes, points: Mapping[str, Sequence[tuple[float, float]]]) -> None:
+def basin(ax: Axes, points: Mapping[str, np.ndarray]) -> None:
     """Starts in their plane, one mark a run, by what the run does at the end."""
     size = float(np.clip(120.0 / np.sqrt(sum(map(len, points.values()))), 1.5, 6.0))  # marks fill the plane
     for kind, some in points.items():
-        if some:
+        if len(some):
             # of thousands of marks, a bitmap inside the SVG keeps the report small
-            ax.plot(*zip(*some, strict=True), KINDS[kind][2], color=KINDS[kind][1], markersize=size,
+            ax.plot(*some.T, KINDS[kind][2], color=KINDS[kind][1], markersize=size,
                     markeredgewidth=0, label=kind, rasterized=True)  # fmt: skip
     ax.margins(0.01)
     ax.set(xlabel="displacement z at start", ylabel="velocity w at start")
