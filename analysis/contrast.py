@@ -111,13 +111,13 @@ def sample(group: Group) -> Sample:
     found = Sample({
         QUANTITIES[name].label: dict(zip(group.units, rows, strict=True)) for name, rows in group.quantities.items()
     })  # fmt: skip
-    columns = (group.members[name] for name in ("unit", "t_end"))
-    for unit, t_end, how, last in zip(*columns, group.fates, group.last, strict=True):
-        if how != FAILED:
-            away = how == DIVERGED
-            slips = not away and is_all_slip((last[0], last[1]), float(t_end))
-            for name, has in ((ALL_SLIP, slips), (RUN_AWAY, away)):
-                found.sums.setdefault(name, {}).setdefault(int(unit), np.array([has, 1.0]))
+    fates, (t_last, n_last) = np.array(group.fates), group.last.T
+    ran = np.flatnonzero(fates != FAILED)
+    units, first = np.unique(group.members["unit"].to_numpy(np.int64)[ran], return_index=True)
+    away = fates[ran[first]] == DIVERGED
+    slips = ~away & is_all_slip(t_last[ran[first]], n_last[ran[first]], float(group.key["t_end"]))
+    for name, has in ((ALL_SLIP, slips), (RUN_AWAY, away)):
+        found.sums[name] = dict(zip(units.tolist(), np.column_stack([has, np.ones(len(has))]), strict=True))
     if 2 * group.n_short > group.n_runs:
         found.unjudged.add(QUANTITIES["correlation_time"].label)
     return found

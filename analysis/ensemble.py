@@ -310,9 +310,10 @@ def check(members: pd.DataFrame, series: Series, settings: AnalysisSettings) -> 
             f"t_burn: expected less than t_end = {members['t_end'].min():g}, got {settings.t_burn:g}; "
             "no time is left for statistics"
         )
-    for member_id, outcome in zip(members["member_id"], members["outcome"], strict=True):
-        if outcome != "failed" and member_id not in series:
-            raise ValueError(
-                f"series: no change points for the {outcome} member {member_id!r}; every member that did not fail "
-                "has at least one, its start"
-            )
+    ran = members.loc[members["outcome"] != "failed", "member_id"]
+    if without := set(ran) - set(series):
+        first = next(name for name in ran if name in without)
+        raise ValueError(
+            f"series: no change points for the member {first!r}, which did not fail; every such member has at least "
+            f"one, its start"
+        )

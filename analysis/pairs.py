@@ -136,8 +136,12 @@ def settings(members: pd.DataFrame) -> list[Setting]:
     Returns
     -------
     list of Setting
-        Sorted by n and engine; settings without an unchanged member are left out.
+        Sorted by n and engine; settings without an unchanged member are left out. None at all if no member is
+        changed.
     """
+    is_drawn = members["ratio"].notna() & (members["ratio"] != "one")
+    if not ((members["perturbation_size"] > 0) | members["twin_size"].notna() | is_drawn).any():
+        return []
     rows = records(members[_COLUMNS])
     parts = [(key | {"perturbation_size": 0.0}, [rows[k] for k in some]) for key, some in places(members, _SETTING)]
     names = labels([key for key, _ in parts])

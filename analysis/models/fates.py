@@ -30,6 +30,8 @@ RATE_ROUNDING = 1e-8
 SHARE_ROUNDING = 1e-9  # of a product of shares, such as 5/6 4/5 3/4, which is one half
 
 
+#: A number, or one of each run.
+Many = np.ndarray | float
 #: Result of `kaplan_meier`: times, share that has not ended, lower and upper end of its interval, each (m,); the
 #: values hold from their time on.
 Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -164,7 +166,7 @@ def fate(
     if outcome != "finished" or series is None:
         return {"collapsed": COLLAPSED, "diverged": DIVERGED}.get(outcome, FAILED)
     t, n_stick = series
-    if not is_all_slip((t[-1], n_stick[-1]), t_end):
+    if not is_all_slip(t[-1], n_stick[-1], t_end):
         return SUSTAINED
     return LULL if is_unstable(growth_rate) else QUIET
 
@@ -184,14 +186,13 @@ def ends_at(
     return np.where(is_collapsed, t_last, np.where(is_diverged, t_stop, t_end)), is_collapsed | is_diverged
 
 
-def is_all_slip(last: tuple[float, float], t_end: float) -> bool:
-    """Whether no block sticks in the last quarter, from the t and n_stick of the last change point."""
-    t, n_stick = last
-    return n_stick == 0 and t <= (1 - LAST_SHARE) * t_end
+def is_all_slip(t_last: Many, n_last: Many, t_end: Many) -> np.ndarray | bool:
+    """Whether no block sticks in the last quarter, from the t and n_stick of the last change point of one or many."""
+    return (n_last == 0) & (t_last <= (1 - LAST_SHARE) * t_end)
 
 
-def is_held(t_last: np.ndarray, n_last: np.ndarray, n: int, t_end: np.ndarray) -> np.ndarray:
-    """Whether all n blocks stick throughout the last quarter, from the t and n_stick of runs' last change points.
+def is_held(t_last: Many, n_last: Many, n: int, t_end: Many) -> np.ndarray | bool:
+    """Whether all n blocks stick throughout the last quarter, from the t and n_stick of the last change point.
 
     Such a run counts as in motion, since a belt may load its blocks until one lets go. On a belt at rest it is at
     rest.

@@ -31,7 +31,7 @@ from stickslip.sim.systems.terms import TERMS
 #: What a question's template may lack: macros, and whether its alerts are about the data, whatever question leads.
 OPTIONAL_WORDS = ("lack", "alarm", "alerts", "panels", "panel", "panel_caption", "main", "of_data")
 MOST_SAID = 3  # answers on the first screen
-_ROWS = 10_000  # of a table that are turned into Python objects at a time
+_ROWS = 10_000  # of a table that is in the JSON of all; a longer one is read from a file of its own
 MOST_ALERTS = 3  # in order of rank
 _GROUPS: Mapping[str, str] = {
     "group": S, **dict.fromkeys(("n", "matrices", "starts", "members", "finished", "quiet"), I), "coupling": S,
@@ -169,13 +169,13 @@ class Report:
 
 
 def _json(tables: Mapping[str, pd.DataFrame]) -> bytes:
-    """Tables as JSON lists of rows, one row a line; encoded in parts, since rows as Python objects are large."""
+    """Tables of up to `_ROWS` rows as JSON lists of rows, one row a line."""
     encode = json.JSONEncoder(allow_nan=False).encode
     listed = []
     for name, table in tables.items():
-        parts = (records(table[k : k + _ROWS]) for k in range(0, len(table), _ROWS))
-        rows = ",\n".join(encode(row) for part in parts for row in part)
-        listed.append(f"{encode(name)}: [\n{rows}\n]")
+        if len(table) <= _ROWS:
+            rows = ",\n".join(map(encode, records(table)))
+            listed.append(f"{encode(name)}: [\n{rows}\n]")
     return ("{\n" + ",\n".join(listed) + "\n}\n").encode()
 
 

@@ -178,8 +178,8 @@ def _of_draws(groups: Sequence[Group], followed: pd.DataFrame) -> tuple[np.ndarr
     found = []
     for keys, drawn in ((systems, "unit"), (settings, "matrix")):
         number = dict(zip(labels, map(keys.index, keys), strict=True))
-        both = np.column_stack([followed["group"].map(number).astype(np.int64), followed[drawn]])
-        found.append(np.unique(both, axis=0, return_inverse=True)[1].ravel())
+        both = followed["group"].map(number).astype(np.int64) + len(keys) * followed[drawn]
+        found.append(pd.factorize(both)[0])
     return found[0], found[1]
 
 
