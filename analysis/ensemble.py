@@ -14,7 +14,7 @@ import pandas as pd
 from stickslip.analysis.groups import Group, fill, groups
 from stickslip.analysis.members import OUTCOMES, REQUIRED, completed, known_outcomes, unchanged
 from stickslip.analysis.models.fates import fate
-from stickslip.analysis.models.motion import joined, motion
+from stickslip.analysis.models.motion import Motion, joined, motion
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.runs import Ended, Events, Put, Run, Runs, generator, named_window
 from stickslip.analysis.series.windows import ChangePoints
@@ -24,6 +24,7 @@ from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, at_least, over_matrices, ratio
 
 T = TypeVar("T")
+_TOGETHER = 100_000  # members that are asked about at once
 Series = Mapping[str, ChangePoints]
 #: Distance of a run's state from its unperturbed twin's: times, shape (m,), and distance, shape (m,).
 Separation = tuple[np.ndarray, np.ndarray]
@@ -109,15 +110,18 @@ class Study:
     put: Put | None = None
 
     def __post_init__(self) -> None:
-        check(self.data.members, self.data.series, self.settings)
+        check(self.data.members, self.settings)
 
     @cached_property
     def groups(self) -> list[Group]:
         """Groups of the unchanged members, filled, by n and engine."""
         members = unchanged(self.data.members)
-        parts = self._put(motion, ended(members))
-        order = np.argsort(np.concatenate([places for places, _ in parts]))
-        given = joined([part for _, part in parts]).take(order)
+        order, parts = list[np.ndarray](), list[Motion]()
+        for k in range(0, len(members), _TOGETHER):
+            for places, part in self._put(motion, ended(members.iloc[k : k + _TOGETHER])):
+                order.append(np.asarray(places) + k)
+                parts.append(part)
+        given = joined(parts).take(np.argsort(np.concatenate(order)))
         place = pd.Series(np.arange(len(members)), index=members.index)
         found = groups(members)
         for group in found:
@@ -157,7 +161,7 @@ class Study:
         """
         row_of = {unit: row for row, unit in enumerate(group.units)}
         found = np.zeros((len(group.units), n_columns + 1))
-        for _, given in self._put(partial(Runs.sums, of=of), ended(group.moving)):
+        for _, given in self._put(partial(Runs.sums, of=of), ended(group.moving.sort_index())):
             for unit, row in given.items():
                 found[row_of[unit]] += row
         return found
@@ -286,7 +290,7 @@ def ended(members: pd.DataFrame) -> list[Ended]:
     return list(map(Ended, members.index.tolist(), *(column.tolist() for column in columns)))
 
 
-def check(members: pd.DataFrame, series: Series, settings: AnalysisSettings) -> None:
+def check(members: pd.DataFrame, settings: AnalysisSettings) -> None:
     """Refuse input that contradicts itself.
 
     Raises
@@ -309,11 +313,4 @@ def check(members: pd.DataFrame, series: Series, settings: AnalysisSettings) -> 
         raise ValueError(
             f"t_burn: expected less than t_end = {members['t_end'].min():g}, got {settings.t_burn:g}; "
             "no time is left for statistics"
-        )
-    ran = members.loc[members["outcome"] != "failed", "member_id"]
-    if without := set(ran) - set(series):
-        first = next(name for name in ran if name in without)
-        raise ValueError(
-            f"series: no change points for the member {first!r}, which did not fail; every such member has at least "
-            f"one, its start"
         )

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, split
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, places
 from stickslip.analysis.models.fates import MOVING, QUIET
 from stickslip.analysis.models.motion import COLUMNS, Motion
 from stickslip.analysis.stats import enough
@@ -51,6 +51,7 @@ class Group:
     key : dict
         The values that all members share, for `SYSTEM_KEYS` and `ENGINE_KEYS`.
     members : DataFrame
+        Without the columns that are in `key`, but for t_end.
     units : list of int
         Units of the members in motion, ascending: the rows of all arrays.
     means : ndarray, shape (G, 5)
@@ -171,14 +172,16 @@ class Group:
 def groups(members: pd.DataFrame) -> list[Group]:
     """Members as groups: unperturbed ones first, then by n, engine and settings, each by its value."""
 
-    def order(part: tuple[dict[str, Any], pd.DataFrame]) -> tuple[Any, ...]:
+    def order(part: tuple[dict[str, Any], list[int]]) -> tuple[Any, ...]:
         key = part[0]
         return (key["perturbation_size"], key["n"], key["engine"], [by_value(value) for value in key.values()])
 
-    in_order = members.sort_values(["unit", "member_id"]).copy()  # in one piece, of which parts are taken quickly
-    parts = sorted(split(in_order, (*SYSTEM_KEYS, *ENGINE_KEYS)), key=order)
+    keys = (*SYSTEM_KEYS, *ENGINE_KEYS)
+    own = members.drop(columns=[name for name in keys if name != "t_end"])
+    parts = sorted(places(members, keys), key=order)
     names = labels([key for key, _ in parts])
-    return [Group(name, key, alike) for name, (key, alike) in zip(names, parts, strict=True)]
+    alike = (own.iloc[some].sort_values(["unit", "member_id"]) for _, some in parts)
+    return [Group(name, key, some) for name, (key, _), some in zip(names, parts, alike, strict=True)]
 
 
 def by_value(value: object) -> tuple[int, float, str]:

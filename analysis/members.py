@@ -58,7 +58,8 @@ def completed(members: pd.DataFrame) -> pd.DataFrame:
     Rows are numbered from 0 on, so that what is found of them can be told by their number.
     """
     absent = [name for name in (*OPTIONAL, *_NOT_EVERYWHERE) if name not in members]
-    return with_rates(with_starts(with_units(members.assign(**dict.fromkeys(absent)).reset_index(drop=True))))
+    null = pd.array([None] * len(members), dtype="Int8")  # which takes the least memory
+    return with_rates(with_starts(with_units(members.assign(**dict.fromkeys(absent, null)).reset_index(drop=True))))
 
 
 def known_outcomes(members: pd.DataFrame) -> pd.Series:

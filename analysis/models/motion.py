@@ -79,13 +79,13 @@ def motion(runs: Runs, some: Sequence[Ended]) -> Motion:
     Raises
     ------
     ValueError
-        If the change points of a member are not a series; the error names the member.
+        If a member that did not fail has no change points, or they are not a series; the error names the member.
     """
     found: list[Motion] = []
     read: list[tuple[Ended, ChangePoints | None]] = []
     n_points = 0
     for one in some:
-        points = None if one.outcome == FAILED else runs.series[one.member_id]
+        points = None if one.outcome == FAILED else runs.points(one.member_id)
         read.append((one, points))
         n_points += 0 if points is None else len(points[0])
         if n_points > _POINTS or len(read) == _RUNS:

@@ -79,15 +79,31 @@ class Runs:
     t_burn: float
     seed: int
 
+    def points(self, member_id: str) -> ChangePoints:
+        """The change points of n_stick of a run.
+
+        Raises
+        ------
+        ValueError
+            If there are none; the error names the member.
+        """
+        try:
+            return self.series[member_id]
+        except KeyError:
+            raise ValueError(
+                f"series: expected change points of the member {member_id!r}, got none; every member that did not "
+                f"fail has at least one, its start"
+            ) from None
+
     def window(self, member_id: str, t_end: float) -> Window:
         """n_stick of a run on [t_burn, t_end].
 
         Raises
         ------
         ValueError
-            If its change points are not a series; the error names the member.
+            If it has no change points, or they are not a series; the error names the member.
         """
-        return named_window(self.series[member_id], member_id, self.t_burn, t_end)
+        return named_window(self.points(member_id), member_id, self.t_burn, t_end)
 
     def run(self, one: Ended) -> Run:
         """A run; raises as `window`."""

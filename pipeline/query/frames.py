@@ -330,6 +330,7 @@ class Recorded(Mapping[str, _Value]):
         self._opened, self._recorded, self._columns, self._entry = opened, recorded, columns, entry
         self._fragments = list(source.get_fragments()) if recorded in source.schema.names else []
         self._kept: dict[int, _Shard] = {}  # the last one was read last
+        self._next = (0, 0)  # shard and row after those that were asked for last
 
     def _shard(self, k: int) -> _Shard:
         if k not in self._kept:
@@ -354,7 +355,13 @@ class Recorded(Mapping[str, _Value]):
         return {name: (k, row) for k, listed in enumerate(names) for row, name in enumerate(listed)}
 
     def __getitem__(self, key: str) -> _Value:
-        return self._at(*self._place[key])
+        k, row = self._next  # in the order of the members no place has to be looked up
+        while k < len(self._fragments) and row == len(self._shard(k).member_ids):
+            k, row = k + 1, 0
+        if k == len(self._fragments) or self._shard(k).member_ids[row] != key:
+            k, row = self._place[key]
+        self._next = k, row + 1
+        return self._at(k, row)
 
     def __contains__(self, key: object) -> bool:
         return key in self._place

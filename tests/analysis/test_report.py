@@ -370,7 +370,7 @@ def test_no_sentence_in_python(room):
         (lambda m, s: (m.assign(outcome="done"), s), "'done'"),
         (lambda m, s: (m.assign(t_end=100.0), s), "t_burn"),
         (lambda m, s: (m, {}), "coulomb-000"),
-        (lambda m, s: (m.assign(outcome="collapsed"), {}), "the collapsed member 'coulomb-000'"),
+        (lambda m, s: (m.assign(outcome="collapsed"), {}), "of the member 'coulomb-000'"),
         (lambda m, s: (m, s | {"coulomb-001": (np.array([500.0]), np.array([1]))}), "coulomb-001"),
     ],
 )
