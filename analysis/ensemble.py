@@ -14,7 +14,7 @@ import pandas as pd
 from stickslip.analysis.groups import Group, fill, groups
 from stickslip.analysis.members import OUTCOMES, REQUIRED, completed, known_outcomes, unchanged
 from stickslip.analysis.models.fates import fate
-from stickslip.analysis.models.motion import Motion, joined, motion
+from stickslip.analysis.models.motion import Motion, motion
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.runs import Ended, Events, Put, Run, Runs, generator, named_window
 from stickslip.analysis.series.windows import ChangePoints
@@ -116,17 +116,15 @@ class Study:
     def groups(self) -> list[Group]:
         """Groups of the unchanged members, filled, by n and engine."""
         members = unchanged(self.data.members)
-        order, parts = list[np.ndarray](), list[Motion]()
-        for k in range(0, len(members), _TOGETHER):
-            for places, part in self._put(motion, ended(members.iloc[k : k + _TOGETHER])):
-                order.append(np.asarray(places) + k)
-                parts.append(part)
-        given = joined(parts).take(np.argsort(np.concatenate(order)))
-        place = pd.Series(np.arange(len(members)), index=members.index)
         found = groups(members)
-        for group in found:
-            fill(group, given.take(place[group.members.index].to_numpy()))
+        fill(found, self._motion(members))
         return found
+
+    def _motion(self, members: pd.DataFrame) -> Iterator[tuple[np.ndarray, Motion]]:
+        for k in range(0, len(members), _TOGETHER):
+            some = members.iloc[k : k + _TOGETHER]
+            for places, part in self._put(motion, ended(some)):
+                yield some.index.to_numpy()[np.asarray(places)], part
 
     @cached_property
     def runs(self) -> Runs:

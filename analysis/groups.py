@@ -12,7 +12,7 @@ units, as matrices are.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -21,8 +21,8 @@ import numpy as np
 import pandas as pd
 
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, places
-from stickslip.analysis.models.fates import MOVING, QUIET
-from stickslip.analysis.models.motion import COLUMNS, Motion
+from stickslip.analysis.models.fates import FAILED, MOVING, QUIET
+from stickslip.analysis.models.motion import COLUMNS, N_COLUMNS, Motion
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
@@ -232,21 +232,58 @@ def short(value: float) -> str:
     return text if abs(float(text) - value) <= _ROUNDING * abs(value) else f"{value:.15g}"
 
 
-def fill(group: Group, found: Motion) -> None:
-    """Fill in a group's sums from what each of its members gives."""
-    group.fates, group.last, group.n_quiet = found.fates, found.last, found.fates.count(QUIET)
-    is_moving = np.array([how in MOVING for how in found.fates])
-    group.moving, sums = group.members[is_moving], found.sums[is_moving]
-    units, row = np.unique(group.moving["unit"].to_numpy(np.int64), return_inverse=True)
-    group.units, group.n_short = units.tolist(), int(sums[:, COLUMNS["short"]].sum())
-    of_units = np.zeros((len(units), sums.shape[1] + 1))
-    np.add.at(of_units, row, np.column_stack([sums, np.ones(len(sums))]))
-    group.quantities = {name: of_units[:, COLUMNS[name]] for name in QUANTITIES}
-    mean, halves, count = of_units[:, COLUMNS["mean"]][:, :1], of_units[:, COLUMNS["halves"]], of_units[:, -1:]
-    group.means = np.hstack([mean, halves, count])
-    group.stuck, group.effective = of_units[:, COLUMNS["stuck"]], of_units[:, COLUMNS["effective"]] / count
-    group.counts = np.zeros((len(units), int(found.sizes[:, 1].max(initial=0))), dtype=np.int64)
-    row_of = np.zeros(len(is_moving), dtype=np.int64)
-    row_of[is_moving] = row
-    run, size, n_times = found.sizes.T
-    np.add.at(group.counts, (row_of[run], size - 1), n_times)
+def fill(found: Sequence[Group], given: Iterable[tuple[np.ndarray, Motion]]) -> None:
+    """Fill in the sums of groups from what their members give.
+
+    Parameters
+    ----------
+    found : sequence of Group
+        Of members of one table.
+    given : iterable of (ndarray, Motion)
+        Every member once: rows of the table, by their numbers, and what they give.
+    """
+    filling = [_Filling(group) for group in found]
+    n_rows = 1 + max(int(group.members.index.max()) for group in found)
+    number, place = (np.zeros(n_rows, dtype=np.int32) for _ in range(2))
+    for k, group in enumerate(found):
+        number[group.members.index], place[group.members.index] = k, np.arange(len(group.members))
+    for rows, part in given:
+        for k in np.unique(number[rows]):
+            own = np.flatnonzero(number[rows] == k)
+            filling[k].add(place[rows[own]], part.take(own))
+    for one in filling:
+        one.finish()
+
+
+class _Filling:
+    """A group whose sums are being filled in, a row a unit of its members."""
+
+    def __init__(self, group: Group) -> None:
+        self._group = group
+        self._units, self._row = np.unique(group.members["unit"].to_numpy(np.int64), return_inverse=True)
+        self._sums = np.zeros((len(self._units), N_COLUMNS))
+        self._sizes: list[np.ndarray] = []  # row of the unit, size and number of cascades
+        group.fates, group.last = [FAILED] * len(group.members), np.full((len(group.members), 2), np.nan)
+
+    def add(self, places: np.ndarray, given: Motion) -> None:
+        """Add what the members at some places give."""
+        for place, how in zip(places.tolist(), given.fates, strict=True):
+            self._group.fates[place] = how
+        self._group.last[places] = given.last
+        np.add.at(self._sums, self._row[places], given.sums)
+        self._sizes.append(np.column_stack([self._row[places[given.sizes[:, 0]]], given.sizes[:, 1:]]))
+
+    def finish(self) -> None:
+        """Hand the sums of the units in motion to the group."""
+        group = self._group
+        moves = self._sums[:, COLUMNS["means"]][:, -1] > 0
+        sums = self._sums if moves.all() else self._sums[moves]
+        group.units, group.n_short = self._units[moves].tolist(), int(sums[:, COLUMNS["short"]].sum())
+        group.quantities = {name: sums[:, COLUMNS[name]] for name in QUANTITIES}
+        group.means, group.stuck = sums[:, COLUMNS["means"]], sums[:, COLUMNS["stuck"]]
+        group.effective = sums[:, COLUMNS["effective"]] / group.means[:, 4:]
+        row, size, n_times = np.concatenate([np.zeros((0, 3), int), *self._sizes]).T
+        group.counts = np.zeros((len(group.units), int(size.max(initial=0))), dtype=np.int64)
+        np.add.at(group.counts, ((np.cumsum(moves) - 1)[row], size - 1), n_times)
+        group.n_quiet = group.fates.count(QUIET)
+        group.moving = group.members[[how in MOVING for how in group.fates]]

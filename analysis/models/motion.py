@@ -16,7 +16,7 @@ from stickslip.analysis.stats.quantities import QUANTITIES
 
 #: Change points and runs that are worked on at once.
 _POINTS, _RUNS = 1 << 19, 1 << 13
-_LENGTHS = {**dict.fromkeys(QUANTITIES, 2), "halves": 3, "stuck": 2, "effective": 4, "short": 1}
+_LENGTHS = {**dict.fromkeys(QUANTITIES, 2), "means": 5, "stuck": 2, "effective": 4, "short": 1}
 
 
 def _columns() -> Iterator[tuple[str, slice]]:
@@ -26,9 +26,10 @@ def _columns() -> Iterator[tuple[str, slice]]:
         k += length
 
 
-#: Columns of `Motion.sums`: those of `QUANTITIES`; `enough.halves`; the integral of n_stick and the time without
-#: lulls; `effective.rows`; and whether the window is too short for a correlation time or has none.
+#: Columns of `Motion.sums`: those of `QUANTITIES`; the time mean, `enough.halves` and 1; the integral of n_stick and
+#: the time without lulls; `effective.rows`; and whether the window is too short for a correlation time or has none.
 COLUMNS: Mapping[str, slice] = dict(_columns())
+N_COLUMNS = sum(_LENGTHS.values())
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ def motion(runs: Runs, some: Sequence[Ended]) -> Motion:
 def _together(some: Sequence[tuple[Ended, ChangePoints | None]], t_burn: float) -> Motion:
     fates = [fate(one.outcome, points, one.t_end, one.growth_rate) for one, points in some]
     last = np.array([(np.nan, np.nan) if points is None else (points[0][-1], points[1][-1]) for _, points in some])
-    sums = np.zeros((len(some), sum(_LENGTHS.values())))
+    sums = np.zeros((len(some), N_COLUMNS))
     moving = np.array([k for k, how in enumerate(fates) if how in MOVING], dtype=int)
     if not len(moving):
         return Motion(fates, last, sums, np.zeros((0, 3), int))
@@ -119,4 +120,5 @@ def _sums(runs: Windows) -> np.ndarray:
     halves = enough.halves(runs)
     stuck = np.column_stack([halves[:, :2].mean(axis=1) * runs.span, runs.span - runs.total(lulls(runs))])
     is_short = (tau == 0) | effective.is_short(runs, tau)
-    return np.column_stack([*given.values(), halves, stuck, effective.rows(runs, tau), is_short])
+    means = np.column_stack([runs.mean, halves, np.ones(len(runs))])
+    return np.column_stack([*given.values(), means, stuck, effective.rows(runs, tau), is_short])
