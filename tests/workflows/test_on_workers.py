@@ -1,0 +1,131 @@
+"""Functions that questions put to runs, computed shard by shard on workers, in any order."""
+
+import pickle
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip.pipeline import ScheduleError, parse_scene, run_ensemble
+from stickslip.pipeline.dataset.opened import open_dataset
+from stickslip.pipeline.ensemble import pack
+from stickslip.workflows import on_workers
+from stickslip.workflows.commands import main
+from stickslip.workflows.on_workers import OnWorkers
+from stickslip.workflows.reporting import report, study_of
+from tests.scenes import COULOMB, ensemble
+
+
+def scene(n, t_end, t_burn):
+    return parse_scene(ensemble(
+        n, t_end, 5, COULOMB, seed=3, rest="[record]\nevents = true",
+        analysis=f't_burn = {t_burn}\ndt = [0.5]\nresamples = 20\nquestion = ["cascades", "counting", "definitions"]',
+    ).encode())  # fmt: skip
+
+
+def in_shards_of(out, *numbers):
+    """A dataset of several shards."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pack, "TARGET_COST", 0.002)
+        run_ensemble(scene(*numbers), out, workers=0)
+    assert len(open_dataset(out).manifest.shards) > 3
+    return out
+
+
+@pytest.fixture(scope="module")
+def in_shards(tmp_path_factory):
+    return in_shards_of(tmp_path_factory.mktemp("shards") / "small", 50, 200.0, 5.0)
+
+
+def put(opened):
+    return OnWorkers(opened, study_of(opened).settings, None, None)
+
+
+def shuffled(rng):
+    """In place of a cluster: every task in this process, out of order."""
+
+    def submit(client, todo, work, window, scheduler, again):
+        todo = list(todo)
+        for k in rng.permutation(len(todo)):
+            yield pickle.loads(pickle.dumps(work(pickle.dumps(todo[k]))))
+        return []
+
+    return submit
+
+
+def test_what_workers_find_is_what_one_process_finds(in_shards, rng, monkeypatch):
+    monkeypatch.setattr(on_workers, "submit", shuffled(rng))
+    plain, opened = report(in_shards), open_dataset(in_shards)
+
+    def ask_on_workers(opened, study, on_answer):
+        from stickslip.analysis.questions import QUESTIONS
+        from stickslip.analysis.report.page import ask
+
+        study.put = put(opened)
+        return [ask(study, key) for key in QUESTIONS]
+
+    spread = report(opened, ask_on_workers)
+    assert spread.tables.keys() == plain.tables.keys() >= {"law", "counting"}
+    for name, table in plain.tables.items():
+        pd.testing.assert_frame_equal(spread.tables[name], table, rtol=1e-10)
+
+
+def test_every_run_is_asked_once_whatever_is_asked_for(in_shards, rng, monkeypatch):
+    monkeypatch.setattr(on_workers, "submit", shuffled(rng))
+    study = study_of(in_shards)
+    study.put = put(open_dataset(in_shards))
+    for group in study.groups:
+        assert study.sums(group, counted, 1)[:, 1].tolist() == np.bincount(group.moving["unit"])[group.units].tolist()
+
+
+def counted(run):
+    return np.array([run.win.t_stop])
+
+
+def test_parts_whose_workers_died_are_asked_again_and_given_up_in_the_end(in_shards, rng, monkeypatch):
+    asked = []
+
+    def dying(client, todo, work, window, scheduler, again):
+        todo = list(todo)
+        asked.append(len(todo))
+        for task in todo[1:]:
+            yield work(pickle.dumps(task))
+        return todo[:1]
+
+    monkeypatch.setattr(on_workers, "submit", dying)
+    study = study_of(in_shards)
+    study.put = put(open_dataset(in_shards))
+    with pytest.raises(ScheduleError, match=r"got 1 parts? whose workers died 3 times.*run the command again"):
+        _ = study.groups
+    assert asked == [len(open_dataset(in_shards).manifest.shards), 1, 1]
+
+
+def test_workers_with_another_version_of_the_analysis_are_refused(in_shards, rng, monkeypatch):
+    monkeypatch.setattr(on_workers, "submit", shuffled(rng))
+    study = study_of(in_shards)
+    study.put = put(open_dataset(in_shards))
+    versions = iter(["theirs", "ours", "ours"])
+    monkeypatch.setattr(on_workers, "program", lambda: next(versions))
+    with pytest.raises(ScheduleError, match=r"this version of the program \(ours\), got theirs; install the same"):
+        _ = study.groups
+
+
+@pytest.mark.long
+def test_a_report_by_workers_of_this_machine_is_that_of_one_process(tmp_path):
+    out = in_shards_of(tmp_path / "moving", 200, 300.0, 100.0)
+    found = []
+    for options in ((), ("--workers", "2")):
+        assert main(["report", str(out), *options]) == 0
+        found.append({file.name: pd.read_parquet(file) for file in (out / "report").glob("*.parquet")})
+        (out / "report.html").unlink()
+    plain, spread = found
+    asked = {"definitions", "clustering", "exponential", "rhythm"}
+    assert plain.keys() == spread.keys() >= {f"{name}.parquet" for name in asked}
+    for name, table in plain.items():
+        pd.testing.assert_frame_equal(spread[name], table, rtol=1e-10)
+
+
+def test_a_scheduler_that_is_not_there_is_refused_by_name(in_shards, capsys):
+    (in_shards / "report.html").unlink(missing_ok=True)
+    assert main(["report", str(in_shards), "--scheduler", "tcp://127.0.0.1:9"]) == 2
+    assert "scheduler: expected the address of a running dask scheduler" in capsys.readouterr().err
