@@ -178,8 +178,8 @@ def _of_draws(groups: Sequence[Group], followed: pd.DataFrame) -> tuple[np.ndarr
     found = []
     for keys, drawn in ((systems, "unit"), (settings, "matrix")):
         number = dict(zip(labels, map(keys.index, keys), strict=True))
-        both = followed["group"].map(number).astype(np.int64) + len(keys) * followed[drawn]
-        found.append(pd.factorize(both)[0])
+        own = pd.factorize(followed[drawn])[0]  # they may be any numbers
+        found.append(pd.factorize(followed["group"].map(number).to_numpy(np.int64) + len(keys) * own)[0])
     return found[0], found[1]
 
 
@@ -256,7 +256,7 @@ def _group_row(study: Study, group: Group, own: pd.DataFrame) -> Row:
         fates, t_last, t_stop, t_end = _first(own)
         half = half_ended(fates, t_last, t_stop, t_end, level)
         least = half_ended(np.where(fates == QUIET, COLLAPSED, fates), t_last, t_stop, t_end, level)
-    unit = followed["unit"].to_numpy()
+    unit = pd.factorize(followed["unit"])[0]
     share, settled = _share(followed, unit, MOVING, level), _share(followed, unit, SETTLED, level, untold=())
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
