@@ -22,6 +22,7 @@ from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, at_least, over_matrices, ratio
+from stickslip.sim.numerics.arguments import did_you_mean
 
 T = TypeVar("T")
 _TOGETHER = 100_000  # members that are asked about at once
@@ -229,23 +230,37 @@ class Study:
         for unit, member_id, t_end in zip(*columns, strict=True):
             yield row_of[int(unit)], str(member_id), self.window(str(member_id), float(t_end))
 
-    def mean(self, group: Group, numbers: Mapping[str, float | None], least: float | None = None) -> Estimate:
+    def mean(self, group: Group, numbers: str | Mapping[str, float | None], least: float | None = None) -> Estimate:
         """The mean over a group of a number of each run, every unit with the same weight; its interval is over units.
 
         Parameters
         ----------
         group : Group
-        numbers : mapping of str to float
-            By member_id, as ``data.recorded[column].values``; a run that is missing, None or not finite is left out.
+        numbers : str or mapping of str to float
+            A column of ``data.recorded``; or numbers by member_id, where a run that is missing, None or not finite is
+            left out.
         least : float, optional
-            What the number is never below, as ``data.recorded[column].least``: nor is the interval then.
+            What numbers given by member_id are never below: nor is the interval then. Of a column it is known.
 
         Returns
         -------
         Estimate
             By `stats.estimates.over_matrices`; without an interval, and with the reason, for fewer than two units;
             without a value for none.
+
+        Raises
+        ------
+        ValueError
+            If no record keeps such a number.
         """
+        if isinstance(numbers, str):
+            recorded = self.data.recorded
+            if numbers not in recorded:
+                raise ValueError(
+                    f"numbers: expected a number that a record keeps ({', '.join(recorded) or 'there is none'}), got "
+                    f"{numbers!r}{did_you_mean(numbers, [*recorded])}; ask for its record under [record]"
+                )
+            _, numbers, least, *_ = recorded[numbers]
         sums = list(group.sums_of(numbers).values())
         return at_least(over_matrices(ratio, np.array(sums).reshape(-1, 2), self.settings.confidence), least)
 

@@ -32,7 +32,7 @@ MEAN_SIZE, B = "mean size of episodes", "b of episodes"
 #: Names under which margins are declared, and of axes.
 KEYS = {MEAN: "mean", GAMMA: "gamma"}
 AXES = {MEAN: "mean $n_{stick}$", GAMMA: r"$\gamma$"}
-NO_VALUE, NO_EPISODE = "no value", "no episode"  # reasons, beside the outcomes of runs
+NO_VALUE, NO_EPISODE = "its record gives none", "no episode"  # reasons, beside the outcomes of runs
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
     for name, quantity, key, subject, words, axis in (
         (RATE, RATE, "episode_rate", f"the {RATE}", "per unit of time", RATE),
         (MEAN_SIZE, SIZE, "episode_size", f"the {MEAN_SIZE}", "in blocks that slip", MEAN_SIZE),
-        (B, B_VALUE, "episode_b", "b of the episodes", f"by Aki {beyond}", f"{B} {beyond}"),
+        (B, B_VALUE, "episode_b", "b of the episodes", f"by Aki {beyond}", B),
     ):
         of = partial(_episodes, by_label, quantity, least, beyond, study.settings.confidence)
         yield Measure(Statistic(name, QUANTITIES[quantity].of, MARGIN, least=0.0), key, subject, words, axis, of)

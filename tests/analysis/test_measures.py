@@ -174,13 +174,15 @@ def test_runs_without_a_value_are_counted_and_named(recorded, settings):
     data = recorded({"period": lambda rng, matrix, v: holes.get((matrix, v), 2.0 + v)}, changes=lost)
     answer = sweep.answer(Study(data, settings))
     missing = answer.tables["sweep_missing"].set_index("member_id")["reason"].to_dict()
-    assert missing == {"m0-0": "no value", "m1-0": "no value", "m4-0": "no value", "m2-1": "failed"}
+    assert missing == {**dict.fromkeys(("m0-0", "m1-0", "m4-0"), "its record gives none"), "m2-1": "failed"}
     table = answer.tables["sweep_measures"]
     assert list(table["n_without"]) == [3, 1, 0]
     assert list(table["n_units"]) == [5, 7, 8]
     assert list(table["estimate"]) == pytest.approx([1.7, 1.8, 1.9])
     assert table.notna().all()[["estimate", "estimate_low", "estimate_high"]].all()
-    assert "4 of 24 runs have no period and are left out there: m0-0 (no value), " in sentence(answer, "alerts")
+    assert "4 of 24 runs have no period and are left out there: m0-0 (its record gives none), " in sentence(
+        answer, "alerts"
+    )
 
 
 def test_a_run_that_failed_to_be_measured_is_not_one_without_such_a_number(recorded, settings):

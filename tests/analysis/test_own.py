@@ -1,6 +1,7 @@
 """Questions of a user's own: planted answers on the page, laid out or in a template's words, and what is refused."""
 
 import re
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,6 +11,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from stickslip.analysis import Answer, Data, Estimate, Study, build, named, panel, wilson, with_interval
+from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.own import OwnError, spoken
 from stickslip.analysis.report.page import Spoken, ask
@@ -245,6 +247,13 @@ def test_a_mean_and_a_share_have_intervals_over_matrices(study, rng):
     half = stats.t.ppf(0.975, 3) * known.std(ddof=1) / 2
     np.testing.assert_allclose([found.value, found.low, found.high], known.mean() + half * np.array([0, -1, 1]))
     assert study.mean(group, {names[1]: 2.0}).reason == "one matrix"
+    recorded = {"speed": Recorded("a speed", numbers, least=found.value)}
+    by_name = Study(replace(study.data, recorded=recorded), study.settings).mean(group, "speed")
+    assert (by_name.value, by_name.low, by_name.high) == (found.value, found.value, found.high)
+    with pytest.raises(
+        ValueError, match=r"numbers: expected a number that a record keeps \(there is none\), got 'sped'"
+    ):
+        study.mean(group, "sped")
     assert study.mean(group, {names[1]: float("nan")}).reason == "no matrix has data"
     has = {name: k == 2 for k, name in enumerate(names)} | {names[0]: None}
     share = study.share(group, has)

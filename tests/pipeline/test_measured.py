@@ -66,7 +66,7 @@ def test_one_block_in_its_cycle(rng, tmp_path):
     assert row["stick_share"] == pytest.approx(2 * d / v / period, rel=1e-8)
     assert row["never_slipped"] == 0
     assert (row["first_exit"], row["first_exit_block"]) == (pytest.approx((1 + d) / v, rel=1e-9), 0)
-    assert row["waiting_times"] == 6
+    assert row["waiting_count"] == 6
     assert row["waiting_mean"] == pytest.approx(period, rel=1e-8)
     assert row["waiting_cv"] < 1e-8
 
@@ -91,7 +91,7 @@ def test_many_blocks_by_hand(rng, tmp_path):
         gaps.extend(np.diff(times[1:-1][(mode[1:] != 0) & (mode[:-1] == 0)]))
     assert row["stick_share"] == pytest.approx(sticks / (n * (end - burn)), rel=1e-9)
     assert row["never_slipped"] == never / n
-    assert row["waiting_times"] == len(gaps)
+    assert row["waiting_count"] == len(gaps)
     assert row["waiting_mean"] == pytest.approx(np.mean(gaps), rel=1e-9)
     assert row["waiting_cv"] == pytest.approx(np.std(gaps, ddof=1) / np.mean(gaps), rel=1e-9)
     half = np.ptp(run.samples.z, axis=0) / 2
@@ -105,7 +105,7 @@ def test_what_does_not_slip_has_no_waiting_times(tmp_path):
     words = {"BLOCKS": 3, "STATIC": 1.3, "SPEED": 0.01, "START": 0.0, "END": 20.0, "BURN": 5.0, "DT": 0.1, "SEED": 0}
     run_ensemble(scene_of(**words), tmp_path / "out", workers=0)
     row = Dataset(tmp_path / "out").members.iloc[0]
-    assert (row["stick_share"], row["never_slipped"], row["waiting_times"]) == (1.0, 1.0, 0)
+    assert (row["stick_share"], row["never_slipped"], row["waiting_count"]) == (1.0, 1.0, 0)
     assert row[["waiting_mean", "waiting_cv", "first_exit", "first_exit_block"]].isna().all()
     assert row["slip_speed"] < 1e-12
     assert row["amplitude"] == pytest.approx(0.01 * 15 / 2, rel=1e-9)

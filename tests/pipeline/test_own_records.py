@@ -498,7 +498,7 @@ def test_it_is_added_to_a_dataset_that_is_finished(text, tmp_path, content, monk
     (tmp_path / "mine.py").unlink()
     extend(tmp_path / "runs" / "out", {"waiting": True}, workers=0)
     extend(tmp_path / "runs" / "out", {"amplitude": True}, workers=0)
-    more = {"waiting_times", "amplitude"}
+    more = {"waiting_count", "amplitude"}
     assert more <= {*query.members(tmp_path / "runs" / "out").columns}
     assert query.members(tmp_path / "runs" / "out").own_problem.isna().all()
 

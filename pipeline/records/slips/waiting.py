@@ -21,7 +21,7 @@ class Waiting(WindowRecord):
     columns = (
         Column(
             "count",
-            "waiting_times",
+            "waiting_count",
             "number of times between successive exits of the same block after t_burn",
             least=0.0,
         ),
@@ -43,7 +43,7 @@ class Waiting(WindowRecord):
         exits = np.flatnonzero(events.is_exit & (events.t >= self.t_burn))
         order = exits[np.argsort(events.block[exits], kind="stable")]  # in time within a block
         gaps = np.diff(events.t[order])[np.diff(events.block[order]) == 0]
-        kept: dict[str, Any] = {"waiting_times": len(gaps)}
+        kept: dict[str, Any] = {"waiting_count": len(gaps)}
         if len(gaps):
             kept["waiting_mean"] = gaps.mean()
         if len(gaps) > 1:
