@@ -31,7 +31,8 @@ _ROOM = 2**20  # bytes that a disk has not got which has no room for what HDF5 w
 def write(path: Where, out: Path) -> None:
     """Write the dataset at `path` to a file, which appears once it is complete.
 
-    Shards are read one after the other: memory is that of the table of members and of one shard.
+    Columns with a value a member are read one after the other, and lists shard by shard: memory is that of a column
+    or of a shard.
 
     Raises
     ------
@@ -49,12 +50,10 @@ def write(path: Where, out: Path) -> None:
     opened = open_dataset(path)
     source = opened.shards()
     lists = [name for name in _SAMPLES if name in source.schema.names]
-    with reading(opened.place):
-        members = source.to_table(columns=list(scalars(source.schema)))
     with whole(out, opened.place, "--netcdf") as stream:
         try:
             with netCDF4.Dataset(stream.name, "w") as file:
-                _fill(file, opened, source, members, lists)
+                _fill(file, opened, source, lists)
         except StoreError:
             raise
         except UnicodeEncodeError:
@@ -66,7 +65,7 @@ def write(path: Where, out: Path) -> None:
             raise QueryError(f"--netcdf: {out} cannot be written ({error}); choose another file") from error
 
 
-def _fill(file: Any, opened: Opened, source: Any, members: pa.Table, lists: list[str]) -> None:
+def _fill(file: Any, opened: Opened, source: Any, lists: list[str]) -> None:
     scene = opened.scene
     file.setncatts({
         "Conventions": "CF-1.11",
@@ -76,9 +75,11 @@ def _fill(file: Any, opened: Opened, source: Any, members: pa.Table, lists: list
         "scene_hash": scene.hash,
         "comment": "dimensionless: no clock, no place on Earth",
     })  # fmt: skip
-    file.createDimension("member", members.num_rows)
-    for name in members.column_names:
-        _scalar(file, members.schema.field(name), members[name])
+    file.createDimension("member", sum(shard.rows for shard in opened.manifest.shards.values()))
+    for name in scalars(source.schema):
+        with reading(opened.place):
+            values = source.to_table(columns=[name])[name]
+        _scalar(file, source.schema.field(name), values)
     for dimension in dict.fromkeys(_SAMPLES[name] for name in lists):
         _along(file, opened, source, dimension, [name for name in lists if _SAMPLES[name] == dimension])
 
