@@ -148,12 +148,13 @@ class Turn(NamedTuple):
     """Where along a key runs begin, or cease, to settle on one thing alone, on several lines along it.
 
     `is_last`: they do so from `places` on, to the end of each line; else up to `places`, from its beginning. A place
-    is None on a line where there is no such range.
+    is None on a line where there is no such range, and on the `n_whole` lines where they do so throughout.
     """
 
     kind: str
     is_last: bool
     places: tuple[int | None, ...]
+    n_whole: int
 
 
 class Along(NamedTuple):
@@ -166,10 +167,14 @@ class Along(NamedTuple):
 def turn(lines: Sequence[Along], is_last: bool) -> Turn | None:
     """The turn to, or from, what most lines end, or begin, with; None if no line turns."""
     ends = [found[-1 if is_last else 0] if found else None for found, _ in lines]
-    n_of = Counter(end.on[0] for end, (_, bounds) in zip(ends, lines, strict=True)
-                   if end is not None and len(end.on) == 1 and (end.first, end.last) != bounds)  # fmt: skip
+    of_one = [None if end is None or len(end.on) != 1 else end for end in ends]
+    is_whole = [end is not None and end[:2] == bounds for end, (_, bounds) in zip(of_one, lines, strict=True)]
+    n_of = Counter(end.on[0] for end, whole in zip(of_one, is_whole, strict=True) if end is not None and not whole)
     if not n_of:
         return None
     kind = n_of.most_common(1)[0][0]
-    places = [None if end is None or end.on != (kind,) else end.first if is_last else end.last for end in ends]
-    return Turn(kind, is_last, tuple(places))
+    alike = [None if end is None or end.on != (kind,) else end for end in of_one]
+    n_whole = sum(whole for end, whole in zip(alike, is_whole, strict=True) if end is not None)
+    turned = [None if whole else end for end, whole in zip(alike, is_whole, strict=True)]
+    places = (None if end is None else end.first if is_last else end.last for end in turned)
+    return Turn(kind, is_last, tuple(places), n_whole)

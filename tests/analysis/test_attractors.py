@@ -311,6 +311,21 @@ def test_the_page_covers_each_value_of_a_second_key(over_two, settings):
     ]  # fmt: skip
 
 
+def test_a_line_that_does_the_same_throughout_turns_nowhere(planted_runs, settings):
+    """A cycle up to v = 1 and 3, at the third static friction at all belts."""
+    data = planted_runs([
+        started(0.1 * s, 0.0, start_draw=s, drawn="z = uniform(0, 1)", belt_speed=float(v), static=1.2 + 0.2 * k)
+        | (cycle(3.0, 0.1, 1) | {"exits_z": [0.5]} if v <= last else SLIDES | {"section_z": [0.0]})
+        for v in range(1, 6) for k, last in enumerate((1, 3, 5)) for s in range(5)
+    ])  # fmt: skip
+    said = build(data, replace(settings, question=("attractors",)), "Planted", "", {}).headline[1]
+    assert said.startswith(
+        "The belt_speed up to which all runs settle on a cycle rises from 1 at static = 1.2 to 3 at static = 1.4; at "
+        "1 of the 3 values of static they do so throughout. The belt_speed from which on all runs slide steadily "
+        "rises from 2 at static = 1.2 to 4 at static = 1.4; at 1 of the 3 values of static there is none. "
+    )
+
+
 def test_the_figures_over_two_keys(over_two, settings):
     figures = answer(Study(over_two, settings)).figures
     assert [name for name in figures if name != "basin_of_attractors"] == [

@@ -430,7 +430,7 @@ def _turn_row(axis: Axis, others: Sequence[Axis], told: Sequence[Row], one: Turn
     return {
         "kind": one.kind, "is_last": one.is_last, "way": way, "is_same": least[1] == most[1],
         "ends": [{"value": axis.texts[place], "at": told[line]["at"]} for line, place in ends],
-        "n": len(known), "of": len(told),
+        "n": len(known), "n_whole": one.n_whole, "of": len(told),
     }  # fmt: skip
 
 
