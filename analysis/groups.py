@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -248,9 +249,11 @@ def fill(found: Sequence[Group], given: Iterable[tuple[np.ndarray, Motion]]) -> 
     for k, group in enumerate(found):
         number[group.members.index], place[group.members.index] = k, np.arange(len(group.members))
     for rows, part in given:
-        for k in np.unique(number[rows]):
-            own = np.flatnonzero(number[rows] == k)
-            filling[k].add(place[rows[own]], part.take(own))
+        order = np.argsort(number[rows], kind="stable")  # by group
+        rows, by_group = rows[order], part.take(order)
+        ends = [*(np.flatnonzero(np.diff(number[rows])) + 1).tolist(), len(rows)]
+        for first, end in pairwise([0, *ends]):
+            filling[number[rows[first]]].add(place[rows[first:end]], by_group.part(first, end))
     for one in filling:
         one.finish()
 

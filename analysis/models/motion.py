@@ -54,12 +54,19 @@ class Motion:
     sizes: np.ndarray
 
     def take(self, some: np.ndarray) -> Motion:
-        """Some of the runs, by their places."""
+        """Some of the runs, by their places, each once."""
         place = np.full(len(self.fates), -1)
         place[some] = np.arange(len(some))
-        sizes = self.sizes[place[self.sizes[:, 0]] >= 0]
-        sizes = np.column_stack([place[sizes[:, 0]], sizes[:, 1:]])
-        return Motion([self.fates[k] for k in some], self.last[some], self.sums[some], sizes)
+        kept = self.sizes[place[self.sizes[:, 0]] >= 0]
+        sizes = np.column_stack([place[kept[:, 0]], kept[:, 1:]])
+        in_order = sizes[np.argsort(sizes[:, 0], kind="stable")]
+        return Motion([self.fates[k] for k in some], self.last[some], self.sums[some], in_order)
+
+    def part(self, first: int, end: int) -> Motion:
+        """Neighbouring runs of which `sizes` is in their order, as `take` leaves it."""
+        at, to = np.searchsorted(self.sizes[:, 0], (first, end))
+        sizes = self.sizes[at:to] - np.array([first, 0, 0])
+        return Motion(self.fates[first:end], self.last[first:end], self.sums[first:end], sizes)
 
 
 def joined(parts: Sequence[Motion]) -> Motion:
