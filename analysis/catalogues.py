@@ -137,7 +137,7 @@ def _by_unit(study: Study, group: Group, of_member: Mapping[str, pd.DataFrame]) 
         start, end, size, moment, first_block = columns
         slip = np.nan if not v else n * abs(float(v)) * (float(t_end) - t_start)
         whole = (size.astype(np.int64), moment, slip, first_block.astype(np.int64))
-        moving = _moving(*study.data.series[member_id], n, t_start, float(t_end))
+        moving = _moving(*study.runs.points(member_id), n, t_start, float(t_end))
         one = Catalogue(t_start, float(t_end), start, end - start, *whole, moving)
         found.setdefault(int(unit), []).append(one)
     return found

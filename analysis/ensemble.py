@@ -177,9 +177,9 @@ class Study:
         return Counter(group.unit for group in self.groups).most_common(1)[0][0]
 
     def fate(self, member_id: str) -> str:
-        """Fate of a member, from `models.fates.fate`."""
+        """Fate of a member, from `models.fates.fate`; raises as `Runs.points`."""
         outcome, t_end, rate = self._fated[member_id]
-        points = None if outcome == "failed" else self.data.series[member_id]
+        points = None if outcome == "failed" else self.runs.points(member_id)
         return fate(outcome, points, t_end, rate)
 
     @cached_property

@@ -102,7 +102,7 @@ def level(study: Study, setting: Setting) -> float | None:
         return None
     t_end = float(setting.key["t_end"])
     until = [study.ends[base][1] if how == DIVERGED else t_end for base, how in bases.items()]
-    return parting.level([study.data.series[base] for base in bases], until, study.settings.t_burn, t_end) or None
+    return parting.level([study.runs.points(base) for base in bases], until, study.settings.t_burn, t_end) or None
 
 
 def follow(study: Study, comparison: Comparison, level: float, t_end: float) -> list[Followed]:
@@ -116,7 +116,7 @@ def follow(study: Study, comparison: Comparison, level: float, t_end: float) -> 
         if any(outcome == "failed" for outcome, _ in two):
             continue
         t_stop = min([t_end, *(t for outcome, t in two if outcome == "diverged")])
-        gaps = parting.gap(study.data.series[pair.base], study.data.series[pair.changed], t_stop)
+        gaps = parting.gap(study.runs.points(pair.base), study.runs.points(pair.changed), t_stop)
         found.append(Followed(pair, t_stop, gaps, parting.parted_at(gaps, level)))
     return found
 

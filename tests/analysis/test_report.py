@@ -307,6 +307,13 @@ def test_written_tables_read_back_with_nulls(planted, settings):
         pd.testing.assert_frame_equal(back, table, check_dtype=False)
 
 
+def test_a_changed_member_without_a_series_is_refused_by_name(planted, settings):
+    members, series = planted.ensemble({"coulomb": LN2}, 5)
+    copies = members.assign(member_id="copy of " + members["member_id"], perturbation_size=0.01)
+    with pytest.raises(ValueError, match="change points of the member 'copy of coulomb-000', got none"):
+        report_of((pd.concat([members, copies]), series), settings)
+
+
 def test_what_users_write_is_escaped(planted, settings):
     hostile = "<script>alert('x')</script> & \"q\" {{ 7 * 7 }}"
     members, series = planted.ensemble({"coulomb": LN2}, 5)

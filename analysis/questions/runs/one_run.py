@@ -43,7 +43,7 @@ def answer(study: Study) -> Answer | None:
     name, n, t_end = str(run["member_id"]), int(run["n"]), float(run["t_end"])
     if run["outcome"] == DIVERGED:
         t_end = float(run["t_stop"])
-    t, n_stick = data.series[name]
+    t, n_stick = study.runs.points(name)
     mean = float(np.diff(np.append(t, t_end)) @ n_stick / (t_end * n)) if t_end else None
     facts: dict[str, Any] = {
         "run": name, "n": n, "n_runs": len(table), "t_end": t_end, "sticks": mean, "least": int(n_stick.min()),

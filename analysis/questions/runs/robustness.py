@@ -131,7 +131,7 @@ def _end(study: Study, member: str) -> tuple[bool, str, float] | None:
     how = study.fate(member)
     if how == DIVERGED:
         return True, how, study.ends[member][1]
-    return (False, how, float(study.data.series[member][0][-1])) if how in SETTLED else None
+    return (False, how, float(study.runs.points(member)[0][-1])) if how in SETTLED else None
 
 
 def _changes(setting: Setting) -> list[Comparison]:

@@ -154,7 +154,7 @@ def _one_run(study: Study, group: Group) -> tuple[int, tuple[Any, ...]]:
     if len(found.size):
         k = int(np.argmax(found.size))
         one = int(found.size[k]), float(found.start[k]), float(found.stop[k])
-    return group.units[row], (*study.data.series[member_id], win.t_stop, study.settings.t_burn, one)
+    return group.units[row], (*study.runs.points(member_id), win.t_stop, study.settings.t_burn, one)
 
 
 _Span = tuple[int, float, float]  # of a cascade: size, first exit, last exit
