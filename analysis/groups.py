@@ -250,7 +250,7 @@ def fill(found: Sequence[Group], given: Iterable[tuple[np.ndarray, Motion]]) -> 
         number[group.members.index], place[group.members.index] = k, np.arange(len(group.members))
     for rows, part in given:
         order = np.argsort(number[rows], kind="stable")  # by group
-        rows, by_group = rows[order], part.take(order)
+        rows, by_group = rows[order], part.in_order(order)
         ends = [*(np.flatnonzero(np.diff(number[rows])) + 1).tolist(), len(rows)]
         for first, end in pairwise([0, *ends]):
             filling[number[rows[first]]].add(place[rows[first:end]], by_group.part(first, end))

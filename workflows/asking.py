@@ -49,8 +49,8 @@ class Asking:
     ) -> None:
         self.own, self.with_pdf, self._workers, self._scheduler = own, with_pdf, workers, scheduler
         self._stack = ExitStack()
-        is_spread = workers is not None or scheduler is not None
-        n_children = 0 if is_spread else min(n_cores(), MOST_PROCESSES) - 1
+        self._is_spread = workers is not None or scheduler is not None
+        n_children = 0 if self._is_spread else min(n_cores(), MOST_PROCESSES) - 1
         self._children = [self._stack.enter_context(Child(answer)) for _ in range(n_children)]
         self._pool = ThreadPoolExecutor(max(n_children, 1))
         self._loading = [(child, self._pool.submit(_load, child)) for child in self._children]
@@ -104,7 +104,7 @@ class Asking:
                 found[key] = ask(study, key, self.with_pdf)
                 on_answer(len(found), n_asked)
 
-        if self._workers is not None or self._scheduler is not None:
+        if self._is_spread:
             study.put = self._stack.enter_context(_spread(opened, study, self._workers or 0, self._scheduler))
         asked = [self._pool.submit(by_child, *one) for one in self._loading]
         if tasks:

@@ -106,9 +106,10 @@ class OnWorkers:
 
 
 def _only(opened: Opened, name: str) -> Opened:
-    """A dataset without its other shards."""
-    manifest = opened.manifest.model_copy(update={"shards": {name: opened.manifest.shards[name]}})
-    return replace(opened, manifest=manifest)
+    """A dataset of one shard: what is sent with each task does not grow with the number of shards."""
+    shard = opened.manifest.shards[name]
+    alone = {"shards": {name: shard}, "packing": [[shard.rows]], "earlier": []}
+    return replace(opened, manifest=opened.manifest.model_copy(update=alone))
 
 
 def _answer(task: bytes) -> tuple[int, str, Any]:

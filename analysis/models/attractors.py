@@ -167,14 +167,12 @@ class Along(NamedTuple):
 def turn(lines: Sequence[Along], is_last: bool) -> Turn | None:
     """The turn to, or from, what most lines end, or begin, with; None if no line turns."""
     ends = [found[-1 if is_last else 0] if found else None for found, _ in lines]
-    of_one = [None if end is None or len(end.on) != 1 else end for end in ends]
-    is_whole = [end is not None and end[:2] == bounds for end, (_, bounds) in zip(of_one, lines, strict=True)]
-    n_of = Counter(end.on[0] for end, whole in zip(of_one, is_whole, strict=True) if end is not None and not whole)
+    is_whole = [end is not None and end[:2] == bounds for end, (_, bounds) in zip(ends, lines, strict=True)]
+    turning = [None if whole else end for end, whole in zip(ends, is_whole, strict=True)]
+    n_of = Counter(end.on[0] for end in turning if end is not None and len(end.on) == 1)
     if not n_of:
         return None
     kind = n_of.most_common(1)[0][0]
-    alike = [None if end is None or end.on != (kind,) else end for end in of_one]
-    n_whole = sum(whole for end, whole in zip(alike, is_whole, strict=True) if end is not None)
-    turned = [None if whole else end for end, whole in zip(alike, is_whole, strict=True)]
-    places = (None if end is None else end.first if is_last else end.last for end in turned)
+    places = (None if end is None or end.on != (kind,) else end.first if is_last else end.last for end in turning)
+    n_whole = sum(whole and end is not None and end.on == (kind,) for end, whole in zip(ends, is_whole, strict=True))
     return Turn(kind, is_last, tuple(places), n_whole)

@@ -9,7 +9,7 @@ import numpy as np
 
 from stickslip.analysis.models.counting import lulls
 from stickslip.analysis.models.fates import FAILED, MOVING, fate
-from stickslip.analysis.series.runs import Ended, Runs
+from stickslip.analysis.series.runs import Ended, Runs, no_series
 from stickslip.analysis.series.windows import ChangePoints, NoSeries, Windows, windows
 from stickslip.analysis.stats import effective, enough
 from stickslip.analysis.stats.quantities import QUANTITIES
@@ -53,17 +53,16 @@ class Motion:
     sums: np.ndarray
     sizes: np.ndarray
 
-    def take(self, some: np.ndarray) -> Motion:
-        """Some of the runs, by their places, each once."""
-        place = np.full(len(self.fates), -1)
-        place[some] = np.arange(len(some))
-        kept = self.sizes[place[self.sizes[:, 0]] >= 0]
-        sizes = np.column_stack([place[kept[:, 0]], kept[:, 1:]])
-        in_order = sizes[np.argsort(sizes[:, 0], kind="stable")]
-        return Motion([self.fates[k] for k in some], self.last[some], self.sums[some], in_order)
+    def in_order(self, order: np.ndarray) -> Motion:
+        """All runs in another order, `sizes` too; `order` holds their places."""
+        place = np.empty(len(order), dtype=np.int64)
+        place[order] = np.arange(len(order))
+        sizes = np.column_stack([place[self.sizes[:, 0]], self.sizes[:, 1:]])
+        sizes = sizes[np.argsort(sizes[:, 0], kind="stable")]
+        return Motion([self.fates[k] for k in order], self.last[order], self.sums[order], sizes)
 
     def part(self, first: int, end: int) -> Motion:
-        """Neighbouring runs of which `sizes` is in their order, as `take` leaves it."""
+        """Neighbouring runs of which `sizes` is in their order, as `in_order` leaves it."""
         at, to = np.searchsorted(self.sizes[:, 0], (first, end))
         sizes = self.sizes[at:to] - np.array([first, 0, 0])
         return Motion(self.fates[first:end], self.last[first:end], self.sums[first:end], sizes)
@@ -109,11 +108,13 @@ def _together(some: Sequence[tuple[Ended, ChangePoints | None]], t_burn: float) 
     moving = np.array([k for k, how in enumerate(fates) if how in MOVING], dtype=int)
     if not len(moving):
         return Motion(fates, last, sums, np.zeros((0, 3), int))
-    in_motion = [(one, points) for k in moving if (points := some[k][1]) is not None and (one := some[k][0])]
+    in_motion = [
+        (one, points) for (one, points), how in zip(some, fates, strict=True) if points is not None and how in MOVING
+    ]
     try:
         runs = windows([points for _, points in in_motion], t_burn, [one.t_end for one, _ in in_motion])
     except NoSeries as error:
-        raise ValueError(f"series of member {in_motion[error.place][0].member_id!r}: {error}") from error
+        raise no_series(in_motion[error.place][0].member_id, error) from error
     sums[moving] = _sums(runs)
     run, depth = runs.falls
     sizes, n_times = np.unique(np.column_stack([moving[run], depth]), axis=0, return_counts=True)

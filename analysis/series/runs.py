@@ -135,7 +135,12 @@ def named_window(points: ChangePoints, member_id: str, t_start: float, t_stop: f
     try:
         return window(*points, t_start, t_stop)
     except ValueError as error:
-        raise ValueError(f"series of member {member_id!r}: {error}") from error
+        raise no_series(member_id, error) from error
+
+
+def no_series(member_id: str, why: ValueError) -> ValueError:
+    """The error for change points of a member that are not a series."""
+    return ValueError(f"series of member {member_id!r}: {why}")
 
 
 def generator(seed: int, name: str) -> np.random.Generator:

@@ -47,7 +47,7 @@ from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, panel
 
 MOST_CURVES = 8  # in one figure
-MOST_STEPS = 2000  # drawn of one curve: each is then a quarter of a dot wide
+MOST_STEPS = 2000  # of one curve: each is then a quarter of a dot wide
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
 FATES = {
     COLLAPSED: ("slips for good", BLUE, "s"), QUIET: ("quiet", "#56B4E9", "D"),
@@ -76,10 +76,9 @@ def answer(study: Study) -> Answer:
     level = study.settings.confidence
     by_group = {group.label: _runs(group) for group in study.groups}
     runs = pd.concat([*by_group.values()], ignore_index=True)
-    curves = {
-        label: survival(*_first(own), level) for label, own in by_group.items() if (own["fate"] != FAILED).any()
-    }
-    groups = [_group_row(study, group, by_group[group.label]) for group in study.groups]
+    first = {label: _first(own) for label, own in by_group.items() if (own["fate"] != FAILED).any()}
+    curves = {label: _thinned(survival(*some, level)) for label, some in first.items()}
+    groups = [_group_row(study, group, by_group[group.label], first.get(group.label)) for group in study.groups]
     moving = sorted((row for row in groups if row["n_moving"]), key=lambda row: -row["n"])
     systems = _brief(groups)
     is_one_engine = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
@@ -183,13 +182,21 @@ def _of_draws(groups: Sequence[Group], followed: pd.DataFrame) -> tuple[np.ndarr
     return found[0], found[1]
 
 
-def _curve_table(label: str, curve: Curve) -> pd.DataFrame:
-    """A curve of survival as a table; of many steps `MOST_STEPS`, so that each holds to a share of one in as many."""
+def _thinned(curve: Curve) -> Curve:
+    """A curve of survival with at most `MOST_STEPS` of its steps, the first and the last among them."""
     some = np.unique(np.linspace(0, len(curve[0]) - 1, MOST_STEPS).astype(np.int64))
-    return columns(_CURVE, pd.DataFrame(dict(zip(_CURVE, (label, *(x[some] for x in curve)), strict=True))))
+    t, share, low, high = (x[some] for x in curve)
+    return t, share, low, high
 
 
-def _first(runs: pd.DataFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _curve_table(label: str, curve: Curve) -> pd.DataFrame:
+    return columns(_CURVE, pd.DataFrame(dict(zip(_CURVE, (label, *curve), strict=True))))
+
+
+_First = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def _first(runs: pd.DataFrame) -> _First:
     """Fates and times of the first run of each unit of a group that did not fail."""
     first = runs[runs["fate"] != FAILED].drop_duplicates("unit")
     t_last, t_stop, t_end = (first[name].to_numpy() for name in ("t_last", "t_stop", "t_end"))
@@ -244,16 +251,19 @@ def _basin(followed: pd.DataFrame, setting: np.ndarray) -> Row | None:
     return max(found, key=lambda one: int(one["n"]), default=None)
 
 
-def _group_row(study: Study, group: Group, own: pd.DataFrame) -> Row:
-    """Row of the table `fates`: the runs of a group by fate, when they end, and their mean n_stick."""
+def _group_row(study: Study, group: Group, own: pd.DataFrame, first: _First | None) -> Row:
+    """Row of the table `fates`: the runs of a group by fate, when they end, and their mean n_stick.
+
+    `first` is what `_first` finds; None if all runs failed.
+    """
     level = study.settings.confidence
     followed = own[own["fate"] != FAILED]
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
     span = float(group.key["t_end"]) - study.settings.t_burn
     memory = tau(group.effective)
     half, least = Estimate(), Estimate()
-    if len(followed):
-        fates, t_last, t_stop, t_end = _first(own)
+    if first is not None:
+        fates, t_last, t_stop, t_end = first
         half = half_ended(fates, t_last, t_stop, t_end, level)
         least = half_ended(np.where(fates == QUIET, COLLAPSED, fates), t_last, t_stop, t_end, level)
     unit = pd.factorize(followed["unit"])[0]
@@ -374,9 +384,8 @@ def survival_curves(ax: Axes, curves: Sequence[tuple[str, Curve]], t_end: float)
     """Share of runs that have not ended against time, one curve a group, with intervals for one or two groups."""
     colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(curves)))
     for (label, (times, *shares)), colour in zip(curves, colours, strict=True):
-        some = np.unique(np.linspace(0, len(times) - 1, MOST_STEPS).astype(np.int64))
-        t = np.append(times[some], t_end)
-        alive, low, high = (np.append(y[some], y[-1]) for y in shares)
+        t = np.append(times, t_end)
+        alive, low, high = (np.append(y, y[-1]) for y in shares)
         ax.step(t, alive, where="post", color=colour, label=label)
         if len(curves) <= 2:
             ax.fill_between(t, low, high, step="post", color=colour, alpha=0.15, linewidth=0)
