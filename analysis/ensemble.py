@@ -177,7 +177,13 @@ class Study:
         return Counter(group.unit for group in self.groups).most_common(1)[0][0]
 
     def fate(self, member_id: str) -> str:
-        """Fate of a member, from `models.fates.fate`; raises as `Runs.points`."""
+        """Fate of a member, from `models.fates.fate`.
+
+        Raises
+        ------
+        ValueError
+            If a member that did not fail has no change points; the error names it.
+        """
         outcome, t_end, rate = self._fated[member_id]
         points = None if outcome == "failed" else self.runs.points(member_id)
         return fate(outcome, points, t_end, rate)
@@ -196,7 +202,13 @@ class Study:
         return dict(zip(table["member_id"], zip(table["outcome"], table["t_stop"], strict=True), strict=True))
 
     def window(self, member_id: str, t_end: float) -> Window:
-        """n_stick of a member on [t_burn, t_end]; raises as `Runs.window`."""
+        """n_stick of a member on [t_burn, t_end].
+
+        Raises
+        ------
+        ValueError
+            If it has no change points, or they are not a series; the error names the member.
+        """
         return self.runs.window(member_id, t_end)
 
     def by_threshold(self, member_id: str, t_end: float) -> dict[float, Window]:
