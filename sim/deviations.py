@@ -136,10 +136,10 @@ class Path:
         return moved
 
     def growth_rate(self, is_forced: bool) -> float:
-        """The rate at which a deviation grows from the first edge to the last, apart from shifts in time.
+        """The rate at which a deviation grows along the events, apart from shifts in time.
 
-        Minus infinity if none is left; the first third, in which it turns to the direction that grows fastest, does
-        not count.
+        Minus infinity if none is left. The first third, in which it turns to the direction that grows fastest, does
+        not count, nor what it grows within a round: it is compared at the last event and at an earlier one like it.
         """
         n, m = self.system.n, len(self.states) - 1
         moved = np.random.default_rng(0).normal(size=(2 * n, 1))
@@ -154,7 +154,9 @@ class Path:
                 return -math.inf
             logs[k] = math.log(size)
             moved = flow @ (moved / size)
-        first = m // 3
+        changes = self.modes[:-1] + 3 * self.modes[1:]
+        alike = (self.block == self.block[-1]) & (changes == changes[-1])[:, self.block[-1]]
+        first = m // 3 + int(alike[m // 3 : -1].argmax())
         return float(logs[first + 1 :].sum() / (self.states.t[m - 1] - self.states.t[first]))
 
     # ------------------------------------------------------------------------------------------ events

@@ -436,7 +436,8 @@ def confirm(system, found, run):
         assert path.t == []
         assert (np.abs(path.w) < np.abs(system.belt_speed)).all()
         slip = -np.sign(system.belt_speed)
-        assert (np.abs(path.w) <= np.abs(path.at(np.linspace(0, 50, 200))[1]).max(axis=0)).all()
+        earlier = np.abs(path.at(np.linspace(0, 50, 200))[1]).max(axis=0)
+        assert (np.abs(path.w) <= np.maximum(earlier, 1e-12)).all()  # rounding keeps a block that rests in motion
         np.testing.assert_allclose(system.stiffness @ found.section[0], -system.friction * slip, atol=1e-10)
     elif found.kind == "escaping":
         growth = np.linalg.eigvals(system.slip_matrix()).real.max()
@@ -449,21 +450,24 @@ def confirm(system, found, run):
         assert sorted(path.block) == sorted(found.events.block.tolist())
         size = max(np.abs(z).max(), np.abs(w).max())
         end = path.at(found.period)
-        assert max(np.abs(end[0][0] - z).max(), np.abs(end[1][0] - w).max()) < 1e-5 * size
+        # it has come back at its first event to 1e-6; within a round a deviation may grow
+        assert max(np.abs(end[0][0] - z).max(), np.abs(end[1][0] - w).max()) < 1e-4 * size
         # and no earlier: brute force over all states of the cycle
         times = np.linspace(0, found.period, 2000)[20:-20]
         z_there, w_there = path.at(times)
         assert (np.abs(z_there - z).max(axis=1) + np.abs(w_there - w).max(axis=1) > 1e-6 * size).all()
     elif found.kind == "irregular":
         mode = run.events.mode_at(run.t_end)
-        path = independent.follow(case(system, run.z, np.where(mode == 0, system.belt_speed, run.w)), 200.0)
+        path = independent.follow(case(system, run.z, np.where(mode == 0, system.belt_speed, run.w)), 1000.0)
         events = list(zip(path.block, path.mode, strict=True))
-        commonest, _ = Counter(events).most_common(1)[0]
+        commonest, count = Counter(events).most_common(1)[0]
+        assert count > 12
         leaves = [t for t, event in zip(path.t, events, strict=True) if event == commonest]
         states = np.hstack(path.at(np.array(leaves)))
-        apart = np.abs(states[:, None] - states[None]).max(axis=2)[np.triu_indices(len(leaves), 1)]
-        assert len(leaves) > 3
-        assert (apart > 1e-5 * np.abs(states).max()).all()
+        # two rounds may come as near as chance has it, near an unstable cycle for long; a cycle repeats all of them
+        for rounds in range(1, count // 4):
+            apart = np.abs(states[rounds:] - states[:-rounds]).max()
+            assert apart > 1e-4 * np.abs(states).max(), rounds
 
 
 def confirmed(rng, n_systems, t_end):
@@ -601,3 +605,23 @@ def test_events_of_one_instant_may_end_what_is_followed_of_an_irregular_run():
         assert found.growth_rate == pytest.approx(rate, rel=0.25)  # another first deviation
         is_later.append(found.events.t[-1] < found.events.t[-2])
     assert any(is_later)
+
+
+def test_what_a_deviation_grows_within_a_round_is_no_growth():
+    """It comes near a cycle at -0.0005 a unit of time; within a round of eight events deviations vary by e^2."""
+    stiffness = [
+        [3.495484664063374, -0.5277623737147918, -1.8549121096350423],
+        [-0.5277623737147918, 2.3821671707825542, -1.458474155350925],
+        [-1.8549121096350423, -1.458474155350925, 4.729593503341815],
+    ]
+    friction = np.array([1.374496175907888, 1.3166279225323527, 0.9040627252266554])
+    static = np.array([1.9674910699541528, 1.6709181560118456, 1.1886836393596247])
+    damping = [0.28725595770566414, 0.1304272837220418, 0.28395353948361607]
+    one = System(stiffness, damping, friction, -0.06228995223275127, static=static)
+    start = [0.5013698063733542, 0.2748003135842169, -0.46380973341691684]
+    for t_end in (1800.0, 2000.0, 2200.0):
+        found = settled(one, start, 0.0, t_end, 200.0)
+        assert found.kind == "undecided"
+        assert -0.01 < found.growth_rate < 0.0
+    cycle = settled(one, start, 0.0, 4000.0, 200.0)
+    assert cycle.kind == "periodic" and cycle.multiplier == pytest.approx(0.9941, abs=1e-3)
