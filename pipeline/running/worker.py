@@ -29,7 +29,7 @@ from stickslip.pipeline.running.ends import end_of
 from stickslip.pipeline.running.kept import Kept, Runs
 from stickslip.pipeline.scene.columns import Recording
 from stickslip.sim.engines import ENGINES
-from stickslip.sim.engines.contract import Engine, Task
+from stickslip.sim.engines.contract import SMALL, Engine, Task
 from stickslip.sim.kernels.cache import CacheError, has_kernel
 from stickslip.sim.runs.series import summaries
 from stickslip.sim.systems.system import work_out
@@ -37,8 +37,8 @@ from stickslip.sim.systems.system import work_out
 #: Members that are set up at once, and entries of K that they have together, at most.
 _TOGETHER, _ENTRIES = 128, 2**16
 _NEVER = np.empty(0)
-#: Engines whose kernels this process has.
-_loaded: set[str] = set()
+#: Engines whose kernels this process has, for each of their sizes.
+_loaded: set[tuple[str, int]] = set()
 
 
 def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: Runs | None = None) -> Result:
@@ -224,8 +224,9 @@ def is_cold(engine: str) -> bool:
 def load_kernels(members: Iterable[Member]) -> None:
     """Load the kernels that members need, or compile them."""
     for member in members:
-        if member.engine not in _loaded:
-            tiny = replace(member, member_id="", source=member.source._replace(n=min(member.n, 3)), t_end=1e-6)
+        size = min(member.n, max(size for size in ENGINES[member.engine].sizes if size <= max(member.n, SMALL)))
+        if (member.engine, size) not in _loaded:
+            tiny = replace(member, member_id="", source=member.source._replace(n=size), t_end=1e-6)
             if member.source.origin is not None:
                 numbers = {"kappa": 0.1, "leaf": 0.1, "damping": 1.0, "friction": 1.0, "static": 1.0, "mass": 1.0}
                 terms = dict(tiny.terms) | numbers | {"belt_speed": -0.2}
@@ -233,4 +234,4 @@ def load_kernels(members: Iterable[Member]) -> None:
                 begin = tiny.begin._replace(z0=0.0, w0=0.0, ends=None)
                 tiny = replace(tiny, source=source, terms=tuple(terms.items()), begin=begin)
             row(tiny, Recording(""))
-            _loaded.add(member.engine)
+            _loaded.add((member.engine, size))

@@ -36,6 +36,10 @@ from stickslip.sim.systems.system import System
 Purpose = Literal["statistics", "paths"]
 
 
+#: So many blocks are enough to have the kernels of small systems compiled.
+SMALL = 3
+
+
 class Task(NamedTuple):
     """A run to be made: the start as arrays, shape (n,); the times of samples, and buffers for them."""
 
@@ -162,6 +166,8 @@ class Engine(ABC):
         One line for scenes.
     kernels : str
         The package of its compiled kernels, which the module `integrate` there loads; "" if it has none.
+    sizes : tuple of int
+        Numbers of blocks for each of which other kernels may be needed.
     is_exact : bool
         Whether it keeps the exact, set-valued friction law, whose energy balance `stickslip.sim.energy` knows.
     takes : frozenset of str
@@ -172,6 +178,7 @@ class Engine(ABC):
     name: ClassVar[str]
     about: ClassVar[str]
     kernels: ClassVar[str] = ""
+    sizes: ClassVar[tuple[int, ...]] = (SMALL,)
     is_exact: ClassVar[bool] = False
     takes: ClassVar[frozenset[str]] = frozenset()
 

@@ -160,6 +160,7 @@ class Plan(NamedTuple):
     """Shape (n,): how long a change of each block's mode must last to be an event, where only belts of constant
     speed act on the blocks; see `without_returns`."""
     touch: float = 0.0  #: the same, in units of the time in which a block reverses its slip
+    method: str = ""  #: where an engine has several
     go_on: Callable[[], None] = lambda: None
     """Prepares the engine for the next piece, once `state` and `drive` are at its start."""
 
@@ -282,7 +283,7 @@ def complete(task: Task, state: State, drive: Drive, collapse: certificates.Coll
         events=series[0],
         outcome=outcome,
         reason=reason,
-        stats=Stats(counts[N_STEPS], counts[N_REJECTED], counts[N_PRODUCTS], len(series[0])),
+        stats=Stats(counts[N_STEPS], counts[N_REJECTED], counts[N_PRODUCTS], len(series[0]), plan.method),
         t_collapse=t_collapse,
         samples=task.samples.first(counts[N_SAMPLED]),
         stills=Stills(*events.all_stuck),

@@ -25,12 +25,16 @@ class IntegrationError(RuntimeError):
 
 @dataclass(frozen=True)
 class Stats:
-    """The cost of a run: steps, rejected steps, products of K (and of N, see `System`) with a vector, events."""
+    """The cost of a run: steps, rejected steps, products of K (and of N, see `System`) with a vector, events.
+
+    `method` is that of the engine, if it has several.
+    """
 
     n_steps: int
     n_rejected: int
     n_products: int
     n_events: int
+    method: str = ""
 
 
 @dataclass(frozen=True, eq=False)

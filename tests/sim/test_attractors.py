@@ -624,4 +624,5 @@ def test_what_a_deviation_grows_within_a_round_is_no_growth():
         assert found.kind == "undecided"
         assert -0.01 < found.growth_rate < 0.0
     cycle = settled(one, start, 0.0, 4000.0, 200.0)
-    assert cycle.kind == "periodic" and cycle.multiplier == pytest.approx(0.9941, abs=1e-3)
+    assert cycle.kind == "periodic"
+    assert cycle.multiplier == pytest.approx(0.9941, abs=1e-3)

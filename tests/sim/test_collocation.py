@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from stickslip.sim import System, draw_system, simulate
-from stickslip.sim.engines.sigmoid import friction
+from stickslip.sim.engines.waveform import friction
 from stickslip.sim.numerics import panels, radau
 from stickslip.sim.numerics.lanes import on_number
 from stickslip.sim.systems.friction import hidden_term

@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 
 from stickslip.sim import Piecewise, Rational, Stribeck, System, draw_system, perturb_system, simulate
 from stickslip.sim.energy import energy
-from stickslip.sim.engines.sigmoid import friction
+from stickslip.sim.engines.waveform import friction
 from stickslip.sim.numerics.lanes import on_number
 from stickslip.sim.systems.weakening import LAWS, kind_of
 from tests.scenes import own_law

@@ -6,6 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.coulomb import control, sparse, step
+from stickslip.sim.engines.coulomb import control, sparse, step, waves
 from stickslip.sim.engines.coulomb.model import Model
 from stickslip.sim.engines.coulomb.overdamped import Slow
 from stickslip.sim.engines.coulomb.taylor import Expansion
@@ -23,6 +24,10 @@ from stickslip.sim.engines.loop import Events, State
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Pairs
 from stickslip.sim.runs.run import Run
+from stickslip.sim.systems.system import System
+
+if TYPE_CHECKING:
+    from stickslip.sim.engines.coulomb.settings import Coulomb
 
 #: A touch w - v = a s^2 / 2 with an error of the tolerance becomes two events 2 (2 tol |v| / a)^(1/2) apart, where a
 #: is about |v| rate^2, or none: events closer than this many tol^(1/2) / rate are a touch.
@@ -36,7 +41,7 @@ _FOLLOWED = 1e-10
 _AT_EVENTS = 100.0
 
 
-def runs(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
+def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
     """The runs of a task, or of several with plain systems of as many blocks: see `Engine.prepare`.
 
     Raises
@@ -46,7 +51,25 @@ def runs(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
     IntegrationError
         Of a run: if events accumulate at one instant.
     """
-    tol, systems = min(tol, control.LOOSEST), [task.system for task in tasks]
+    tol = min(engine.tol, control.LOOSEST)
+    is_by_waves = [engine.is_by_waves(task.system) for task in tasks]
+    by_series = iter(_by_series([task for task, by in zip(tasks, is_by_waves, strict=True) if not by], tol))
+    return [_by_waves(task, tol) if by else next(by_series) for task, by in zip(tasks, is_by_waves, strict=True)]
+
+
+def _by_waves(task: Task, tol: float) -> Callable[[], Run]:
+    """The run of a task by `waves`."""
+    system = task.system
+    shortest = _shortest(system.rates, system.static, system.friction, tol)
+    touches = waves.Touches(shortest, _TOUCH * math.sqrt(tol))
+    return partial(waves.run, task, tol, _followed(system, tol), touches, lambda: _by_series([task], tol)[0]())
+
+
+def _by_series(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
+    """The runs of some tasks by series."""
+    if not tasks:
+        return []
+    systems = [task.system for task in tasks]
     # arrays from here on are by task and block
     rates, static, near, row_sums = (
         np.array(rows)
@@ -54,17 +77,28 @@ def runs(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
             *((one.rates, one.static, one.slip_friction[0], one.row_sums) for one in systems), strict=True
         )
     )
-    # with static friction above the kinetic a touch sticks, until F has gone from the kinetic to the static
-    is_touch = (rates > 0) & (static == near)
-    shortest = np.divide(_TOUCH * math.sqrt(tol), rates, out=np.zeros_like(rates), where=is_touch)
     of_runs = zip(
         tasks,
         Pairs.of([one.stiffness for one in systems], row_sums),
         rates.max(axis=1).tolist(),
-        shortest,
+        _shortest(rates, static, near, tol),
         strict=True,
     )
     return [partial(_integrate, tol, *of_run) for of_run in of_runs]
+
+
+def _shortest(rates: Floats, static: Floats, near: Floats, tol: float) -> Floats:
+    """How long a change of each block's mode must last to be an event: with a static friction above the kinetic, any.
+
+    A touch sticks there, until F has gone from the kinetic to the static.
+    """
+    is_touch = (rates > 0) & (static == near)
+    return np.divide(_TOUCH * math.sqrt(tol), rates, out=np.zeros_like(rates), where=is_touch)
+
+
+def _followed(system: System, tol: float) -> float:
+    """The error allowed in the motion after a collapse."""
+    return max(tol * system.fastest_belt, _FOLLOWED)
 
 
 def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floats) -> Run:
@@ -87,7 +121,7 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
     )
     if task.modes is not None:
         expansion.leaves[:] = np.where(mode == 0, task.modes, 0)
-    collapse = Collapse(system, max(tol * system.fastest_belt, _FOLLOWED), cost=control.certificate(task))
+    collapse = Collapse(system, _followed(system, tol), cost=control.certificate(task))
     slow = Slow.of(system, drive.fastest) if model.weakening is None else None
     _warn_of_short_steps(task, rate if slow is None else slow.rate)
     is_local = len(model.columns.dense) == 0 and not drive.is_forced and model.weakening is None and slow is None
@@ -112,6 +146,7 @@ def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floa
         initial_modes=search.initial_mode[np.newaxis],
         shortest=shortest,
         touch=_TOUCH * math.sqrt(tol),
+        method="Taylor series",
     )
     return loop.complete(task, state, drive, collapse, plan)
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cache, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
-from weakref import WeakKeyDictionary
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,14 +12,14 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import certificates, loop
 from stickslip.sim.engines.contract import Ratios, Task
 from stickslip.sim.engines.forcing import Drive
-from stickslip.sim.engines.sigmoid import control as limits
-from stickslip.sim.engines.sigmoid.control import Control, first_step
-from stickslip.sim.engines.sigmoid.events import PASSES
-from stickslip.sim.engines.sigmoid.friction import Peaked, Plain, Steady
-from stickslip.sim.engines.sigmoid.layout import Blocks, Matrix, Model, Shared, Workspace, blank_tables
-from stickslip.sim.engines.sigmoid.step import advance
+from stickslip.sim.engines.sigmoid.kernel import advance
+from stickslip.sim.engines.waveform import control as limits
+from stickslip.sim.engines.waveform.control import Control, first_step
+from stickslip.sim.engines.waveform.events import PASSES
+from stickslip.sim.engines.waveform.friction import Peaked, Plain, Steady
+from stickslip.sim.engines.waveform.layout import Blocks, Model, Shared, Workspace, blank_tables
+from stickslip.sim.engines.waveform.matrices import NONE, Matrix, matrices_of, matrix_of
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT, panels
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.friction import hidden_term, over_kinetic, turning_point
 from stickslip.sim.systems.system import System
@@ -145,7 +144,9 @@ class _Prepared:
         work = Workspace.of(self.tables[k], self.modes[k], drive.is_forced, n_substeps)
         work.next_h[:], common = limits.FIRST_SUBSTEP * step, Shared(work.shared)
         common.atol, common.rtol, common.safety = atol, rtol, safety
-        model = Model(self.layer.law, *self.matrices[k], drive.forcing, self.bands[k], self.borne[k], self.by_force)
+        model = Model(
+            self.layer.law, None, *self.matrices[k], drive.forcing, self.bands[k], self.borne[k], self.by_force
+        )
         law = self.smoothed(system.fastest_belt, self.widest[k])
         collapse = certificates.Collapse(system, self.allowed[k], law, limits.certificate(task))
         longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
@@ -154,7 +155,7 @@ class _Prepared:
 
         def slice_of_run(events: loop.Events, bound: float) -> tuple[int, int]:
             end = (drive.ahead, drive.instant) if drive.is_instant else (drive.length, -1.0)
-            control = Control(*end, longest, atol, safety, rate)
+            control = Control(*end, longest, safety, rate)
             found: tuple[int, int] = advance(model, work, control, state, events, bound, collapse.precheck)
             return found
 
@@ -277,28 +278,7 @@ def _modes(block: Blocks, bands: Floats, is_manifold: bool) -> NDArray[np.int8]:
 def _matrices(systems: Sequence[System]) -> list[tuple[Matrix, Matrix, bool]]:
     """K and N, and whether there is an N."""
     if len(systems) == 1:
-        system, cross = systems[0], systems[0].cross_damping
-        if system not in _MATRICES:
-            kept = _matrix(system.stiffness), _NONE if cross is None else _matrix(cross), cross is not None
-            _MATRICES[system] = kept
-        return [_MATRICES[system]]
-    of_all = _matrix(np.array([one.stiffness for one in systems]))
+        return [matrices_of(systems[0])]
+    of_all = matrix_of(np.array([one.stiffness for one in systems]))
     dense, single = of_all.panels, of_all.single_panels
-    return [(of_all._replace(panels=dense[k], single_panels=single[k]), _NONE, False) for k in range(len(systems))]
-
-
-def _matrix(matrix: Any) -> Matrix:
-    """The panels of a dense matrix, or of several, shape (m, n, n); the rows of a sparse one."""
-    if isinstance(matrix, np.ndarray):
-        no_index = np.empty(0, dtype=np.int32)
-        dense, single = panels(matrix, HEIGHT, np.float64), panels(matrix, SINGLE_HEIGHT, np.float32)
-        return Matrix(dense, single, no_index, no_index, np.empty(0))
-    rows = matrix.tocsr()
-    no_panels = np.empty((0, 0, HEIGHT)), np.empty((0, 0, SINGLE_HEIGHT), np.float32)
-    indptr, indices = rows.indptr.astype(np.int32), rows.indices.astype(np.int32)
-    return Matrix(*no_panels, indptr, indices, rows.data.astype(np.float64))
-
-
-_NONE = _matrix(np.empty((0, 0)))
-#: Of systems run one by one, as large ones are, from many starts: making panels takes as long as 30 products.
-_MATRICES: WeakKeyDictionary[System, tuple[Matrix, Matrix, bool]] = WeakKeyDictionary()
+    return [(of_all._replace(panels=dense[k], single_panels=single[k]), NONE, False) for k in range(len(systems))]

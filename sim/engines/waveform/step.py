@@ -1,10 +1,10 @@
-"""Macro steps of the sigmoid engine: predict, solve, test, complete.
+"""Macro steps: predict, solve, test, complete.
 
 All blocks share a macro step with the nodes of the Radau IIA method of five stages, at which F, the coupling force,
-is predicted. Each block is solved by itself with that F (`substeps.py`); its z at the nodes gives a new F, by one
-product of K with all nodes at once, and this is iterated until F has converged. A. Logg, SIAM J. Sci. Comput. 24
-(2003) 1879-1902, doi:10.1137/S1064827501389722, calls such methods multi-adaptive; the iteration is waveform
-relaxation.
+is predicted. Each block is solved by itself with that F, by a smooth law in `substeps.py`, by the set-valued one in
+`pieces.py`; its z at the nodes gives a new F, by one product of K with all nodes at once, and this is iterated until
+F has converged. A. Logg, SIAM J. Sci. Comput. 24 (2003) 1879-1902, doi:10.1137/S1064827501389722, calls such methods
+multi-adaptive; the iteration is waveform relaxation.
 """
 
 from __future__ import annotations
@@ -13,13 +13,14 @@ import numpy as np
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.forcing import value_at
-from stickslip.sim.engines.sigmoid import control as limits
-from stickslip.sim.engines.sigmoid.collocation import force, force_changed, predict
-from stickslip.sim.engines.sigmoid.control import Found, grow, next_step, shrink, single_limit
-from stickslip.sim.engines.sigmoid.events import PASSES, Span, note_all_stuck, sample, step_events, until
-from stickslip.sim.engines.sigmoid.layout import blocks, shared
-from stickslip.sim.engines.sigmoid.substeps import keep_substeps, probe_blocks, solve_blocks
-from stickslip.sim.kernels.compile import inner, kernel
+from stickslip.sim.engines.waveform import control as limits
+from stickslip.sim.engines.waveform.collocation import force, force_changed, predict
+from stickslip.sim.engines.waveform.control import Found, grow, next_step, shrink, single_limit
+from stickslip.sim.engines.waveform.events import PASSES, Span, note_all_stuck, sample, step_events, until
+from stickslip.sim.engines.waveform.layout import blocks, shared
+from stickslip.sim.engines.waveform.pieces import record_changes, solve_exactly
+from stickslip.sim.engines.waveform.substeps import keep_substeps, probe_blocks, solve_blocks
+from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arithmetic import copy, largest
 from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.panels import products
@@ -27,6 +28,17 @@ from stickslip.sim.numerics.radau import NODES, STAGES, TO_POWERS
 from stickslip.sim.numerics.roots import horner
 
 _products, _single_products = products(STAGES), products(STAGES, single=True)
+
+
+@inner
+def _set_tolerance(exact, block, common, n):  # type: ignore[no-untyped-def]
+    """Under the set-valued law the error allowed is that of w, over the fastest of all blocks and belts."""
+    if exact is not None:
+        common.unit[0] = 1.0
+        fastest = exact.fastest_belt
+        for i in range(n):
+            fastest = max(fastest, abs(block.u0[i] + block.belt[i]), block.speed_before[i])
+        common.atol[0] = exact.tol * fastest
 
 
 @inner(inlined=True)
@@ -37,7 +49,8 @@ def _predict_step(model, work, clock, h):  # type: ignore[no-untyped-def]
         x = 1.0 + NODES[k] * h / clock[limits.KEPT_STEP]
         for j in range(STAGES):
             common.weights[k, j] = horner(TO_POWERS[:, j], STAGES - 1, x)
-    common.h[0] = h
+    common.h[0] = common.unit[0] = h
+    _set_tolerance(model.exact, block, common, n)
     common.size[0] = largest(block.z0[:n])
     for first in range(0, n, WIDTH):
         predict(block, first, common)
@@ -130,6 +143,42 @@ def _couple(model, work, is_first, limit):  # type: ignore[no-untyped-def]
 
 
 @inner(inlined=True)
+def _solve_blocks(model, exact, work, h, is_last):  # type: ignore[no-untyped-def]
+    """By the law: see `substeps.solve_blocks`."""
+    if exact is None:
+        return solve_blocks(model, work, h, is_last)
+    else:
+        return solve_exactly(model, work, h)
+
+
+@inner(inlined=True)
+def _probe_blocks(model, exact, work, n_split):  # type: ignore[no-untyped-def]
+    """By the law: see `substeps.probe_blocks`. Nothing bends the set-valued law between the nodes."""
+    if exact is None:
+        return probe_blocks(model.law, work, n_split)
+    else:
+        return n_split
+
+
+@inner(inlined=True)
+def _step_events(model, exact, work, n_substeps, span, events, n_recorded):  # type: ignore[no-untyped-def]
+    """By the law: see `events.step_events`."""
+    if exact is None:
+        return step_events(model, work, n_substeps, span, events, n_recorded)
+    else:
+        return record_changes(work, n_substeps, span, events, n_recorded)
+
+
+@inner
+def _most_events(model, exact, work):  # type: ignore[no-untyped-def]
+    """The most events of a macro step."""
+    if exact is None:
+        return PASSES * (len(work.modes_before) + len(work.substeps.block)) * len(model.bands)
+    else:
+        return len(work.changes.x)
+
+
+@inner(inlined=True)
 def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[no-untyped-def]
     """Iterate: solve the blocks, and compute F from them, until F has converged.
 
@@ -140,22 +189,23 @@ def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[n
     tail, contraction, last = 0.0, clock[limits.CONTRACTION], np.inf
     n_substeps, n_split, is_last, converged = np.int64(0), np.int64(0), False, False
     for iteration in range(limits.MOST_ITERATIONS):
-        keep_substeps(work, n_substeps)
+        if len(work.repeated.after) > 0:
+            keep_substeps(work, n_substeps)
         n_split_before = n_split
-        n_split, n_substeps = solve_blocks(model, work, h, is_last)
+        n_split, n_substeps = _solve_blocks(model, model.exact, work, h, is_last)
         if n_substeps < 0:
             break
         if is_last and n_split == n_split_before:
             converged = True
             break
-        moved, tail = _couple(model, work, iteration == 0, single_limit(control, h))
+        moved, tail = _couple(model, work, iteration == 0, single_limit(control, shared(work.shared).atol[0], h))
         counters[loop.N_PRODUCTS] += STAGES * (2 if model.has_cross else 1)
         moved, tail = moved * control.safety, tail * control.safety
         if not tail < limits.TAIL:
             break
         now = min(moved / last, limits.SLOWEST) if iteration > 0 else contraction
         enough = most_left * (1.0 - now) * (limits.AT_ONCE if iteration == 0 else 1.0)
-        if moved < enough and probe_blocks(model.law, work, n_split) == n_split:
+        if moved < enough and _probe_blocks(model, model.exact, work, n_split) == n_split:
             converged = True
             break
         is_last = iteration > 0 and moved * now < enough
@@ -191,7 +241,7 @@ def _accept(work, state, h):  # type: ignore[no-untyped-def]
         block.speed_before[i] = abs(block.u0[i] + block.belt[i])
         block.was_split[i] = 1.0 if work.is_split[i] else 0.0
         if work.is_split[i]:
-            block.u0[i], block.z0[i] = work.end_u[i], work.end_z[i]
+            block.u0[i], block.z0[i], block.mode[i] = work.end_u[i], work.end_z[i], work.end_mode[i]
         else:
             block.u0[i], block.z0[i] = block.u[STAGES - 1, i], block.z[STAGES - 1, i]
             work.next_h[i] = max(work.next_h[i], h)
@@ -211,11 +261,11 @@ def _all_slip(mode):  # type: ignore[no-untyped-def]
     return same
 
 
-@kernel
-def advance(model, work, control, state, events, bound, precheck):  # type: ignore[no-untyped-def]
+@inner(inlined=True)
+def take_steps(model, work, control, state, events, bound, precheck):  # type: ignore[no-untyped-def]
     """Take steps until the end, or until Python has something to do; a second call goes on from there."""
     clock, counters, mode = state.clock, state.counters, work.modes[0]
-    most_events = PASSES * (len(mode) + len(work.substeps.block)) * len(model.bands)
+    most_events = _most_events(model, model.exact, work)
     n_recorded, n_left, may_grow = np.int64(0), loop.STEPS_A_SLICE, True
     while n_left > 0:
         n_left -= 1
@@ -243,7 +293,10 @@ def advance(model, work, control, state, events, bound, precheck):  # type: igno
             continue
         counters[loop.N_STEPS] += 1
         span = Span(t, h, control.t_end if h == control.t_end - t else t + h)
-        first_event, n_recorded = n_recorded, step_events(model, work, found.n_substeps, span, events, n_recorded)
+        first_event, n_recorded = (
+            n_recorded,
+            _step_events(model, model.exact, work, found.n_substeps, span, events, n_recorded),
+        )
         if control.instant >= 0.0:
             n_recorded = until(control.instant, first_event, n_recorded, events)
         note_all_stuck(work, found.n_substeps, span, first_event, n_recorded, events, counters)

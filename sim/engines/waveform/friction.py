@@ -2,7 +2,7 @@
 
 A law is written once, for numbers of `lanes`, and friction is mu phi; phi is odd, and smooth on the scale of 1. A
 kernel is compiled for one law, which the type of its argument names: `Plain`, `Peaked`,
-`Steady`, or the kind of a law of `stickslip.sim.systems.weakening`.
+`SetValued`, `Steady`, or the kind of a law of `stickslip.sim.systems.weakening`.
 """
 
 from __future__ import annotations
@@ -20,6 +20,10 @@ class Plain(NamedTuple):
 
 class Peaked(NamedTuple):
     """s(tanh x), s(l) = l + c l (1 - l^2): static friction above the kinetic."""
+
+
+class SetValued(NamedTuple):
+    """Sign x: any friction up to the static at x = 0. No formula evaluates it; see `pieces.py`."""
 
 
 class Steady(NamedTuple):

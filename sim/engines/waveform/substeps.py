@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from stickslip.sim.engines.sigmoid import control
-from stickslip.sim.engines.sigmoid.collocation import finish, gather, gather_u, newton, prepare, probe
-from stickslip.sim.engines.sigmoid.layout import OF_BLOCK, blocks
+from stickslip.sim.engines.waveform import control
+from stickslip.sim.engines.waveform.collocation import finish, gather, gather_u, newton, prepare, probe
+from stickslip.sim.engines.waveform.layout import OF_BLOCK, blocks
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arithmetic import copy
 from stickslip.sim.numerics.lanes import ALL, WIDTH

@@ -16,8 +16,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from stickslip.sim.engines.sigmoid import control
-from stickslip.sim.engines.sigmoid.friction import Law, Peaked, Plain, open_sign, peaked_sign, smooth_sign
+from stickslip.sim.engines.waveform import control
+from stickslip.sim.engines.waveform.friction import Law, Peaked, Plain, SetValued, open_sign, peaked_sign, smooth_sign
 from stickslip.sim.numerics.lanes import Lane, absolute, dot, greater, less, on_rows, total, where
 from stickslip.sim.numerics.radau import (
     ALL_AT_PLACES,
@@ -60,6 +60,26 @@ def _allowed(block: Any, law: Law) -> Lane:
     return tolerance if law is Plain else tolerance * where(_is_near_peak(block), block.fine, 1.0)
 
 
+def _solve(matrix: list[list[Lane | float]], right: list[Lane]) -> None:
+    """Solve linear equations in place, without pivoting.
+
+    Both matrices here have diagonals that only grow; beyond a peak of friction a step for which this fails is too
+    long anyway.
+    """
+    pivots: list[Lane] = []
+    for k in range(STAGES):
+        pivots.append(1.0 / matrix[k][k])  # type: ignore[arg-type]
+        for i in range(k + 1, STAGES):
+            factor = pivots[k] * matrix[i][k]
+            for j in range(k + 1, STAGES):
+                matrix[i][j] = matrix[i][j] - factor * matrix[k][j]
+            right[i] = right[i] - factor * right[k]
+    for k in reversed(range(STAGES)):
+        for j in range(k + 1, STAGES):
+            right[k] = right[k] - right[j] * matrix[k][j]
+        right[k] = right[k] * pivots[k]
+
+
 def _newton(block: Any, law: Law) -> Lane:
     """One Newton iteration for u at the nodes: INVERSE (u - u0) + h (R u + F + mu phi(u / delta)) = 0.
 
@@ -81,20 +101,7 @@ def _newton(block: Any, law: Law) -> Lane:
         row[k] = h * (damping + mu * steep * slope) + row[k]
         matrix.append(row)
         nearest = less(nearest, absolute(u[k]))
-    pivots: list[Lane] = []
-    for (
-        k
-    ) in stages:  # no pivoting: the diagonal only grows; beyond a peak a step for which this fails is too long anyway
-        pivots.append(1.0 / matrix[k][k])  # type: ignore[arg-type]
-        for i in range(k + 1, STAGES):
-            factor = pivots[k] * matrix[i][k]
-            for j in range(k + 1, STAGES):
-                matrix[i][j] = matrix[i][j] - factor * matrix[k][j]
-            residual[i] = residual[i] - factor * residual[k]
-    for k in reversed(stages):
-        for j in range(k + 1, STAGES):
-            residual[k] = residual[k] - residual[j] * matrix[k][j]
-        residual[k] = residual[k] * pivots[k]
+    _solve(matrix, residual)
     still = done < 0.5
     change, size = absolute(residual[0]), absolute(u[0])
     scale = absolute(f[0])
@@ -201,8 +208,8 @@ def _force(is_change: bool) -> Callable[[Any, Law], None]:
         for k in range(1, STAGES):
             most = greater(most, absolute(after[k] - before[k]))
         block.f = after
-        scale = block.h / block.tolerance
-        if law is not Plain:
+        scale = (greater(block.h, block.lag) if law is SetValued else block.h) / block.tolerance
+        if law not in (Plain, SetValued):
             least = absolute(after[0])
             for k in range(1, STAGES):
                 least = less(least, absolute(after[k]))
@@ -224,6 +231,38 @@ def _bounds(values: list[Lane]) -> tuple[Lane, Lane]:
     return low, high
 
 
+def _slide(block: Any, _: Law) -> Lane:
+    """A step under the set-valued law in which no mode changes: the equations of `_newton` are linear then.
+
+    Returns the mask of blocks for which that is so, by the hulls of u and F, and the step accurate enough.
+    """
+    h, u0, z0, belt, mode = block.h, block.u0, block.z0, block.belt, block.mode
+    damping, f, static = block.damping, block.f, block.static
+    stages = range(STAGES)
+    pull = damping * u0 + block.friction * mode
+    moved = [-(h * (pull + f[k])) for k in stages]
+    drag = h * damping
+    matrix: list[list[Lane | float]] = []
+    for k in stages:
+        row: list[Lane | float] = [float(a) for a in INVERSE[k]]
+        row[k] = drag + row[k]
+        matrix.append(row)
+    _solve(matrix, moved)
+    sticks = absolute(mode) < 0.5
+    u = block.u = [where(sticks, 0.0 * u0, u0 + x) for x in moved]
+    block.z = [z0 + h * (dot(WEIGHTS[k], u) + belt * float(NODES[k])) for k in stages]
+    error = _error([dot(INVERSE[k], [x - u0 for x in u]) for k in stages])
+    low, high = _bounds([u0, *u])
+    low_force, high_force = _bounds([block.force0, *f])
+    block.lag = h * 0.0
+    least = less(u[-1] * mode, where(mode > 0.0, low, high * -1.0))
+    is_followed = (drag < control.SOFT) | (error < block.tolerance * control.COLLOCATED)
+    slips_on = (least > absolute(belt) * control.AT_BELT) & is_followed
+    holds = (low_force + static > 0.0) & (high_force - static < 0.0)
+    one, none = h * 0.0 + 1.0, h * 0.0
+    return where(sticks, where(holds, one, none), where(slips_on, one, none)) > 0.5
+
+
 def _view(block: Any, _: Law) -> None:
     """Bounds of u and of F on the step."""
     block.low, block.high = _bounds([block.u0, *block.u])
@@ -235,7 +274,7 @@ def _predict(block: Any, shared: Any) -> None:
     h, atol, rtol, weights = shared.h, shared.atol, shared.rtol, shared.weights
     block.h = h
     speed = greater(absolute(block.u0 + block.belt), block.speed_before)
-    tolerance = less(atol + rtol * speed, (atol + rtol * absolute(block.z0)) / h)
+    tolerance = less(atol + rtol * speed, (atol + rtol * absolute(block.z0)) / shared.unit)
     block.tolerance = tolerance * shared.safety
     block.noise = (block.row_sum * shared.size + absolute(block.force0)) * control.ROUNDING
     f, u, u0 = block.kept_f, block.kept_u, block.u0
@@ -297,5 +336,6 @@ def _gather_u(block: Any, _: Law) -> None:
 #: For kernels.
 newton, finish, probe, view = on_rows(_newton), on_rows(_finish), on_rows(_probe), on_rows(_view)
 predict, prepare = on_rows(_predict), on_rows(_prepare)
+slide = on_rows(_slide)
 gather, gather_u = on_rows(_gather), on_rows(_gather_u)
 force, force_changed = on_rows(_force(False)), on_rows(_force(True))

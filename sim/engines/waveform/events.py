@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from stickslip.sim.engines import loop
-from stickslip.sim.engines.sigmoid.collocation import view
-from stickslip.sim.engines.sigmoid.friction import sign_of_number
-from stickslip.sim.engines.sigmoid.layout import blocks
+from stickslip.sim.engines.waveform.collocation import view
+from stickslip.sim.engines.waveform.friction import sign_of_number
+from stickslip.sim.engines.waveform.layout import blocks
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import copy, room

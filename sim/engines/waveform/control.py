@@ -112,6 +112,18 @@ OF_ROOT = 0.5
 #: The rate (per unit of time) below which the peak of a law that peaks by weakening alone does not matter.
 STEEP = 10.0
 
+# ------------------------------------------------------------------------------------------------ the set-valued law
+
+#: A block slips through a step by collocation if R h is below SOFT, or the leading coefficient of u' changes u by
+#: less than so many tolerances; else by series.
+SOFT, COLLOCATED = 0.25, 4.0
+#: The largest R h of a series, and the most pieces of a block in a macro step.
+LONGEST_SERIES, MOST_PIECES = 2.0, 24
+#: Below this |u| over |v|, w cannot be told from v.
+AT_BELT = 2.0**-51
+#: The error allowed in w, over the tolerance of the settings and the scale of w.
+EXACT_CALIBRATION = 5.0
+
 #: Clocks behind those that every engine keeps: the next step to try, the one whose polynomials are kept, the
 #: contraction of an iteration, and whether F has jumped since the last step.
 STEP, KEPT_STEP, CONTRACTION, JUMPED = range(loop.N_CLOCKS, loop.N_CLOCKS + 4)
@@ -123,7 +135,6 @@ class Control(NamedTuple):
     t_end: float  #: from the start of the piece
     instant: float  #: if not negative: take one step to record the events by then, and keep the state
     longest: float  #: the longest step, by the frequencies of forces
-    atol: float  #: internal, of w
     safety: float  #: the safety factor, tolerance of a substep over that of the run
     single_rate: float  #: the error of K z in single precision, over the change of z
 
@@ -158,9 +169,9 @@ def next_step(control, clock):  # type: ignore[no-untyped-def]
 
 
 @inner
-def single_limit(control, h):  # type: ignore[no-untyped-def]
+def single_limit(control, atol, h):  # type: ignore[no-untyped-def]
     """The largest change of z in a step whose product with K may be in single precision."""
-    return SINGLE_SHARE * control.atol / (max(1.0, h) * h * control.single_rate)
+    return SINGLE_SHARE * atol / (max(1.0, h) * h * control.single_rate)
 
 
 @inner

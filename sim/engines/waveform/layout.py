@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines.forcing import Forcing
 from stickslip.sim.engines.loop import Buffers
+from stickslip.sim.engines.waveform.matrices import Matrix
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT
@@ -61,6 +62,9 @@ class Blocks(Table, nodes=STAGES):
     closed: Row  #: the side to which the block does not slip; 0: none
     # of a substep: its length if it is accepted, else 0
     taken: Row
+    # under the set-valued law
+    mode: Row
+    lag: Row  #: the time by which an error of F moves its w at an exit, or zero
     # of the block
     passed: Row  #: the weight of the error of a step that jumped the layer
     at_peak: Row  #: the error allowed in a step at the peak, over its u
@@ -103,26 +107,25 @@ class Shared(Table, nodes=STAGES):
     rtol: Row
     safety: Row  #: the safety factor
     size: Row  #: the largest |z| at the start
+    unit: Row  #: the time in which an error of w counts as one of z: the step, or 1 if an error of z does not count
 
 
 #: For kernels: tables by these names.
 blocks, shared = named(Blocks), named(Shared)
 
 
-class Matrix(NamedTuple):
-    """A matrix for products: in panels if it is dense, else by sparse rows."""
+class Exact(NamedTuple):
+    """The set-valued law's own numbers."""
 
-    panels: Floats  #: shape (panels, n, height), as the next
-    single_panels: NDArray[np.float32]
-    indptr: NDArray[np.int32]
-    indices: NDArray[np.int32]
-    data: Floats
+    tol: float  #: the error of w allowed in a step, over its scale
+    fastest_belt: float
 
 
 class Model(NamedTuple):
     """What is constant in a run, except the numbers of each block in `Blocks`."""
 
     law: NamedTuple  #: the friction law; kernels are compiled for its type
+    exact: Exact | None  #: of the set-valued law; None: the law is smooth
     stiffness: Matrix  #: K
     cross: Matrix  #: N
     has_cross: bool
@@ -149,6 +152,25 @@ class Repeated(NamedTuple):
     after: NDArray[np.int64]
     length: Floats
     u: Floats
+
+
+#: The order of the series of u under the set-valued law.
+ORDER = 16
+
+
+class Changes(NamedTuple):
+    """Under the set-valued law: the changes of mode on the present macro step, those of one block in order.
+
+    And of each piece, which is a substep, the series of u.
+    """
+
+    x: Floats  #: their places, as shares of the step
+    block: NDArray[np.int64]
+    mode: NDArray[np.int8]
+    n: NDArray[np.int64]  #: how many there are, shape (1,)
+    series: Floats  #: of u on each piece, shape (..., 17)
+    order: NDArray[np.int64]
+    share: Floats  #: the length of a piece, over that of its series
 
 
 class Lanes(NamedTuple):
@@ -178,14 +200,19 @@ class Workspace(NamedTuple):
     next_h_before: Floats  #: at the start of the macro step
     end_u: Floats  #: u and z at the end of a block's last substep, shape (n,)
     end_z: Floats
+    end_mode: Floats  #: under the set-valued law, its mode there
     begins: NDArray[np.int64]  #: a block's first substep; -1: none, shape (n,)
     substeps: Substeps
     repeated: Repeated
+    changes: Changes
     there: Buffers  #: the state at an instant at which all blocks come to stick, or one leaves
 
     @classmethod
-    def of(cls, table: Floats, modes: NDArray[np.int8], has_forcing: bool, most: int) -> Workspace:
+    def of(
+        cls, table: Floats, modes: NDArray[np.int8], has_forcing: bool, most: int, is_exact: bool = False
+    ) -> Workspace:
         """A workspace for a table and the modes at the start, for at most so many substeps."""
+        most_changes, most_repeated = (most, 0) if is_exact else (0, most)
         n, wide = modes.shape[1], -(-modes.shape[1] // SINGLE_HEIGHT) * SINGLE_HEIGHT
         return cls(
             table=table,
@@ -203,6 +230,7 @@ class Workspace(NamedTuple):
             next_h_before=np.empty(n),
             end_u=np.empty(n),
             end_z=np.empty(n),
+            end_mode=np.empty(n),
             begins=np.empty(n, np.int64),
             substeps=Substeps(
                 np.empty(most, np.int64),
@@ -212,7 +240,18 @@ class Workspace(NamedTuple):
                 np.empty(most),
                 np.empty((most, STAGES + 1)),
             ),
-            repeated=Repeated(np.empty(most, np.int64), np.empty(most), np.empty((most, STAGES + 1))),
+            repeated=Repeated(
+                np.empty(most_repeated, np.int64), np.empty(most_repeated), np.empty((most_repeated, STAGES + 1))
+            ),
+            changes=Changes(
+                np.empty(most_changes),
+                np.empty(most_changes, np.int64),
+                np.empty(most_changes, np.int8),
+                np.zeros(1, np.int64),
+                np.empty((most_changes, ORDER + 1)),
+                np.empty(most_changes, np.int64),
+                np.empty(most_changes),
+            ),
             there=Buffers(np.empty(1), np.empty((1, n)), np.empty((1, n))),
         )
 

@@ -1,0 +1,1 @@
+"""Macro steps with waveform relaxation: what the engines that take them share."""

@@ -1,0 +1,48 @@
+"""Matrices as products of macro steps take them."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT, panels
+from stickslip.sim.systems.system import System
+
+
+class Matrix(NamedTuple):
+    """A matrix for products: in panels if it is dense, else by sparse rows."""
+
+    panels: Floats  #: shape (panels, n, height), as the next
+    single_panels: NDArray[np.float32]
+    indptr: NDArray[np.int32]
+    indices: NDArray[np.int32]
+    data: Floats
+
+
+def matrix_of(matrix: Any) -> Matrix:
+    """The panels of a dense matrix, or of several, shape (m, n, n); the rows of a sparse one."""
+    if isinstance(matrix, np.ndarray):
+        no_index = np.empty(0, dtype=np.int32)
+        dense, single = panels(matrix, HEIGHT, np.float64), panels(matrix, SINGLE_HEIGHT, np.float32)
+        return Matrix(dense, single, no_index, no_index, np.empty(0))
+    rows = matrix.tocsr()
+    no_panels = np.empty((0, 0, HEIGHT)), np.empty((0, 0, SINGLE_HEIGHT), np.float32)
+    indptr, indices = rows.indptr.astype(np.int32), rows.indices.astype(np.int32)
+    return Matrix(*no_panels, indptr, indices, rows.data.astype(np.float64))
+
+
+NONE = matrix_of(np.empty((0, 0)))
+#: Of systems run one by one, as large ones are, from many starts: making panels takes as long as 30 products.
+_KEPT: WeakKeyDictionary[System, tuple[Matrix, Matrix, bool]] = WeakKeyDictionary()
+
+
+def matrices_of(system: System) -> tuple[Matrix, Matrix, bool]:
+    """K and N of a system, and whether there is an N."""
+    if system not in _KEPT:
+        cross = system.cross_damping
+        _KEPT[system] = matrix_of(system.stiffness), NONE if cross is None else matrix_of(cross), cross is not None
+    return _KEPT[system]

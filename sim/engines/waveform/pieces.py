@@ -1,0 +1,279 @@
+"""How one block is solved on a macro step under the set-valued law, F given: piece by piece, from event to event.
+
+F is the polynomial of degree five through its values at the start and the nodes. A block that sticks does so until
+|F| passes its static friction m. One that slips to the side s obeys
+
+    u' = -R u - F - mu s,    u = w - v,
+
+whose power series needs F and u alone, and ends where u comes to zero: there the block sticks if |F| < m, else it
+goes on to the other side. z is the integral of u + v; to the macro step, whose polynomials are of degree four, a
+block gives the L2 projection of its z.
+
+An exit is late by the error of F over F', and with static friction above the kinetic w is then off by m - mu times
+that, however short the step is: its `lag` is (m - mu) / |F'|, but at most the time of the block's own motion, as the
+motion carries a displacement on in the same way.
+
+Blocks to which nothing happens are most: `slide` takes them side by side. Coefficients here are of powers of x, the
+place in the macro step, over its length.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stickslip.sim.engines.waveform import control
+from stickslip.sim.engines.waveform.collocation import slide
+from stickslip.sim.engines.waveform.layout import ORDER, blocks
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arithmetic import room
+from stickslip.sim.numerics.lanes import ALL, WIDTH
+from stickslip.sim.numerics.radau import ALL_TO_POWERS, NODES, PROJECT, STAGES
+from stickslip.sim.numerics.roots import horner, roots
+
+#: Terms of a series below this share of the largest are left out.
+_LEAST = 1e-17
+#: Gauss's nodes and weights on [0, 1]: exact for the moments of z to degree nine of u, and to rounding beyond.
+_GAUSS = np.polynomial.legendre.leggauss(7)
+_PLACES, _WEIGHTS = (_GAUSS[0] + 1.0) / 2.0, _GAUSS[1] / 2.0
+#: What a piece ends with.
+_NOTHING, _EXIT, _STOP = range(3)
+_NEVER = 2.0
+
+
+@inner
+def _first_fall(poly, degree, noise, found):  # type: ignore[no-untyped-def]
+    """The first place in [0, 1] at which a polynomial falls through zero, or below it where it starts; else `_NEVER`.
+
+    At the end it has fallen if it is below its `noise`.
+
+    Where it begins below zero, by the rounding or the error of F, and rises, it has not fallen.
+    """
+    others = 0.0
+    for k in range(1, degree + 1):
+        others += abs(poly[k])
+    if poly[0] - others > noise:
+        return _NEVER
+    skip = 0
+    while skip < degree and poly[skip] == 0.0:
+        skip += 1
+    if skip == degree:
+        return _NEVER
+    if poly[skip] > 0.0:
+        if roots(poly[skip:], degree - skip, found[:1]) > 0:
+            return found[0]
+        return 1.0 if horner(poly, degree, 1.0) <= noise else _NEVER
+    if skip > 0 or poly[1] <= 0.0:
+        return 0.0
+    for k in range(roots(poly, degree, found)):
+        slope = 0.0
+        for j in range(degree, 0, -1):
+            slope = slope * found[k] + j * poly[j]
+        if slope < 0.0:
+            return found[k]
+    return _NEVER
+
+
+@inner
+def _begin_force(block, i, force):  # type: ignore[no-untyped-def]
+    """The powers of F of block i about the start of the macro step."""
+    for p in range(STAGES + 1):
+        value = ALL_TO_POWERS[p, 0] * block.force0[i]
+        for k in range(STAGES):
+            value += ALL_TO_POWERS[p, k + 1] * block.f[k, i]
+        force[p] = value
+
+
+@inner
+def _move_on(force, x):  # type: ignore[no-untyped-def]
+    """The powers of F about a place x further on."""
+    for k in range(STAGES + 1):
+        for j in range(STAGES - 1, k - 1, -1):
+            force[j] += x * force[j + 1]
+
+
+@inner
+def _until_exit(force, static, left, poly, found):  # type: ignore[no-untyped-def]
+    """The place at which a block that sticks is let go, over what is left of the step, or `_NEVER`."""
+    first = _NEVER
+    for sign in (-1.0, 1.0):
+        power = 1.0
+        for p in range(STAGES + 1):
+            poly[p] = -sign * force[p] * power
+            power *= left
+        poly[0] += static
+        first = min(first, _first_fall(poly, STAGES, 0.0, found))
+    return first
+
+
+@inner
+def _series_of_u(force, h, drag, push, u, length, series):  # type: ignore[no-untyped-def]
+    """The powers of u over a length h, scaled to it: (k + 1) u_k+1 = -R h u_k - h F_k - h mu s, the last for k = 0.
+
+    `drag` is R h and `push` is h (F + mu s) at the start: a block that is let go at |F| = mu has none, to the last
+    bit.
+    `force` is in powers of x, and `length` over the macro step.
+    """
+    series[0] = u
+    power = length
+    for k in range(ORDER):
+        pull = drag * series[k]
+        if k == 0:
+            pull += push
+        elif k <= STAGES:
+            pull += h * force[k] * power
+        series[k + 1] = -pull / (k + 1)
+        power *= length
+
+
+@inner
+def _order_of(series):  # type: ignore[no-untyped-def]
+    """The order beyond which terms of a series are rounding."""
+    most = 0.0
+    for k in range(ORDER + 1):
+        most = max(most, abs(series[k]))
+    order = ORDER
+    while order > STAGES and abs(series[order]) <= _LEAST * most:
+        order -= 1
+    return order
+
+
+@inner
+def _gather(moments, moved, x, length, h, belt):  # type: ignore[no-untyped-def]
+    """Add a piece without slip, which begins `moved` from the start of the macro step, to the moments of z."""
+    for m in range(len(_PLACES)):
+        at = length * _PLACES[m]
+        place, weight = x + at, length * _WEIGHTS[m] * (moved + h * at * belt)
+        for p in range(STAGES):
+            moments[p] += weight
+            weight *= place
+
+
+@inner
+def _gather_slip(moments, series, order, share, x, length, h):  # type: ignore[no-untyped-def]
+    """Add the slip of a piece to the moments of z, and turn its series into that of its integral."""
+    for k in range(order + 1):
+        series[k] /= k + 1
+    for m in range(len(_PLACES)):
+        at = length * _PLACES[m]
+        place, weight = x + at, length * _WEIGHTS[m] * h * at * horner(series, order, share * _PLACES[m])
+        for p in range(STAGES):
+            moments[p] += weight
+            weight *= place
+
+
+@inner
+def _keep(pieces, changes, place, piece, series, order):  # type: ignore[no-untyped-def]
+    """Store a piece as a substep, and its series."""
+    i, x, length, share, z = piece
+    pieces.block[place], pieces.start[place], pieces.length[place], pieces.z[place] = i, x, length, z
+    changes.share[place], changes.order[place] = share, order
+    for k in range(order + 1):
+        changes.series[place, k] = series[k]
+
+
+@inner
+def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
+    """Solve block i on the macro step; returns the number of pieces so far, of all blocks, or -1 - i if it fails."""
+    block, pieces, changes, scratch = blocks(work.table), work.substeps, work.changes, room(5, 24)
+    force, series, poly, found, moments = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4]
+    damping, mu, static, belt = block.damping[i], block.friction[i], block.static[i], block.belt[i]
+    u, z, mode, x, z0 = block.u0[i], block.z0[i], block.mode[i], 0.0, block.z0[i]
+    is_let_go, lag = False, 0.0
+    _begin_force(block, i, force)
+    for p in range(STAGES):
+        moments[p] = 0.0
+    for _ in range(control.MOST_PIECES):
+        left = 1.0 - x
+        if left <= control.NOTHING_LEFT:
+            break
+        event, order = _NOTHING, 0
+        if mode == 0.0:
+            first = _until_exit(force, static, left, poly, found)
+            event = _EXIT if first < _NEVER else _NOTHING
+            series[0] = 0.0
+        else:
+            if damping * h * left > control.LONGEST_SERIES:
+                left = control.LONGEST_SERIES / (damping * h)
+            push = 0.0 if is_let_go and static == mu else h * left * (force[0] + mu * mode)
+            _series_of_u(force, h, h * left * damping, push, u, left, series)
+            order = _order_of(series)
+            for k in range(order + 1):
+                poly[k] = mode * series[k]
+            first = _first_fall(poly, order, control.AT_BELT * abs(belt), found)
+            event = _STOP if first < _NEVER else _NOTHING
+        share = first if event != _NOTHING else 1.0
+        length = share * left
+        if length > 0.0:
+            if n_pieces == len(pieces.block):
+                return -1 - i
+            _keep(pieces, changes, n_pieces, (i, x, length, share, z), series, order)
+            n_pieces += 1
+            _gather(moments, z - z0, x, length, h, belt)
+            z += h * length * belt
+            if mode != 0.0:
+                u = horner(series, order, share)
+                _gather_slip(moments, series, order, share, x, length, h)
+                z += h * length * horner(series, order, share)
+            x += length
+            _move_on(force, length)
+        is_let_go = event == _EXIT
+        if is_let_go and static > mu and h * (static - mu) > lag * abs(force[1]):
+            lag = h * (static - mu) / abs(force[1]) if force[1] != 0.0 else np.inf
+        if event != _NOTHING:
+            u = 0.0
+            new = 0.0 if event == _STOP and abs(force[0]) < static else (-1.0 if force[0] > 0.0 else 1.0)
+            if new != mode:
+                count = changes.n[0]
+                if count == len(changes.x):
+                    return -1 - i
+                changes.x[count], changes.block[count], changes.mode[count] = x, i, np.int8(new)
+                changes.n[0] = count + 1
+            mode = new
+    else:
+        return -1 - i
+    work.end_u[i], work.end_z[i], work.end_mode[i] = u, z, mode
+    block.lag[i] = min(lag, 1.0 / np.sqrt(block.row_sum[i])) if lag > 0.0 else 0.0
+    for k in range(STAGES):
+        value = z0
+        for p in range(STAGES):
+            value += PROJECT[k, p] * moments[p]
+        block.z[k, i] = value
+    return n_pieces
+
+
+@inner(inlined=True)
+def solve_exactly(model, work, h):  # type: ignore[no-untyped-def]
+    """Solve every block on a macro step, F at the nodes given; see `substeps.solve_blocks`."""
+    block, n = blocks(work.table), len(work.is_split)
+    n_split, n_pieces = np.int64(0), np.int64(0)
+    work.changes.n[0] = 0
+    for first in range(0, n, WIDTH):
+        slides = slide(block, first, model.law)
+        for lane in range(min(WIDTH, n - first)):
+            i = first + lane
+            work.is_split[i] = slides != ALL and ((slides >> lane) & 1) == 0
+            if work.is_split[i]:
+                n_split += 1
+                n_pieces = _solve_block(work, i, h, n_pieces)
+                if n_pieces < 0:
+                    return n_split, n_pieces
+    return n_split, n_pieces
+
+
+@inner
+def record_changes(work, n_pieces, span, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Record the changes of mode on a macro step, and u of its pieces at their nodes; returns how many there are."""
+    changes, pieces, mode = work.changes, work.substeps, work.modes[0]
+    for place in range(n_pieces):
+        series, order, share = changes.series[place], changes.order[place], changes.share[place]
+        pieces.u[place, 0] = series[0]
+        for k in range(STAGES):
+            pieces.u[place, k + 1] = horner(series, order, share * NODES[k])
+    for i in range(len(mode)):
+        work.modes_before[i] = mode[i]
+    for k in range(changes.n[0]):
+        events.t[n_recorded] = min(span.start + span.length * changes.x[k], span.end)
+        events.block[n_recorded], events.mode[n_recorded] = changes.block[k], changes.mode[k]
+        mode[changes.block[k]] = changes.mode[k]
+        n_recorded += 1
+    return n_recorded

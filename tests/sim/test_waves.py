@@ -1,0 +1,217 @@
+"""The exact law by waveform relaxation: against a method that shares no code, and against series.
+
+Only large systems are run so; here small ones are too, by `by_waves`, so that the independent method can follow.
+"""
+
+import numpy as np
+import pytest
+
+from stickslip.sim import Harmonic, Piecewise, Rational, System, draw_system, simulate
+from stickslip.sim.engines.coulomb import settings
+from tests import independent
+from tests.systems import draw_case, made
+
+BOUND = 20.0  # error over the tolerance, the largest speed and the sensitivity
+WAVES, SERIES = "waveform relaxation", "Taylor series"
+
+
+@pytest.fixture
+def by_waves(monkeypatch):
+    monkeypatch.setattr(settings, "SIZE_OF_WAVES", 1)
+
+
+def large(rng, n, static=1.0, **terms):
+    """A dense system of many blocks, and a start."""
+    seed = int(rng.integers(2**31))
+    system = draw_system("antisymmetric", n, seed, kappa=0.2)
+    system = system.changed(static=system.friction * static, **terms)
+    return system, rng.normal(size=n), np.where(rng.random(n) < 0.5, system.belt_speed, rng.normal(size=n))
+
+
+def scale(system, run, w0):
+    return max(system.fastest_belt, np.abs(w0).max(), np.abs(run.samples.w).max(initial=0.0))
+
+
+def error(run, other):
+    at_end = max(np.abs(run.z - other.z).max(), np.abs(run.w - other.w).max())
+    return max(at_end, np.abs(run.samples.z - other.samples.z).max(), np.abs(run.samples.w - other.samples.w).max())
+
+
+def test_small_systems_are_as_a_method_that_shares_no_code_has_them(by_waves, rng):
+    """With masses and static friction, and blocks that start on their belt."""
+    followed = 0
+    for _ in range(40):
+        case = draw_case(rng, (1, 6), belt_speed=(-0.2, 0.3, -1.0), terms=("static", "mass"), on_belt=0.3)
+        system, tol, t_end = made(case), float(10.0 ** -rng.integers(3, 7)), float(rng.uniform(1.0, 6.0))
+        if not settings.Coulomb(tol=tol).is_by_waves(system):
+            continue
+        times = np.sort(rng.uniform(0.0, t_end, 5))
+        run = simulate(system, case.z0, case.w0, t_end, tol=tol, t_eval=times, stop_early=False)
+        try:
+            z, w = independent.follow(case, t_end).at(times)
+            moved = 0.0
+            for size in (1e-6, -1e-6):
+                shift = size * rng.choice([-1.0, 1.0], system.n)
+                near = independent.follow(independent.replace(case, z0=case.z0 + shift), t_end)
+                moved = max(moved, *(np.abs(a - b).max() / 1e-6 for a, b in zip(near.at(times), (z, w), strict=True)))
+        except independent.Undecided:
+            continue
+        unit = max(np.abs(w).max(), np.abs(case.w0).max(), system.fastest_belt) * max(1.0, moved)
+        found = max(np.abs(run.samples.z - z).max(), np.abs(run.samples.w - w).max()) / (tol * unit)
+        assert found < BOUND, (system, case.z0, case.w0, tol)
+        followed += run.stats.method == WAVES
+    assert followed > 10
+
+
+@pytest.mark.parametrize("static", [1.0, 1.3])
+def test_large_systems_are_as_series_have_them(static, rng):
+    """Every event in order, until paths part; the error about the tolerance times the sensitivity."""
+    n, t_end = int(rng.integers(64, 110)), 12.0
+    system, z, w = large(rng, n, static)
+    times = np.linspace(0.0, t_end, 7)
+    exact = simulate(system, z, w, t_end, t_eval=times, tol=1e-12, stop_early=False)
+    assert exact.stats.method == SERIES
+    shift = 1e-7 * rng.choice([-1.0, 1.0], n)
+    near = simulate(system, z + shift, w, t_end, t_eval=times, tol=1e-12, stop_early=False)
+    sensitivity = error(near, exact) / 1e-7
+    for tol in (1e-3, 1e-4, 1e-5, 1e-6):
+        run = simulate(system, z, w, t_end, t_eval=times, tol=tol, stop_early=False)
+        assert run.stats.method == WAVES
+        assert error(run, exact) < BOUND * tol * scale(system, exact, w) * max(1.0, sensitivity)
+    k = min(len(run.events), len(exact.events))
+    late = np.abs(run.events.t[:k] - exact.events.t[:k]) < 1e-3
+    first = k if late.all() else int(np.argmin(late))
+    assert first > 0.5 * len(exact.events)
+    assert (run.events.block[:first] == exact.events.block[:first]).mean() > 0.99
+
+
+def test_a_looser_tolerance_takes_no_more_steps(rng):
+    system, z, w = large(rng, 80)
+    steps = [simulate(system, z, w, 20.0, tol=tol).stats.n_products for tol in (1e-3, 1e-4, 1e-5, 1e-6)]
+    assert steps == sorted(steps)
+
+
+def test_the_error_falls_with_the_tolerance(rng):
+    system, z, w = large(rng, 64)
+    exact = simulate(system, z, w, 4.0, tol=1e-12)
+    errors = [np.abs(simulate(system, z, w, 4.0, tol=tol).z - exact.z).max() for tol in (1e-3, 1e-4, 1e-5, 1e-6)]
+    assert errors[-1] < 1e-2 * max(errors[:2])
+
+
+def test_stick_slip_of_one_block_has_the_period_of_the_closed_form(by_waves):
+    """K = 1, R = 0: it sticks for 2 drop / (K v), and slips for 2 (pi - arctan(drop / v)); drop = m - mu."""
+    drop, v = 0.3, 0.2
+    system = System([[1.0]], 0.0, 1.0, -v, static=1.0 + drop)
+    run = simulate(system, 0.0, -v, 100.0, tol=1e-6)
+    assert run.stats.method == WAVES
+    exits = run.events.t[run.events.is_exit]
+    period = 2 * drop / v + 2 * (np.pi - np.arctan(drop / v))
+    np.testing.assert_allclose(np.diff(exits), period, rtol=1e-5)
+
+
+def test_one_run_is_the_same_to_the_byte_however_k_is_stored_and_whatever_is_sampled(rng):
+    system, z, w = large(rng, 70, 1.2)
+    one = simulate(system, z, w, 10.0, tol=1e-5)
+    stored = system.changed(stiffness=np.asfortranarray(system.stiffness))
+    for other in (
+        simulate(system, z, w, 10.0, tol=1e-5),
+        simulate(stored, z, w, 10.0, tol=1e-5),
+        simulate(system, z, w, 10.0, tol=1e-5, t_eval=rng.uniform(0.0, 10.0, 5)[[0]]),
+    ):
+        assert one.z.tobytes() == other.z.tobytes()
+        assert one.events.t.tobytes() == other.events.t.tobytes()
+        assert (one.events.block == other.events.block).all()
+
+
+def test_renumbered_and_mirrored_systems_move_alike(rng):
+    n = 70
+    system, z, w = large(rng, n, 1.2)
+    one, order = simulate(system, z, w, 6.0, tol=1e-5), rng.permutation(n)
+    k, each = system.stiffness[np.ix_(order, order)], ("damping", "friction", "static")
+    other = System(k, **{name: getattr(system, name)[order] for name in each}, belt_speed=system.belt_speed)
+    run = simulate(other, z[order], w[order], 6.0, tol=1e-5)
+    np.testing.assert_allclose(run.z, one.z[order], atol=1e-5)
+    assert len(run.events) == len(one.events)
+    mirrored = simulate(system.changed(belt_speed=-system.belt_speed), -z, -w, 6.0, tol=1e-5)
+    assert (mirrored.z == -one.z).all()
+    assert (mirrored.events.mode == -one.events.mode).all()
+
+
+def test_a_run_that_ends_at_an_event_has_it_and_can_go_on(by_waves, rng):
+    """The block has its belt's speed there, to the last bit: a restart knows its mode."""
+    tried = 0
+    while tried < 20:
+        case = draw_case(rng, (2, 5), belt_speed=(-0.2,), on_belt=0.3)
+        system = made(case)
+        if not settings.Coulomb(tol=1e-4).is_by_waves(system):
+            continue
+        run = simulate(system, case.z0, case.w0, 5.0, tol=1e-4)
+        if len(run.events) < 2 or run.stats.method != WAVES:
+            continue
+        tried += 1
+        k = int(rng.integers(len(run.events)))
+        first = simulate(system, case.z0, case.w0, float(run.events.t[k]), tol=1e-4)
+        assert abs(len(first.events) - (k + 1)) <= 1  # by rounding it may come a step later
+        rest = simulate(system, first.z, first.w, 5.0, tol=1e-4, t_start=float(run.events.t[k]),
+                        modes=first.events.mode_at(first.t_end))  # fmt: skip
+        assert rest.stats.method == SERIES
+        assert np.isfinite(rest.z).all()
+
+
+def test_blocks_that_all_stick_are_noted(by_waves):
+    """A stiff pair that its belt carries: both stick from time to time."""
+    system = System([[2.0, -1.0], [-1.0, 2.0]], 0.1, 1.0, -0.1, static=[1.3, 1.4])
+    waves, series = (simulate(system, [0.1, -0.2], -0.1, 60.0, tol=tol) for tol in (1e-6, 1e-12))
+    assert (waves.stats.method, series.stats.method) == (WAVES, SERIES)
+    assert len(waves.stills.t) == len(series.stills.t) > 4
+    np.testing.assert_allclose(waves.stills.t, series.stills.t, atol=1e-4)
+    np.testing.assert_allclose(waves.stills.total, series.stills.total, atol=1e-4)
+
+
+OTHERS = {
+    "few blocks": lambda s: draw_system("antisymmetric", 63, 1, kappa=0.2),
+    "sparse": lambda s: draw_system("chain", 80, 1, kappa=1.0, leaf=0.1),
+    "a force": lambda s: s.changed(force=Harmonic(0.1, 1.0)),
+    "a belt that changes": lambda s: s.changed(belt_speed=Piecewise([0.0, 1.0], [-0.1, -0.2])),
+    "weakening": lambda s: s.changed(weakening=Rational(0.5)),
+    "no back slip": lambda s: s.changed(back_slip=False),
+    "belts at rest": lambda s: s.changed(belt_speed=0.0),
+    "heavy damping": lambda s: s.changed(damping=np.where(np.arange(s.n) == 3, 1e5, s.damping)),
+}
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_what_it_does_not_take_is_run_by_series(kind):
+    system = OTHERS[kind](draw_system("antisymmetric", 64, 1, kappa=0.2))
+    assert not settings.Coulomb(tol=1e-5).is_by_waves(system)
+    assert simulate(system, 0.1, "belt", 0.5, tol=1e-5).stats.method == SERIES
+
+
+def test_tighter_tolerances_take_more_blocks():
+    for n, least in ((64, 1e-6), (203, 1e-7), (640, 1e-8)):
+        system = System(np.eye(n) + 0.01, 1.0, 1.0, -0.2)
+        assert settings.Coulomb(tol=least).is_by_waves(system)
+        assert not settings.Coulomb(tol=0.9 * least).is_by_waves(system)
+
+
+def test_a_start_on_the_edge_between_two_modes_is_left_to_series(rng):
+    """|F| = m at the belt's speed: the first derivative of F that does not vanish decides."""
+    n = 64
+    system = System(np.eye(n) + 0.01, 0.0, 1.0, -0.2)
+    z = np.full(n, 1.0 / system.row_sums[0])
+    assert simulate(system, z, -0.2, 1.0, tol=1e-5).stats.method == SERIES
+    assert simulate(system, z + 0.1 * rng.random(n), -0.2, 1.0, tol=1e-5).stats.method == WAVES
+    modes = np.zeros(n, dtype=int)
+    assert simulate(system, 0.5 * z, -0.2, 1.0, tol=1e-5, modes=modes).stats.method == SERIES
+
+
+def test_many_equal_blocks_stay_together():
+    """Blocks that rounding alone tells apart have their events within the tolerance of each other."""
+    n = 64
+    system = System(np.eye(n) + 0.01, 0.1, 1.0, -0.2, static=1.3)
+    run = simulate(system, 0.3, -0.2, 40.0, tol=1e-5)
+    assert run.stats.method == WAVES
+    assert len(run.events) % n == 0
+    assert len(run.events) > 4 * n
+    assert np.ptp(run.events.t.reshape(-1, n), axis=1).max() < 1e-6
+    assert np.ptp(run.z) < 1e-6
