@@ -29,7 +29,7 @@ from stickslip.pipeline.running.ends import end_of
 from stickslip.pipeline.running.kept import Kept, Runs
 from stickslip.pipeline.scene.columns import Recording
 from stickslip.sim.engines import ENGINES
-from stickslip.sim.engines.contract import SMALL, Engine, Task
+from stickslip.sim.engines.contract import Engine, Task
 from stickslip.sim.kernels.cache import CacheError, has_kernel
 from stickslip.sim.runs.series import summaries
 from stickslip.sim.systems.system import work_out
@@ -224,7 +224,7 @@ def is_cold(engine: str) -> bool:
 def load_kernels(members: Iterable[Member]) -> None:
     """Load the kernels that members need, or compile them."""
     for member in members:
-        size = min(member.n, max(size for size in ENGINES[member.engine].sizes if size <= max(member.n, SMALL)))
+        size = max((size for size in ENGINES[member.engine].sizes if size <= member.n), default=member.n)
         if (member.engine, size) not in _loaded:
             tiny = replace(member, member_id="", source=member.source._replace(n=size), t_end=1e-6)
             if member.source.origin is not None:

@@ -60,9 +60,10 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
 def _by_waves(task: Task, tol: float) -> Callable[[], Run]:
     """The run of a task by `waves`."""
     system = task.system
-    shortest = _shortest(system.rates, system.static, system.friction, tol)
-    touches = waves.Touches(shortest, _TOUCH * math.sqrt(tol))
-    return partial(waves.run, task, tol, _followed(system, tol), touches, lambda: _by_series([task], tol)[0]())
+    shortest, touch = _shortest(system.rates, system.static, system.friction, tol), _TOUCH * math.sqrt(tol)
+    return partial(
+        waves.run, task, tol, _followed(system, tol), shortest, touch, lambda: _by_series([task], tol)[0]()
+    )
 
 
 def _by_series(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:

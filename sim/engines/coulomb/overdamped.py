@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
-from stickslip.sim.engines.coulomb.settings import HEAVY
 from stickslip.sim.engines.coulomb.sticking import IDENTICALLY_ZERO, known, settle
 from stickslip.sim.engines.forcing import begin, may_change, take_off
 from stickslip.sim.kernels.compile import inner
@@ -52,7 +51,7 @@ class Slow(NamedTuple):
         damping, pull, all_move = system.damping, system.row_sums, np.ones(system.n, dtype=np.bool_)
         decays = np.zeros(system.n, dtype=np.bool_)
         most = float(damping.max())
-        if not (damping > HEAVY * np.maximum(np.sqrt(pull), fastest)).any():
+        if not (damping > control.HEAVY * np.maximum(np.sqrt(pull), fastest)).any():
             return None
         slow = cls(damping.copy(), pull.copy(), fastest, most, 0.0, all_move, decays, np.array([0, 1]))
         _, rate = _pace_of(slow)
@@ -65,17 +64,17 @@ def _pace_of(slow: Slow) -> tuple[float, float]:
     A block is heavily damped if its R is far above that rate, which is the largest of all blocks that are not: it is
     found from below.
     """
-    damping, pull, least = slow.damping, slow.pull, HEAVY * slow.fastest
+    damping, pull, least = slow.damping, slow.pull, control.HEAVY * slow.fastest
     while True:
         rate = slow.fastest
         for i in range(len(damping)):
             if slow.moves[i] or slow.decays[i]:
                 own = math.sqrt(pull[i])
-                is_heavy = damping[i] >= least and damping[i] > HEAVY * own and not slow.decays[i]
+                is_heavy = damping[i] >= least and damping[i] > control.HEAVY * own and not slow.decays[i]
                 rate = max(rate, pull[i] / damping[i] if is_heavy else abs(damping[i]) + own)
-        if HEAVY * rate <= least:
+        if control.HEAVY * rate <= least:
             return least, rate
-        least = HEAVY * rate
+        least = control.HEAVY * rate
 
 
 _pace = inner(_pace_of)

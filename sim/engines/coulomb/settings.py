@@ -16,9 +16,6 @@ from stickslip.sim.systems.system import System
 
 #: The fewest blocks from which waveform relaxation may be faster: measured, at tolerances to 1e-6.
 SIZE_OF_WAVES = 64
-#: A block is heavily damped if its R is this many times all rates without it: for smaller R short steps cost no more.
-#: With R = 1e4 at 5 of 20 blocks, 30 and 300 changed nothing.
-HEAVY = 100.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,7 +73,9 @@ class Coulomb(Engine):
             return False
         if system.force or system.weakening is not None or not system.back_slip or system.fastest_belt == 0.0:
             return False
-        return not (system.damping > HEAVY * np.sqrt(system.row_sums)).any()
+        from stickslip.sim.engines.coulomb.overdamped import Slow  # as in `prepare`
+
+        return Slow.of(system, 0.0) is None
 
     @staticmethod
     def cost(rate: float, settings: Mapping[str, Any]) -> float:

@@ -8,7 +8,6 @@ as polynomials of degree five follow F; and its error is about the tolerance, wh
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -38,14 +37,7 @@ def advance(model, work, control, state, events, bound, precheck):  # type: igno
     return take_steps(model, work, control, state, events, bound, precheck)
 
 
-class Touches(NamedTuple):
-    """How long a change of mode must last to be an event; see `loop.Plan`."""
-
-    shortest: Floats
-    touch: float
-
-
-def run(task: Task, tol: float, followed: float, touches: Touches, otherwise: Callable[[], Run]) -> Run:
+def run(task: Task, tol: float, followed: float, shortest: Floats, touch: float, otherwise: Callable[[], Run]) -> Run:
     """Run a task, or `otherwise`: if the start is on the edge between two modes, or a step falls to rounding.
 
     Parameters
@@ -54,7 +46,8 @@ def run(task: Task, tol: float, followed: float, touches: Touches, otherwise: Ca
     tol : float
     followed : float
         The error allowed in the motion after a collapse.
-    touches : Touches
+    shortest, touch : float64, shape (n,), and float
+        How long a change of mode must last to be an event; see `loop.Plan`.
     otherwise : callable
         Runs it by series.
     """
@@ -97,8 +90,8 @@ def run(task: Task, tol: float, followed: float, touches: Touches, otherwise: Ca
         stalled="a step fell to the rounding of time",
         events_a_step=len(work.changes.x),
         initial_modes=modes.copy(),
-        shortest=touches.shortest,
-        touch=touches.touch,
+        shortest=shortest,
+        touch=touch,
         method="waveform relaxation",
     )
     try:

@@ -25,7 +25,7 @@ from stickslip.sim.engines.waveform import control
 from stickslip.sim.engines.waveform.collocation import slide
 from stickslip.sim.engines.waveform.layout import ORDER, blocks
 from stickslip.sim.kernels.compile import inner
-from stickslip.sim.numerics.arithmetic import room
+from stickslip.sim.numerics.arithmetic import copy, room
 from stickslip.sim.numerics.lanes import ALL, WIDTH
 from stickslip.sim.numerics.radau import ALL_TO_POWERS, NODES, PROJECT, STAGES
 from stickslip.sim.numerics.roots import horner, roots
@@ -269,8 +269,7 @@ def record_changes(work, n_pieces, span, events, n_recorded):  # type: ignore[no
         pieces.u[place, 0] = series[0]
         for k in range(STAGES):
             pieces.u[place, k + 1] = horner(series, order, share * NODES[k])
-    for i in range(len(mode)):
-        work.modes_before[i] = mode[i]
+    copy(mode, work.modes_before)
     for k in range(changes.n[0]):
         events.t[n_recorded] = min(span.start + span.length * changes.x[k], span.end)
         events.block[n_recorded], events.mode[n_recorded] = changes.block[k], changes.mode[k]

@@ -143,9 +143,10 @@ def _couple(model, work, is_first, limit):  # type: ignore[no-untyped-def]
 
 
 @inner(inlined=True)
-def _solve_blocks(model, exact, work, h, is_last):  # type: ignore[no-untyped-def]
-    """By the law: see `substeps.solve_blocks`."""
+def _solve_blocks(model, exact, work, h, is_last, n_before):  # type: ignore[no-untyped-def]
+    """By the law: see `substeps.solve_blocks`. A smooth one repeats the substeps of the last iteration."""
     if exact is None:
+        keep_substeps(work, n_before)
         return solve_blocks(model, work, h, is_last)
     else:
         return solve_exactly(model, work, h)
@@ -189,10 +190,8 @@ def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[n
     tail, contraction, last = 0.0, clock[limits.CONTRACTION], np.inf
     n_substeps, n_split, is_last, converged = np.int64(0), np.int64(0), False, False
     for iteration in range(limits.MOST_ITERATIONS):
-        if len(work.repeated.after) > 0:
-            keep_substeps(work, n_substeps)
         n_split_before = n_split
-        n_split, n_substeps = _solve_blocks(model, model.exact, work, h, is_last)
+        n_split, n_substeps = _solve_blocks(model, model.exact, work, h, is_last, n_substeps)
         if n_substeps < 0:
             break
         if is_last and n_split == n_split_before:
