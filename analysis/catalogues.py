@@ -30,7 +30,7 @@ from stickslip.analysis.models.episodes import (
 )
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, Words, against
-from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices
+from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, over_matrices
 from stickslip.analysis.stats.families import Fit, maximise, parameter
 
 MARGIN = 0.1  # relative margin of every statistic, and of Poisson's CV: about twenty systems can exclude it
@@ -160,12 +160,11 @@ def systems(found: Sequence[Catalogues]) -> list[list[Catalogues]]:
 def summarise(one: Catalogues, level: float) -> None:
     """Fill in the statistics of a group, each with its interval over units."""
     quantities = {**QUANTITIES, **SLOW_DRIVE}
-    for unit, runs in one.runs.items():
-        for run in runs:
-            for name, quantity in quantities.items():
-                sums = quantity.sums(run, one.least)
-                if np.isfinite(sums).all():
-                    one.sample.add(name, unit, sums)
+    units = [unit for unit, runs in one.runs.items() for _ in runs]
+    for name, quantity in quantities.items():
+        rows = np.array([quantity.sums(run, one.least) for run in one.each()], dtype=np.float64)
+        known = np.isfinite(rows).all(axis=1)
+        one.sample.sums[name] = UnitSums.of(np.array(units)[known], rows[known])
     halves = np.array([sum(run.halves() for run in runs) for runs in one.runs.values()])
     n_episodes = int(halves.sum())
     basis = enough.basis(halves, n_episodes, level, drift)
@@ -178,11 +177,11 @@ def summarise(one: Catalogues, level: float) -> None:
         "whole": float(np.mean(sizes == one.group.key["n"])) if n_episodes else None,
     }  # fmt: skip
     one.row["of"] = {
-        name: over_matrices(quantity.of, one.sample.rows(name)[1], level) for name, quantity in quantities.items()
+        name: over_matrices(quantity.of, one.sample.of(name).rows, level) for name, quantity in quantities.items()
     }
     for name, estimate in one.row["of"].items():
         one.row |= named(name, estimate)
-    one.row["regularity"] = _regularity(one.sample.rows(QUIET)[1], level) if one.is_judged else UNKNOWN
+    one.row["regularity"] = _regularity(one.sample.of(QUIET).rows, level) if one.is_judged else UNKNOWN
 
 
 def _stuck_below(group: Group) -> float | None:

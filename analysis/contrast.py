@@ -11,12 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stickslip.analysis.answer import F, I, Row, S, named
 from stickslip.analysis.groups import Group
 from stickslip.analysis.models.fates import DIVERGED, FAILED, is_all_slip
-from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.stats import estimates, student
 from stickslip.analysis.stats.compare import (
     ALIKE,
@@ -31,7 +29,7 @@ from stickslip.analysis.stats.compare import (
     wilson,
 )
 from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
-from stickslip.analysis.stats.estimates import Estimate, Undefined, at_least, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, at_least, over_matrices, ratio
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.stats.quantities import QUANTITIES
 
@@ -67,31 +65,19 @@ class Sample:
 
     Attributes
     ----------
-    sums : dict of str to dict of int to ndarray, shape (2,)
-        By statistic and unit. Only runs that reached t_end enter. Shares are the exception: there each unit has 1 or
+    sums : dict of str to UnitSums
+        By statistic. Only runs that reached t_end enter. Shares are the exception: there each unit has 1 or
         0, and 1, from its first run that did not fail.
     unjudged : set of str
         Statistics for which most windows are too short.
     """
 
-    sums: dict[str, dict[int, np.ndarray]] = field(default_factory=dict)
+    sums: dict[str, UnitSums] = field(default_factory=dict)
     unjudged: set[str] = field(default_factory=set)
 
-    def rows(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Units in ascending order and their sums, shape (G, 2), without units in which nothing was counted."""
-        found = self.sums.get(name, {})
-        kept = sorted(unit for unit, row in found.items() if row[1] > 0)
-        return np.array(kept, dtype=np.int64), np.array([found[unit] for unit in kept]).reshape(-1, 2)
-
-    def add(self, name: str, unit: int, row: ArrayLike) -> None:
-        """Add the two sums of a run to those of its unit."""
-        held = self.sums.setdefault(name, {})
-        held[unit] = held.get(unit, np.zeros(2)) + np.array(row, dtype=np.float64)
-
-    def add_window(self, unit: int, win: Window, of: Collection[str]) -> None:
-        """Add the sums of some quantities over a run's window."""
-        for name in of:
-            self.add(QUANTITIES[name].label, unit, QUANTITIES[name].sums(win.alone)[0])
+    def of(self, name: str) -> UnitSums:
+        """The sums of a statistic, without units in which nothing was counted."""
+        return self.sums.get(name, UnitSums()).counted
 
 
 def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(QUANTITIES)) -> list[Statistic]:
@@ -109,7 +95,7 @@ def shares() -> list[Statistic]:
 def sample(group: Group) -> Sample:
     """The sums of the runs of a filled group."""
     found = Sample({
-        QUANTITIES[name].label: dict(zip(group.units, rows, strict=True)) for name, rows in group.quantities.items()
+        QUANTITIES[name].label: UnitSums(group.units, rows) for name, rows in group.quantities.items()
     })  # fmt: skip
     fates, (t_last, n_last) = np.array(group.fates), group.last.T
     ran = np.flatnonzero(fates != FAILED)
@@ -117,7 +103,7 @@ def sample(group: Group) -> Sample:
     away = fates[ran[first]] == DIVERGED
     slips = ~away & is_all_slip(t_last[ran[first]], n_last[ran[first]], float(group.key["t_end"]))
     for name, has in ((ALL_SLIP, slips), (RUN_AWAY, away)):
-        found.sums[name] = dict(zip(units.tolist(), np.column_stack([has, np.ones(len(has))]), strict=True))
+        found.sums[name] = UnitSums(units, np.column_stack([has, np.ones(len(has))]))
     if 2 * group.n_short > group.n_runs:
         found.unjudged.add(QUANTITIES["correlation_time"].label)
     return found
@@ -128,10 +114,10 @@ def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confid
 
     Paired contrasts use the units that both groups have.
     """
-    (mine, a), (theirs, b) = first.rows(one.name), second.rows(one.name)
+    mine, theirs = first.of(one.name), second.of(one.name)
     if paired:
-        both = np.intersect1d(mine, theirs)
-        a, b = a[np.isin(mine, both)], b[np.isin(theirs, both)]
+        mine, theirs = mine.within(theirs), theirs.within(mine)
+    a, b = mine.rows, theirs.rows
     row: Row = dict.fromkeys((*SCHEMA, "narrow_low", "narrow_high", "p_absolute")) | {
         "quantity": one.name, "n_first": len(a), "n_second": len(b), "margin": one.margin, "is_share": one.is_share,
         "verdict": UNKNOWN,

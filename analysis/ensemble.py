@@ -16,7 +16,7 @@ from stickslip.analysis.members import OUTCOMES, REQUIRED, completed, known_outc
 from stickslip.analysis.models.fates import fate
 from stickslip.analysis.models.motion import Motion, motion
 from stickslip.analysis.series.cascades import Window
-from stickslip.analysis.series.runs import Ended, Events, Put, Run, Runs, generator, named_window
+from stickslip.analysis.series.runs import Ended, Events, Given, Put, Run, Runs, Series, generator, named_window
 from stickslip.analysis.series.windows import ChangePoints
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
@@ -26,7 +26,6 @@ from stickslip.sim.numerics.arguments import did_you_mean
 
 T = TypeVar("T")
 _TOGETHER = 100_000  # members that are asked about at once
-Series = Mapping[str, ChangePoints]
 #: Distance of a run's state from its unperturbed twin's: times, shape (m,), and distance, shape (m,).
 Separation = tuple[np.ndarray, np.ndarray]
 
@@ -64,7 +63,7 @@ class Data:
     members : DataFrame
         One row a member, with the columns in `members.REQUIRED`; null where a setting does not apply.
         `members.completed` adds the others.
-    series : mapping to ChangePoints
+    series : Series, or dict of str to ChangePoints
         Series of n_stick of every member that did not fail.
     events : mapping to Events
         Empty if the scene does not record them.
@@ -92,6 +91,8 @@ class Data:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "members", completed(self.members))
+        if isinstance(self.series, dict):
+            object.__setattr__(self, "series", Given(self.series))
 
 
 @dataclass
@@ -132,9 +133,7 @@ class Study:
         """What the runs recorded."""
         return Runs(self.data.series, self.data.events, self.settings.t_burn, self.settings.seed)
 
-    def _put(
-        self, of: Callable[[Runs, Sequence[Ended]], T], some: Sequence[Ended]
-    ) -> Sequence[tuple[Sequence[int], T]]:
+    def _put(self, of: Callable[[Runs, Ended], T], some: Ended) -> Sequence[tuple[Sequence[int], T]]:
         return [(range(len(some)), of(self.runs, some))] if self.put is None else self.put(of, some)
 
     def sums(self, group: Group, of: Callable[[Run], np.ndarray | None], n_columns: int) -> np.ndarray:
@@ -273,8 +272,8 @@ class Study:
                     f"{numbers!r}{did_you_mean(numbers, [*recorded])}; ask for its record under [record]"
                 )
             _, numbers, least, *_ = recorded[numbers]
-        sums = list(group.sums_of(numbers).values())
-        return at_least(over_matrices(ratio, np.array(sums).reshape(-1, 2), self.settings.confidence), least)
+        sums = group.sums_of(numbers)
+        return at_least(over_matrices(ratio, sums.rows, self.settings.confidence), least)
 
     def share(self, group: Group, has: Mapping[str, bool | None]) -> Estimate:
         """The share of a group's runs that have a property, with Wilson's interval for as many effective runs.
@@ -303,16 +302,14 @@ class Study:
         return generator(self.settings.seed, member_id)
 
 
-def ended(members: pd.DataFrame) -> list[Ended]:
+def ended(members: pd.DataFrame) -> Ended:
     """How the runs of some members ended, in their order."""
-    columns = (
-        members["member_id"],
-        members["unit"],
-        known_outcomes(members),
-        members["t_end"],
-        members["growth_rate"],
-    )
-    return list(map(Ended, members.index.tolist(), *(column.tolist() for column in columns)))
+    names, outcomes = (column.to_numpy(object) for column in (members["member_id"], known_outcomes(members)))
+    rates = members["growth_rate"].to_numpy(np.float64, na_value=np.nan)
+    return Ended(
+        members.index.to_numpy(), names, members["unit"].to_numpy(np.int64), outcomes,
+        members["t_end"].to_numpy(np.float64), rates,
+    )  # fmt: skip
 
 
 def check(members: pd.DataFrame, settings: AnalysisSettings) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from stickslip.analysis.groups import FIXED, Group, Value, by_value, labels, sho
 from stickslip.analysis.measures import GAMMA, MEAN, Measure, Values, of_gamma, of_mean
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
-from stickslip.analysis.stats.estimates import Estimate, at_least, over_matrices
+from stickslip.analysis.stats.estimates import Estimate, UnitSums, at_least, over_matrices
 
 IN_MOTION = "share in motion"
 AT_MOST = "share in motion or quiet"  # whether a quiet run is in motion cannot be told
@@ -119,11 +118,13 @@ def order(value: Sequence[Value]) -> list[tuple[int, float, str]]:
 
 def point_of(study: Study, group: Group, axes: Sequence[Axis], of: Iterable[Measure] = ()) -> Point:
     """The point of a group, with what its runs give, measured by `of` too."""
-    found = Point(group, place_of(axes, group), fates={name: group.fates.count(name) for name in (*WATCHED, FAILED)})
-    for unit, how in zip(group.members["unit"], group.fates, strict=True):
-        if how != FAILED:
-            found.sample.add(IN_MOTION, int(unit), [how in MOVING, 1.0])
-            found.sample.add(AT_MOST, int(unit), [how in (*MOVING, QUIET), 1.0])
+    found = Point(
+        group, place_of(axes, group), fates={name: int((group.fates == name).sum()) for name in (*WATCHED, FAILED)}
+    )
+    ran = group.fates != FAILED
+    units, fates = group.members["unit"].to_numpy()[ran], group.fates[ran]
+    for name, has in ((IN_MOTION, MOVING), (AT_MOST, (*MOVING, QUIET))):
+        found.sample.sums[name] = UnitSums.of(units, np.column_stack([np.isin(fates, has), np.ones(len(fates))]))
     found.values |= {one.name: one.of(group) for one in of}
     n_stick = {MEAN: of_mean(group), GAMMA: of_gamma(study.settings.confidence, group)}
     found.sample.sums.update({name: values.sums for name, values in (n_stick | found.values).items()})
@@ -132,13 +133,10 @@ def point_of(study: Study, group: Group, axes: Sequence[Axis], of: Iterable[Meas
 
 def estimate(of: Statistic, points: Iterable[Point], confidence: float) -> Estimate:
     """A statistic over some points of a grid, taken together."""
-    both = Sample()
-    for point, name in product(points, (of.name, AT_MOST) if of.is_share else (of.name,)):
-        for unit, row in point.sample.sums.get(name, {}).items():
-            both.add(name, unit, list(row))
-    _, rows = both.rows(of.name)
+    some = list(points)
+    rows = UnitSums.together(point.sample.of(of.name) for point in some).rows
     if of.is_share and len(rows):
-        at_most = both.rows(AT_MOST)[1][:, 0]
+        at_most = UnitSums.together(point.sample.of(AT_MOST) for point in some).rows[:, 0]
         return bounded_share(np.column_stack([rows[:, 0], at_most - rows[:, 0], rows[:, 1]]), confidence)
     return at_least(over_matrices(of.of, rows, confidence), of.least)
 

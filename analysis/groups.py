@@ -13,7 +13,7 @@ units, as matrices are.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -25,7 +25,7 @@ from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, places
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET
 from stickslip.analysis.models.motion import COLUMNS, N_COLUMNS, Motion
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.engines import ENGINES, SETTINGS
 
@@ -53,7 +53,7 @@ class Group:
         The values that all members share, for `SYSTEM_KEYS` and `ENGINE_KEYS`.
     members : DataFrame
         Without the columns that are in `key`, but for t_end.
-    units : list of int
+    units : ndarray of int, shape (G,)
         Units of the members in motion, ascending: the rows of all arrays.
     means : ndarray, shape (G, 5)
         Sums over runs of: time mean of n_stick, its means in the two halves of the window, variance in time, 1.
@@ -66,8 +66,8 @@ class Group:
         Number of cascades of each size from 1 on, by the definition `events`.
     effective : ndarray, shape (G, 4)
         Mean of `effective.row` over the runs of each unit.
-    fates : list of str
-        Fate of each member, from `models.fates.fate`.
+    fates : ndarray of str, shape (len(members),)
+        Fate of each member, from `models.fates.fates`.
     last : ndarray, shape (len(members), 2)
         Time of the last change of n_stick of each member, and n_stick from then on; NaN if it failed.
     moving : DataFrame
@@ -81,13 +81,13 @@ class Group:
     label: str
     key: dict[str, Any]
     members: pd.DataFrame
-    units: list[int] = field(default_factory=list)
+    units: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     means: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
     quantities: dict[str, np.ndarray] = field(default_factory=dict)
     stuck: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     counts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int64))
     effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
-    fates: list[str] = field(default_factory=list)
+    fates: np.ndarray = field(default_factory=lambda: np.zeros(0, object))
     last: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     moving: pd.DataFrame = field(default_factory=pd.DataFrame)
     n_quiet: int = 0
@@ -137,24 +137,18 @@ class Group:
         """`means` averaged over the runs of each unit, so that every unit has the same weight."""
         return self.means / self.means[:, 4:] if len(self.means) else self.means
 
-    def sums_of(self, numbers: Mapping[str, float | None]) -> dict[int, np.ndarray]:
+    def sums_of(self, numbers: Mapping[str, float | None]) -> UnitSums:
         """By unit, the mean of a number over its runs that have one, and 1, so that every unit has the same weight.
 
         Parameters
         ----------
         numbers : mapping of str to float
             By member_id. A run has none if it is missing, None, or not finite.
-
-        Returns
-        -------
-        dict of int to ndarray, shape (2,)
         """
-        of_unit: dict[int, list[float]] = {}
-        for unit, member_id in zip(self.members["unit"], self.members["member_id"], strict=True):
-            number = numbers.get(member_id)
-            if number is not None and not pd.isna(number) and np.isfinite(number):
-                of_unit.setdefault(int(unit), []).append(float(number))
-        return {unit: np.array([np.mean(some), 1.0]) for unit, some in of_unit.items()}
+        found = np.array([_number(numbers.get(name)) for name in self.members["member_id"]])
+        known = np.isfinite(found)
+        sums = UnitSums.of(self.members["unit"].to_numpy()[known], np.column_stack([found, known])[known])
+        return replace(sums, rows=sums.rows / sums.rows[:, 1:])
 
     def mean(self, confidence: float) -> Estimate:
         """Mean n_stick."""
@@ -168,6 +162,11 @@ class Group:
     def basis(self, confidence: float) -> enough.Basis:
         """Whether a statistic that assumes a stationary law may be judged."""
         return enough.basis(self.by_unit()[:, 1:4], int(self.sums[:, 1].sum()), confidence)
+
+
+def _number(value: float | None) -> float:
+    """A number that may be missing, for which NaN stands."""
+    return np.nan if value is None or pd.isna(value) else float(value)
 
 
 def groups(members: pd.DataFrame) -> list[Group]:
@@ -266,12 +265,14 @@ class _Filling:
         self._units, self._row = np.unique(group.members["unit"].to_numpy(np.int64), return_inverse=True)
         self._sums = np.zeros((len(self._units), N_COLUMNS))
         self._sizes: list[np.ndarray] = []  # row of the unit, size and number of cascades
-        group.fates, group.last = [FAILED] * len(group.members), np.full((len(group.members), 2), np.nan)
+        group.fates, group.last = (
+            np.full(len(group.members), FAILED, object),
+            np.full((len(group.members), 2), np.nan),
+        )
 
     def add(self, places: np.ndarray, given: Motion) -> None:
         """Add what the members at some places give."""
-        for place, how in zip(places.tolist(), given.fates, strict=True):
-            self._group.fates[place] = how
+        self._group.fates[places] = given.fates
         self._group.last[places] = given.last
         np.add.at(self._sums, self._row[places], given.sums)
         self._sizes.append(np.column_stack([self._row[places[given.sizes[:, 0]]], given.sizes[:, 1:]]))
@@ -281,12 +282,12 @@ class _Filling:
         group = self._group
         moves = self._sums[:, COLUMNS["means"]][:, -1] > 0
         sums = self._sums if moves.all() else self._sums[moves]
-        group.units, group.n_short = self._units[moves].tolist(), int(sums[:, COLUMNS["short"]].sum())
+        group.units, group.n_short = self._units[moves], int(sums[:, COLUMNS["short"]].sum())
         group.quantities = {name: sums[:, COLUMNS[name]] for name in QUANTITIES}
         group.means, group.stuck = sums[:, COLUMNS["means"]], sums[:, COLUMNS["stuck"]]
         group.effective = sums[:, COLUMNS["effective"]] / group.means[:, 4:]
         row, size, n_times = np.concatenate([np.zeros((0, 3), int), *self._sizes]).T
         group.counts = np.zeros((len(group.units), int(size.max(initial=0))), dtype=np.int64)
         np.add.at(group.counts, ((np.cumsum(moves) - 1)[row], size - 1), n_times)
-        group.n_quiet = group.fates.count(QUIET)
-        group.moving = group.members[[how in MOVING for how in group.fates]]
+        group.n_quiet = int((group.fates == QUIET).sum())
+        group.moving = group.members[np.isin(group.fates, MOVING)]

@@ -24,7 +24,7 @@ from stickslip.analysis.members import READ
 from stickslip.analysis.models.episodes import B_VALUE, QUANTITIES, RATE, SIZE
 from stickslip.analysis.models.fates import FAILED
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.estimates import ratio
+from stickslip.analysis.stats.estimates import UnitSums, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES as OF_N_STICK
 
 MEAN, GAMMA = OF_N_STICK["mean"].label, OF_N_STICK["gamma"].label
@@ -41,15 +41,14 @@ class Values:
 
     Attributes
     ----------
-    sums : dict of int to ndarray, shape (2,)
-        By unit.
+    sums : UnitSums
     missing : dict of str to str
         Why a run has no value, by member_id: its outcome, or a reason.
     withheld : str
         Why the group has no value although its runs have; empty if it has one.
     """
 
-    sums: dict[int, np.ndarray] = field(default_factory=dict)
+    sums: UnitSums = field(default_factory=UnitSums)
     missing: dict[str, str] = field(default_factory=dict)
     withheld: str = ""
 
@@ -138,23 +137,25 @@ def _episodes(
 
     b is from the magnitude `common` on, or from the group's own if it is None; `beyond` says so in words.
     """
-    missing, sums = _unfinished(group), dict[int, np.ndarray]()
+    missing = _unfinished(group)
     if group.label not in by_label:
-        return Values(sums, missing)
+        return Values(missing=missing)
     found = by_label[group.label]
     least = found.least if common is None else common
     if name == B_VALUE and found.n_from(least) < enough.LEAST_CASCADES:
-        return Values(sums, missing, f"fewer than {enough.LEAST_CASCADES} episodes {beyond}")
+        return Values(missing=missing, withheld=f"fewer than {enough.LEAST_CASCADES} episodes {beyond}")
     if name == B_VALUE and not has_b(found, level):
-        return Values(sums, missing, "no single b is shown to hold")
+        return Values(missing=missing, withheld="no single b is shown to hold")
+    units, rows = list[int](), list[tuple[float, float]]()
     of_unit = {unit: iter(runs) for unit, runs in found.runs.items()}  # in the order of the members
     for unit, member_id in zip(group.finished["unit"], group.finished["member_id"], strict=True):
-        row = np.array(QUANTITIES[name].sums(next(of_unit[int(unit)]), least), dtype=np.float64)
+        row = QUANTITIES[name].sums(next(of_unit[int(unit)]), least)
         if row[1] > 0:
-            sums[int(unit)] = sums.get(int(unit), np.zeros(2)) + row
+            units.append(int(unit))
+            rows.append(row)
         else:
             missing[str(member_id)] = NO_EPISODE
-    return Values(sums, missing)
+    return Values(UnitSums.of(units, rows), missing)
 
 
 def _unfinished(group: Group) -> dict[str, str]:
@@ -207,13 +208,13 @@ def _of_n_stick(study: Study, _: Study | None) -> Iterator[Measure]:
 
 def of_mean(group: Group) -> Values:
     """Mean n_stick of a filled group's runs in motion, every unit with the same weight."""
-    return Values(dict(zip(group.units, group.by_unit()[:, [0, 4]], strict=True)))
+    return Values(UnitSums(group.units, group.by_unit()[:, [0, 4]]))
 
 
 def of_gamma(confidence: float, group: Group) -> Values:
     """Sums of gamma over a filled group's runs in motion, if they allow a statistic of a steady state."""
     is_judged = group.basis(confidence).code in enough.JUDGED
-    return Values(dict(zip(group.units, group.sums, strict=True)) if is_judged else {})
+    return Values(UnitSums(group.units, group.sums)) if is_judged else Values()
 
 
 #: What an ensemble may hold that can be measured, in the order in which measures lead.

@@ -35,8 +35,8 @@ class _Asked:
     number: int
     opened: Opened
     settings: AnalysisSettings
-    of: Callable[[Runs, Sequence[Ended]], Any]
-    some: Sequence[Ended]
+    of: Callable[[Runs, Ended], Any]
+    some: Ended
 
 
 class OnWorkers:
@@ -59,9 +59,7 @@ class OnWorkers:
         self._parts = [_only(opened, name) for name in shards]
         self._ends = np.cumsum([shard.rows for shard in shards.values()])
 
-    def __call__(
-        self, of: Callable[[Runs, Sequence[Ended]], T], some: Sequence[Ended]
-    ) -> list[tuple[Sequence[int], T]]:
+    def __call__(self, of: Callable[[Runs, Ended], T], some: Ended) -> list[tuple[Sequence[int], T]]:
         """The places of the runs of each shard among `some`, and what the function gives of these.
 
         Raises
@@ -69,11 +67,11 @@ class OnWorkers:
         ScheduleError
             If the scheduler or its workers are lost, or are of another version.
         """
-        part = np.searchsorted(self._ends, [one.row for one in some], side="right")
+        part = np.searchsorted(self._ends, some.row, side="right")
         order = np.argsort(part, kind="stable")
         places = np.split(order, np.flatnonzero(np.diff(part[order])) + 1) if len(order) else []
         todo = [
-            _Asked(number, self._parts[part[own[0]]], self._settings, of, [some[k] for k in own])
+            _Asked(number, self._parts[part[own[0]]], self._settings, of, some.take(own))
             for number, own in enumerate(places)
         ]
         found: dict[int, T] = {}

@@ -20,9 +20,11 @@ COLLAPSED, DIVERGED, SUSTAINED, LULL, QUIET, FAILED = (
     "collapsed", "diverged", "sustained", "lull", "quiet", "failed",
 )  # fmt: skip
 ENDS = (COLLAPSED, DIVERGED)
+_CERTAIN = {"collapsed": COLLAPSED, "diverged": DIVERGED}  # by outcome
 MOVING = (SUSTAINED, LULL)
 SETTLED = (COLLAPSED, QUIET)  # no block sticks at the end, either for good or as far as is known
 WATCHED = (*ENDS, QUIET, *MOVING)  # the fates of runs that did not fail
+_CERTAIN = {"collapsed": COLLAPSED, "diverged": DIVERGED}  # by outcome
 LAST_SHARE = 0.25  # last part of a run: lull or quiet if no block sticks in it, held if all stick throughout
 #: A growth rate above this counts as positive: rounding moves a double eigenvalue of a matrix of order one by as
 #: much.
@@ -143,32 +145,45 @@ def median(times: np.ndarray, ended: np.ndarray, confidence: float, earliest: np
     return Estimate(value, low, high if np.isfinite(high) else None, reason)
 
 
-def is_unstable(growth_rate: float | None) -> bool:
-    """Whether the state in which all blocks slip is known to be linearly unstable; a rate of None is not known."""
-    return growth_rate is not None and growth_rate > RATE_ROUNDING
+def is_unstable(growth_rate: Many) -> np.ndarray | bool:
+    """Whether the state in which all blocks slip is known to be linearly unstable; a rate of NaN is not known."""
+    return growth_rate > RATE_ROUNDING
+
+
+def fates(
+    outcomes: np.ndarray, t_last: np.ndarray, n_last: np.ndarray, t_end: np.ndarray, growth_rate: np.ndarray
+) -> np.ndarray:
+    """Fates of runs, each one of `WATCHED` or `FAILED`, shape (m,), of objects.
+
+    Parameters
+    ----------
+    outcomes : ndarray of str, shape (m,)
+        "finished", "collapsed", "diverged" or "failed".
+    t_last, n_last : ndarray, shape (m,)
+        t and n_stick of the last change point; anything where a run failed.
+    t_end : ndarray, shape (m,)
+    growth_rate : ndarray, shape (m,)
+        The linear growth rate of the state in which all blocks slip; NaN if it is not known.
+    """
+    found = np.full(len(outcomes), FAILED, dtype=object)
+    for outcome, how in _CERTAIN.items():
+        found[outcomes == outcome] = how
+    rest = np.where(is_unstable(growth_rate), LULL, QUIET).astype(object)
+    finished = outcomes == "finished"
+    found[finished] = np.where(is_all_slip(t_last, n_last, t_end), rest, SUSTAINED)[finished]
+    return found
 
 
 def fate(
     outcome: str, series: tuple[np.ndarray, np.ndarray] | None, t_end: float, growth_rate: float | None = None
 ) -> str:
-    """Fate of a run, one of `WATCHED` or `FAILED`.
-
-    Parameters
-    ----------
-    outcome : str
-        "finished", "collapsed", "diverged" or "failed".
-    series : tuple of ndarray, shape (m,) each
-        Its change points, t and n_stick; the last one decides.
-    t_end : float
-    growth_rate : float, optional
-        The linear growth rate of the state in which all blocks slip, if known.
-    """
-    if outcome != "finished" or series is None:
-        return {"collapsed": COLLAPSED, "diverged": DIVERGED}.get(outcome, FAILED)
+    """Fate of one run, as `fates`, from its change points, t and n_stick; None if it failed."""
+    if series is None:
+        return FAILED
     t, n_stick = series
-    if not is_all_slip(t[-1], n_stick[-1], t_end):
-        return SUSTAINED
-    return LULL if is_unstable(growth_rate) else QUIET
+    rate = np.nan if growth_rate is None else growth_rate
+    one = (np.array([each]) for each in (outcome, t[-1], n_stick[-1], t_end, rate))
+    return str(fates(*one)[0])
 
 
 def ends_at(

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from stickslip.analysis.models.counting import lulls
-from stickslip.analysis.models.fates import FAILED, MOVING, fate
+from stickslip.analysis.models.fates import FAILED, MOVING, fates
 from stickslip.analysis.series.runs import Ended, Runs, no_series
-from stickslip.analysis.series.windows import ChangePoints, NoSeries, Windows, windows
+from stickslip.analysis.series.windows import NoSeries, Windows, in_parts, windows
 from stickslip.analysis.stats import effective, enough
 from stickslip.analysis.stats.quantities import QUANTITIES
 
@@ -38,8 +38,8 @@ class Motion:
 
     Attributes
     ----------
-    fates : list of str
-        From `models.fates.fate`.
+    fates : ndarray of str, shape (R,)
+        From `models.fates.fates`.
     last : ndarray, shape (R, 2)
         Time of the last change of n_stick, and n_stick from then on; NaN if a run failed.
     sums : ndarray, shape (R, C)
@@ -48,7 +48,7 @@ class Motion:
         Run, size and number of its complete cascades of that size, by the definition `events`.
     """
 
-    fates: list[str]
+    fates: np.ndarray
     last: np.ndarray
     sums: np.ndarray
     sizes: np.ndarray
@@ -59,7 +59,7 @@ class Motion:
         place[order] = np.arange(len(order))
         sizes = np.column_stack([place[self.sizes[:, 0]], self.sizes[:, 1:]])
         sizes = sizes[np.argsort(sizes[:, 0], kind="stable")]
-        return Motion([self.fates[k] for k in order], self.last[order], self.sums[order], sizes)
+        return Motion(self.fates[order], self.last[order], self.sums[order], sizes)
 
     def part(self, first: int, end: int) -> Motion:
         """Neighbouring runs of which `sizes` is in their order, as `in_order` leaves it."""
@@ -68,57 +68,36 @@ class Motion:
         return Motion(self.fates[first:end], self.last[first:end], self.sums[first:end], sizes)
 
 
-def joined(parts: Sequence[Motion]) -> Motion:
-    """The runs of several, one after the other."""
-    first = np.cumsum([0, *(len(one.fates) for one in parts[:-1])])
-    sizes = [one.sizes + np.array([k, 0, 0]) for k, one in zip(first, parts, strict=True)]
-    return Motion(
-        [how for one in parts for how in one.fates],
-        np.concatenate([one.last for one in parts]),
-        np.concatenate([one.sums for one in parts]),
-        np.concatenate(sizes),
-    )
-
-
-def motion(runs: Runs, some: Sequence[Ended]) -> Motion:
-    """What some runs give, at least one; each is read once.
+def motion(runs: Runs, some: Ended) -> Motion:
+    """What some runs give; each is read once.
 
     Raises
     ------
     ValueError
         If a member that did not fail has no change points, or they are not a series; the error names the member.
     """
-    found: list[Motion] = []
-    read: list[tuple[Ended, ChangePoints | None]] = []
-    n_points = 0
-    for one in some:
-        points = None if one.outcome == FAILED else runs.points(one.member_id)
-        read.append((one, points))
-        n_points += 0 if points is None else len(points[0])
-        if n_points > _POINTS or len(read) == _RUNS:
-            found.append(_together(read, runs.t_burn))
-            read, n_points = [], 0
-    return joined([*found, _together(read, runs.t_burn)] if read else found)
-
-
-def _together(some: Sequence[tuple[Ended, ChangePoints | None]], t_burn: float) -> Motion:
-    fates = [fate(one.outcome, points, one.t_end, one.growth_rate) for one, points in some]
-    last = np.array([(np.nan, np.nan) if points is None else (points[0][-1], points[1][-1]) for _, points in some])
-    sums = np.zeros((len(some), N_COLUMNS))
-    moving = np.array([k for k, how in enumerate(fates) if how in MOVING], dtype=int)
-    if not len(moving):
-        return Motion(fates, last, sums, np.zeros((0, 3), int))
-    in_motion = [
-        (one, points) for (one, points), how in zip(some, fates, strict=True) if points is not None and how in MOVING
-    ]
-    try:
-        runs = windows([points for _, points in in_motion], t_burn, [one.t_end for one, _ in in_motion])
-    except NoSeries as error:
-        raise no_series(in_motion[error.place][0].member_id, error) from error
-    sums[moving] = _sums(runs)
-    run, depth = runs.falls
-    sizes, n_times = np.unique(np.column_stack([moving[run], depth]), axis=0, return_counts=True)
-    return Motion(fates, last, sums, np.column_stack([sizes, n_times]))
+    last, sums = np.full((len(some), 2), np.nan), np.zeros((len(some), N_COLUMNS))
+    fates_of = np.full(len(some), FAILED, dtype=object)
+    sizes = [np.zeros((0, 3), dtype=np.int64)]
+    ran = np.flatnonzero(some.outcome != FAILED)
+    done = 0
+    for stack in in_parts(runs.stacks(some.member_id[ran].tolist()), _RUNS, _POINTS):
+        places = ran[done : done + len(stack)]
+        own = some.take(places)
+        last[places] = np.column_stack(stack.last)
+        fates_of[places] = fates(own.outcome, *stack.last, own.t_end, own.growth_rate)
+        moves = np.flatnonzero(np.isin(fates_of[places], MOVING))
+        if len(moves):
+            try:
+                found = windows(stack.take(moves), runs.t_burn, own.t_end[moves])
+            except NoSeries as error:
+                raise no_series(own.member_id[moves[error.place]], error) from error
+            sums[places[moves]] = _sums(found)
+            run, depth = found.falls
+            one, n_times = np.unique(np.column_stack([places[moves][run], depth]), axis=0, return_counts=True)
+            sizes.append(np.column_stack([one, n_times]))
+        done += len(stack)
+    return Motion(fates_of, last, sums, np.concatenate(sizes))
 
 
 def _sums(runs: Windows) -> np.ndarray:

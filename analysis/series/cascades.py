@@ -31,7 +31,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stickslip.analysis.series.windows import Windows, windows
+from stickslip.analysis.series.windows import Stack, Windows, windows
 
 SAMPLED = ("drop", "length", "descent", "decreases")
 DEFINITIONS = ("events", *SAMPLED)
@@ -160,7 +160,7 @@ def window(t: np.ndarray, n_stick: np.ndarray, t_start: float, t_stop: float) ->
     ValueError
         If shapes differ, values are not integers, times decrease, or the window is empty or starts before the series.
     """
-    found = windows([(np.asarray(t), np.asarray(n_stick))], float(t_start), [float(t_stop)])
+    found = windows(Stack.of([(np.asarray(t), np.asarray(n_stick))]), float(t_start), [float(t_stop)])
     return Window(float(t_start), float(t_stop), int(found.level[0]), found.t[1:], found.step[1:])
 
 

@@ -3,31 +3,80 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import NamedTuple, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from stickslip.analysis.series.cascades import Window, window
 from stickslip.analysis.series.nulls import BlockSteps, block_steps
-from stickslip.analysis.series.windows import ChangePoints
+from stickslip.analysis.series.windows import ChangePoints, NoSeries, Stack
 
 #: Events of a run: t float64, block int32, mode int8 (-1, 0, +1 after the event), each (m,); and initial_mode (n,).
 Events = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 T = TypeVar("T")
 
 
-class Ended(NamedTuple):
-    """A member, by its row in the table of members, its unit, and how its run ended; a rate may be NaN or None."""
+@dataclass(frozen=True, eq=False)
+class Ended:
+    """Some members and how their runs ended, R of them; each attribute has shape (R,).
 
-    row: int
-    member_id: str
-    unit: int
-    outcome: str
-    t_end: float
-    growth_rate: float | None
+    Attributes
+    ----------
+    row : ndarray of int
+        Of the table of members.
+    member_id : ndarray of str
+    unit : ndarray of int
+    outcome : ndarray of str
+    t_end : ndarray, float64
+    growth_rate : ndarray, float64
+        NaN where it is not known.
+    """
+
+    row: np.ndarray
+    member_id: np.ndarray
+    unit: np.ndarray
+    outcome: np.ndarray
+    t_end: np.ndarray
+    growth_rate: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def take(self, some: np.ndarray | slice) -> Ended:
+        """Some of them, by their places."""
+        return Ended(*(getattr(self, one.name)[some] for one in fields(self)))
+
+
+class Series(Protocol):
+    """The change points of runs, by member_id: a mapping that also gives those of many runs together."""
+
+    def __getitem__(self, member_id: str, /) -> ChangePoints: ...
+    def __iter__(self) -> Iterator[str]: ...
+    def __len__(self) -> int: ...
+    def items(self) -> Iterable[tuple[str, ChangePoints]]: ...
+    def stacks(self, member_ids: Sequence[str]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """The attributes of a `Stack` of some members, in their order, in parts of any length.
+
+        Raises
+        ------
+        KeyError
+            If there are none of a member; its argument is the member.
+        NoSeries
+            If some are not of the form of change points; it names the place of the member among `member_ids`.
+        """
+        ...
+
+
+class Given(dict[str, ChangePoints]):
+    """Change points that are in memory, as `Series`."""
+
+    def stacks(self, member_ids: Sequence[str]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """As of `Series`: all together."""
+        found = Stack.of([self[name] for name in member_ids])
+        yield found.first, found.t, found.n_stick
 
 
 @dataclass(frozen=True)
@@ -66,7 +115,7 @@ class Runs:
 
     Attributes
     ----------
-    series : mapping of str to ChangePoints
+    series : Series
     events : mapping of str to Events
         Without those that recorded none.
     t_burn : float
@@ -74,7 +123,7 @@ class Runs:
         Of the analysis.
     """
 
-    series: Mapping[str, ChangePoints]
+    series: Series
     events: Mapping[str, Events]
     t_burn: float
     seed: int
@@ -90,10 +139,17 @@ class Runs:
         try:
             return self.series[member_id]
         except KeyError:
-            raise ValueError(
-                f"series: expected change points of the member {member_id!r}, got none; every member that did not "
-                f"fail has at least one, its start"
-            ) from None
+            raise _lacking(member_id) from None
+
+    def stacks(self, member_ids: Sequence[str]) -> Iterator[Stack]:
+        """The change points of some runs, in parts; raises as `points`, and if they are of another form."""
+        try:
+            for part in self.series.stacks(member_ids):
+                yield Stack(*part)
+        except KeyError as error:
+            raise _lacking(error.args[0]) from None
+        except NoSeries as error:
+            raise no_series(member_ids[error.place], error) from error
 
     def window(self, member_id: str, t_end: float) -> Window:
         """n_stick of a run on [t_burn, t_end].
@@ -105,17 +161,17 @@ class Runs:
         """
         return named_window(self.points(member_id), member_id, self.t_burn, t_end)
 
-    def run(self, one: Ended) -> Run:
+    def run(self, member_id: str, t_end: float) -> Run:
         """A run; raises as `window`."""
-        return Run(one.member_id, self.window(one.member_id, one.t_end), self.events.get(one.member_id), self.seed)
+        return Run(member_id, self.window(member_id, t_end), self.events.get(member_id), self.seed)
 
-    def sums(self, some: Sequence[Ended], of: Callable[[Run], np.ndarray | None]) -> dict[int, np.ndarray]:
+    def sums(self, some: Ended, of: Callable[[Run], np.ndarray | None]) -> dict[int, np.ndarray]:
         """By unit, the sums of what a function gives of some runs, flat, and at the end how many gave something."""
         found: dict[int, np.ndarray] = {}
-        for one in some:
-            given = of(self.run(one))
+        for member_id, unit, t_end in zip(some.member_id, some.unit.tolist(), some.t_end.tolist(), strict=True):
+            given = of(self.run(str(member_id), t_end))
             if given is not None:
-                found[one.unit] = found.get(one.unit, 0.0) + np.append(given, 1.0)
+                found[unit] = found.get(unit, 0.0) + np.append(given, 1.0)
         return found
 
 
@@ -125,9 +181,7 @@ class Put(Protocol):
     The parts depend on the data alone; a function that works elsewhere is pickled, and so is what it gives.
     """
 
-    def __call__(
-        self, of: Callable[[Runs, Sequence[Ended]], T], some: Sequence[Ended]
-    ) -> Sequence[tuple[Sequence[int], T]]: ...
+    def __call__(self, of: Callable[[Runs, Ended], T], some: Ended) -> Sequence[tuple[Sequence[int], T]]: ...
 
 
 def named_window(points: ChangePoints, member_id: str, t_start: float, t_stop: float) -> Window:
@@ -136,6 +190,13 @@ def named_window(points: ChangePoints, member_id: str, t_start: float, t_stop: f
         return window(*points, t_start, t_stop)
     except ValueError as error:
         raise no_series(member_id, error) from error
+
+
+def _lacking(member_id: str) -> ValueError:
+    return ValueError(
+        f"series: expected change points of the member {member_id!r}, got none; every member that did not fail has "
+        f"at least one, its start"
+    )
 
 
 def no_series(member_id: str, why: ValueError) -> ValueError:

@@ -7,15 +7,104 @@ not depend on the runs beside it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 #: Change points of n_stick of a run: t and n_stick, each shape (m,); n_stick[k] holds on [t[k], t[k+1]), the last for
 #: ever.
 ChangePoints = tuple[np.ndarray, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Change points of R runs, one run after the other, M together.
+
+    Attributes
+    ----------
+    first : ndarray of int, shape (R + 1,)
+        Place of the first change point of each run; M at the end. Each has at least one.
+    t : ndarray, shape (M,), float64
+    n_stick : ndarray of int, shape (M,)
+    """
+
+    first: np.ndarray
+    t: np.ndarray
+    n_stick: np.ndarray
+
+    @classmethod
+    def of(cls, series: Sequence[ChangePoints]) -> Stack:
+        """Of runs one by one.
+
+        Raises
+        ------
+        NoSeries
+            If shapes differ, a series is empty, or values are not integers.
+        """
+        for k, (times, values) in enumerate(series):
+            _check_form(k, np.asarray(times), np.asarray(values))
+        first = np.concatenate(([0], np.cumsum([len(times) for times, _ in series], dtype=np.int64)))
+        t = np.concatenate([np.zeros(0), *(times for times, _ in series)])
+        return cls(first, t, np.concatenate([np.zeros(0, np.int64), *(values for _, values in series)]))
+
+    @classmethod
+    def joined(cls, some: Sequence[Stack]) -> Stack:
+        """Several, one after the other; at least one."""
+        if len(some) == 1:
+            return some[0]
+        lengths = np.concatenate([np.diff(one.first) for one in some])
+        t, n_stick = (np.concatenate([getattr(one, name) for one in some]) for name in ("t", "n_stick"))
+        return cls(np.concatenate(([0], np.cumsum(lengths))), t, n_stick)
+
+    def __len__(self) -> int:
+        return len(self.first) - 1
+
+    def part(self, begin: int, end: int) -> Stack:
+        """Neighbouring runs."""
+        first = self.first[begin : end + 1]
+        held = slice(first[0], first[-1])
+        return Stack(first - first[0], self.t[held], self.n_stick[held])
+
+    def take(self, some: np.ndarray) -> Stack:
+        """Some of the runs, by their places."""
+        first, places = taken(self.first, some)
+        return Stack(first, self.t[places], self.n_stick[places])
+
+    @property
+    def last(self) -> tuple[np.ndarray, np.ndarray]:
+        """t and n_stick of the last change point of each run, shape (R,)."""
+        return self.t[self.first[1:] - 1], self.n_stick[self.first[1:] - 1]
+
+
+def in_parts(stacks: Iterable[Stack], most_runs: int, most_points: int) -> Iterator[Stack]:
+    """The same runs in the same order, in parts of so many runs and change points at most, or of one run."""
+    held: list[Stack] = []
+    n_runs = n_points = 0
+    for stack in stacks:
+        begin = 0
+        while begin < len(stack):
+            room = most_points - n_points + stack.first[begin]
+            end = min(int(np.searchsorted(stack.first, room, side="right")) - 1, begin + most_runs - n_runs)
+            if end <= begin and held:
+                yield Stack.joined(held)
+                held, n_runs, n_points = [], 0, 0
+                continue
+            end = max(end, begin + 1)
+            held.append(stack.part(begin, min(end, len(stack))))
+            n_runs, n_points = n_runs + len(held[-1]), n_points + len(held[-1].t)
+            begin = end
+    if held:
+        yield Stack.joined(held)
+
+
+def taken(first: np.ndarray, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where runs begin in flat arrays of some of them, by their places, and the places of what is theirs."""
+    lengths = np.diff(first)[some]
+    begins = np.concatenate(([0], np.cumsum(lengths)))
+    return begins, np.repeat(first[some] - begins[:-1], lengths) + np.arange(begins[-1])
 
 
 @dataclass(frozen=True)
@@ -47,9 +136,7 @@ class Windows:
 
     def take(self, some: np.ndarray) -> Windows:
         """Some of the runs, by their places."""
-        lengths = np.diff(self.first)[some]
-        first = np.concatenate(([0], np.cumsum(lengths)))
-        places = np.repeat(self.first[some] - first[:-1], lengths) + np.arange(first[-1])
+        first, places = taken(self.first, some)
         return Windows(self.t_start, self.t_stop[some], first, self.t[places], self.level[places])
 
     @property
@@ -136,30 +223,29 @@ class Windows:
         return self.run[start[complete]], depth[complete]
 
 
-def windows(series: Sequence[ChangePoints], t_start: float, t_stop: Sequence[float]) -> Windows:
+def windows(series: Stack, t_start: float, t_stop: ArrayLike) -> Windows:
     """Series of change points restricted to [t_start, t_stop], each to its own t_stop.
 
     Parameters
     ----------
-    series : sequence of ChangePoints
-        At least one. Times do not decrease; the first of each series is at or before `t_start`. Repeated values of
+    series : Stack
+        Of at least one run. Times do not decrease; the first of each is at or before `t_start`. Repeated values of
         n_stick are allowed and change nothing.
     t_start : float
-    t_stop : sequence of float
+    t_stop : array_like, shape (R,)
         Each later than `t_start`.
 
     Raises
     ------
     NoSeries
-        If shapes differ, values are not integers, times decrease, or a window is empty or starts before its series;
-        it names the place of the series, counted from 0.
+        If times decrease, or a window is empty or starts before its series; it names the place of the series,
+        counted from 0.
     """
     ends = np.array(t_stop, dtype=np.float64)
-    for k, ((times, values), end) in enumerate(zip(series, t_stop, strict=True)):
-        _check_form(k, np.asarray(times), np.asarray(values), t_start, end)
-    t = np.concatenate([points[0] for points in series]).astype(np.float64, copy=False)
-    level = np.concatenate([points[1] for points in series]).astype(np.int64, copy=False)
-    first = np.concatenate(([0], np.cumsum([len(points[0]) for points in series])))
+    if not (t_start < ends).all():
+        k = int(np.argmin(t_start < ends))
+        raise NoSeries(k, f"t_start: expected t_start < t_stop, got {t_start!r} and {float(ends[k])!r}")
+    first, t, level = series.first, series.t.copy(), series.n_stick.astype(np.int64, copy=False)
     run = np.repeat(np.arange(len(series)), np.diff(first))
     is_wrong = np.append(False, t[1:] < t[:-1])
     is_wrong[first[:-1]] = False
@@ -170,7 +256,9 @@ def windows(series: Sequence[ChangePoints], t_start: float, t_stop: Sequence[flo
     late = t[first[:-1]] > t_start
     if late.any():
         k = int(np.argmax(late))
-        raise NoSeries(k, f"t: expected a change point at or before t_start = {t_start!r}, first is {t[first[k]]!r}")
+        raise NoSeries(
+            k, f"t: expected a change point at or before t_start = {t_start!r}, first is {float(t[first[k]])!r}"
+        )
     held = np.add.reduceat((t <= t_start).astype(np.int64), first[:-1]) + first[:-1] - 1  # what holds at t_start
     kept = (np.arange(len(t)) >= held[run]) & ((t <= ends[run]) | (np.arange(len(t)) == held[run]))
     t[held] = t_start
@@ -194,12 +282,10 @@ class NoSeries(ValueError):
         self.place = place
 
 
-def _check_form(k: int, t: np.ndarray, n_stick: np.ndarray, t_start: float, t_stop: float) -> None:
+def _check_form(k: int, t: np.ndarray, n_stick: np.ndarray) -> None:
     if t.ndim != 1 or t.shape != n_stick.shape or t.size == 0:
         raise NoSeries(
             k, f"t, n_stick: expected two non-empty arrays of one length, got {t.shape} and {n_stick.shape}"
         )
     if n_stick.dtype.kind not in "iu":
         raise NoSeries(k, f"n_stick: expected integers, got dtype {n_stick.dtype}")
-    if not t_start < t_stop:
-        raise NoSeries(k, f"t_start: expected t_start < t_stop, got {t_start!r} and {t_stop!r}")

@@ -7,10 +7,11 @@ at a time; resampling cascades or time samples would give intervals far too shor
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stickslip.analysis.stats import student
 
@@ -44,6 +45,49 @@ def at_least(estimate: Estimate, least: float | None) -> Estimate:
     if least is None or estimate.low is None:
         return estimate
     return replace(estimate, low=max(estimate.low, least))
+
+
+@dataclass(frozen=True)
+class UnitSums:
+    """Two sums of each of some independent units, from which a statistic follows.
+
+    Attributes
+    ----------
+    units : ndarray of int, shape (G,)
+        Their numbers, ascending.
+    rows : ndarray, shape (G, 2)
+    """
+
+    units: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
+    rows: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+
+    @classmethod
+    def of(cls, units: ArrayLike, rows: ArrayLike) -> UnitSums:
+        """The rows of runs, shape (R, 2), added up by unit in their order."""
+        numbers, place = np.unique(np.asarray(units, dtype=np.int64), return_inverse=True)
+        columns = np.asarray(rows, dtype=np.float64).reshape(-1, 2).T
+        return cls(numbers, np.column_stack([np.bincount(place, one, len(numbers)) for one in columns]))
+
+    @classmethod
+    def together(cls, some: Iterable[UnitSums]) -> UnitSums:
+        """Several added up by unit."""
+        parts = [cls(), *some]
+        return cls.of(np.concatenate([one.units for one in parts]), np.concatenate([one.rows for one in parts]))
+
+    def __len__(self) -> int:
+        return len(self.units)
+
+    @property
+    def counted(self) -> UnitSums:
+        """Without units in which nothing was counted, whose second sum is zero."""
+        return self._where(self.rows[:, 1] > 0)
+
+    def within(self, other: UnitSums) -> UnitSums:
+        """The units that the other has too."""
+        return self._where(np.isin(self.units, other.units, assume_unique=True))
+
+    def _where(self, kept: np.ndarray) -> UnitSums:
+        return self if kept.all() else UnitSums(self.units[kept], self.rows[kept])
 
 
 Statistic = Callable[[np.ndarray], np.ndarray]  # sums, shape (m, c) -> values, shape (m,); may raise Undefined

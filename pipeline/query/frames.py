@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, ItemsView, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar
@@ -264,9 +265,9 @@ def _member_row(opened: Opened, source: ds.Dataset, member_id: str, columns: lis
     return {name: rows[name][0] for name in columns}
 
 
-def series(path: Where | Opened) -> Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]:
+def series(path: Where | Opened) -> Series:
     """t and n_stick as of `n_stick` by member_id. Failed members, which have no series, are left out."""
-    return Recorded(open_dataset(path), "t", ["t", "n_stick"], lambda row: (row("t"), row("n_stick")))
+    return Series(open_dataset(path), "t", ["t", "n_stick"], lambda row: (row("t"), row("n_stick")))
 
 
 def all_events(path: Where | Opened) -> Recorded[_Events]:
@@ -376,6 +377,42 @@ class Recorded(Mapping[str, _Value]):
         return _Items(self)
 
 
+class Series(Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]):
+    """As `series`, and of many members together."""
+
+    def stacks(
+        self, member_ids: Sequence[str]
+    ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]]:
+        """t and n_stick of some members, in their order, one after the other: a part for each shard that is read.
+
+        Yields
+        ------
+        first : int64, shape (m + 1,)
+            Where the members of the part begin, and the length of what follows.
+        t : float64, shape (first[-1],)
+        n_stick : int32, shape (first[-1],)
+
+        Raises
+        ------
+        KeyError
+            If a member is unknown or failed; its argument is the member.
+        """
+        k = done = 0
+        while done < len(member_ids):
+            if k == len(self._fragments) or member_ids[done] not in self._shard(k).rows:
+                k += 1
+                if k >= len(self._fragments) or member_ids[done] not in self._shard(k).rows:
+                    k, _ = self._place[member_ids[done]]
+            shard, rows = self._shard(k), list[int]()
+            for name in itertools.islice(member_ids, done, None):
+                if name not in shard.rows:
+                    break
+                rows.append(shard.rows[name])
+            first, t, level = shard.together(np.array(rows))
+            yield first, t, level
+            done += len(rows)
+
+
 class _Items(ItemsView[str, _Value]):
     """Items in one pass."""
 
@@ -402,6 +439,31 @@ class _Shard:
                 self._lists[name] = values, column.offsets.to_pylist()
             else:
                 self._others[name] = column
+
+    @cached_property
+    def rows(self) -> dict[str, int]:
+        """The row of each member."""
+        return {name: k for k, name in enumerate(self.member_ids)}
+
+    def together(self, rows: NDArray[np.int64]) -> list[np.ndarray]:
+        """Where lists of some rows begin, if they lie one after the other, their length, and the lists of each name.
+
+        Raises
+        ------
+        pyarrow.ArrowInvalid
+            If lists of one row differ in length.
+        """
+        first, places, found = np.zeros(1, np.int64), np.zeros(0, np.int64), list[np.ndarray]()
+        for name, (values, offsets) in self._lists.items():
+            begins = np.asarray(offsets)
+            lengths = begins[rows + 1] - begins[rows]
+            own = np.concatenate(([0], np.cumsum(lengths)))
+            if found and not np.array_equal(own, first):
+                raise pa.ArrowInvalid(f"Parquet: lists of one row differ in length: {name}")
+            first = own
+            places = np.repeat(begins[rows] - own[:-1], lengths) + np.arange(own[-1])
+            found.append(values[places])
+        return [first, *found]
 
     def row(self, k: int) -> _Row:
         def at(name: str) -> Any:

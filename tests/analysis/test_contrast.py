@@ -20,7 +20,7 @@ from stickslip.analysis.contrast import (
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.stats.enough import FEW_MATRICES
-from stickslip.analysis.stats.estimates import gamma, ratio
+from stickslip.analysis.stats.estimates import UnitSums, gamma, ratio
 
 MEAN = Statistic("mean", ratio, 0.1)
 SHARE = Statistic("share", ratio, 0.2, is_share=True)
@@ -29,7 +29,8 @@ MARGINS = {"mean": 0.1, "variance": 0.25, "rate": 0.1, "correlation_time": 0.5, 
 
 
 def of(values, name="mean", first=0):
-    return Sample({name: {first + k: np.array([value, 1.0]) for k, value in enumerate(values)}})
+    rows = np.column_stack([values, np.ones(len(values))])
+    return Sample({name: UnitSums(first + np.arange(len(rows)), rows)})
 
 
 def judged(rows):
@@ -133,7 +134,7 @@ def test_verdicts_follow_the_numbers():
     for other, verdict in second:
         (row,) = judged([contrast(MEAN, of(base), other, True, 0.95)])
         assert row["verdict"] == verdict
-    ones = Sample({"gamma": {k: np.array([9.0, 9.0]) for k in range(4)}})
+    ones = Sample({"gamma": UnitSums(np.arange(4), np.full((4, 2), 9.0))})
     (row,) = judged([contrast(Statistic("gamma", gamma, 0.05), ones, ones, True, 0.95)])
     assert (row["verdict"], row["relative"]) == (UNKNOWN, None)
     assert "size 1" in row["reason"]
@@ -160,14 +161,14 @@ def test_a_sample_is_the_planted_one(planted):
     series |= {name: quiet for name in ("m3", "m4", "m5", "m2 again", "m7 again")}
     study = Study(Data(members, series), SETTINGS)
     found = sample(study.groups[0])
-    matrices, rows = found.rows("mean n_stick")
-    assert matrices.tolist() == [0, 1, 2]  # m4 is quiet and in shares alone
-    assert rows[:, 0] == pytest.approx([11, 13, 21])
-    assert found.rows("variance of n_stick in time")[1][:3, 0] == pytest.approx([1, 1, 1])
-    assert found.rows("exit rate")[1][:3, 0] == pytest.approx(2 / 5, rel=0.01)
-    total, count = found.rows("gamma")[1][0]
+    means = found.of("mean n_stick")
+    assert means.units.tolist() == [0, 1, 2]  # m4 is quiet and in shares alone
+    assert means.rows[:, 0] == pytest.approx([11, 13, 21])
+    assert found.of("variance of n_stick in time").rows[:3, 0] == pytest.approx([1, 1, 1])
+    assert found.of("exit rate").rows[:3, 0] == pytest.approx(2 / 5, rel=0.01)
+    total, count = found.of("gamma").rows[0]
     assert total == 2 * count
-    shares = {name: found.rows(name)[1][:, 0].tolist() for name in found.sums if name.startswith("share")}
+    shares = {name: found.of(name).rows[:, 0].tolist() for name in found.sums if name.startswith("share")}
     assert shares == {
         "share of runs with no late stick": [0, 0, 0, 1, 1, 0, 1],  # the failed run is in none
         "share of runs that run away": [0, 0, 0, 0, 0, 1, 0],

@@ -32,7 +32,7 @@ from stickslip.analysis.questions.runs import engines, sweep
 from stickslip.analysis.questions.slips import episodes
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.estimates import over_matrices
+from stickslip.analysis.stats.estimates import UnitSums, over_matrices
 from stickslip.analysis.stats.families import maximise, parameter
 from tests.chance import ERRORS, SURE, agrees
 
@@ -374,9 +374,9 @@ def test_settings_that_share_their_draws_are_compared_system_by_system(sense, rn
             for name in ("first", "last")
         ]
         for one, factor, power in zip(found, (1.0, 0.9), (1, sense), strict=True):
-            for unit, n_episodes in enumerate(rng.poisson(1000 * factor * np.exp(power * own))):
-                one.sample.add(SIZE, unit, (2.0 * n_episodes, n_episodes))
-                one.sample.add(BY_WAY, unit, (n_episodes, 1000.0))
+            n_episodes = rng.poisson(1000 * factor * np.exp(power * own))
+            of = {SIZE: (2.0 * n_episodes, n_episodes), BY_WAY: (n_episodes, np.full(12, 1000.0))}
+            one.sample.sums.update({what: UnitSums.of(range(12), np.column_stack(of[what])) for what in of})
         row = episodes._changes(found, 0.95)[1]
         found[1].group.key["n"] = 200
         apart = episodes._changes(found, 0.95)[1]  # systems of other sizes are other draws

@@ -352,12 +352,12 @@ def test_a_lull_is_part_of_the_mean_and_a_quiet_run_is_not(planted, rng, rate, h
     every, alone, still = (
         Study(Data(pd.DataFrame(some), series), SETTINGS).groups[0] for some in (rows, rows[::2], rows[1::2])
     )
-    assert every.fates == [SUSTAINED, how] * 8
+    assert every.fates.tolist() == [SUSTAINED, how] * 8
     n_moving = 16 if how == LULL else 8
     assert (len(every.finished), len(every.moving), every.n_quiet) == (16, n_moving, 16 - n_moving)
     if how == QUIET:
         assert every.mean(0.95) == alone.mean(0.95)
-        assert every.units == alone.units
+        assert (every.units == alone.units).all()
         assert (every.sums == alone.sums).all()
     else:
         assert every.mean(0.95).value == pytest.approx((alone.mean(0.95).value + still.mean(0.95).value) / 2)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stickslip.analysis import window
-from stickslip.analysis.series.windows import NoSeries, windows
+from stickslip.analysis.series.windows import NoSeries, Stack, windows
 from stickslip.analysis.stats.effective import correlation_times
 
 T_BURN = 2.0
@@ -48,7 +48,7 @@ def complete_falls(path):
 
 def test_every_sum_is_that_of_a_loop_over_levels(rng):
     series, t_stop = zip(*drawn(rng, 200), strict=True)
-    runs = windows(series, T_BURN, t_stop)
+    runs = windows(Stack.of(series), T_BURN, t_stop)
     tau, (run, depth), parts = correlation_times(runs), runs.falls, runs.means(5)
     for k, (points, end) in enumerate(zip(series, t_stop, strict=True)):
         one = levels(points, end)
@@ -70,7 +70,7 @@ def test_every_sum_is_that_of_a_loop_over_levels(rng):
 
 def test_some_runs_are_taken_by_their_places(rng):
     series, t_stop = zip(*drawn(rng, 50), strict=True)
-    runs, some = windows(series, T_BURN, t_stop), rng.permutation(50)[:20]
+    runs, some = windows(Stack.of(series), T_BURN, t_stop), rng.permutation(50)[:20]
     taken = runs.take(some)
     for name in ("mean", "variance", "exits"):
         np.testing.assert_array_equal(getattr(taken, name), getattr(runs, name)[some])
@@ -89,5 +89,5 @@ def test_some_runs_are_taken_by_their_places(rng):
 def test_what_is_no_series_is_refused_by_its_place(points, word):
     good = (np.array([0.0, 3.0]), np.array([2, 1]))
     with pytest.raises(NoSeries, match=word) as caught:
-        windows([good, (np.array(points[0]), np.array(points[1])), good], T_BURN, [5.0, 5.0, 5.0])
+        windows(Stack.of([good, (np.array(points[0]), np.array(points[1])), good]), T_BURN, [5.0, 5.0, 5.0])
     assert caught.value.place == 1

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, B, F, Question, Row, S, frame
@@ -30,6 +31,8 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group, engine_name
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
+from stickslip.analysis.stats.estimates import UnitSums
+from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import BLUE, GREY, ORANGE, panel
 
 FRICTION, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
@@ -91,19 +94,29 @@ def answer(study: Study) -> Answer | None:
 
 def _by_threshold(study: Study) -> dict[str, dict[float, Sample]]:
     """Samples under further thresholds of sticking, by label of the group and threshold; one pass over the runs."""
+    if not study.data.thresholds:
+        return {}
     runs = {
         str(member_id): (group.label, int(unit), float(t_end))
         for group in study.groups
         for unit, member_id, t_end in zip(*(group.moving[name] for name in ("unit", "member_id", "t_end")),
                                             strict=True)
     }  # fmt: skip
-    found: dict[str, dict[float, Sample]] = {}
+    rows: dict[tuple[str, float], list[tuple[int, list[np.ndarray]]]] = {}
     for member_id in study.data.thresholds:
         if member_id in runs:
             label, unit, t_end = runs[member_id]
             for threshold, win in study.by_threshold(member_id, t_end).items():
-                held = found.setdefault(label, {}).setdefault(threshold, Sample())
-                held.add_window(unit, win, _BY_THRESHOLD)
+                sums = [QUANTITIES[name].sums(win.alone)[0] for name in _BY_THRESHOLD]
+                rows.setdefault((label, threshold), []).append((unit, sums))
+    found: dict[str, dict[float, Sample]] = {}
+    for (label, threshold), some in rows.items():
+        units, sums = zip(*some, strict=True)
+        held = {
+            QUANTITIES[name].label: UnitSums.of(units, of)
+            for name, of in zip(_BY_THRESHOLD, np.swapaxes(sums, 0, 1), strict=True)
+        }
+        found.setdefault(label, {})[threshold] = Sample(held)
     return found
 
 

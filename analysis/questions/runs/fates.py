@@ -312,7 +312,7 @@ def _linear(followed: pd.DataFrame) -> list[Row]:
     Empty if no growth rate is known.
     """
     known = followed[followed["growth_rate"].notna()]
-    has = known["growth_rate"].map(is_unstable).astype(bool)
+    has = np.asarray(is_unstable(known["growth_rate"].to_numpy(np.float64)))
     parts = {"stable": known[~has], "unstable": known[has]}
     return [{"state": state, "n_runs": len(some), **_counts(some)} for state, some in parts.items() if len(some)]
 

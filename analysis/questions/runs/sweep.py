@@ -40,7 +40,7 @@ from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
 from stickslip.analysis.questions.runs.fates import FATES, shares
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words
-from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
 
@@ -156,12 +156,12 @@ def _contrasts(
         many = [value for value, n in n_units.items() if n >= enough.LEAST_MATRICES]
         base, *others = many if len(many) > 1 else axis.values
         for value in others:
-            first, second = Sample(), Sample()
-            for point in points:
-                before = tuple((point.at | {axis: base}).values())
-                if point.at[axis] == value and before in by_place:
-                    for name in (IN_MOTION, AT_MOST) if one.is_share else (one.name,):
-                        _add_common(name, by_place[before], point, first, second)
+            pairs = [
+                (by_place[before], point)
+                for point in points
+                if point.at[axis] == value and (before := tuple((point.at | {axis: base}).values())) in by_place
+            ]
+            first, second = _in_common((IN_MOTION, AT_MOST) if one.is_share else (one.name,), pairs)
             if one.is_share and not _differ(first, second, one.name):
                 continue
             row = contrast.contrast(one, first, second, paired=True, confidence=level)
@@ -180,7 +180,7 @@ def _either_way(row: Row, one: Statistic, first: Sample, second: Sample, confide
     """What holds of a contrast of shares in motion whatever quiet runs do: weaker tests and a wider interval."""
     corners = [
         contrast.contrast(
-            one, Sample({one.name: first.sums[a]}), Sample({one.name: second.sums[b]}), paired=True,
+            one, Sample({one.name: first.of(a)}), Sample({one.name: second.of(b)}), paired=True,
             confidence=confidence,
         )
         for a, b in ((AT_MOST, IN_MOTION), (IN_MOTION, AT_MOST))
@@ -197,7 +197,7 @@ def _either_way(row: Row, one: Statistic, first: Sample, second: Sample, confide
 
 def _of_few(one: Statistic, first: Sample, second: Sample, confidence: float) -> Row:
     """Values for a contrast of too few units, which has no test; nothing where there is no unit at all."""
-    before, after = (over_matrices(one.of, some.rows(one.name)[1], confidence) for some in (first, second))
+    before, after = (over_matrices(one.of, some.of(one.name).rows, confidence) for some in (first, second))
     if before.value is None or after.value is None:
         return {}
     return (
@@ -207,28 +207,29 @@ def _of_few(one: Statistic, first: Sample, second: Sample, confidence: float) ->
 
 def _n_units(name: str, points: Sequence[Point], axis: Axis, value: tuple[Value, ...]) -> int:
     """Number of units for which a statistic is known at one value of an axis."""
-    return len({unit for point in points if point.at[axis] == value for unit in point.sample.sums.get(name, ())})
+    return len(UnitSums.together(point.sample.of(name) for point in points_at(points, axis, value)))
 
 
 def _largest(name: str, points: Sequence[Point]) -> float:
     """The largest size of a statistic of one unit."""
-    sums = (row for point in points for row in point.sample.sums.get(name, {}).values())
-    return max((abs(row[0] / row[1]) for row in sums if row[1] > 0), default=0.0)
+    every = (point.sample.of(name).rows for point in points)
+    return max(float(np.abs(rows[:, 0] / rows[:, 1]).max(initial=0.0)) for rows in every)
 
 
-def _add_common(name: str, a: Point, b: Point, first: Sample, second: Sample) -> None:
-    """Add the sums of two points to two samples, for the units that both points have."""
-    if a.group.unit != b.group.unit:
-        return
-    mine, theirs = a.sample.sums.get(name, {}), b.sample.sums.get(name, {})
-    for unit in mine.keys() & theirs.keys():
-        first.add(name, unit, list(mine[unit]))
-        second.add(name, unit, list(theirs[unit]))
+def _in_common(names: Sequence[str], pairs: Sequence[tuple[Point, Point]]) -> tuple[Sample, Sample]:
+    """The sums of the first and of the second points of pairs, for the units that both of a pair have."""
+    samples = [(a.sample, b.sample) for a, b in pairs if a.group.unit == b.group.unit]
+    first, second = Sample(), Sample()
+    for name in names:
+        sums = [(a.of(name), b.of(name)) for a, b in samples]
+        first.sums[name] = UnitSums.together(a.within(b) for a, b in sums)
+        second.sums[name] = UnitSums.together(b.within(a) for a, b in sums)
+    return first, second
 
 
 def _differ(first: Sample, second: Sample, name: str) -> bool:
     """Whether the runs of both met different ends; otherwise there is nothing to test."""
-    rows = np.vstack([first.rows(name)[1], second.rows(name)[1]])
+    rows = np.vstack([first.of(name).rows, second.of(name).rows])
     return 0 < rows[:, 0].sum() < rows[:, 1].sum()
 
 
