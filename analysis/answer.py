@@ -77,7 +77,9 @@ class Question:
 
     def is_asked_of(self, study: Study) -> bool:
         """Whether data of this kind can have an answer."""
-        return not self.of_cascades or (study.data.episodes is None and bool((study.data.members["n"] != 1).any()))
+        return not self.of_cascades or (
+            study.data.episodes is None and any(one["n"] != 1 for one in study.data.table.settings)
+        )
 
 
 S, I, F, B = "string", "Int64", "Float64", "boolean"  # noqa: E741  nullable types: a null, never NaN

@@ -128,7 +128,8 @@ def _by_unit(study: Study, group: Group, of_member: Mapping[str, pd.DataFrame]) 
     found: dict[int, list[Catalogue]] = {}
     t_start = study.settings.t_burn
     n, v = int(group.key["n"]), group.key["belt_speed"]
-    table = (group.finished[name] for name in ("unit", "member_id", "t_end"))
+    finished = group.finished
+    table = (finished[name] for name in ("unit", "member_id", "t_end"))
     for unit, member_id, t_end in zip(*table, strict=True):
         columns = np.zeros((5, 0))
         if member_id in of_member:

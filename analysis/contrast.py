@@ -99,7 +99,7 @@ def sample(group: Group) -> Sample:
     })  # fmt: skip
     fates, (t_last, n_last) = np.array(group.fates), group.last.T
     ran = np.flatnonzero(fates != FAILED)
-    units, first = np.unique(group.members["unit"].to_numpy(np.int64)[ran], return_index=True)
+    units, first = np.unique(group.column("unit").to_numpy()[ran], return_index=True)
     away = fates[ran[first]] == DIVERGED
     slips = ~away & is_all_slip(t_last[ran[first]], n_last[ran[first]], float(group.key["t_end"]))
     for name, has in ((ALL_SLIP, slips), (RUN_AWAY, away)):

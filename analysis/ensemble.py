@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip.analysis.groups import Group, fill, groups
-from stickslip.analysis.members import OUTCOMES, REQUIRED, completed, known_outcomes, unchanged
+from stickslip.analysis.members import Members
 from stickslip.analysis.models.fates import fate
 from stickslip.analysis.models.motion import Motion, motion
 from stickslip.analysis.series.cascades import Window
@@ -21,7 +21,7 @@ from stickslip.analysis.series.windows import ChangePoints
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import share_over_matrices
-from stickslip.analysis.stats.estimates import Estimate, at_least, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, UnitSums, at_least, over_matrices, ratio
 from stickslip.sim.numerics.arguments import did_you_mean
 
 T = TypeVar("T")
@@ -60,9 +60,9 @@ class Data:
 
     Attributes
     ----------
-    members : DataFrame
-        One row a member, with the columns in `members.REQUIRED`; null where a setting does not apply.
-        `members.completed` adds the others.
+    table : Members, or DataFrame
+        The members; from a table of one row a member with the columns in `members.REQUIRED` at least, null where a
+        setting does not apply.
     series : Series, or dict of str to ChangePoints
         Series of n_stick of every member that did not fail.
     events : mapping to Events
@@ -80,7 +80,7 @@ class Data:
         without one is left out.
     """
 
-    members: pd.DataFrame
+    table: Members
     series: Series
     events: Mapping[str, Events] = field(default_factory=dict)
     separations: Mapping[str, Separation] = field(default_factory=dict)
@@ -90,9 +90,15 @@ class Data:
     lists: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "members", completed(self.members))
+        if isinstance(self.table, pd.DataFrame):
+            object.__setattr__(self, "table", Members.of([self.table]))
         if isinstance(self.series, dict):
             object.__setattr__(self, "series", Given(self.series))
+
+    @property
+    def members(self) -> pd.DataFrame:
+        """The members as one table with all columns, made anew."""
+        return self.table.together
 
 
 @dataclass
@@ -112,21 +118,21 @@ class Study:
     put: Put | None = None
 
     def __post_init__(self) -> None:
-        check(self.data.members, self.settings)
+        check(self.data.table, self.settings)
 
     @cached_property
     def groups(self) -> list[Group]:
         """Groups of the unchanged members, filled, by n and engine."""
-        members = unchanged(self.data.members)
-        found = groups(members)
-        fill(found, self._motion(members))
+        members = self.data.table
+        found = groups(members, members.unchanged)
+        fill(found, self._motion(members.unchanged))
         return found
 
-    def _motion(self, members: pd.DataFrame) -> Iterator[tuple[np.ndarray, Motion]]:
-        for k in range(0, len(members), _TOGETHER):
-            some = members.iloc[k : k + _TOGETHER]
-            for places, part in self._put(motion, ended(some)):
-                yield some.index.to_numpy()[np.asarray(places)], part
+    def _motion(self, rows: np.ndarray) -> Iterator[tuple[np.ndarray, Motion]]:
+        for k in range(0, len(rows), _TOGETHER):
+            some = rows[k : k + _TOGETHER]
+            for places, part in self._put(motion, ended(self.data.table, some)):
+                yield some[np.asarray(places)], part
 
     @cached_property
     def runs(self) -> Runs:
@@ -159,7 +165,9 @@ class Study:
         """
         row_of = {unit: row for row, unit in enumerate(group.units)}
         found = np.zeros((len(group.units), n_columns + 1))
-        for _, given in self._put(partial(Runs.sums, of=of), ended(group.moving.sort_index())):
+        for _, given in self._put(
+            partial(Runs.sums, of=of), ended(self.data.table, np.sort(group.rows[group.is_moving]))
+        ):
             for unit, row in given.items():
                 found[row_of[unit]] += row
         return found
@@ -190,14 +198,14 @@ class Study:
     @cached_property
     def _fated(self) -> Mapping[str, tuple[str, float, float]]:
         """Outcome, t_end and growth rate of each member."""
-        members = self.data.members
-        columns = (members["member_id"], known_outcomes(members), members["t_end"], members["growth_rate"])
-        return {name: (outcome, float(t_end), rate) for name, outcome, t_end, rate in zip(*columns, strict=True)}
+        some = ended(self.data.table, np.arange(len(self.data.table)))
+        rest = zip(some.outcome, some.t_end.tolist(), some.growth_rate.tolist(), strict=True)
+        return dict(zip(some.member_id, rest, strict=True))
 
     @cached_property
     def ends(self) -> Mapping[str, tuple[str, float]]:
         """Outcome and t_stop of each member."""
-        table = self.data.members
+        table = self.data.table.own
         return dict(zip(table["member_id"], zip(table["outcome"], table["t_stop"], strict=True), strict=True))
 
     def window(self, member_id: str, t_end: float) -> Window:
@@ -221,7 +229,7 @@ class Study:
         Groups all of whose runs stay in motion come first, since the others hold survivors only; then the largest n.
         """
         found = [one for one in self.groups if one.basis(self.settings.confidence).code in enough.JUDGED]
-        return sorted(found, key=lambda one: (len(one.moving) < len(one.members), -int(one.key["n"])))
+        return sorted(found, key=lambda one: (one.n_moving < len(one), -int(one.key["n"])))
 
     def refusal(self) -> tuple[str, dict[str, Any]]:
         """Why no group is judged: a code of `stats.enough`, and the facts that ``basis.html`` puts into words."""
@@ -237,7 +245,8 @@ class Study:
             If the change points of a member are not a series; the error names the member.
         """
         row_of = {unit: row for row, unit in enumerate(group.units)}
-        columns = (group.moving[name] for name in ("unit", "member_id", "t_end"))
+        moving = group.moving
+        columns = (moving[name] for name in ("unit", "member_id", "t_end"))
         for unit, member_id, t_end in zip(*columns, strict=True):
             yield row_of[int(unit)], str(member_id), self.window(str(member_id), float(t_end))
 
@@ -289,11 +298,12 @@ class Study:
         Estimate
             By `stats.compare.share_over_matrices`; without a value, and with the reason, if no run is known.
         """
-        known = group.members[[not pd.isna(has.get(name)) for name in group.members["member_id"]]]
-        if known.empty:
+        found = [has.get(name) for name in group.column("member_id")]
+        known = np.array([not pd.isna(one) for one in found])
+        if not known.any():
             return Estimate(reason="no run has data")
-        ones = pd.Series([bool(has[name]) for name in known["member_id"]], index=known.index)
-        counts = ones.groupby(known["unit"]).agg(["sum", "count"]).to_numpy()
+        ones = np.array([bool(one) for one, is_known in zip(found, known, strict=True) if is_known])
+        counts = UnitSums.of(group.column("unit").to_numpy()[known], np.column_stack([ones, np.ones(len(ones))])).rows
         share, low, high, _ = share_over_matrices(counts, self.settings.confidence)
         return Estimate(share, low, high)
 
@@ -302,17 +312,15 @@ class Study:
         return generator(self.settings.seed, member_id)
 
 
-def ended(members: pd.DataFrame) -> Ended:
-    """How the runs of some members ended, in their order."""
-    names, outcomes = (column.to_numpy(object) for column in (members["member_id"], known_outcomes(members)))
-    rates = members["growth_rate"].to_numpy(np.float64, na_value=np.nan)
-    return Ended(
-        members.index.to_numpy(), names, members["unit"].to_numpy(np.int64), outcomes,
-        members["t_end"].to_numpy(np.float64), rates,
-    )  # fmt: skip
+def ended(members: Members, rows: np.ndarray) -> Ended:
+    """How the runs of some members ended, by their rows and in their order."""
+    some = members.at(rows)
+    t_end = some.of_each("t_end").astype(np.float64)
+    names, outcomes = (column.to_numpy(object) for column in (some.own["member_id"], some.known_outcomes))
+    return Ended(rows, names, some.own["unit"].to_numpy(), outcomes, t_end, some.own["growth_rate"].to_numpy())
 
 
-def check(members: pd.DataFrame, settings: AnalysisSettings) -> None:
+def check(members: Members, settings: AnalysisSettings) -> None:
     """Refuse input that contradicts itself.
 
     Raises
@@ -320,19 +328,11 @@ def check(members: pd.DataFrame, settings: AnalysisSettings) -> None:
     ValueError
         Names the column, member or setting, and says what was expected and what was given.
     """
-    missing = [name for name in REQUIRED if name not in members.columns]
-    if missing:
-        raise ValueError(f"members: missing column(s) {', '.join(missing)}")
-    if members.empty:
-        raise ValueError("members: expected at least one row, got none")
-    if not members["member_id"].is_unique:
-        twice = members.loc[members["member_id"].duplicated(), "member_id"].iloc[0]
-        raise ValueError(f"members: member_id {twice!r} occurs more than once")
-    unknown = sorted({str(outcome) for outcome in members["outcome"]} - set(OUTCOMES))
-    if unknown:
-        raise ValueError(f"members: outcome must be one of {', '.join(OUTCOMES)}, got {unknown[0]!r}")
-    if settings.t_burn >= members["t_end"].min():
+    names = members.own["member_id"]
+    if not names.is_unique:
+        raise ValueError(f"members: member_id {names[names.duplicated()].iloc[0]!r} occurs more than once")
+    t_end = min(one["t_end"] for one in members.settings)
+    if settings.t_burn >= t_end:
         raise ValueError(
-            f"t_burn: expected less than t_end = {members['t_end'].min():g}, got {settings.t_burn:g}; "
-            "no time is left for statistics"
+            f"t_burn: expected less than t_end = {t_end:g}, got {settings.t_burn:g}; no time is left for statistics"
         )

@@ -122,7 +122,7 @@ def point_of(study: Study, group: Group, axes: Sequence[Axis], of: Iterable[Meas
         group, place_of(axes, group), fates={name: int((group.fates == name).sum()) for name in (*WATCHED, FAILED)}
     )
     ran = group.fates != FAILED
-    units, fates = group.members["unit"].to_numpy()[ran], group.fates[ran]
+    units, fates = group.column("unit").to_numpy()[ran], group.fates[ran]
     for name, has in ((IN_MOTION, MOVING), (AT_MOST, (*MOVING, QUIET))):
         found.sample.sums[name] = UnitSums.of(units, np.column_stack([np.isin(fates, has), np.ones(len(fates))]))
     found.values |= {one.name: one.of(group) for one in of}

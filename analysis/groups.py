@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, places
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET
 from stickslip.analysis.models.motion import COLUMNS, N_COLUMNS, Motion
 from stickslip.analysis.stats import enough
@@ -51,8 +51,10 @@ class Group:
         n, engine and whatever distinguishes it from the others.
     key : dict
         The values that all members share, for `SYSTEM_KEYS` and `ENGINE_KEYS`.
-    members : DataFrame
-        Without the columns that are in `key`, but for t_end.
+    table : Members
+        Of the ensemble.
+    rows : ndarray of int, shape (R,)
+        Rows of the group's own members among them, by unit and then by member_id.
     units : ndarray of int, shape (G,)
         Units of the members in motion, ascending: the rows of all arrays.
     means : ndarray, shape (G, 5)
@@ -66,12 +68,10 @@ class Group:
         Number of cascades of each size from 1 on, by the definition `events`.
     effective : ndarray, shape (G, 4)
         Mean of `effective.row` over the runs of each unit.
-    fates : ndarray of str, shape (len(members),)
+    fates : ndarray of str, shape (R,)
         Fate of each member, from `models.fates.fates`.
-    last : ndarray, shape (len(members), 2)
+    last : ndarray, shape (R, 2)
         Time of the last change of n_stick of each member, and n_stick from then on; NaN if it failed.
-    moving : DataFrame
-        The members in motion.
     n_quiet : int
         Members that finished, but are quiet.
     n_short : int
@@ -80,7 +80,8 @@ class Group:
 
     label: str
     key: dict[str, Any]
-    members: pd.DataFrame
+    table: Members
+    rows: np.ndarray
     units: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     means: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
     quantities: dict[str, np.ndarray] = field(default_factory=dict)
@@ -89,14 +90,39 @@ class Group:
     effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     fates: np.ndarray = field(default_factory=lambda: np.zeros(0, object))
     last: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    moving: pd.DataFrame = field(default_factory=pd.DataFrame)
     n_quiet: int = 0
     n_short: int = 0
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @property
+    def members(self) -> pd.DataFrame:
+        """One row a member, without the columns that are in `key`, but for t_end."""
+        return self.table.own.iloc[self.rows].assign(t_end=self.key["t_end"])
+
+    def column(self, name: str) -> pd.Series:
+        """A column of `members`."""
+        return self.table.own[name].iloc[self.rows]
+
+    @cached_property
+    def is_moving(self) -> np.ndarray:
+        """Whether each member is in motion, shape (R,)."""
+        return np.isin(self.fates, MOVING)
+
+    @property
+    def moving(self) -> pd.DataFrame:
+        """The members in motion."""
+        return self.members[self.is_moving]
+
+    @property
+    def n_moving(self) -> int:
+        return int(self.is_moving.sum())
 
     @cached_property
     def unit(self) -> str:
         """What the units are: `MATRIX`, `START` or `FILE`."""
-        return str(self.members["unit_is"].iloc[0])
+        return str(self.table.settings[int(self.column("setting").iloc[0])]["unit_is"])
 
     @cached_property
     def at(self) -> dict[str, Value]:
@@ -114,9 +140,14 @@ class Group:
                 found[key] = drawn[key] if number is None else float(number)
         return found
 
-    @cached_property
+    @property
+    def is_finished(self) -> np.ndarray:
+        """Whether each member finished, shape (R,)."""
+        return np.asarray(self.column("outcome") == "finished")
+
+    @property
     def finished(self) -> pd.DataFrame:
-        return self.members[self.members["outcome"] == "finished"]
+        return self.members[self.is_finished]
 
     @property
     def n_runs(self) -> int:
@@ -145,9 +176,9 @@ class Group:
         numbers : mapping of str to float
             By member_id. A run has none if it is missing, None, or not finite.
         """
-        found = np.array([_number(numbers.get(name)) for name in self.members["member_id"]])
+        found = np.array([_number(numbers.get(name)) for name in self.column("member_id")])
         known = np.isfinite(found)
-        sums = UnitSums.of(self.members["unit"].to_numpy()[known], np.column_stack([found, known])[known])
+        sums = UnitSums.of(self.column("unit").to_numpy()[known], np.column_stack([found, known])[known])
         return replace(sums, rows=sums.rows / sums.rows[:, 1:])
 
     def mean(self, confidence: float) -> Estimate:
@@ -169,19 +200,27 @@ def _number(value: float | None) -> float:
     return np.nan if value is None or pd.isna(value) else float(value)
 
 
-def groups(members: pd.DataFrame) -> list[Group]:
-    """Members as groups: unperturbed ones first, then by n, engine and settings, each by its value."""
+def groups(members: Members, some: np.ndarray) -> list[Group]:
+    """Some members, by their rows, as groups: unperturbed ones first, then by n, engine and settings, by value."""
 
-    def order(part: tuple[dict[str, Any], list[int]]) -> tuple[Any, ...]:
+    def order(part: tuple[dict[str, Any], np.ndarray]) -> tuple[Any, ...]:
         key = part[0]
         return (key["perturbation_size"], key["n"], key["engine"], [by_value(value) for value in key.values()])
 
     keys = (*SYSTEM_KEYS, *ENGINE_KEYS)
-    own = members.drop(columns=[name for name in keys if name != "t_end"])
-    parts = sorted(places(members, keys), key=order)
+    parts = sorted(members.places(keys, some), key=order)
     names = labels([key for key, _ in parts])
-    alike = (own.iloc[some].sort_values(["unit", "member_id"]) for _, some in parts)
-    return [Group(name, key, some) for name, (key, _), some in zip(names, parts, alike, strict=True)]
+    return [
+        Group(name, key, members, _by_unit(members, rows)) for name, (key, rows) in zip(names, parts, strict=True)
+    ]
+
+
+def _by_unit(members: Members, rows: np.ndarray) -> np.ndarray:
+    """Rows in the order of their units and, within one, of member_id."""
+    units = members.own["unit"].to_numpy()[rows]
+    if (units[1:] > units[:-1]).all():
+        return rows
+    return members.own[["unit", "member_id"]].iloc[rows].sort_values(["unit", "member_id"]).index.to_numpy()
 
 
 def by_value(value: object) -> tuple[int, float, str]:
@@ -243,10 +282,9 @@ def fill(found: Sequence[Group], given: Iterable[tuple[np.ndarray, Motion]]) -> 
         Every member once: rows of the table, by their numbers, and what they give.
     """
     filling = [_Filling(group) for group in found]
-    n_rows = 1 + max(int(group.members.index.max()) for group in found)
-    number, place = (np.zeros(n_rows, dtype=np.int32) for _ in range(2))
+    number, place = (np.zeros(len(found[0].table), dtype=np.int32) for _ in range(2))
     for k, group in enumerate(found):
-        number[group.members.index], place[group.members.index] = k, np.arange(len(group.members))
+        number[group.rows], place[group.rows] = k, np.arange(len(group))
     for rows, part in given:
         order = np.argsort(number[rows], kind="stable")  # by group
         rows, by_group = rows[order], part.in_order(order)
@@ -262,7 +300,7 @@ class _Filling:
 
     def __init__(self, group: Group) -> None:
         self._group = group
-        self._units, self._row = np.unique(group.members["unit"].to_numpy(np.int64), return_inverse=True)
+        self._units, self._row = np.unique(group.column("unit").to_numpy(), return_inverse=True)
         self._sums = np.zeros((len(self._units), N_COLUMNS))
         self._sizes: list[np.ndarray] = []  # row of the unit, size and number of cascades
         group.fates, group.last = (
@@ -290,4 +328,3 @@ class _Filling:
         group.counts = np.zeros((len(group.units), int(size.max(initial=0))), dtype=np.int64)
         np.add.at(group.counts, ((np.cumsum(moves) - 1)[row], size - 1), n_times)
         group.n_quiet = int((group.fates == QUIET).sum())
-        group.moving = group.members[np.isin(group.fates, MOVING)]

@@ -146,9 +146,9 @@ def _episodes(
         return Values(missing=missing, withheld=f"fewer than {enough.LEAST_CASCADES} episodes {beyond}")
     if name == B_VALUE and not has_b(found, level):
         return Values(missing=missing, withheld="no single b is shown to hold")
-    units, rows = list[int](), list[tuple[float, float]]()
+    units, rows, finished = list[int](), list[tuple[float, float]](), group.finished
     of_unit = {unit: iter(runs) for unit, runs in found.runs.items()}  # in the order of the members
-    for unit, member_id in zip(group.finished["unit"], group.finished["member_id"], strict=True):
+    for unit, member_id in zip(finished["unit"], finished["member_id"], strict=True):
         row = QUANTITIES[name].sums(next(of_unit[int(unit)]), least)
         if row[1] > 0:
             units.append(int(unit))
@@ -159,8 +159,8 @@ def _episodes(
 
 
 def _unfinished(group: Group) -> dict[str, str]:
-    some = group.members[group.members["outcome"] != "finished"]
-    return dict(zip(some["member_id"], some["outcome"], strict=True))
+    lost = ~group.is_finished
+    return dict(zip(group.column("member_id")[lost], group.column("outcome")[lost], strict=True))
 
 
 # ---------------------------------------------------------------------------------------- columns of records
@@ -171,7 +171,7 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
 
     A column that the analysis takes for itself, the growth rate, is measured too, but not as what the scene is about.
     """
-    members = study.data.members
+    members = study.data.table.own
     for name, column in study.data.recorded.items():
         is_own = name in READ
         numbers = dict(zip(members["member_id"], members[name], strict=True)) if is_own else column.values
@@ -190,7 +190,7 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
 def _column(numbers: Mapping[str, float | None], problems: Mapping[str, str], reason: str, group: Group) -> Values:
     missing = {
         str(member_id): outcome if outcome == FAILED else problems.get(member_id, reason)
-        for member_id, outcome in zip(group.members["member_id"], group.members["outcome"], strict=True)
+        for member_id, outcome in zip(group.column("member_id"), group.column("outcome"), strict=True)
         if (number := numbers[member_id]) is None or not np.isfinite(number)
     }
     return Values(group.sums_of(numbers), missing)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import repeat
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from stickslip.analysis.models.attractors import SLIDING
@@ -30,7 +31,7 @@ DRAWN = ("n", "coupling", "file")
 MATRIX, START, FILE = "matrix", "start", "file"
 SYSTEM_KEYS = ("n", "coupling", *_ALWAYS, *OPTIONAL, "t_end", "perturbation_size")
 #: Columns that may be missing because a scene does without some draws, changes or engines.
-_NOT_EVERYWHERE = ("step", "ratio_draw", "perturbation_reading", "twin_size", "start_draw", "growth_rate")
+_NOT_EVERYWHERE = ("step", "ratio_draw", "perturbation_reading", "twin_size", "start_draw", "growth_rate", "seed")
 TOLERANCES = tuple(name for name, setting in SETTINGS.items() if isinstance(setting, Number) and setting.picked)
 ENGINE_KEYS = (
     "engine",
@@ -52,85 +53,151 @@ REQUIRED = (
 READ = ("growth_rate",)
 
 
-def completed(members: pd.DataFrame) -> pd.DataFrame:
-    """Members with every column: missing ones as null, and those that the functions `with_*` add or set to null.
+#: What many members share: what separates their groups, and what tells copies apart.
+SHARED = (*SYSTEM_KEYS, *ENGINE_KEYS, "twin_size", "perturbation_reading", "seed")
 
-    Rows are numbered from 0 on, so that what is found of them can be told by their number.
+
+@dataclass(frozen=True, eq=False)
+class Members:
+    """The members of an ensemble: what is each one's own, and the settings that many share.
+
+    Attributes
+    ----------
+    own : DataFrame
+        One row a member, numbered from 0 on, so that what is found of them can be told by their number: all columns
+        but those of `SHARED`, and `setting`, the place of its setting; `unit`, a number; `growth_rate`, null where
+        friction depends on the speed of slip; `z_start` and `w_start`, the start of every block, null where blocks
+        differ.
+    settings : list of dict
+        The values of `SHARED`, None for null, and of `unit_is`, one of `MATRIX`, `START` and `FILE`. Where files are
+        the units, `file` and `kappa`, the scale of a file's K, are None, and so are `z0` and `w0` where `drawn` names
+        their distribution: they do not separate groups then.
     """
-    absent = [name for name in (*OPTIONAL, *_NOT_EVERYWHERE) if name not in members]
-    null = pd.array([None] * len(members), dtype="Int8")  # which takes the least memory
-    return with_rates(with_starts(with_units(members.assign(**dict.fromkeys(absent, null)).reset_index(drop=True))))
+
+    own: pd.DataFrame
+    settings: list[dict[str, Any]]
+
+    @classmethod
+    def of(cls, tables: Iterable[pd.DataFrame]) -> Members:
+        """The members of some tables, one after the other, each with the columns in `REQUIRED` at least.
+
+        Raises
+        ------
+        ValueError
+            If a column is missing, or there is no member at all; the error names what.
+        """
+        numbers: dict[tuple[Any, ...], int] = {}
+        parts = [_own(table, numbers) for table in tables]
+        if not numbers:
+            raise ValueError("members: expected at least one row, got none")
+        own = pd.concat(parts, ignore_index=True) if len(parts) > 1 else parts[0].reset_index(drop=True)
+        settings = [dict(zip(SHARED, values, strict=True)) for values in numbers]
+        _set_units(own, settings)
+        depends = np.array([any(one[name] is not None for name in SPEED_DEPENDENT) for one in settings])
+        # the rate is that of all blocks slipping under constant friction; smoothing and weakening change it
+        own["growth_rate"] = own["growth_rate"].astype("float64").mask(depends[own["setting"]])
+        return cls(own, settings)
+
+    def __len__(self) -> int:
+        return len(self.own)
+
+    def at(self, rows: np.ndarray) -> Members:
+        """Some of them, by their rows, whose numbers they keep."""
+        return Members(self.own.iloc[rows], self.settings)
+
+    def of_each(self, name: str) -> np.ndarray:
+        """A value of the settings for each member, shape (R,), of objects."""
+        found = np.empty(len(self.settings), dtype=object)
+        found[:] = [one[name] for one in self.settings]
+        return found[self.own["setting"]]
+
+    @property
+    def together(self) -> pd.DataFrame:
+        """One row a member, with all columns."""
+        shared = pd.DataFrame(self.settings, dtype=object).convert_dtypes().take(self.own["setting"].to_numpy())
+        own = self.own.drop(columns="setting").assign(outcome=self.own["outcome"].astype(str))
+        return pd.concat([own, shared.set_axis(own.index)], axis="columns")
+
+    @property
+    def unchanged(self) -> np.ndarray:
+        """Rows of members that are not changed copies, of constants or of the start; all if every one is a copy."""
+        is_copy = np.array([one["perturbation_size"] > 0 or one["twin_size"] is not None for one in self.settings])
+        copies = is_copy[self.own["setting"]]
+        return np.arange(len(self)) if copies.all() else np.flatnonzero(~copies)
+
+    @property
+    def known_outcomes(self) -> pd.Series:
+        """Outcomes, where a finished run counts as collapsed that is recorded to slide for ever, which is a proof."""
+        outcomes = self.own["outcome"]
+        if "attractor" not in self.own:
+            return outcomes
+        return outcomes.mask((outcomes == "finished") & (self.own["attractor"] == SLIDING), COLLAPSED)
+
+    def places(self, keys: Sequence[str], some: np.ndarray) -> list[tuple[dict[str, Any], np.ndarray]]:
+        """Some members, by their rows, split by their values of some of `SHARED`: values, and the rows with them."""
+        found: dict[tuple[Any, ...], int] = {}
+        of_setting = np.array([found.setdefault(tuple(one[k] for k in keys), len(found)) for one in self.settings])
+        number = of_setting[self.own["setting"].to_numpy()[some]]
+        order = np.argsort(number, kind="stable")
+        parts = np.split(some[order], np.flatnonzero(np.diff(number[order])) + 1)
+        values = list(found)
+        return [
+            (dict(zip(keys, values[k], strict=True)), part) for k, part in zip(np.unique(number), parts, strict=True)
+        ]
 
 
-def known_outcomes(members: pd.DataFrame) -> pd.Series:
-    """Outcomes, where a finished run counts as collapsed that is recorded to slide for ever, which is a proof."""
-    outcomes = members["outcome"]
-    if "attractor" not in members:
-        return outcomes
-    return outcomes.mask((outcomes == "finished") & (members["attractor"] == SLIDING), COLLAPSED)
+def _own(table: pd.DataFrame, numbers: dict[tuple[Any, ...], int]) -> pd.DataFrame:
+    """`Members.own` of a table but for units and rates; enters new settings into `numbers`."""
+    if missing := [name for name in REQUIRED if name not in table.columns]:
+        raise ValueError(f"members: missing column(s) {', '.join(missing)}")
+    unknown = sorted({str(outcome) for outcome in table["outcome"].unique()} - set(OUTCOMES))
+    if unknown:
+        raise ValueError(f"members: outcome must be one of {', '.join(OUTCOMES)}, got {unknown[0]!r}")
+    absent = [name for name in (*OPTIONAL, *_NOT_EVERYWHERE) if name not in table]
+    null = pd.array([None] * len(table), dtype="Int8")  # which takes the least memory
+    found = table.assign(
+        **dict.fromkeys(absent, null), outcome=pd.Categorical(table["outcome"], categories=list(OUTCOMES))
+    )
+    for key in ("z", "w"):
+        found[f"{key}_start"] = found[f"{key}0"].astype("float64")
+    if found["drawn"].notna().any():
+        drawn = found["drawn"].astype("string").fillna("")
+        for key in ("z", "w"):
+            found[f"{key}0"] = found[f"{key}0"].mask(drawn.str.contains(rf"(?:^|; ){key} = "))
+    return found.drop(columns=list(SHARED)).assign(setting=_numbered(found[list(SHARED)], numbers))
 
 
-def with_units(members: pd.DataFrame) -> pd.DataFrame:
-    """Members with the columns `unit`, a number, and `unit_is`, one of `MATRIX`, `START` and `FILE`.
-
-    Where files are the units, `file` and `kappa`, the scale of a file's K, become null, so that they do not separate
-    groups.
-    """
-    found = members.assign(unit=members["matrix"].astype("int64"), unit_is=MATRIX)
-    starts = found["start_draw"]
-    by = [found["n"], found["file"]]
-    is_one = found["matrix"].groupby(by, dropna=False).transform("nunique") == 1
-    n_starts = starts.groupby(by, dropna=False).transform("nunique")
-    of_file = found["file"].notna()
-    of_file &= (is_one & (n_starts <= 1)).groupby([of_file, found["n"]]).transform("all")
-    of_start = is_one & (n_starts > 1) & starts.notna()
-    found.loc[of_file, "unit_is"], found.loc[of_start, "unit_is"] = FILE, START
-    found.loc[of_start, "unit"] = starts[of_start].astype("int64")
-    if of_file.any():
-        found[["file", "kappa"]] = found[["file", "kappa"]].mask(of_file)
-    return found
+def _numbered(shared: pd.DataFrame, numbers: dict[tuple[Any, ...], int]) -> np.ndarray:
+    """The number of each row of values, new ones entered; None stands for null."""
+    code = np.zeros(len(shared), dtype=np.int64)
+    for name in shared:
+        found, values = pd.factorize(shared[name])  # -1 for null
+        code = np.unique(code * (len(values) + 1) + found + 1, return_inverse=True)[1]
+    _, first = np.unique(code, return_index=True)
+    kinds = shared.iloc[first].astype(object)
+    rows = kinds.where(kinds.notna(), None).itertuples(index=False, name=None)
+    return np.array([numbers.setdefault(row, len(numbers)) for row in rows], dtype=np.int32)[code]
 
 
-def with_starts(members: pd.DataFrame) -> pd.DataFrame:
-    """Members with the columns `z_start` and `w_start`, the start of every block; null where blocks differ.
-
-    `z0` and `w0` become null where `drawn` names their distribution, so that draws do not separate groups.
-    """
-    found = members.assign(z_start=members["z0"].astype("float64"), w_start=members["w0"].astype("float64"))
-    drawn = found["drawn"].astype("string").fillna("")
-    for key, column in (("z", "z0"), ("w", "w0")):
-        found[column] = found[column].mask(drawn.str.contains(rf"(?:^|; ){key} = "))
-    return found
-
-
-def with_rates(members: pd.DataFrame) -> pd.DataFrame:
-    """Members with `growth_rate` as a number, null where friction depends on the speed of slip.
-
-    The rate is that of the state in which all blocks slip under constant friction; smoothing and weakening change it.
-    """
-    depends = members[list(SPEED_DEPENDENT)].notna().any(axis=1)
-    return members.assign(growth_rate=members["growth_rate"].astype("float64").mask(depends))
-
-
-def unchanged(members: pd.DataFrame) -> pd.DataFrame:
-    """Members that are not changed copies, of constants or of the start; all members if every one is a copy."""
-    changed = (members["perturbation_size"] > 0) | members["twin_size"].notna()
-    return members if changed.all() else members[~changed]
-
-
-def split(members: pd.DataFrame, keys: Sequence[str]) -> list[tuple[dict[str, Any], pd.DataFrame]]:
-    """Members split by their values of some columns: each set of values, None for null, with its members."""
-    return [(key, members.iloc[some]) for key, some in places(members, keys)]
-
-
-def places(members: pd.DataFrame, keys: Sequence[str]) -> list[tuple[dict[str, Any], list[int]]]:
-    """As `split`, with the places of the members in their table instead."""
-    # most columns hold one value only, which is then handled once for all members
-    differ = {name: len(members[name].unique()) > 1 for name in keys}
-    short = {name: members[name] if differ[name] else members[name].iloc[:1] for name in keys}
-    plain = {name: column.astype(object).where(column.notna(), None) for name, column in short.items()}
-    at: dict[tuple[Any, ...], list[int]] = {}
-    columns = (plain[name] if differ[name] else repeat(plain[name].iloc[0], len(members)) for name in keys)
-    for k, row in enumerate(zip(*columns, strict=True) if len(members) else ()):
-        at.setdefault(row, []).append(k)
-    return [(dict(zip(keys, row, strict=True)), some) for row, some in at.items()]
+def _set_units(own: pd.DataFrame, settings: list[dict[str, Any]]) -> None:
+    """Add what the units of members are, and their numbers."""
+    kinds = {(one["n"], one["file"]): k for k, one in reversed([*enumerate(settings)])}
+    of_setting = np.array([kinds[one["n"], one["file"]] for one in settings])
+    by = of_setting[own["setting"]]
+    counts = own[["matrix", "start_draw"]].groupby(by).nunique()
+    is_one, n_starts = counts["matrix"] == 1, counts["start_draw"]
+    unit_is = dict.fromkeys(kinds.values(), MATRIX)
+    for n in {n for n, _ in kinds}:
+        files = [k for (one, file), k in kinds.items() if one == n and file is not None]
+        if files and (is_one[files] & (n_starts[files] <= 1)).all():
+            unit_is |= dict.fromkeys(files, FILE)
+    unit_is |= dict.fromkeys(n_starts.index[is_one & (n_starts > 1)], START)
+    is_drawn = own["start_draw"].groupby(own["setting"]).count() > 0
+    for number, (one, k) in enumerate(zip(settings, of_setting.tolist(), strict=True)):
+        one["unit_is"] = MATRIX if unit_is[k] == START and not is_drawn[number] else unit_is[k]
+        if unit_is[k] == FILE:
+            one |= {"file": None, "kappa": None}
+    own["unit"] = own["matrix"].astype("int64")
+    of_start = np.array([one["unit_is"] == START for one in settings])[own["setting"]] & own["start_draw"].notna()
+    if of_start.any():
+        own.loc[of_start, "unit"] = own["start_draw"][of_start].astype("int64")

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from stickslip.analysis.answer import Row, records
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import labels, short
-from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, places
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SETTLED
 from stickslip.analysis.series import parting
 
@@ -121,7 +120,7 @@ def follow(study: Study, comparison: Comparison, level: float, t_end: float) -> 
     return found
 
 
-def settings(members: pd.DataFrame) -> list[Setting]:
+def settings(members: Members) -> list[Setting]:
     """Settings of an ensemble, each with the comparisons of changed members with their bases.
 
     A base is unchanged. For the sigmoid it has equal stiffness ratios or, if no member has, the first draw of the
@@ -130,8 +129,7 @@ def settings(members: pd.DataFrame) -> list[Setting]:
 
     Parameters
     ----------
-    members : DataFrame
-        Those of `analysis.ensemble.Data`.
+    members : Members
 
     Returns
     -------
@@ -139,11 +137,15 @@ def settings(members: pd.DataFrame) -> list[Setting]:
         Sorted by n and engine; settings without an unchanged member are left out. None at all if no member is
         changed.
     """
-    is_drawn = members["ratio"].notna() & (members["ratio"] != "one")
-    if not ((members["perturbation_size"] > 0) | members["twin_size"].notna() | is_drawn).any():
+    if not any(
+        one["perturbation_size"] > 0 or one["twin_size"] is not None or one["ratio"] not in (None, "one")
+        for one in members.settings
+    ):
         return []
-    rows = records(members[_COLUMNS])
-    parts = [(key | {"perturbation_size": 0.0}, [rows[k] for k in some]) for key, some in places(members, _SETTING)]
+    parts = [
+        (key | {"perturbation_size": 0.0}, records(members.at(some).together[_COLUMNS]))
+        for key, some in members.places(_SETTING, np.arange(len(members)))
+    ]
     names = labels([key for key, _ in parts])
     found = [Setting(name, key, *_compared(own)) for name, (key, own) in zip(names, parts, strict=True)]
     return sorted((one for one in found if one.bases), key=lambda s: (s.key["n"], s.key["engine"], s.label))

@@ -156,7 +156,7 @@ def _asked(task: Task, function: own.OwnFunction, template: Path | None) -> Spok
         if template is not None:
             environment().parse(template.read_text(encoding="utf-8"), filename=str(template))
         return Spoken(task.name, {})
-    study = study_of(task.opened)
+    study = study_of(task.opened, whole=True)
 
     def ask(found: Callable[[Study], object]) -> Spoken:
         told = partial(_told, function=function, template=template)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import pandas as pd
 
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
 from stickslip.analysis.ensemble import Recorded
-from stickslip.analysis.members import READ
+from stickslip.analysis.members import READ, Members
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.page import Answered
@@ -20,7 +20,16 @@ from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
-from stickslip.pipeline.query import all_events, by_threshold, episodes, lists, members, separations, series
+from stickslip.pipeline.query import (
+    all_events,
+    by_threshold,
+    episodes,
+    lists,
+    members_in_parts,
+    scalar_names,
+    separations,
+    series,
+)
 from stickslip.pipeline.scene.quantity import short
 from stickslip.version import __version__
 from stickslip.workflows.fresh import LIST, made_from, name_of
@@ -29,31 +38,46 @@ from stickslip.workflows.scenes import with_known_questions
 #: What a line of `LIST` may name, whoever wrote it.
 _OURS = re.compile(r"report/(figures/)?[\w-]+\.(parquet|csv|svg|pdf)")
 
+#: Columns of members that no question of this package looks at.
+_UNASKED = (
+    "perturbation_draw", "picked_for", "reproduce", "n_stick_end", "n_events", "n_entries", "n_exits", "n_crossings",
+    "n_steps", "n_rejected", "n_products",
+)  # fmt: skip
+
 #: Who puts the questions of a dataset: the dataset, its study, and whom to tell how many are answered.
 Asking = Callable[[Opened, Study, Callable[[int, int], None]], list[Answered | None]]
 
 
-def study_of(path: Where | Opened) -> Study:
-    """A dataset with what its scene declares."""
+def study_of(path: Where | Opened, whole: bool = False) -> Study:
+    """A dataset with what its scene declares; `whole`: with columns that no question of this package looks at."""
     opened = open_dataset(path)
-    return Study(_data(opened), _settings(opened.scene))
+    return Study(_data(opened, whole), _settings(opened.scene))
 
 
-def _data(opened: Opened) -> Data:
+def _data(opened: Opened, whole: bool = False) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
-    table, scene = members(opened), opened.scene
-    recorded = _recorded(scene, table)
-    own = [] if scene.own_record is None else [column.name for column in scene.own_record.kept]
-    # analysis may add one of that name
-    table = table.drop(columns=[name for name in {*recorded, *own} if name not in READ])
-    table["matrix"] += scene.run.matrices * table["seed"].map(_seeds(scene).index)  # another seed is other systems
-    if names := list(scene.system.parameters or ()):
-        rows = zip(*(table[name].map(short) for name in names), strict=True)
-        words = ["; ".join(map("{} = {}".format, names, row)) for row in rows]
-        table = table.drop(columns=names).assign(parameters=words)  # one may have a name that analysis gives a column
-    for name in ("file", "parameters", "reason"):  # words from outside, which pages and figures show
-        if name in table and table[name].notna().any():
-            table[name] = table[name].map(printable if name == "reason" else _drawable, na_action="ignore")
+    scene, names = opened.scene, scalar_names(opened)
+    kept = [column for record in scene.records for column in record.kept if column.is_number]
+    values, said = {one.name: dict[str, float | None]() for one in kept}, dict[str, str]()
+
+    def prepared(part: pd.DataFrame) -> pd.DataFrame:
+        plain = part[list(values)].astype(object)
+        for name, column in plain.where(plain.notna(), None).items():
+            values[str(name)].update(zip(part["member_id"], column, strict=True))
+        if scene.own_record is not None:
+            some = part[part["own_problem"].notna()]
+            said.update(zip(some["member_id"], some["own_problem"].map(printable), strict=True))
+        return _prepared(scene, part)
+
+    asked = [name for name in names if whole or name not in _UNASKED]
+    table = Members.of(map(prepared, members_in_parts(opened, asked)))
+    problems = _own_problems(scene, said)
+    recorded = {
+        one.name: Recorded(
+            printable(one.words), values[one.name], one.least, printable(one.absent), problems.get(one.name, {})
+        )
+        for one in kept
+    }
     return Data(
         table,
         series=series(opened),
@@ -71,27 +95,26 @@ def _data(opened: Opened) -> Data:
     )
 
 
-def _recorded(scene: Scene, table: pd.DataFrame) -> dict[str, Recorded]:
-    """Every number that the scene's records keep of a run, with what its column says of it."""
-    columns = [column for record in scene.records for column in record.kept if column.is_number]
-    plain = table[[column.name for column in columns]].astype(object)
-    found = plain.where(plain.notna(), None)
-    values = {one.name: dict(zip(table["member_id"], found[one.name], strict=True)) for one in columns}
-    problems = _own_problems(scene, table)
-    return {
-        one.name: Recorded(
-            printable(one.words), values[one.name], one.least, printable(one.absent), problems.get(one.name, {})
-        )
-        for one in columns
-    }
+def _prepared(scene: Scene, table: pd.DataFrame) -> pd.DataFrame:
+    """Some members as the analysis sees them."""
+    kept = {column.name for record in scene.records for column in record.kept if column.is_number}
+    own = set() if scene.own_record is None else {column.name for column in scene.own_record.kept}
+    table = table.drop(columns=[*(kept | own) - {*READ}])  # analysis may add one of that name
+    table["matrix"] += scene.run.matrices * table["seed"].map(_seeds(scene).index)  # another seed is other systems
+    if names := list(scene.system.parameters or ()):
+        rows = zip(*(table[name].map(short) for name in names), strict=True)
+        words = ["; ".join(map("{} = {}".format, names, row)) for row in rows]
+        table = table.drop(columns=names).assign(parameters=words)  # one may have a name that analysis gives a column
+    for name in ("file", "parameters", "reason"):  # words from outside, which pages and figures show
+        if name in table and table[name].notna().any():
+            table[name] = table[name].map(printable if name == "reason" else _drawable, na_action="ignore")
+    return table
 
 
-def _own_problems(scene: Scene, table: pd.DataFrame) -> dict[str, dict[str, str]]:
-    """Why functions of the user's own gave no value, by column and member_id."""
+def _own_problems(scene: Scene, said: Mapping[str, str]) -> dict[str, dict[str, str]]:
+    """Why functions of the user's own gave no value, by column and member_id, from what was said of each member."""
     if scene.own_record is None:
         return {}
-    some = table[table["own_problem"].notna()]
-    said = dict(zip(some["member_id"], some["own_problem"].map(printable), strict=True))
     return {
         column.name: {member_id: why for member_id, why in said.items() if f"{own.function.name}: " in why}
         for own in scene.own_record.functions

@@ -77,8 +77,8 @@ class Match:
     def alone(self, k: int) -> tuple[Group, list[str]]:
         """One of the two, by its number, and its members without a partner, if partners are what is compared."""
         mine, theirs = (self.first, self.second)[:: 1 - 2 * k]
-        lacks = ~mine.members["unit"].isin(theirs.members["unit"]) & self.is_paired
-        return mine, mine.members.loc[lacks, "member_id"].tolist()
+        lacks = ~mine.column("unit").isin(theirs.column("unit")) & self.is_paired
+        return mine, mine.column("member_id")[lacks].tolist()
 
 
 def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Report:
@@ -90,7 +90,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
         If they have no settings to compare, or an ensemble contradicts itself or the settings.
     """
     facts: dict[str, Any] = {
-        "first": first, "second": second, "settings": settings, "n_runs": len(first.data.members), "verdict": SAME,
+        "first": first, "second": second, "settings": settings, "n_runs": len(first.data.table), "verdict": SAME,
         "matches": [], "tested": [], "from_zero": [], "unmatched": [],
     }  # fmt: skip
     if _is_same(first, second):
@@ -118,7 +118,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     shown = told(rows)
     verdicts = {row["verdict"] for row in (*shown, *from_zero)} or {UNKNOWN}
     unmatched = [
-        {"dataset": which.name, "setting": group.label, "members": len(group.members)}
+        {"dataset": which.name, "setting": group.label, "members": len(group)}
         for which, some in zip((first, second), left, strict=True)
         for group in some
     ]
@@ -127,7 +127,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
         for k, (which, some) in enumerate(zip((first, second), left, strict=True))
         for group, names in [
             *(match.alone(k) for match in matches),
-            *((one, one.members["member_id"].tolist()) for one in some),
+            *((one, one.column("member_id").tolist()) for one in some),
         ]
         for name in names
     ]
@@ -261,5 +261,5 @@ def _shared(group: Group) -> str:
 
 def _draws(group: Group) -> tuple[object, ...]:
     """What identifies the draws of a group's units: the seed and the kind of unit; for starts, the system too."""
-    of = set(group.members["matrix"]) if group.unit == START else None
-    return set(group.members["seed"]), group.unit, of
+    of = set(group.column("matrix")) if group.unit == START else None
+    return {group.table.settings[k]["seed"] for k in group.column("setting").unique()}, group.unit, of

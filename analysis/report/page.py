@@ -246,7 +246,7 @@ def build(
         alerts=_safe(_alerts([*leading, *(one for one in others if one.words.of_data)])),
         primary=[one.words.name for one in leading],
         settings=settings,
-        members=len(data.members),
+        members=len(data.table),
         groups=records(groups),
         group_columns=group_columns(),
         provenance=provenance,
@@ -344,10 +344,10 @@ def groups_table(study: Study) -> pd.DataFrame:
             key
             | {
                 "group": group.label,
-                "members": len(group.members),
-                "matrices": group.members["matrix"].nunique(),
-                "starts": group.members["unit"].nunique() if group.unit == START else None,
-                "finished": len(group.finished),
+                "members": len(group),
+                "matrices": group.column("matrix").nunique(),
+                "starts": group.column("unit").nunique() if group.unit == START else None,
+                "finished": int(group.is_finished.sum()),
                 "quiet": group.n_quiet,
             }
         )

@@ -10,7 +10,9 @@ from .frames import episodes as episodes
 from .frames import events as events
 from .frames import lists as lists
 from .frames import members as members
+from .frames import members_in_parts as members_in_parts
 from .frames import n_stick as n_stick
+from .frames import scalar_names as scalar_names
 from .frames import separations as separations
 from .frames import series as series
 from .frames import table as table

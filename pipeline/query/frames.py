@@ -35,7 +35,9 @@ __all__ = [
     "events",
     "lists",
     "members",
+    "members_in_parts",
     "n_stick",
+    "scalar_names",
     "separations",
     "series",
     "table",
@@ -45,6 +47,9 @@ Filters: TypeAlias = pc.Expression | list[tuple[Any, ...]]
 
 #: Shards that one part of a dask frame holds together, in bytes of their files.
 _PART = 64_000_000
+
+#: Rows of the members table that are read together, at least.
+_ROWS = 50_000
 
 #: Bytes of series that are in memory at once: a small dataset is read once, a large one again and again.
 _KEPT = 100_000_000
@@ -100,6 +105,28 @@ def members(
     source = opened.shards()
     names = _known(source.schema, scalars(source.schema) if columns is None else columns)
     return frame(_chosen(opened, source, names, filters))
+
+
+def scalar_names(path: Where | Opened) -> tuple[str, ...]:
+    """The names of the columns of `members`."""
+    return scalars(open_dataset(path).shards().schema)
+
+
+def members_in_parts(path: Where | Opened, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
+    """The members table as data frames of some `_ROWS` rows, read one after the other.
+
+    A column has a nullable type where it holds nulls in that part.
+    """
+    opened = open_dataset(path)
+    waiting: list[str] = []
+    n_rows = 0
+    shards = sorted(opened.manifest.shards.items())
+    for k, (name, shard) in enumerate(shards, 1):
+        waiting.append(name)
+        n_rows += shard.rows
+        if n_rows >= _ROWS or k == len(shards):
+            yield frame(_chosen(opened, opened.shards(waiting), list(columns), None))
+            waiting, n_rows = [], 0
 
 
 def dask_members(

@@ -81,8 +81,7 @@ def test_shares_and_periods(data, settings):
 def test_runs_of_one_matrix_are_no_independent_trials(planted, data, settings):
     """Two matrices of ten runs each, all of one kind: the interval is that of two trials."""
     whole = data(10 * ["rest"] + 10 * ["periodic"], 20 * [None])
-    whole.members["matrix"] = [0] * 10 + [1] * 10 + [2]
-    whole = Data(whole.members, whole.series, recorded=whole.recorded, lists=whole.lists)
+    whole = replace(whole, table=whole.members.assign(matrix=[0] * 10 + [1] * 10 + [2]))
     rows = answer(Study(whole, settings)).facts["rows"]
     np.testing.assert_allclose([rows[0]["share_low"], rows[0]["share_high"]], wilson(1, 2), rtol=1e-9)
 

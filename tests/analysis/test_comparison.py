@@ -95,9 +95,9 @@ def test_equal_laws_are_seldom_called_different_and_few_matrices_not_the_same(pl
 def test_settings_that_differ_are_matched_by_what_they_share(planted):
     first = ensemble(planted, "first", engines=("coulomb", "sigmoid"), n_matrices=4)
     second = ensemble(planted, "second", engines=("sigmoid", "coulomb"), n_matrices=4, draw=1)
-    second.data.members["kappa"] = 0.3
-    is_sigmoid = second.data.members["engine"] == "sigmoid"
-    second.data.members.loc[is_sigmoid, "eps"] = 0.01
+    members = second.data.members.assign(kappa=0.3)
+    members.loc[members["engine"] == "sigmoid", "eps"] = 0.01
+    second = replace(second, data=replace(second.data, table=members))
     mine, theirs = (Study(one.data, SETTINGS).groups for one in (first, second))
     matches, left_first, left_second = matched("first", mine, "second", theirs)
     differs = {match.first.key["engine"]: match.differs for match in matches}

@@ -359,7 +359,7 @@ def test_what_changes_with_the_number_of_blocks_has_a_verdict(planted_episodes, 
 
 
 @pytest.mark.parametrize("sense", [1, -1])
-def test_settings_that_share_their_draws_are_compared_system_by_system(sense, rng):
+def test_settings_that_share_their_draws_are_compared_system_by_system(planted, sense, rng):
     """Of 100 ensembles of 12 systems: what a system has more of at one value it has more, or fewer, of at the other.
 
     A tenth fewer; numbers of two independent sets of systems would have intervals six times as wide, or 0.7 times.
@@ -367,12 +367,9 @@ def test_settings_that_share_their_draws_are_compared_system_by_system(sense, rn
     held, widths = 0, []
     for _ in range(100):
         own = 0.2 * rng.normal(size=12)
-        found = [
-            Catalogues(
-                Group(name, {"n": 100, "coupling": "chain", "file": None}, pd.DataFrame({"unit_is": ["matrix"]})), {}
-            )
-            for name in ("first", "last")
-        ]
+        table = Data(pd.DataFrame([planted.member("m0", 0)]), {}).table
+        key = {"n": 100, "coupling": "chain", "file": None}
+        found = [Catalogues(Group(name, dict(key), table, np.zeros(1, int)), {}) for name in ("first", "last")]
         for one, factor, power in zip(found, (1.0, 0.9), (1, sense), strict=True):
             n_episodes = rng.poisson(1000 * factor * np.exp(power * own))
             of = {SIZE: (2.0 * n_episodes, n_episodes), BY_WAY: (n_episodes, np.full(12, 1000.0))}

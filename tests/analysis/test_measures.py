@@ -117,7 +117,7 @@ def test_a_change_of_the_size_of_the_tolerance_is_none(recorded, settings):
     """Every run has tol = 1e-10: 1e-11 of the number may be its error, and 1e-8 is not."""
     for change, is_same in ((1e-11, True), (1e-8, False)):
         data = recorded({"work": lambda rng, matrix, v, by=change: 3.0 * (1 + by * (v > -0.2))})
-        data.members["tol"] = 1e-10
+        data = replace(data, table=data.members.assign(tol=1e-10))
         said = sentence(sweep.answer(Study(data, settings)))
         assert ("is the same as belt_speed goes from −0.3 to −0.1 to the accuracy of the runs" in said) is is_same
         assert ("within 10%" in said) is not is_same
@@ -282,8 +282,7 @@ def test_b_is_from_one_magnitude_where_that_leaves_every_point_enough_episodes(r
 def test_two_datasets_are_compared_in_what_both_record(recorded, settings):
     def ensemble(name, **columns):
         data = recorded({key: lambda rng, matrix, v, x=x: x + 0.01 * matrix * (x != 0) for key, x in columns.items()})
-        data.members["seed"] = 0
-        return Ensemble(name, data, settings.t_burn, settings.margins, {})
+        return Ensemble(name, replace(data, table=data.members.assign(seed=0)), settings.t_burn, settings.margins, {})
 
     first, second = ensemble("a", amplitude=1.0, gone=2.0, left=0.0), ensemble("b", amplitude=1.5, left=0.3)
     found = compare(first, second, settings)

@@ -70,7 +70,7 @@ def test_without_events_it_is_the_series(study):
 def test_where_no_run_was_completed_it_says_so(study):
     assert answer(study(n_members=2, question=("one_run",))).lack == ""
     only = study(n_members=2)
-    only.data.members["outcome"] = "failed"
+    only = replace(only, data=replace(only.data, table=only.data.members.assign(outcome="failed")))
     assert answer(only).lack == "none ran"
 
 

@@ -89,8 +89,9 @@ def test_without_replicates_there_is_no_verdict(rng, planted, settings):
 
 def test_runs_that_do_not_reach_the_end_leave_their_matrix_out(rng, planted, settings):
     data = ensemble(rng, planted, lambda own: own)
-    data.members.loc[data.members["member_id"].isin(["m3", "m5-0.01", "m7-0.1-scale"]), "outcome"] = "diverged"
-    found, rows = asked(data, settings)
+    members = data.members
+    members.loc[members["member_id"].isin(["m3", "m5-0.01", "m7-0.1-scale"]), "outcome"] = "diverged"
+    found, rows = asked(replace(data, table=members), settings)
     assert rows.loc["mean", "n_matrices"] == MATRICES - 3
     assert found.facts["n_moving"] == found.facts["n_runs"] - 3
 
@@ -98,8 +99,8 @@ def test_runs_that_do_not_reach_the_end_leave_their_matrix_out(rng, planted, set
 def test_too_few_matrices_and_no_motion_have_their_reasons(rng, planted, settings):
     assert asked(ensemble(rng, planted, lambda own: own, g=3), settings)[0].lack == enough.FEW_MATRICES
     data = ensemble(rng, planted, lambda own: own)
-    data.members["outcome"] = ["collapsed" if matrix < 3 else "failed" for matrix in data.members["matrix"]]
-    assert asked(data, settings)[0].lack == NO_MOTION
+    outcomes = ["collapsed" if matrix < 3 else "failed" for matrix in data.members["matrix"]]
+    assert asked(replace(data, table=data.members.assign(outcome=outcomes)), settings)[0].lack == NO_MOTION
     assert answer(Study(Data(*planted.ensemble({"coulomb": 0.69}, 3)), settings)) is None
 
 

@@ -1,5 +1,7 @@
 """Pairs of runs that part at a planted rate, and when they have parted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -39,7 +41,7 @@ def test_the_level_is_the_mean_over_all_pairs(rng):
 def test_the_level_is_of_all_matrices_however_they_end(rng, planted, settings):
     """A certificate changes no path; where most runs settle, two matrices show no lasting difference."""
     data = ensemble(rng, planted, 0.01)
-    (setting,) = sorted_settings(data.members)
+    (setting,) = sorted_settings(data.table)
     known = level(Study(data, settings), setting)
     for n_certified in (4, 8):
         some = data.members["member_id"].isin([f"m{k}" for k in range(n_certified)])
@@ -152,8 +154,9 @@ def test_when_copies_part(rng, planted, settings):
 def test_runs_that_ran_away_are_watched_until_then(rng, planted, settings):
     data = ensemble(rng, planted, 0.01)
     away = data.members["member_id"].isin([f"m{k}-t" for k in range(4)])
-    data.members.loc[away, ["outcome", "t_stop"]] = ["diverged", 300.0]
-    row = answer(Study(data, settings)).tables["parting"].iloc[0]
+    members = data.members
+    members.loc[away, ["outcome", "t_stop"]] = ["diverged", 300.0]
+    row = answer(Study(replace(data, table=members), settings)).tables["parting"].iloc[0]
     assert (row["n_pairs"], row["n_parted"]) == (12, 8)
 
 
@@ -172,7 +175,7 @@ def test_pairs_of_every_kind(planted):
     ]  # fmt: skip
     found = {
         (c.change.kind, p.base, p.changed): c.change
-        for setting in sorted_settings(Data(pd.DataFrame(rows), {}).members)
+        for setting in sorted_settings(Data(pd.DataFrame(rows), {}).table)
         for c in setting.comparisons
         for p in c.pairs
     }
@@ -182,7 +185,7 @@ def test_pairs_of_every_kind(planted):
     assert found[CONSTANTS, "c0", "c0-p"].reading == "scale"
     # with a member of equal ratios, that one is the base of every draw
     equal = planted.member("one", 0, **{**planted.sigmoid, "ratio": "one"})
-    members = Data(pd.DataFrame([*rows, equal]), {}).members
+    members = Data(pd.DataFrame([*rows, equal]), {}).table
     (sigmoid,) = [s for s in sorted_settings(members) if s.key["engine"] == "sigmoid"]
     (ratios,) = [c for c in sigmoid.comparisons if c.change.kind == RATIOS]
     assert {(p.base, p.changed) for p in ratios.pairs} == {("one", "s0"), ("one", "s1")}

@@ -109,10 +109,16 @@ def test_no_change_is_not_told_as_one(swept, settings, rng):
     assert table.loc[table["quantity"] == sweep.MEAN, "relative"].abs().max() < 0.05
 
 
+def ended(data, some, outcome):
+    """The same data, but some runs ended at t = 50."""
+    members = data.members
+    members.loc[some, ["outcome", "t_stop"]] = outcome, 50.0
+    return replace(data, table=members)
+
+
 def test_shares_of_runs_that_stay_in_motion(swept, settings):
     data = swept({"belt_speed": [-0.1, -0.2, -0.3]}, lambda at, matrix: 0, n_matrices=20)
-    ends = data.members["belt_speed"] == -0.3
-    data.members.loc[ends, ["outcome", "t_stop"]] = "collapsed", 50.0
+    data = ended(data, data.members["belt_speed"] == -0.3, "collapsed")
     answer = sweep.answer(Study(data, settings))
     row = changes(answer, sweep.IN_MOTION)["belt_speed"]
     assert (row["verdict"], row["first"], row["second"], row["difference"]) == (sweep.RISES, 0.0, 1.0, 1.0)
@@ -125,7 +131,7 @@ def test_shares_of_runs_that_stay_in_motion(swept, settings):
 def test_as_many_units_as_are_needed_are_enough(swept, settings):
     """Of the first value one run less is known than an interval needs, of the others just as many."""
     data = swept({"belt_speed": [-0.3, -0.2, -0.1]}, lambda at, matrix: matrix, n_matrices=enough.LEAST_MATRICES)
-    data.members.loc[data.members["member_id"] == "m0-0", ["outcome", "t_stop"]] = "collapsed", 50.0
+    data = ended(data, data.members["member_id"] == "m0-0", "collapsed")
     found = changes(sweep.answer(Study(data, settings)))["belt_speed"]
     assert (found["first_value"], found["second_value"]) == ("-0.2", "-0.1")
     assert found["n_first"] == found["n_second"] == enough.LEAST_MATRICES
@@ -174,7 +180,7 @@ def test_nothing_swept_is_not_asked_and_too_few_is_said(planted, swept, settings
 def test_every_figure_is_drawn(swept, settings):
     axes = {"belt_speed": [-0.1, -0.2, -0.3], "kappa": [0.2, 0.3]}
     data = swept(axes, lambda at, matrix: 100 * at["kappa"])
-    data.members.loc[data.members["kappa"] == 0.3, ["outcome", "t_stop"]] = "diverged", 50.0
+    data = ended(data, data.members["kappa"] == 0.3, "diverged")
     report = build(data, settings, "Drawn", "", {})
     assert {"sweep_map", "sweep_fates", "sweep_mean", "sweep_gamma"} <= set(report.figures)
 

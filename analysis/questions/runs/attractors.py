@@ -109,7 +109,7 @@ class _Line(NamedTuple):
 
 
 def answer(study: Study) -> Answer | None:
-    if "attractor" not in study.data.members:
+    if "attractor" not in study.data.table.own:
         return Answer(lack=NO_RECORD) if "attractors" in study.settings.question else None
     groups = _regardless_of_start(study)
     if not groups:
@@ -158,12 +158,12 @@ def _regardless_of_start(study: Study) -> list[Group]:
         found.setdefault(tuple((group.key | {"z0": None, "w0": None}).values()), []).append(group)
     known = []
     for key, some in found.items():
-        members = some[0].members if len(some) == 1 else pd.concat([one.members for one in some])
-        has = members["attractor"].notna()
+        rows = np.concatenate([one.rows for one in some])
+        has = study.data.table.own["attractor"].iloc[rows].notna().to_numpy()
         if has.any():
-            known.append((dict(zip(study.groups[0].key, key, strict=True)), members if has.all() else members[has]))
+            known.append((dict(zip(study.groups[0].key, key, strict=True)), rows[has]))
     names = labels([key for key, _ in known])
-    return [Group(name, key, some) for name, (key, some) in zip(names, known, strict=True)]
+    return [Group(name, key, study.data.table, rows) for name, (key, rows) in zip(names, known, strict=True)]
 
 
 def _runs(study: Study, group: Group) -> Runs:
@@ -516,7 +516,7 @@ def _sections(study: Study, x: Sequence[float], own: Sequence[Runs]) -> Sections
     if not any(some.n_of(PERIODIC) + some.n_of(IRREGULAR) for some in own):
         return None
     exits_z, section_z = study.data.lists["exits_z"], study.data.lists["section_z"]
-    members = study.data.members
+    members = study.data.table.own
     block_of = dict(zip(members["member_id"], members["exits_block"], strict=True))
     at: dict[tuple[int, str], tuple[list[float], list[float]]] = {}
     without: list[tuple[float, str, str]] = []

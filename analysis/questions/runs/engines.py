@@ -99,7 +99,8 @@ def _by_threshold(study: Study) -> dict[str, dict[float, Sample]]:
     runs = {
         str(member_id): (group.label, int(unit), float(t_end))
         for group in study.groups
-        for unit, member_id, t_end in zip(*(group.moving[name] for name in ("unit", "member_id", "t_end")),
+        for moving in [group.moving]
+        for unit, member_id, t_end in zip(*(moving[name] for name in ("unit", "member_id", "t_end")),
                                             strict=True)
     }  # fmt: skip
     rows: dict[tuple[str, float], list[tuple[int, list[np.ndarray]]]] = {}

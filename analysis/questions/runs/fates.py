@@ -82,7 +82,7 @@ def answer(study: Study) -> Answer:
     moving = sorted((row for row in groups if row["n_moving"]), key=lambda row: -row["n"])
     systems = _brief(groups)
     is_one_engine = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
-    members = study.data.members
+    members = study.data.table.own
     failed = members[members["outcome"] == FAILED]
     followed = runs[runs["fate"] != FAILED]
     drawn, setting = _of_draws(study.groups, followed)
@@ -104,7 +104,7 @@ def answer(study: Study) -> Answer:
         "endless": [row for row in systems if not row["n_collapsed"] and not row["n_diverged"]],
         "linear": _linear(followed),
         "rated": [row for row in systems if row["is_rated"]],
-        "is_certified": "t_collapse" in study.data.members,
+        "is_certified": "t_collapse" in members,
         "untold": Counter(runs.loc[runs["fate"] == QUIET, "untold"]),
         "has_ends": bool(runs["fate"].isin(ENDS).any()),
         "basin": _basin(followed, setting),
@@ -402,7 +402,7 @@ def all_runs(ax: Axes, paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
 
 
 def _most_have_ended(study: Study) -> bool:
-    return bool(study.data.members["outcome"].isin(["collapsed", "diverged"]).mean() > 0.5)
+    return bool(study.data.table.own["outcome"].isin(["collapsed", "diverged"]).mean() > 0.5)
 
 
 QUESTION = Question(answer, share=0.01, rank=3, leads=_most_have_ended, beside=("robustness",))

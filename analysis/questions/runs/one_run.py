@@ -15,7 +15,6 @@ from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, Question, Row
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.members import unchanged
 from stickslip.analysis.models.fates import DIVERGED, FAILED
 from stickslip.analysis.style import EXACT, panel
 from stickslip.sim.runs import pictures
@@ -31,10 +30,10 @@ _LONG = 0.5  # of the run
 
 def answer(study: Study) -> Answer | None:
     """The first unchanged run, one that finished if there is one."""
-    table, data = study.data.members, study.data
-    if NAME not in study.settings.question and (len(table) > MOST_MEMBERS or not data.events):
+    data = study.data
+    if NAME not in study.settings.question and (len(data.table) > MOST_MEMBERS or not data.events):
         return None
-    table = unchanged(table)
+    table = data.table.at(data.table.unchanged).together
     ran = table[table["outcome"] != FAILED]
     if ran.empty:
         return Answer(lack=NONE_RAN)

@@ -51,7 +51,7 @@ _ENDS: Mapping[str, str] = {
 
 def answer(study: Study) -> Answer | None:
     """Effect of each change of constants or of stiffness ratios relative to that of a fresh matrix."""
-    asked = [one for one in settings(study.data.members) if _changes(one)]
+    asked = [one for one in settings(study.data.table) if _changes(one)]
     if not asked:
         return None
     judged = sorted((_Judged(study, one) for one in asked), key=lambda one: (bool(one.lack), -one.setting.key["n"]))

@@ -41,7 +41,7 @@ _CURVES: Mapping[str, str] = {"setting": S, "change": S, "t": F, "n_pairs": I, "
 
 def answer(study: Study) -> Answer | None:
     """Growth rates of displaced starts, and when the copies with each change have parted from their base."""
-    found = [one for one in settings(study.data.members) if one.comparisons]
+    found = [one for one in settings(study.data.table) if one.comparisons]
     if not found:
         return None
     growths, partings, curves = [], [], []

@@ -98,7 +98,7 @@ def answer(study: Study) -> Answer | None:
     if recorded:
         tables["sweep_measures"] = frame({**_MEASURES, **keys}, _measured(rows, asked))
         tables["sweep_missing"] = frame(_MISSING, _missing(points, asked))
-    lead = max(points, key=lambda name: sum(len(point.group.finished) for point in points[name]))
+    lead = max(points, key=lambda name: sum(int(point.group.is_finished.sum()) for point in points[name]))
     own = [row for row in contrasts if row["setting"] == lead and (row["p_different"] is not None or row["is_few"])]
     facts: dict[str, Any] = {
         "setting": lead,
@@ -112,7 +112,7 @@ def answer(study: Study) -> Answer | None:
         "n_tests": sum(row["p_different"] is not None for row in contrasts),
         "n_quiet": sum(row[f"n_{QUIET}"] for row in rows),
         "n_runs": sum(row["n_runs"] for row in rows),
-        "n_members": sum(len(point.group.members) for some in points.values() for point in some),
+        "n_members": sum(len(point.group) for some in points.values() for point in some),
         "unjudged": [row for row in rows if row["basis"] not in enough.JUDGED],
         "t_burn": study.settings.t_burn,
         **(_facts(points, asked) if recorded else {"measures": [], "gaps": [], "withheld": []}),

@@ -87,7 +87,7 @@ def _law_row(group: Group, confidence: float) -> Row:
         "n_cascades": int(sums[:, 1].sum()), "gamma": rate.value, "gamma_low": rate.low, "gamma_high": rate.high,
         "chance": LN2, **named("difference", _less(rate, LN2)), "gamma_pool": None, **named("over_pool", Estimate()),
         "verdict": UNKNOWN, "pool_verdict": UNKNOWN, "basis": basis.code, "drift": basis.drift,
-        "n_runs": len(group.members), "n_moving": len(group.moving), "law": engine_name(group.key["engine"]),
+        "n_runs": len(group), "n_moving": group.n_moving, "law": engine_name(group.key["engine"]),
     }  # fmt: skip
     if basis.code in enough.JUDGED:
         row["verdict"] = verdict_on(lambda of: gamma(of) - LN2, sums[some], GAMMA_MARGIN * LN2, confidence)

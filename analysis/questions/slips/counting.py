@@ -79,7 +79,7 @@ def _row(study: Study, group: Group) -> Row | None:
         "group": group.label, "n": n, "n_matrices": len(sums), "n_cascades": basis.n_cascades, "basis": basis.code,
         "is_judged": basis.code in enough.JUDGED,
         "mean": mean, "variance": mean * (1 - mean / n), "in_lulls": float(lulls / total),
-        "n_runs": len(group.members), "n_moving": len(group.moving), "verdict": UNKNOWN, "slope_verdict": UNKNOWN,
+        "n_runs": len(group), "n_moving": group.n_moving, "verdict": UNKNOWN, "slope_verdict": UNKNOWN,
         "slope_of_pool": pool.slope(n, mean) if pool.is_one(n, mean) else None,
         "of": [group.key[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name != "n"],
     }  # fmt: skip

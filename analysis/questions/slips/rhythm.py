@@ -158,8 +158,8 @@ def _row(one: _Measured, t_burn: float) -> Row:
     found, span = one.found, one.data.span
     row: Row = {
         "group": one.group.label,
-        "n_runs": len(one.group.members),
-        "n_moving": len(one.group.moving),
+        "n_runs": len(one.group),
+        "n_moving": one.group.n_moving,
         "cycle": one.cycle,
         "span": span,
         "n_windows": float(one.data.n_runs.sum()),
