@@ -15,7 +15,6 @@ from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.page import Answered
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
-from stickslip.pipeline.dataset.status import Tally
 from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
@@ -137,11 +136,11 @@ def report(
     pipeline.StoreError
         If there is no readable dataset, no member of it is done yet, or a run replaces what the report reads.
     """
-    opened, found = _begun(path)
+    opened = _begun(path)
     scene = opened.scene
     built = build(
         _data(opened), _settings(scene), printable(scene.title or name_of(opened.place)), printable(scene.about),
-        _provenance(scene, found),
+        _provenance(opened),
         None if asking is None else (lambda study: asking(opened, study, on_answer)), made_from(opened),
     )  # fmt: skip
     opened.check()  # series were read as they were asked for: once more, so that all are of one moment
@@ -169,24 +168,23 @@ def compared(path: Where, other: Where) -> Report:
             _data(opened),
             opened.scene.analysis.t_burn,
             opened.scene.analysis.margins.model_dump(),
-            _provenance(opened.scene, found),
+            _provenance(opened),
             opened.manifest.digest,
         )
-        for name, (opened, found) in zip(names, begun, strict=True)
+        for name, opened in zip(names, begun, strict=True)
     ]
-    built = compare(ensembles[0], ensembles[1], _settings(begun[0][0].scene))
-    for opened, _ in begun:
+    built = compare(ensembles[0], ensembles[1], _settings(begun[0].scene))
+    for opened in begun:
         opened.check()
     return built
 
 
-def _begun(path: Where | Opened) -> tuple[Opened, Tally]:
-    """A dataset of which some members are done, and how many."""
+def _begun(path: Where | Opened) -> Opened:
+    """A dataset of which some members are done."""
     opened = open_dataset(path)
-    found = Tally.of(opened.tasks, opened.manifest.shards)
-    if found.n_done == 0:
+    if opened.n_done == 0:
         raise StoreError(f"{opened.place}: no member is done yet; run the scene first")
-    return opened, found
+    return opened
 
 
 def _seeds(scene: Scene) -> tuple[int, ...]:
@@ -199,12 +197,13 @@ def _settings(scene: Scene) -> AnalysisSettings:
     return AnalysisSettings(**asked)
 
 
-def _provenance(scene: Scene, found: Tally) -> dict[str, str]:
+def _provenance(opened: Opened) -> dict[str, str]:
+    scene = opened.scene
     return {
         "stickslip": __version__,
         "scene": scene.hash,
         "seed": ", ".join(map(str, _seeds(scene))),
-        "members": f"{found.n_done} of {found.n_members}",
+        "members": f"{opened.n_done} of {opened.n_members}",
     }
 
 

@@ -54,6 +54,16 @@ class Opened:
         return planned(self.place, self.scene, self.manifest)
 
     @property
+    def n_members(self) -> int:
+        """How many members it is to have, by its manifest."""
+        return sum(map(sum, self.manifest.packing))
+
+    @property
+    def n_done(self) -> int:
+        """How many of them are done."""
+        return sum(shard.rows for shard in self.manifest.shards.values())
+
+    @property
     def folder(self) -> Path:
         """Where files and code of its scene are looked for first; for an object store, the working directory."""
         return self.place.path if isinstance(self.place, Directory) else Path()

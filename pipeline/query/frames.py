@@ -52,7 +52,9 @@ _PART = 64_000_000
 _ROWS = 50_000
 
 #: Bytes of series that are in memory at once: a small dataset is read once, a large one again and again.
-_KEPT = 100_000_000
+_KEPT = 50_000_000
+#: Bytes of a member's name in memory, with its place among the others.
+_OF_NAMES = 300
 #: But at least this many shards: those of a run and of the one that it is compared with.
 _SHARDS_KEPT = 2
 
@@ -424,12 +426,12 @@ class Series(Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]):
         KeyError
             If a member is unknown or failed; its argument is the member.
         """
-        k = done = 0
+        done = 0
         while done < len(member_ids):
-            if k == len(self._fragments) or member_ids[done] not in self._shard(k).rows:
-                k += 1
-                if k >= len(self._fragments) or member_ids[done] not in self._shard(k).rows:
-                    k, _ = self._place[member_ids[done]]
+            k = next((k for k in self._likely() if member_ids[done] in self._shard(k).rows), None)
+            if k is None:
+                k, _ = self._place[member_ids[done]]
+            self._next = k, 0
             shard, rows = self._shard(k), list[int]()
             for name in itertools.islice(member_ids, done, None):
                 if name not in shard.rows:
@@ -438,6 +440,10 @@ class Series(Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]):
             first, t, level = shard.together(np.array(rows))
             yield first, t, level
             done += len(rows)
+
+    def _likely(self) -> range:
+        """The shard that was read last and the one after it: in the order of the members no place is looked up."""
+        return range(self._next[0], min(self._next[0] + 2, len(self._fragments)))
 
 
 class _Items(ItemsView[str, _Value]):
@@ -456,14 +462,14 @@ class _Shard:
     """Columns of a shard in memory, of which rows are taken quickly."""
 
     def __init__(self, table: pa.Table) -> None:
-        self.n_bytes = table.nbytes
+        self.n_bytes = table.nbytes + _OF_NAMES * len(table)
         columns = {name: _joined(table[name]) for name in table.column_names}
         self.member_ids: list[str] = columns.pop("member_id").to_pylist()
-        self._lists, self._others = dict[str, tuple[np.ndarray, list[int]]](), dict[str, pa.Array]()
+        self._lists, self._others = dict[str, tuple[np.ndarray, np.ndarray]](), dict[str, pa.Array]()
         for name, column in columns.items():
             if pa.types.is_primitive(column.type.value_type):
                 values = column.values.to_numpy(zero_copy_only=False)  # noqa: PD011  an Arrow array, no data frame
-                self._lists[name] = values, column.offsets.to_pylist()
+                self._lists[name] = values, column.offsets.to_numpy()
             else:
                 self._others[name] = column
 
@@ -481,8 +487,7 @@ class _Shard:
             If lists of one row differ in length.
         """
         first, places, found = np.zeros(1, np.int64), np.zeros(0, np.int64), list[np.ndarray]()
-        for name, (values, offsets) in self._lists.items():
-            begins = np.asarray(offsets)
+        for name, (values, begins) in self._lists.items():
             lengths = begins[rows + 1] - begins[rows]
             own = np.concatenate(([0], np.cumsum(lengths)))
             if found and not np.array_equal(own, first):

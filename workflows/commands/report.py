@@ -77,7 +77,6 @@ def write_report(directory: Where, asking: Asking, watch: Watch | None = None, i
     """
     from stickslip.analysis.report import PAGE
     from stickslip.pipeline.dataset.opened import open_dataset
-    from stickslip.pipeline.dataset.status import Tally
     from stickslip.workflows import own_questions
     from stickslip.workflows.fresh import has_own, is_current
 
@@ -99,9 +98,8 @@ def write_report(directory: Where, asking: Asking, watch: Watch | None = None, i
         for name in own:
             with_own = command("report", str(opened.place), "--own")
             print(printable(f"note: {name} was not run; `{with_own}` runs the code beside the scene"))
-    found = Tally.of(opened.tasks, opened.manifest.shards)
-    if not found.is_complete:
-        print(f"note: {found.n_members - found.n_done} of {found.n_members} members are still to run")
+    if opened.n_done < opened.n_members:
+        print(f"note: {opened.n_members - opened.n_done} of {opened.n_members} members are still to run")
     return not problems
 
 
