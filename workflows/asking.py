@@ -1,4 +1,4 @@
-"""The questions of a report, put to processes beside this one."""
+"""The questions of a report, put to processes beside this one, or the runs that they ask about."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from stickslip.pipeline.machine.processes import Child, ChildDied, n_cores
 from stickslip.workflows import own_questions
@@ -18,8 +18,12 @@ if TYPE_CHECKING:
     from stickslip.analysis.report.page import Answered
     from stickslip.analysis.series.runs import Put
     from stickslip.pipeline.dataset.opened import Opened
+    from stickslip.workflows.parts import Asked
 
 MOST_PROCESSES = 4  # there are few questions, and the longest one takes its time
+#: Members from which on the processes share the runs instead of the questions: going through the runs is most of it,
+#: and what each process knows of the members fills the memory.
+_MANY = 20_000
 
 
 class Asking:
@@ -72,6 +76,7 @@ class Asking:
         """
         from stickslip.analysis.questions import QUESTIONS, question
         from stickslip.analysis.report.page import ask, prepare
+        from stickslip.workflows.on_children import OnChildren
 
         to_go = deque(sorted(QUESTIONS, key=lambda key: -question(key).share))
         found: dict[str, Answered | None] = {}
@@ -104,9 +109,14 @@ class Asking:
                 found[key] = ask(study, key, self.with_pdf)
                 on_answer(len(found), n_asked)
 
+        is_many = opened.n_done >= _MANY
+        if is_many and not self._is_spread:
+            for _, loading in self._loading:
+                loading.result()
+            study.put = OnChildren(opened, study.settings, self._children)
         if self._is_spread:
             study.put = self._stack.enter_context(_spread(opened, study, self._workers or 0, self._scheduler))
-        asked = [self._pool.submit(by_child, *one) for one in self._loading]
+        asked = [] if is_many else [self._pool.submit(by_child, *one) for one in self._loading]
         if tasks:
             pool = self._stack.enter_context(ThreadPoolExecutor(len(tasks)))
             alone = [self._stack.enter_context(Child(own_questions.answer, shows_errors=True)) for _ in tasks]
@@ -143,17 +153,20 @@ def _load(child: Child) -> None:
 _study: Study | None = None
 
 
-def answer(argument: Opened | tuple[str, bool] | None) -> Answered | None:
+def answer(argument: Opened | Asked | tuple[str, bool] | None) -> Any:
     """In a child: load what answering takes (None), take over a dataset, or answer one question to it.
 
-    A question is its name, and whether to draw figures as PDF too.
+    A question is its name, and whether to draw figures as PDF too; or else what is asked of some runs.
     """
     global _study
     gc.disable()  # the process ends with the report
     from stickslip.analysis.report.page import ask
     from stickslip.pipeline.dataset.opened import Opened
+    from stickslip.workflows.parts import Asked
     from stickslip.workflows.reporting import study_of
 
+    if isinstance(argument, Asked):
+        return argument.answer()
     if isinstance(argument, Opened):
         _study = study_of(argument)
     elif argument is not None:

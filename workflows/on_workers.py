@@ -1,42 +1,25 @@
-"""Functions that questions put to runs, on dask's workers: a task a shard, computed where the shard is read.
-
-What is found does not depend on the number of workers or on their order: the shards of a dataset are its parts, and
-what they give is added up in their order.
-"""
+"""Functions that questions put to runs, on dask's workers: a task a shard, computed where the shard is read."""
 
 from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-import numpy as np
 from distributed import Client
 
 from stickslip.analysis.series.runs import Ended, Runs
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.pipeline import ScheduleError
 from stickslip.pipeline.dataset.opened import Opened
-from stickslip.pipeline.query import all_events, series
 from stickslip.pipeline.running.submit import ATTEMPTS, LOST, in_flight, lost_scheduler, submit
 from stickslip.workflows.fresh import program
+from stickslip.workflows.parts import Asked, Parts
 
 T = TypeVar("T")
 
 #: What is to be done after a report that broke off.
 _AGAIN = "run the command again"
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """A part of what is asked: its number, the dataset without other shards, the function and some of its runs."""
-
-    number: int
-    opened: Opened
-    settings: AnalysisSettings
-    of: Callable[[Runs, Ended], Any]
-    some: Ended
 
 
 class OnWorkers:
@@ -54,10 +37,7 @@ class OnWorkers:
     def __init__(
         self, opened: Opened, settings: AnalysisSettings, client: Client, scheduler: str | Client | None
     ) -> None:
-        self._settings, self._client, self._scheduler = settings, client, scheduler
-        shards = dict(sorted(opened.manifest.shards.items()))
-        self._parts = [_only(opened, name) for name in shards]
-        self._ends = np.cumsum([shard.rows for shard in shards.values()])
+        self._parts, self._client, self._scheduler = Parts(opened, settings), client, scheduler
 
     def __call__(self, of: Callable[[Runs, Ended], T], some: Ended) -> list[tuple[Sequence[int], T]]:
         """The places of the runs of each shard among `some`, and what the function gives of these.
@@ -67,13 +47,7 @@ class OnWorkers:
         ScheduleError
             If the scheduler or its workers are lost, or are of another version.
         """
-        part = np.searchsorted(self._ends, some.row, side="right")
-        order = np.argsort(part, kind="stable")
-        places = np.split(order, np.flatnonzero(np.diff(part[order])) + 1) if len(order) else []
-        todo = [
-            _Asked(number, self._parts[part[own[0]]], self._settings, of, some.take(own))
-            for number, own in enumerate(places)
-        ]
+        todo, places = self._parts.ask(of, some)
         found: dict[int, T] = {}
         try:
             for _ in range(ATTEMPTS):
@@ -85,9 +59,9 @@ class OnWorkers:
                 f"expected workers to stay alive, got {len(todo)} parts whose workers died {ATTEMPTS} times; "
                 f"see what ends them (memory?), then {_AGAIN}"
             )
-        return [(own.tolist(), found[number]) for number, own in enumerate(places)]
+        return [(own, found[number]) for number, own in enumerate(places)]
 
-    def _gather(self, todo: Sequence[_Asked], found: dict[int, T]) -> list[_Asked]:
+    def _gather(self, todo: Sequence[Asked], found: dict[int, T]) -> list[Asked]:
         """Fill in what is found; return the parts whose workers died."""
         results = submit(self._client, todo, _answer, in_flight(self._client), self._scheduler, _AGAIN)
         while True:
@@ -103,16 +77,7 @@ class OnWorkers:
             found[number] = given
 
 
-def _only(opened: Opened, name: str) -> Opened:
-    """A dataset of one shard: what is sent with each task does not grow with the number of shards."""
-    shard = opened.manifest.shards[name]
-    alone = {"shards": {name: shard}, "packing": [[shard.rows]], "earlier": []}
-    return replace(opened, manifest=opened.manifest.model_copy(update=alone))
-
-
 def _answer(task: bytes) -> tuple[int, str, Any]:
     """On a worker: the number of a part, the version of this program, and what the function gives."""
-    asked: _Asked = pickle.loads(task)
-    opened, settings = asked.opened, asked.settings
-    runs = Runs(series(opened), all_events(opened), settings.t_burn, settings.seed)
-    return asked.number, program(), asked.of(runs, asked.some)
+    asked: Asked = pickle.loads(task)
+    return asked.number, program(), asked.answer()

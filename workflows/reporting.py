@@ -221,10 +221,11 @@ def write(built: Report, where: Where) -> str:
     place = place_of(where)
     if isinstance(place, Directory):
         (place.path / "report" / "figures").mkdir(parents=True, exist_ok=True)
-    files, (listed,) = built.files(), place.read_each([LIST])
+    files, (listed,) = list[str](), place.read_each([LIST])
     place.remove(LIST)
-    for name, content in files.items():
+    for name, content in built.files():
         place.replace(name, content)
+        files.append(name)
     earlier = built.gone() if listed is None else listed.decode(errors="replace").splitlines()
     for name in earlier:
         if _OURS.fullmatch(name) and name not in files:

@@ -6,7 +6,7 @@ import base64
 import html
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -31,6 +31,7 @@ from stickslip.sim.systems.terms import TERMS
 #: What a question's template may lack: macros, and whether its alerts are about the data, whatever question leads.
 OPTIONAL_WORDS = ("lack", "alarm", "alerts", "panels", "panel", "panel_caption", "main", "of_data")
 MOST_SAID = 3  # answers on the first screen
+_ROWS_OF_CSV = 100_000  # of a table that is written as CSV too; a longer one is for programs
 _ROWS = 10_000  # of a table that is in the JSON of all; a longer one is read from a file of its own
 MOST_ALERTS = 3  # in order of rank
 _GROUPS: Mapping[str, str] = {
@@ -152,16 +153,21 @@ class Report:
     problems: dict[str, str] = field(default_factory=dict)
     not_run: list[str] = field(default_factory=list)
 
-    def files(self) -> dict[str, bytes]:
-        """Contents of the report's files by path. The page comes last: once it exists, all that it names exists."""
-        found = {f"report/{name}.parquet": table.to_parquet(index=False) for name, table in self.tables.items()}
-        found |= {f"report/{name}.csv": table.to_csv(index=False).encode() for name, table in self.tables.items()}
-        found["report/tables.json"] = _json(self.tables)
+    def files(self) -> Iterator[tuple[str, bytes]]:
+        """Path and contents of each of the report's files, made one after the other.
+
+        The page comes last: once it exists, all that it names exists.
+        """
+        for name, table in self.tables.items():
+            yield f"report/{name}.parquet", table.to_parquet(index=False)
+            if len(table) <= _ROWS_OF_CSV:
+                yield f"report/{name}.csv", table.to_csv(index=False).encode()
+        yield "report/tables.json", _json(self.tables)
         for name, drawn in self.figures.items():
-            found[f"report/figures/{name}.svg"] = drawn.svg.encode()
+            yield f"report/figures/{name}.svg", drawn.svg.encode()
             if drawn.pdf is not None:
-                found[f"report/figures/{name}.pdf"] = drawn.pdf
-        return found | {PAGE: self.html.encode()}
+                yield f"report/figures/{name}.pdf", drawn.pdf
+        yield PAGE, self.html.encode()
 
     def gone(self) -> list[str]:
         """Files that a report which listed none may have, and this one lacks, by path."""

@@ -158,7 +158,7 @@ def test_nothing_in_common_is_refused_with_what_there_is(planted):
 def test_the_page_is_whole_and_the_same_twice(planted):
     first, second = ensemble(planted, "<first>", n_matrices=4), ensemble(planted, "second", draw=1, n_matrices=4)
     one, two = (compare(first, second, SETTINGS) for _ in range(2))
-    assert one.files() == two.files()
+    assert dict(one.files()) == dict(two.files())
     assert "<first>" not in one.html
     assert not re.search(r"\bnan\b|\bNone\b", text_of(one))
     back = pd.read_parquet(io.BytesIO(one.files()["report/compared.parquet"]))

@@ -1,0 +1,76 @@
+"""The runs of a dataset in parts, and what functions that questions put to runs give of each part, wherever that is.
+
+The parts are consecutive shards of the dataset, and what they give is added up in their order: what is found depends
+neither on how many processes there are nor on which of them is done first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from stickslip.analysis.series.runs import Ended, Runs
+from stickslip.analysis.settings import AnalysisSettings
+from stickslip.pipeline.dataset.opened import Opened
+from stickslip.pipeline.query import all_events, series
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A part of what is asked: its number, the dataset without other shards, the function and some of its runs."""
+
+    number: int
+    opened: Opened
+    settings: AnalysisSettings
+    of: Callable[[Runs, Ended], Any]
+    some: Ended
+
+    def answer(self) -> Any:
+        """What the function gives."""
+        runs = Runs(series(self.opened), all_events(self.opened), self.settings.t_burn, self.settings.seed)
+        return self.of(runs, self.some)
+
+
+class Parts:
+    """The parts of a dataset.
+
+    Parameters
+    ----------
+    opened : Opened
+    settings : AnalysisSettings
+    least : int
+        Runs of a part, at least, but for the last: consecutive shards go together until there are so many.
+    """
+
+    def __init__(self, opened: Opened, settings: AnalysisSettings, least: int = 1) -> None:
+        self._settings, self._opened = settings, opened
+        self._names: list[list[str]] = [[]]
+        ends, n_rows = [0], 0
+        for name, shard in sorted(opened.manifest.shards.items()):
+            if n_rows - ends[-1] >= least:
+                ends.append(n_rows)
+                self._names.append([])
+            self._names[-1].append(name)
+            n_rows += shard.rows
+        self._ends = np.array([*ends[1:], n_rows])
+
+    def ask(self, of: Callable[[Runs, Ended], Any], some: Ended) -> tuple[list[Asked], list[list[int]]]:
+        """A function put to some runs: what is asked of each part that has some, and their places among `some`."""
+        part = np.searchsorted(self._ends, some.row, side="right")
+        order = np.argsort(part, kind="stable")
+        places = np.split(order, np.flatnonzero(np.diff(part[order])) + 1) if len(order) else []
+        asked = [
+            Asked(number, _only(self._opened, self._names[part[own[0]]]), self._settings, of, some.take(own))
+            for number, own in enumerate(places)
+        ]
+        return asked, [own.tolist() for own in places]
+
+
+def _only(opened: Opened, names: Sequence[str]) -> Opened:
+    """A dataset of some shards: what is sent with each task does not grow with the number of shards."""
+    shards = {name: opened.manifest.shards[name] for name in names}
+    alone = {"shards": shards, "packing": [[shard.rows for shard in shards.values()]], "earlier": []}
+    return replace(opened, manifest=opened.manifest.model_copy(update=alone))
