@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -94,10 +94,16 @@ def frame(schema: Mapping[str, str], rows: Iterable[Mapping[str, object]]) -> pd
     )
 
 
-def columns(schema: Mapping[str, str], table: pd.DataFrame) -> pd.DataFrame:
-    """A table with the columns and nullable types of a schema; what is not a number there is null."""
+def columns(schema: Mapping[str, str], tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Tables, one after the other, with the columns and nullable types of a schema; null is what is no number there.
+
+    A column is made after the other: there is no second copy of all of them in between.
+    """
     found: dict[str, Any] = dict(schema)
-    return pd.DataFrame({name: pd.array(table[name].to_numpy(), dtype=dtype) for name, dtype in found.items()})
+    return pd.DataFrame({
+        name: pd.concat([table[name] for table in tables], ignore_index=True).astype(dtype)
+        for name, dtype in found.items()
+    })  # fmt: skip
 
 
 def named(name: str, estimate: Estimate) -> Row:

@@ -291,8 +291,8 @@ def fill(found: Sequence[Group], given: Iterable[tuple[np.ndarray, Motion]]) -> 
         ends = [*(np.flatnonzero(np.diff(number[rows])) + 1).tolist(), len(rows)]
         for first, end in pairwise([0, *ends]):
             filling[number[rows[first]]].add(place[rows[first:end]], by_group.part(first, end))
-    for one in filling:
-        one.finish()
+    while filling:
+        filling.pop(0).finish()
 
 
 class _Filling:
@@ -302,29 +302,26 @@ class _Filling:
         self._group = group
         self._units, self._row = np.unique(group.column("unit").to_numpy(), return_inverse=True)
         self._sums = np.zeros((len(self._units), N_COLUMNS))
-        self._sizes: list[np.ndarray] = []  # row of the unit, size and number of cascades
-        group.fates, group.last = (
-            np.full(len(group.members), FAILED, object),
-            np.full((len(group.members), 2), np.nan),
-        )
+        self._counts = np.zeros((len(self._units), 0), dtype=np.int64)
+        group.fates, group.last = np.full(len(group), FAILED, dtype=object), np.full((len(group), 2), np.nan)
 
     def add(self, places: np.ndarray, given: Motion) -> None:
         """Add what the members at some places give."""
         self._group.fates[places] = given.fates
         self._group.last[places] = given.last
         np.add.at(self._sums, self._row[places], given.sums)
-        self._sizes.append(np.column_stack([self._row[places[given.sizes[:, 0]]], given.sizes[:, 1:]]))
+        run, size, n_times = given.sizes.T
+        if (more := int(size.max(initial=0)) - self._counts.shape[1]) > 0:
+            self._counts = np.pad(self._counts, ((0, 0), (0, more)))
+        np.add.at(self._counts, (self._row[places[run]], size - 1), n_times)
 
     def finish(self) -> None:
         """Hand the sums of the units in motion to the group."""
         group = self._group
         moves = self._sums[:, COLUMNS["means"]][:, -1] > 0
-        sums = self._sums if moves.all() else self._sums[moves]
+        sums, group.counts = (all_ if moves.all() else all_[moves] for all_ in (self._sums, self._counts))
         group.units, group.n_short = self._units[moves], int(sums[:, COLUMNS["short"]].sum())
         group.quantities = {name: sums[:, COLUMNS[name]] for name in QUANTITIES}
         group.means, group.stuck = sums[:, COLUMNS["means"]], sums[:, COLUMNS["stuck"]]
         group.effective = sums[:, COLUMNS["effective"]] / group.means[:, 4:]
-        row, size, n_times = np.concatenate([np.zeros((0, 3), int), *self._sizes]).T
-        group.counts = np.zeros((len(group.units), int(size.max(initial=0))), dtype=np.int64)
-        np.add.at(group.counts, ((np.cumsum(moves) - 1)[row], size - 1), n_times)
         group.n_quiet = int((group.fates == QUIET).sum())

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 
 import pandas as pd
+import pyarrow as pa
 
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
 from stickslip.analysis.ensemble import Recorded
@@ -70,6 +71,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
 
     asked = [name for name in names if whole or name not in _UNASKED]
     table = Members.of(map(prepared, members_in_parts(opened, asked)))
+    pa.default_memory_pool().release_unused()  # else what reading took would stay taken, 150 bytes a member
     problems = _own_problems(scene, said)
     recorded = {
         one.name: Recorded(

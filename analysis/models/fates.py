@@ -165,12 +165,13 @@ def fates(
     growth_rate : ndarray, shape (m,)
         The linear growth rate of the state in which all blocks slip; NaN if it is not known.
     """
-    found = np.full(len(outcomes), FAILED, dtype=object)
+    found = np.full(len(outcomes), FAILED, dtype=object)  # a mask is given one word, which is then held once
     for outcome, how in _CERTAIN.items():
         found[outcomes == outcome] = how
-    rest = np.where(is_unstable(growth_rate), LULL, QUIET).astype(object)
-    finished = outcomes == "finished"
-    found[finished] = np.where(is_all_slip(t_last, n_last, t_end), rest, SUSTAINED)[finished]
+    is_finished, slips, is_lull = outcomes == "finished", is_all_slip(t_last, n_last, t_end), is_unstable(growth_rate)
+    found[is_finished & ~slips] = SUSTAINED
+    found[is_finished & slips & is_lull] = LULL
+    found[is_finished & slips & ~is_lull] = QUIET
     return found
 
 

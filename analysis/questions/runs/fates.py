@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import partial
+from itertools import islice
 from typing import Any
 
 import matplotlib
@@ -47,6 +48,7 @@ from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, panel
 
 MOST_CURVES = 8  # in one figure
+MOST_RUNS = 200  # in one figure; more lines hide each other
 MOST_STEPS = 2000  # of one curve: each is then a quarter of a dot wide
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
 FATES = {
@@ -70,21 +72,25 @@ _RUN = {
     "z_start": F, "w_start": F,
 }  # fmt: skip
 
+#: What is counted over all groups, of each run.
+_FOLLOWED = ("group", "fate", "untold", "unit", "matrix", "growth_rate", "z_start", "w_start")
+
 
 def answer(study: Study) -> Answer:
     """What became of the unchanged runs, and whether what lasts is steady."""
     level = study.settings.confidence
     by_group = {group.label: _runs(group) for group in study.groups}
-    runs = pd.concat([*by_group.values()], ignore_index=True)
     first = {label: _first(own) for label, own in by_group.items() if (own["fate"] != FAILED).any()}
     curves = {label: _thinned(survival(*some, level)) for label, some in first.items()}
     groups = [_group_row(study, group, by_group[group.label], first.get(group.label)) for group in study.groups]
+    runs = pd.concat([own[[*_FOLLOWED]] for own in by_group.values()], ignore_index=True)
+    listed = columns(_RUN, [*by_group.values()])
     moving = sorted((row for row in groups if row["n_moving"]), key=lambda row: -row["n"])
     systems = _brief(groups)
     is_one_engine = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
     members = study.data.table.own
     failed = members[members["outcome"] == FAILED]
-    followed = runs[runs["fate"] != FAILED]
+    followed = _followed(runs)
     drawn, setting = _of_draws(study.groups, followed)
     facts: dict[str, Any] = {
         "systems": systems,
@@ -114,11 +120,12 @@ def answer(study: Study) -> Answer:
         "t_burn": study.settings.t_burn,
         "drift_margin": enough.MARGIN,
         "block": BLOCK,
+        "most_drawn": MOST_RUNS,
     }
     tables = {
         "fates": frame(_GROUP, groups),
         "survival_curves": pd.concat([frame(_CURVE, []), *(_curve_table(*one) for one in curves.items())]),
-        "runs": columns(_RUN, runs),
+        "runs": listed,
     }
     return Answer(facts, tables=tables, figures=_figures(study, facts, runs, curves))
 
@@ -146,15 +153,17 @@ def _figures(
             (group for group in study.groups if group.n_runs), key=lambda group: int(group.key["n"]), default=None
         )
         if most is not None:
-            shown["runs"] = partial(all_runs, [_means(win) for _, _, win in study.windows(most)])
+            first = islice(study.windows(most), MOST_RUNS)
+            shown["runs"] = partial(all_runs, [_means(win) for _, _, win in first])
     return shown
 
 
 def _runs(group: Group) -> pd.DataFrame:
     """A row a run: its fate, and the times that tell when its motion ended or up to which it was followed."""
-    members, fates = group.members, np.array(group.fates)
-    numbers = {name: members[name].to_numpy(np.float64, na_value=np.nan)
-               for name in ("t_stop", "t_end", "growth_rate", "z_start", "w_start")}  # fmt: skip
+    fates = group.fates
+    numbers = {name: group.column(name).to_numpy(np.float64, na_value=np.nan)
+               for name in ("t_stop", "growth_rate", "z_start", "w_start")}  # fmt: skip
+    numbers["t_end"] = np.full(len(group), float(group.key["t_end"]))
     t_last, n_last = group.last.T
     t, _ = ends_at(fates, t_last, numbers["t_stop"], numbers["t_end"])
     is_speed_dependent = any(group.key[name] is not None for name in SPEED_DEPENDENT)
@@ -162,11 +171,17 @@ def _runs(group: Group) -> pd.DataFrame:
     held = is_held(t_last, n_last, int(group.key["n"]), numbers["t_end"])
     words = {"group": group.label, "fate": fates, "untold": "law" if is_speed_dependent else untold}
     return pd.DataFrame({
-        "n": group.key["n"], "kappa_n": _kappa_n(group.key), "matrix": members["matrix"].to_numpy(np.int64),
-        "unit": members["unit"].to_numpy(np.int64), "member_id": members["member_id"].to_numpy(), **numbers,
+        "n": group.key["n"], "kappa_n": _kappa_n(group.key), "matrix": group.column("matrix").to_numpy(np.int64),
+        "unit": group.column("unit").to_numpy(np.int64), "member_id": group.column("member_id").array, **numbers,
         "t_last": t_last, "t": np.where(fates == FAILED, np.nan, t), "is_held": (fates == SUSTAINED) & held,
         **{name: pd.Categorical(np.broadcast_to(some, len(fates))) for name, some in words.items()},
     })  # fmt: skip
+
+
+def _followed(runs: pd.DataFrame) -> pd.DataFrame:
+    """Runs that did not fail."""
+    has_failed = runs["fate"] == FAILED
+    return runs[~has_failed] if has_failed.any() else runs
 
 
 def _of_draws(groups: Sequence[Group], followed: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
@@ -190,7 +205,7 @@ def _thinned(curve: Curve) -> Curve:
 
 
 def _curve_table(label: str, curve: Curve) -> pd.DataFrame:
-    return columns(_CURVE, pd.DataFrame(dict(zip(_CURVE, (label, *curve), strict=True))))
+    return columns(_CURVE, [pd.DataFrame(dict(zip(_CURVE, (label, *curve), strict=True)))])
 
 
 _First = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -198,7 +213,7 @@ _First = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 def _first(runs: pd.DataFrame) -> _First:
     """Fates and times of the first run of each unit of a group that did not fail."""
-    first = runs[runs["fate"] != FAILED].drop_duplicates("unit")
+    first = _followed(runs[["unit", "fate", "t_last", "t_stop", "t_end"]]).drop_duplicates("unit")
     t_last, t_stop, t_end = (first[name].to_numpy() for name in ("t_last", "t_stop", "t_end"))
     return np.array(first["fate"]), t_last, t_stop, t_end
 
@@ -257,7 +272,7 @@ def _group_row(study: Study, group: Group, own: pd.DataFrame, first: _First | No
     `first` is what `_first` finds; None if all runs failed.
     """
     level = study.settings.confidence
-    followed = own[own["fate"] != FAILED]
+    followed = _followed(own[["unit", "fate", "t", "t_last"]])
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
     span = float(group.key["t_end"]) - study.settings.t_burn
     memory = tau(group.effective)
@@ -395,7 +410,7 @@ def survival_curves(ax: Axes, curves: Sequence[tuple[str, Curve]], t_end: float)
 
 @panel()
 def all_runs(ax: Axes, paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
-    """n_stick of every run, in means over blocks of time."""
+    """n_stick of runs, in means over blocks of time."""
     for t, mean in paths:
         ax.plot(t, mean, color=EXACT, alpha=0.35, linewidth=0.7)
     ax.set(xlabel="time t", ylabel="$n_{stick}$", ylim=(0, None))
