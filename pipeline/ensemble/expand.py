@@ -6,7 +6,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import accumulate, product
+from itertools import accumulate, groupby, product
 from operator import eq
 from typing import Any, overload
 
@@ -81,11 +81,11 @@ class Members(Sequence[Member]):
 
     def ids(self) -> Iterator[str]:
         """The `member_id` of each."""
-        return map(self._ensemble.member_id, self._places)
+        return self._ensemble.ids(self._places)
 
     def costs(self) -> Iterator[float]:
         """The `cost` of each."""
-        return map(self._ensemble.cost, self._places)
+        return self._ensemble.costs(self._places)
 
     def firsts(self) -> list[Member]:
         """The first member of each pair of an origin of systems and an engine."""
@@ -102,11 +102,11 @@ class _Made:
     def member(self, k: int) -> Member:
         return self._members[k]
 
-    def member_id(self, k: int) -> str:
-        return self._members[k].member_id
+    def ids(self, places: Sequence[int]) -> Iterator[str]:
+        return (self._members[k].member_id for k in places)
 
-    def cost(self, k: int) -> float:
-        return self._members[k].cost
+    def costs(self, places: Sequence[int]) -> Iterator[float]:
+        return (self._members[k].cost for k in places)
 
     def kind_of(self, k: int) -> Hashable:
         return self._members[k].source.origin, self._members[k].engine
@@ -133,7 +133,7 @@ class _Ensemble:
         self.ends = list(accumulate(map(len, self.draws)))
         self.variants = list(_variants(scene))
         self.kind = lru_cache(_KINDS)(self._kind)
-        self.cost_of = lru_cache(_KINDS)(self._cost)
+        self.of_run = lru_cache(_KINDS)(self._of_run)
 
     def __len__(self) -> int:
         return len(self.sources) * self.scene.run.matrices * self.ends[-1] * len(self.variants)
@@ -148,21 +148,36 @@ class _Ensemble:
         source, matrix, place, variant = self._split(k)
         kind, origin = self.kind(source, place, variant), self.sources[source][1]
         number = matrix if origin is None else origin.matrix(matrix)
-        return replace(kind, member_id=self.member_id(k), source=kind.source._replace(matrix=number))
+        name = self._of_system(source, matrix) + self.of_run(place, variant)
+        return replace(kind, member_id=name, source=kind.source._replace(matrix=number))
 
-    def member_id(self, k: int) -> str:
-        source, matrix, place, variant = self._split(k)
+    def ids(self, places: Sequence[int]) -> Iterator[str]:
+        """The `member_id` of each; the runs of a matrix are handled together."""
+        n_variants, a_matrix = len(self.variants), self.ends[-1] * len(self.variants)
+        for of_matrix, some in groupby(places, lambda k: k // a_matrix):
+            system = self._of_system(*divmod(of_matrix, self.scene.run.matrices))
+            for k in some:
+                yield system + self.of_run(*divmod(k - of_matrix * a_matrix, n_variants))
+
+    def costs(self, places: Sequence[int]) -> Iterator[float]:
+        """The `cost` of each."""
+        n_variants = len(self.variants)
+        for source, some in groupby(places, lambda k: k // (n_variants * self.ends[-1] * self.scene.run.matrices)):
+            of_variant = [self.kind(source, 0, variant).cost for variant in range(n_variants)]
+            yield from (of_variant[k % n_variants] for k in some)
+
+    def _of_system(self, source: int, matrix: int) -> str:
+        """The first part of a member's name."""
         n, origin = self.sources[source]
+        return f"n{n}-{'' if origin is None else origin.word + '-'}m{matrix:03d}"
+
+    def _of_run(self, place: int, variant: int) -> str:
+        """The rest of it."""
         point, draw = self._place(place)
         drawn = () if draw is None else (f"s{draw}",)
         ends = self.scene.ends
         started = () if ends is None or not point.is_at_end else (ends.word,)
-        before = (f"n{n}",) if origin is None else (f"n{n}", origin.word)
-        return "-".join((*before, f"m{matrix:03d}", *point.words, *drawn, *started, *self.variants[variant].words))
-
-    def cost(self, k: int) -> float:
-        source, _, _, variant = self._split(k)
-        return self.cost_of(source, variant)
+        return "".join(f"-{word}" for word in (*point.words, *drawn, *started, *self.variants[variant].words))
 
     def kind_of(self, k: int) -> Hashable:
         source, _, _, variant = self._split(k)
@@ -171,9 +186,6 @@ class _Ensemble:
     def _place(self, place: int) -> tuple[_Point, int | None]:
         k = bisect_right(self.ends, place)
         return self.points[k], self.draws[k][place - self.ends[k] + len(self.draws[k])]
-
-    def _cost(self, source: int, variant: int) -> float:
-        return self.kind(source, 0, variant).cost
 
     def _kind(self, source: int, place: int, variant: int) -> Member:
         """A member without its id and its matrix."""

@@ -60,7 +60,7 @@ from stickslip.sim.systems.system import BEYOND
 from stickslip.sim.systems.terms import TERMS
 
 #: A scene may not hold more members than this: more is taken for a typing error, before anything is expanded.
-MAX_MEMBERS = 1_000_000
+MAX_MEMBERS = 10_000_000
 
 #: Nor may a series in time have more values than this.
 MAX_SAMPLES = 10_000_000
