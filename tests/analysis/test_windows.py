@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stickslip.analysis import window
-from stickslip.analysis.series.windows import NoSeries, Stack, windows
+from stickslip.analysis.series.windows import NoSeries, Stack, in_parts, windows
 from stickslip.analysis.stats.effective import correlation_times
 
 T_BURN = 2.0
@@ -74,6 +74,27 @@ def test_some_runs_are_taken_by_their_places(rng):
     taken = runs.take(some)
     for name in ("mean", "variance", "exits"):
         np.testing.assert_array_equal(getattr(taken, name), getattr(runs, name)[some])
+
+
+def test_stacks_in_parts_are_the_same_runs(rng):
+    """Of so many runs and change points at most, whatever the parts that come in; a long run is a part by itself."""
+    series = [points for points, _ in drawn(rng, 200)]
+    edges = np.sort(rng.integers(0, 201, 9))
+    given = [Stack.of(series[a:b]) for a, b in itertools.pairwise([0, *edges.tolist(), 200])]
+    for most_runs, most_points in ((1, 1000), (7, 60), (1000, 100), (1000, 100_000), (3, 1)):
+        parts = list(in_parts(given, most_runs, most_points))
+        for part in parts:
+            assert len(part) == 1 or (len(part) <= most_runs and len(part.t) <= most_points)
+        whole = Stack.joined(parts)
+        for name in ("first", "t", "n_stick"):
+            np.testing.assert_array_equal(getattr(whole, name), getattr(Stack.of(series), name))
+        assert len(parts) <= max(200 / most_runs, 2 * len(whole.t) / most_points) + 1
+    some = rng.permutation(200)[:50]
+    for name in ("first", "t", "n_stick"):
+        np.testing.assert_array_equal(
+            getattr(whole.take(some), name), getattr(Stack.of([series[k] for k in some]), name)
+        )
+    assert whole.last[0].tolist() == [t[-1] for t, _ in series]
 
 
 @pytest.mark.parametrize(

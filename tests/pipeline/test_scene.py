@@ -158,8 +158,8 @@ BAD = {
         "t_burn = 1.0\nconfidence = 0.9999999999999999",
         ["analysis.confidence", "less than or equal to 0.999999", "`confidence = 0.95`"],
     ),
-    "a million members": ("matrices = 3", "matrices = 1000000000", ["run.matrices", "1000000", "lower `matrices`"]),
-    "draws beyond counting": ("ratio_draws = 2", "ratio_draws = 1000000000000", ["1000000", "number of draws"]),
+    "a million members": ("matrices = 3", "matrices = 1000000000", ["run.matrices", "10000000", "lower `matrices`"]),
+    "draws beyond counting": ("ratio_draws = 2", "ratio_draws = 1000000000000", ["10000000", "number of draws"]),
     "number in quotes": ("t_end = 8.0", 't_end = "8e0"', ["run.t_end", "number", "write it without quotes: 8e0"]),
     "count in quotes": ("matrices = 3", 'matrices = "3.5"', ["run.matrices", "integer", "`matrices = 20`"]),
     "several ways to stick": (

@@ -578,8 +578,9 @@ BAD = {
     ),
     "a grid beyond bounds": (
         "kappa = [0.2, 0.1]",
-        f"kappa = {[k / 1000 for k in range(1000)]}\nrho = {[k / 1000 for k in range(1000)]}",
-        ["1000000 members", "the lists"],
+        f"kappa = {[k / 1000 for k in range(1000)]}\nrho = {[k / 1000 for k in range(1000)]}\n"
+        f"static = {[1.5 + k / 10 for k in range(10)]}",
+        ["10000000 members", "the lists"],
     ),
     "scales of a damping without any": (
         "[twins]\nsizes = 1e-3",

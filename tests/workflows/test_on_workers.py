@@ -9,7 +9,9 @@ import pytest
 from stickslip.pipeline import ScheduleError, parse_scene, run_ensemble
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.ensemble import pack
-from stickslip.workflows import on_workers
+from stickslip.pipeline.machine.processes import ChildDied
+from stickslip.pipeline.query import frames, series
+from stickslip.workflows import asking, on_children, on_workers
 from stickslip.workflows.commands import main
 from stickslip.workflows.on_workers import OnWorkers
 from stickslip.workflows.reporting import report, study_of
@@ -18,7 +20,7 @@ from tests.scenes import COULOMB, ensemble
 
 def scene(n, t_end, t_burn):
     return parse_scene(ensemble(
-        n, t_end, 5, COULOMB, seed=3, rest="[record]\nevents = true",
+        n, t_end, 12, COULOMB, seed=3, rest="[record]\nevents = true",
         analysis=f't_burn = {t_burn}\ndt = [0.5]\nresamples = 20\nquestion = ["cascades", "counting", "definitions"]',
     ).encode())  # fmt: skip
 
@@ -29,12 +31,13 @@ def in_shards_of(out, *numbers):
         patch.setattr(pack, "TARGET_COST", 0.002)
         run_ensemble(scene(*numbers), out, workers=0)
     assert len(open_dataset(out).manifest.shards) > 3
+    assert sum(group.n_moving for group in study_of(out).groups) > 3
     return out
 
 
 @pytest.fixture(scope="module")
 def in_shards(tmp_path_factory):
-    return in_shards_of(tmp_path_factory.mktemp("shards") / "small", 50, 200.0, 5.0)
+    return in_shards_of(tmp_path_factory.mktemp("shards") / "small", 20, 40.0, 5.0)
 
 
 def put(opened):
@@ -108,6 +111,74 @@ def test_workers_with_another_version_of_the_analysis_are_refused(in_shards, rng
     monkeypatch.setattr(on_workers, "program", lambda: next(versions))
     with pytest.raises(ScheduleError, match=r"this version of the program \(ours\), got theirs; install the same"):
         _ = study.groups
+
+
+def divided(run):
+    return np.array([1 // int(run.win.t_start - run.win.t_start)])
+
+
+class InThisProcess:
+    """In place of a child, which dies at some calls."""
+
+    def __init__(self, n_calls):
+        self._n_calls = n_calls
+
+    def __call__(self, asked):
+        if self._n_calls == 0:
+            raise ChildDied("signal SIGKILL")
+        self._n_calls -= 1
+        return pickle.loads(pickle.dumps(asked)).answer()
+
+
+@pytest.mark.parametrize("lives", [(), (0,), (2, 1), (1000, 1)])
+def test_processes_beside_this_one_may_die(in_shards, monkeypatch, lives):
+    monkeypatch.setattr(on_children, "_LEAST", 7)
+    alone, study = study_of(in_shards), study_of(in_shards)
+    study.put = on_children.OnChildren(open_dataset(in_shards), study.settings, [InThisProcess(n) for n in lives])
+    for mine, theirs in zip(alone.groups, study.groups, strict=True):
+        assert (mine.fates == theirs.fates).all()
+        np.testing.assert_array_equal(mine.counts, theirs.counts)
+        np.testing.assert_allclose(mine.means, theirs.means, rtol=1e-12)
+        assert study.sums(theirs, counted, 1).tolist() == alone.sums(mine, counted, 1).tolist()
+
+
+def test_what_a_process_dies_of_is_seen_here(in_shards, monkeypatch):
+    study = study_of(in_shards)
+    study.put = on_children.OnChildren(open_dataset(in_shards), study.settings, [InThisProcess(0)])
+    (group,) = [group for group in study.groups if group.n_moving]
+    with pytest.raises(ZeroDivisionError):
+        study.sums(group, divided, 1)
+
+
+def test_a_report_of_many_runs_is_that_of_few(in_shards, monkeypatch):
+    """From some number on processes share the runs, and the table of members is read in parts."""
+    plain = report(in_shards)
+    monkeypatch.setattr(asking, "_MANY", 1)
+    monkeypatch.setattr(on_children, "_LEAST", 7)
+    monkeypatch.setattr(frames, "_ROWS", 11)
+    with asking.Asking() as put:
+        many = report(in_shards, put)
+    assert many.tables.keys() == plain.tables.keys() >= {"law", "counting"}
+    for name, table in plain.tables.items():
+        pd.testing.assert_frame_equal(many.tables[name], table, rtol=1e-10)
+
+
+def test_series_of_many_runs_are_those_of_each(in_shards, rng):
+    """In any order, of any of them, once or twice, with as few shards in memory as can be."""
+    every = dict(series(in_shards).items())
+    names = np.array(list(every))
+    orders = [names, names[::-1], names[::3], rng.permutation(names), rng.choice(names, 40), names[:1], names[:0]]
+    for some in orders:
+        found = series(in_shards)
+        for order in (some, names):
+            parts = list(found.stacks(order.tolist()))
+            t, n_stick = (np.concatenate([part[k] for part in parts] or [[]]) for k in (1, 2))
+            lengths = np.concatenate([np.diff(first) for first, _, _ in parts] or [[]])
+            assert lengths.tolist() == [len(every[name][0]) for name in order]
+            assert t.tolist() == [x for name in order for x in every[name][0]]
+            assert n_stick.tolist() == [x for name in order for x in every[name][1]]
+    with pytest.raises(KeyError, match="nobody"):
+        list(series(in_shards).stacks([str(names[0]), "nobody"]))
 
 
 @pytest.mark.long
