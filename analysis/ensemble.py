@@ -13,8 +13,7 @@ import pandas as pd
 
 from stickslip.analysis.groups import Group, fill, groups
 from stickslip.analysis.members import Members
-from stickslip.analysis.models.fates import fate
-from stickslip.analysis.models.motion import Motion, motion
+from stickslip.analysis.models.motion import Motion, joined, motion
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.runs import Ended, Events, Given, Put, Run, Runs, Series, generator, named_window
 from stickslip.analysis.series.windows import ChangePoints
@@ -131,7 +130,7 @@ class Study:
     def _motion(self, rows: np.ndarray) -> Iterator[tuple[np.ndarray, Motion]]:
         for k in range(0, len(rows), _TOGETHER):
             some = rows[k : k + _TOGETHER]
-            for places, part in self._put(motion, ended(self.data.table, some)):
+            for places, part in self._put(motion, self.ended(some)):
                 yield some[np.asarray(places)], part
 
     @cached_property
@@ -139,8 +138,56 @@ class Study:
         """What the runs recorded."""
         return Runs(self.data.series, self.data.events, self.settings.t_burn, self.settings.seed)
 
-    def _put(self, of: Callable[[Runs, Ended], T], some: Ended) -> Sequence[tuple[Sequence[int], T]]:
-        return [(range(len(some)), of(self.runs, some))] if self.put is None else self.put(of, some)
+    def _put(
+        self, of: Callable[..., T], some: Ended, beside: Ended | None = None
+    ) -> Sequence[tuple[Sequence[int], T]]:
+        if self.put is not None:
+            return self.put(of, some, beside)
+        return [(range(len(some)), of(self.runs, some) if beside is None else of(self.runs, some, beside))]
+
+    def ended(self, rows: np.ndarray) -> Ended:
+        """How the runs of some members ended, by their rows and in their order."""
+        some = self.data.table.at(rows)
+        t_end = some.of_each("t_end").astype(np.float64)
+        names, outcomes = (column.to_numpy(object) for column in (some.own["member_id"], some.known_outcomes))
+        t_stop, rates = (some.own[name].to_numpy(np.float64, na_value=np.nan) for name in ("t_stop", "growth_rate"))
+        return Ended(rows, names, some.own["unit"].to_numpy(), outcomes, t_end, t_stop, rates)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """What the runs of all members give, changed copies too.
+
+        Raises
+        ------
+        ValueError
+            If a member that did not fail has no change points, or they are not a series; the error names the member.
+        """
+        return joined(
+            [part.in_order(np.argsort(rows)) for rows, part in self._motion(np.arange(len(self.data.table)))]
+        )
+
+    def each(self, of: Callable[..., np.ndarray], rows: np.ndarray, beside: np.ndarray | None = None) -> np.ndarray:
+        """What a function gives of some runs, by their rows and in their order: a row of an array each.
+
+        Parameters
+        ----------
+        of : callable
+            Of `Runs` and `Ended`, and of another `Ended` with `beside`; of a module, or a `functools.partial` of one,
+            for it may be put to the runs in other processes.
+        rows : ndarray of int
+        beside : ndarray of int, optional
+            One run more for each of them.
+        """
+        found: list[np.ndarray] = []
+        places: list[int] = []
+        for own, given in self._put(of, self.ended(rows), None if beside is None else self.ended(beside)):
+            places += own
+            found.append(given)
+        return np.concatenate(found)[np.argsort(places, kind="stable")] if found else np.zeros((0, 0))
+
+    def total(self, of: Callable[..., np.ndarray], rows: np.ndarray) -> np.ndarray:
+        """The sum of arrays that a function gives of some runs together, by their rows, at least one; as `each`."""
+        return np.sum([given for _, given in self._put(of, self.ended(rows))], axis=0)
 
     def sums(self, group: Group, of: Callable[[Run], np.ndarray | None], n_columns: int) -> np.ndarray:
         """The sums over runs of what a function gives of each run in motion of a group.
@@ -165,9 +212,8 @@ class Study:
         """
         row_of = {unit: row for row, unit in enumerate(group.units)}
         found = np.zeros((len(group.units), n_columns + 1))
-        for _, given in self._put(
-            partial(Runs.sums, of=of), ended(self.data.table, np.sort(group.rows[group.is_moving]))
-        ):
+        some = self.ended(np.sort(group.rows[group.is_moving]))
+        for _, given in self._put(partial(Runs.sums, of=of), some):
             for unit, row in given.items():
                 found[row_of[unit]] += row
         return found
@@ -182,31 +228,6 @@ class Study:
     def unit(self) -> str:
         """The kind of unit that most groups have."""
         return Counter(group.unit for group in self.groups).most_common(1)[0][0]
-
-    def fate(self, member_id: str) -> str:
-        """Fate of a member, from `models.fates.fate`.
-
-        Raises
-        ------
-        ValueError
-            If a member that did not fail has no change points; the error names it.
-        """
-        outcome, t_end, rate = self._fated[member_id]
-        points = None if outcome == "failed" else self.runs.points(member_id)
-        return fate(outcome, points, t_end, rate)
-
-    @cached_property
-    def _fated(self) -> Mapping[str, tuple[str, float, float]]:
-        """Outcome, t_end and growth rate of each member."""
-        some = ended(self.data.table, np.arange(len(self.data.table)))
-        rest = zip(some.outcome, some.t_end.tolist(), some.growth_rate.tolist(), strict=True)
-        return dict(zip(some.member_id, rest, strict=True))
-
-    @cached_property
-    def ends(self) -> Mapping[str, tuple[str, float]]:
-        """Outcome and t_stop of each member."""
-        table = self.data.table.own
-        return dict(zip(table["member_id"], zip(table["outcome"], table["t_stop"], strict=True), strict=True))
 
     def window(self, member_id: str, t_end: float) -> Window:
         """n_stick of a member on [t_burn, t_end].
@@ -310,14 +331,6 @@ class Study:
     def generator(self, member_id: str) -> np.random.Generator:
         """Random numbers of a member, which depend on its name and the seed but not on its place in the table."""
         return generator(self.settings.seed, member_id)
-
-
-def ended(members: Members, rows: np.ndarray) -> Ended:
-    """How the runs of some members ended, by their rows and in their order."""
-    some = members.at(rows)
-    t_end = some.of_each("t_end").astype(np.float64)
-    names, outcomes = (column.to_numpy(object) for column in (some.own["member_id"], some.known_outcomes))
-    return Ended(rows, names, some.own["unit"].to_numpy(), outcomes, t_end, some.own["growth_rate"].to_numpy())
 
 
 def check(members: Members, settings: AnalysisSettings) -> None:

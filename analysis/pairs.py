@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -19,10 +21,12 @@ from stickslip.analysis.groups import labels, short
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SETTLED
 from stickslip.analysis.series import parting
+from stickslip.analysis.series.runs import Ended, Runs
 
 START, CONSTANTS, RATIOS = "start", "constants", "ratios"  # kinds of change
 #: How a perturbation is read if the members do not say: it moves every constant by up to a share of its scale.
 DEFAULT_READING = "scale"
+CURVE_POINTS = 70  # of the means of gaps
 _CHANGING = ("perturbation_size", "ratio")  # settings in which a changed member differs from its base
 _SETTING = tuple(name for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name not in _CHANGING)
 _COLUMNS = [*_CHANGING, "member_id", "matrix", "ratio_draw", "perturbation_reading", "twin_size", "start_draw"]
@@ -47,11 +51,11 @@ class Change:
 
 @dataclass(frozen=True)
 class Pair:
-    """A changed member and its base, by member_id; both have the same matrix."""
+    """A changed member and its base, by their rows in the table of members; both have the same matrix."""
 
     matrix: int
-    base: str
-    changed: str
+    base: int
+    changed: int
 
 
 @dataclass(frozen=True)
@@ -61,33 +65,50 @@ class Comparison:
     change: Change
     pairs: tuple[Pair, ...]
 
+    @property
+    def changed(self) -> np.ndarray:
+        """Rows of the changed members."""
+        return np.array([pair.changed for pair in self.pairs])
+
 
 @dataclass(frozen=True)
 class Setting:
-    """Members that differ in matrix and change only: `bases`, one a matrix, and the comparisons with them."""
+    """Members that differ in matrix and change only: `bases`, the row of one a matrix, and comparisons with them."""
 
     label: str
     key: dict[str, Any]
-    bases: dict[int, str]
+    bases: dict[int, int]
     comparisons: tuple[Comparison, ...]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Followed:
-    """A pair that was followed up to t_stop, where the shorter of its runs ends.
+    """Pairs that were followed until the shorter of their runs ends, P of them.
 
     Attributes
     ----------
-    gaps : ndarray
-        `parting.gap` of the two.
-    t : float or None
-        When the changed run had parted from its base; None if it had not.
+    matrix : ndarray of int, shape (P,)
+    t_stop : ndarray, shape (P,)
+        Until when.
+    t : ndarray, shape (P,)
+        When the changed run had parted from its base; NaN if it had not.
+    times, means : ndarray, shape (K,) and (P, K)
+        Middles of intervals that are longer later, and means of `parting.gap` over them; NaN beyond t_stop.
     """
 
-    pair: Pair
-    t_stop: float
-    gaps: np.ndarray
-    t: float | None
+    matrix: np.ndarray
+    t_stop: np.ndarray
+    t: np.ndarray
+    times: np.ndarray
+    means: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def has_parted(self) -> np.ndarray:
+        """Whether each has, shape (P,)."""
+        return ~np.isnan(self.t)
 
 
 def level(study: Study, setting: Setting) -> float | None:
@@ -95,28 +116,53 @@ def level(study: Study, setting: Setting) -> float | None:
 
     None if it is zero, or if most runs slip for good or are quiet, since it then vanishes with time.
     """
-    bases = {base: how for base in setting.bases.values() if (how := study.fate(base)) != FAILED}
-    n_settled = sum(how in SETTLED for how in bases.values())
-    if len(bases) < 2 or 2 * n_settled > len(bases):
+    rows = np.array([*setting.bases.values()])
+    fates = study.motion.fates[rows]
+    rows, fates = rows[fates != FAILED], fates[fates != FAILED]
+    if len(rows) < 2 or 2 * np.isin(fates, SETTLED).sum() > len(rows):
         return None
-    t_end = float(setting.key["t_end"])
-    until = [study.ends[base][1] if how == DIVERGED else t_end for base, how in bases.items()]
-    return parting.level([study.runs.points(base) for base in bases], until, study.settings.t_burn, t_end) or None
+    counts = partial(_counts, int(setting.key["n"]), float(setting.key["t_end"]))
+    return parting.level(study.total(counts, rows)) or None
 
 
-def follow(study: Study, comparison: Comparison, level: float, t_end: float) -> list[Followed]:
-    """The pairs of a comparison, followed up to t_end at most; pairs with a failed run are left out.
+def _counts(n: int, t_end: float, runs: Runs, some: Ended) -> np.ndarray:
+    return parting.counts(map(runs.points, some.member_id), _known(some, t_end), n, runs.t_burn, t_end)
 
-    A collapsed run stays as it is; a run that ran away is followed until it did.
-    """
-    found = []
-    for pair in comparison.pairs:
-        two = [study.ends[member] for member in (pair.base, pair.changed)]
-        if any(outcome == "failed" for outcome, _ in two):
-            continue
-        t_stop = min([t_end, *(t for outcome, t in two if outcome == "diverged")])
-        gaps = parting.gap(study.runs.points(pair.base), study.runs.points(pair.changed), t_stop)
-        found.append(Followed(pair, t_stop, gaps, parting.parted_at(gaps, level)))
+
+def _known(some: Ended, t_end: float) -> np.ndarray:
+    """Until when runs are known: a collapsed run stays as it is; one that ran away is followed until it did."""
+    return np.where(some.outcome == DIVERGED, np.minimum(some.t_stop, t_end), t_end)
+
+
+def follow(study: Study, comparisons: Sequence[Comparison], level: float, t_end: float) -> list[Followed]:
+    """The pairs of each comparison, followed up to t_end at most; pairs with a failed run are left out."""
+    every = [(k, one.matrix, one.base, one.changed) for k, some in enumerate(comparisons) for one in some.pairs]
+    outcomes = study.data.table.own["outcome"].to_numpy(object)
+    number, matrix, base, changed = np.array(every).T
+    has_run = (outcomes[base] != FAILED) & (outcomes[changed] != FAILED)
+    number, matrix, base, changed = (some[has_run] for some in (number, matrix, base, changed))
+    t_stop = np.minimum(*(_known(study.ended(rows), t_end) for rows in (base, changed)))
+    longest = parting.gap_times(parting.n_gaps(t_stop.max(initial=0.0)))
+    edges = np.unique(np.geomspace(1, len(longest) + 1, CURVE_POINTS).astype(int)) - 1
+    times = np.array([longest[a:b].mean() for a, b in pairwise(edges)])
+    order = np.argsort(changed)  # shards are read one after the other
+    given = study.each(partial(_followed, level, t_end, edges), changed[order], base[order])
+    found = np.empty((len(changed), len(edges)))
+    found[order] = given.reshape(found.shape)
+    own = [number == k for k in range(len(comparisons))]
+    return [Followed(matrix[some], t_stop[some], found[some, 0], times, found[some, 1:]) for some in own]
+
+
+def _followed(level: float, t_end: float, edges: np.ndarray, runs: Runs, some: Ended, beside: Ended) -> np.ndarray:
+    """When each run has parted from the one beside it, NaN if it has not, and means of their gap between edges."""
+    found = np.full((len(some), len(edges)), np.nan)
+    t_stop = np.minimum(_known(some, t_end), _known(beside, t_end)).tolist()
+    for row, base, changed, t in zip(found, beside.member_id, some.member_id, t_stop, strict=True):
+        gaps = parting.gap(runs.points(base), runs.points(changed), t)
+        t_parted = parting.parted_at(gaps, level)
+        row[0] = np.nan if t_parted is None else t_parted
+        for k, (begin, end) in enumerate(pairwise(edges[edges <= len(gaps)]), 1):
+            row[k] = gaps[begin:end].mean()
     return found
 
 
@@ -143,7 +189,7 @@ def settings(members: Members) -> list[Setting]:
     ):
         return []
     parts = [
-        (key | {"perturbation_size": 0.0}, records(members.at(some).together[_COLUMNS]))
+        (key | {"perturbation_size": 0.0}, records(members.at(some).together[_COLUMNS].assign(row=some)))
         for key, some in members.places(_SETTING, np.arange(len(members)))
     ]
     names = labels([key for key, _ in parts])
@@ -165,25 +211,25 @@ def _ratios(row: Row) -> tuple[bool, int]:
     return row["ratio"] not in (None, "one"), int(row["ratio_draw"] or 0)
 
 
-def _compared(rows: Sequence[Row]) -> tuple[dict[int, str], tuple[Comparison, ...]]:
+def _compared(rows: Sequence[Row]) -> tuple[dict[int, int], tuple[Comparison, ...]]:
     """The base of each matrix of a setting, and the comparisons with bases."""
     original = [row for row in rows if _change(row) is None]
     first = min(map(_ratios, original), default=(False, 0))
-    bases: dict[int, str] = {}
+    bases: dict[int, int] = {}
     for row in sorted(original, key=lambda row: (row["matrix"], row["member_id"])):
         if _ratios(row) == first:
-            bases.setdefault(int(row["matrix"]), str(row["member_id"]))
-    unchanged = {(row["matrix"], row["start_draw"], _ratios(row)): str(row["member_id"]) for row in original}
+            bases.setdefault(int(row["matrix"]), int(row["row"]))
+    unchanged = {(row["matrix"], row["start_draw"], _ratios(row)): int(row["row"]) for row in original}
     pairs: dict[Change, list[Pair]] = {}
-    for row in rows:
+    for row in sorted(rows, key=lambda row: (row["matrix"], row["member_id"])):
         if row["twin_size"] and row["perturbation_size"]:
             continue
         change = _change(row)
         base = unchanged.get((row["matrix"], row["start_draw"], _ratios(row) if change else first))
-        if base is not None and base != row["member_id"]:
-            pairs.setdefault(change or Change(RATIOS), []).append(Pair(int(row["matrix"]), base, row["member_id"]))
+        if base is not None and base != row["row"]:
+            pairs.setdefault(change or Change(RATIOS), []).append(Pair(int(row["matrix"]), base, int(row["row"])))
     order = (START, RATIOS, CONSTANTS)
     return bases, tuple(
-        Comparison(change, tuple(sorted(pairs[change], key=lambda pair: (pair.matrix, pair.changed))))
+        Comparison(change, tuple(pairs[change]))
         for change in sorted(pairs, key=lambda c: (order.index(c.kind), c.reading or "", c.size))
     )

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-from stickslip.analysis.series.runs import Ended, Runs
+from stickslip.analysis.series.runs import Ended
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.pipeline.dataset.opened import Opened
 from stickslip.pipeline.machine.processes import Child, ChildDied
@@ -33,9 +33,9 @@ class OnChildren:
     def __init__(self, opened: Opened, settings: AnalysisSettings, children: Sequence[Child]) -> None:
         self._parts, self._children = Parts(opened, settings, _LEAST), list(children)
 
-    def __call__(self, of: Callable[[Runs, Ended], T], some: Ended) -> list[tuple[list[int], T]]:
+    def __call__(self, of: Callable[..., T], some: Ended, beside: Ended | None = None) -> list[tuple[list[int], T]]:
         """The places of the runs of each part among `some`, and what the function gives of these."""
-        asked, places = self._parts.ask(of, some)
+        asked, places = self._parts.ask(of, some, beside)
         todo, found = deque(asked), dict[int, T]()
 
         def by_child(child: Child) -> None:

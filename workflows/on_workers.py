@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from distributed import Client
 
-from stickslip.analysis.series.runs import Ended, Runs
+from stickslip.analysis.series.runs import Ended
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.pipeline import ScheduleError
 from stickslip.pipeline.dataset.opened import Opened
@@ -39,7 +39,9 @@ class OnWorkers:
     ) -> None:
         self._parts, self._client, self._scheduler = Parts(opened, settings), client, scheduler
 
-    def __call__(self, of: Callable[[Runs, Ended], T], some: Ended) -> list[tuple[Sequence[int], T]]:
+    def __call__(
+        self, of: Callable[..., T], some: Ended, beside: Ended | None = None
+    ) -> list[tuple[Sequence[int], T]]:
         """The places of the runs of each shard among `some`, and what the function gives of these.
 
         Raises
@@ -47,7 +49,7 @@ class OnWorkers:
         ScheduleError
             If the scheduler or its workers are lost, or are of another version.
         """
-        todo, places = self._parts.ask(of, some)
+        todo, places = self._parts.ask(of, some, beside)
         found: dict[int, T] = {}
         try:
             for _ in range(ATTEMPTS):

@@ -25,13 +25,14 @@ class Asked:
     number: int
     opened: Opened
     settings: AnalysisSettings
-    of: Callable[[Runs, Ended], Any]
+    of: Callable[..., Any]
     some: Ended
+    beside: Ended | None
 
     def answer(self) -> Any:
         """What the function gives."""
         runs = Runs(series(self.opened), all_events(self.opened), self.settings.t_burn, self.settings.seed)
-        return self.of(runs, self.some)
+        return self.of(runs, self.some) if self.beside is None else self.of(runs, self.some, self.beside)
 
 
 class Parts:
@@ -57,15 +58,20 @@ class Parts:
             n_rows += shard.rows
         self._ends = np.array([*ends[1:], n_rows])
 
-    def ask(self, of: Callable[[Runs, Ended], Any], some: Ended) -> tuple[list[Asked], list[list[int]]]:
-        """A function put to some runs: what is asked of each part that has some, and their places among `some`."""
+    def ask(self, of: Callable[..., Any], some: Ended, beside: Ended | None) -> tuple[list[Asked], list[list[int]]]:
+        """A function put to some runs: what is asked of each part that has some, and their places among `some`.
+
+        With the shards of the runs beside these, which mostly lie in the same part.
+        """
         part = np.searchsorted(self._ends, some.row, side="right")
         order = np.argsort(part, kind="stable")
         places = np.split(order, np.flatnonzero(np.diff(part[order])) + 1) if len(order) else []
-        asked = [
-            Asked(number, _only(self._opened, self._names[part[own[0]]]), self._settings, of, some.take(own))
-            for number, own in enumerate(places)
-        ]
+        asked = []
+        for number, own in enumerate(places):
+            more = None if beside is None else beside.take(own)
+            also = () if more is None else np.unique(np.searchsorted(self._ends, more.row, side="right")).tolist()
+            names = sorted({name for k in (part[own[0]], *also) for name in self._names[k]})
+            asked.append(Asked(number, _only(self._opened, names), self._settings, of, some.take(own), more))
         return asked, [own.tolist() for own in places]
 
 

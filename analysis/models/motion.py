@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,6 +68,18 @@ class Motion:
         return Motion(self.fates[first:end], self.last[first:end], self.sums[first:end], sizes)
 
 
+def joined(parts: Sequence[Motion]) -> Motion:
+    """The runs of several, one after the other."""
+    first = np.cumsum([0, *(len(one.fates) for one in parts)])
+    sizes = [one.sizes + np.array([k, 0, 0]) for k, one in zip(first.tolist(), parts, strict=False)]
+    return Motion(
+        np.concatenate([np.zeros(0, object), *(one.fates for one in parts)]),
+        np.concatenate([np.zeros((0, 2)), *(one.last for one in parts)]),
+        np.concatenate([np.zeros((0, N_COLUMNS)), *(one.sums for one in parts)]),
+        np.concatenate([np.zeros((0, 3), np.int64), *sizes]),
+    )
+
+
 def motion(runs: Runs, some: Ended) -> Motion:
     """What some runs give; each is read once.
 
@@ -93,11 +105,18 @@ def motion(runs: Runs, some: Ended) -> Motion:
             except NoSeries as error:
                 raise no_series(own.member_id[moves[error.place]], error) from error
             sums[places[moves]] = _sums(found)
-            run, depth = found.falls
-            one, n_times = np.unique(np.column_stack([places[moves][run], depth]), axis=0, return_counts=True)
-            sizes.append(np.column_stack([one, n_times]))
+            sizes.append(_sizes(found, places[moves]))
         done += len(stack)
     return Motion(fates_of, last, sums, np.concatenate(sizes))
+
+
+def _sizes(runs: Windows, names: np.ndarray) -> np.ndarray:
+    """`Motion.sizes` of some runs, by their numbers."""
+    run, depth = runs.falls
+    width = int(depth.max(initial=0)) + 1
+    n_times = np.bincount(run * width + depth, minlength=len(runs) * width)
+    found = np.flatnonzero(n_times)
+    return np.column_stack([names[found // width], found % width, n_times[found]])
 
 
 def _sums(runs: Windows) -> np.ndarray:

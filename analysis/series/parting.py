@@ -7,7 +7,7 @@ to a steady state: where runs settle, it vanishes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from stickslip.analysis.series.windows import ChangePoints
 SPAN = 20.0
 SHARE = 0.5
 STEP = 1.0  # between the times at which gaps are known
+_WIDTH = round(SPAN / STEP)
 
 
 def mean_difference(first: ChangePoints, second: ChangePoints, edges: np.ndarray) -> np.ndarray:
@@ -42,45 +43,61 @@ def mean_difference(first: ChangePoints, second: ChangePoints, edges: np.ndarray
 
 def gap(first: ChangePoints, second: ChangePoints, t_stop: float) -> np.ndarray:
     """The gap at `SPAN`, `SPAN` + `STEP`, ... up to t_stop (`gap_times`); empty if t_stop is less than `SPAN`."""
-    edges = STEP * np.arange(int(t_stop / STEP) + 1)
-    width = round(SPAN / STEP)
-    if len(edges) <= width:
+    if not n_gaps(t_stop):
         return np.zeros(0)
-    sums = np.concatenate(([0.0], np.cumsum(mean_difference(first, second, edges))))
-    return (sums[width:] - sums[:-width]) / width
+    sums = np.concatenate(([0.0], np.cumsum(mean_difference(first, second, STEP * np.arange(_steps(t_stop) + 1)))))
+    return (sums[_WIDTH:] - sums[:-_WIDTH]) / _WIDTH
 
 
-def gap_times(gaps: np.ndarray) -> np.ndarray:
-    """Times of the values of `gap`, shape (len(gaps),)."""
-    return SPAN + STEP * np.arange(len(gaps))
+def n_gaps(t_stop: float) -> int:
+    """How many values `gap` has."""
+    return max(_steps(t_stop) + 1 - _WIDTH, 0)
+
+
+def _steps(t_stop: float) -> int:
+    return int(t_stop / STEP)
+
+
+def gap_times(count: int) -> np.ndarray:
+    """Times of so many values of `gap`, shape (count,)."""
+    return SPAN + STEP * np.arange(count)
 
 
 def parted_at(gaps: np.ndarray, level: float) -> float | None:
     """When a run parted; None if it has not by the end of its gaps."""
     over = np.flatnonzero(gaps >= SHARE * level)
-    return float(gap_times(gaps)[over[0]]) if len(over) else None
+    return float(gap_times(len(gaps))[over[0]]) if len(over) else None
 
 
-def level(bases: Sequence[ChangePoints], until: Sequence[float], t_from: float, t_stop: float) -> float:
-    """Mean |n_stick difference| over [t_from, t_stop] and over all pairs of runs of different matrices.
-
-    At each time the pairs are those of runs still known then; times without a pair are left out. 0 if there are none.
+def counts(bases: Iterable[ChangePoints], until: Iterable[float], n: int, t_from: float, t_stop: float) -> np.ndarray:
+    """Numbers of runs of n blocks with each n_stick, at the middle of each `STEP` of [t_from, t_stop].
 
     Parameters
     ----------
-    bases : sequence of ChangePoints
-    until : sequence of float
-        Until when each run is known.
+    bases : iterable of ChangePoints
+    until : iterable of float
+        Until when each run is known, and counted.
+    n : int
+    t_from, t_stop : float
+
+    Returns
+    -------
+    ndarray of int, shape (m, n + 1)
     """
     times = np.arange(t_from + 0.5 * STEP, t_stop, STEP)
-    values = np.sort(
-        [np.where(times < t, sample(*base, times), np.inf) for base, t in zip(bases, until, strict=True)],
-        axis=0,
-    )
-    g = np.isfinite(values).sum(axis=0)
-    has_pairs = g > 1
-    values, g = values[:, has_pairs], g[has_pairs]
-    # of sorted values x_(i): sum over pairs of differences = sum_i (2 i - g + 1) x_(i)
-    weights = 2 * np.arange(len(values))[:, None] - g + 1
-    sums = np.sum(weights * np.where(np.isfinite(values), values, 0.0), axis=0)
-    return float(np.mean(sums / (g * (g - 1) / 2))) if len(g) else 0.0
+    found = np.zeros((len(times), n + 1), dtype=np.int64)
+    for base, t in zip(bases, until, strict=True):
+        known = np.flatnonzero(times < t)
+        found[known, sample(*base, times[known])] += 1
+    return found
+
+
+def level(runs: np.ndarray) -> float:
+    """Mean |n_stick difference| over time and over all pairs of runs of different matrices, from their `counts`.
+
+    At each time the pairs are those of runs still known then; times without a pair are left out. 0 if there are none.
+    """
+    g = runs.sum(axis=1)
+    runs, g = runs[g > 1], g[g > 1]
+    below = np.cumsum(runs[:, :-1], axis=1)  # each pair differs by the number of levels that part it
+    return float(np.mean(np.sum(below * (g[:, None] - below), axis=1) / (g * (g - 1) / 2))) if len(g) else 0.0

@@ -30,7 +30,8 @@ class Ended:
     member_id : ndarray of str
     unit : ndarray of int
     outcome : ndarray of str
-    t_end : ndarray, float64
+    t_end, t_stop : ndarray, float64
+        Until when it was to be followed, and was; NaN where it failed.
     growth_rate : ndarray, float64
         NaN where it is not known.
     """
@@ -40,6 +41,7 @@ class Ended:
     unit: np.ndarray
     outcome: np.ndarray
     t_end: np.ndarray
+    t_stop: np.ndarray
     growth_rate: np.ndarray
 
     def __len__(self) -> int:
@@ -178,10 +180,13 @@ class Runs:
 class Put(Protocol):
     """Puts a function to some runs, here or elsewhere, in parts: the places of the runs of each part, and its result.
 
-    The parts depend on the data alone; a function that works elsewhere is pickled, and so is what it gives.
+    The parts depend on the data alone; a function that works elsewhere is pickled, and so is what it gives. With
+    `beside`, one run for each of `some`, it is given those of each part too.
     """
 
-    def __call__(self, of: Callable[[Runs, Ended], T], some: Ended) -> Sequence[tuple[Sequence[int], T]]: ...
+    def __call__(
+        self, of: Callable[..., T], some: Ended, beside: Ended | None = None
+    ) -> Sequence[tuple[Sequence[int], T]]: ...
 
 
 def named_window(points: ChangePoints, member_id: str, t_start: float, t_stop: float) -> Window:

@@ -52,7 +52,7 @@ _PART = 64_000_000
 _ROWS = 50_000
 
 #: Bytes of series that are in memory at once: a small dataset is read once, a large one again and again.
-_KEPT = 50_000_000
+_KEPT = 100_000_000
 #: Bytes of a member's name in memory, with its place among the others.
 _OF_NAMES = 300
 #: But at least this many shards: those of a run and of the one that it is compared with.

@@ -343,7 +343,7 @@ def test_what_is_certain_to_slide_for_ever_has_collapsed(over_two, settings):
     quiet = {name: (np.array([0.0, 1.0]), np.array([1, 0])) for name in over_two.members["member_id"]}
     study = Study(replace(over_two, series=quiet), settings)
     kinds = study.data.members.set_index("member_id")["attractor"]
-    fates = {(kinds[name], study.fate(name)) for name in kinds.index}
+    fates = set(zip(kinds, study.motion.fates, strict=True))
     assert fates == {("sliding", "collapsed"), ("periodic", "quiet")}
 
 

@@ -161,7 +161,7 @@ def test_the_page_is_whole_and_the_same_twice(planted):
     assert dict(one.files()) == dict(two.files())
     assert "<first>" not in one.html
     assert not re.search(r"\bnan\b|\bNone\b", text_of(one))
-    back = pd.read_parquet(io.BytesIO(one.files()["report/compared.parquet"]))
+    back = pd.read_parquet(io.BytesIO(dict(one.files())["report/compared.parquet"]))
     assert len(back) == 7
 
 

@@ -30,12 +30,12 @@ def test_the_level_is_the_mean_over_all_pairs(rng):
     values = rng.integers(0, 50, 7)
     bases = [(np.zeros(1), np.array([value])) for value in values]
     pairs = [abs(a - b) for i, a in enumerate(values) for b in values[:i]]
-    assert parting.level(bases, [5.0] * 7, 1.0, 5.0) == pytest.approx(np.mean(pairs))
+    assert parting.level(parting.counts(bases, [5.0] * 7, 50, 1.0, 5.0)) == pytest.approx(np.mean(pairs))
     # the last run is known to t = 3 alone: half of the time its pairs count, then those of the others
     others = [abs(a - b) for i, a in enumerate(values[:6]) for b in values[:i]]
     expected = 0.5 * np.mean(pairs) + 0.5 * np.mean(others)
-    assert parting.level(bases, [5.0] * 6 + [3.0], 1.0, 5.0) == pytest.approx(expected)
-    assert parting.level(bases[:1], [5.0], 1.0, 5.0) == 0
+    assert parting.level(parting.counts(bases, [5.0] * 6 + [3.0], 50, 1.0, 5.0)) == pytest.approx(expected)
+    assert parting.level(parting.counts(bases[:1], [5.0], 50, 1.0, 5.0)) == 0
 
 
 def test_the_level_is_of_all_matrices_however_they_end(rng, planted, settings):
@@ -69,7 +69,7 @@ def test_a_run_has_parted_when_the_mean_of_the_last_span_reaches_half_of_the_lev
     base = np.zeros(1), np.array([10])
     moved = np.array([0.0, 50.0]), np.array([10, 14])  # apart by 4 from t = 50 on
     gaps = parting.gap(base, moved, 100.0)
-    assert parting.gap_times(gaps)[[0, -1]] == pytest.approx([20.0, 100.0])
+    assert parting.gap_times(len(gaps))[[0, -1]] == pytest.approx([20.0, 100.0])
     assert parting.parted_at(gaps, 4.0) == 60.0  # ten of the last twenty units
     assert parting.parted_at(gaps, 8.0) == 70.0
     assert parting.parted_at(gaps, 8.1) is None
@@ -174,7 +174,7 @@ def test_pairs_of_every_kind(planted):
         planted.member("d9", 9, perturbation_size=0.05),
     ]  # fmt: skip
     found = {
-        (c.change.kind, p.base, p.changed): c.change
+        (c.change.kind, rows[p.base]["member_id"], rows[p.changed]["member_id"]): c.change
         for setting in sorted_settings(Data(pd.DataFrame(rows), {}).table)
         for c in setting.comparisons
         for p in c.pairs
@@ -185,7 +185,9 @@ def test_pairs_of_every_kind(planted):
     assert found[CONSTANTS, "c0", "c0-p"].reading == "scale"
     # with a member of equal ratios, that one is the base of every draw
     equal = planted.member("one", 0, **{**planted.sigmoid, "ratio": "one"})
-    members = Data(pd.DataFrame([*rows, equal]), {}).table
+    rows += [equal]
+    members = Data(pd.DataFrame(rows), {}).table
     (sigmoid,) = [s for s in sorted_settings(members) if s.key["engine"] == "sigmoid"]
     (ratios,) = [c for c in sigmoid.comparisons if c.change.kind == RATIOS]
-    assert {(p.base, p.changed) for p in ratios.pairs} == {("one", "s0"), ("one", "s1")}
+    found = {(rows[p.base]["member_id"], rows[p.changed]["member_id"]) for p in ratios.pairs}
+    assert found == {("one", "s0"), ("one", "s1")}

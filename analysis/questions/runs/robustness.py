@@ -17,8 +17,8 @@ from matplotlib.axes import Axes
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, median
+from stickslip.analysis.models.motion import COLUMNS
 from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Setting, follow, level, settings
-from stickslip.analysis.series.cascades import EVENTS, Window, sizes
 from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.compare import UNKNOWN, Words, relative_difference, verdict
 from stickslip.analysis.stats.estimates import Undefined
@@ -100,6 +100,7 @@ def _ends(study: Study, setting: Setting) -> list[Row]:
     without.
     """
     bases = {base: end for base in setting.bases.values() if (end := _end(study, base))}
+    fates = study.motion.fates
     if len(bases) < enough.LEAST_MATRICES:
         return []
     times = np.array([t for _, _, t in bases.values()])
@@ -109,7 +110,7 @@ def _ends(study: Study, setting: Setting) -> list[Row]:
         pairs = [(pair, bases[pair.base]) for pair in change.pairs if pair.base in bases]
         both = [(pair.matrix, base, end) for pair, base in pairs if (end := _end(study, pair.changed))]
         alike = [(matrix, base, end) for matrix, base, end in both if base[0] == end[0]]
-        n_known = sum(study.fate(pair.changed) != FAILED for pair, _ in pairs)
+        n_known = sum(fates[pair.changed] != FAILED for pair, _ in pairs)
         by_matrix: dict[int, list[float]] = {}
         for matrix, base, end in alike:
             by_matrix.setdefault(matrix, []).append(abs(end[2] - base[2]))
@@ -126,12 +127,12 @@ def _ends(study: Study, setting: Setting) -> list[Row]:
     return rows
 
 
-def _end(study: Study, member: str) -> tuple[bool, str, float] | None:
+def _end(study: Study, row: int) -> tuple[bool, str, float] | None:
     """Whether a run ran away, its fate, and the time of that or of its last event; None if it goes on or failed."""
-    how = study.fate(member)
+    how = str(study.motion.fates[row])
     if how == DIVERGED:
-        return True, how, study.ends[member][1]
-    return (False, how, float(study.runs.points(member)[0][-1])) if how in SETTLED else None
+        return True, how, float(study.data.table.own["t_stop"].iloc[row])
+    return (False, how, float(study.motion.last[row, 0])) if how in SETTLED else None
 
 
 def _changes(setting: Setting) -> list[Comparison]:
@@ -143,25 +144,17 @@ class _Judged:
 
     def __init__(self, study: Study, setting: Setting) -> None:
         self.setting, self.level = setting, study.settings.confidence
-        t_end = float(setting.key["t_end"])
         self.changes = _changes(setting)
         self.replicates = _replicates(study, setting)
         bases = list(setting.bases.values())
         self.members = [*bases, *(pair.changed for one in setting.comparisons for pair in one.pairs)]
-        self.sums: dict[str, np.ndarray] = {}
-        halves, n_cascades = [], 0
+        self.sums: dict[int, np.ndarray] = {}
         for member in self.members:
-            if study.fate(member) not in MOVING:
-                continue
-            win = study.window(member, t_end)
-            found = _sums(win)
-            if found is None:
-                continue
-            self.sums[member] = found
-            if member in bases:
-                halves.append(enough.halves(win.alone)[0])
-                n_cascades += len(sizes(win, EVENTS))
-        self.basis = enough.basis(np.array(halves), n_cascades, self.level)
+            if study.motion.fates[member] in MOVING and (found := _sums(study.motion.sums[member])) is not None:
+                self.sums[member] = found
+        some = study.motion.sums[[base for base in bases if base in self.sums]]
+        n_cascades = int(some[:, COLUMNS["gamma"]][:, 1].sum())
+        self.basis = enough.basis(some[:, COLUMNS["means"]][:, 1:4], n_cascades, self.level)
         self.lack = self._lack()
         self.rows: list[Row] = [] if self.lack == NO_MOTION else self._rows()
         if not self.lack and all(row["shift"] is None for row in self.rows):
@@ -175,7 +168,7 @@ class _Judged:
             return NO_REPLICATES
         return "" if self.basis.code in enough.JUDGED else self.basis.code
 
-    def _complete(self, change: Comparison | None = None) -> list[tuple[list[str], list[str]]]:
+    def _complete(self, change: Comparison | None = None) -> list[tuple[list[int], list[int]]]:
         """Base with replicates, and changed runs, of each matrix whose runs all reached t_end in motion."""
         found = []
         for matrix, base in self.setting.bases.items():
@@ -186,7 +179,7 @@ class _Judged:
         full = max((len(own) for own, _ in found), default=0), max((len(changed) for _, changed in found), default=0)
         return [one for one in found if (len(one[0]), len(one[1])) == full and (change is None or one[1])]
 
-    def _values(self, quantity: str, members: Sequence[Sequence[str]]) -> np.ndarray:
+    def _values(self, quantity: str, members: Sequence[Sequence[int]]) -> np.ndarray:
         """Values of a quantity, in the shape of `members`."""
         k, of = PRIMARY.index(quantity), QUANTITIES[quantity].of
         return np.array([of(np.array([self.sums[member][k] for member in some])) for some in members])
@@ -235,7 +228,7 @@ class _Judged:
             }  # fmt: skip
         return row
 
-    def _shift(self, quantity: str, own: Sequence[Sequence[str]], changed: Sequence[Sequence[str]]) -> Row:
+    def _shift(self, quantity: str, own: Sequence[Sequence[int]], changed: Sequence[Sequence[int]]) -> Row:
         k, of = PRIMARY.index(quantity), QUANTITIES[quantity].of
         before, after = (
             np.array([np.mean([self.sums[member][k] for member in some], axis=0) for some in side])
@@ -282,19 +275,18 @@ def _replicates(study: Study, setting: Setting) -> list[Comparison]:
     apart = level(study, setting) if starts else None
     if apart is None:
         return []
-    return [
-        one for one in starts if all(pair.t is not None for pair in follow(study, one, apart, study.settings.t_burn))
-    ]
+    followed = follow(study, starts, apart, study.settings.t_burn)
+    return [one for one, pairs in zip(starts, followed, strict=True) if pairs.has_parted.all()]
 
 
-def _of(comparison: Comparison, matrix: int) -> list[str]:
+def _of(comparison: Comparison, matrix: int) -> list[int]:
     """The changed members of a matrix."""
     return [pair.changed for pair in comparison.pairs if pair.matrix == matrix]
 
 
-def _sums(win: Window) -> np.ndarray | None:
-    """Sums of each of `PRIMARY`, shape (3, 2); None where one of them has no value."""
-    rows = np.array([QUANTITIES[name].sums(win.alone)[0] for name in PRIMARY])
+def _sums(found: np.ndarray) -> np.ndarray | None:
+    """Sums of each of `PRIMARY`, shape (3, 2), from a row of `Motion.sums`; None where one of them has no value."""
+    rows = np.array([found[COLUMNS[name]] for name in PRIMARY])
     try:
         for name, row in zip(PRIMARY, rows, strict=True):
             QUANTITIES[name].of(row[None])

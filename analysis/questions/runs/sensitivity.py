@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
-from stickslip.analysis.ensemble import Study
+from stickslip.analysis.ensemble import Separation, Study
 from stickslip.analysis.groups import short
 from stickslip.analysis.models.fates import median
 from stickslip.analysis.models.growth import growth
@@ -26,7 +25,6 @@ T_FROM, LEAST = 100.0, 100.0  # where the range of a growth rate begins, and the
 CEILING = 3e-2  # of distances that still grow in proportion
 SMALL = 0.1  # largest displacement of a start for a growth rate, as a share of the ceiling
 FLOOR, TOLERANCES = 1e-13, 10.0  # floor of the exact engine; that of the sigmoid is so many times its rtol
-CURVE_POINTS = 70
 _GROWTH: Mapping[str, str] = {
     "setting": S, "n": I, "engine": S, "size": F, "rate": F, "rate_low": F, "rate_high": F, "e_fold": F,
     "e_fold_low": F, "e_fold_high": F, "t_from": F, "t_to": F, "n_pairs": I, "n_used": I, "n_floor": I,
@@ -52,9 +50,9 @@ def answer(study: Study) -> Answer | None:
         apart = level(study, setting)
         if apart is None:
             continue
-        for comparison in setting.comparisons:
-            followed = follow(study, comparison, apart, float(setting.key["t_end"]))
-            if followed:
+        every = follow(study, setting.comparisons, apart, float(setting.key["t_end"]))
+        for comparison, followed in zip(setting.comparisons, every, strict=True):
+            if len(followed):
                 partings.append(_parting_row(study, setting, comparison, followed, apart))
                 curves += _curve_rows(setting, comparison, followed, apart)
     growths.sort(key=lambda row: -row["n"])
@@ -99,10 +97,11 @@ def _growth_row(study: Study, setting: Setting, comparison: Comparison) -> Row:
     size, rtol = comparison.change.size, setting.key["rtol"]
     identity = {"setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "size": size}
     row: Row = dict.fromkeys(_GROWTH) | identity | {"verdict": UNKNOWN, "n_pairs": len(comparison.pairs), "n_used": 0}
-    pairs = [pair for pair in comparison.pairs if len(study.data.separations.get(pair.changed, ((),))[0])]
+    separations = _separations(study, comparison)
+    pairs = [pair for pair in comparison.pairs if len(separations.get(pair.changed, ((),))[0])]
     if not pairs:
         return row
-    known = [study.data.separations[pair.changed] for pair in pairs]
+    known = [separations[pair.changed] for pair in pairs]
     times = max((t for t, _ in known), key=len)
     floor = FLOOR if rtol is None else TOLERANCES * rtol
     found = growth(
@@ -123,45 +122,39 @@ def _growth_row(study: Study, setting: Setting, comparison: Comparison) -> Row:
     return row
 
 
-def _parting_row(
-    study: Study, setting: Setting, comparison: Comparison, followed: Sequence[Followed], apart: float
-) -> Row:
+def _separations(study: Study, comparison: Comparison) -> dict[int, Separation]:
+    """What was recorded of the changed members, by their rows."""
+    names = study.data.table.own["member_id"].iloc[comparison.changed]
+    known = study.data.separations
+    return {row: known[name] for row, name in zip(names.index.tolist(), names, strict=True) if name in known}
+
+
+def _parting_row(study: Study, setting: Setting, comparison: Comparison, followed: Followed, apart: float) -> Row:
     """When half of the matrices' copies have parted."""
     change = comparison.change
-    by_matrix = {one.pair.matrix: one for one in reversed(followed)}
-    one_each = [*by_matrix.values()]  # the first of several draws, since matrices are the independent units
-    times = np.array([one.t_stop if one.t is None else one.t for one in one_each])
-    has_parted = np.array([one.t is not None for one in one_each])
+    _, first = np.unique(followed.matrix, return_index=True)  # of several draws: matrices are the independent units
+    has_parted = followed.has_parted[first]
+    times = np.where(has_parted, followed.t[first], followed.t_stop[first])
     half = median(times, has_parted, study.settings.confidence)
     return {
         "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "change": str(change),
         "of": change, "t_end": float(setting.key["t_end"]),
         "kind": change.kind, "reading": change.reading, "size": change.size, "level": apart,
-        "n_pairs": len(followed), "n_parted": sum(one.t is not None for one in followed), **named("median", half),
+        "n_pairs": len(followed), "n_parted": int(followed.has_parted.sum()), **named("median", half),
     }  # fmt: skip
 
 
-def _curve_rows(setting: Setting, comparison: Comparison, followed: Sequence[Followed], apart: float) -> list[Row]:
+def _curve_rows(setting: Setting, comparison: Comparison, followed: Followed, apart: float) -> list[Row]:
     """Mean gap over the pairs, in units of the level, in intervals of time whose length grows with time."""
-    longest = max((one.gaps for one in followed), key=len)
-    if not len(longest):
-        return []
-    times = parting.gap_times(longest)
-    edges = np.unique(np.geomspace(1, len(longest) + 1, CURVE_POINTS).astype(int)) - 1
     rows = []
-    for start, stop in pairwise(edges.tolist()):
-        still = [one.gaps[start:stop].mean() for one in followed if len(one.gaps) >= stop]
+    for t, means in zip(followed.times.tolist(), followed.means.T, strict=True):
+        still = means[~np.isnan(means)]
         if 2 * len(still) < len(followed):
             break
-        rows.append(
-            {
-                "setting": setting.label,
-                "change": str(comparison.change),
-                "t": float(times[start:stop].mean()),
-                "n_pairs": len(still),
-                "gap": float(np.mean(still)) / apart,
-            }
-        )
+        rows.append({
+            "setting": setting.label, "change": str(comparison.change), "t": t, "n_pairs": len(still),
+            "gap": float(np.mean(still)) / apart,
+        })  # fmt: skip
     return rows
 
 
@@ -182,8 +175,7 @@ def _distance_lines(study: Study, found: Sequence[Setting], told: Sequence[Row])
         for comparison in setting.comparisons if row is not None else ():
             if comparison.change.kind != START or row is None or comparison.change.size != row["size"]:
                 continue
-            names = [pair.changed for pair in comparison.pairs if pair.changed in study.data.separations]
-            some = [study.data.separations[name] for name in names]
+            some = [*_separations(study, comparison).values()]
             m = int(np.median([len(distance) for _, distance in some]))
             times = max((t for t, _ in some), key=len)[:m]
             middle = np.array([np.median([d[k] for _, d in some if len(d) > k]) for k in range(m)])
