@@ -6,6 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from stickslip.analysis.questions import QUESTIONS
+from stickslip.analysis.report.page import ask
 from stickslip.pipeline import ScheduleError, parse_scene, run_ensemble
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.ensemble import pack
@@ -61,9 +63,6 @@ def test_what_workers_find_is_what_one_process_finds(in_shards, rng, monkeypatch
     plain, opened = report(in_shards), open_dataset(in_shards)
 
     def ask_on_workers(opened, study, on_answer):
-        from stickslip.analysis.questions import QUESTIONS
-        from stickslip.analysis.report.page import ask
-
         study.put = put(opened)
         return [ask(study, key) for key in QUESTIONS]
 
@@ -179,6 +178,36 @@ def test_series_of_many_runs_are_those_of_each(in_shards, rng):
             assert n_stick.tolist() == [x for name in order for x in every[name][1]]
     with pytest.raises(KeyError, match="nobody"):
         list(series(in_shards).stacks([str(names[0]), "nobody"]))
+
+
+def test_copies_are_beside_their_bases_wherever_these_lie(tmp_path, rng, monkeypatch):
+    """With every member a shard, and a part, of its own."""
+    monkeypatch.setattr(pack, "TARGET_COST", 1e-9)
+    monkeypatch.setattr(on_workers, "submit", shuffled(rng))
+    monkeypatch.setattr(on_children, "_LEAST", 1)
+    run_ensemble(parse_scene(ensemble(
+        60, 80.0, 9, COULOMB, seed=2,
+        rest="[twins]\nsizes = [1e-6, 1e-2]\n[perturbation]\nsizes = [0.01, 0.1]",
+        analysis='t_burn = 20.0\ndt = [0.5]\nquestion = ["sensitivity", "robustness"]',
+    ).encode()), tmp_path, workers=0)  # fmt: skip
+    plain, opened = report(tmp_path), open_dataset(tmp_path)
+    assert len(opened.manifest.shards) == opened.n_members
+
+    def spread(of_children):
+        def asked(opened, study, on_answer):
+            study.put = put(opened)
+            if of_children:
+                study.put = on_children.OnChildren(opened, study.settings, [InThisProcess(3), InThisProcess(1000)])
+            return [ask(study, key) for key in QUESTIONS]
+
+        return report(opened, asked)
+
+    for found in (spread(False), spread(True)):
+        assert found.tables.keys() == plain.tables.keys() >= {"parting", "parting_curves", "robustness"}
+        for name, table in plain.tables.items():
+            pd.testing.assert_frame_equal(found.tables[name], table, rtol=1e-10)
+    assert len(plain.tables["parting"]) == 4
+    assert plain.tables["parting"]["n_parted"].max() > 5
 
 
 @pytest.mark.long
