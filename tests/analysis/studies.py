@@ -259,7 +259,7 @@ def counting_study(rng, ensembles):
     n, p, changes = 40, 0.3, 3000
     of = counting.parts(n)
     for name, pull in (("independent", 0.0), ("held back", 0.03), ("driven", -0.01)):
-        planted = two_state_blocks(rng, n, p, pull, changes, POOL * ensembles)
+        planted = two_state_blocks(rng, n, p, pull, changes, 2 * POOL * ensembles)
         rows = np.array([counting.run_sums(*run, DRAWS, rng) for run in planted])
         picks = rng.integers(len(rows), size=(ensembles, MATRICES))
         whole = rows.sum(axis=0, keepdims=True)
