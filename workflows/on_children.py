@@ -57,6 +57,8 @@ class OnChildren:
                 here()
             except BaseException:  # Ctrl-C too: nobody waits for the rest
                 todo.clear()
+                for child in list(self._children):
+                    child.kill()
                 raise
             for one in elsewhere:
                 one.result()

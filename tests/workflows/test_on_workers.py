@@ -122,6 +122,9 @@ class InThisProcess:
     def __init__(self, n_calls):
         self._n_calls = n_calls
 
+    def kill(self):
+        self._n_calls = 0
+
     def __call__(self, asked):
         if self._n_calls == 0:
             raise ChildDied("signal SIGKILL")
@@ -143,7 +146,8 @@ def test_processes_beside_this_one_may_die(in_shards, monkeypatch, lives):
 
 def test_what_a_process_dies_of_is_seen_here(in_shards, monkeypatch):
     study = study_of(in_shards)
-    study.put = on_children.OnChildren(open_dataset(in_shards), study.settings, [InThisProcess(0)])
+    beside = [InThisProcess(0), InThisProcess(0)]
+    study.put = on_children.OnChildren(open_dataset(in_shards), study.settings, beside)
     (group,) = [group for group in study.groups if group.n_moving]
     with pytest.raises(ZeroDivisionError):
         study.sums(group, divided, 1)
