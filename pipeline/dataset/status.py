@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_failed
-from stickslip.pipeline.ensemble.pack import Task
+from stickslip.pipeline.ensemble.pack import Task, number_of
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import Shard
 from stickslip.pipeline.places.place import DATA, LOCK, Lock, Where
@@ -34,11 +34,11 @@ class Tally:
     @classmethod
     def of(cls, tasks: Sequence[Task], done: Mapping[str, Shard]) -> Tally:
         """Count those of the shards to be that are done."""
-        costs = {batch.name: batch.cost for batch, _ in tasks}
+        costs = {number: batch.cost for number, (batch, _) in enumerate(tasks)}
         n_members = sum(len(batch.members) for batch, _ in tasks)
         tally = cls(n_members, 0, {}, len(costs), 0, 0, sum(costs.values()), 0.0)
         for name, shard in done.items():
-            tally = tally.plus(shard, costs.get(name, 0.0))
+            tally = tally.plus(shard, costs.get(number_of(name), 0.0))
         return tally
 
     def plus(self, shard: Shard, cost: float) -> Tally:

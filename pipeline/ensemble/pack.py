@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from stickslip.pipeline.ensemble.expand import Members, expand
 from stickslip.pipeline.errors import SceneError
@@ -21,13 +23,38 @@ _LARGER, _MANY = 5.0, 500
 _OF_REST, _SMALLEST = 0.25, 0.25
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Batch:
-    """Consecutive members that are computed together and kept in one shard, `name`."""
+    """Consecutive members that are computed together and kept in one shard.
 
-    name: str
+    Attributes
+    ----------
+    number : int
+        Its place among the dataset's shards.
+    members : Members
+    scene_hash : str
+    """
+
+    number: int
     members: Members
-    cost: float  #: estimated work, about seconds of one core
+    scene_hash: str
+
+    @cached_property
+    def name(self) -> str:
+        """The name of the shard, which tells what it holds."""
+        content = "\n".join([self.scene_hash, *self.members.ids()])
+        return f"shard-{self.number:05d}-{hashlib.sha256(content.encode()).hexdigest()[:12]}.parquet"
+
+    @cached_property
+    def cost(self) -> float:
+        """Estimated work, about seconds of one core."""
+        return sum(self.members.costs())
+
+
+def number_of(name: str) -> int:
+    """The number of a shard, from its name; -1 if it is not the name of one."""
+    found = re.match(r"shard-(\d+)-", name)
+    return -1 if found is None else int(found[1])
 
 
 def _sizes(members: Members) -> list[int]:
@@ -44,13 +71,6 @@ def _sizes(members: Members) -> list[int]:
         room -= cost
         rest -= cost
     return sizes
-
-
-def as_batch(number: int, members: Members, scene_hash: str) -> Batch:
-    """The batch of some members; `number` is its place among the dataset's shards."""
-    content = "\n".join([scene_hash, *members.ids()])
-    name = f"shard-{number:05d}-{hashlib.sha256(content.encode()).hexdigest()[:12]}.parquet"
-    return Batch(name, members, sum(members.costs()))
 
 
 #: A shard to be: its members, and what to keep of them.
@@ -90,7 +110,7 @@ def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[
             raise PlanError(f"expected shards of {len(new)} members together, got {sum(sizes)}")
         recording, first = stage.recording, 0
         for size in sizes:
-            planned.append((as_batch(len(planned), new[first : first + size], recording.scene_hash), recording))
+            planned.append((Batch(len(planned), new[first : first + size], recording.scene_hash), recording))
             first += size
     return planned
 

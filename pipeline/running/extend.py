@@ -15,7 +15,7 @@ from stickslip.pipeline.dataset.extending import Extending, ended
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
 from stickslip.pipeline.dataset.status import Status, counted
 from stickslip.pipeline.ensemble.expand import expand
-from stickslip.pipeline.ensemble.pack import Batch, Task, as_batch
+from stickslip.pipeline.ensemble.pack import Batch, Task
 from stickslip.pipeline.own.modules import folder_with
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.records.own import OwnRecord, look_at_functions, named_functions
@@ -71,7 +71,7 @@ class Addition:
             places = [place[one.member_id] for one in batch.members
                       if must_run(one, outcomes[one.member_id], self.new, held)]  # fmt: skip
             if places:
-                batches.append(as_batch(number, members.at(places), self.scene.hash))
+                batches.append(Batch(number, members.at(places), self.scene.hash))
         return batches
 
     @property

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from stickslip.pipeline import expand, parse_scene
-from stickslip.pipeline.ensemble.pack import as_batch, tasks
+from stickslip.pipeline.ensemble.pack import Batch, tasks
 
 ROOT = Path(__file__).parents[2]
 
@@ -261,7 +261,7 @@ def test_batches_hold_every_member_once_in_order(scene):
     assert len(packed) > 5
     assert [member for batch in packed for member in batch.members] == list(members)
     assert sorted({batch.name for batch in packed}) == [batch.name for batch in packed]
-    another = as_batch(0, packed[0].members, "another")
+    another = Batch(0, packed[0].members, "another")
     assert (another.members, another.name != packed[0].name) == (packed[0].members, True)
 
 

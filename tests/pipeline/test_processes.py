@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from stickslip.pipeline import expand
-from stickslip.pipeline.ensemble.pack import as_batch
+from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.machine import processes
 from stickslip.pipeline.machine.processes import Child, ChildDied, environment_kept
 from stickslip.pipeline.running.isolation import compute_alone
@@ -27,7 +27,7 @@ def test_a_file_of_the_users_is_no_module_of_ours(scene, tmp_path, monkeypatch):
     for name in ("sim", "pipeline", "pickle"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit(3)\n")
     monkeypatch.chdir(tmp_path)
-    batch = as_batch(0, expand(scene)[:2], scene.hash)
+    batch = Batch(0, expand(scene)[:2], scene.hash)
     here, there = compute(batch, scene.recording), compute_alone(batch, scene.recording)
     assert there.shard == here.shard
 
