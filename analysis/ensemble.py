@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.groups import Group, fill, groups
+from stickslip.analysis.groups import Group, as_number, fill, groups
 from stickslip.analysis.members import Members
 from stickslip.analysis.models.motion import Motion, joined, motion
 from stickslip.analysis.series.cascades import Window
@@ -29,6 +29,34 @@ _TOGETHER = 100_000  # members that are asked about at once
 Separation = tuple[np.ndarray, np.ndarray]
 
 
+class Numbers(Mapping[str, float | None]):
+    """A number of each member, by member_id; None where there is none.
+
+    Attributes
+    ----------
+    column : ndarray, shape (R,)
+        By the rows of the table of members; NaN where there is none.
+    """
+
+    def __init__(self, table: Members, column: np.ndarray) -> None:
+        self._table, self.column = table, column
+
+    @classmethod
+    def of(cls, table: Members, known: Mapping[str, float | None]) -> Numbers:
+        """From a mapping, which may lack members."""
+        return cls(table, np.array([as_number(known.get(name)) for name in table.own["member_id"]]))
+
+    def __getitem__(self, member_id: str) -> float | None:
+        number = float(self.column[self._table.row_of[member_id]])
+        return None if np.isnan(number) else number
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._table.own["member_id"])
+
+    def __len__(self) -> int:
+        return len(self.column)
+
+
 class Recorded(NamedTuple):
     """A number that a record keeps of every run.
 
@@ -36,7 +64,7 @@ class Recorded(NamedTuple):
     ----------
     words : str
         What it is.
-    values : mapping of str to float
+    values : Numbers, or dict of str to float
         By member_id; None where a run has none.
     least : float, optional
         What it is never below, by what it is: 0 for an amplitude.
@@ -91,6 +119,11 @@ class Data:
     def __post_init__(self) -> None:
         if isinstance(self.table, pd.DataFrame):
             object.__setattr__(self, "table", Members.of([self.table]))
+        recorded = {
+            name: one._replace(values=Numbers.of(self.table, one.values)) if isinstance(one.values, dict) else one
+            for name, one in self.recorded.items()
+        }
+        object.__setattr__(self, "recorded", recorded)
         if isinstance(self.series, dict):
             object.__setattr__(self, "series", Given(self.series))
 
@@ -301,9 +334,18 @@ class Study:
                     f"numbers: expected a number that a record keeps ({', '.join(recorded) or 'there is none'}), got "
                     f"{numbers!r}{did_you_mean(numbers, [*recorded])}; ask for its record under [record]"
                 )
-            _, numbers, least, *_ = recorded[numbers]
-        sums = group.sums_of(numbers)
+            least = recorded[numbers].least
+            column = self.number(numbers)
+        else:
+            column = Numbers.of(self.data.table, numbers).column
+        sums = group.sums_of(column)
         return at_least(over_matrices(ratio, sums.rows, self.settings.confidence), least)
+
+    def number(self, name: str) -> np.ndarray:
+        """A number that a record keeps, of each member by its row, shape (R,); NaN where a run has none."""
+        values = self.data.recorded[name].values  # noqa: PD011  no data frame
+        assert isinstance(values, Numbers)
+        return values.column
 
     def share(self, group: Group, has: Mapping[str, bool | None]) -> Estimate:
         """The share of a group's runs that have a property, with Wilson's interval for as many effective runs.

@@ -168,15 +168,15 @@ class Group:
         """`means` averaged over the runs of each unit, so that every unit has the same weight."""
         return self.means / self.means[:, 4:] if len(self.means) else self.means
 
-    def sums_of(self, numbers: Mapping[str, float | None]) -> UnitSums:
+    def sums_of(self, numbers: np.ndarray) -> UnitSums:
         """By unit, the mean of a number over its runs that have one, and 1, so that every unit has the same weight.
 
         Parameters
         ----------
-        numbers : mapping of str to float
-            By member_id. A run has none if it is missing, None, or not finite.
+        numbers : ndarray
+            Of each member of the ensemble, by its row. A run has none if it is not finite.
         """
-        found = np.array([_number(numbers.get(name)) for name in self.column("member_id")])
+        found = numbers[self.rows]
         known = np.isfinite(found)
         sums = UnitSums.of(self.column("unit").to_numpy()[known], np.column_stack([found, known])[known])
         return replace(sums, rows=sums.rows / sums.rows[:, 1:])
@@ -195,7 +195,7 @@ class Group:
         return enough.basis(self.by_unit()[:, 1:4], int(self.sums[:, 1].sum()), confidence)
 
 
-def _number(value: float | None) -> float:
+def as_number(value: float | None) -> float:
     """A number that may be missing, for which NaN stands."""
     return np.nan if value is None or pd.isna(value) else float(value)
 

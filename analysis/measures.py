@@ -171,11 +171,11 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
 
     A column that the analysis takes for itself, the growth rate, is measured too, but not as what the scene is about.
     """
-    members = study.data.table.own
+    own = study.data.table.own
     for name, column in study.data.recorded.items():
         is_own = name in READ
-        numbers = dict(zip(members["member_id"], members[name], strict=True)) if is_own else column.values
-        if (beside is not None and name not in beside.data.recorded) or (is_own and members[name].isna().all()):
+        numbers = own[name].to_numpy(np.float64, na_value=np.nan) if is_own else study.number(name)
+        if (beside is not None and name not in beside.data.recorded) or (is_own and np.isnan(numbers).all()):
             continue
         words = column.words.partition(";")[0]
         yield Measure(
@@ -187,11 +187,11 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
         )  # fmt: skip
 
 
-def _column(numbers: Mapping[str, float | None], problems: Mapping[str, str], reason: str, group: Group) -> Values:
+def _column(numbers: np.ndarray, problems: Mapping[str, str], reason: str, group: Group) -> Values:
+    lacks = ~np.isfinite(numbers[group.rows])
     missing = {
         str(member_id): outcome if outcome == FAILED else problems.get(member_id, reason)
-        for member_id, outcome in zip(group.column("member_id"), group.column("outcome"), strict=True)
-        if (number := numbers[member_id]) is None or not np.isfinite(number)
+        for member_id, outcome in zip(group.column("member_id")[lacks], group.column("outcome")[lacks], strict=True)
     }
     return Values(group.sums_of(numbers), missing)
 

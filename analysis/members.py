@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -100,6 +101,11 @@ class Members:
 
     def __len__(self) -> int:
         return len(self.own)
+
+    @cached_property
+    def row_of(self) -> dict[str, int]:
+        """The row of each member, by member_id."""
+        return {name: k for k, name in enumerate(self.own["member_id"])}
 
     def at(self, rows: np.ndarray) -> Members:
         """Some of them, by their rows, whose numbers they keep."""

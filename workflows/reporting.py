@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
-from stickslip.analysis.ensemble import Recorded
+from stickslip.analysis.ensemble import Numbers, Recorded
 from stickslip.analysis.members import READ, Members
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
@@ -58,12 +59,11 @@ def _data(opened: Opened, whole: bool = False) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
     scene, names = opened.scene, scalar_names(opened)
     kept = [column for record in scene.records for column in record.kept if column.is_number]
-    values, said = {one.name: dict[str, float | None]() for one in kept}, dict[str, str]()
+    values, said = {one.name: list[np.ndarray]() for one in kept}, dict[str, str]()
 
     def prepared(part: pd.DataFrame) -> pd.DataFrame:
-        plain = part[list(values)].astype(object)
-        for name, column in plain.where(plain.notna(), None).items():
-            values[str(name)].update(zip(part["member_id"], column, strict=True))
+        for name, columns in values.items():
+            columns.append(part[name].to_numpy(np.float64, na_value=np.nan))
         if scene.own_record is not None:
             some = part[part["own_problem"].notna()]
             said.update(zip(some["member_id"], some["own_problem"].map(printable), strict=True))
@@ -75,7 +75,11 @@ def _data(opened: Opened, whole: bool = False) -> Data:
     problems = _own_problems(scene, said)
     recorded = {
         one.name: Recorded(
-            printable(one.words), values[one.name], one.least, printable(one.absent), problems.get(one.name, {})
+            printable(one.words),
+            Numbers(table, np.concatenate(values.pop(one.name))),
+            one.least,
+            printable(one.absent),
+            problems.get(one.name, {}),
         )
         for one in kept
     }

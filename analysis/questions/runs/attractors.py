@@ -168,12 +168,9 @@ def _regardless_of_start(study: Study) -> list[Group]:
 
 def _runs(study: Study, group: Group) -> Runs:
     """The runs of a group; cycles are told apart where all are of one system."""
-    members, recorded = group.members, study.data.recorded
+    members = group.members
     names = members["member_id"].to_numpy(object)
-    period, multiplier, exits, events = (
-        np.array([recorded[name].values[one] for one in names], dtype=np.float64)  # noqa: PD011  a mapping
-        for name in _NUMBERS
-    )
+    period, multiplier, exits, events = (study.number(name)[group.rows] for name in _NUMBERS)
     reason = members["attractor_reason"]
     found = Runs(
         names, members["matrix"].to_numpy(), members["unit"].to_numpy(), members["attractor"].to_numpy(object),
@@ -243,6 +240,12 @@ def _reasons(reasons: Sequence[np.ndarray]) -> list[tuple[str, int]]:
 # ------------------------------------------------------------------------------------------------- basins
 
 
+def _by_matrix(runs: Runs) -> list[np.ndarray]:
+    """Places of the runs of each matrix."""
+    order = np.argsort(runs.matrix, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(runs.matrix[order])) + 1)
+
+
 def _basin(study: Study, runs: Mapping[str, Runs]) -> Row | None:
     """The starts of one system by what they settle on; None if all settle on one, or not one or two numbers vary.
 
@@ -251,8 +254,9 @@ def _basin(study: Study, runs: Mapping[str, Runs]) -> Row | None:
     lists = study.data.lists
     if not lists.get("start_z"):  # a dataset of before
         return None
-    systems = [(name, some.at(some.matrix == matrix)) for name, some in runs.items()
-               for matrix in np.unique(some.matrix)]  # fmt: skip
+    systems = [(name, some.at(rows)) for name, some in runs.items() for rows in _by_matrix(some) if len(rows) > 1]
+    if not systems:
+        return None
     name, own = max(systems, key=lambda one: one[1].n - max(Counter(one[1].what).values()))
     own = _numbered(study, own)
     found = _attractors(own)
