@@ -89,8 +89,14 @@ class Members(Sequence[Member]):
 
     def firsts(self) -> list[Member]:
         """The first member of each pair of an origin of systems and an engine."""
-        firsts = {self._ensemble.kind_of(place): place for place in reversed(self._places)}
-        return [self._ensemble.member(place) for place in firsts.values()]
+        firsts: dict[Hashable, Member] = {}
+        for member in (some[0] for some in self.by_variant()):
+            firsts.setdefault((member.source.origin, member.engine), member)
+        return list(firsts.values())
+
+    def by_variant(self) -> list[Members]:
+        """Those that are run the same way, of systems from one source, together: they have one cost."""
+        return [Members(self._ensemble, places) for places in self._ensemble.by_variant(self._places)]
 
 
 class _Made:
@@ -108,8 +114,8 @@ class _Made:
     def costs(self, places: Sequence[int]) -> Iterator[float]:
         return (self._members[k].cost for k in places)
 
-    def kind_of(self, k: int) -> Hashable:
-        return self._members[k].source.origin, self._members[k].engine
+    def by_variant(self, places: Sequence[int]) -> Iterator[Sequence[int]]:
+        return ([k] for k in places)
 
 
 @dataclass(frozen=True)
@@ -179,9 +185,19 @@ class _Ensemble:
         started = () if ends is None or not point.is_at_end else (ends.word,)
         return "".join(f"-{word}" for word in (*point.words, *drawn, *started, *self.variants[variant].words))
 
-    def kind_of(self, k: int) -> Hashable:
-        source, _, _, variant = self._split(k)
-        return self.sources[source][1], self.variants[variant].method.engine
+    def by_variant(self, places: Sequence[int]) -> Iterator[Sequence[int]]:
+        """The places of those with one source and one variant together, without going through all of a range."""
+        n_variants, a_source = len(self.variants), self.ends[-1] * len(self.variants) * self.scene.run.matrices
+        if not isinstance(places, range) or places.step != 1:
+            found: dict[tuple[int, int], list[int]] = {}
+            for k in places:
+                found.setdefault((k // a_source, k % n_variants), []).append(k)
+            yield from found.values()
+            return
+        for source in range(places.start // a_source, -(-places.stop // a_source)):
+            begin, end = max(places.start, source * a_source), min(places.stop, (source + 1) * a_source)
+            for k in range(begin, min(end, begin + n_variants)):
+                yield range(k, end, n_variants)
 
     def _place(self, place: int) -> tuple[_Point, int | None]:
         k = bisect_right(self.ends, place)

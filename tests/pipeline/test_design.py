@@ -282,6 +282,19 @@ def test_members_are_the_same_however_they_are_reached(scene):
         members[len(made)]
 
 
+def test_members_that_are_run_the_same_way_are_found_together(scene, rng):
+    """In any range, and of any places, each once; those of a part have one number of blocks, engine and cost."""
+    members = expand(scene)
+    for _ in range(20):
+        first, last = sorted(rng.integers(0, len(members) + 1, 2).tolist())
+        for some in (members[first:last], members.at(rng.permutation(len(members))[: last - first].tolist())):
+            parts = some.by_variant()
+            assert sorted(name for part in parts for name in part.ids()) == sorted(some.ids())
+            for part in parts:
+                assert len({(one.n, one.method, one.change, one.cost) for one in part}) == 1
+            assert len(parts) == len({(one.n, one.method, one.change) for one in some})
+
+
 def test_a_scene_of_many_batches_has_larger_ones_and_the_last_are_smaller(scene, monkeypatch):
     members = expand(scene)
     whole = sum(member.cost for member in members)
