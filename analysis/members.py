@@ -170,7 +170,10 @@ def _own(table: pd.DataFrame, numbers: dict[tuple[Any, ...], int]) -> pd.DataFra
         drawn = found["drawn"].astype("string").fillna("")
         for key in ("z", "w"):
             found[f"{key}0"] = found[f"{key}0"].mask(drawn.str.contains(rf"(?:^|; ){key} = "))
-    return found.drop(columns=list(SHARED)).assign(setting=_numbered(found[list(SHARED)], numbers))
+    own = found.drop(columns=list(SHARED)).drop(
+        columns="unit_is", errors="ignore"
+    )  # of a table that was made by this
+    return own.assign(setting=_numbered(found[list(SHARED)], numbers))
 
 
 def _numbered(shared: pd.DataFrame, numbers: dict[tuple[Any, ...], int]) -> np.ndarray:

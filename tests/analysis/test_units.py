@@ -6,7 +6,7 @@ import pytest
 
 from stickslip.analysis import Data, Study, build
 from stickslip.analysis.groups import by_value
-from stickslip.analysis.members import FILE, MATRIX, START
+from stickslip.analysis.members import FILE, MATRIX, START, Members
 from stickslip.analysis.report.page import plain
 from stickslip.analysis.stats import student
 
@@ -88,3 +88,20 @@ def test_settings_are_in_the_order_of_their_values():
     """As text, 1e-05 comes after 0.0001, and 10 before 9."""
     values = [None, "uniform", 10, 9.0, 1e-05, 0.0001, -1.0]
     assert sorted(values, key=by_value) == [-1.0, 1e-05, 0.0001, 9.0, 10, None, "uniform"]
+
+
+def test_the_table_of_all_members_makes_the_same_members(planted):
+    """Whether in one part or in several, and again from what it makes."""
+    drawn, _ = planted.ensemble({"coulomb": 0.69, "sigmoid": 0.5}, 6)
+    table = pd.DataFrame(drawn).assign(seed=[0, 1] * (len(drawn) // 2))
+    whole = Members.of([table])
+    again = Members.of([whole.together])
+    parts = Members.of(table.iloc[k : k + 5] for k in range(0, len(table), 5))
+    assert whole.together.columns.is_unique
+    for other in (again, parts):
+        pd.testing.assert_frame_equal(other.together[list(whole.together)], whole.together, check_dtype=False)
+        assert sorted(map(str, other.settings)) == sorted(map(str, whole.settings))
+    rows = np.arange(len(table))
+    for key, some in whole.places(["engine", "seed"], rows):
+        assert whole.at(some).together[["engine", "seed"]].drop_duplicates().to_numpy().tolist() == [[*key.values()]]
+    assert sorted(np.concatenate([some for _, some in whole.places(["engine", "seed"], rows)])) == rows.tolist()
