@@ -54,6 +54,8 @@ REQUIRED = (
 READ = ("growth_rate",)
 
 
+#: Nullable types of pandas, by those of Python.
+_TYPES = {int: "Int64", float: "Float64", bool: "boolean", str: "string"}
 #: What many members share: what separates their groups, and what tells copies apart.
 SHARED = (*SYSTEM_KEYS, *ENGINE_KEYS, "twin_size", "perturbation_reading", "seed")
 
@@ -120,7 +122,8 @@ class Members:
     @property
     def together(self) -> pd.DataFrame:
         """One row a member, with all columns."""
-        shared = pd.DataFrame(self.settings, dtype=object).convert_dtypes().take(self.own["setting"].to_numpy())
+        kinds = pd.DataFrame({name: _typed([one[name] for one in self.settings]) for name in self.settings[0]})
+        shared = kinds.take(self.own["setting"].to_numpy())
         own = self.own.drop(columns="setting").assign(outcome=self.own["outcome"].astype(str))
         return pd.concat([own, shared.set_axis(own.index)], axis="columns")
 
@@ -150,6 +153,13 @@ class Members:
         return [
             (dict(zip(keys, values[k], strict=True)), part) for k, part in zip(np.unique(number), parts, strict=True)
         ]
+
+
+def _typed(values: Sequence[Any]) -> pd.api.extensions.ExtensionArray:
+    """Values of one kind with the nullable type of pandas for it; null stands for None."""
+    kinds = {type(value) for value in values if value is not None}
+    dtypes: list[Any] = [_TYPES.get(kind, object) for kind in kinds] or ["Int8"]
+    return pd.array(list(values), dtype=dtypes[0] if len(dtypes) == 1 else object)
 
 
 def _own(table: pd.DataFrame, numbers: dict[tuple[Any, ...], int]) -> pd.DataFrame:
