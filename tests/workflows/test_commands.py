@@ -1,7 +1,6 @@
 """The command as a person meets it: what it prints, what it leaves, its exit codes."""
 
 import csv
-import dataclasses
 import io
 import json
 import os
@@ -26,7 +25,7 @@ import pytest
 
 from stickslip import workflows
 from stickslip.analysis import Report
-from stickslip.pipeline import Progress, load_scene, query, status
+from stickslip.pipeline import Progress, load_scene, query
 from stickslip.pipeline.dataset import opened
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.dataset.status import Began, Follower, Tally
@@ -704,8 +703,7 @@ def test_comparisons_that_cannot_be(dataset, capsys, more, code, words):
 def test_a_dataset_with_no_member_done_has_no_report_yet(dataset, tmp_path, monkeypatch, capsys):
     dataset = shutil.copytree(dataset, tmp_path / "begun")
     (dataset / "report.html").unlink()
-    none_done = dataclasses.replace(status(dataset), n_done=0)
-    monkeypatch.setattr("stickslip.workflows.reporting.Tally.of", lambda *_: none_done)
+    monkeypatch.setattr("stickslip.pipeline.dataset.opened.Opened.n_done", 0)
     for more in ([], ["--compare", str(dataset)]):
         assert main(["report", str(dataset), *more]) == 1
         assert "no member is done yet; run the scene first" in capsys.readouterr().err

@@ -146,7 +146,7 @@ def test_editing_a_question_makes_no_other_data(place, tmp_path):
 def asked(place, tmp_path, monkeypatch):
     """What a module's question answers, in this process."""
     study = reporting.study_of(place / "runs" / "mine")
-    monkeypatch.setattr(reporting, "study_of", lambda _: study)
+    monkeypatch.setattr(reporting, "study_of", lambda _, whole: study)
     monkeypatch.setattr(sys, "stdin", sys.stdin)  # restored at the end
 
     def ask(code, template=None, **files):
