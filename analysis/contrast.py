@@ -97,7 +97,7 @@ def sample(group: Group) -> Sample:
     found = Sample({
         QUANTITIES[name].label: UnitSums(group.units, rows) for name, rows in group.quantities.items()
     })  # fmt: skip
-    fates, (t_last, n_last) = np.array(group.fates), group.last.T
+    fates, (t_last, n_last) = group.fates, group.last.T
     ran = np.flatnonzero(fates != FAILED)
     units, first = np.unique(group.column("unit").to_numpy()[ran], return_index=True)
     away = fates[ran[first]] == DIVERGED

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.groups import Group, as_number, fill, groups
+from stickslip.analysis.groups import Group, fill, groups
 from stickslip.analysis.members import Members
 from stickslip.analysis.models.motion import Motion, joined, motion
 from stickslip.analysis.series.cascades import Window
@@ -44,7 +44,7 @@ class Numbers(Mapping[str, float | None]):
     @classmethod
     def of(cls, table: Members, known: Mapping[str, float | None]) -> Numbers:
         """From a mapping, which may lack members."""
-        return cls(table, np.array([as_number(known.get(name)) for name in table.own["member_id"]]))
+        return cls(table, np.array([_as_number(known.get(name)) for name in table.own["member_id"]]))
 
     def __getitem__(self, member_id: str) -> float | None:
         number = float(self.column[self._table.row_of[member_id]])
@@ -55,6 +55,11 @@ class Numbers(Mapping[str, float | None]):
 
     def __len__(self) -> int:
         return len(self.column)
+
+
+def _as_number(value: float | None) -> float:
+    """A number that may be missing, for which NaN stands."""
+    return np.nan if value is None or pd.isna(value) else float(value)
 
 
 class Recorded(NamedTuple):

@@ -195,11 +195,6 @@ class Group:
         return enough.basis(self.by_unit()[:, 1:4], int(self.sums[:, 1].sum()), confidence)
 
 
-def as_number(value: float | None) -> float:
-    """A number that may be missing, for which NaN stands."""
-    return np.nan if value is None or pd.isna(value) else float(value)
-
-
 def groups(members: Members, some: np.ndarray) -> list[Group]:
     """Some members, by their rows, as groups: unperturbed ones first, then by n, engine and settings, by value."""
 

@@ -12,6 +12,7 @@ import pandas as pd
 
 from stickslip.analysis.models.attractors import SLIDING
 from stickslip.analysis.models.fates import COLLAPSED
+from stickslip.analysis.series.runs import by_number
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number, Numbers
 from stickslip.sim.systems.terms import TERMS
@@ -147,12 +148,8 @@ class Members:
         found: dict[tuple[Any, ...], int] = {}
         of_setting = np.array([found.setdefault(tuple(one[k] for k in keys), len(found)) for one in self.settings])
         number = of_setting[self.own["setting"].to_numpy()[some]]
-        order = np.argsort(number, kind="stable")
-        parts = np.split(some[order], np.flatnonzero(np.diff(number[order])) + 1)
-        values = list(found)
-        return [
-            (dict(zip(keys, values[k], strict=True)), part) for k, part in zip(np.unique(number), parts, strict=True)
-        ]
+        values = [dict(zip(keys, one, strict=True)) for one in found]
+        return [(values[number[own[0]]], some[own]) for own in by_number(number)]
 
 
 def _typed(values: Sequence[Any]) -> pd.api.extensions.ExtensionArray:
@@ -180,9 +177,8 @@ def _own(table: pd.DataFrame, numbers: dict[tuple[Any, ...], int]) -> pd.DataFra
         drawn = found["drawn"].astype("string").fillna("")
         for key in ("z", "w"):
             found[f"{key}0"] = found[f"{key}0"].mask(drawn.str.contains(rf"(?:^|; ){key} = "))
-    own = found.drop(columns=list(SHARED)).drop(
-        columns="unit_is", errors="ignore"
-    )  # of a table that was made by this
+    # `unit_is` is of a table that `Members.together` made
+    own = found.drop(columns=list(SHARED)).drop(columns="unit_is", errors="ignore")
     return own.assign(setting=_numbered(found[list(SHARED)], numbers))
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from stickslip.analysis.series.runs import Ended, Runs
+from stickslip.analysis.series.runs import Ended, Runs, by_number
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.pipeline.dataset.opened import Opened
 from stickslip.pipeline.query import all_events, series
@@ -47,16 +47,9 @@ class Parts:
     """
 
     def __init__(self, opened: Opened, settings: AnalysisSettings, least: int = 1) -> None:
-        self._settings, self._opened = settings, opened
-        self._names: list[list[str]] = [[]]
-        ends, n_rows = [0], 0
-        for name, shard in sorted(opened.manifest.shards.items()):
-            if n_rows - ends[-1] >= least:
-                ends.append(n_rows)
-                self._names.append([])
-            self._names[-1].append(name)
-            n_rows += shard.rows
-        self._ends = np.array([*ends[1:], n_rows])
+        self._settings, self._opened, self._names = settings, opened, opened.in_parts(least)
+        shards = opened.manifest.shards
+        self._ends = np.cumsum([sum(shards[name].rows for name in part) for part in self._names])
 
     def ask(self, of: Callable[..., Any], some: Ended, beside: Ended | None) -> tuple[list[Asked], list[list[int]]]:
         """A function put to some runs: what is asked of each part that has some, and their places among `some`.
@@ -64,8 +57,7 @@ class Parts:
         With the shards of the runs beside these, which mostly lie in the same part.
         """
         part = np.searchsorted(self._ends, some.row, side="right")
-        order = np.argsort(part, kind="stable")
-        places = np.split(order, np.flatnonzero(np.diff(part[order])) + 1) if len(order) else []
+        places = by_number(part)
         asked = []
         for number, own in enumerate(places):
             more = None if beside is None else beside.take(own)

@@ -20,7 +20,6 @@ COLLAPSED, DIVERGED, SUSTAINED, LULL, QUIET, FAILED = (
     "collapsed", "diverged", "sustained", "lull", "quiet", "failed",
 )  # fmt: skip
 ENDS = (COLLAPSED, DIVERGED)
-_CERTAIN = {"collapsed": COLLAPSED, "diverged": DIVERGED}  # by outcome
 MOVING = (SUSTAINED, LULL)
 SETTLED = (COLLAPSED, QUIET)  # no block sticks at the end, either for good or as far as is known
 WATCHED = (*ENDS, QUIET, *MOVING)  # the fates of runs that did not fail

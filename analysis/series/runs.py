@@ -52,6 +52,12 @@ class Ended:
         return Ended(*(getattr(self, one.name)[some] for one in fields(self)))
 
 
+def by_number(numbers: np.ndarray) -> list[np.ndarray]:
+    """The places of equal numbers, those of the smallest first, each in their order."""
+    order = np.argsort(numbers, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1) if len(order) else []
+
+
 class Series(Protocol):
     """The change points of runs, by member_id: a mapping that also gives those of many runs together."""
 

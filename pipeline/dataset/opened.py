@@ -63,6 +63,18 @@ class Opened:
         """How many of them are done."""
         return sum(shard.rows for shard in self.manifest.shards.values())
 
+    def in_parts(self, least: int) -> list[list[str]]:
+        """The shards that the manifest lists, neighbours together, of so many members at least but for the last."""
+        parts: list[list[str]] = []
+        n_rows = least
+        for name, shard in sorted(self.manifest.shards.items()):
+            if n_rows >= least:
+                parts.append([])
+                n_rows = 0
+            parts[-1].append(name)
+            n_rows += shard.rows
+        return parts
+
     @property
     def folder(self) -> Path:
         """Where files and code of its scene are looked for first; for an object store, the working directory."""

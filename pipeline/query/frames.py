@@ -120,15 +120,8 @@ def members_in_parts(path: Where | Opened, columns: Sequence[str]) -> Iterator[p
     A column has a nullable type where it holds nulls in that part.
     """
     opened = open_dataset(path)
-    waiting: list[str] = []
-    n_rows = 0
-    shards = sorted(opened.manifest.shards.items())
-    for k, (name, shard) in enumerate(shards, 1):
-        waiting.append(name)
-        n_rows += shard.rows
-        if n_rows >= _ROWS or k == len(shards):
-            yield frame(_chosen(opened, opened.shards(waiting), list(columns), None))
-            waiting, n_rows = [], 0
+    for part in opened.in_parts(_ROWS):
+        yield frame(_chosen(opened, opened.shards(part), list(columns), None))
 
 
 def dask_members(

@@ -36,6 +36,7 @@ from stickslip.analysis.models.attractors import (
 )
 from stickslip.analysis.questions.runs import attractor_figures as figures_of
 from stickslip.analysis.questions.runs.attractor_figures import Look, Points, Scale, Sections
+from stickslip.analysis.series.runs import by_number
 from stickslip.analysis.stats.compare import share_over_matrices, wilson
 
 NO_RECORD = "no record"  # in this ensemble
@@ -240,12 +241,6 @@ def _reasons(reasons: Sequence[np.ndarray]) -> list[tuple[str, int]]:
 # ------------------------------------------------------------------------------------------------- basins
 
 
-def _by_matrix(runs: Runs) -> list[np.ndarray]:
-    """Places of the runs of each matrix."""
-    order = np.argsort(runs.matrix, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(runs.matrix[order])) + 1)
-
-
 def _basin(study: Study, runs: Mapping[str, Runs]) -> Row | None:
     """The starts of one system by what they settle on; None if all settle on one, or not one or two numbers vary.
 
@@ -254,7 +249,9 @@ def _basin(study: Study, runs: Mapping[str, Runs]) -> Row | None:
     lists = study.data.lists
     if not lists.get("start_z"):  # a dataset of before
         return None
-    systems = [(name, some.at(rows)) for name, some in runs.items() for rows in _by_matrix(some) if len(rows) > 1]
+    systems = [
+        (name, some.at(rows)) for name, some in runs.items() for rows in by_number(some.matrix) if len(rows) > 1
+    ]
     if not systems:
         return None
     name, own = max(systems, key=lambda one: one[1].n - max(Counter(one[1].what).values()))
