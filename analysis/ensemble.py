@@ -162,13 +162,13 @@ class Study:
         """Groups of the unchanged members, filled, by n and engine."""
         members = self.data.table
         found = groups(members, members.unchanged)
-        fill(found, self._motion(members.unchanged))
+        fill(found, self._motion(motion, members.unchanged))
         return found
 
-    def _motion(self, rows: np.ndarray) -> Iterator[tuple[np.ndarray, Motion]]:
+    def _motion(self, of: Callable[..., Motion], rows: np.ndarray) -> Iterator[tuple[np.ndarray, Motion]]:
         for k in range(0, len(rows), _TOGETHER):
             some = rows[k : k + _TOGETHER]
-            for places, part in self._put(motion, self.ended(some)):
+            for places, part in self._put(of, self.ended(some)):
                 yield some[np.asarray(places)], part
 
     @cached_property
@@ -193,16 +193,15 @@ class Study:
 
     @cached_property
     def motion(self) -> Motion:
-        """What the runs of all members give, changed copies too.
+        """What the runs of all members give, changed copies too, in brief.
 
         Raises
         ------
         ValueError
             If a member that did not fail has no change points, or they are not a series; the error names the member.
         """
-        return joined(
-            [part.in_order(np.argsort(rows)) for rows, part in self._motion(np.arange(len(self.data.table)))]
-        )
+        every = self._motion(partial(motion, is_brief=True), np.arange(len(self.data.table)))
+        return joined([part.in_order(np.argsort(rows)) for rows, part in every])
 
     def each(self, of: Callable[..., np.ndarray], rows: np.ndarray, beside: np.ndarray | None = None) -> np.ndarray:
         """What a function gives of some runs, by their rows and in their order: a row of an array each.

@@ -80,8 +80,11 @@ def joined(parts: Sequence[Motion]) -> Motion:
     )
 
 
-def motion(runs: Runs, some: Ended) -> Motion:
+def motion(runs: Runs, some: Ended, is_brief: bool = False) -> Motion:
     """What some runs give; each is read once.
+
+    In brief, `sums` are those of quantities other than the correlation time, and of means; the rest, which takes most
+    of the time, is 0.
 
     Raises
     ------
@@ -104,7 +107,7 @@ def motion(runs: Runs, some: Ended) -> Motion:
                 found = windows(stack.take(moves), runs.t_burn, own.t_end[moves])
             except NoSeries as error:
                 raise no_series(own.member_id[moves[error.place]], error) from error
-            sums[places[moves]] = _sums(found)
+            sums[places[moves]] = _sums(found, is_brief)
             sizes.append(_sizes(found, places[moves]))
         done += len(stack)
     return Motion(fates_of, last, sums, np.concatenate(sizes))
@@ -119,12 +122,18 @@ def _sizes(runs: Windows, names: np.ndarray) -> np.ndarray:
     return np.column_stack([names[found // width], found % width, n_times[found]])
 
 
-def _sums(runs: Windows) -> np.ndarray:
+def _sums(runs: Windows, is_brief: bool) -> np.ndarray:
     """`COLUMNS` of each run, shape (R, C)."""
-    given = {name: quantity.sums(runs) for name, quantity in QUANTITIES.items()}
-    tau = given["correlation_time"][:, 0]
+    found = np.zeros((len(runs), N_COLUMNS))
+    for name, quantity in QUANTITIES.items():
+        if not (is_brief and name == "correlation_time"):
+            found[:, COLUMNS[name]] = quantity.sums(runs)
     halves = enough.halves(runs)
+    found[:, COLUMNS["means"]] = np.column_stack([runs.mean, halves, np.ones(len(runs))])
+    if is_brief:
+        return found
+    tau = found[:, COLUMNS["correlation_time"]][:, 0]
     stuck = np.column_stack([halves[:, :2].mean(axis=1) * runs.span, runs.span - runs.total(lulls(runs))])
-    is_short = (tau == 0) | effective.is_short(runs, tau)
-    means = np.column_stack([runs.mean, halves, np.ones(len(runs))])
-    return np.column_stack([*given.values(), means, stuck, effective.rows(runs, tau), is_short])
+    found[:, COLUMNS["stuck"]], found[:, COLUMNS["effective"]] = stuck, effective.rows(runs, tau)
+    found[:, COLUMNS["short"]] = ((tau == 0) | effective.is_short(runs, tau))[:, None]
+    return found
