@@ -102,6 +102,8 @@ def test_it_stops_from_the_boundary_on(rng):
         if abs(u) > 100 * h:  # so close to 1, 1/3 or 1/5 that there is no cycle either from where it stops on
             continue
         most = most_friction(frequency)
+        if most < 1e-4:  # so close to them that 1e-5 of it, a thousand millionth of z, shows in no event
+            continue
         counts = []
         for factor in (1 - 1e-5, 1 + 1e-5):
             block = Forced(frequency, factor * most)
