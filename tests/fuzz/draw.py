@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
 from typing import Any, Literal
+from unittest.mock import patch
 
 import numpy as np
 from scipy.linalg import expm
 
+from stickslip.sim.engines.coulomb import settings as coulomb
 from tests.independent import Case, Floats, Ramp
 from tests.systems import FAMILIES, TERMS, Rng, any_damping, any_friction, started, with_terms
 
@@ -25,6 +28,11 @@ class Trial:
     t_end: float
     settings: dict[str, Any]
     terms: Collection[str] = ()
+    is_by_waves: bool = False  #: whether it is made by waveform relaxation, which by default only large systems are
+
+    @property
+    def method(self) -> str:
+        return "waves" if self.is_by_waves else self.engine
 
     def rng(self) -> Rng:
         """For what the checks draw."""
@@ -65,6 +73,7 @@ def _ramp(ramp: Ramp) -> str:
 
 #: Of the cases, in this order over and over: each engine meets each family.
 _ENGINES: tuple[Literal["coulomb", "sigmoid"], ...] = ("coulomb", "coulomb", "sigmoid")
+TERMS_OF_WAVES = ("static", "mass")  # the others are run by series
 _GROWN = 1e6  # what grows by more can hardly be judged
 _TURNS = 1500.0  # time times rate: what the references do in a second
 
@@ -162,3 +171,15 @@ def draw(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:
         if rng.random() < 0.5:
             settings["thresholds"] = [0.5, 3.0]
     return Trial(seed, number, family, engine, case, t_end, settings, terms)
+
+
+def by_waves() -> AbstractContextManager[object]:
+    """While it lasts, waveform relaxation takes systems of any size; by default only large ones."""
+    return patch.object(coulomb, "SIZE_OF_WAVES", 1)
+
+
+def draw_for_waves(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:
+    """Case `number` of a seed as waveform relaxation takes it: with those of the terms, and at a loose tolerance."""
+    trial = draw(seed, number, [term for term in terms if term in TERMS_OF_WAVES])
+    tol = float(10.0 ** -np.random.default_rng([seed, number, 5]).uniform(3, 7))
+    return replace(trial, engine="coulomb", settings={"tol": tol}, is_by_waves=True)

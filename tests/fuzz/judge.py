@@ -18,15 +18,16 @@ from scipy.integrate import ODEintWarning, odeint
 from scipy.linalg import eig
 
 from stickslip.sim import IntegrationError, Run, simulate
+from stickslip.sim.engines.coulomb import settings as coulomb
 from stickslip.sim.numerics import products
-from tests.fuzz.draw import Trial, draw, longest
+from tests.fuzz.draw import Trial, by_waves, draw, longest
 from tests.fuzz.series import Stretches, by_block, compare
 from tests.independent import Case, Floats, Path, Ramp, Undecided, follow
 from tests.systems import made
 
-#: Error over tol times sensitivity beyond which a run is wrong, by engine. The sigmoid engine's errors add up where
+#: Error over tol times sensitivity beyond which a run is wrong, by method. The sigmoid engine's errors add up where
 #: nothing damps them: `docs/guide/sigmoid-engine.md` states its bound.
-LIMIT = {"coulomb": 100.0, "sigmoid": 1000.0}
+LIMIT = {"coulomb": 100.0, "waves": 20.0, "sigmoid": 1000.0}
 _FADED = 1e-8  # of the size of the state
 _PATIENCE = 10.0  # seconds of this process for one run, or all of the reference's
 _FINEST = 1e-12  # what float64 and the references leave of a finer tolerance
@@ -251,7 +252,7 @@ class _Judge:
     def __init__(self, trial: Trial, run: Simulate) -> None:
         self.trial, self._run, self.verdict = trial, run, Verdict()
         self.rng = trial.rng()
-        self.is_exact, self.limit = trial.engine == "coulomb", LIMIT[trial.engine]
+        self.is_exact, self.limit = trial.engine == "coulomb", LIMIT[trial.method]
         tol: Any = trial.settings["tol" if self.is_exact else "rtol"]
         self.tol = max(tol, _FINEST)
         self.times = np.append(np.sort(self.rng.uniform(0, trial.t_end, 12)), trial.t_end)
@@ -368,7 +369,8 @@ class _Judge:
         if run is None:
             return verdict
         self.hold("plain", run, truth)
-        if self.is_exact:
+        verdict.notes["by series"] += self.trial.is_by_waves and run.stats.method == "Taylor series"
+        if self.is_exact and not self.trial.is_by_waves:
             with patch.object(products, "_SMALL", 1):  # by default only larger systems have such products
                 self.hold("in float32", self.run("in float32", truth, t_eval=self.times), truth)
         self.hold("stop_early=False", self.run("stop_early=False", truth, t_eval=self.times, stop_early=False), truth)
@@ -412,4 +414,9 @@ class _Judge:
 
 def judge(trial: Trial, run: Simulate = simulate) -> Verdict:
     """Everything that is checked of one case; `run` stands in for `stickslip.sim.simulate`."""
-    return _Judge(trial, run).judge()
+    if not trial.is_by_waves:
+        return _Judge(trial, run).judge()
+    with by_waves():
+        if not coulomb.Coulomb(**trial.settings).is_by_waves(made(trial.case)):
+            return Verdict(notes=Counter(skipped=1))
+        return _Judge(trial, run).judge()

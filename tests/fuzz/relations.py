@@ -7,6 +7,7 @@ or a stretch is a touch, `tests.fuzz.series.compare` says so, and it is counted.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,14 +19,15 @@ from scipy.linalg import expm
 from scipy.sparse import csc_array
 
 from stickslip.sim import Harmonic, IntegrationError, Piecewise, Run, System, simulate
-from tests.fuzz.draw import draw
+from stickslip.sim.engines.coulomb import settings as coulomb
+from tests.fuzz.draw import TERMS_OF_WAVES, by_waves, draw
 from tests.fuzz.judge import Endless, Verdict, patience
 from tests.fuzz.series import Stretches, agreeing, by_block, compare
 from tests.independent import Floats
 from tests.systems import TERMS, Rng, made
 
-#: Difference over tol times sensitivity beyond which a relation is broken, by engine: two runs may err each way.
-LIMIT = {"coulomb": 200.0, "sigmoid": 2000.0}
+#: Difference over tol times sensitivity beyond which a relation is broken, by method: two runs may err each way.
+LIMIT = {"coulomb": 200.0, "waves": 40.0, "sigmoid": 2000.0}
 _CHANGED = 3  # runs with changed start and constants
 _LOST = 1e-3  # of the size of the state: where the tolerance moves it by more, nothing is compared
 _PATIENCE = 20.0  # seconds of this process for all runs of one setup
@@ -47,6 +49,11 @@ class Setup:
     settings: dict[str, Any] = field(default_factory=dict)
     times: Floats = field(default_factory=lambda: np.empty(0))
     modes: NDArray[np.int8] | None = None
+    is_by_waves: bool = False  #: as far as waveform relaxation takes it; what it does not is run by series
+
+    @property
+    def method(self) -> str:
+        return "waves" if self.is_by_waves else self.engine
 
     def run(self) -> Run:
         return simulate(
@@ -456,7 +463,7 @@ class _Measure:
     """A setup's run, and how far the tolerance moves it."""
 
     def __init__(self, rng: Rng, setup: Setup) -> None:
-        self.setup, self.limit = setup, LIMIT[setup.engine]
+        self.setup, self.limit = setup, LIMIT[setup.method]
         self.run = setup.run()
         self.told = Told.of(self.run)
         x = self._state(self.told)
@@ -617,9 +624,23 @@ class _Measure:
         return worst, ratio, words
 
 
+def judge_relations_by_waves(seed: int, number: int, terms: Any = TERMS) -> Verdict:
+    """All relations of one drawn setup that waveform relaxation takes."""
+    tol = float(10.0 ** -np.random.default_rng([seed, number, 6]).uniform(5, 7))
+    setup = setup_of(seed, number, [term for term in terms if term in TERMS_OF_WAVES])
+    with by_waves():
+        if setup.engine != "coulomb" or not coulomb.Coulomb(tol=tol).is_by_waves(setup.system):
+            return Verdict(notes=Counter(skipped=1))
+        return _judged(seed, number, replace(setup, settings={"tol": tol}, is_by_waves=True))
+
+
 def judge_relations(seed: int, number: int, terms: Any = TERMS, only: str | None = None) -> Verdict:
     """All relations of one drawn setup, or one by name."""
-    verdict, setup = Verdict(), setup_of(seed, number, terms)
+    return _judged(seed, number, setup_of(seed, number, terms), only)
+
+
+def _judged(seed: int, number: int, setup: Setup, only: str | None = None) -> Verdict:
+    verdict = Verdict()
     rng = np.random.default_rng([seed, number, 4])
     how = ""
     try:

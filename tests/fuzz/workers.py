@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from stickslip.pipeline.machine.processes import Child, ChildDied
-from tests.fuzz.draw import draw
+from tests.fuzz.draw import draw, draw_for_waves
 from tests.fuzz.judge import Verdict, judge
-from tests.fuzz.relations import judge_relations
+from tests.fuzz.relations import judge_relations, judge_relations_by_waves
 from tests.systems import TERMS
 
 _WORK = 120.0  # seconds of its own time that a case may take before its process is killed
@@ -22,10 +22,12 @@ PATIENCE = 15 * _WORK  # seconds by the clock, for one that hangs; a busy machin
 _MEMORY = 4 << 30  # bytes of address space beyond what the process has
 
 
-#: What cases are held against: an independent engine, or other runs.
+#: What cases are held against: an independent engine, also where runs are made by waveform relaxation, or other runs.
 JUDGES: dict[str, Callable[[int, int, Collection[str]], Verdict]] = {
     "reference": lambda seed, number, terms: judge(draw(seed, number, terms)),
+    "waves": lambda seed, number, terms: judge(draw_for_waves(seed, number, terms)),
     "relations": judge_relations,
+    "relations-of-waves": judge_relations_by_waves,
 }
 
 
