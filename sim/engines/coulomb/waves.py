@@ -23,6 +23,7 @@ from stickslip.sim.engines.waveform.matrices import matrices_of
 from stickslip.sim.engines.waveform.step import take_steps
 from stickslip.sim.kernels.compile import kernel
 from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.radau import NODES
 from stickslip.sim.runs.run import IntegrationError, Run
 
 #: Over static friction: a start at which |F| is so near to it is left to series, which decide it order by order.
@@ -66,14 +67,15 @@ def run(task: Task, tol: float, followed: float, shortest: Floats, touch: float,
     block.u0, block.z0, block.speed_before, block.belt, block.mode = w - v, z, np.abs(w), v, mode
     block.damping, block.friction, block.static = system.damping, system.friction, system.static
     block.drag, block.force0, block.row_sum = drag, pull, system.row_sums
-    block.kept_f, block.kept_u = pull[np.newaxis], (w - v)[np.newaxis]
+    # as if there had been a step of length 1: F goes on along its tangent, or a block let go at once would leave late
+    block.kept_f, block.kept_u = pull + np.outer(NODES - 1.0, system.stiffness @ w), (w - v)[np.newaxis]
     allowed = limits.EXACT_CALIBRATION * tol
     exact = Exact(allowed, system.fastest_belt)
     scale = max(system.fastest_belt, float(np.abs(w).max()))
     changes = np.abs(np.array([w, system.damping * (w - v) + pull, system.friction]))
     step = min(drive.length, limits.LONGEST_FIRST, scale * first_step(allowed, float(changes.max())))
     state = loop.State.at_start(task, z.copy(), w.copy(), modes[0], step, 1.0, 0.0, 0.0)
-    state.counters[loop.N_PRODUCTS] = 1
+    state.counters[loop.N_PRODUCTS] = 2
     work = Workspace.of(tables, modes, False, _PIECES * n + _MORE, is_exact=True)
     Shared(work.shared).safety = 1.0
     unused = np.zeros((1, 0))

@@ -256,7 +256,7 @@ def _slide(block: Any, _: Law) -> Lane:
     low_force, high_force = _bounds([block.force0, *f])
     block.lag = h * 0.0
     least = less(u[-1] * mode, where(mode > 0.0, low, high * -1.0))
-    is_followed = (drag < control.SOFT) | (error < block.tolerance * control.COLLOCATED)
+    is_followed = (absolute(drag) < control.SOFT) | (error < block.tolerance * control.COLLOCATED)
     slips_on = (least > absolute(belt) * control.AT_BELT) & is_followed
     holds = (low_force + static > 0.0) & (high_force - static < 0.0)
     one, none = h * 0.0 + 1.0, h * 0.0

@@ -114,10 +114,10 @@ STEEP = 10.0
 
 # ------------------------------------------------------------------------------------------------ the set-valued law
 
-#: A block slips through a step by collocation if R h is below SOFT, or the leading coefficient of u' changes u by
+#: A block slips through a step by collocation if |R| h is below SOFT, or the leading coefficient of u' changes u by
 #: less than so many tolerances; else by series.
 SOFT, COLLOCATED = 0.25, 4.0
-#: The largest R h of a series, and the most pieces of a block in a macro step.
+#: The largest |R| h of a series, and the most pieces of a block in a macro step.
 LONGEST_SERIES, MOST_PIECES = 2.0, 24
 #: Below this |u| over |v|, w cannot be told from v.
 AT_BELT = 2.0**-51

@@ -15,6 +15,7 @@ from stickslip.sim.engines import loop
 from stickslip.sim.engines.waveform.collocation import view
 from stickslip.sim.engines.waveform.friction import sign_of_number
 from stickslip.sim.engines.waveform.layout import blocks
+from stickslip.sim.engines.waveform.pieces import slip_at
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import copy, room
@@ -273,7 +274,7 @@ def _next(events, first, n_recorded, k):  # type: ignore[no-untyped-def]
 
 
 @inner
-def note_all_stuck(work, n_substeps, span, first, n_recorded, events, counters):  # type: ignore[no-untyped-def]
+def note_all_stuck(model, work, n_substeps, span, first, n_recorded, events, counters):  # type: ignore[no-untyped-def]
     """Record where the blocks are when all come to stick, or one leaves, at the events of a macro step from `first`.
 
     The modes before the step become those after it.
@@ -298,12 +299,34 @@ def note_all_stuck(work, n_substeps, span, first, n_recorded, events, counters):
         is_last = k < 0 or events.t[k] > t
         if is_last and (count == n) != (counters[loop.IS_ALL_STUCK] == 1):
             work.there.t[0] = t
-            sample(work, n_substeps, span, work.there, 0)
+            sample(model, work, n_substeps, span, work.there, 0)
             loop.note_all_stuck_at(count == n, t, work.there.z[0], events, counters)
 
 
 @inner
-def sample(work, n_substeps, span, samples, m):  # type: ignore[no-untyped-def]
+def _of_substep(exact, work, place, inside, h):  # type: ignore[no-untyped-def]
+    """u at a share of a substep, and by how much z has moved since it began, on a macro step of length h."""
+    substeps, length, belt = work.substeps, h * work.substeps.length[place], blocks(work.table).belt
+    belt_speed = belt[substeps.block[place]]
+    if exact is None:
+        weights, of_u = room(1, _NODES)[0], substeps.u[place]
+        for k in range(STAGES + 1):
+            weights[k] = horner(ALL_TO_POWERS[:, k], STAGES, inside)
+        u, moved = weights[0] * of_u[0], 0.0
+        for k in range(STAGES):
+            u += weights[k + 1] * of_u[k + 1]
+            of_node = NODES[k] * belt_speed
+            for j in range(STAGES):
+                of_node += WEIGHTS[k, j] * of_u[j + 1]
+            moved += weights[k + 1] * of_node
+        return u, moved * length
+    else:
+        u, mean = slip_at(work.changes, place, inside)
+        return u, (belt_speed + mean) * inside * length
+
+
+@inner
+def sample(model, work, n_substeps, span, samples, m):  # type: ignore[no-untyped-def]
     """Record the state at all sample times of a macro step, from number m on; returns the next number."""
     block, substeps = blocks(work.table), work.substeps
     weights = room(1, _NODES)[0]
@@ -319,19 +342,9 @@ def sample(work, n_substeps, span, samples, m):  # type: ignore[no-untyped-def]
             if not work.is_split[i]:
                 samples.z[m, i], samples.w[m, i] = z, block.belt[i] + u
         for place in range(n_substeps):
-            i, of_u, length = substeps.block[place], substeps.u[place], substeps.length[place]
-            inside = (x - substeps.start[place]) / length
-            if not 0.0 <= inside <= 1.0 + 1e-9:
-                continue
-            for k in range(STAGES + 1):
-                weights[k] = horner(ALL_TO_POWERS[:, k], STAGES, inside)
-            z, u = substeps.z[place], weights[0] * of_u[0]
-            for k in range(STAGES):
-                u += weights[k + 1] * of_u[k + 1]
-                moved = NODES[k] * block.belt[i]
-                for j in range(STAGES):
-                    moved += WEIGHTS[k, j] * of_u[j + 1]
-                z += weights[k + 1] * moved * length * span.length
-            samples.z[m, i], samples.w[m, i] = z, block.belt[i] + u
+            i, inside = substeps.block[place], (x - substeps.start[place]) / substeps.length[place]
+            if 0.0 <= inside <= 1.0 + 1e-9:
+                u, moved = _of_substep(model.exact, work, place, inside, span.length)
+                samples.z[m, i], samples.w[m, i] = substeps.z[place] + moved, block.belt[i] + u
         m += 1
     return m

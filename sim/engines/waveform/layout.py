@@ -238,7 +238,7 @@ class Workspace(NamedTuple):
                 np.empty(most),
                 np.empty(most),
                 np.empty(most),
-                np.empty((most, STAGES + 1)),
+                np.empty((most_repeated, STAGES + 1)),
             ),
             repeated=Repeated(
                 np.empty(most_repeated, np.int64), np.empty(most_repeated), np.empty((most_repeated, STAGES + 1))

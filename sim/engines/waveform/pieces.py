@@ -27,7 +27,7 @@ from stickslip.sim.engines.waveform.layout import ORDER, blocks
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arithmetic import copy, room
 from stickslip.sim.numerics.lanes import ALL, WIDTH
-from stickslip.sim.numerics.radau import ALL_TO_POWERS, NODES, PROJECT, STAGES
+from stickslip.sim.numerics.radau import ALL_TO_POWERS, PROJECT, STAGES
 from stickslip.sim.numerics.roots import horner, roots
 
 #: Terms of a series below this share of the largest are left out.
@@ -192,8 +192,8 @@ def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
             event = _EXIT if first < _NEVER else _NOTHING
             series[0] = 0.0
         else:
-            if damping * h * left > control.LONGEST_SERIES:
-                left = control.LONGEST_SERIES / (damping * h)
+            if abs(damping) * h * left > control.LONGEST_SERIES:
+                left = control.LONGEST_SERIES / (abs(damping) * h)
             push = 0.0 if is_let_go and static == mu else h * left * (force[0] + mu * mode)
             _series_of_u(force, h, h * left * damping, push, u, left, series)
             order = _order_of(series)
@@ -261,14 +261,19 @@ def solve_exactly(model, work, h):  # type: ignore[no-untyped-def]
 
 
 @inner
-def record_changes(work, n_pieces, span, events, n_recorded):  # type: ignore[no-untyped-def]
-    """Record the changes of mode on a macro step, and u of its pieces at their nodes; returns how many there are."""
-    changes, pieces, mode = work.changes, work.substeps, work.modes[0]
-    for place in range(n_pieces):
-        series, order, share = changes.series[place], changes.order[place], changes.share[place]
-        pieces.u[place, 0] = series[0]
-        for k in range(STAGES):
-            pieces.u[place, k + 1] = horner(series, order, share * NODES[k])
+def slip_at(changes, place, inside):  # type: ignore[no-untyped-def]
+    """u at a share of a piece, and its mean since the piece began."""
+    series, order, x = changes.series[place], changes.order[place], changes.share[place] * inside
+    u, mean = 0.0, 0.0
+    for k in range(order, -1, -1):
+        u, mean = u * x + series[k], mean * x + series[k] / (k + 1)
+    return u, mean
+
+
+@inner
+def record_changes(work, span, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Record the changes of mode on a macro step; returns how many there are."""
+    changes, mode = work.changes, work.modes[0]
     copy(mode, work.modes_before)
     for k in range(changes.n[0]):
         events.t[n_recorded] = min(span.start + span.length * changes.x[k], span.end)

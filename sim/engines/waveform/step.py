@@ -167,7 +167,7 @@ def _step_events(model, exact, work, n_substeps, span, events, n_recorded):  # t
     if exact is None:
         return step_events(model, work, n_substeps, span, events, n_recorded)
     else:
-        return record_changes(work, n_substeps, span, events, n_recorded)
+        return record_changes(work, span, events, n_recorded)
 
 
 @inner
@@ -270,7 +270,8 @@ def take_steps(model, work, control, state, events, bound, precheck):  # type: i
         n_left -= 1
         t = clock[loop.TIME]
         if control.t_end - t <= 0.0:  # a run of no length may have samples
-            counters[loop.N_SAMPLED] = sample(work, 0, Span(t, 1.0, t), state.samples, counters[loop.N_SAMPLED])
+            n_sampled = sample(model, work, 0, Span(t, 1.0, t), state.samples, counters[loop.N_SAMPLED])
+            counters[loop.N_SAMPLED] = n_sampled
             return loop.DONE, n_recorded
         if n_recorded + most_events > len(events.t):
             return loop.BUFFER_FULL, n_recorded
@@ -298,10 +299,10 @@ def take_steps(model, work, control, state, events, bound, precheck):  # type: i
         )
         if control.instant >= 0.0:
             n_recorded = until(control.instant, first_event, n_recorded, events)
-        note_all_stuck(work, found.n_substeps, span, first_event, n_recorded, events, counters)
+        note_all_stuck(model, work, found.n_substeps, span, first_event, n_recorded, events, counters)
         if control.instant >= 0.0:
             return loop.DONE, n_recorded
-        n_sampled = sample(work, found.n_substeps, span, state.samples, counters[loop.N_SAMPLED])
+        n_sampled = sample(model, work, found.n_substeps, span, state.samples, counters[loop.N_SAMPLED])
         counters[loop.N_SAMPLED] = n_sampled
         _accept(work, state, h)
         grow(clock, h, found, may_grow)
