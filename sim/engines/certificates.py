@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from weakref import WeakKeyDictionary
@@ -50,11 +51,11 @@ _INFLECTION = 0.66
 _NEVER = float("inf")
 
 
-def escape_bounds(system: System, z: Floats, w: Floats) -> tuple[float, float]:
-    """The |z| or |w| at which a run from this start is first tested for escape; the |w| at which it has diverged."""
-    start = max(1.0, system.fastest_belt, float(np.abs((z, w)).max()))
-    if system.force:
-        start = max(start, float(system.most_force.max()))
+def escape_bounds(systems: Sequence[System], z: Floats, w: Floats) -> tuple[Floats, Floats]:
+    """Of runs from these starts, shape (m, n): at which |z| or |w| each is first tested for escape, at which |w| it
+    has diverged."""
+    own = [max(1.0, one.fastest_belt, float(one.most_force.max()) if one.force else 0.0) for one in systems]
+    start = np.maximum(own, np.maximum(np.abs(z), np.abs(w)).max(axis=1))
     return _ESCAPE_FACTOR * start, _DIVERGENCE_FACTOR * start
 
 

@@ -2,15 +2,20 @@
 
 A kernel advances a run by a slice and returns ``(status, n_recorded)``. The run's state is kept in the arrays that it
 is given, so the next call goes on where the last one stopped.
+
+Small systems take less time to run than a call from Python takes: a kernel advances a *stack* of runs, whose arrays
+have an axis more in front, each by its first slice. Most end there; the others go on alone, as stacks of one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
+from itertools import groupby
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.engines import certificates
 from stickslip.sim.engines.contract import Task
@@ -63,6 +68,10 @@ class Events(NamedTuple):
         """The first events, with the all-stuck intervals in an array of their own."""
         return self.part(0, n)._replace(all_stuck=self.all_stuck[:, :n_all_stuck].copy())
 
+    def copied(self) -> Events:
+        """In arrays of their own."""
+        return Events(self.t.copy(), self.block.copy(), self.mode.copy(), self.all_stuck.copy())
+
     @classmethod
     def joined(cls, parts: list[Events]) -> Events:
         """The events of all parts."""
@@ -88,13 +97,67 @@ class State(NamedTuple):
     samples: Buffers
 
     @classmethod
-    def at_start(cls, task: Task, z: Floats, w: Floats, mode: NDArray[np.int8], *clocks: float) -> State:
-        """The state at the start of a task, in arrays of its own; `clocks` are those of the engine."""
-        may_collapse = task.stop_early and task.system.has_one_belt and not task.system.changes
-        check = -np.inf if may_collapse else np.inf
-        clock = np.array([0.0, check, check, 0.0, *clocks])
-        samples = Buffers(np.full(len(task.samples), np.inf), task.samples.z, task.samples.w)
-        return cls(z, w, mode, clock, np.zeros(N_COUNTERS, dtype=np.int64), samples)
+    def at_start(cls, tasks: Sequence[Task], mode: NDArray[np.int8], *clocks: ArrayLike) -> State:
+        """The states at the start of some tasks, as a stack of their own; `clocks` are those of the engine.
+
+        Of several tasks none has samples.
+        """
+        several = len(tasks)
+        may_collapse = [one.stop_early and one.system.has_one_belt and not one.system.changes for one in tasks]
+        clock = np.zeros((several, N_CLOCKS + len(clocks)))
+        clock[:, CHECK] = clock[:, _CHECK_RIGHT] = np.where(may_collapse, -np.inf, np.inf)
+        for k, values in enumerate(clocks):
+            clock[:, N_CLOCKS + k] = values
+        z, w = np.array([task.z0 for task in tasks]), np.array([task.w0 for task in tasks])
+        samples = stack([Buffers(np.full(len(one.t), np.inf), one.z, one.w) for one in (t.samples for t in tasks)])
+        return cls(z, w, mode, clock, np.zeros((several, N_COUNTERS), dtype=np.int64), samples)
+
+
+def stack(parts: Sequence[Any]) -> Any:
+    """Arrays, or tuples of them, of some runs as those of a stack; of one run without a copy.
+
+    What is no array is the same for all.
+    """
+    first = parts[0]
+    if isinstance(first, np.ndarray):
+        return first[np.newaxis] if len(parts) == 1 else np.array(parts)
+    if isinstance(first, tuple):
+        return type(first)(*map(stack, zip(*parts, strict=True)))
+    return first
+
+
+def of_run(part: Any, k: int | slice) -> Any:
+    """Run k of a stack, or the stack of some; arrays are views."""
+    if isinstance(part, np.ndarray):
+        return part[k]
+    return type(part)(*(of_run(one, k) for one in part)) if isinstance(part, tuple) else part
+
+
+@inner
+def state_of(states, k):  # type: ignore[no-untyped-def]
+    """The state of run k of a stack."""
+    samples = states.samples
+    return State(
+        states.z[k], states.w[k], states.mode[k], states.clock[k], states.counters[k],
+        Buffers(samples.t[k], samples.z[k], samples.w[k]),
+    )  # fmt: skip
+
+
+@inner
+def rest_of(events, found, k):  # type: ignore[no-untyped-def]
+    """What is left of the buffers of a stack for the events of run k."""
+    n_recorded, n_all_stuck = 0, 0
+    for j in range(k):
+        n_recorded += found[j, 1]
+        n_all_stuck += found[j, 2]
+    t, block, mode, all_stuck = events
+    return Events(t[n_recorded:], block[n_recorded:], mode[n_recorded:], all_stuck[:, n_all_stuck:])
+
+
+@inner
+def note_found(found, k, status, n_recorded, counters):  # type: ignore[no-untyped-def]
+    """Note why run k of a stack ended its slice, and how many events and all-stuck intervals it recorded."""
+    found[k, 0], found[k, 1], found[k, 2] = status, n_recorded, counters[N_ALL_STUCK]
 
 
 @inner
@@ -165,43 +228,99 @@ class Plan(NamedTuple):
     """Prepares the engine for the next piece, once `state` and `drive` are at its start."""
 
 
+def alike(tasks: Sequence[Task]) -> Iterator[list[Task]]:
+    """The tasks in order, those of one kind that follow on each other together: such as may begin as a stack."""
+
+    def kind(numbered: tuple[int, Task]) -> tuple[int, ...]:
+        k, task = numbered
+        if not task.system.is_plain or len(task.samples) or task.modes is not None:
+            return (k,)
+        return -1, task.system.n, task.stop_early, task.certify
+
+    for _, some in groupby(enumerate(tasks), kind):
+        yield [task for _, task in some]
+
+
+class Begun(NamedTuple):
+    """Why the first slice of a run ended, and its events."""
+
+    status: int
+    events: Events
+
+
+def begin(advance: Callable[[Events, NDArray[np.int64]], None], several: int, events_a_step: int) -> list[Begun]:
+    """Advance each run of a stack by a slice.
+
+    `advance` writes what they record into the buffers that it is given, one behind the other, and for each run the
+    status, and how many events and ends of all-stuck intervals there are, into a row of the array.
+    """
+    # room for a step of the last run that comes to none is not needed: it goes on alone
+    events, found = Events.blank(max(4096, 64 * several) + events_a_step), np.zeros((several, 3), dtype=np.int64)
+    advance(events, found)
+    ends, stuck_ends = np.cumsum(found[:, 1]).tolist(), np.cumsum(found[:, 2]).tolist()
+    events = events.first(ends[-1], stuck_ends[-1]).copied()
+    return [
+        Begun(status, events.part(end - n, end)._replace(all_stuck=events.all_stuck[:, stuck - n_stuck : stuck]))
+        for (status, n, n_stuck), end, stuck in zip(found.tolist(), ends, stuck_ends, strict=True)
+    ]
+
+
 class _Recorded:
     """The events of a run so far, and how many of them fall in each piece."""
 
-    def __init__(self, plan: Plan, state: State, drive: Drive) -> None:
+    def __init__(self, plan: Plan, state: State, drive: Drive, begun: Begun | None) -> None:
         self._plan, self._counters, self._drive = plan, state.counters, drive
         self._capacity = max(2 * plan.events_a_step, 4096)  # of a slice
         self._full: list[Events] = []
+        self._events: Events | None = None
         self.of_piece = [0]
-        self._begin()
+        if begun is not None:
+            self._full.append(begun.events)
+            self.of_piece = [len(begun.events.t)]
+            drive.place_all_stuck(begun.events.all_stuck)
 
-    def _begin(self) -> None:
+    def _begin(self) -> Events:
+        self._full = self._all()
         self._events, self._n, self._n_all_stuck = Events.blank(2 * self._capacity), 0, 0
         self._counters[N_ALL_STUCK] = 0
+        return self._events
 
     def slice(self, bound: float) -> int:
         """Run a slice, and take over its events; returns why it ended."""
-        if self._n > self._capacity:
-            self._full.append(self._events.first(self._n, self._n_all_stuck))
-            self._begin()
-        status, n_recorded = self._plan.advance(self._events.part(self._n, self._n + self._capacity), bound)
+        events = self._events
+        if events is None or self._n > self._capacity:
+            events = self._begin()
+        status, n_recorded = self._plan.advance(events.part(self._n, self._n + self._capacity), bound)
         self._n += n_recorded
         self.of_piece[-1] += n_recorded
-        self._drive.place_all_stuck(self._events.all_stuck[:, self._n_all_stuck : self._counters[N_ALL_STUCK]])
+        self._drive.place_all_stuck(events.all_stuck[:, self._n_all_stuck : self._counters[N_ALL_STUCK]])
         self._n_all_stuck = int(self._counters[N_ALL_STUCK])
         return status
 
+    def _all(self) -> list[Events]:
+        return self._full if self._events is None else [*self._full, self._events.first(self._n, self._n_all_stuck)]
+
     def all(self) -> Events:
         """All of them."""
-        return Events.joined([*self._full, self._events.first(self._n, self._n_all_stuck)])
+        return Events.joined(self._all())
 
 
 class _Divergence:
     """Whether a run diverges; asked when its state passes a bound."""
 
-    def __init__(self, task: Task, drive: Drive, z: Floats, w: Floats) -> None:
-        self._task, self._drive = task, drive
-        self.bound, self._beyond = certificates.escape_bounds(task.system, z, w)
+    def __init__(self, task: Task, drive: Drive) -> None:
+        self._task, self._drive, self._passed = task, drive, 0.0
+
+    @cached_property
+    def _bounds(self) -> tuple[float, float]:
+        task = self._task
+        first, beyond = certificates.escape_bounds([task.system], task.z0[np.newaxis], task.w0[np.newaxis])
+        return float(first[0]), float(beyond[0])
+
+    @property
+    def bound(self) -> float:
+        """The size at which to ask next."""
+        return max(self._bounds[0], 2.0 * self._passed)
 
     def reason(self, t: float, z: Floats, w: Floats) -> str:
         """Why the run diverges; "" if that is not certain yet: the bound is then moved out."""
@@ -209,7 +328,7 @@ class _Divergence:
         z_there, w_there = self._drive.of_user(t, z, w)
         speed = float(np.abs(w_there).max())
         size = max(float(np.abs(z).max()), float(np.abs(z_there).max()), speed)
-        is_past_doubt = stop_early and speed > self._beyond and not system.changes
+        is_past_doubt = stop_early and speed > self._bounds[1] and not system.changes
         if not np.isfinite((size, speed)).all():
             raise IntegrationError(
                 f"the state is not finite after t = {t!r}: numbers of this size leave float64; scale the system"
@@ -217,13 +336,20 @@ class _Divergence:
         if stop_early and (why := certificates.escape(system, z_there, w_there)):
             return why
         if size > certificates.BEYOND_NUMBERS or (is_past_doubt and certificates.grows(system)):
-            passed = certificates.BEYOND_NUMBERS if size > certificates.BEYOND_NUMBERS else self._beyond
+            passed = certificates.BEYOND_NUMBERS if size > certificates.BEYOND_NUMBERS else self._bounds[1]
             return certificates.divergence_reason(z_there, w_there, t, min(size, passed))
-        self.bound = 2.0 * size
+        self._passed = size
         return ""
 
 
-def complete(task: Task, state: State, drive: Drive, collapse: certificates.Collapse, plan: Plan) -> Run:
+def complete(
+    task: Task,
+    state: State,
+    drive: Drive,
+    collapse: certificates.Collapse,
+    plan: Plan,
+    begun: Begun | None = None,
+) -> Run:
     """Run slices of an engine until the run ends, gather its events, and say how it ended.
 
     Parameters
@@ -236,14 +362,17 @@ def complete(task: Task, state: State, drive: Drive, collapse: certificates.Coll
     collapse : Collapse
         Asked for a certificate when the clocks say that it is due.
     plan : Plan
+    begun : Begun, optional
+        What came of the first slice, if it was run with others.
     """
     z, w, mode, clock, counters, _ = state
-    recorded, divergence = _Recorded(plan, state, drive), _Divergence(task, drive, z, w)
+    recorded, divergence = _Recorded(plan, state, drive, begun), _Divergence(task, drive)
     outcome: Outcome = "finished"
     reason, t_collapse, n_placed = "", None, 0
     _hand_over(drive, task, state)
     while True:
-        status = recorded.slice(divergence.bound)
+        status = recorded.slice(divergence.bound) if begun is None else begun.status
+        begun = None
         s = float(clock[TIME])
         t = drive.time(s)
         if status == DONE:
@@ -296,8 +425,12 @@ def _series(
 ) -> list[EventSeries]:
     """The series by each definition of sticking, the first without touches that the tolerance cannot resolve."""
     n, t = task.system.n, drive.times(of_piece, events.t)
-    order = np.lexsort((events.block, t))  # stable: instants that round to one time keep each block's order
-    t, s, block, mode = t[order], events.t[order], events.block[order], events.mode[order]
+    s, block, mode = events.t, events.block, events.mode
+    if ((t[1:] < t[:-1]) | ((t[1:] == t[:-1]) & (block[1:] < block[:-1]))).any():
+        order = np.lexsort((block, t))  # stable: instants that round to one time keep each block's order
+        t, s, block, mode = t[order], s[order], block[order], mode[order]
+    else:
+        order = np.arange(len(t))
     series = []
     for d, modes in enumerate(plan.initial_modes):
         of = block // n == d if plan.thresholds else slice(None)

@@ -14,7 +14,7 @@ from stickslip.sim.numerics.panels import PAIR_HEIGHT, SINGLE_PAIR_HEIGHT, pair_
 
 _pair, _single_pair = pair_products(), pair_products(single=True)
 #: Systems of fewer blocks gain nothing from float32; row sums beyond this, or below its inverse, may leave its range.
-_SMALL, _LARGE = 48, 1e30
+FEWEST_SINGLE, _LARGE = 48, 1e30
 
 
 class Pairs(NamedTuple):
@@ -37,7 +37,7 @@ class Pairs(NamedTuple):
         none = np.empty((len(matrices), 0, 0))
         dense = np.array(matrices) if is_dense else none
         double = panels(dense, PAIR_HEIGHT, np.float64)
-        is_single = [is_dense and n >= _SMALL and _fits_single(sums) for sums in row_sums]
+        is_single = [is_dense and n >= FEWEST_SINGLE and _fits_single(sums) for sums in row_sums]
         single = panels(dense if any(is_single) else none, SINGLE_PAIR_HEIGHT, np.float32)
         padded = -(-n // SINGLE_PAIR_HEIGHT) * SINGLE_PAIR_HEIGHT
         product, columns = np.zeros((2, padded)), np.zeros(n, np.int64)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import loop
+from stickslip.sim.engines import certificates, loop
 from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.coulomb import control, sparse, step, waves
@@ -20,7 +20,8 @@ from stickslip.sim.engines.coulomb.overdamped import Slow
 from stickslip.sim.engines.coulomb.taylor import Expansion
 from stickslip.sim.engines.coulomb.windows import Goal, Search
 from stickslip.sim.engines.forcing import Drive
-from stickslip.sim.engines.loop import Events, State
+from stickslip.sim.engines.loop import Begun, Events, State
+from stickslip.sim.numerics import products
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Pairs
 from stickslip.sim.runs.run import Run
@@ -42,7 +43,7 @@ _AT_EVENTS = 100.0
 
 
 def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
-    """The runs of a task, or of several with plain systems of as many blocks: see `Engine.prepare`.
+    """The runs of some tasks: see `Engine.prepare`.
 
     Raises
     ------
@@ -52,40 +53,29 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
         Of a run: if events accumulate at one instant.
     """
     tol = min(engine.tol, control.LOOSEST)
-    is_by_waves = [engine.is_by_waves(task.system) for task in tasks]
-    by_series = iter(_by_series([task for task, by in zip(tasks, is_by_waves, strict=True) if not by], tol))
-    return [_by_waves(task, tol) if by else next(by_series) for task, by in zip(tasks, is_by_waves, strict=True)]
+    found: list[Callable[[], Run]] = []
+    for some in loop.alike(tasks):
+        if len(some) > 1 and _may_begin_together([task.system for task in some]):
+            several = _Several(some, tol)
+            found += [partial(several.run, k, begun) for k, begun in enumerate(several.begin())]
+        else:
+            found += [partial(_alone, task, engine, tol) for task in some]
+    return found
 
 
-def _by_waves(task: Task, tol: float) -> Callable[[], Run]:
-    """The run of a task by `waves`."""
+def _may_begin_together(systems: Sequence[System]) -> bool:
+    """Whether these are so small that a call takes as long as a run, and none has heavily damped blocks."""
+    damping, pull = np.array([one.damping for one in systems]), np.array([one.row_sums for one in systems])
+    return systems[0].n < products.FEWEST_SINGLE and not (damping > control.HEAVY * np.sqrt(pull)).any()
+
+
+def _alone(task: Task, engine: Coulomb, tol: float) -> Run:
+    """The run of a task, by the method that it takes."""
+    if not engine.is_by_waves(task.system):
+        return _Several([task], tol).run(0)
     system = task.system
     shortest, touch = _shortest(system.rates, system.static, system.friction, tol), _TOUCH * math.sqrt(tol)
-    return partial(
-        waves.run, task, tol, _followed(system, tol), shortest, touch, lambda: _by_series([task], tol)[0]()
-    )
-
-
-def _by_series(tasks: Sequence[Task], tol: float) -> list[Callable[[], Run]]:
-    """The runs of some tasks by series."""
-    if not tasks:
-        return []
-    systems = [task.system for task in tasks]
-    # arrays from here on are by task and block
-    rates, static, near, row_sums = (
-        np.array(rows)
-        for rows in zip(
-            *((one.rates, one.static, one.slip_friction[0], one.row_sums) for one in systems), strict=True
-        )
-    )
-    of_runs = zip(
-        tasks,
-        Pairs.of([one.stiffness for one in systems], row_sums),
-        rates.max(axis=1).tolist(),
-        _shortest(rates, static, near, tol),
-        strict=True,
-    )
-    return [partial(_integrate, tol, *of_run) for of_run in of_runs]
+    return waves.run(task, tol, _followed(system, tol), shortest, touch, lambda: _Several([task], tol).run(0))
 
 
 def _shortest(rates: Floats, static: Floats, near: Floats, tol: float) -> Floats:
@@ -102,54 +92,114 @@ def _followed(system: System, tol: float) -> float:
     return max(tol * system.fastest_belt, _FOLLOWED)
 
 
-def _integrate(tol: float, task: Task, pairs: Pairs, rate: float, shortest: Floats) -> Run:
-    """Run a task. `rate` bounds |eigenvalues|; `expand` itself limits a step to where the series of a force holds."""
-    system = task.system
-    drive = Drive(system, task.t_start, task.t_end, control.ORDER_MAX + 1)
-    model, v = Model.of(system, pairs, drive), drive.belt_speed
-    near, far = system.slip_friction
-    if model.weakening is not None:
-        rate += model.weakening.steepness * float((near - far).max())
-    mode = np.sign(task.w0 - v).astype(np.int8)
-    if not system.back_slip:
-        _refuse_closed(system.closed * (task.w0 - v), tol * system.fastest_belt)
-        mode[mode * system.closed > 0] = 0
-    exposure = 1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0)
-    state = State.at_start(task, task.z0.copy(), task.w0.copy(), mode, exposure, 1.0)
-    expansion, search = (
-        Expansion.blank(mode, 0 if system.weakening is None else system.weakening.n_series),
-        Search.of(mode),
-    )
-    if task.modes is not None:
-        expansion.leaves[:] = np.where(mode == 0, task.modes, 0)
-    collapse = Collapse(system, _followed(system, tol), cost=control.certificate(task))
-    slow = Slow.of(system, drive.fastest) if model.weakening is None else None
-    _warn_of_short_steps(task, rate if slow is None else slow.rate)
-    is_local = len(model.columns.dense) == 0 and not drive.is_forced and model.weakening is None and slow is None
+class _Several:
+    """The runs of some tasks by series, as a stack: one, or plain ones that begin together."""
 
-    def advance(events: Events, bound: float) -> tuple[int, int]:
-        goal = Goal(drive.length, drive.is_last, tol, rate, bound)
-        if is_local:
-            found = sparse.advance(model, goal, state, expansion, search, room, events, collapse.precheck)
-        else:
-            found = step.advance(model, goal, state, expansion, search, slow, events, collapse.precheck)
-        if task.modes is not None:
-            _require_modes(task, task.modes, search.initial_mode, tol)
-        return found
+    def __init__(self, tasks: Sequence[Task], tol: float) -> None:
+        self.tasks, self.tol = tasks, tol
+        systems = self.systems = [task.system for task in tasks]
+        self.drives = [Drive(one.system, one.t_start, one.t_end, control.ORDER_MAX + 1) for one in tasks]
+        # arrays from here on are by task and block
+        rates, static, near, row_sums = (
+            np.array(rows)
+            for rows in zip(
+                *((one.rates, one.static, one.slip_friction[0], one.row_sums) for one in systems), strict=True
+            )
+        )
+        pairs = Pairs.of([one.stiffness for one in systems], row_sums)
+        models = [Model.of(*parts) for parts in zip(systems, pairs, self.drives, strict=True)]
+        self.models: Model = loop.stack(models)
+        self.rates, self.shortest = rates.max(axis=1), _shortest(rates, static, near, tol)
+        u = np.array([task.w0 for task in tasks]) - self.models.belt_speed
+        mode, weakening, n_shapes = np.sign(u).astype(np.int8), systems[0].weakening, 0
+        if weakening is not None:
+            self.rates += weakening.steepness * (near - systems[0].slip_friction[1]).max()
+            n_shapes = weakening.n_series
+        if not systems[0].back_slip:
+            closed = systems[0].closed
+            _refuse_closed(closed * u[0], tol * systems[0].fastest_belt)
+            mode[mode * closed > 0] = 0
+        exposure = np.array([max(task.t_end - task.t_start, 1.0) for task in tasks])
+        np.divide(1.0, self.rates, out=exposure, where=self.rates > 0)
+        self.states, self.searches = State.at_start(tasks, mode, exposure, 1.0), Search.of(mode)
+        self.expansions = Expansion.blank(mode, n_shapes)
+        if tasks[0].modes is not None:
+            self.expansions.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
+        self.bounds, _ = certificates.escape_bounds(systems, self.states.z, self.states.w)
+        self.lengths = np.array([drive.length for drive in self.drives])
+        self.collapse = [
+            Collapse(task.system, _followed(task.system, tol), cost=control.certificate(task)) for task in tasks
+        ]
+        self.slips = np.array([one.precheck.slip for one in self.collapse])
+        self.slow = Slow.of(systems[0], self.drives[0].fastest) if weakening is None and len(tasks) == 1 else None
 
-    if is_local:
-        room = sparse.Local.of(system.n, float(system.row_sums.max()))
-    plan = loop.Plan(
-        advance,
-        stalled=f"more than {control.STALL} instants that rounding cannot tell apart; this start is degenerate:"
-        " perturb it, or use engine='sigmoid'",
-        events_a_step=system.n,
-        initial_modes=search.initial_mode[np.newaxis],
-        shortest=shortest,
-        touch=_TOUCH * math.sqrt(tol),
-        method="Taylor series",
-    )
-    return loop.complete(task, state, drive, collapse, plan)
+    def _advance(self, first: int, events: Events, found: NDArray[np.int64]) -> None:
+        """Advance some of the runs, from the first on, by a slice."""
+        goals = Goal(self.lengths, self.drives[first].is_last, self.tol, self.rates, self.bounds)
+        precheck = self.collapse[first].precheck
+        step.advance(
+            self.models, goals, self.states, self.expansions, self.searches, self.slow, events, precheck, self.slips,
+            first, found,
+        )  # fmt: skip
+
+    def begin(self) -> list[Begun]:
+        """The first slices of all."""
+        return loop.begin(partial(self._advance, 0), len(self.tasks), self.systems[0].n)
+
+    def _locally(self) -> Callable[[Events], tuple[int, int]]:
+        """Advances the run of a stack of one by a slice, where K is sparse and nothing ties the blocks together."""
+        model, state, drive = loop.of_run(self.models, 0), loop.of_run(self.states, 0), self.drives[0]
+        expansion, search = Expansion.blank(state.mode, 0), Search.of(state.mode)
+        expansion.leaves[:], search = (
+            self.expansions.leaves[0],
+            search._replace(initial_mode=self.searches.initial_mode[0]),
+        )
+        room = sparse.Local.of(self.systems[0].n, float(self.systems[0].row_sums.max()))
+
+        def advance(events: Events) -> tuple[int, int]:
+            goal = Goal(drive.length, drive.is_last, self.tol, float(self.rates[0]), float(self.bounds[0]))
+            found: tuple[int, int] = sparse.advance(
+                model, goal, state, expansion, search, room, events, self.collapse[0].precheck
+            )
+            return found
+
+        return advance
+
+    def run(self, k: int, begun: Begun | None = None) -> Run:
+        """Run the task k, or go on with it. `expand` itself limits a step to where the series of a force holds."""
+        task, system, drive, collapse, tol = (
+            self.tasks[k],
+            self.systems[k],
+            self.drives[k],
+            self.collapse[k],
+            self.tol,
+        )
+        state, rate, initial_mode = loop.of_run(self.states, k), float(self.rates[k]), self.searches.initial_mode[k]
+        _warn_of_short_steps(task, rate if self.slow is None else self.slow.rate)
+        is_dense = isinstance(system.stiffness, np.ndarray) or drive.is_forced or system.weakening is not None
+        local = self._locally() if not is_dense and self.slow is None else None
+
+        def advance(events: Events, bound: float) -> tuple[int, int]:
+            self.lengths[k], self.bounds[k], found = drive.length, bound, np.zeros((1, 3), dtype=np.int64)
+            if local is None:
+                self._advance(k, events, found)
+            else:
+                found[0, :2] = local(events)
+            if task.modes is not None:
+                _require_modes(task, task.modes, initial_mode, tol)
+            return int(found[0, 0]), int(found[0, 1])
+
+        plan = loop.Plan(
+            advance,
+            stalled=f"more than {control.STALL} instants that rounding cannot tell apart; this start is degenerate:"
+            " perturb it, or use engine='sigmoid'",
+            events_a_step=system.n,
+            initial_modes=initial_mode[np.newaxis],
+            shortest=self.shortest[k],
+            touch=_TOUCH * math.sqrt(tol),
+            method="Taylor series",
+        )
+        return loop.complete(task, state, drive, collapse, plan, begun)
 
 
 def _warn_of_short_steps(task: Task, rate: float) -> None:

@@ -26,10 +26,12 @@ from __future__ import annotations
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
+from stickslip.sim.engines.coulomb.model import model_of
 from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
-from stickslip.sim.engines.coulomb.taylor import correct, expand, shift
-from stickslip.sim.engines.coulomb.windows import evaluate, record, sample, stalls
+from stickslip.sim.engines.coulomb.taylor import correct, expand, expansion_of, shift
+from stickslip.sim.engines.coulomb.windows import evaluate, goal_of, record, sample, search_of, stalls
+from stickslip.sim.engines.precheck import precheck_of
 from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
 
@@ -73,8 +75,8 @@ def _on_the_edge(model, expansion, near, z_max, w, block, has_forces):  # type: 
     return count
 
 
-@kernel
-def advance(model, goal, state, expansion, search, slow, events, precheck):  # type: ignore[no-untyped-def]
+@inner(inlined=True)
+def _advance(model, goal, state, expansion, search, slow, events, precheck):  # type: ignore[no-untyped-def]
     """Take steps until the end, or until Python has something to do; a second call goes on from there.
 
     A window is the time over which one expansion holds. An event in it is carried over by `correct` where that is
@@ -168,3 +170,16 @@ def advance(model, goal, state, expansion, search, slow, events, precheck):  # t
         if not loop.is_within(state, goal.bound):
             return loop.DIVERGED, n_recorded
     return loop.PAUSED, n_recorded
+
+
+@kernel
+def advance(models, goals, states, expansions, searches, slow, events, precheck, slips, first, found):  # type: ignore
+    """Advance runs of a stack, from the first on, by a slice; see `loop.begin`. `slips` are those of `Precheck`."""
+    for row in range(len(found)):
+        k = first + row
+        state = loop.state_of(states, k)
+        status, n_recorded = _advance(
+            model_of(models, k), goal_of(goals, k), state, expansion_of(expansions, k), search_of(searches, k), slow,
+            loop.rest_of(events, found, row), precheck_of(precheck, slips[k]),
+        )  # fmt: skip
+        loop.note_found(found, row, status, n_recorded, state.counters)

@@ -73,18 +73,31 @@ class Expansion(NamedTuple):
 
     @classmethod
     def blank(cls, mode: NDArray[np.int8], n_shapes: int) -> Expansion:
-        """No series yet; blocks of mode 0 are to be decided. `n_shapes` is how many series a weakening keeps."""
-        n = len(mode)
+        """No series yet; blocks of mode 0 are to be decided. `n_shapes` is how many series a weakening keeps.
+
+        Of a run, or of a stack, which shares the series and the workspace: `mode` has shape (n,) or (m, n).
+        """
+        n = mode.shape[-1]
         # NaN: a coefficient used before it was computed would show
         series, forces = np.full((2, control.ORDER_MAX + 1, n), np.nan)
         zeros, side = np.zeros((2, n), np.int64)
         slips, column, last = np.zeros((3, n))
         rows = column, last, np.zeros(control.ORDER_MAX + 1), np.zeros(2)
-        leaves = np.zeros(n, np.int8)
+        leaves = np.zeros(mode.shape, np.int8)
         shape = None
         if n_shapes:
             shape = Shape(np.full((n_shapes, control.ORDER_MAX + 1, n), np.nan), *np.zeros((2, n)))
         return cls(series, forces, mode, slips, mode == 0, leaves, zeros, side, *rows, shape)
+
+
+@inner
+def expansion_of(expansions, k):  # type: ignore[no-untyped-def]
+    """The expansion of run k of a stack, before it has a series."""
+    one = expansions
+    return Expansion(
+        one.series, one.forces, one.mode[k], one.slips, one.touching[k], one.leaves[k], one.zeros, one.side,
+        one.column, one.last, one.change, one.sizes, one.shape,
+    )  # fmt: skip
 
 
 def _of_laws(form: str) -> Any:

@@ -15,13 +15,13 @@ from stickslip.sim.numerics.arithmetic import ROUNDING, copy
 
 
 class Goal(NamedTuple):
-    """What a piece is run to: its end, the tolerance, and bounds."""
+    """What a piece is run to: its end, the tolerance, and bounds. Of a stack: arrays of what is each run's own."""
 
-    t_end: float  #: from the start of the piece
+    t_end: float | Floats  #: from the start of the piece
     is_last: bool
     tol: float
-    rate: float  #: bounds |eigenvalues|
-    bound: float  #: of |z_i| and |w_i|; beyond it Python decides whether the run diverges
+    rate: float | Floats  #: bounds |eigenvalues|
+    bound: float | Floats  #: of |z_i| and |w_i|; beyond it Python decides whether the run diverges
 
 
 class Search(NamedTuple):
@@ -36,9 +36,23 @@ class Search(NamedTuple):
 
     @classmethod
     def of(cls, mode: NDArray[np.int8]) -> Search:
-        n = len(mode)
-        reach, near = np.zeros((2, n))
+        """Of a run, or of a stack, whose workspace is shared; `mode` has shape (n,) or (m, n)."""
+        reach, near = np.zeros((2, mode.shape[-1]))
         return cls(mode.copy(), mode.copy(), reach, near, np.zeros(control.ORDER_MAX + 1), np.zeros(1))
+
+
+@inner
+def goal_of(goals, k):  # type: ignore[no-untyped-def]
+    """The goal of run k of a stack."""
+    return Goal(goals.t_end[k], goals.is_last, goals.tol, goals.rate[k], goals.bound[k])
+
+
+@inner
+def search_of(searches, k):  # type: ignore[no-untyped-def]
+    """Those of run k of a stack."""
+    return Search(
+        searches.known_mode[k], searches.initial_mode[k], searches.reach, searches.near, searches.poly, searches.found
+    )
 
 
 @inner

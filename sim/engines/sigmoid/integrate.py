@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
-    """The runs of a task, or of several with plain systems of as many blocks: see `Engine.prepare`.
+    """The runs of some tasks: see `Engine.prepare`.
 
     Raises
     ------
@@ -40,8 +40,22 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     IntegrationError
         Of a run: if the step shrinks to rounding.
     """
-    prepared = _Prepared(tasks, engine)
-    return [partial(prepared.run, k) for k in range(len(tasks))]
+    found: list[Callable[[], Run]] = []
+    for some in loop.alike(tasks):
+        if len(some) > 1 and some[0].system.n < _SMALL:
+            several = _Several(some, engine)
+            found += [partial(several.run, k, begun) for k, begun in enumerate(several.begin())]
+        else:
+            found += [partial(_alone, task, engine) for task in some]
+    return found
+
+
+def _alone(task: Task, engine: Sigmoid) -> Run:
+    return _Several([task], engine).run(0)
+
+
+#: Systems of fewer blocks run in hardly more time than a call takes.
+_SMALL = 48
 
 
 class _Layer(NamedTuple):
@@ -83,8 +97,11 @@ class _Inside(NamedTuple):
         return cls(atol, rtol, limits.safety_factor(atol + rtol))
 
 
-class _Prepared:
-    """The runs of some tasks, set up together: arrays are by task and block, or by task, definition and block."""
+class _Several:
+    """The runs of some tasks as a stack: one, or plain ones that begin together.
+
+    Arrays are by task and block, or by task, definition and block.
+    """
 
     def __init__(self, tasks: Sequence[Task], engine: Sigmoid) -> None:
         self.tasks, self.engine = tasks, engine
@@ -115,9 +132,36 @@ class _Prepared:
         self._fill_in_the_law(block, near, far)
         self.modes = _modes(block, bands, layer.is_manifold)
         changes = np.abs(np.array([w, block.damping * (w - v) + pull, [one.friction for one in systems]]))
-        self.fastest, self.widest = changes.max(axis=(0, 2)).tolist(), bands.max(axis=(1, 2)).tolist()
-        self.pulls, self.matrices = block.row_sum.max(axis=1).tolist(), _matrices(systems)
-        self.smoothed = cache(partial(_smoothed, layer))  # no method of self, which would be a reference cycle
+        fastest, widest = changes.max(axis=(0, 2)).tolist(), bands.max(axis=(1, 2)).tolist()
+        atol, rtol, safety = self.inside
+        lengths = [drive.length for drive in self.drives]
+        steps = np.array(
+            [
+                min(length, limits.LONGEST_FIRST, first_step(atol, one))
+                for length, one in zip(lengths, fastest, strict=True)
+            ]
+        )
+        self.states = loop.State.at_start(tasks, self.modes[:, 0].copy(), steps, 1.0, 0.0, 0.0)
+        self.states.counters[:, loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
+        n_substeps = 16 * system.n + 256
+        self.events_a_step = PASSES * (system.n + n_substeps) * len(self.by_force)
+        self.work = Workspace.of(self.tables, self.modes, self.drives[0].is_forced, n_substeps)
+        self.work.next_h[:], common = limits.FIRST_SUBSTEP * steps[:, np.newaxis], Shared(self.work.shared)
+        common.atol, common.rtol, common.safety = atol, rtol, safety
+        _jumped(self.states.clock, self.work.next_h, block)
+        self.initial_modes = self.modes.copy()
+        forcing = loop.stack([drive.forcing for drive in self.drives])
+        self.models = Model(layer.law, None, *_matrices(systems), forcing, bands, self.borne, self.by_force)
+        self.bounds, _ = certificates.escape_bounds(systems, z, w)
+        self.ends, self.single_rates = np.array(lengths), limits.single_rate(1.0) * block.row_sum.max(axis=1)
+        smoothed = cache(partial(_smoothed, layer))
+        self.collapse = [
+            certificates.Collapse(
+                task.system, allowed, smoothed(task.system.fastest_belt, wide), limits.certificate(task)
+            )
+            for task, allowed, wide in zip(tasks, self.allowed.tolist(), widest, strict=True)
+        ]
+        self.slips = np.array([one.precheck.slip for one in self.collapse])
 
     def _fill_in_the_law(self, block: Blocks, near: Floats, far: Floats) -> None:
         """Fill in the rows of the smoothed friction law."""
@@ -133,43 +177,41 @@ class _Prepared:
         # beyond this friction is kinetic, to the tolerance
         block.reach = 1.0 + 0.5 * np.log1p(2.0 * near * (1.0 + 2.0 * layer.hidden) / (safety * atol))
 
-    def run(self, k: int) -> Run:
-        """Run the task k."""
-        task, system, drive, n = self.tasks[k], self.systems[k], self.drives[k], self.systems[k].n
-        atol, rtol, safety = self.inside
-        step = min(drive.length, limits.LONGEST_FIRST, first_step(atol, self.fastest[k]))
-        state = loop.State.at_start(task, task.z0.copy(), task.w0.copy(), self.modes[k, 0], step, 1.0, 0.0, 0.0)
-        state.counters[loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
-        n_substeps = 16 * n + 256
-        work = Workspace.of(self.tables[k], self.modes[k], drive.is_forced, n_substeps)
-        work.next_h[:], common = limits.FIRST_SUBSTEP * step, Shared(work.shared)
-        common.atol, common.rtol, common.safety = atol, rtol, safety
-        model = Model(
-            self.layer.law, None, *self.matrices[k], drive.forcing, self.bands[k], self.borne[k], self.by_force
-        )
-        law = self.smoothed(system.fastest_belt, self.widest[k])
-        collapse = certificates.Collapse(system, self.allowed[k], law, limits.certificate(task))
+    def _advance(self, first: int, events: loop.Events, found: NDArray[np.int64]) -> None:
+        """Advance some of the runs, from the first on, by a slice."""
+        drive = self.drives[first]
+        self.ends[first], instant = (drive.ahead, drive.instant) if drive.is_instant else (drive.length, -1.0)
         longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
-        rate = limits.single_rate(self.pulls[k])
-        _jumped(state, work)
+        control = Control(self.ends, instant, longest, self.inside.safety, self.single_rates)
+        precheck = self.collapse[first].precheck
+        advance(self.models, self.work, control, self.states, events, self.bounds, precheck, self.slips, first, found)
+
+    def begin(self) -> list[loop.Begun]:
+        """The first slices of all."""
+        return loop.begin(partial(self._advance, 0), len(self.tasks), self.events_a_step)
+
+    def run(self, k: int, begun: loop.Begun | None = None) -> Run:
+        """Run the task k, or go on with it."""
+        system, drive, engine, atol = self.systems[k], self.drives[k], self.engine, self.inside.atol
+        state = loop.of_run(self.states, k)._replace(mode=self.modes[k, 0])
+        table, next_h = self.tables[k], self.work.next_h[k]
 
         def slice_of_run(events: loop.Events, bound: float) -> tuple[int, int]:
-            end = (drive.ahead, drive.instant) if drive.is_instant else (drive.length, -1.0)
-            control = Control(*end, longest, safety, rate)
-            found: tuple[int, int] = advance(model, work, control, state, events, bound, collapse.precheck)
-            return found
+            found = np.zeros((1, 3), dtype=np.int64)
+            self.bounds[k] = bound
+            self._advance(k, events, found)
+            return int(found[0, 0]), int(found[0, 1])
 
-        engine = self.engine
         plan = loop.Plan(
             slice_of_run,
             stalled=f"the step fell to the rounding of time (rtol = {engine.rtol:g}, atol = {engine.atol:g}); use"
             " engine='coulomb', or raise rtol and atol by tens, which helps unless a belt or a force jumps",
-            events_a_step=PASSES * (n + n_substeps) * len(self.by_force),
-            initial_modes=self.modes[k].copy(),
+            events_a_step=self.events_a_step,
+            initial_modes=self.initial_modes[k],
             thresholds=engine.thresholds,
-            go_on=lambda: _go_on(system, drive, state, work, atol),
+            go_on=lambda: _go_on(system, drive, state, table, next_h, atol),
         )
-        return loop.complete(task, state, drive, collapse, plan)
+        return loop.complete(self.tasks[k], state, drive, self.collapse[k], plan, begun)
 
 
 def _smoothed(layer: _Layer, speed: float, widest: float) -> certificates.Smoothed:
@@ -177,27 +219,26 @@ def _smoothed(layer: _Layer, speed: float, widest: float) -> certificates.Smooth
     return certificates.Smoothed(speed, layer.delta, layer.hidden, float(layer.band.max()), widest)
 
 
-def _jumped(state: loop.State, work: Workspace) -> None:
+def _jumped(clock: Floats, next_h: Floats, block: Blocks) -> None:
     """Note a jump of F: blocks in the layer settle there, or leave it, on the time scale of the layer."""
-    state.clock[limits.JUMPED] = 1.0
-    block = Blocks(work.table[:, : len(state.z)])
+    clock[..., limits.JUMPED] = 1.0
     steep = block.steep
     is_in = np.abs(block.u0) * steep < block.reach
-    np.minimum(work.next_h, 1.0 / np.maximum(block.friction * steep, 1.0), out=work.next_h, where=is_in)
+    np.minimum(next_h, 1.0 / np.maximum(block.friction * steep, 1.0), out=next_h, where=is_in)
 
 
-def _go_on(system: System, drive: Drive, state: loop.State, work: Workspace, atol: float) -> None:
+def _go_on(system: System, drive: Drive, state: loop.State, table: Floats, next_h: Floats, atol: float) -> None:
     """Begin a piece: u is continuous, F jumps where the slopes of belt speeds change."""
-    block = Blocks(work.table[:, : len(state.z)])
+    block = Blocks(table[:, : len(state.z)])
     before = block.force0.copy()
     block.z0, block.belt = state.z, drive.belt_speed
     block.drag, block.force0 = _forces(system, drive, state.z, state.w)
     jump = np.abs(block.force0 - before)
     step = first_step(atol, float(jump.max()))
     state.clock[limits.STEP] = min(state.clock[limits.STEP], step)
-    work.next_h[:] = np.minimum(work.next_h, limits.FIRST_SUBSTEP * step)
+    next_h[:] = np.minimum(next_h, limits.FIRST_SUBSTEP * step)
     if (jump > limits.JUMP * block.friction).any():
-        _jumped(state, work)
+        _jumped(state.clock, next_h, block)
 
 
 def _forces(system: System, drive: Drive, z: Floats, w: Floats) -> tuple[Floats, Floats]:
@@ -275,10 +316,11 @@ def _modes(block: Blocks, bands: Floats, is_manifold: bool) -> NDArray[np.int8]:
     return np.where(held, 0, side[:, np.newaxis]).astype(np.int8)
 
 
-def _matrices(systems: Sequence[System]) -> list[tuple[Matrix, Matrix, bool]]:
-    """K and N, and whether there is an N."""
+def _matrices(systems: Sequence[System]) -> tuple[Matrix, Matrix, bool]:
+    """K and N of a stack, and whether there is an N."""
     if len(systems) == 1:
-        return [matrices_of(systems[0])]
+        stiffness, cross, has_cross = matrices_of(systems[0])
+        return loop.stack([stiffness]), loop.stack([cross]), has_cross
+    none: Matrix = loop.stack([NONE] * len(systems))
     of_all = matrix_of(np.array([one.stiffness for one in systems]))
-    dense, single = of_all.panels, of_all.single_panels
-    return [(of_all._replace(panels=dense[k], single_panels=single[k]), NONE, False) for k in range(len(systems))]
+    return none._replace(panels=of_all.panels, single_panels=of_all.single_panels), none, False

@@ -12,6 +12,7 @@ from typing import NamedTuple
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.panels import SINGLE_ERROR
 from stickslip.sim.numerics.radau import STAGES
 
@@ -130,13 +131,20 @@ STEP, KEPT_STEP, CONTRACTION, JUMPED = range(loop.N_CLOCKS, loop.N_CLOCKS + 4)
 
 
 class Control(NamedTuple):
-    """The end of a piece, and the tolerances."""
+    """The end of a piece, and the tolerances. Of a stack: arrays of what is each run's own."""
 
-    t_end: float  #: from the start of the piece
+    t_end: float | Floats  #: from the start of the piece
     instant: float  #: if not negative: take one step to record the events by then, and keep the state
     longest: float  #: the longest step, by the frequencies of forces
     safety: float  #: the safety factor, tolerance of a substep over that of the run
-    single_rate: float  #: the error of K z in single precision, over the change of z
+    single_rate: float | Floats  #: the error of K z in single precision, over the change of z
+
+
+@inner
+def control_of(controls, k):  # type: ignore[no-untyped-def]
+    """That of run k of a stack."""
+    one = controls
+    return Control(one.t_end[k], one.instant, one.longest, one.safety, one.single_rate[k])
 
 
 class Found(NamedTuple):

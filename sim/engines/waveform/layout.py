@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines.forcing import Forcing
+from stickslip.sim.engines.forcing import Forcing, forcing_of
 from stickslip.sim.engines.loop import Buffers
 from stickslip.sim.engines.waveform.matrices import Matrix
+from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT
@@ -211,22 +212,26 @@ class Workspace(NamedTuple):
     def of(
         cls, table: Floats, modes: NDArray[np.int8], has_forcing: bool, most: int, is_exact: bool = False
     ) -> Workspace:
-        """A workspace for a table and the modes at the start, for at most so many substeps."""
+        """A workspace for a table and the modes at the start, for at most so many substeps.
+
+        Of a stack, for which both have an axis more, it is shared but for these and `next_h`.
+        """
         most_changes, most_repeated = (most, 0) if is_exact else (0, most)
-        n, wide = modes.shape[1], -(-modes.shape[1] // SINGLE_HEIGHT) * SINGLE_HEIGHT
+        n = modes.shape[-1]
+        wide = -(-n // SINGLE_HEIGHT) * SINGLE_HEIGHT
         return cls(
             table=table,
             shared=np.zeros((Shared.n_rows, STAGES)),
             lanes=Lanes(np.empty((Blocks.n_rows, WIDTH)), *np.empty((3, WIDTH), np.int64)),
-            product=np.zeros((STAGES, table.shape[1])),
+            product=np.zeros((STAGES, table.shape[-1])),
             single=np.zeros((STAGES, wide), np.float32),
             single_product=np.zeros((STAGES, wide), np.float32),
             forcing=np.zeros((STAGES if has_forcing else 0, n)),
             modes=modes,
-            modes_before=modes[0].copy(),
+            modes_before=np.zeros(n, np.int8),
             is_split=np.zeros(n, np.bool_),
             split=np.empty(n, np.int64),
-            next_h=np.empty(n),
+            next_h=np.empty((*modes.shape[:-2], n)),
             next_h_before=np.empty(n),
             end_u=np.empty(n),
             end_z=np.empty(n),
@@ -262,3 +267,30 @@ def blank_tables(several: int, n: int) -> Floats:
     block = Blocks(tables)
     block.steep = block.h = block.done = block.tolerance = 1.0
     return tables
+
+
+@inner
+def workspace_of(works, k):  # type: ignore[no-untyped-def]
+    """The workspace of run k of a stack."""
+    one = works
+    return Workspace(
+        one.table[k], one.shared, one.lanes, one.product, one.single, one.single_product, one.forcing,
+        one.modes[k], one.modes_before, one.is_split, one.split, one.next_h[k], one.next_h_before, one.end_u,
+        one.end_z, one.end_mode, one.begins, one.substeps, one.repeated, one.changes, one.there,
+    )  # fmt: skip
+
+
+@inner
+def _matrix_of(matrices, k):  # type: ignore[no-untyped-def]
+    one = matrices
+    return Matrix(one.panels[k], one.single_panels[k], one.indptr[k], one.indices[k], one.data[k])
+
+
+@inner
+def model_of(models, k):  # type: ignore[no-untyped-def]
+    """The model of run k of a stack."""
+    one, forcing = models, forcing_of(models.forcing, k)
+    stiffness, cross = _matrix_of(one.stiffness, k), _matrix_of(one.cross, k)
+    return Model(
+        one.law, one.exact, stiffness, cross, one.has_cross, forcing, one.bands[k], one.borne[k], one.by_force
+    )
