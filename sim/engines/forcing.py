@@ -211,7 +211,7 @@ class Drive:
             return
         if self._is_carried:
             all_stuck[1] += 0.5 * all_stuck[0] ** 2 * self._gains.sum()
-        all_stuck[0] = _times(self.start, self.end, all_stuck[0])
+        all_stuck[0] = times(self.start, self.end, all_stuck[0])
 
     def time(self, s: float) -> float:
         """The time at s of the present piece."""
@@ -220,8 +220,8 @@ class Drive:
     def times(self, counts: list[int], s: Floats) -> Floats:
         """As `time`, for s in all pieces so far, with `counts` of them in each."""
         if len(counts) == 1:
-            return _times(self.start, self.end, s)
-        return _times(np.repeat(self._starts, counts), np.repeat(self._ends, counts), s)
+            return times(self.start, self.end, s)
+        return times(np.repeat(self._starts, counts), np.repeat(self._ends, counts), s)
 
     def turns(self, counts: list[int]) -> Floats:
         """The rates at which ramps of forces and belts reverse the slip of blocks, for each time of `times`.
@@ -281,8 +281,8 @@ class Drive:
             start = end
 
 
-def _times(start: float | Floats, end: float | Floats, s: float | Floats) -> Floats:
-    """The times at s of pieces with these bounds, at which they are the user's to the last bit."""
+def times(start: float | Floats, end: float | Floats, s: float | Floats) -> Floats:
+    """The times at s of pieces with these bounds, which are the user's to the last bit."""
     if isinstance(start, float) and start == 0.0:
         return np.asarray(s)
     return np.where(s >= end - start, end, np.minimum(start + s, end))

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.engines import certificates
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.forcing import Drive
+from stickslip.sim.engines.forcing import Drive, times
 from stickslip.sim.engines.precheck import too_far
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
@@ -67,10 +67,6 @@ class Events(NamedTuple):
     def first(self, n: int, n_all_stuck: int) -> Events:
         """The first events, with the all-stuck intervals in an array of their own."""
         return self.part(0, n)._replace(all_stuck=self.all_stuck[:, :n_all_stuck].copy())
-
-    def copied(self) -> Events:
-        """In arrays of their own."""
-        return Events(self.t.copy(), self.block.copy(), self.mode.copy(), self.all_stuck.copy())
 
     @classmethod
     def joined(cls, parts: list[Events]) -> Events:
@@ -246,23 +242,74 @@ class Begun(NamedTuple):
 
     status: int
     events: Events
+    is_whole: bool  #: whether it was the last, and its events are those of the run
 
 
-def begin(advance: Callable[[Events, NDArray[np.int64]], None], several: int, events_a_step: int) -> list[Begun]:
+def begin(
+    advance: Callable[[Events, NDArray[np.int64]], None],
+    initial_modes: NDArray[np.int8],
+    events_a_step: int,
+    shortest: Floats | None = None,
+) -> list[Begun]:
     """Advance each run of a stack by a slice.
 
-    `advance` writes what they record into the buffers that it is given, one behind the other, and for each run the
-    status, and how many events and ends of all-stuck intervals there are, into a row of the array.
+    Parameters
+    ----------
+    advance : callable
+        Writes what the runs record into the buffers that it is given, one behind the other, and for each run the
+        status, and how many events and ends of all-stuck intervals there are, into a row of the array.
+    initial_modes : int8, shape (runs, definitions of sticking, n)
+    events_a_step, shortest
+        As of `Plan`, the latter shape (runs, n).
     """
+    several, n_definitions, n = initial_modes.shape
     # room for a step of the last run that comes to none is not needed: it goes on alone
     events, found = Events.blank(max(4096, 64 * several) + events_a_step), np.zeros((several, 3), dtype=np.int64)
     advance(events, found)
     ends, stuck_ends = np.cumsum(found[:, 1]).tolist(), np.cumsum(found[:, 2]).tolist()
-    events = events.first(ends[-1], stuck_ends[-1]).copied()
+    of_event = np.arange(several).repeat(found[:, 1])
+    events = events.first(ends[-1], stuck_ends[-1])
+    order = np.lexsort((events.block, events.t, of_event))  # as in `_series`
+    events = Events(events.t[order], events.block[order], events.mode[order], events.all_stuck)
+    whole = (found[:, 0] == DONE) & (n_definitions == 1)
+    if shortest is not None:
+        whole[of_event[_may_be_touches(of_event * n + events.block, events.t, shortest.ravel())]] = False
     return [
-        Begun(status, events.part(end - n, end)._replace(all_stuck=events.all_stuck[:, stuck - n_stuck : stuck]))
-        for (status, n, n_stuck), end, stuck in zip(found.tolist(), ends, stuck_ends, strict=True)
+        Begun(
+            status,
+            events.part(end - n_events, end)._replace(all_stuck=events.all_stuck[:, stuck - n_stuck : stuck]),
+            is_whole,
+        )
+        for (status, n_events, n_stuck), end, stuck, is_whole in zip(
+            found.tolist(), ends, stuck_ends, whole.tolist(), strict=True
+        )
     ]
+
+
+def _may_be_touches(of_block: NDArray[np.intp], t: Floats, shortest: Floats) -> NDArray[np.intp]:
+    """The events that follow on one of the same block within `shortest`, which has one number a block."""
+    order = np.argsort(of_block, kind="stable")
+    block, at = of_block[order], t[order]
+    is_close = (block[1:] == block[:-1]) & (at[1:] - at[:-1] <= shortest[block[1:]])
+    return order[1:][is_close]
+
+
+def ended(task: Task, states: State, k: int, begun: Begun, initial_mode: NDArray[np.int8], method: str = "") -> Run:
+    """Run k of a stack, whose first slice was all of it: as `complete` would give it."""
+    t, block, mode, all_stuck = begun.events
+    counts = states.counters[k].tolist()
+    series = EventSeries(times(task.t_start, task.t_end, t), block, mode, initial_mode, task.t_start, task.t_end)
+    return Run(
+        z=states.z[k],
+        w=states.w[k],
+        t_end=task.t_end,
+        events=series,
+        outcome="finished",
+        reason="",
+        stats=Stats(counts[N_STEPS], counts[N_REJECTED], counts[N_PRODUCTS], len(t), method),
+        samples=task.samples,
+        stills=Stills(times(task.t_start, task.t_end, all_stuck[0]), all_stuck[1]),
+    )
 
 
 class _Recorded:

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 #: A touch w - v = a s^2 / 2 with an error of the tolerance becomes two events 2 (2 tol |v| / a)^(1/2) apart, where a
 #: is about |v| rate^2, or none: events closer than this many tol^(1/2) / rate are a touch.
 _TOUCH = 4.0
+#: In `Stats`.
+_METHOD = "Taylor series"
 #: More steps than this are warned of.
 _MANY = 1e8
 #: The motion after a collapse is summed from the eigenmodes if a bound of their rounding, some hundred times the
@@ -144,7 +146,8 @@ class _Several:
 
     def begin(self) -> list[Begun]:
         """The first slices of all."""
-        return loop.begin(partial(self._advance, 0), len(self.tasks), self.systems[0].n)
+        initial = self.searches.initial_mode[:, np.newaxis]
+        return loop.begin(partial(self._advance, 0), initial, self.systems[0].n, self.shortest)
 
     def _locally(self) -> Callable[[Events], tuple[int, int]]:
         """Advances the run of a stack of one by a slice, where K is sparse and nothing ties the blocks together."""
@@ -167,6 +170,8 @@ class _Several:
 
     def run(self, k: int, begun: Begun | None = None) -> Run:
         """Run the task k, or go on with it. `expand` itself limits a step to where the series of a force holds."""
+        if begun is not None and begun.is_whole:
+            return loop.ended(self.tasks[k], self.states, k, begun, self.searches.initial_mode[k], _METHOD)
         task, system, drive, collapse, tol = (
             self.tasks[k],
             self.systems[k],
@@ -197,7 +202,7 @@ class _Several:
             initial_modes=initial_mode[np.newaxis],
             shortest=self.shortest[k],
             touch=_TOUCH * math.sqrt(tol),
-            method="Taylor series",
+            method=_METHOD,
         )
         return loop.complete(task, state, drive, collapse, plan, begun)
 

@@ -188,10 +188,12 @@ class _Several:
 
     def begin(self) -> list[loop.Begun]:
         """The first slices of all."""
-        return loop.begin(partial(self._advance, 0), len(self.tasks), self.events_a_step)
+        return loop.begin(partial(self._advance, 0), self.initial_modes, self.events_a_step)
 
     def run(self, k: int, begun: loop.Begun | None = None) -> Run:
         """Run the task k, or go on with it."""
+        if begun is not None and begun.is_whole:
+            return loop.ended(self.tasks[k], self.states, k, begun, self.initial_modes[k, 0])
         system, drive, engine, atol = self.systems[k], self.drives[k], self.engine, self.inside.atol
         state = loop.of_run(self.states, k)._replace(mode=self.modes[k, 0])
         table, next_h = self.tables[k], self.work.next_h[k]
