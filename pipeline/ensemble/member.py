@@ -38,6 +38,7 @@ MATRIX, PERTURBATION, RATIO, TWIN, START_Z, START_W = 0, 1, 2, 3, 6, 7
 #: The purpose of each draw for the blocks, by the argument of `sim.System`, or of a force, that it gives.
 _PURPOSES = {term.name: term.purpose for term in TERMS if term.purpose is not None}
 _OF_FORCE = tuple(term.name for term in TERMS if term.table == "force")
+_OF_LAWS = [(law, tuple(law.parameters())) for law in LAWS.values()]
 #: The arrays of a file, by the purpose of the draw that each replaces.
 _ARRAYS = {_PURPOSES[name]: name for name in OF_BLOCKS} | {START_Z: "z0", START_W: "w0"}
 
@@ -344,8 +345,8 @@ def _own_system(member: Member) -> sim.System:
         given["force"] = _force(member, Push(harmonic, terms.get("force_course"), terms.get("force_blocks")))
     if isinstance(several := terms.get("forces"), Pushes):
         given["force"] = [_force(member, push, k) for k, push in enumerate(several.parts)]
-    for law in LAWS.values():
-        numbers = {key: terms.get(f"weakening_{key}") for key in law.parameters()}
+    for law, keys in _OF_LAWS:
+        numbers = {key: terms.get(f"weakening_{key}") for key in keys}
         if None not in numbers.values():
             given["weakening"] = law(**numbers)
     if terms.get("back_slip") is not None:

@@ -121,7 +121,7 @@ def _prepared(members: Sequence[Member], recording: Recording) -> Iterator[_Prep
 
 
 def _set_up(members: Sequence[Member], recording: Recording) -> list[_Prepared]:
-    """Some members of as many blocks; those with plain systems and the same settings are set up at once."""
+    """Some members of as many blocks; those with the same settings may be set up, and begun, together."""
     prepared: list[_Prepared] = []
     alike: dict[Engine, dict[int, Task]] = {}
     stop_early = "always" if any(record.is_certified for record in recording.records) else True
@@ -133,9 +133,8 @@ def _set_up(members: Sequence[Member], recording: Recording) -> list[_Prepared]:
             prepared.append(_Prepared(member, partial(_raise, error)))
             continue
         prepared.append(_Prepared(member, partial(engine.integrate, task), system, start))
-        if task.system.is_plain:
-            alike.setdefault(engine, {})[k] = task
-    plain = {task.system: None for tasks in alike.values() for task in tasks.values()}
+        alike.setdefault(engine, {})[k] = task
+    plain = {task.system: None for tasks in alike.values() for task in tasks.values() if task.system.is_plain}
     if len(plain) > 1:
         work_out([*plain])
     for engine, tasks in alike.items():

@@ -191,9 +191,9 @@ class Engine(ABC):
         """Run a task under the rules of this module."""
 
     def prepare(self, tasks: Sequence[Task]) -> list[Callable[[], Run]]:
-        """Functions that run the tasks when called, each with the result of `integrate` to the last bit.
+        """Functions that run the tasks when called, each once, with the result of `integrate` to the last bit.
 
-        All systems are plain, see `System.is_plain`, with one number of blocks: an engine may set them up together.
+        An engine may begin several at once: a call from Python takes longer than a small system runs.
         """
         return [partial(self.integrate, task) for task in tasks]
 

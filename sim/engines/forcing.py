@@ -34,6 +34,9 @@ _OF_PHASE = np.finfo(np.float64).eps / ROUNDING
 _APART = 100.0
 
 
+_NOTHING = np.empty((0, 0))
+
+
 class Forcing(NamedTuple):
     """g of the present piece, sum_p poly_p s^p + sum_m amplitude_m cos(frequency_m s + phase_m); changed in place."""
 
@@ -47,7 +50,7 @@ class Forcing(NamedTuple):
     @classmethod
     def none(cls) -> Forcing:
         """No force: arrays of no length, and not None, for which kernels would be compiled once more."""
-        return cls(*([np.empty((0, 0))] * 6))
+        return cls(*[_NOTHING] * 6)
 
 
 @inner
@@ -153,7 +156,7 @@ class Drive:
         self._system, self._moves = system, isinstance(system.belt_speed, Piecewise)
         self.belt_speed = np.empty(n)
         self.belt_speed[:] = system.belt_speed.at(t_start) if self._moves else system.belt_speed
-        self._gains, self._is_carried = np.zeros(n), False
+        self._gains, self._is_carried = _NOTHING, False
         self._starts, self._ends, self._turns = list[float](), list[float](), list[float]()
         self.forcing = Forcing.none()
         self.fastest, self.is_instant, self.ahead, self.instant = 0.0, False, 0.0, 0.0

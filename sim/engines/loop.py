@@ -15,7 +15,7 @@ from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from stickslip.sim.engines import certificates
 from stickslip.sim.engines.contract import Task
@@ -93,20 +93,17 @@ class State(NamedTuple):
     samples: Buffers
 
     @classmethod
-    def at_start(cls, tasks: Sequence[Task], mode: NDArray[np.int8], *clocks: ArrayLike) -> State:
-        """The states at the start of some tasks, as a stack of their own; `clocks` are those of the engine.
+    def at_start(cls, tasks: Sequence[Task], mode: NDArray[np.int8], clocks: Sequence[Sequence[float]]) -> State:
+        """The states at the start of some tasks, as a stack of their own; `clocks` are those of the engine, by task.
 
         Of several tasks none has samples.
         """
-        several = len(tasks)
         may_collapse = [one.stop_early and one.system.has_one_belt and not one.system.changes for one in tasks]
-        clock = np.zeros((several, N_CLOCKS + len(clocks)))
-        clock[:, CHECK] = clock[:, _CHECK_RIGHT] = np.where(may_collapse, -np.inf, np.inf)
-        for k, values in enumerate(clocks):
-            clock[:, N_CLOCKS + k] = values
+        checks = [-np.inf if may else np.inf for may in may_collapse]
+        clock = np.array([[0.0, check, check, 0.0, *own] for check, own in zip(checks, clocks, strict=True)])
         z, w = np.array([task.z0 for task in tasks]), np.array([task.w0 for task in tasks])
         samples = stack([Buffers(np.full(len(one.t), np.inf), one.z, one.w) for one in (t.samples for t in tasks)])
-        return cls(z, w, mode, clock, np.zeros((several, N_COUNTERS), dtype=np.int64), samples)
+        return cls(z, w, mode, clock, np.zeros((len(tasks), N_COUNTERS), dtype=np.int64), samples)
 
 
 def stack(parts: Sequence[Any]) -> Any:
@@ -115,18 +112,23 @@ def stack(parts: Sequence[Any]) -> Any:
     What is no array is the same for all.
     """
     first = parts[0]
+    if len(parts) == 1:
+        return of_run(first, np.newaxis)
     if isinstance(first, np.ndarray):
-        return first[np.newaxis] if len(parts) == 1 else np.array(parts)
+        return np.array(parts)
     if isinstance(first, tuple):
         return type(first)(*map(stack, zip(*parts, strict=True)))
     return first
 
 
-def of_run(part: Any, k: int | slice) -> Any:
-    """Run k of a stack, or the stack of some; arrays are views."""
-    if isinstance(part, np.ndarray):
-        return part[k]
-    return type(part)(*(of_run(one, k) for one in part)) if isinstance(part, tuple) else part
+def of_run(part: Any, k: int | None) -> Any:
+    """Run k of a stack, or a run as the only one of a stack; arrays are views."""
+    return type(part)(
+        *[
+            one[k] if isinstance(one, np.ndarray) else of_run(one, k) if isinstance(one, tuple) else one
+            for one in part
+        ]
+    )
 
 
 @inner
@@ -224,17 +226,16 @@ class Plan(NamedTuple):
     """Prepares the engine for the next piece, once `state` and `drive` are at its start."""
 
 
-def alike(tasks: Sequence[Task]) -> Iterator[list[Task]]:
-    """The tasks in order, those of one kind that follow on each other together: such as may begin as a stack."""
+def alike(tasks: Sequence[Task]) -> Iterator[tuple[bool, list[Task]]]:
+    """The tasks in order, those that follow on each other and may begin together as a stack; the others, as such."""
 
-    def kind(numbered: tuple[int, Task]) -> tuple[int, ...]:
-        k, task = numbered
+    def kind(task: Task) -> tuple[int, bool, bool] | None:
         if not task.system.is_plain or len(task.samples) or task.modes is not None:
-            return (k,)
-        return -1, task.system.n, task.stop_early, task.certify
+            return None
+        return task.system.n, task.stop_early, task.certify
 
-    for _, some in groupby(enumerate(tasks), kind):
-        yield [task for _, task in some]
+    for common, some in groupby(tasks, kind):
+        yield common is not None, list(some)
 
 
 class Begun(NamedTuple):
@@ -263,7 +264,7 @@ def begin(
         As of `Plan`, the latter shape (runs, n).
     """
     several, n_definitions, n = initial_modes.shape
-    # room for a step of the last run that comes to none is not needed: it goes on alone
+    # a run for whose steps nothing is left goes on alone
     events, found = Events.blank(max(4096, 64 * several) + events_a_step), np.zeros((several, 3), dtype=np.int64)
     advance(events, found)
     ends, stuck_ends = np.cumsum(found[:, 1]).tolist(), np.cumsum(found[:, 2]).tolist()

@@ -37,7 +37,7 @@ class Pairs(NamedTuple):
         none = np.empty((len(matrices), 0, 0))
         dense = np.array(matrices) if is_dense else none
         double = panels(dense, PAIR_HEIGHT, np.float64)
-        is_single = [is_dense and n >= FEWEST_SINGLE and _fits_single(sums) for sums in row_sums]
+        is_single = [is_dense and _may_be_single(sums) for sums in row_sums]
         single = panels(dense if any(is_single) else none, SINGLE_PAIR_HEIGHT, np.float32)
         padded = -(-n // SINGLE_PAIR_HEIGHT) * SINGLE_PAIR_HEIGHT
         product, columns = np.zeros((2, padded)), np.zeros(n, np.int64)
@@ -48,10 +48,15 @@ class Pairs(NamedTuple):
         ]
 
 
-def _fits_single(sums: Floats) -> bool:
-    """Whether the row sums of |K| are well within the range of float32."""
-    sums = sums[sums > 0.0]
+def _may_be_single(sums: Floats) -> bool:
+    """Whether there are so many blocks that float32 pays, and the row sums of |K| are well within its range."""
+    sums = sums[sums > 0.0] if len(sums) >= FEWEST_SINGLE else sums[:0]
     return len(sums) > 0 and bool(sums.min() > 1 / _LARGE and sums.max() < _LARGE)
+
+
+def are_of_one_kind(row_sums: Floats) -> bool:
+    """Whether the pairs of all matrices have float32, or none; from row sums of |K|, shape (m, n)."""
+    return row_sums.shape[1] < FEWEST_SINGLE or len({_may_be_single(sums) for sums in row_sums}) == 1
 
 
 @inner

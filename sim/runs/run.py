@@ -54,7 +54,7 @@ class Samples:
     @classmethod
     def blank(cls, t: Floats, n: int) -> Samples:
         """Arrays for the state at times `t`, NaN until it is known."""
-        z, w = np.full((2, len(t), n), np.nan)
+        z, w = np.full((2, len(t), n), np.nan) if len(t) else np.empty((2, 0, n))
         return cls(t, z, w)
 
     def first(self, m: int) -> Samples:

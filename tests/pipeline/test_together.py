@@ -7,6 +7,8 @@ from stickslip.pipeline import parse_scene
 from stickslip.pipeline.dataset.schema import encode, schema_of
 from stickslip.pipeline.ensemble import expand, member
 from stickslip.pipeline.running import worker
+from stickslip.sim import draw_system
+from stickslip.sim.simulation import as_engine, as_task
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 RECORD = "[record]\nevents = true\nend = true\nepisodes = true\n"
@@ -73,3 +75,35 @@ def test_no_more_systems_are_held_than_their_size_allows(monkeypatch, n, at_most
     monkeypatch.setattr(member.Member, "system", lambda self: drawn.append(self) or own(self))
     next(iter(worker._prepared(members, recording)))
     assert len(drawn) == at_most
+
+
+@pytest.mark.parametrize("engine", [{"name": "coulomb"}, {"name": "sigmoid", "eps": 0.01, "thresholds": [1.0, 3.0]}])
+def test_runs_of_any_length_that_begin_together_are_as_alone(rng, engine):
+    """Some end in their first slice, some fill the buffers or take many slices, some collapse or escape."""
+    settings = dict(engine)
+    chosen = as_engine(settings.pop("name"), settings)
+    n, tasks = int(rng.integers(1, 6)), []
+    for _ in range(12):
+        coupling, rho, belt = (
+            rng.choice(["antisymmetric", "full"]),
+            rng.choice([0.1, 3.5]),
+            rng.choice([-0.2, 0.2, -1]),
+        )
+        system = draw_system(coupling, n, int(rng.integers(1 << 31)), rho=rho, belt_speed=float(belt))
+        tasks.append(
+            as_task(chosen, system, rng.normal(size=n), rng.normal(size=n), rng.choice([1e-3, 20.0, 2000.0]))
+        )
+    for task, run in zip(tasks, chosen.prepare(tasks), strict=True):
+        one, other = run(), chosen.integrate(task)
+        assert (one.outcome, one.reason, one.t_end, one.t_collapse, one.stats) == (
+            other.outcome, other.reason, other.t_end, other.t_collapse, other.stats,
+        )  # fmt: skip
+        assert one.z.tobytes() == other.z.tobytes()
+        assert one.w.tobytes() == other.w.tobytes()
+        assert one.stills.total.tobytes() == other.stills.total.tobytes()
+        for name in ("t", "block", "mode", "initial_mode"):
+            mine, its = (
+                [getattr(series, name).tobytes() for series in (run.events, *run.by_threshold.values())]
+                for run in (one, other)
+            )
+            assert mine == its

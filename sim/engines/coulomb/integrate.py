@@ -56,8 +56,8 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
     """
     tol = min(engine.tol, control.LOOSEST)
     found: list[Callable[[], Run]] = []
-    for some in loop.alike(tasks):
-        if len(some) > 1 and _may_begin_together([task.system for task in some]):
+    for may_begin, some in loop.alike(tasks):
+        if may_begin and _may_begin_together([task.system for task in some], engine):
             several = _Several(some, tol)
             found += [partial(several.run, k, begun) for k, begun in enumerate(several.begin())]
         else:
@@ -65,19 +65,27 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
     return found
 
 
-def _may_begin_together(systems: Sequence[System]) -> bool:
-    """Whether these are so small that a call takes as long as a run, and none has heavily damped blocks."""
+def _may_begin_together(systems: Sequence[System], engine: Coulomb) -> bool:
+    """Whether all are run by series, with products of one kind, and none has heavily damped blocks."""
     damping, pull = np.array([one.damping for one in systems]), np.array([one.row_sums for one in systems])
-    return systems[0].n < products.FEWEST_SINGLE and not (damping > control.HEAVY * np.sqrt(pull)).any()
+    is_heavy = (damping > control.HEAVY * np.sqrt(pull)).any()
+    return not is_heavy and products.are_of_one_kind(pull) and not any(map(engine.is_by_waves, systems))
 
 
 def _alone(task: Task, engine: Coulomb, tol: float) -> Run:
     """The run of a task, by the method that it takes."""
     if not engine.is_by_waves(task.system):
-        return _Several([task], tol).run(0)
+        return _by_series(task, tol)
     system = task.system
     shortest, touch = _shortest(system.rates, system.static, system.friction, tol), _TOUCH * math.sqrt(tol)
-    return waves.run(task, tol, _followed(system, tol), shortest, touch, lambda: _Several([task], tol).run(0))
+    return waves.run(task, tol, _followed(system, tol), shortest, touch, lambda: _by_series(task, tol))
+
+
+def _by_series(task: Task, tol: float) -> Run:
+    one = _Several([task], tol)
+    if task.system.weakening is None:
+        one.slow = Slow.of(task.system, one.drives[0].fastest)
+    return one.run(0)
 
 
 def _shortest(rates: Floats, static: Floats, near: Floats, tol: float) -> Floats:
@@ -121,19 +129,20 @@ class _Several:
             closed = systems[0].closed
             _refuse_closed(closed * u[0], tol * systems[0].fastest_belt)
             mode[mode * closed > 0] = 0
-        exposure = np.array([max(task.t_end - task.t_start, 1.0) for task in tasks])
-        np.divide(1.0, self.rates, out=exposure, where=self.rates > 0)
-        self.states, self.searches = State.at_start(tasks, mode, exposure, 1.0), Search.of(mode)
+        exposures = [
+            (1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0), 1.0)
+            for rate, task in zip(self.rates.tolist(), tasks, strict=True)
+        ]
+        self.states, self.searches = State.at_start(tasks, mode, exposures), Search.of(mode)
         self.expansions = Expansion.blank(mode, n_shapes)
         if tasks[0].modes is not None:
             self.expansions.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
-        self.bounds, _ = certificates.escape_bounds(systems, self.states.z, self.states.w)
-        self.lengths = np.array([drive.length for drive in self.drives])
+        self.bounds, self.lengths = np.empty(len(tasks)), np.array([drive.length for drive in self.drives])
         self.collapse = [
             Collapse(task.system, _followed(task.system, tol), cost=control.certificate(task)) for task in tasks
         ]
         self.slips = np.array([one.precheck.slip for one in self.collapse])
-        self.slow = Slow.of(systems[0], self.drives[0].fastest) if weakening is None and len(tasks) == 1 else None
+        self.slow: Slow | None = None
 
     def _advance(self, first: int, events: Events, found: NDArray[np.int64]) -> None:
         """Advance some of the runs, from the first on, by a slice."""
@@ -146,17 +155,15 @@ class _Several:
 
     def begin(self) -> list[Begun]:
         """The first slices of all."""
+        self.bounds[:], _ = certificates.escape_bounds(self.systems, self.states.z, self.states.w)
         initial = self.searches.initial_mode[:, np.newaxis]
         return loop.begin(partial(self._advance, 0), initial, self.systems[0].n, self.shortest)
 
     def _locally(self) -> Callable[[Events], tuple[int, int]]:
         """Advances the run of a stack of one by a slice, where K is sparse and nothing ties the blocks together."""
         model, state, drive = loop.of_run(self.models, 0), loop.of_run(self.states, 0), self.drives[0]
-        expansion, search = Expansion.blank(state.mode, 0), Search.of(state.mode)
-        expansion.leaves[:], search = (
-            self.expansions.leaves[0],
-            search._replace(initial_mode=self.searches.initial_mode[0]),
-        )
+        expansion = Expansion.blank(state.mode, 0)._replace(leaves=self.expansions.leaves[0])
+        search = Search.of(state.mode)._replace(initial_mode=self.searches.initial_mode[0])
         room = sparse.Local.of(self.systems[0].n, float(self.systems[0].row_sums.max()))
 
         def advance(events: Events) -> tuple[int, int]:
@@ -172,15 +179,13 @@ class _Several:
         """Run the task k, or go on with it. `expand` itself limits a step to where the series of a force holds."""
         if begun is not None and begun.is_whole:
             return loop.ended(self.tasks[k], self.states, k, begun, self.searches.initial_mode[k], _METHOD)
-        task, system, drive, collapse, tol = (
+        task, system, drive, initial_mode = (
             self.tasks[k],
             self.systems[k],
             self.drives[k],
-            self.collapse[k],
-            self.tol,
+            self.searches.initial_mode[k],
         )
-        state, rate, initial_mode = loop.of_run(self.states, k), float(self.rates[k]), self.searches.initial_mode[k]
-        _warn_of_short_steps(task, rate if self.slow is None else self.slow.rate)
+        _warn_of_short_steps(task, float(self.rates[k]) if self.slow is None else self.slow.rate)
         is_dense = isinstance(system.stiffness, np.ndarray) or drive.is_forced or system.weakening is not None
         local = self._locally() if not is_dense and self.slow is None else None
 
@@ -191,7 +196,7 @@ class _Several:
             else:
                 found[0, :2] = local(events)
             if task.modes is not None:
-                _require_modes(task, task.modes, initial_mode, tol)
+                _require_modes(task, task.modes, initial_mode, self.tol)
             return int(found[0, 0]), int(found[0, 1])
 
         plan = loop.Plan(
@@ -201,10 +206,10 @@ class _Several:
             events_a_step=system.n,
             initial_modes=initial_mode[np.newaxis],
             shortest=self.shortest[k],
-            touch=_TOUCH * math.sqrt(tol),
+            touch=_TOUCH * math.sqrt(self.tol),
             method=_METHOD,
         )
-        return loop.complete(task, state, drive, collapse, plan, begun)
+        return loop.complete(task, loop.of_run(self.states, k), drive, self.collapse[k], plan, begun)
 
 
 def _warn_of_short_steps(task: Task, rate: float) -> None:

@@ -74,7 +74,7 @@ def run(task: Task, tol: float, followed: float, shortest: Floats, touch: float,
     scale = max(system.fastest_belt, float(np.abs(w).max()))
     changes = np.abs(np.array([w, system.damping * (w - v) + pull, system.friction]))
     step = min(drive.length, limits.LONGEST_FIRST, scale * first_step(allowed, float(changes.max())))
-    state = loop.of_run(loop.State.at_start([task], modes, step, 1.0, 0.0, 0.0), 0)
+    state = loop.of_run(loop.State.at_start([task], modes, [(step, 1.0, 0.0, 0.0)]), 0)
     state.counters[loop.N_PRODUCTS] = 2
     work = Workspace.of(tables, modes, False, _PIECES * n + _MORE, is_exact=True)
     Shared(work.shared).safety = 1.0

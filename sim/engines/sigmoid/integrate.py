@@ -41,8 +41,8 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
         Of a run: if the step shrinks to rounding.
     """
     found: list[Callable[[], Run]] = []
-    for some in loop.alike(tasks):
-        if len(some) > 1 and some[0].system.n < _SMALL:
+    for may_begin, some in loop.alike(tasks):
+        if may_begin:
             several = _Several(some, engine)
             found += [partial(several.run, k, begun) for k, begun in enumerate(several.begin())]
         else:
@@ -52,10 +52,6 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
 
 def _alone(task: Task, engine: Sigmoid) -> Run:
     return _Several([task], engine).run(0)
-
-
-#: Systems of fewer blocks run in hardly more time than a call takes.
-_SMALL = 48
 
 
 class _Layer(NamedTuple):
@@ -141,7 +137,7 @@ class _Several:
                 for length, one in zip(lengths, fastest, strict=True)
             ]
         )
-        self.states = loop.State.at_start(tasks, self.modes[:, 0].copy(), steps, 1.0, 0.0, 0.0)
+        self.states = loop.State.at_start(tasks, self.modes[:, 0].copy(), [(step, 1.0, 0.0, 0.0) for step in steps])
         self.states.counters[:, loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
         n_substeps = 16 * system.n + 256
         self.events_a_step = PASSES * (system.n + n_substeps) * len(self.by_force)
@@ -152,7 +148,7 @@ class _Several:
         self.initial_modes = self.modes.copy()
         forcing = loop.stack([drive.forcing for drive in self.drives])
         self.models = Model(layer.law, None, *_matrices(systems), forcing, bands, self.borne, self.by_force)
-        self.bounds, _ = certificates.escape_bounds(systems, z, w)
+        self.bounds = np.empty(len(tasks))
         self.ends, self.single_rates = np.array(lengths), limits.single_rate(1.0) * block.row_sum.max(axis=1)
         smoothed = cache(partial(_smoothed, layer))
         self.collapse = [
@@ -188,6 +184,7 @@ class _Several:
 
     def begin(self) -> list[loop.Begun]:
         """The first slices of all."""
+        self.bounds[:], _ = certificates.escape_bounds(self.systems, self.states.z, self.states.w)
         return loop.begin(partial(self._advance, 0), self.initial_modes, self.events_a_step)
 
     def run(self, k: int, begun: loop.Begun | None = None) -> Run:
