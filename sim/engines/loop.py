@@ -242,11 +242,12 @@ class Begun(NamedTuple):
     """Why the first slice of a run ended, and its events."""
 
     status: int
-    events: Events
-    is_whole: bool  #: whether it was the last, and its events are those of the run
+    events: Events  #: at times from the start, or, of what is whole, at the user's
+    is_whole: bool  #: whether it was the last slice, and its events are those of the run
 
 
 def begin(
+    tasks: Sequence[Task],
     advance: Callable[[Events, NDArray[np.int64]], None],
     initial_modes: NDArray[np.int8],
     events_a_step: int,
@@ -256,6 +257,7 @@ def begin(
 
     Parameters
     ----------
+    tasks : sequence of Task
     advance : callable
         Writes what the runs record into the buffers that it is given, one behind the other, and for each run the
         status, and how many events and ends of all-stuck intervals there are, into a row of the array.
@@ -265,20 +267,30 @@ def begin(
     """
     several, n_definitions, n = initial_modes.shape
     # a run for whose steps nothing is left goes on alone
-    events, found = Events.blank(max(4096, 64 * several) + events_a_step), np.zeros((several, 3), dtype=np.int64)
-    advance(events, found)
-    ends, stuck_ends = np.cumsum(found[:, 1]).tolist(), np.cumsum(found[:, 2]).tolist()
-    of_event = np.arange(several).repeat(found[:, 1])
-    events = events.first(ends[-1], stuck_ends[-1])
-    order = np.lexsort((events.block, events.t, of_event))  # as in `_series`
-    events = Events(events.t[order], events.block[order], events.mode[order], events.all_stuck)
+    buffers, found = Events.blank(max(4096, 64 * several) + events_a_step), np.zeros((several, 3), dtype=np.int64)
+    advance(buffers, found)
     whole = (found[:, 0] == DONE) & (n_definitions == 1)
+    ends, stuck_ends = np.cumsum(found[:, 1]).tolist(), np.cumsum(found[:, 2]).tolist()
+    s, block, mode, (stuck_s, total) = buffers.first(ends[-1], stuck_ends[-1])
+    starts, stops = np.array([(task.t_start, task.t_end) for task in tasks]).T
+
+    def on_clock(s: Floats, counts: NDArray[np.int64]) -> tuple[NDArray[np.intp], Floats]:
+        """The number of the run, and its time."""
+        of = np.arange(several).repeat(counts)
+        return of, times(starts[of], stops[of], s)
+
+    of_event, t = on_clock(s, found[:, 1])
+    order = np.lexsort((block, t, of_event))  # as in `_series`
+    of_event, t, s, block, mode = of_event[order], t[order], s[order], block[order], mode[order]
     if shortest is not None:
-        whole[of_event[_may_be_touches(of_event * n + events.block, events.t, shortest.ravel())]] = False
+        whole[of_event[_may_be_touches(of_event * n + block, s, shortest.ravel())]] = False
+    of_stuck, stuck_t = on_clock(stuck_s, found[:, 2])
+    all_stuck = np.array([np.where(whole[of_stuck], stuck_t, stuck_s), total])
+    events = Events(np.where(whole[of_event], t, s), block, mode, all_stuck)
     return [
         Begun(
             status,
-            events.part(end - n_events, end)._replace(all_stuck=events.all_stuck[:, stuck - n_stuck : stuck]),
+            events.part(end - n_events, end)._replace(all_stuck=all_stuck[:, stuck - n_stuck : stuck]),
             is_whole,
         )
         for (status, n_events, n_stuck), end, stuck, is_whole in zip(
@@ -299,7 +311,7 @@ def ended(task: Task, states: State, k: int, begun: Begun, initial_mode: NDArray
     """Run k of a stack, whose first slice was all of it: as `complete` would give it."""
     t, block, mode, all_stuck = begun.events
     counts = states.counters[k].tolist()
-    series = EventSeries(times(task.t_start, task.t_end, t), block, mode, initial_mode, task.t_start, task.t_end)
+    series = EventSeries(t, block, mode, initial_mode, task.t_start, task.t_end)
     return Run(
         z=states.z[k],
         w=states.w[k],
@@ -309,7 +321,7 @@ def ended(task: Task, states: State, k: int, begun: Begun, initial_mode: NDArray
         reason="",
         stats=Stats(counts[N_STEPS], counts[N_REJECTED], counts[N_PRODUCTS], len(t), method),
         samples=task.samples,
-        stills=Stills(times(task.t_start, task.t_end, all_stuck[0]), all_stuck[1]),
+        stills=Stills(*all_stuck),
     )
 
 

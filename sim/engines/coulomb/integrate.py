@@ -157,7 +157,7 @@ class _Several:
         """The first slices of all."""
         self.bounds[:], _ = certificates.escape_bounds(self.systems, self.states.z, self.states.w)
         initial = self.searches.initial_mode[:, np.newaxis]
-        return loop.begin(partial(self._advance, 0), initial, self.systems[0].n, self.shortest)
+        return loop.begin(self.tasks, partial(self._advance, 0), initial, self.systems[0].n, self.shortest)
 
     def _locally(self) -> Callable[[Events], tuple[int, int]]:
         """Advances the run of a stack of one by a slice, where K is sparse and nothing ties the blocks together."""

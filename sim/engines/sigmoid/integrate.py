@@ -185,7 +185,7 @@ class _Several:
     def begin(self) -> list[loop.Begun]:
         """The first slices of all."""
         self.bounds[:], _ = certificates.escape_bounds(self.systems, self.states.z, self.states.w)
-        return loop.begin(partial(self._advance, 0), self.initial_modes, self.events_a_step)
+        return loop.begin(self.tasks, partial(self._advance, 0), self.initial_modes, self.events_a_step)
 
     def run(self, k: int, begun: loop.Begun | None = None) -> Run:
         """Run the task k, or go on with it."""
