@@ -90,9 +90,8 @@ def test_runs_of_any_length_that_begin_together_are_as_alone(rng, engine):
             rng.choice([-0.2, 0.2, -1]),
         )
         system = draw_system(coupling, n, int(rng.integers(1 << 31)), rho=rho, belt_speed=float(belt))
-        tasks.append(
-            as_task(chosen, system, rng.normal(size=n), rng.normal(size=n), rng.choice([1e-3, 20.0, 2000.0]))
-        )
+        start, length = rng.choice([0.0, -3.0, 1e6]), rng.choice([1e-3, 20.0, 2000.0])
+        tasks.append(as_task(chosen, system, rng.normal(size=n), rng.normal(size=n), start + length, t_start=start))
     for task, run in zip(tasks, chosen.prepare(tasks), strict=True):
         one, other = run(), chosen.integrate(task)
         assert (one.outcome, one.reason, one.t_end, one.t_collapse, one.stats) == (
