@@ -135,7 +135,7 @@ def whole(out: Path, dataset: Where, option: str = "--out") -> Iterator[BinaryIO
     try:
         is_device = out.exists() and not out.is_file()
         if not is_device:
-            remove_left(out)
+            remove_left(out.parent, out.name)
         with open(out, "wb") if is_device else replacing(out) as stream:
             yield stream
     except FileNotFoundError as error:

@@ -13,8 +13,8 @@ from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
 from stickslip.version import __version__
 
-#: The files of a report, one a line; it is there once all of them are.
-LIST = "report/files.txt"
+#: The files of a report, one a line; while it is written, the first line says so, and files of earlier ones follow.
+LIST, UNFINISHED = "report/files.txt", "(unfinished)"
 
 
 def name_of(path: Where) -> str:
@@ -53,4 +53,6 @@ def has_own(opened: Opened) -> bool:
 
 def _head(opened: Opened) -> bytes:
     page, listed = opened.place.read_each([PAGE, LIST])
-    return b"" if page is None or listed is None else page[:2000]
+    if page is None or listed is None or listed.startswith(UNFINISHED.encode()):
+        return b""
+    return page[:2000]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 import pandas as pd
@@ -18,7 +18,7 @@ from stickslip.analysis.report.page import Answered
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
 from stickslip.pipeline.errors import printable
-from stickslip.pipeline.places.directory import Directory
+from stickslip.pipeline.places.directory import Directory, remove_left
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.query import (
@@ -33,7 +33,7 @@ from stickslip.pipeline.query import (
 )
 from stickslip.pipeline.scene.quantity import short
 from stickslip.version import __version__
-from stickslip.workflows.fresh import LIST, made_from, name_of
+from stickslip.workflows.fresh import LIST, UNFINISHED, made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
 
 #: What a line of `LIST` may name, whoever wrote it.
@@ -216,8 +216,8 @@ def _provenance(opened: Opened) -> dict[str, str]:
 def write(built: Report, where: Where) -> str:
     """Write a report into a directory or to an address; return the name of the page.
 
-    The page comes after what it names; then files of the earlier report are removed that this one lacks, as both list
-    them in `report/files.txt`. That is removed first and written last: without it a report is not up to date.
+    The page comes after what it names; then files of earlier reports are removed that this one lacks, as all list
+    theirs in `report/files.txt`. One that is killed on the way leaves a list of all that may be there, which says so.
 
     Raises
     ------
@@ -226,15 +226,21 @@ def write(built: Report, where: Where) -> str:
     """
     place = place_of(where)
     if isinstance(place, Directory):
-        (place.path / "report" / "figures").mkdir(parents=True, exist_ok=True)
-    files, (listed,) = list[str](), place.read_each([LIST])
-    place.remove(LIST)
-    for name, content in built.files():
-        place.replace(name, content)
-        files.append(name)
+        figures = place.path / "report" / "figures"
+        figures.mkdir(parents=True, exist_ok=True)
+        for folder in (figures, figures.parent, place.path):
+            remove_left(folder)
+    files, (listed,) = built.files(), place.read_each([LIST])
     earlier = built.gone() if listed is None else listed.decode(errors="replace").splitlines()
+    place.replace(LIST, _lines([UNFINISHED, *earlier, *files]))
+    for name, content in files.items():
+        place.replace(name, content())
     for name in earlier:
         if _OURS.fullmatch(name) and name not in files:
             place.remove(name)
-    place.replace(LIST, "".join(f"{name}\n" for name in files).encode())
+    place.replace(LIST, _lines(files))
     return place.named(PAGE)
+
+
+def _lines(names: Iterable[str]) -> bytes:
+    return "".join(f"{name}\n" for name in dict.fromkeys(names)).encode()

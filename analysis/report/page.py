@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import base64
 import html
+import io
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -153,25 +155,36 @@ class Report:
     problems: dict[str, str] = field(default_factory=dict)
     not_run: list[str] = field(default_factory=list)
 
-    def files(self) -> Iterator[tuple[str, bytes]]:
-        """Path and contents of each of the report's files, made one after the other.
+    def files(self) -> dict[str, Callable[[], bytes]]:
+        """What makes the contents of each of the report's files, by path: all at once may be large.
 
         The page comes last: once it exists, all that it names exists.
         """
+        made: dict[str, Callable[[], bytes]] = {}
         for name, table in self.tables.items():
-            yield f"report/{name}.parquet", table.to_parquet(index=False)
+            made[f"report/{name}.parquet"] = partial(_parquet, table)
             if len(table) <= _ROWS_OF_CSV:
-                yield f"report/{name}.csv", table.to_csv(index=False).encode()
-        yield "report/tables.json", _json(self.tables)
+                made[f"report/{name}.csv"] = partial(_csv, table)
+        made["report/tables.json"] = partial(_json, self.tables)
         for name, drawn in self.figures.items():
-            yield f"report/figures/{name}.svg", drawn.svg.encode()
+            made[f"report/figures/{name}.svg"] = drawn.svg.encode
             if drawn.pdf is not None:
-                yield f"report/figures/{name}.pdf", drawn.pdf
-        yield PAGE, self.html.encode()
+                made[f"report/figures/{name}.pdf"] = partial(bytes, drawn.pdf)
+        return made | {PAGE: self.html.encode}
 
     def gone(self) -> list[str]:
         """Files that a report which listed none may have, and this one lacks, by path."""
         return [f"report/figures/{name}.pdf" for name, drawn in self.figures.items() if drawn.pdf is None]
+
+
+def _parquet(table: pd.DataFrame) -> bytes:
+    stream = io.BytesIO()
+    table.to_parquet(stream, index=False)
+    return stream.getvalue()
+
+
+def _csv(table: pd.DataFrame) -> bytes:
+    return str(table.to_csv(index=False)).encode()
 
 
 def _json(tables: Mapping[str, pd.DataFrame]) -> bytes:

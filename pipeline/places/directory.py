@@ -43,10 +43,11 @@ def _begun(file: Path) -> str:
     return f"{TEMPORARY}{file.name}-{socket.gethostname()}-"
 
 
-def remove_left(file: Path) -> None:
-    """Remove the unfinished copies of a file that killed processes of this machine left."""
-    left = re.compile(re.escape(_begun(file)) + r"(\d{1,9})")
-    for one in file.parent.iterdir():
+def remove_left(folder: Path, name: str = "") -> None:
+    """Remove the unfinished copies that killed processes of this machine left in a folder, of one file or of all."""
+    of = re.escape(name) if name else ".*"
+    left = re.compile(rf"{re.escape(TEMPORARY)}{of}-{re.escape(socket.gethostname())}-(\d{{1,9}})")
+    for one in folder.iterdir():
         if (found := left.fullmatch(one.name)) and not _is_alive(int(found[1])):
             with contextlib.suppress(OSError):  # another user's file stays
                 one.unlink()

@@ -15,6 +15,7 @@ from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.own import OwnError, spoken
 from stickslip.analysis.report.page import Spoken, ask
+from tests.analysis.studies import contents
 
 KEY = "own:question"
 DOC = """How   long is it?
@@ -83,9 +84,7 @@ def test_a_planted_answer_leads_the_page(study, rng):
         f"It is {with_interval(Estimate(value, value - 0.05, value + 0.05))} & \u22121 <long>.",
     ]
     assert {"own-question-lengths"} <= set(report.tables)
-    assert {"report/own-question-lengths.parquet", "report/figures/own-question-line.svg"} <= set(
-        dict(report.files())
-    )
+    assert {"report/own-question-lengths.parquet", "report/figures/own-question-line.svg"} <= set(contents(report))
     assert report.problems == {}
     assert report.not_run == []
 
@@ -212,7 +211,7 @@ def test_foreign_bytes_stay_out_of_page_and_files(study):
     (line,) = made.missing
     assert line.startswith("figures['left']: ")
     report = page_of(study, made, spoken(study, "own:other", Answer(lack="why\ud800\x1b"), "", None, told))
-    for content in dict(report.files()).values():
+    for content in contents(report).values():
         assert not {0x00, 0x1B} & {*content} or content[:4] == b"PAR1"
     assert report.tables["own-question-t"].iloc[0, 0] == "a"
     with pytest.raises(OwnError, match="at most 40 letters, got aaa"):

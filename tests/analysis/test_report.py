@@ -23,6 +23,7 @@ from stickslip.analysis.report.page import _rank, group_columns
 from stickslip.analysis.stats.compare import against
 from stickslip.analysis.stats.enough import Basis
 from stickslip.analysis.stats.estimates import LN2, Estimate, ratio
+from tests.analysis.studies import contents
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -220,7 +221,7 @@ def test_too_little_data_is_said_and_breaks_nothing(scarce, settings, name):
     assert "Not answered:" in text_of(report)
     assert set(report.tables["law"]["verdict"]) == {"cannot be told"}
     assert_honest(report)
-    assert list(dict(report.files()))[-1] == "report.html"
+    assert list(contents(report))[-1] == "report.html"
     assert len(text_of(report).split()) < 900
 
 
@@ -243,8 +244,8 @@ def test_the_report_twice_is_the_same_bytes_whatever_the_order_of_rows(planted, 
     two = report_of((members.iloc[::-1], dict(reversed(series.items()))), settings)
     assert one.html == two.html
     assert one.headline == two.headline
-    assert dict(one.files()) == dict(two.files())
-    assert {"report.html", "report/law.parquet", "report/tables.json"} <= dict(one.files()).keys()
+    assert contents(one) == contents(two)
+    assert {"report.html", "report/law.parquet", "report/tables.json"} <= contents(one).keys()
     assert "report/figures/size_law.pdf" in one.gone()
     sources = re.findall(r'(?:src|href)="([^#].{4})', one.html)
     assert set(sources) == {"data:"}
@@ -292,7 +293,7 @@ def test_mean_and_drift_are_the_planted_ones(planted, settings):
 
 def test_written_tables_read_back_with_nulls(planted, settings):
     report = report_of(planted.ensemble({"coulomb": LN2}, 1), settings)
-    files = dict(report.files())
+    files = contents(report)
     assert files["report.html"].decode() == report.html
 
     def refuse(constant):

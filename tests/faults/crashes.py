@@ -14,9 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from stickslip.pipeline import expand, extend, run_ensemble, status
+from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.places import directory
 from stickslip.pipeline.places.manifest import read_manifest
 from stickslip.pipeline.scene.adding import with_records
+from stickslip.workflows import reporting
+from stickslip.workflows.fresh import is_current
 from tests.faults.registry import fault
 from tests.faults.world import INJECT, ROOT, TARGET_COST, World, children, content, end_of, wait
 from tests.processes import dask_by_hand, until
@@ -123,6 +126,67 @@ def _moments(world: World, act: Callable[[Path], object], count: int) -> list[tu
     assert world.fork(counted) == 0
     moments = [(k + 1, is_before) for k in range(json.loads(tally.read_text())) for is_before in (True, False)]
     return moments if count >= len(moments) else world.random.sample(moments, count)
+
+
+def _report(out: Path) -> dict[str, bytes]:
+    """Every byte of a report, by file."""
+    found = [out / "report.html", *(out / "report").rglob("*")]
+    return {str(file.relative_to(out)): file.read_bytes() for file in found if file.is_file()}
+
+
+def _with_an_earlier_report(world: World, told: Path) -> Path:
+    """A copy of a dataset whose report is that of another version, with a table of its own."""
+    out = world.copy(of=told)
+    (out / "report.html").write_text("of another version")
+    (out / "report" / "earlier.csv").write_text("of a question that nobody asks any more")
+    with open(out / "report" / "files.txt", "a") as listed:
+        listed.write("report/earlier.csv\n")
+    return out
+
+
+@fault(quick=0, full=60, timeout=3600)
+def report_killed_at_random(world: World, count: int) -> int:
+    """SIGKILL to a report and its processes, four at most; then it is made."""
+    done, told = 0, world.copy("told")
+    start = time.perf_counter()
+    assert end_of(world.command("report", told))[0] == 0
+    seconds = time.perf_counter() - start
+    while done < count:
+        out = world.copy() if world.random.random() < 0.5 else _with_an_earlier_report(world, told)
+        for _ in range(world.random.randint(1, 4)):
+            process = world.command("report", out)
+            time.sleep(world.random.uniform(0.0, seconds))
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            done += end_of(process)[0] == -signal.SIGKILL
+        assert end_of(world.command("report", out))[0] == 0
+        assert _report(out) == _report(told)
+        world.check(out)
+    return done
+
+
+@fault(quick=6, full=10_000, timeout=3600)
+def report_killed_at_each_step(world: World, count: int) -> int:
+    """Dead before and after each call of the system by which a report takes the place of an earlier one."""
+    told = world.copy("told")
+    built = reporting.report(told)
+    reporting.write(built, told)
+    moments = _moments(world, lambda out: reporting.write(built, _with_an_earlier_report(world, told)), count)
+    for moment, is_before in moments:
+        out = _with_an_earlier_report(world, told)
+
+        def killed(moment: int = moment, is_before: bool = is_before, out: Path = out) -> None:
+            _deadly(moment, is_before, [0])
+            reporting.write(built, out)
+
+        assert world.fork(killed) == -signal.SIGKILL
+        opened = open_dataset(out)
+        assert not is_current(opened) or _report(out) == _report(told)
+        reporting.write(built, out)
+        assert is_current(opened)
+        assert _report(out) == _report(told), sorted(_report(out).keys() ^ _report(told).keys())
+        world.check(out)
+    return len(moments)
 
 
 @fault(quick=4, full=10_000, timeout=2400)
