@@ -24,7 +24,7 @@ from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene
 
 #: Seconds that the members of a pilot may take together, and how many of a kind are run at most.
-PILOT, _ENOUGH = 3.0, 40
+PILOT, _ENOUGH = 3.0, 256
 #: The factor by which the truth may lie above or below, nine times in ten.
 WITHIN = 2.0
 
