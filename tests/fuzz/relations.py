@@ -26,8 +26,8 @@ from tests.fuzz.series import Stretches, agreeing, by_block, compare
 from tests.independent import Floats
 from tests.systems import TERMS, Rng, made
 
-#: Difference over tol times sensitivity beyond which a relation is broken, by method: two runs may err each way. Phases
-#: of waveform relaxation err by a tenth of the tolerance a step, which adds up where nothing is damped.
+#: Difference over tol times sensitivity beyond which a relation is broken, by method: two runs may err each way. By
+#: waveform relaxation phases err by a tenth of the tolerance a step, which adds up where nothing is damped.
 LIMIT = {"coulomb": 200.0, "waves": 100.0, "sigmoid": 2000.0}
 _CHANGED = 3  # runs with changed start and constants
 _LOST = 1e-3  # of the size of the state: where the tolerance moves it by more, nothing is compared
