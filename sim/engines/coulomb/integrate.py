@@ -147,11 +147,8 @@ class _Several:
     def _advance(self, first: int, events: Events, found: NDArray[np.int64]) -> None:
         """Advance some of the runs, from the first on, by a slice."""
         goals = Goal(self.lengths, self.drives[first].is_last, self.tol, self.rates, self.bounds)
-        precheck = self.collapse[first].precheck
-        step.advance(
-            self.models, goals, self.states, self.expansions, self.searches, self.slow, events, precheck, self.slips,
-            first, found,
-        )  # fmt: skip
+        stack = step.Stack(self.models, goals, self.states, self.expansions, self.searches, self.slips)
+        step.advance(stack, self.slow, events, self.collapse[first].precheck, first, found)
 
     def begin(self) -> list[Begun]:
         """The first slices of all."""

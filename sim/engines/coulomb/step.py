@@ -23,14 +23,19 @@ have reached it: `stickslip.sim.engines.coulomb.overdamped`.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
-from stickslip.sim.engines.coulomb.model import model_of
+from stickslip.sim.engines.coulomb.model import Model, model_of
 from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
-from stickslip.sim.engines.coulomb.taylor import correct, expand, expansion_of, shift
-from stickslip.sim.engines.coulomb.windows import evaluate, goal_of, record, sample, search_of, stalls
+from stickslip.sim.engines.coulomb.taylor import Expansion, correct, expand, expansion_of, shift
+from stickslip.sim.engines.coulomb.windows import Goal, Search, evaluate, goal_of, record, sample, search_of, stalls
 from stickslip.sim.engines.precheck import precheck_of
 from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
@@ -172,14 +177,26 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
     return loop.PAUSED, n_recorded
 
 
+class Stack(NamedTuple):
+    """Runs that are advanced by one call: by run, what `_advance` takes."""
+
+    model: Model
+    goal: Goal
+    state: loop.State
+    expansion: Expansion
+    search: Search
+    slip: NDArray[np.int64]  #: of the pre-check
+
+
 @kernel
-def advance(models, goals, states, expansions, searches, slow, events, precheck, slips, first, found):  # type: ignore
-    """Advance runs of a stack, from the first on, by a slice; see `loop.begin`. `slips` are those of `Precheck`."""
+def advance(stack, slow, events, precheck, first, found):  # type: ignore[no-untyped-def]
+    """Advance runs of a stack, from the first on, by a slice; see `loop.begin`."""
     for row in range(len(found)):
         k = first + row
-        state = loop.state_of(states, k)
+        state = loop.state_of(stack.state, k)
+        expansion, search = expansion_of(stack.expansion, k), search_of(stack.search, k)
         status, n_recorded = _advance(
-            model_of(models, k), goal_of(goals, k), state, expansion_of(expansions, k), search_of(searches, k), slow,
-            loop.rest_of(events, found, row), precheck_of(precheck, slips[k]),
+            model_of(stack.model, k), goal_of(stack.goal, k), state, expansion, search, slow,
+            loop.rest_of(events, found, row), precheck_of(precheck, stack.slip[k]),
         )  # fmt: skip
         loop.note_found(found, row, status, n_recorded, state.counters)

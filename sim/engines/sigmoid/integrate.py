@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import certificates, loop
 from stickslip.sim.engines.contract import Ratios, Task
 from stickslip.sim.engines.forcing import Drive
-from stickslip.sim.engines.sigmoid.kernel import advance
+from stickslip.sim.engines.sigmoid.kernel import Stack, advance
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.control import Control, first_step
 from stickslip.sim.engines.waveform.events import PASSES
@@ -179,8 +179,8 @@ class _Several:
         self.ends[first], instant = (drive.ahead, drive.instant) if drive.is_instant else (drive.length, -1.0)
         longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
         control = Control(self.ends, instant, longest, self.inside.safety, self.single_rates)
-        precheck = self.collapse[first].precheck
-        advance(self.models, self.work, control, self.states, events, self.bounds, precheck, self.slips, first, found)
+        stack = Stack(self.models, self.work, control, self.states, self.bounds, self.slips)
+        advance(stack, events, self.collapse[first].precheck, first, found)
 
     def begin(self) -> list[loop.Begun]:
         """The first slices of all."""
