@@ -1,5 +1,8 @@
 """Members whose systems are set up at once: each has the row that it has alone, to the last bit."""
 
+import contextlib
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -7,9 +10,12 @@ from stickslip.pipeline import parse_scene
 from stickslip.pipeline.dataset.schema import encode, schema_of
 from stickslip.pipeline.ensemble import expand, member
 from stickslip.pipeline.running import worker
-from stickslip.sim import draw_system
+from stickslip.sim import IntegrationError, draw_system
+from stickslip.sim.engines.loop import alike
 from stickslip.sim.simulation import as_engine, as_task
+from tests.fuzz.relations import setup_of
 from tests.scenes import COULOMB, SIGMOID, ensemble
+from tests.systems import TERMS
 
 RECORD = "[record]\nevents = true\nend = true\nepisodes = true\n"
 
@@ -106,3 +112,33 @@ def test_runs_of_any_length_that_begin_together_are_as_alone(rng, engine):
                 for run in (one, other)
             )
             assert mine == its
+
+
+def _ended(run):
+    """What a run gives, to the byte, or the words with which it fails."""
+    try:
+        found = run()
+    except (ValueError, IntegrationError) as error:
+        return str(error)
+    events, stills = found.events, found.stills
+    arrays = found.z, found.w, events.t, events.block, events.mode, events.initial_mode, stills.t, stills.total
+    return found.outcome, found.reason, found.t_end, found.stats, *(array.tobytes() for array in arrays)
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("engine", [{"name": "coulomb", "tol": 1e-8}, {"name": "sigmoid", "eps": 0.01}])
+def test_systems_of_all_kinds_that_are_prepared_together_are_run_as_alone(engine):
+    settings = dict(engine)
+    chosen = as_engine(settings.pop("name"), settings)
+    seed = int(np.random.SeedSequence().generate_state(1)[0])
+    print("seed", seed)
+    tasks = []
+    for number in range(80):
+        terms = TERMS if number % 3 == 0 else ()
+        setup = setup_of(seed, number, terms)
+        with contextlib.suppress(ValueError):  # what the engine does not take
+            tasks.append(as_task(chosen, setup.system, setup.z, setup.w, min(setup.t_end, 8.0)))
+    tasks.sort(key=lambda task: (task.system.n, task.system.is_plain))
+    assert sum(len(some) > 1 for may_begin, some in alike(tasks) if may_begin) > 2
+    together = [_ended(run) for run in chosen.prepare(tasks)]
+    assert together == [_ended(partial(chosen.integrate, task)) for task in tasks]
