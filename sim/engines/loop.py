@@ -279,14 +279,20 @@ def begin(
         of = np.arange(several).repeat(counts)
         return of, times(starts[of], stops[of], s)
 
-    of_event, t = on_clock(s, found[:, 1])
-    order = np.lexsort((block, t, of_event))  # as in `_series`
-    of_event, t, s, block, mode = of_event[order], t[order], s[order], block[order], mode[order]
-    if shortest is not None:
-        whole[of_event[_may_be_touches(of_event * n + block, s, shortest.ravel())]] = False
-    of_stuck, stuck_t = on_clock(stuck_s, found[:, 2])
-    all_stuck = np.array([np.where(whole[of_stuck], stuck_t, stuck_s), total])
-    events = Events(np.where(whole[of_event], t, s), block, mode, all_stuck)
+    if len(s):
+        of_event, t = on_clock(s, found[:, 1])
+        order = np.lexsort((block, t, of_event))  # as in `_series`
+        of_event, t, s, block, mode = of_event[order], t[order], s[order], block[order], mode[order]
+        if shortest is not None:
+            whole[of_event[_may_be_touches(of_event * n + block, s, shortest.ravel())]] = False
+        s = np.where(whole[of_event], t, s)
+    else:  # no view, which would keep the buffers
+        s, block, mode = s.copy(), block.copy(), mode.copy()
+    if len(stuck_s):
+        of_stuck, stuck_t = on_clock(stuck_s, found[:, 2])
+        stuck_s = np.where(whole[of_stuck], stuck_t, stuck_s)
+    all_stuck = np.array([stuck_s, total])
+    events = Events(s, block, mode, all_stuck)
     return [
         Begun(
             status,
@@ -485,12 +491,8 @@ def _series(
 ) -> list[EventSeries]:
     """The series by each definition of sticking, the first without touches that the tolerance cannot resolve."""
     n, t = task.system.n, drive.times(of_piece, events.t)
-    s, block, mode = events.t, events.block, events.mode
-    if ((t[1:] < t[:-1]) | ((t[1:] == t[:-1]) & (block[1:] < block[:-1]))).any():
-        order = np.lexsort((block, t))  # stable: instants that round to one time keep each block's order
-        t, s, block, mode = t[order], s[order], block[order], mode[order]
-    else:
-        order = np.arange(len(t))
+    order = np.lexsort((events.block, t))  # stable: instants that round to one time keep each block's order
+    t, s, block, mode = t[order], events.t[order], events.block[order], events.mode[order]
     series = []
     for d, modes in enumerate(plan.initial_modes):
         of = block // n == d if plan.thresholds else slice(None)
