@@ -193,7 +193,8 @@ class Engine(ABC):
     def prepare(self, tasks: Sequence[Task]) -> list[Callable[[], Run]]:
         """Functions that run the tasks when called, each once, with the result of `integrate` to the last bit.
 
-        An engine may begin several at once: a call from Python takes longer than a small system runs.
+        An engine may begin several at once: a call from Python takes longer than a small system runs. They may share
+        workspace, so all are called in one thread.
         """
         return [partial(self.integrate, task) for task in tasks]
 
