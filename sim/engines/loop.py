@@ -55,9 +55,9 @@ class Events(NamedTuple):
     all_stuck: Floats
 
     @classmethod
-    def blank(cls, capacity: int) -> Events:
-        """Buffers for so many events; each of them, and the start, can begin or end an all-stuck interval."""
-        t, all_stuck = np.empty(capacity), np.empty((2, capacity + 1))
+    def blank(cls, capacity: int, several: int = 1) -> Events:
+        """Buffers for so many events; each of them, and each start, can begin or end an all-stuck interval."""
+        t, all_stuck = np.empty(capacity), np.empty((2, capacity + several))
         return cls(t, np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8), all_stuck)
 
     def part(self, first: int, last: int) -> Events:
@@ -267,7 +267,8 @@ def begin(
     """
     several, n_definitions, n = initial_modes.shape
     # a run for whose steps nothing is left goes on alone
-    buffers, found = Events.blank(max(4096, 64 * several) + events_a_step), np.zeros((several, 3), dtype=np.int64)
+    buffers = Events.blank(max(4096, 64 * several) + events_a_step, several)
+    found = np.zeros((several, 3), dtype=np.int64)
     advance(buffers, found)
     whole = (found[:, 0] == DONE) & (n_definitions == 1)
     ends, stuck_ends = np.cumsum(found[:, 1]).tolist(), np.cumsum(found[:, 2]).tolist()

@@ -142,3 +142,12 @@ def test_systems_of_all_kinds_that_are_prepared_together_are_run_as_alone(engine
     assert sum(len(some) > 1 for may_begin, some in alike(tasks) if may_begin) > 2
     together = [_ended(run) for run in chosen.prepare(tasks)]
     assert together == [_ended(partial(chosen.integrate, task)) for task in tasks]
+
+
+def test_a_stack_that_records_more_than_its_buffers_hold_is_run_as_alone(rng):
+    """Pairs that both stick every few units of time: 200 runs to t = 300 fill the room for 13,000 events."""
+    chosen, system = as_engine("coulomb", {}), draw_system("full", 2, 1264, rho=0.05, kappa=1.0)
+    tasks = [as_task(chosen, system, rng.normal(size=2), "belt", 300.0) for _ in range(200)]
+    together = [_ended(run) for run in chosen.prepare(tasks)]
+    assert sum(len(run[6]) // 8 for run in together) > 13_000
+    assert together == [_ended(partial(chosen.integrate, task)) for task in tasks]
