@@ -29,6 +29,8 @@ from stickslip.sim.runs.series import EventSeries, without_returns
 
 #: Why a kernel returned.
 DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
+#: Of a stack: others left no room for a run, which is to begin anew alone.
+ANEW = -1
 #: Steps a slice: some hundredths of a second at n = 200.
 STEPS_A_SLICE = 5_000
 
@@ -266,10 +268,13 @@ def begin(
         As of `Plan`, the latter shape (runs, n).
     """
     several, n_definitions, n = initial_modes.shape
-    # a run for whose steps nothing is left goes on alone
-    buffers = Events.blank(max(4096, 64 * several) + events_a_step, several)
+    alone = _capacity(events_a_step)
+    buffers = Events.blank(max(alone, 64 * several), several)
     found = np.zeros((several, 3), dtype=np.int64)
     advance(buffers, found)
+    if several > 1:  # where a slice ends may not depend on the others
+        is_crowded = (found[:, 0] == BUFFER_FULL) | (found[:, 1] + events_a_step > alone)
+        found[is_crowded, 0] = ANEW
     whole = (found[:, 0] == DONE) & (n_definitions == 1)
     ends, stuck_ends = np.cumsum(found[:, 1]).tolist(), np.cumsum(found[:, 2]).tolist()
     s, block, mode, (stuck_s, total) = buffers.first(ends[-1], stuck_ends[-1])
@@ -332,12 +337,17 @@ def ended(task: Task, states: State, k: int, begun: Begun, initial_mode: NDArray
     )
 
 
+def _capacity(events_a_step: int) -> int:
+    """Of the buffers for a slice of one run."""
+    return max(2 * events_a_step, 4096)
+
+
 class _Recorded:
     """The events of a run so far, and how many of them fall in each piece."""
 
     def __init__(self, plan: Plan, state: State, drive: Drive, begun: Begun | None) -> None:
         self._plan, self._counters, self._drive = plan, state.counters, drive
-        self._capacity = max(2 * plan.events_a_step, 4096)  # of a slice
+        self._capacity = _capacity(plan.events_a_step)
         self._full: list[Events] = []
         self._events: Events | None = None
         self.of_piece = [0]

@@ -174,6 +174,8 @@ class _Several:
 
     def run(self, k: int, begun: Begun | None = None) -> Run:
         """Run the task k, or go on with it. `expand` itself limits a step to where the series of a force holds."""
+        if begun is not None and begun.status == loop.ANEW:
+            return _Several([self.tasks[k]], self.tol).run(0)
         if begun is not None and begun.is_whole:
             return loop.ended(self.tasks[k], self.states, k, begun, self.searches.initial_mode[k], _METHOD)
         task, system, drive, initial_mode = (

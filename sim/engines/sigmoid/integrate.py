@@ -189,6 +189,8 @@ class _Several:
 
     def run(self, k: int, begun: loop.Begun | None = None) -> Run:
         """Run the task k, or go on with it."""
+        if begun is not None and begun.status == loop.ANEW:
+            return _alone(self.tasks[k], self.engine)
         if begun is not None and begun.is_whole:
             return loop.ended(self.tasks[k], self.states, k, begun, self.initial_modes[k, 0])
         system, drive, engine, atol = self.systems[k], self.drives[k], self.engine, self.inside.atol
