@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -178,9 +177,7 @@ class Report:
 
 
 def _parquet(table: pd.DataFrame) -> bytes:
-    stream = io.BytesIO()
-    table.to_parquet(stream, index=False)
-    return stream.getvalue()
+    return table.to_parquet(index=False)
 
 
 def _csv(table: pd.DataFrame) -> bytes:

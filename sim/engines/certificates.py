@@ -52,8 +52,7 @@ _NEVER = float("inf")
 
 
 def escape_bounds(systems: Sequence[System], z: Floats, w: Floats) -> tuple[Floats, Floats]:
-    """Of runs from these starts, shape (m, n): at which |z| or |w| each is first tested for escape, at which |w| it
-    has diverged."""
+    """By run, from starts of shape (m, n): the |z| or |w| of the first test for escape; the |w| that has diverged."""
     own = [max(1.0, one.fastest_belt, float(one.most_force.max()) if one.force else 0.0) for one in systems]
     start = np.maximum(own, np.maximum(np.abs(z), np.abs(w)).max(axis=1))
     return _ESCAPE_FACTOR * start, _DIVERGENCE_FACTOR * start

@@ -2,16 +2,12 @@
 
 A kernel advances a run by a slice and returns ``(status, n_recorded)``. The run's state is kept in the arrays that it
 is given, so the next call goes on where the last one stopped.
-
-Small systems take less time to run than a call from Python takes: a kernel advances a *stack* of runs, whose arrays
-have an axis more in front, each by its first slice. Most end there; the others go on alone, as stacks of one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
-from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +15,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import certificates
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.forcing import Drive, times
+from stickslip.sim.engines.forcing import Drive
 from stickslip.sim.engines.precheck import too_far
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
@@ -29,8 +25,6 @@ from stickslip.sim.runs.series import EventSeries, without_returns
 
 #: Why a kernel returned.
 DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
-#: Of a stack: others left no room for a run, which is to begin anew alone.
-ANEW = -1
 #: Steps a slice: some hundredths of a second at n = 200.
 STEPS_A_SLICE = 5_000
 
@@ -144,23 +138,6 @@ def state_of(states, k):  # type: ignore[no-untyped-def]
 
 
 @inner
-def rest_of(events, found, k):  # type: ignore[no-untyped-def]
-    """What is left of the buffers of a stack for the events of run k."""
-    n_recorded, n_all_stuck = 0, 0
-    for j in range(k):
-        n_recorded += found[j, 1]
-        n_all_stuck += found[j, 2]
-    t, block, mode, all_stuck = events
-    return Events(t[n_recorded:], block[n_recorded:], mode[n_recorded:], all_stuck[:, n_all_stuck:])
-
-
-@inner
-def note_found(found, k, status, n_recorded, counters):  # type: ignore[no-untyped-def]
-    """Note why run k of a stack ended its slice, and how many events and all-stuck intervals it recorded."""
-    found[k, 0], found[k, 1], found[k, 2] = status, n_recorded, counters[N_ALL_STUCK]
-
-
-@inner
 def note_event(clock, counters):  # type: ignore[no-untyped-def]
     """Note that a block's mode has changed just now."""
     clock[_LAST_EVENT], counters[N_PRODUCTS_THEN] = clock[TIME], counters[N_PRODUCTS]
@@ -228,18 +205,6 @@ class Plan(NamedTuple):
     """Prepares the engine for the next piece, once `state` and `drive` are at its start."""
 
 
-def alike(tasks: Sequence[Task]) -> Iterator[tuple[bool, list[Task]]]:
-    """The tasks in order, those that follow on each other and may begin together as a stack; the others, as such."""
-
-    def kind(task: Task) -> tuple[int, bool, bool] | None:
-        if not task.system.is_plain or len(task.samples) or task.modes is not None:
-            return None
-        return task.system.n, task.stop_early, task.certify
-
-    for common, some in groupby(tasks, kind):
-        yield common is not None, list(some)
-
-
 class Begun(NamedTuple):
     """Why the first slice of a run ended, and its events."""
 
@@ -248,96 +213,13 @@ class Begun(NamedTuple):
     is_whole: bool  #: whether it was the last slice, and its events are those of the run
 
 
-def begin(
-    tasks: Sequence[Task],
-    advance: Callable[[Events, NDArray[np.int64]], None],
-    initial_modes: NDArray[np.int8],
-    events_a_step: int,
-    shortest: Floats | None = None,
-) -> list[Begun]:
-    """Advance each run of a stack by a slice.
-
-    Parameters
-    ----------
-    tasks : sequence of Task
-    advance : callable
-        Writes what the runs record into the buffers that it is given, one behind the other, and for each run the
-        status, and how many events and ends of all-stuck intervals there are, into a row of the array.
-    initial_modes : int8, shape (runs, definitions of sticking, n)
-    events_a_step, shortest
-        As of `Plan`, the latter shape (runs, n).
-    """
-    several, n_definitions, n = initial_modes.shape
-    alone = _capacity(events_a_step)
-    buffers = Events.blank(max(alone, 64 * several), several)
-    found = np.zeros((several, 3), dtype=np.int64)
-    advance(buffers, found)
-    if several > 1:  # where a slice ends may not depend on the others
-        is_crowded = (found[:, 0] == BUFFER_FULL) | (found[:, 1] + events_a_step > alone)
-        found[is_crowded, 0] = ANEW
-    whole = (found[:, 0] == DONE) & (n_definitions == 1)
-    ends, stuck_ends = np.cumsum(found[:, 1]).tolist(), np.cumsum(found[:, 2]).tolist()
-    s, block, mode, (stuck_s, total) = buffers.first(ends[-1], stuck_ends[-1])
-    starts, stops = np.array([(task.t_start, task.t_end) for task in tasks]).T
-
-    def on_clock(s: Floats, counts: NDArray[np.int64]) -> tuple[NDArray[np.intp], Floats]:
-        """The number of the run, and its time."""
-        of = np.arange(several).repeat(counts)
-        return of, times(starts[of], stops[of], s)
-
-    if len(s):
-        of_event, t = on_clock(s, found[:, 1])
-        order = np.lexsort((block, t, of_event))  # as in `_series`
-        of_event, t, s, block, mode = of_event[order], t[order], s[order], block[order], mode[order]
-        if shortest is not None:
-            whole[of_event[_may_be_touches(of_event * n + block, s, shortest.ravel())]] = False
-        s = np.where(whole[of_event], t, s)
-    else:  # no view, which would keep the buffers
-        s, block, mode = s.copy(), block.copy(), mode.copy()
-    if len(stuck_s):
-        of_stuck, stuck_t = on_clock(stuck_s, found[:, 2])
-        stuck_s = np.where(whole[of_stuck], stuck_t, stuck_s)
-    all_stuck = np.array([stuck_s, total])
-    events = Events(s, block, mode, all_stuck)
-    return [
-        Begun(
-            status,
-            events.part(end - n_events, end)._replace(all_stuck=all_stuck[:, stuck - n_stuck : stuck]),
-            is_whole,
-        )
-        for (status, n_events, n_stuck), end, stuck, is_whole in zip(
-            found.tolist(), ends, stuck_ends, whole.tolist(), strict=True
-        )
-    ]
+def stats_of(counters: NDArray[np.int64], n_events: int, method: str) -> Stats:
+    """What a run cost."""
+    counts = counters.tolist()
+    return Stats(counts[N_STEPS], counts[N_REJECTED], counts[N_PRODUCTS], n_events, method)
 
 
-def _may_be_touches(of_block: NDArray[np.intp], t: Floats, shortest: Floats) -> NDArray[np.intp]:
-    """The events that follow on one of the same block within `shortest`, which has one number a block."""
-    order = np.argsort(of_block, kind="stable")
-    block, at = of_block[order], t[order]
-    is_close = (block[1:] == block[:-1]) & (at[1:] - at[:-1] <= shortest[block[1:]])
-    return order[1:][is_close]
-
-
-def ended(task: Task, states: State, k: int, begun: Begun, initial_mode: NDArray[np.int8], method: str = "") -> Run:
-    """Run k of a stack, whose first slice was all of it: as `complete` would give it."""
-    t, block, mode, all_stuck = begun.events
-    counts = states.counters[k].tolist()
-    series = EventSeries(t, block, mode, initial_mode, task.t_start, task.t_end)
-    return Run(
-        z=states.z[k],
-        w=states.w[k],
-        t_end=task.t_end,
-        events=series,
-        outcome="finished",
-        reason="",
-        stats=Stats(counts[N_STEPS], counts[N_REJECTED], counts[N_PRODUCTS], len(t), method),
-        samples=task.samples,
-        stills=Stills(*all_stuck),
-    )
-
-
-def _capacity(events_a_step: int) -> int:
+def capacity(events_a_step: int) -> int:
     """Of the buffers for a slice of one run."""
     return max(2 * events_a_step, 4096)
 
@@ -347,7 +229,7 @@ class _Recorded:
 
     def __init__(self, plan: Plan, state: State, drive: Drive, begun: Begun | None) -> None:
         self._plan, self._counters, self._drive = plan, state.counters, drive
-        self._capacity = _capacity(plan.events_a_step)
+        self._capacity = capacity(plan.events_a_step)
         self._full: list[Events] = []
         self._events: Events | None = None
         self.of_piece = [0]
@@ -481,7 +363,6 @@ def complete(
     _to_user(drive, task, state, n_placed)
     events = recorded.all()
     series = _series(events, recorded.of_piece, task, drive, plan, t)
-    counts = counters.tolist()
     return Run(
         z=z,
         w=w,
@@ -489,9 +370,9 @@ def complete(
         events=series[0],
         outcome=outcome,
         reason=reason,
-        stats=Stats(counts[N_STEPS], counts[N_REJECTED], counts[N_PRODUCTS], len(series[0]), plan.method),
+        stats=stats_of(counters, len(series[0]), plan.method),
         t_collapse=t_collapse,
-        samples=task.samples.first(counts[N_SAMPLED]),
+        samples=task.samples.first(int(counters[N_SAMPLED])),
         stills=Stills(*events.all_stuck),
         by_threshold=dict(zip(plan.thresholds, series[1:], strict=True)),
     )

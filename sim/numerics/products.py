@@ -14,7 +14,7 @@ from stickslip.sim.numerics.panels import PAIR_HEIGHT, SINGLE_PAIR_HEIGHT, pair_
 
 _pair, _single_pair = pair_products(), pair_products(single=True)
 #: Systems of fewer blocks gain nothing from float32; row sums beyond this, or below its inverse, may leave its range.
-FEWEST_SINGLE, _LARGE = 48, 1e30
+_SMALL, _LARGE = 48, 1e30
 
 
 class Pairs(NamedTuple):
@@ -50,13 +50,13 @@ class Pairs(NamedTuple):
 
 def _may_be_single(sums: Floats) -> bool:
     """Whether there are so many blocks that float32 pays, and the row sums of |K| are well within its range."""
-    sums = sums[sums > 0.0] if len(sums) >= FEWEST_SINGLE else sums[:0]
+    sums = sums[sums > 0.0] if len(sums) >= _SMALL else sums[:0]
     return len(sums) > 0 and bool(sums.min() > 1 / _LARGE and sums.max() < _LARGE)
 
 
 def are_of_one_kind(row_sums: Floats) -> bool:
     """Whether the pairs of all matrices have float32, or none; from row sums of |K|, shape (m, n)."""
-    return row_sums.shape[1] < FEWEST_SINGLE or len({_may_be_single(sums) for sums in row_sums}) == 1
+    return row_sums.shape[1] < _SMALL or len({_may_be_single(sums) for sums in row_sums}) == 1
 
 
 @inner

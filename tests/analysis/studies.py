@@ -911,8 +911,3 @@ def main():
 
 if __name__ == "__main__":
     main()
-
-
-def contents(report):
-    """The bytes of a report's files, by path."""
-    return {name: make() for name, make in report.files().items()}

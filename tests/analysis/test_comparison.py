@@ -11,7 +11,7 @@ import pytest
 from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.report.comparison import Ensemble, compare, matched
 from stickslip.analysis.stats.estimates import LN2
-from tests.analysis.studies import contents
+from tests.analysis.reports import contents
 
 MARGINS = {"mean": 0.1, "variance": 0.25, "rate": 0.1, "correlation_time": 0.5, "gamma": 0.05}
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=20, confidence=0.95, seed=0, margins=MARGINS)

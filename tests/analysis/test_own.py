@@ -15,7 +15,7 @@ from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.report.own import OwnError, spoken
 from stickslip.analysis.report.page import Spoken, ask
-from tests.analysis.studies import contents
+from tests.analysis.reports import contents
 
 KEY = "own:question"
 DOC = """How   long is it?

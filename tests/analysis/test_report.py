@@ -23,7 +23,7 @@ from stickslip.analysis.report.page import _rank, group_columns
 from stickslip.analysis.stats.compare import against
 from stickslip.analysis.stats.enough import Basis
 from stickslip.analysis.stats.estimates import LN2, Estimate, ratio
-from tests.analysis.studies import contents
+from tests.analysis.reports import contents
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

@@ -371,7 +371,7 @@ class _Judge:
         self.hold("plain", run, truth)
         verdict.notes["by series"] += self.trial.is_by_waves and run.stats.method == "Taylor series"
         if self.is_exact and not self.trial.is_by_waves:
-            with patch.object(products, "FEWEST_SINGLE", 1):  # by default only larger systems have such products
+            with patch.object(products, "_SMALL", 1):  # by default only larger systems have such products
                 self.hold("in float32", self.run("in float32", truth, t_eval=self.times), truth)
         self.hold("stop_early=False", self.run("stop_early=False", truth, t_eval=self.times, stop_early=False), truth)
         bare = self.run("without samples", truth)

@@ -11,7 +11,7 @@ from stickslip.pipeline.dataset.schema import encode, schema_of
 from stickslip.pipeline.ensemble import expand, member
 from stickslip.pipeline.running import worker
 from stickslip.sim import IntegrationError, draw_system
-from stickslip.sim.engines.loop import alike
+from stickslip.sim.engines.stacks import alike
 from stickslip.sim.simulation import as_engine, as_task
 from tests.fuzz.relations import setup_of
 from tests.scenes import COULOMB, SIGMOID, ensemble

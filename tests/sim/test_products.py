@@ -48,7 +48,7 @@ def test_products_in_float32_cost_the_exact_engine_less_than_its_tolerance(monke
         case, runs = trial.case, []
         system = made(case)
         for smallest in (1, 1000):
-            monkeypatch.setattr(products, "FEWEST_SINGLE", smallest)
+            monkeypatch.setattr(products, "_SMALL", smallest)
             runs.append(simulate(system, case.z0, case.w0, trial.t_end, stop_early=False, **trial.settings))
         single, double = (np.concatenate((run.z, run.w)) for run in runs)
         allowed = trial.settings["tol"] * unit

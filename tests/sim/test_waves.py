@@ -122,7 +122,7 @@ def test_the_error_falls_with_the_tolerance(rng):
     system, z, w = large(rng, 64)
     exact = simulate(system, z, w, 4.0, tol=1e-12)
     errors = [np.abs(simulate(system, z, w, 4.0, tol=tol).z - exact.z).max() for tol in (1e-3, 1e-4, 1e-5, 1e-6)]
-    assert errors[-1] < 0.1 * max(errors[:2])
+    assert errors[-1] < 0.04 * max(errors[:2])  # of 40 systems 0.019 at most
 
 
 def test_stick_slip_of_one_block_has_the_period_of_the_closed_form(by_waves):

@@ -11,16 +11,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import certificates, loop
+from stickslip.sim.engines import loop, stacks
 from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.coulomb import control, sparse, step, waves
 from stickslip.sim.engines.coulomb.model import Model
-from stickslip.sim.engines.coulomb.overdamped import Slow
+from stickslip.sim.engines.coulomb.overdamped import Slow, is_heavy
 from stickslip.sim.engines.coulomb.taylor import Expansion
 from stickslip.sim.engines.coulomb.windows import Goal, Search
 from stickslip.sim.engines.forcing import Drive
 from stickslip.sim.engines.loop import Begun, Events, State
+from stickslip.sim.engines.stacks import Several
 from stickslip.sim.numerics import products
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Pairs
@@ -33,8 +34,6 @@ if TYPE_CHECKING:
 #: A touch w - v = a s^2 / 2 with an error of the tolerance becomes two events 2 (2 tol |v| / a)^(1/2) apart, where a
 #: is about |v| rate^2, or none: events closer than this many tol^(1/2) / rate are a touch.
 _TOUCH = 4.0
-#: In `Stats`.
-_METHOD = "Taylor series"
 #: More steps than this are warned of.
 _MANY = 1e8
 #: The motion after a collapse is summed from the eigenmodes if a bound of their rounding, some hundred times the
@@ -55,24 +54,21 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
         Of a run: if events accumulate at one instant.
     """
     tol = min(engine.tol, control.LOOSEST)
-    found: list[Callable[[], Run]] = []
-    for may_begin, some in loop.alike(tasks):
-        if may_begin and _may_begin_together([task.system for task in some], engine):
-            several = _Several(some, tol)
-            found += [partial(several.run, k, begun) for k, begun in enumerate(several.begin())]
-        else:
-            found += [partial(_alone, task, engine, tol) for task in some]
-    return found
+
+    def together(some: list[Task]) -> _Runs | None:
+        return _Runs(some, tol) if _may_begin_together([task.system for task in some], engine) else None
+
+    return stacks.runs(tasks, together, partial(_alone, engine, tol))
 
 
 def _may_begin_together(systems: Sequence[System], engine: Coulomb) -> bool:
     """Whether all are run by series, with products of one kind, and none has heavily damped blocks."""
     damping, pull = np.array([one.damping for one in systems]), np.array([one.row_sums for one in systems])
-    is_heavy = (damping > control.HEAVY * np.sqrt(pull)).any()
-    return not is_heavy and products.are_of_one_kind(pull) and not any(map(engine.is_by_waves, systems))
+    is_any_heavy = is_heavy(damping, pull, 0.0).any()
+    return not is_any_heavy and products.are_of_one_kind(pull) and not any(map(engine.is_by_waves, systems))
 
 
-def _alone(task: Task, engine: Coulomb, tol: float) -> Run:
+def _alone(engine: Coulomb, tol: float, task: Task) -> Run:
     """The run of a task, by the method that it takes."""
     if not engine.is_by_waves(task.system):
         return _by_series(task, tol)
@@ -82,10 +78,7 @@ def _alone(task: Task, engine: Coulomb, tol: float) -> Run:
 
 
 def _by_series(task: Task, tol: float) -> Run:
-    one = _Several([task], tol)
-    if task.system.weakening is None:
-        one.slow = Slow.of(task.system, one.drives[0].fastest)
-    return one.run(0)
+    return _Runs([task], tol).go_on(0, None)
 
 
 def _shortest(rates: Floats, static: Floats, near: Floats, tol: float) -> Floats:
@@ -102,8 +95,11 @@ def _followed(system: System, tol: float) -> float:
     return max(tol * system.fastest_belt, _FOLLOWED)
 
 
-class _Several:
-    """The runs of some tasks by series, as a stack: one, or plain ones that begin together."""
+class _Runs(Several):
+    """By series."""
+
+    shortest: Floats
+    method = "Taylor series"
 
     def __init__(self, tasks: Sequence[Task], tol: float) -> None:
         self.tasks, self.tol = tasks, tol
@@ -134,6 +130,7 @@ class _Several:
             for rate, task in zip(self.rates.tolist(), tasks, strict=True)
         ]
         self.states, self.searches = State.at_start(tasks, mode, exposures), Search.of(mode)
+        self.initial_modes, self.events_a_step = self.searches.initial_mode[:, np.newaxis], systems[0].n
         self.expansions = Expansion.blank(mode, n_shapes)
         if tasks[0].modes is not None:
             self.expansions.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
@@ -142,19 +139,20 @@ class _Several:
             Collapse(task.system, _followed(task.system, tol), cost=control.certificate(task)) for task in tasks
         ]
         self.slips = np.array([one.precheck.slip for one in self.collapse])
-        self.slow: Slow | None = None
+        # only one alone may have heavily damped blocks, or a sparse K
+        self.slow = Slow.of(systems[0], self.drives[0].fastest) if len(tasks) == 1 and weakening is None else None
+        is_dense = isinstance(systems[0].stiffness, np.ndarray) or self.drives[0].is_forced or weakening is not None
+        self.locally = None if is_dense or self.slow is not None else self._locally()
 
-    def _advance(self, first: int, events: Events, found: NDArray[np.int64]) -> None:
-        """Advance some of the runs, from the first on, by a slice."""
-        goals = Goal(self.lengths, self.drives[first].is_last, self.tol, self.rates, self.bounds)
+    def advance(self, first: int, events: Events, found: NDArray[np.int64]) -> None:
+        drive = self.drives[first]
+        self.lengths[first] = drive.length
+        if self.locally is not None:
+            found[0, :2] = self.locally(events)
+            return
+        goals = Goal(self.lengths, drive.is_last, self.tol, self.rates, self.bounds)
         stack = step.Stack(self.models, goals, self.states, self.expansions, self.searches, self.slips)
         step.advance(stack, self.slow, events, self.collapse[first].precheck, first, found)
-
-    def begin(self) -> list[Begun]:
-        """The first slices of all."""
-        self.bounds[:], _ = certificates.escape_bounds(self.systems, self.states.z, self.states.w)
-        initial = self.searches.initial_mode[:, np.newaxis]
-        return loop.begin(self.tasks, partial(self._advance, 0), initial, self.systems[0].n, self.shortest)
 
     def _locally(self) -> Callable[[Events], tuple[int, int]]:
         """Advances the run of a stack of one by a slice, where K is sparse and nothing ties the blocks together."""
@@ -172,43 +170,31 @@ class _Several:
 
         return advance
 
-    def run(self, k: int, begun: Begun | None = None) -> Run:
-        """Run the task k, or go on with it. `expand` itself limits a step to where the series of a force holds."""
-        if begun is not None and begun.status == loop.ANEW:
-            return _Several([self.tasks[k]], self.tol).run(0)
-        if begun is not None and begun.is_whole:
-            return loop.ended(self.tasks[k], self.states, k, begun, self.searches.initial_mode[k], _METHOD)
-        task, system, drive, initial_mode = (
-            self.tasks[k],
-            self.systems[k],
-            self.drives[k],
-            self.searches.initial_mode[k],
-        )
+    def alone(self, k: int) -> Run:
+        return _by_series(self.tasks[k], self.tol)
+
+    def go_on(self, k: int, begun: Begun | None) -> Run:
+        # `expand` itself limits a step to where the series of a force holds
+        task, initial_mode = self.tasks[k], self.searches.initial_mode[k]
         _warn_of_short_steps(task, float(self.rates[k]) if self.slow is None else self.slow.rate)
-        is_dense = isinstance(system.stiffness, np.ndarray) or drive.is_forced or system.weakening is not None
-        local = self._locally() if not is_dense and self.slow is None else None
 
         def advance(events: Events, bound: float) -> tuple[int, int]:
-            self.lengths[k], self.bounds[k], found = drive.length, bound, np.zeros((1, 3), dtype=np.int64)
-            if local is None:
-                self._advance(k, events, found)
-            else:
-                found[0, :2] = local(events)
+            found = self.slice(k, events, bound)
             if task.modes is not None:
                 _require_modes(task, task.modes, initial_mode, self.tol)
-            return int(found[0, 0]), int(found[0, 1])
+            return found
 
         plan = loop.Plan(
             advance,
             stalled=f"more than {control.STALL} instants that rounding cannot tell apart; this start is degenerate:"
             " perturb it, or use engine='sigmoid'",
-            events_a_step=system.n,
-            initial_modes=initial_mode[np.newaxis],
+            events_a_step=self.events_a_step,
+            initial_modes=self.initial_modes[k],
             shortest=self.shortest[k],
             touch=_TOUCH * math.sqrt(self.tol),
-            method=_METHOD,
+            method=self.method,
         )
-        return loop.complete(task, loop.of_run(self.states, k), drive, self.collapse[k], plan, begun)
+        return loop.complete(task, loop.of_run(self.states, k), self.drives[k], self.collapse[k], plan, begun)
 
 
 def _warn_of_short_steps(task: Task, rate: float) -> None:

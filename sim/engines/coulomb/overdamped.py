@@ -51,11 +51,16 @@ class Slow(NamedTuple):
         damping, pull, all_move = system.damping, system.row_sums, np.ones(system.n, dtype=np.bool_)
         decays = np.zeros(system.n, dtype=np.bool_)
         most = float(damping.max())
-        if not (damping > control.HEAVY * np.maximum(np.sqrt(pull), fastest)).any():
+        if not is_heavy(damping, pull, fastest).any():
             return None
         slow = cls(damping.copy(), pull.copy(), fastest, most, 0.0, all_move, decays, np.array([0, 1]))
         _, rate = _pace_of(slow)
         return slow._replace(rate=rate)
+
+
+def is_heavy(damping: Floats, pull: Floats, fastest: float) -> NDArray[np.bool_]:
+    """Whether R is far above all other rates of a block: see `Slow`, whose arguments these are."""
+    return damping > control.HEAVY * np.maximum(np.sqrt(pull), fastest)
 
 
 def _pace_of(slow: Slow) -> tuple[float, float]:

@@ -37,6 +37,7 @@ from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
 from stickslip.sim.engines.coulomb.taylor import Expansion, correct, expand, expansion_of, shift
 from stickslip.sim.engines.coulomb.windows import Goal, Search, evaluate, goal_of, record, sample, search_of, stalls
 from stickslip.sim.engines.precheck import precheck_of
+from stickslip.sim.engines.stacks import note_found, rest_of
 from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
 
@@ -190,13 +191,13 @@ class Stack(NamedTuple):
 
 @kernel
 def advance(stack, slow, events, precheck, first, found):  # type: ignore[no-untyped-def]
-    """Advance runs of a stack, from the first on, by a slice; see `loop.begin`."""
+    """Advance runs of a stack, from the first on, by a slice; see `stacks`."""
     for row in range(len(found)):
         k = first + row
         state = loop.state_of(stack.state, k)
         expansion, search = expansion_of(stack.expansion, k), search_of(stack.search, k)
         status, n_recorded = _advance(
             model_of(stack.model, k), goal_of(stack.goal, k), state, expansion, search, slow,
-            loop.rest_of(events, found, row), precheck_of(precheck, stack.slip[k]),
+            rest_of(events, found, row), precheck_of(precheck, stack.slip[k]),
         )  # fmt: skip
-        loop.note_found(found, row, status, n_recorded, state.counters)
+        note_found(found, row, status, n_recorded, state.counters)

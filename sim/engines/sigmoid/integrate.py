@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import certificates, loop
+from stickslip.sim.engines import certificates, loop, stacks
 from stickslip.sim.engines.contract import Ratios, Task
 from stickslip.sim.engines.forcing import Drive
 from stickslip.sim.engines.sigmoid.kernel import Stack, advance
+from stickslip.sim.engines.stacks import Several
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.control import Control, first_step
 from stickslip.sim.engines.waveform.events import PASSES
@@ -40,18 +41,11 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     IntegrationError
         Of a run: if the step shrinks to rounding.
     """
-    found: list[Callable[[], Run]] = []
-    for may_begin, some in loop.alike(tasks):
-        if may_begin:
-            several = _Several(some, engine)
-            found += [partial(several.run, k, begun) for k, begun in enumerate(several.begin())]
-        else:
-            found += [partial(_alone, task, engine) for task in some]
-    return found
+    return stacks.runs(tasks, partial(_Runs, engine), partial(_alone, engine))
 
 
-def _alone(task: Task, engine: Sigmoid) -> Run:
-    return _Several([task], engine).run(0)
+def _alone(engine: Sigmoid, task: Task) -> Run:
+    return _Runs(engine, [task]).go_on(0, None)
 
 
 class _Layer(NamedTuple):
@@ -93,29 +87,26 @@ class _Inside(NamedTuple):
         return cls(atol, rtol, limits.safety_factor(atol + rtol))
 
 
-class _Several:
-    """The runs of some tasks as a stack: one, or plain ones that begin together.
+class _Runs(Several):
+    """Arrays are by task and block, or by task, definition and block."""
 
-    Arrays are by task and block, or by task, definition and block.
-    """
-
-    def __init__(self, tasks: Sequence[Task], engine: Sigmoid) -> None:
+    def __init__(self, engine: Sigmoid, tasks: Sequence[Task]) -> None:
         self.tasks, self.engine = tasks, engine
         systems = self.systems = [task.system for task in tasks]
         system = systems[0]  # if it is not plain, it is the only one
-        layer = self.layer = _Layer.of(system, engine)
+        layer = _Layer.of(system, engine)
         self.inside = _Inside.of(engine)
-        self.allowed = engine.atol + engine.rtol * np.array([one.fastest_belt for one in systems])
-        self.by_force = np.array([layer.is_manifold, *(False for _ in engine.thresholds)])
+        allowed_of_all = engine.atol + engine.rtol * np.array([one.fastest_belt for one in systems])
+        by_force = np.array([layer.is_manifold, *(False for _ in engine.thresholds)])
         self.drives = [Drive(task.system, task.t_start, task.t_end, 0) for task in tasks]
         z, w = np.array([task.z0 for task in tasks]), np.array([task.w0 for task in tasks])
         v = np.array([drive.belt_speed for drive in self.drives])
         near, far = (np.array(rows) for rows in zip(*(one.slip_friction for one in systems), strict=True))
         bands = np.array([layer.band, *(c * layer.delta for c in engine.thresholds)])
-        bands = self.bands = bands * (near > 0.0)[:, np.newaxis]  # without friction no block sticks
-        self.borne = np.empty_like(bands)
+        bands = bands * (near > 0.0)[:, np.newaxis]  # without friction no block sticks
+        borne = np.empty_like(bands)
         for k, one in enumerate(systems):
-            self.borne[k] = one.kinetic(bands[k])
+            borne[k] = one.kinetic(bands[k])
         self.tables = blank_tables(len(tasks), system.n)
         block = Blocks(self.tables[..., : system.n])
         block.u0, block.z0, block.speed_before, block.belt = w - v, z, np.abs(w), v
@@ -125,7 +116,7 @@ class _Several:
         block.friction, block.drag, block.force0 = near, drag, pull
         block.row_sum = [one.row_sums for one in systems]
         block.kept_f, block.kept_u = pull[:, np.newaxis], (w - v)[:, np.newaxis]
-        self._fill_in_the_law(block, near, far)
+        self._fill_in_the_law(layer, block, near, far)
         self.modes = _modes(block, bands, layer.is_manifold)
         changes = np.abs(np.array([w, block.damping * (w - v) + pull, [one.friction for one in systems]]))
         fastest, widest = changes.max(axis=(0, 2)).tolist(), bands.max(axis=(1, 2)).tolist()
@@ -140,14 +131,14 @@ class _Several:
         self.states = loop.State.at_start(tasks, self.modes[:, 0].copy(), [(step, 1.0, 0.0, 0.0) for step in steps])
         self.states.counters[:, loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
         n_substeps = 16 * system.n + 256
-        self.events_a_step = PASSES * (system.n + n_substeps) * len(self.by_force)
+        self.events_a_step = PASSES * (system.n + n_substeps) * len(by_force)
         self.work = Workspace.of(self.tables, self.modes, self.drives[0].is_forced, n_substeps)
         self.work.next_h[:], common = limits.FIRST_SUBSTEP * steps[:, np.newaxis], Shared(self.work.shared)
         common.atol, common.rtol, common.safety = atol, rtol, safety
         _jumped(self.states.clock, self.work.next_h, block)
         self.initial_modes = self.modes.copy()
         forcing = loop.stack([drive.forcing for drive in self.drives])
-        self.models = Model(layer.law, None, *_matrices(systems), forcing, bands, self.borne, self.by_force)
+        self.models = Model(layer.law, None, *_matrices(systems), forcing, bands, borne, by_force)
         self.bounds = np.empty(len(tasks))
         self.ends, self.single_rates = np.array(lengths), limits.single_rate(1.0) * block.row_sum.max(axis=1)
         smoothed = cache(partial(_smoothed, layer))
@@ -155,13 +146,13 @@ class _Several:
             certificates.Collapse(
                 task.system, allowed, smoothed(task.system.fastest_belt, wide), limits.certificate(task)
             )
-            for task, allowed, wide in zip(tasks, self.allowed.tolist(), widest, strict=True)
+            for task, allowed, wide in zip(tasks, allowed_of_all.tolist(), widest, strict=True)
         ]
         self.slips = np.array([one.precheck.slip for one in self.collapse])
 
-    def _fill_in_the_law(self, block: Blocks, near: Floats, far: Floats) -> None:
+    def _fill_in_the_law(self, layer: _Layer, block: Blocks, near: Floats, far: Floats) -> None:
         """Fill in the rows of the smoothed friction law."""
-        system, layer, (atol, _, safety) = self.systems[0], self.layer, self.inside
+        system, (atol, _, safety) = self.systems[0], self.inside
         block.steep, block.hidden, block.peak = 1.0 / layer.delta, layer.hidden, layer.peak
         block.passed = limits.PASSED * safety
         block.at_peak = limits.OF_ROOT * np.sqrt(self.engine.atol + self.engine.rtol)
@@ -173,8 +164,7 @@ class _Several:
         # beyond this friction is kinetic, to the tolerance
         block.reach = 1.0 + 0.5 * np.log1p(2.0 * near * (1.0 + 2.0 * layer.hidden) / (safety * atol))
 
-    def _advance(self, first: int, events: loop.Events, found: NDArray[np.int64]) -> None:
-        """Advance some of the runs, from the first on, by a slice."""
+    def advance(self, first: int, events: loop.Events, found: NDArray[np.int64]) -> None:
         drive = self.drives[first]
         self.ends[first], instant = (drive.ahead, drive.instant) if drive.is_instant else (drive.length, -1.0)
         longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
@@ -182,29 +172,15 @@ class _Several:
         stack = Stack(self.models, self.work, control, self.states, self.bounds, self.slips)
         advance(stack, events, self.collapse[first].precheck, first, found)
 
-    def begin(self) -> list[loop.Begun]:
-        """The first slices of all."""
-        self.bounds[:], _ = certificates.escape_bounds(self.systems, self.states.z, self.states.w)
-        return loop.begin(self.tasks, partial(self._advance, 0), self.initial_modes, self.events_a_step)
+    def alone(self, k: int) -> Run:
+        return _alone(self.engine, self.tasks[k])
 
-    def run(self, k: int, begun: loop.Begun | None = None) -> Run:
-        """Run the task k, or go on with it."""
-        if begun is not None and begun.status == loop.ANEW:
-            return _alone(self.tasks[k], self.engine)
-        if begun is not None and begun.is_whole:
-            return loop.ended(self.tasks[k], self.states, k, begun, self.initial_modes[k, 0])
+    def go_on(self, k: int, begun: loop.Begun | None) -> Run:
         system, drive, engine, atol = self.systems[k], self.drives[k], self.engine, self.inside.atol
         state = loop.of_run(self.states, k)._replace(mode=self.modes[k, 0])
         table, next_h = self.tables[k], self.work.next_h[k]
-
-        def slice_of_run(events: loop.Events, bound: float) -> tuple[int, int]:
-            found = np.zeros((1, 3), dtype=np.int64)
-            self.bounds[k] = bound
-            self._advance(k, events, found)
-            return int(found[0, 0]), int(found[0, 1])
-
         plan = loop.Plan(
-            slice_of_run,
+            partial(self.slice, k),
             stalled=f"the step fell to the rounding of time (rtol = {engine.rtol:g}, atol = {engine.atol:g}); use"
             " engine='coulomb', or raise rtol and atol by tens, which helps unless a belt or a force jumps",
             events_a_step=self.events_a_step,

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.precheck import precheck_of
+from stickslip.sim.engines.stacks import note_found, rest_of
 from stickslip.sim.engines.waveform.control import Control, control_of
 from stickslip.sim.engines.waveform.layout import Model, Workspace, model_of, workspace_of
 from stickslip.sim.engines.waveform.step import take_steps
@@ -29,12 +30,12 @@ class Stack(NamedTuple):
 
 @kernel
 def advance(stack, events, precheck, first, found):  # type: ignore[no-untyped-def]
-    """Advance runs of a stack, from the first on, by a slice; see `loop.begin`."""
+    """Advance runs of a stack, from the first on, by a slice; see `stacks`."""
     for row in range(len(found)):
         k = first + row
         state = loop.state_of(stack.state, k)
         status, n_recorded = take_steps(
             model_of(stack.model, k), workspace_of(stack.work, k), control_of(stack.control, k), state,
-            loop.rest_of(events, found, row), stack.bound[k], precheck_of(precheck, stack.slip[k]),
+            rest_of(events, found, row), stack.bound[k], precheck_of(precheck, stack.slip[k]),
         )  # fmt: skip
-        loop.note_found(found, row, status, n_recorded, state.counters)
+        note_found(found, row, status, n_recorded, state.counters)

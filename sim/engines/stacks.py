@@ -1,0 +1,195 @@
+"""Runs that begin together: a small system takes less time to run than a call from Python takes.
+
+A kernel advances a *stack* of runs, whose arrays have an axis more in front, each by its first slice. Most end there;
+the others go on alone, as stacks of one. An engine has a subclass of `Several`, and `runs` makes its runs.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.engines import certificates, loop
+from stickslip.sim.engines.contract import Task
+from stickslip.sim.engines.forcing import times
+from stickslip.sim.engines.loop import Begun, Events, State
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.runs.run import Run, Stills
+from stickslip.sim.runs.series import EventSeries
+
+#: Why the first slice of a run ended: others left no room for it, and it is to begin anew alone.
+_ANEW = -1
+
+
+@inner
+def rest_of(events, found, k):  # type: ignore[no-untyped-def]
+    """What is left of the buffers of a stack for the events of run k."""
+    n_recorded, n_all_stuck = 0, 0
+    for j in range(k):
+        n_recorded += found[j, 1]
+        n_all_stuck += found[j, 2]
+    t, block, mode, all_stuck = events
+    return Events(t[n_recorded:], block[n_recorded:], mode[n_recorded:], all_stuck[:, n_all_stuck:])
+
+
+@inner
+def note_found(found, k, status, n_recorded, counters):  # type: ignore[no-untyped-def]
+    """Note why run k of a stack ended its slice, and how many events and all-stuck intervals it recorded."""
+    found[k, 0], found[k, 1], found[k, 2] = status, n_recorded, counters[loop.N_ALL_STUCK]
+
+
+def alike(tasks: Sequence[Task]) -> Iterator[tuple[bool, list[Task]]]:
+    """The tasks in order, those that follow on each other and may begin together as a stack; the others, as such."""
+
+    def kind(task: Task) -> tuple[int, bool, bool] | None:
+        if not task.system.is_plain or len(task.samples) or task.modes is not None:
+            return None
+        return task.system.n, task.stop_early, task.certify
+
+    for common, some in groupby(tasks, kind):
+        yield common is not None, list(some)
+
+
+def runs(
+    tasks: Sequence[Task], together: Callable[[list[Task]], Several | None], alone: Callable[[Task], Run]
+) -> list[Callable[[], Run]]:
+    """The runs of some tasks, as `Engine.prepare` gives them.
+
+    `together` is given tasks that may begin as a stack, and may know why they do not: None. `alone` runs the others.
+    """
+    found: list[Callable[[], Run]] = []
+    for may_begin, some in alike(tasks):
+        several = together(some) if may_begin else None
+        if several is None:
+            found += [partial(alone, task) for task in some]
+        else:
+            found += [partial(several.run, k, begun) for k, begun in enumerate(several.begin())]
+    return found
+
+
+class Several(ABC):
+    """The runs of some tasks as a stack: one, or plain ones of one kind.
+
+    Attributes
+    ----------
+    tasks : sequence of Task
+    states : State
+    bounds : float64, shape (runs,)
+        Of |z| and |w|; beyond them a slice ends.
+    initial_modes : int8, shape (runs, definitions of sticking, n)
+    events_a_step, shortest, method
+        As of `loop.Plan`; `shortest` has shape (runs, n).
+    """
+
+    tasks: Sequence[Task]
+    states: State
+    bounds: Floats
+    initial_modes: NDArray[np.int8]
+    events_a_step: int
+    shortest: Floats | None = None
+    method: str = ""
+
+    @abstractmethod
+    def advance(self, first: int, events: Events, found: NDArray[np.int64]) -> None:
+        """Advance some of the runs, from the first on, by a slice.
+
+        What they record is written into the buffers, one behind the other, and for each the status, and how many
+        events and ends of all-stuck intervals there are, into a row of `found`.
+        """
+
+    @abstractmethod
+    def go_on(self, k: int, begun: Begun | None) -> Run:
+        """Run the task k to its end, from its start or from where its first slice ended."""
+
+    @abstractmethod
+    def alone(self, k: int) -> Run:
+        """Run the task k apart from the others."""
+
+    def slice(self, k: int, events: Events, bound: float) -> tuple[int, int]:
+        """Advance run k by a slice: the status, and how many events it recorded."""
+        self.bounds[k], found = bound, np.zeros((1, 3), dtype=np.int64)
+        self.advance(k, events, found)
+        return int(found[0, 0]), int(found[0, 1])
+
+    def run(self, k: int, begun: Begun) -> Run:
+        """The run of the task k, whose first slice has been run."""
+        if begun.status == _ANEW:
+            return self.alone(k)
+        return self._ended(k, begun) if begun.is_whole else self.go_on(k, begun)
+
+    def begin(self) -> list[Begun]:
+        """Advance each run by its first slice."""
+        self.bounds[:], _ = certificates.escape_bounds(
+            [task.system for task in self.tasks], self.states.z, self.states.w
+        )
+        several, n_definitions, n = self.initial_modes.shape
+        of_one = loop.capacity(self.events_a_step)
+        buffers = Events.blank(max(of_one, 64 * several), several)
+        found = np.zeros((several, 3), dtype=np.int64)
+        self.advance(0, buffers, found)
+        if several > 1:  # where a slice ends may not depend on the others
+            is_crowded = (found[:, 0] == loop.BUFFER_FULL) | (found[:, 1] + self.events_a_step > of_one)
+            found[is_crowded, 0] = _ANEW
+        whole = (found[:, 0] == loop.DONE) & (n_definitions == 1)
+        ends, stuck_ends = np.cumsum(found[:, 1]).tolist(), np.cumsum(found[:, 2]).tolist()
+        s, block, mode, (stuck_s, total) = buffers.first(ends[-1], stuck_ends[-1])
+        starts, stops = np.array([(task.t_start, task.t_end) for task in self.tasks]).T
+
+        def on_clock(s: Floats, counts: NDArray[np.int64]) -> tuple[NDArray[np.intp], Floats]:
+            """The number of the run, and its time."""
+            of = np.arange(several).repeat(counts)
+            return of, times(starts[of], stops[of], s)
+
+        if len(s):
+            of_event, t = on_clock(s, found[:, 1])
+            order = np.lexsort((block, t, of_event))  # as in `loop.complete`
+            of_event, t, s, block, mode = of_event[order], t[order], s[order], block[order], mode[order]
+            if self.shortest is not None:
+                whole[of_event[_may_be_touches(of_event * n + block, s, self.shortest.ravel())]] = False
+            s = np.where(whole[of_event], t, s)
+        else:  # no view, which would keep the buffers
+            s, block, mode = s.copy(), block.copy(), mode.copy()
+        if len(stuck_s):
+            of_stuck, stuck_t = on_clock(stuck_s, found[:, 2])
+            stuck_s = np.where(whole[of_stuck], stuck_t, stuck_s)
+        all_stuck = np.array([stuck_s, total])
+        events = Events(s, block, mode, all_stuck)
+        return [
+            Begun(
+                status,
+                events.part(end - n_events, end)._replace(all_stuck=all_stuck[:, stuck - n_stuck : stuck]),
+                is_whole,
+            )
+            for (status, n_events, n_stuck), end, stuck, is_whole in zip(
+                found.tolist(), ends, stuck_ends, whole.tolist(), strict=True
+            )
+        ]
+
+    def _ended(self, k: int, begun: Begun) -> Run:
+        """Run k, whose first slice was all of it, as `loop.complete` would give it."""
+        task, (t, block, mode, all_stuck) = self.tasks[k], begun.events
+        return Run(
+            z=self.states.z[k],
+            w=self.states.w[k],
+            t_end=task.t_end,
+            events=EventSeries(t, block, mode, self.initial_modes[k, 0], task.t_start, task.t_end),
+            outcome="finished",
+            reason="",
+            stats=loop.stats_of(self.states.counters[k], len(t), self.method),
+            samples=task.samples,
+            stills=Stills(*all_stuck),
+        )
+
+
+def _may_be_touches(of_block: NDArray[np.intp], t: Floats, shortest: Floats) -> NDArray[np.intp]:
+    """The events that follow on one of the same block within `shortest`, which has one number a block."""
+    order = np.argsort(of_block, kind="stable")
+    block, at = of_block[order], t[order]
+    is_close = (block[1:] == block[:-1]) & (at[1:] - at[:-1] <= shortest[block[1:]])
+    return order[1:][is_close]
