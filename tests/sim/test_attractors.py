@@ -58,7 +58,7 @@ def test_equal_blocks_that_go_together_are_unstable_as_the_closed_form_says(rng)
         omega, slip = np.sqrt(1 + 2 * k), 2 * (np.pi - np.arctan(drop / speed))
         multiplier = np.cos(omega * slip) - drop * omega / speed * np.sin(omega * slip)
         assert found.period == pytest.approx(period(drop, speed), rel=1e-10)
-        assert found.multiplier == pytest.approx(abs(multiplier), rel=1e-9, abs=1e-9)
+        assert found.multiplier == pytest.approx(abs(multiplier), rel=1e-10, abs=1e-10)
 
 
 def test_a_forced_block_without_stops_has_the_multiplier_of_the_closed_form(rng):
@@ -78,7 +78,7 @@ def test_a_forced_block_without_stops_has_the_multiplier_of_the_closed_form(rng)
         half = np.roots([1.0, -np.cos(np.pi / frequency) * (1 + ratio), ratio])
         assert found.kind == "periodic"
         assert found.period == pytest.approx(block.cycle, rel=1e-10)
-        assert found.multiplier == pytest.approx(np.abs(half).max() ** 2, rel=1e-8)
+        assert found.multiplier == pytest.approx(np.abs(half).max() ** 2, rel=1e-10)
 
 
 def test_a_block_that_follows_a_force_without_events_has_its_period():
