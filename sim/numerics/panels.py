@@ -32,13 +32,15 @@ def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArra
     Rows of zeros are added to fill the last panel. Shape (..., number of panels, n, height).
     """
     *several, n, _ = matrix.shape
-    if n == 0:
-        return np.empty((*several, 0, 0, height), dtype)
-    if dtype == np.float32:
-        matrix = np.clip(matrix, -_SINGLE_MAX, _SINGLE_MAX)  # infinity times zero would be NaN
-    rows = np.zeros((*several, -(-n // height) * height, n), dtype)
-    rows[..., :n, :] = matrix
-    return np.ascontiguousarray(rows.reshape(*several, -1, height, n).swapaxes(-1, -2))
+    found, whole = np.zeros((*several, -(-n // height), n, height), dtype), n // height
+    rows = matrix[..., : whole * height, :].reshape(*several, whole, height, n)
+    with np.errstate(over="ignore"):
+        found[..., :whole, :, :] = rows.swapaxes(-1, -2)
+        if n % height:
+            found[..., whole, :, : n % height] = matrix[..., whole * height :, :].swapaxes(-1, -2)
+    if dtype == np.float32:  # infinity times zero would be NaN
+        np.clip(found, -_SINGLE_MAX, _SINGLE_MAX, out=found)
+    return found
 
 
 def _panel(n_vectors: int, height: int, single: bool, listed: bool = False) -> Any:

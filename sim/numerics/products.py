@@ -35,7 +35,7 @@ class Pairs(NamedTuple):
         """The pairs of several dense K, shape (n, n), or of one K, from row sums of |K|; they share the workspace."""
         n, is_dense = matrices[0].shape[0], isinstance(matrices[0], np.ndarray)
         none = np.empty((len(matrices), 0, 0))
-        dense = np.array(matrices) if is_dense else none
+        dense = none if not is_dense else np.array(matrices) if len(matrices) > 1 else matrices[0][np.newaxis]
         double = panels(dense, PAIR_HEIGHT, np.float64)
         is_single = [is_dense and _may_be_single(sums) for sums in row_sums]
         single = panels(dense if any(is_single) else none, SINGLE_PAIR_HEIGHT, np.float32)
