@@ -166,8 +166,11 @@ def judge(rows: Sequence[Row], alpha: float, words: Words = ALIKE) -> None:
     """Write verdicts into the contrasts that were tested.
 
     The p-values of equivalence and those of a difference are each adjusted by Holm's rule over all `n_tests`.
-    `relative` is compared with the margin.
+    `relative` is compared with the margin. `open` is the word of a difference that is shown, but neither to be beyond
+    the margin nor within; else empty.
     """
+    for row in rows:
+        row["open"] = ""
     tested = [row for row in rows if row["p_equivalent"] is not None]
     for name in ("p_equivalent", "p_different"):
         for row, adjusted in zip(tested, holm([row[name] for row in tested]), strict=True):
@@ -176,6 +179,8 @@ def judge(rows: Sequence[Row], alpha: float, words: Words = ALIKE) -> None:
         p_values = row["p_equivalent_holm"], row["p_different_holm"]
         size = np.copysign(np.inf, row["difference"]) if row["relative"] is None else row["relative"]  # from zero
         row |= {"verdict": verdict(*p_values, alpha, size, row["margin"], words), "n_tests": len(tested)}
+        if row["verdict"] == UNKNOWN and row["p_different_holm"] < alpha:
+            row["open"] = words.more if size > 0 else words.less
 
 
 def told(rows: Iterable[Row]) -> list[Row]:

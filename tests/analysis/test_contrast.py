@@ -198,7 +198,8 @@ def test_no_interval_is_shown_that_reaches_below_minus_100_percent():
     """Of a correlation time, which is positive; what may be negative, and a difference of shares, keep theirs."""
     words = environment().get_template("contrasts.html").module
     row = {"quantity": "correlation time", "relative": 2.94, "relative_low": -1.95, "relative_high": 7.83,
-           "is_share": False, "first": 1.0, "second": 3.94, "margin": 0.1, "verdict": "cannot be told"}  # fmt: skip
+           "is_share": False, "first": 1.0, "second": 3.94, "margin": 0.1, "verdict": "cannot be told",
+           "open": ""}  # fmt: skip
     assert words.size(row) == "+294% (no interval)"
     assert words.size(row | {"second": -2.0}) == "+294% (−195% to +783%)"
     assert words.size(row | {"relative_low": -0.95}) == "+294% (−95% to +783%)"

@@ -1,5 +1,7 @@
 """Engines, tolerances and thresholds on the same matrices: planted biases, the loosest tolerance that is enough."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -14,7 +16,7 @@ SETTINGS = AnalysisSettings(
 WORDS = environment().get_template("engines.html").module
 
 
-def asked(planted, shifts, thresholds=(), n_matrices=8):
+def asked(planted, shifts, thresholds=(), n_matrices=8, settings=SETTINGS):
     """Runs that are the first setting's, higher by a shift of their own; `shifts` by (engine, tolerance)."""
     rows, series, by_threshold = [], {}, {}
     for (engine, tolerance), shift in shifts.items():
@@ -26,7 +28,7 @@ def asked(planted, shifts, thresholds=(), n_matrices=8):
             series[name] = t, n_stick - n_stick.min() + 40 + 2 * matrix + shift
             for c, lower in dict(thresholds).items():
                 by_threshold.setdefault(name, {})[c] = t, series[name][1] - lower
-    return answer(Study(Data(pd.DataFrame(rows), series, thresholds=by_threshold), SETTINGS))
+    return answer(Study(Data(pd.DataFrame(rows), series, thresholds=by_threshold), settings))
 
 
 def test_the_sigmoid_is_set_against_the_exact_law(planted):
@@ -43,6 +45,23 @@ def test_the_sigmoid_is_set_against_the_exact_law(planted):
     far = asked(planted, {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 8})
     assert "2 of 3 statistics agree; the mean n_stick differs by +" in WORDS.answer(far.facts)
     assert "higher than under the exact engine (margin 10%). Compare it within" in WORDS.alerts(far.facts)
+
+
+def test_a_difference_that_is_shown_is_said_where_only_the_margin_cannot_be_told(planted):
+    """Four of 40 and more, in each system alike, against a margin within the interval."""
+    shifts = {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 4}
+    first = asked(planted, shifts).tables["engines"].set_index("quantity").loc["mean n_stick"]
+    margin = float(first["relative"] + first["relative_high"]) / 2
+    found = asked(planted, shifts, settings=replace(SETTINGS, margins=SETTINGS.margins | {"mean": margin}))
+    row = found.tables["engines"].set_index("quantity").loc["mean n_stick"]
+    assert row["verdict"] == "cannot be told"
+    assert row["p_different_holm"] < 1e-4
+    said = " ".join(WORDS.answer(found.facts).split())
+    assert "2 of 3 statistics can be said to agree; the mean n_stick differs by +" in said
+    assert said.endswith(f"), perhaps within the margin of {100 * margin:g}%.")
+    assert "cannot be told" not in said
+    assert "differ, perhaps within the margin</td>" in WORDS.main(found.facts)
+    assert "perhaps within: the estimate is within" in WORDS.main(found.facts)
 
 
 def test_the_loosest_sufficient_tolerance_is_named(planted):

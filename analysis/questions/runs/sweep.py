@@ -88,9 +88,7 @@ def answer(study: Study) -> Answer | None:
         row["subject"], row["words"] = subjects.get(row["quantity"], ("", ""))
         row.setdefault("is_few", False)
     contrast.judge(contrasts, 1 - level, Words(WITHIN, RISES, FALLS))
-    for row in contrasts:  # a change that is shown, but neither to be beyond the margin nor within
-        is_shown = row["p_different_holm"] is not None and row["p_different_holm"] < 1 - level
-        row["open"] = (RISES if row["difference"] > 0 else FALLS) if is_shown and row["verdict"] == UNKNOWN else ""
+    for row in contrasts:
         row["is_told"] = row["verdict"] != UNKNOWN or bool(row["open"])
     keys = {key: axis.dtype(k) for axis in axes for k, key in enumerate(axis.keys)}
     tables = {"sweep": frame({**_VALUES, **keys}, rows), "sweep_changes": frame(_CONTRASTS, contrasts)}
