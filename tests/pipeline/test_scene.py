@@ -9,7 +9,7 @@ import pytest
 
 from stickslip.pipeline import Scene, SceneError, expand, load_scene, parse_scene
 
-SCENES = Path(str(resources.files("workflows"))) / "scenes"
+SCENES = Path(str(resources.files("stickslip.workflows"))) / "scenes"
 
 
 def edit(source, old, new):
