@@ -266,11 +266,15 @@ class System:
 
     @cached_property
     def fastest_belt(self) -> float:
-        """The largest |v| at any time."""
+        """The largest |v| at any time, of blocks with friction; of all if none has.
+
+        Where a block has no friction its belt drives nothing, however fast it is.
+        """
         if self.has_one_belt:
             return abs(self.belt_speed)
         speeds = self.belt_speed.values if isinstance(self.belt_speed, Piecewise) else self.belt_speed
-        return float(np.abs(speeds).max())
+        rubs = self.static > 0
+        return float(np.abs(speeds[..., rubs] if rubs.any() else speeds).max())
 
     @cached_property
     def most_force(self) -> Floats:

@@ -137,6 +137,35 @@ def test_a_change_that_is_shown_is_told_whether_or_not_the_margin_is(recorded, s
     assert "rises; beyond 10% or not, cannot be told" in sentence(answer, "main")
 
 
+def test_a_gap_in_one_matrix_is_no_scatter_between_matrices(recorded, settings):
+    """The same change in all matrices at each drop, which matters far more; one run of one matrix has no value."""
+    axes = {"belt_speed": [-0.3, -0.1], "static": [1.1, 1.2, 1.3, 1.4, 1.5, 1.6, 1.7, 1.8, 1.9]}
+
+    def work(rng, matrix, v, static):
+        return None if (matrix, v, static) == (2, -0.1, 1.4) else 10 * static**3 + (v > -0.2) * static
+
+    row = rows_of(sweep.answer(Study(recorded({"work": work}, axes=axes), settings)), "mean work").loc["-0.1"]
+    assert row["n_first"] == 8
+    assert row["difference"] == pytest.approx(np.mean([1.1, 1.2, 1.3, 1.5, 1.6, 1.7, 1.8, 1.9]))
+    assert row["difference_high"] - row["difference_low"] == pytest.approx(0, abs=1e-9)
+    assert row["first_high"] - row["first_low"] == pytest.approx(0, abs=1e-9)
+
+
+def test_values_are_balanced_by_leaving_out_what_lacks_most():
+    full = np.arange(6)
+    for have, pairs, units in (
+        ([full, full], [0, 1], full),
+        ([full, full[:2], full], [0, 2], full),
+        ([full[1:], full[1:], full[1:], full], [0, 1, 2, 3], full[1:]),
+        ([full[:3], full[3:]], [0, 1], full),  # nothing without gaps: as they are
+        ([full[:2]], [0], full[:2]),
+        ([], [], full[:0]),
+    ):
+        kept, found = sweep._without_gaps(have)
+        assert kept == pairs
+        assert found.units.tolist() == units.tolist()
+
+
 def test_each_change_is_told_between_the_values_that_it_is_between(recorded, settings):
     """Of `late`, two matrices have a value at the first point, and four at the second."""
     data = recorded({

@@ -136,3 +136,25 @@ def test_what_cannot_be_scaled_is_refused(changes, words):
 def test_scales_are_numbers_above_zero(given):
     with pytest.raises((TypeError, ValueError), match=r"^(length|time|force): expected"):
         Scales(*given)
+
+
+@pytest.mark.parametrize("n", [2, 7, 80])
+@pytest.mark.parametrize("terms", [{}, {"static": 1.2}, {"damping": 300.0}])
+def test_a_belt_that_rubs_on_no_block_takes_no_accuracy(rng, n, terms):
+    """However fast it is: the tolerance is relative to the belts of blocks with friction. 80 blocks go by waves."""
+    rubs = rng.permutation(n) < max(1, n // 2)
+    k, z = rng.normal(size=(n, n)) / n + np.identity(n), rng.normal(size=n)
+
+    def run(far):
+        static = {"static": np.where(rubs, terms["static"], 0.0)} if "static" in terms else {}
+        damping = np.where(rubs, 0.3, terms.get("damping", 0.3))
+        belts = np.where(rubs, -0.2, -far)
+        system = System(k, damping, friction=1.0 * rubs, belt_speed=belts, **static)
+        return simulate(system, z, 0.0, 20.0, tol=1e-5, stop_early=False)
+
+    near, far = run(50.0), run(1e5)
+    assert near.stats.method == far.stats.method
+    size = max(np.abs(near.z).max(), 1.0)
+    assert far.z == pytest.approx(near.z, abs=1e-6 * size)  # 1e5 belts round by 1e-11
+    assert (far.events.block == near.events.block).all()
+    assert far.events.t == pytest.approx(near.events.t, abs=1e-4)

@@ -169,7 +169,7 @@ def _contrasts(
                 row |= _of_few(one, first, second, level)
             yield row | {
                 "setting": setting, "key": axis.name, "first_value": as_text(base), "second_value": as_text(value),
-                "is_last": value == others[-1], "noise": noise * largest[one.name],
+                "last_value": as_text(axis.values[-1]), "is_last": value == others[-1], "noise": noise * largest[one.name],
                 "is_part": not one.is_share and row["n_first"] < max(n_units[base], n_units[value]),
             }  # fmt: skip
 
@@ -215,14 +215,42 @@ def _largest(name: str, points: Sequence[Point]) -> float:
 
 
 def _in_common(names: Sequence[str], pairs: Sequence[tuple[Point, Point]]) -> tuple[Sample, Sample]:
-    """The sums of the first and of the second points of pairs, for the units that both of a pair have."""
+    """The sums of the first and of the second points of pairs, for the units that both of a pair have.
+
+    Of several pairs, all units count over the same ones, as far as that leaves enough: else a unit that lacks a pair
+    would differ from others by what that pair is like.
+    """
     samples = [(a.sample, b.sample) for a, b in pairs if a.group.unit == b.group.unit]
     first, second = Sample(), Sample()
     for name in names:
         sums = [(a.of(name), b.of(name)) for a, b in samples]
-        first.sums[name] = UnitSums.together(a.within(b) for a, b in sums)
-        second.sums[name] = UnitSums.together(b.within(a) for a, b in sums)
+        sums = [(a.within(b), b.within(a)) for a, b in sums]
+        pairs_kept, units = _without_gaps([a.units for a, _ in sums])
+        first.sums[name], second.sums[name] = (
+            UnitSums.together(sums[k][which].within(units) for k in pairs_kept) for which in (0, 1)
+        )
     return first, second
+
+
+def _without_gaps(have: Sequence[np.ndarray]) -> tuple[list[int], UnitSums]:
+    """Pairs, by number, and units that all of these have; all, with their gaps, if too few units are left.
+
+    What lacks most is left out first, be it a pair or a unit.
+    """
+    every = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *have]))
+    has = np.array([np.isin(every, one) for one in have]).reshape(len(have), len(every))
+    pairs, units = np.arange(len(have)), every
+    while not has.all():
+        of_pair, of_unit = has.mean(axis=1), has.mean(axis=0)
+        if of_pair.min() <= of_unit.min():
+            kept = np.arange(len(pairs)) != of_pair.argmin()
+            pairs, has = pairs[kept], has[kept]
+        else:
+            kept = np.arange(len(units)) != of_unit.argmin()
+            units, has = units[kept], has[:, kept]
+    if min(len(every), enough.LEAST_MATRICES) > (len(units) if len(pairs) else 0):
+        pairs, units = np.arange(len(have)), every
+    return pairs.tolist(), UnitSums(units, np.zeros((len(units), 2)))
 
 
 def _differ(first: Sample, second: Sample, name: str) -> bool:

@@ -69,6 +69,17 @@ class Model(NamedTuple):
 
 
 @inner
+def fastest_belt(model):  # type: ignore[no-untyped-def]
+    """The largest |v| now, as of `System.fastest_belt`."""
+    v, static, of_all, found = model.belt_speed, model.static, 0.0, -1.0
+    for i in range(len(v)):
+        of_all = max(of_all, abs(v[i]))
+        if static[i] > 0.0:
+            found = max(found, abs(v[i]))
+    return found if found >= 0.0 else of_all
+
+
+@inner
 def _weakening_of(weakening, k):  # type: ignore[no-untyped-def]
     if weakening is None:
         return None

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
+from stickslip.sim.engines.coulomb.model import fastest_belt
 from stickslip.sim.engines.coulomb.sticking import IDENTICALLY_ZERO, known, settle
 from stickslip.sim.engines.forcing import begin, may_change, take_off
 from stickslip.sim.kernels.compile import inner
@@ -153,7 +154,7 @@ def _settled(slow, model, expansion, goal, state, target, pace):  # type: ignore
             series[k, i] = 0.0
     copy(z, series[0])
     copy(w, series[1])
-    allowed = tol * max(largest(w), largest(v))
+    allowed = tol * max(largest(w), fastest_belt(model))
     # if nothing moves yet
     allowed = max(allowed, tol * h * may_change(model.forcing, t, h) / (1.0 + h * largest(model.damping)))
     for _ in range(control.MOST_ITERATIONS):

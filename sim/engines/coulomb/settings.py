@@ -25,9 +25,9 @@ class Coulomb(Engine):
     Parameters
     ----------
     tol : float
-        Truncation error of w in a step, relative to the largest of |w|, |v| and what w changes by in the step. The
-        error at the end is that of all steps, as the system amplifies it; cost grows with log(1 / tol) only. What is
-        above 1e-3 is taken for 1e-3: looser runs would cost more.
+        Truncation error of w in a step, relative to the largest of |w|, |v| of blocks with friction, and what w
+        changes by in the step. The error at the end is that of all steps, as the system amplifies it; cost grows with
+        log(1 / tol) only. What is above 1e-3 is taken for 1e-3: looser runs would cost more.
 
     Notes
     -----

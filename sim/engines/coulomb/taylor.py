@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
-from stickslip.sim.engines.coulomb.model import SERIES_OF
+from stickslip.sim.engines.coulomb.model import SERIES_OF, fastest_belt
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push, settle, settle_by_order
 from stickslip.sim.engines.forcing import acts, begin, may_change, take_off
 from stickslip.sim.kernels.compile import inner, one_of
@@ -247,7 +247,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
     _resist(weakening, model, expansion, 0)
     target = min(target, _known_within(weakening, expansion))
     # the error of w allowed in this step: relative to w, the belt and the change of w; that of z is then smaller
-    allowed = tol * max(w_max, largest(v), 2.0 * largest(series[2]) * target)
+    allowed = tol * max(w_max, fastest_belt(model), 2.0 * largest(series[2]) * target)
     allowed = max(allowed, tol * target * may_change(forcing, t, target))
 
     n_small = 0
