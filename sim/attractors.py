@@ -424,7 +424,7 @@ class _End:
         rate = path.growth_rate(bool(self._frequencies))
         grown = rate * float(events.t[-1] - events.t[0])
         if grown < _GROWN:
-            does = "decay" if grown < -_GROWN else "neither grow nor decay"
+            does = "decay" if grown < -_GROWN else "change by less than e^2"
             why = f"no cycle, and deviations {does}, at the rate {rate:.3g}; lengthen the run"
             return Attractor("undecided", why, growth_rate=rate)
         why = f"no cycle, while the last event recurs {n_again} times, and deviations grow"

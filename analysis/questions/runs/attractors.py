@@ -19,6 +19,7 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.grid import Axis, as_text, axes_of, order, place_of, settings
 from stickslip.analysis.groups import Group, Value, labels
 from stickslip.analysis.models.attractors import (
+    ESCAPING,
     IRREGULAR,
     KINDS,
     ONE_CYCLE,
@@ -479,7 +480,14 @@ def _figures(study: Study, axes: Sequence[Axis], lines: Sequence[_Line], told: S
             title = told[k]["at"] if len(lines) > 1 else ""
             along = Scale(axis.name, x, lines[k].ticks)
             drawn[name] = partial(figures_of.bifurcation, along, sections, title)
-            diagrams.append({"figure": name, "at": told[k]["at"], "n_left_out": _n_left_out(study, lines[k].own)})
+            diagrams.append(
+                {
+                    "figure": name,
+                    "at": told[k]["at"],
+                    "n_left_out": _n_left_out(study, lines[k].own),
+                    "n_away": sum(some.n_of(ESCAPING) for some in lines[k].own),
+                }
+            )
     return {
         "drawn": drawn,
         "map_at": ", ".join([*([setting] if len({one.setting for one in lines}) > 1 else []), *at_map]),

@@ -126,6 +126,8 @@ def answer(study: Study) -> Answer | None:
     most = max(own, key=lambda row: (row["quantity"] == leading[0], row["is_last"], _weight(row)))["key"]
     in_order = [most, *(row["key"] for row in told), *(axis.name for axis in axes)]
     in_order = sorted(axes, key=lambda axis: in_order.index(axis.name))
+    if len(axes) > 1 and len(in_order[1].values) > max(MOST_LINES, len(in_order[0].values)):
+        in_order[:2] = in_order[1::-1]  # a line for each of the few values, not of the many
     drawn = [name for name in leading if name not in still] or leading[:1]
     figures = _figures(points, lead, in_order, drawn, asked, level)
     facts |= {
@@ -133,7 +135,8 @@ def answer(study: Study) -> Answer | None:
         "ends": [row for row in contrasts if row["is_last"]],
         "told": told,
         "figures": list(figures),
-        "along": most,
+        "along": in_order[0].name,
+        "drawn": _lines_drawn(in_order),
         "mapped": next((_figure(one) for one in asked if one.name == leading[0]), ""),
     }
     return Answer(facts, tables=tables, figures=figures)
@@ -169,7 +172,8 @@ def _contrasts(
                 row |= _of_few(one, first, second, level)
             yield row | {
                 "setting": setting, "key": axis.name, "first_value": as_text(base), "second_value": as_text(value),
-                "last_value": as_text(axis.values[-1]), "is_last": value == others[-1], "noise": noise * largest[one.name],
+                "last_value": as_text(axis.values[-1]), "is_last": value == others[-1],
+                "noise": noise * largest[one.name],
                 "is_part": not one.is_share and row["n_first"] < max(n_units[base], n_units[value]),
             }  # fmt: skip
 
@@ -438,6 +442,13 @@ def _figures(
     return found
 
 
+def _lines_drawn(axes: Sequence[Axis]) -> dict[str, Any]:
+    """How many values of the second axis have a line, of how many; nothing if there is none."""
+    if len(axes) < 2:
+        return {}
+    return {"name": axes[1].name, "of": len(axes[1].values), "n": min(len(axes[1].values), MOST_LINES)}
+
+
 def _lines(
     points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], of: Statistic, level: float
 ) -> list[tuple[str, list[Estimate | None]]]:
@@ -446,8 +457,10 @@ def _lines(
     parts: list[tuple[str, Sequence[Point]]] = [(name, some) for name, some in points.items() if name in kept]
     if len(axes) > 1:
         along = axes[1]
+        drawn = np.linspace(0, len(along.values) - 1, _lines_drawn(axes)["n"]).round().astype(int).tolist()
         parts = [
-            (f"{along.name} = {as_text(value)}", points_at(points[lead], along, value)) for value in along.values
+            (f"{along.name} = {as_text(value)}", points_at(points[lead], along, value))
+            for value in (along.values[k] for k in drawn)
         ]
     found = []
     for name, some in parts[:MOST_LINES]:
