@@ -21,7 +21,7 @@ def continued(
     """What runs of the exact engine settle on, one system after the other, each from the attractor before.
 
     That is, from the event of a cycle after which most blocks stick, and otherwise from the end of the run; a block
-    that sticks there takes the speed of its new belt.
+    that sticks there takes the speed of its new belt, and so does one ahead of a new belt that bars that side.
 
     An attractor is followed for as long as it attracts what the step to the next system leaves of it; then another
     one is found. So the same systems in the opposite order may give others: where they do, several attract.
@@ -56,7 +56,8 @@ def continued(
         z, w = z0, w0
         if run is not None and run.outcome != "diverged":
             z, w, sticks = _on(found[-1], run)
-            w = np.where(sticks, system.belt_speed_at(0.0), w)
+            v = system.belt_speed_at(0.0)
+            w = np.where(sticks | (system.closed * (w - v) > 0.0), v, w)
         run = simulate(system, z, w, t_end, **settings)
         found.append(attractor(run, system, min(t_burn, run.t_end), **settings))
     return found

@@ -28,6 +28,15 @@ def test_steady_sliding_and_the_cycle_both_last_in_between():
     assert 1.7 < speeds[n_cycles - 1] < 1.95  # a sweep of random starts has cycles to 1.8, and none at 1.9
 
 
+def test_a_block_ahead_of_a_slower_belt_that_bars_it_takes_its_speed():
+    """An undamped block that swings at 0.9 of its belt's speed and more, on belts that are slower each time."""
+    belts = np.linspace(1.0, 0.3, 8)
+    systems = [System([[1.0]], 0.0, 0.5, v, back_slip=False) for v in belts]
+    for z0 in (0.5, -0.4, 0.2):
+        found = continued(systems, z0, 0.9, t_end=50.3, t_burn=10.0)
+        assert len(found) == len(systems)
+
+
 def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="systems: expected 1 blocks in each, as in the first, got 2"):
         continued([OSCILLATOR, System(np.eye(2), 0.1)], 0.0, 0.0, 10.0)
