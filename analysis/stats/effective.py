@@ -23,6 +23,8 @@ from stickslip.analysis.stats.estimates import Estimate
 
 BATCHES = 10
 CORRELATION_SAMPLES = 8192  # of a window, at most: far finer than the correlation time, and cheap by FFT
+MOST_SAMPLES = 1 << 20  # where these are too far apart for the correlation time
+RESOLVED, FINER = 4.0, 8  # samples that a correlation time has to hold; so many times more where it does not
 LEAST_SAMPLES = 256
 SAMPLES_A_CHANGE = 16  # enough for a window with few changes
 SOKAL_WINDOW = 5.0  # sum the autocorrelation up to the first lag >= 5 tau (Sokal 1997, section 3)
@@ -38,15 +40,19 @@ def correlation_times(runs: Windows) -> np.ndarray:
     """
     n_changes = np.diff(runs.first) - 1
     wanted = 2.0 ** (np.floor(np.log2(np.maximum(SAMPLES_A_CHANGE * n_changes, 1))) + 1)
-    n_samples = np.clip(wanted, LEAST_SAMPLES, CORRELATION_SAMPLES).astype(int)
-    found = np.zeros(len(runs))
-    for count in np.unique(n_samples[n_changes > 0]):
-        alike = np.flatnonzero((n_samples == count) & (n_changes > 0))
-        for k in range(0, len(alike), max(1, _TOGETHER // count)):
-            some = alike[k : k + max(1, _TOGETHER // count)]
-            part = runs.take(some)
-            found[some] = _sokal(part.level[part.at(count)].astype(np.float64)) * part.span / count
-    return found
+    wanted = np.clip(wanted, LEAST_SAMPLES, MOST_SAMPLES).astype(int)
+    n_samples = np.minimum(wanted, CORRELATION_SAMPLES)
+    found, todo = np.zeros(len(runs)), np.flatnonzero(n_changes > 0)
+    while len(todo):
+        for count in np.unique(n_samples[todo]):
+            alike = todo[n_samples[todo] == count]
+            for k in range(0, len(alike), max(1, _TOGETHER // count)):
+                some = alike[k : k + max(1, _TOGETHER // count)]
+                part = runs.take(some)
+                found[some] = _sokal(part.level[part.at(count)].astype(np.float64)) / count
+        todo = todo[(found[todo] * n_samples[todo] < RESOLVED) & (n_samples[todo] < wanted[todo])]
+        n_samples[todo] = np.minimum(FINER * n_samples[todo], wanted[todo])
+    return found * runs.span
 
 
 def correlation_time(win: Window) -> Estimate:

@@ -161,8 +161,27 @@ def test_engines_that_agree_raise_no_alarm(planted):
     assert not suspects(planted, lambda n_stick, _: n_stick + 13 * shift, eps=0.3)
 
 
+def test_what_smoothing_may_explain_raises_no_alarm(planted):
+    """A third less on a belt of which eps is a fifth; and under an eps of which a tenth agrees with the exact law."""
+
+    def asked_of(belt, *laws):
+        rows, series = [], {}
+        for matrix in range(8):
+            t, n_stick = planted.runs(np.random.default_rng(matrix), 600, 0.69)
+            for name, own, share in laws:
+                rows.append(planted.member(f"{name}-{matrix}", matrix, belt_speed=belt, **own))
+                series[f"{name}-{matrix}"] = t, np.rint(share * (n_stick - n_stick.min() + 40)).astype(int)
+        return answer(Study(Data(pd.DataFrame(rows), series), SETTINGS)).facts["suspects"]
+
+    exact, smooth = ("c", {}, 1.0), ("s", planted.sigmoid | {"eps": 0.03}, 0.5)
+    assert asked_of(-0.2, exact, smooth)
+    assert not asked_of(-0.15, exact, smooth)
+    assert not asked_of(-0.2, exact, smooth, ("t", planted.sigmoid | {"eps": 0.003}, 1.0))
+    assert asked_of(-0.2, exact, smooth, ("t", planted.sigmoid | {"eps": 0.003}, 0.5))
+
+
 def test_a_difference_beyond_the_axis_is_an_arrowhead_at_its_edge():
-    of = {"margin": 0.1, "verdict": "differ"}
+    of = {"margin": 0.1, "verdict": "differ", "open": ""}
     rows = [
         of | {"quantity": "far", "relative": 1.5, "narrow_low": 1.2, "narrow_high": 1.8},
         of

@@ -12,6 +12,7 @@ from stickslip.analysis import Data, Study, build
 from stickslip.analysis.questions.runs import sweep
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.compare import UNKNOWN
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -126,6 +127,16 @@ def test_shares_of_runs_that_stay_in_motion(swept, settings):
     assert answer.facts["told"][0]["quantity"] == sweep.IN_MOTION
     mean = changes(answer)["belt_speed"]
     assert (mean["first_value"], mean["verdict"]) == ("-0.2", sweep.WITHIN), "against the first that has runs"
+
+
+@pytest.mark.parametrize(("n_matrices", "verdict"), [(5, UNKNOWN), (60, sweep.WITHIN)])
+def test_shares_of_few_runs_that_do_not_differ_are_not_shown_to_be_alike(swept, settings, n_matrices, verdict):
+    """The same matrices end at both speeds: of five that says little, whatever the difference seen."""
+    data = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: 0, n_matrices=n_matrices)
+    data = ended(data, data.members["matrix"] < 2, "collapsed")
+    row = changes(sweep.answer(Study(data, settings)), sweep.IN_MOTION)["belt_speed"]
+    assert (row["difference"], row["verdict"]) == (0.0, verdict)
+    assert (row["relative_low"], row["relative_high"]) == (row["difference_low"], row["difference_high"])
 
 
 def test_as_many_units_as_are_needed_are_enough(swept, settings):

@@ -83,7 +83,7 @@ def answer(study: Study) -> Answer | None:
             row |= dict.fromkeys(("relative", "relative_low", "relative_high", "p_equivalent"))
         row |= {"p_different": row["p_absolute"], "p_equivalent": _known(row["p_equivalent"], row["p_absolute"])}
         row["is_same"] = row["difference"] is not None and abs(row["difference"]) <= row["noise"]
-        if row["is_same"] and row["difference_low"] is not None:
+        if row["is_same"] and row["difference_low"] is not None and not row["is_share"]:  # a share is of few runs
             row["p_equivalent"] = 0.0
         row["subject"], row["words"] = subjects.get(row["quantity"], ("", ""))
         row.setdefault("is_few", False)
@@ -191,6 +191,7 @@ def _either_way(row: Row, one: Statistic, first: Sample, second: Sample, confide
         return {}
     found: Row = {name: max(corner[name] for corner in corners) for name in ("p_absolute", "difference_high")}
     found["difference_low"] = min(corner["difference_low"] for corner in corners)
+    found |= {f"relative_{end}": found[f"difference_{end}"] for end in ("low", "high")}
     if corners[0]["difference"] <= 0 <= corners[1]["difference"]:
         found["p_absolute"] = 1.0
     return found | {"p_equivalent": max((_known(corner["p_equivalent"], corner["p_absolute"]) for corner in corners),
