@@ -288,7 +288,7 @@ def test_rate_size_and_b_of_episodes_lead_and_b_only_where_it_holds(recorded, se
     assert rows_of(answer, "rate of episodes").loc["-0.1", "verdict"] == sweep.FALLS
     assert sentence(answer).startswith("The rate of episodes (per unit of time) falls from 1.")
     said = sentence(answer, "alerts")
-    assert "b of the episodes is not given at 1 of 3 points of the sweep, no single b is shown to hold: " in said
+    assert "b of the episodes is not given at 1 of 3 points of the sweep (no single b is shown to hold): " in said
     few = replace(data, episodes=data.episodes[data.episodes.index % 100 == 0])
     said = sentence(sweep.answer(Study(few, settings)), "alerts")
     assert "b of the episodes is not given at 3 of 3 points of the sweep, fewer than 200 episodes" in said

@@ -39,8 +39,8 @@ FRICTION, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
 #: Smoothing does not explain a difference between engines of more than this many margins, for eps up to _SMOOTH: the
 #: sigmoid differs from the exact engine by O(eps), 3% in mean n_stick at eps = 0.03. Above, the limit grows with eps.
 _EXPLAINED, _SMOOTH = 2.0, 0.03
-#: Nor is it known what smoothing explains for eps beyond this share of the belt's speed: at 0.3 of it the mean n_stick
-#: of 200 blocks was a third below the exact law's, at 0.1 a twentieth.
+#: Nor is it known what smoothing explains for eps beyond this share of the belt's speed: at 0.3 of it the mean
+#: n_stick of 200 blocks was a third below the exact law's, at 0.1 a twentieth.
 _OF_BELT = 0.15 * (1 + 1e-9)
 _BY_THRESHOLD = ("mean", "rate", "gamma")
 _MARKS = {AGREE: ("o", BLUE), DIFFER: ("s", ORANGE), UNKNOWN: ("D", GREY)}
