@@ -291,7 +291,7 @@ def test_rate_size_and_b_of_episodes_lead_and_b_only_where_it_holds(recorded, se
     assert "b of the episodes is not given at 1 of 3 points of the sweep (no single b is shown to hold): " in said
     few = replace(data, episodes=data.episodes[data.episodes.index % 100 == 0])
     said = sentence(sweep.answer(Study(few, settings)), "alerts")
-    assert "b of the episodes is not given at 3 of 3 points of the sweep, fewer than 200 episodes" in said
+    assert "b of the episodes is not given at 3 of 3 points of the sweep (fewer than 200 episodes" in said
 
 
 def test_b_is_from_one_magnitude_where_that_leaves_every_point_enough_episodes(recorded, settings, rng):
