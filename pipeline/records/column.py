@@ -25,7 +25,7 @@ class Column(NamedTuple):
     repeats : bool
         Whether values repeat. Those that do not, as times, are stored without a dictionary and split into bytes.
     is_label : bool
-        Whether a number says which, as that of a block, so that no mean is taken.
+        Whether no mean of a number is taken: it says which, as that of a block, or when something came to be known.
     least : float, optional
         What a number is never below, by what it is: 0 for an amplitude.
     absent : str

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stickslip.analysis.questions.runs import sweep
+from stickslip.analysis.questions.runs import fates, sweep
 from stickslip.pipeline import parse_scene, query, run_ensemble
 from stickslip.workflows.reporting import study_of
 
@@ -52,3 +52,16 @@ def test_a_swept_chain_tells_of_its_episodes_and_then_of_its_energy(tmp_path):
         assert row["words"] == "what slip on the belt took, as heat"
     assert [row["quantity"] for row in answer.facts["told"]] == ["rate of episodes"]
     assert next(iter(answer.figures)) == "sweep_of_episode_rate"
+
+
+def test_a_sweep_with_certificates_is_about_the_motion_and_not_about_when_they_came(tmp_path):
+    """A certificate comes later than the last stick, and of those runs alone that collapse."""
+    for k, record in enumerate(("collapse = true", "collapse = false")):
+        scene = SCENE.replace("episodes = true\nenergy = true", record)
+        place = str(tmp_path / str(k))
+        run_ensemble(parse_scene(scene.encode()), place, workers=0)
+        study = study_of(place)
+        table = sweep.answer(study).tables["sweep_changes"]
+        assert sweep.MEAN in set(table["quantity"])
+        assert not table["quantity"].str.contains("collapse").any()
+        assert fates.answer(study).facts["is_certified"] is (k == 0)
