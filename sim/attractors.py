@@ -30,7 +30,7 @@ Kind = Literal["rest", "sliding", "periodic", "irregular", "escaping", "undecide
 
 #: A state has come back if it differs by less than this many tolerances of the run, of its largest number; the same
 #: for times, of the period. Within bounds: of rounding, and of what can be told from a return by chance. Events so
-#: close in time are at one instant.
+#: close in time, of the shortest period that blocks can have, are at one instant.
 _BACK, _CLOSEST, _WIDEST = 1e4, 1e-9, 1e-4
 #: Rounds are compared as if events within so many times that were: blocks that synchronise change order from round to
 #: round, at times apart that pass through the first bound, but hardly move near this one in a round that comes back.
@@ -82,7 +82,7 @@ class Attractor:
     events : EventSeries or None
         Of one period, from t = 0 on; of an irregular run, those that follow on its end.
     states : Samples or None
-        The state at each of these events; of a period without events, the state at phase zero of the force; of rest
+        The state at each of these events; of a period without events, the state at a whole number of periods; of rest
         and sliding, the one state at which the run is, or to which it comes.
     """
 
@@ -223,6 +223,8 @@ class _End:
         waves = (x for x in system.force if isinstance(x, Harmonic))
         #: of the forces, each once
         self._frequencies = sorted({abs(f) for x in waves for f in x.frequency[x.amplitude != 0.0].tolist() if f})
+        #: the shortest period that blocks can have: times are at one instant, or not, in units of it
+        self._fastest = 2.0 * math.pi / float(system.rates.max()) if system.rates.any() else 1.0
         #: where what follows begins: the time matters only where the drive depends on it
         self._start = run.t_end if system.changes else 0.0
 
@@ -239,7 +241,7 @@ class _End:
         ):
             return self._sliding(why)
         first = int(np.searchsorted(run.events.t, self._since, side="right"))
-        last = _in_order(run.events, first, self._back)
+        last = _in_order(run.events, first, self._at_once)
         if len(last) == 0:
             return self._without_events()
         for cycle in _rounds(_in_order(run.events, first, self._together), self._back):
@@ -258,7 +260,11 @@ class _End:
 
     @property
     def _together(self) -> float:
-        return _TOGETHER * self._back
+        return _TOGETHER * self._at_once
+
+    @property
+    def _at_once(self) -> float:
+        return self._back * self._fastest
 
     # ---------------------------------------------------------------------------------------------- rest and sliding
 
@@ -320,7 +326,7 @@ class _End:
         p, begin = cycle.n_events, self._run.t_end - self._start
         expected = np.append(last.t[-p:], last.t[-p] + cycle.period) + (cycle.period - begin)
         expected = np.maximum.accumulate(np.maximum(expected, self._start))
-        length = float(expected[-1]) - self._start + self._together * (1.0 + cycle.period)
+        length = float(expected[-1]) - self._start + _TOGETHER * self._back * (self._fastest + cycle.period)
         after = self._follow(length, expected)
         events, symbols = after.events, _symbols(last)[-p:]
         again = np.flatnonzero(_symbols(events)[p:] == symbols[0])
@@ -368,7 +374,7 @@ class _End:
         if s.changes or p * (2.0 * s.n) ** 3 > _WORK_NEAR:
             return None
         after = self._follow(2.2 * cycle.period, np.empty(0)).events
-        events = _in_order(after, 0, self._back)
+        events = _in_order(after, 0, self._at_once)
         # from an event at which the block has its belt's speed, whatever the state
         places = np.flatnonzero((events.mode == 0) | (events.previous_mode != 0))
         if len(places) == 0 or len(events) <= places[0] + p:
@@ -386,7 +392,7 @@ class _End:
             return simulate(s, z, w, length, t_eval=times, modes=modes, stop_early=False, **self._settings)
 
         found = near_cycle(s, at.z[0], at.w[0], round_, p, self._back,
-                           lambda some: _in_order(some, 0, self._back), follow)  # fmt: skip
+                           lambda some: _in_order(some, 0, self._at_once), follow)  # fmt: skip
         drift = None if found is None else self._drift(found.path.states)
         if found is None or drift is None or (multiplier := largest(found.matrix, drift)) >= 1.0:
             return None
@@ -417,7 +423,7 @@ class _End:
             why = f"no cycle, and the last event recurs {n_again} times after t = {self._since:g}, of at least {_FEW}"
             return Attractor("undecided", f"{why}; lengthen the run")
         length = self._run.t_end - float(last.t[-min(len(last), _FOLLOWED)])
-        events = _in_order(self._follow(length, np.empty(0)).events, 0, self._back)
+        events = _in_order(self._follow(length, np.empty(0)).events, 0, self._at_once)
         if len(events) < _FEW:
             return Attractor("undecided", f"few events follow on t = {self._run.t_end:g}; lengthen the run")
         path = self._path(events, events.t)

@@ -267,15 +267,16 @@ def exponential(matrices: Floats) -> Floats:
 
     Much faster than one by one, for many small ones; those of dissipative systems stay below one, and lose little.
     """
-    size = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
-    squarings = max(math.ceil(math.log2(size / _SIZE)), 0) if size > 0.0 else 0
-    small = np.ldexp(matrices, -squarings)
+    sizes = np.abs(matrices).sum(axis=2).max(axis=1, initial=_SIZE)
+    squarings = np.ceil(np.log2(sizes / _SIZE)).astype(int)
+    small = np.ldexp(matrices, -squarings[:, None, None])
     total = term = np.broadcast_to(np.identity(matrices.shape[1]), matrices.shape)
     for k in range(1, _TERMS + 1):
         term = term @ small / k
         total = total + term
-    for _ in range(squarings):
-        total = total @ total
+    for k in range(squarings.max(initial=0)):  # of each as often as it takes: squaring doubles its rounding
+        more = squarings > k
+        total[more] = total[more] @ total[more]
     return total
 
 

@@ -54,8 +54,10 @@ _NEVER = float("inf")
 def escape_bounds(systems: Sequence[System], z: Floats, w: Floats) -> tuple[Floats, Floats]:
     """By run, from starts of shape (m, n): the |z| or |w| of the first test for escape; the |w| that has diverged."""
     own = [max(1.0, one.fastest_belt, float(one.most_force.max()) if one.force else 0.0) for one in systems]
-    start = np.maximum(own, np.maximum(np.abs(z), np.abs(w)).max(axis=1))
-    return _ESCAPE_FACTOR * start, _DIVERGENCE_FACTOR * start
+    far = np.abs(z).max(axis=1)
+    start = np.maximum(own, np.maximum(far, np.abs(w).max(axis=1)))
+    swings = far * [one.rates.max() for one in systems]  # as fast as a block may come back from there
+    return _ESCAPE_FACTOR * start, _DIVERGENCE_FACTOR * np.maximum(start, swings)
 
 
 def escape(system: System, z: Floats, w: Floats) -> str:

@@ -47,7 +47,7 @@ def _sign_changes(bernstein, degree):  # type: ignore[no-untyped-def]
     last = 0.0
     for j in range(degree + 1):
         if bernstein[j] != 0.0:
-            if last * bernstein[j] < 0.0:
+            if last != 0.0 and (last < 0.0) != (bernstein[j] < 0.0):  # their product may underflow
                 changes += 1
             last = bernstein[j]
     return changes
@@ -105,7 +105,7 @@ def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
             if not at_end:
                 continue
             root = low + width
-        elif changes == 1 and stack[top, 0] * stack[top, degree] < 0.0:
+        elif changes == 1 and stack[top, 0] != 0.0 and stack[top, degree] != 0.0:
             top -= 1
             root = refine(coefficients, degree, low, low + width, stack[top + 1, 0] < 0.0)
         elif width <= _NARROWEST:

@@ -47,10 +47,10 @@ class Harmonic:
         t = np.asarray(times, dtype=np.float64)
         differ = max(self.amplitude.ndim, self.frequency.ndim, self.phase.ndim)
         t = t.reshape(t.shape + (1,) * differ)
-        return np.asarray(self.amplitude * np.cos(self.frequency * t + self.phase))
+        return np.asarray(self.amplitude * np.cos(self.phase_at(t)))
 
-    def phase_at(self, t: float) -> Floats:
-        """frequency t + phase less whole turns of the former, to rounding at any time, in the shape of the two."""
+    def phase_at(self, t: ArrayLike) -> Floats:
+        """frequency t + phase less whole turns of the former, to rounding at any time, in the shape of the three."""
         (share, power), (of_t, power_of_t) = np.frexp(self.frequency), np.frexp(t)
         high, high_of_t = np.float64(np.float32(share)), np.float64(np.float32(of_t))
         low, low_of_t = share - high, of_t - high_of_t

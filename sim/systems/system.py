@@ -217,7 +217,7 @@ class System:
         return self.weakening.ends(self.friction, self.static)
 
     def kinetic(self, slip: ArrayLike) -> Floats:
-        """Kinetic friction at the speeds of slip w - v, shape (..., n)."""
+        """Kinetic friction at the speeds of slip w - v, shape (..., n); (n,) if it does not depend on them."""
         near, far = self.slip_friction
         if self.weakening is None:
             return near

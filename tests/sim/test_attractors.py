@@ -132,8 +132,26 @@ def test_bad_input_is_refused_by_name():
 
 def test_the_exponential_of_many_matrices_is_that_of_each(rng):
     matrices = rng.normal(size=(50, 6, 6)) * rng.uniform(0, 5, (50, 1, 1))
-    for one, found in zip(matrices, exponential(matrices), strict=True):
-        np.testing.assert_allclose(found, expm(one), rtol=0, atol=1e-11 * np.abs(expm(one)).max())
+    long = [[[-1e6, 0.0], [0.0, -1.0]]]
+    for some in (matrices, np.concatenate([rng.normal(size=(50, 2, 2)), long])):  # one long flow spoils no short one
+        for one, found in zip(some, exponential(some), strict=True):
+            np.testing.assert_allclose(found, expm(one), rtol=0, atol=1e-11 * max(np.abs(expm(one)).max(), 1e-3))
+
+
+@pytest.mark.parametrize("unit", [1e6, 1e-4, 1e-8])
+def test_a_cycle_does_not_depend_on_the_unit_of_time(unit):
+    stiffness, sizes = np.array([[1.0, -0.3], [-0.3, 1.1]]), np.array([[0.1, 0.15], [1.0, 1.1], [1.3, 1.5]])
+
+    def found(c, tol):
+        damping, friction, static = sizes / np.array([[c], [c**2], [c**2]])
+        system = System(stiffness / c**2, damping, friction, -0.01 / c, static=static)
+        return settled(system, [0.0, 0.1], "belt", 4000.0 * c, tol=tol)
+
+    for tol in (1e-10, 1e-5):
+        one, other = found(1.0, tol), found(unit, tol)
+        assert (one.kind, one.n_events) == (other.kind, other.n_events) == ("periodic", 4)
+        assert other.period / unit == pytest.approx(one.period, rel=1e-9)
+        assert other.multiplier == pytest.approx(one.multiplier, rel=1e-4)
 
 
 # ---------------------------------------------------------------------------------------------- sections and drift

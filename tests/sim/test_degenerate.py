@@ -531,3 +531,33 @@ def test_a_sparse_matrix_whose_entries_are_in_any_order_is_left_alone(form, rng)
     for _ in range(2):
         np.testing.assert_allclose(System(matrix, 0.0).stiffness.toarray(), dense, rtol=1e-15)
     np.testing.assert_allclose(matrix.toarray(), dense, rtol=1e-15)
+
+
+# ---------------------------------------------------------------------------------------------- to nothing
+
+
+def test_crossings_are_found_however_far_the_motion_has_decayed():
+    """One block without friction on a belt at rest: it crosses every pi / omega, down to 1e-300."""
+    damping, omega = 1.0, np.sqrt(1.0 - 0.25)
+    run = simulate(System([[1.0]], damping, 0.0, 0.0), 1.0, 0.0, 1350.0, stop_early=False)
+    gaps = np.diff(run.events.t)
+    assert len(run.events) > 1340.0 / (np.pi / omega)
+    np.testing.assert_allclose(gaps, np.pi / omega, rtol=1e-8)
+
+
+def test_a_motion_that_has_decayed_to_nothing_goes_on(rng):
+    """Two blocks that nothing holds or drives, one at rest: exp(-R t) falls below the smallest number."""
+    for _ in range(20):
+        damping, t_end = rng.uniform(1, 3, 2), rng.uniform(690, 760)
+        run = simulate(System(np.zeros((2, 2)), damping, 0.0, 0.0), 0.0, [1.0, 0.0], t_end, stop_early=False)
+        assert run.outcome == "finished"
+        assert run.z == pytest.approx([1.0 / damping[0], 0.0], rel=1e-9)
+
+
+@pytest.mark.parametrize("engine", [{}, {"engine": "sigmoid", "eps": 0.01}])
+def test_a_fast_block_does_not_run_away_for_being_fast(engine):
+    """A mass of 2e-13 swings back from 1 at 2e6, far beyond its belt; the block with negative damping sticks."""
+    system = System(np.identity(2), [1e-7, -1.0], [0.01, 1.0], -0.2, mass=[2e-13, 1.0])
+    run = simulate(system, [1.0, 0.0], [0.0, -0.2], 3e-4, **engine)
+    assert (run.outcome, run.t_end) == ("finished", 3e-4)
+    assert abs(run.z[0]) < 0.01

@@ -1,5 +1,8 @@
 """Mass, belts by block, and forces from outside."""
 
+import math
+from fractions import Fraction
+
 import numpy as np
 import pytest
 import scipy.sparse
@@ -365,3 +368,17 @@ def test_episodes_on_belts_of_several_speeds():
     on_belt = (sampled.z - ramp.integral(sampled.t)).sum(axis=1).reshape(-1, 2)
     np.testing.assert_allclose(found.moment, on_belt[:, 1] - on_belt[:, 0], rtol=1e-9)
     assert (found.moment > 0).all()
+
+
+def test_a_force_has_its_phase_at_any_time(rng):
+    """By exact products: frequency t as a sum of two numbers, whose cosines the library has to rounding."""
+    for _ in range(50):
+        frequency, t, phase = rng.uniform(0.01, 10), float(10.0 ** rng.uniform(0, 13)), rng.uniform(0, 6)
+        product = Fraction(frequency) * Fraction(t)
+        high = float(product)
+        low = float(product - Fraction(high)) + phase
+        exact = math.cos(high) * math.cos(low) - math.sin(high) * math.sin(low)
+        one, each = Harmonic(1.0, frequency, phase), Harmonic([1.0, 2.0], [frequency, 1.0], phase)
+        assert one.at(t) == pytest.approx(exact, abs=1e-14)
+        assert one.at([[t, 0.0]]).shape == (1, 2)
+        assert each.at([t, t])[1, 0] == pytest.approx(exact, abs=1e-14)

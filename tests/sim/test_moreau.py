@@ -120,3 +120,24 @@ def test_episodes_of_a_chain_are_those_of_exact_events_for_a_while(rng):
     np.testing.assert_array_equal(steps.size[:2], exact.size[:2])
     np.testing.assert_allclose(steps.start[:2], exact.start[:2], rtol=0, atol=0.01)
     np.testing.assert_allclose(steps.moment[:2], exact.moment[:2], rtol=0, atol=1e-3)
+
+
+def test_a_step_in_which_negative_damping_turns_velocities_round_is_refused():
+    """Of w' = -R w a step makes w (1 - R h / 2) / (1 + R h / 2), whose divisor is to be positive."""
+    for damping, step in ((-199.0, 0.01), (-250.0, 0.00799)):
+        run = moreau(System([[0.0]], damping, friction=0.0), 0.0, 1.0, 2 * step, step)
+        assert run.w[0] == pytest.approx(((1 - damping * step / 2) / (1 + damping * step / 2)) ** 2, rel=1e-9)
+    with pytest.raises(ValueError, match=r"step: expected less than 0.008, .* got 0.01"):
+        moreau(
+            System(
+                [
+                    [0.0],
+                ],
+                -250.0,
+                friction=0.0,
+            ),
+            0.0,
+            1.0,
+            0.05,
+            0.01,
+        )

@@ -23,6 +23,8 @@ from stickslip.sim.kernels.compile import inner
 ORDER_MAX, SPAN = 32, 5.0
 #: The lowest order. Chosen.
 ORDER_MIN = 4
+#: The least error that is allowed: a motion that has decayed to nothing would allow none, and no step would do.
+LEAST_ALLOWED = 1e-300
 #: The loosest tolerance; a looser one counts as this. It would leave events undecided, which end windows: up to twice
 #: the cost.
 LOOSEST = 1e-3

@@ -154,7 +154,7 @@ def _settled(slow, model, expansion, goal, state, target, pace):  # type: ignore
             series[k, i] = 0.0
     copy(z, series[0])
     copy(w, series[1])
-    allowed = tol * max(largest(w), fastest_belt(model))
+    allowed = max(tol * max(largest(w), fastest_belt(model)), control.LEAST_ALLOWED)
     # if nothing moves yet
     allowed = max(allowed, tol * h * may_change(model.forcing, t, h) / (1.0 + h * largest(model.damping)))
     for _ in range(control.MOST_ITERATIONS):

@@ -248,7 +248,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
     target = min(target, _known_within(weakening, expansion))
     # the error of w allowed in this step: relative to w, the belt and the change of w; that of z is then smaller
     allowed = tol * max(w_max, fastest_belt(model), 2.0 * largest(series[2]) * target)
-    allowed = max(allowed, tol * target * may_change(forcing, t, target))
+    allowed = max(allowed, tol * target * may_change(forcing, t, target), control.LEAST_ALLOWED)
 
     n_small = 0
     last = 0.0

@@ -27,6 +27,10 @@ def integrate(task: Task, longest: float) -> Run:
     n, span = system.n, task.t_end - task.t_start
     n_steps = whole_steps(span, longest)
     h = span / n_steps if n_steps else longest
+    if (least := float(system.damping.min())) * h <= -2.0:
+        raise ValueError(
+            f"step: expected less than {-2.0 / least:g}, 2 over the most negative damping, got {longest:g}"
+        )
     model = (system.columns, system.damping, system.friction, system.static, float(system.belt_speed))
     z, w = task.z0.copy(), task.w0.copy()
     mode = np.sign(w - system.belt_speed).astype(np.int8)

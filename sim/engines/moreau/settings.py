@@ -27,7 +27,8 @@ class Moreau(Engine):
     Raises
     ------
     TypeError, ValueError
-        If `step` is no number > 0, or, once it is run, the system has cross damping.
+        If `step` is no number > 0, or, once it is run, the system has cross damping, or a negative damping R with
+        -R `step` of 2 or more.
     """
 
     name = "moreau"
