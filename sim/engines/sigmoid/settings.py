@@ -1,4 +1,4 @@
-"""The stiff engine's settings; its method is in `stickslip.sim.engines.waveform`."""
+"""The stiff engine's settings; its method is in ``engines/waveform``."""
 
 from __future__ import annotations
 
