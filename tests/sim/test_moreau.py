@@ -128,16 +128,4 @@ def test_a_step_in_which_negative_damping_turns_velocities_round_is_refused():
         run = moreau(System([[0.0]], damping, friction=0.0), 0.0, 1.0, 2 * step, step)
         assert run.w[0] == pytest.approx(((1 - damping * step / 2) / (1 + damping * step / 2)) ** 2, rel=1e-9)
     with pytest.raises(ValueError, match=r"step: expected less than 0.008, .* got 0.01"):
-        moreau(
-            System(
-                [
-                    [0.0],
-                ],
-                -250.0,
-                friction=0.0,
-            ),
-            0.0,
-            1.0,
-            0.05,
-            0.01,
-        )
+        moreau(System([[0.0]], -250.0, friction=0.0), 0.0, 1.0, 0.05, 0.01)
