@@ -14,6 +14,8 @@ not oscillate.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from scipy import fft
 
@@ -22,7 +24,7 @@ from stickslip.analysis.series.windows import Windows
 from stickslip.analysis.stats.estimates import Estimate
 
 BATCHES = 10
-CORRELATION_SAMPLES = 8192  # of a window, at most: far finer than the correlation time, and cheap by FFT
+CORRELATION_SAMPLES = 8192  # of a window, at first: as a rule far finer than the correlation time, and cheap by FFT
 MOST_SAMPLES = 1 << 20  # where these are too far apart for the correlation time
 RESOLVED, FINER = 4.0, 8  # samples that a correlation time has to hold; so many times more where it does not
 LEAST_SAMPLES = 256
@@ -44,15 +46,20 @@ def correlation_times(runs: Windows) -> np.ndarray:
     n_samples = np.minimum(wanted, CORRELATION_SAMPLES)
     found, todo = np.zeros(len(runs)), np.flatnonzero(n_changes > 0)
     while len(todo):
-        for count in np.unique(n_samples[todo]):
-            alike = todo[n_samples[todo] == count]
-            for k in range(0, len(alike), max(1, _TOGETHER // count)):
-                some = alike[k : k + max(1, _TOGETHER // count)]
-                part = runs.take(some)
-                found[some] = _sokal(part.level[part.at(count)].astype(np.float64)) / count
+        for some, count in _batches(todo, n_samples):
+            part = runs.take(some)
+            found[some] = _sokal(part.level[part.at(count)].astype(np.float64)) / count
         todo = todo[(found[todo] * n_samples[todo] < RESOLVED) & (n_samples[todo] < wanted[todo])]
         n_samples[todo] = np.minimum(FINER * n_samples[todo], wanted[todo])
     return found * runs.span
+
+
+def _batches(runs: np.ndarray, n_samples: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
+    """Runs of one number of samples, by their numbers, and that: as many together as the memory is to take."""
+    for count in np.unique(n_samples[runs]).tolist():
+        alike, at_once = runs[n_samples[runs] == count], max(1, _TOGETHER // count)
+        for k in range(0, len(alike), at_once):
+            yield alike[k : k + at_once], count
 
 
 def correlation_time(win: Window) -> Estimate:

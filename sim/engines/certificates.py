@@ -51,13 +51,21 @@ _INFLECTION = 0.66
 _NEVER = float("inf")
 
 
-def escape_bounds(systems: Sequence[System], z: Floats, w: Floats) -> tuple[Floats, Floats]:
-    """By run, from starts of shape (m, n): the |z| or |w| of the first test for escape; the |w| that has diverged."""
+def _sizes(systems: Sequence[System], z: Floats, w: Floats) -> Floats:
+    """The largest of |z|, |w|, belts and forces at the starts of runs, shape (m, n), and 1."""
     own = [max(1.0, one.fastest_belt, float(one.most_force.max()) if one.force else 0.0) for one in systems]
-    far = np.abs(z).max(axis=1)
-    start = np.maximum(own, np.maximum(far, np.abs(w).max(axis=1)))
-    swings = far * [one.rates.max() for one in systems]  # as fast as a block may come back from there
-    return _ESCAPE_FACTOR * start, _DIVERGENCE_FACTOR * np.maximum(start, swings)
+    return np.maximum(own, np.maximum(np.abs(z), np.abs(w)).max(axis=1))
+
+
+def escape_bounds(systems: Sequence[System], z: Floats, w: Floats) -> Floats:
+    """By run, from starts of shape (m, n): the |z| or |w| at which it is first tested for escape."""
+    return _ESCAPE_FACTOR * _sizes(systems, z, w)
+
+
+def divergence_bound(system: System, z: Floats, w: Floats) -> float:
+    """The |w| at which a run from this start has diverged: far above that of a block that swings back from z."""
+    (size,) = _sizes([system], z[np.newaxis], w[np.newaxis])
+    return float(_DIVERGENCE_FACTOR * max(size, np.abs(z).max() * system.rates.max()))
 
 
 def escape(system: System, z: Floats, w: Floats) -> str:

@@ -271,15 +271,18 @@ class _Divergence:
         self._task, self._drive, self._passed = task, drive, 0.0
 
     @cached_property
-    def _bounds(self) -> tuple[float, float]:
+    def _first(self) -> float:
         task = self._task
-        first, beyond = certificates.escape_bounds([task.system], task.z0[np.newaxis], task.w0[np.newaxis])
-        return float(first[0]), float(beyond[0])
+        return float(certificates.escape_bounds([task.system], task.z0[np.newaxis], task.w0[np.newaxis])[0])
+
+    @cached_property
+    def _beyond(self) -> float:
+        return certificates.divergence_bound(self._task.system, self._task.z0, self._task.w0)
 
     @property
     def bound(self) -> float:
         """The size at which to ask next."""
-        return max(self._bounds[0], 2.0 * self._passed)
+        return max(self._first, 2.0 * self._passed)
 
     def reason(self, t: float, z: Floats, w: Floats) -> str:
         """Why the run diverges; "" if that is not certain yet: the bound is then moved out."""
@@ -287,7 +290,7 @@ class _Divergence:
         z_there, w_there = self._drive.of_user(t, z, w)
         speed = float(np.abs(w_there).max())
         size = max(float(np.abs(z).max()), float(np.abs(z_there).max()), speed)
-        is_past_doubt = stop_early and speed > self._bounds[1] and not system.changes
+        is_past_doubt = stop_early and speed > self._beyond and not system.changes
         if not np.isfinite((size, speed)).all():
             raise IntegrationError(
                 f"the state is not finite after t = {t!r}: numbers of this size leave float64; scale the system"
@@ -295,7 +298,7 @@ class _Divergence:
         if stop_early and (why := certificates.escape(system, z_there, w_there)):
             return why
         if size > certificates.BEYOND_NUMBERS or (is_past_doubt and certificates.grows(system)):
-            passed = certificates.BEYOND_NUMBERS if size > certificates.BEYOND_NUMBERS else self._bounds[1]
+            passed = certificates.BEYOND_NUMBERS if size > certificates.BEYOND_NUMBERS else self._beyond
             return certificates.divergence_reason(z_there, w_there, t, min(size, passed))
         self._passed = size
         return ""

@@ -125,9 +125,8 @@ class Several(ABC):
 
     def begin(self) -> list[Begun]:
         """Advance each run by its first slice."""
-        self.bounds[:], _ = certificates.escape_bounds(
-            [task.system for task in self.tasks], self.states.z, self.states.w
-        )
+        systems = [task.system for task in self.tasks]
+        self.bounds[:] = certificates.escape_bounds(systems, self.states.z, self.states.w)
         several, n_definitions, n = self.initial_modes.shape
         of_one = loop.capacity(self.events_a_step)
         buffers = Events.blank(max(of_one, 64 * several), several)

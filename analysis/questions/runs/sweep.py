@@ -136,7 +136,7 @@ def answer(study: Study) -> Answer | None:
         "told": told,
         "figures": list(figures),
         "along": in_order[0].name,
-        "drawn": _lines_drawn(in_order),
+        "lines": _lines_drawn(in_order),
         "mapped": next((_figure(one) for one in asked if one.name == leading[0]), ""),
     }
     return Answer(facts, tables=tables, figures=figures)
@@ -253,7 +253,8 @@ def _without_gaps(have: Sequence[np.ndarray]) -> tuple[list[int], UnitSums]:
         else:
             kept = np.arange(len(units)) != of_unit.argmin()
             units, has = units[kept], has[:, kept]
-    if min(len(every), enough.LEAST_MATRICES) > (len(units) if len(pairs) else 0):
+    n_left = len(units) if len(pairs) else 0
+    if n_left < min(len(every), enough.LEAST_MATRICES):
         pairs, units = np.arange(len(have)), every
     return pairs.tolist(), UnitSums(units, np.zeros((len(units), 2)))
 
