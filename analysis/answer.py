@@ -103,7 +103,7 @@ def columns(schema: Mapping[str, str], tables: Sequence[pd.DataFrame]) -> pd.Dat
     return pd.DataFrame({
         name: pd.concat([table[name] for table in tables], ignore_index=True).astype(dtype)
         for name, dtype in found.items()
-    })  # fmt: skip
+    }, copy=False)  # fmt: skip
 
 
 def named(name: str, estimate: Estimate) -> Row:

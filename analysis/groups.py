@@ -312,11 +312,14 @@ class _Filling:
 
     def finish(self) -> None:
         """Hand the sums of the units in motion to the group."""
-        group = self._group
-        moves = self._sums[:, COLUMNS["means"]][:, -1] > 0
-        sums, group.counts = (all_ if moves.all() else all_[moves] for all_ in (self._sums, self._counts))
+        group, sums, group.counts = self._group, self._sums, self._counts
+        moves = sums[:, COLUMNS["means"]][:, -1] > 0
+        if not moves.all():
+            sums = self._sums = sums[moves]  # the whole is given up before the next copy is made
+            group.counts = self._counts = group.counts[moves]
         group.units, group.n_short = self._units[moves], int(sums[:, COLUMNS["short"]].sum())
         group.quantities = {name: sums[:, COLUMNS[name]] for name in QUANTITIES}
         group.means, group.stuck = sums[:, COLUMNS["means"]], sums[:, COLUMNS["stuck"]]
-        group.effective = sums[:, COLUMNS["effective"]] / group.means[:, 4:]
+        group.effective = sums[:, COLUMNS["effective"]]
+        group.effective /= group.means[:, 4:]
         group.n_quiet = int((group.fates == QUIET).sum())

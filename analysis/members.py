@@ -94,7 +94,7 @@ class Members:
         parts = [_own(table, numbers) for table in tables]
         if not numbers:
             raise ValueError("members: expected at least one row, got none")
-        own = pd.concat(parts, ignore_index=True) if len(parts) > 1 else parts[0].reset_index(drop=True)
+        own = joined(parts)
         settings = [dict(zip(SHARED, values, strict=True)) for values in numbers]
         _set_units(own, settings)
         depends = np.array([any(one[name] is not None for name in SPEED_DEPENDENT) for one in settings])
@@ -157,6 +157,13 @@ def _typed(values: Sequence[Any]) -> pd.api.extensions.ExtensionArray:
     kinds = {type(value) for value in values if value is not None}
     dtypes: list[Any] = [_TYPES.get(kind, object) for kind in kinds] or ["Int8"]
     return pd.array(list(values), dtype=dtypes[0] if len(dtypes) == 1 else object)
+
+
+def joined(parts: list[pd.DataFrame]) -> pd.DataFrame:
+    """Tables with the same columns, one after the other; they lose theirs on the way, so that none is there twice."""
+    names = [*parts[0]]
+    columns = {name: pd.concat([part.pop(name) for part in parts], ignore_index=True) for name in names}
+    return pd.DataFrame(columns, copy=False)
 
 
 def _own(table: pd.DataFrame, numbers: dict[tuple[Any, ...], int]) -> pd.DataFrame:

@@ -70,6 +70,7 @@ def run_ensemble(
     retry_failed: bool = False,
     accept_version: bool = False,
     dashboard: bool = False,
+    yes: bool = False,
 ) -> Status:
     """Run a scene into the dataset at `out`, or what is missing of it; the same bytes whatever the workers.
 
@@ -95,6 +96,8 @@ def run_ensemble(
         Whether to resume a dataset that another version of the program began; numbers may differ.
     dashboard : bool
         Whether local workers have dask's dashboard, which anybody on this machine may look at.
+    yes : bool
+        Whether to run more than 10 million members, which may be a typing error.
 
     Raises
     ------
@@ -103,9 +106,9 @@ def run_ensemble(
     StoreError
         If the directory cannot be used or written.
     SceneError
-        If an engine does not take what the scene asks, a worker of this machine cannot hold its largest system, or
-        a file that systems come from is gone or another, or what functions of the user's own measure of a run is not
-        what they declare or differs from call to call; nothing was done.
+        If it has many members without a yes, an engine does not take what the scene asks, a worker of this machine
+        cannot hold its largest system, or a file that systems come from is gone or another, or what functions of the
+        user's own measure of a run is not what they declare or differs from call to call; nothing was done.
     AddressError
         If no scheduler answers at the address; nothing was done.
     ScheduleError
@@ -113,6 +116,7 @@ def run_ensemble(
     """
     check_caller(workers)
     start = time.monotonic()
+    scene.check_size(yes)
     if isinstance(scheduler, str):
         check_address(scheduler)
     scene.check_engines()

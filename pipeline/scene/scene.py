@@ -59,11 +59,12 @@ from stickslip.sim.systems.couplings import Reading
 from stickslip.sim.systems.system import BEYOND
 from stickslip.sim.systems.terms import TERMS
 
-#: A scene may not hold more members than this: more is taken for a typing error, before anything is expanded.
-MAX_MEMBERS = 10_000_000
+#: A scene of more members than this is run if the user says yes: else that is taken for a typing error.
+MANY_MEMBERS = 10_000_000
 
-#: Nor may a series in time have more values than this.
-MAX_SAMPLES = 10_000_000
+#: Lists may not span a grid of more points than this, nor may a start be run more often, nor a series in time have
+#: more values: these are gone through one by one.
+MAX_POINTS = MAX_RUNS = MAX_SAMPLES = 10_000_000
 
 #: What a scene says of its own cost, an ensemble's or a chart's.
 MINUTES = "what it took on two cores with its report, in minutes: `stickslip scenes` shows it"
@@ -247,14 +248,15 @@ class Scene(StrictTable):
         self._changes_apply()
         self._steps_and_changes_are_resolved()
         try:
-            n_members = self.n_members
+            n_points = math.prod(len(axis.rows) for axis in self.axes)
         except ValueError as error:
             raise ValueError(f"run.zip: {error}") from None
-        if n_members > MAX_MEMBERS:
+        if n_points > MAX_POINTS:
+            raise ValueError(f"lists: expected a grid of at most {MAX_POINTS} points, got {n_points}; shorten some")
+        if self._n_runs > MAX_RUNS:
             raise ValueError(
-                f"run.matrices: expected a scene of at most {MAX_MEMBERS} members, got {n_members} "
-                f"(n x lists x starts x matrices x perturbations x engines); lower `matrices`, the lists or the "
-                f"number of draws"
+                f"engine.ratio_draws, perturbation.draws: expected at most {MAX_RUNS} runs of a start (perturbations "
+                f"x engines x ratios), got {self._n_runs}; lower the number of draws"
             )
         self._static_holds()
         self._names_are_columns()
@@ -407,11 +409,27 @@ class Scene(StrictTable):
     @property
     def n_members(self) -> int:
         """Number of members, counted without expanding the scene."""
-        runs = sum((1 + self.n_changes(engine)) * engine.n_draws for engine in self.engines)
-        starts = math.prod(len(axis.rows) for axis in self.axes)
-        if starts <= MAX_MEMBERS:
-            starts = sum(len(self.start_draws(at)) for _, at in self.points())
-        return len(self.system.files or self.system.n) * self.run.matrices * starts * runs
+        starts = sum(len(self.start_draws(at)) for _, at in self.points())
+        return len(self.system.files or self.system.n) * self.run.matrices * starts * self._n_runs
+
+    @property
+    def _n_runs(self) -> int:
+        """Runs of a start of a matrix."""
+        return sum((1 + self.n_changes(engine)) * engine.n_draws for engine in self.engines)
+
+    def check_size(self, yes: bool) -> None:
+        """Refuse a scene of many members, before anything is expanded, unless the user says yes.
+
+        Raises
+        ------
+        SceneError
+        """
+        if self.n_members > MANY_MEMBERS and not yes:
+            raise SceneError(
+                f"run.matrices: expected at most {MANY_MEMBERS} members, got {self.n_members} (n x lists x starts x "
+                "matrices x perturbations x engines); lower `matrices`, the lists or the number of draws, or run it "
+                "with --yes (in Python yes=True)"
+            )
 
     @property
     def sources(self) -> list[tuple[int, SystemFile | SystemFunction | None]]:

@@ -71,14 +71,14 @@ def test_it_answers_one_question_after_the_other_and_says_how_it_died():
 FORKING = """
 import json, os, signal, sys
 sys.path.remove("")  # as in a program that is installed
-from stickslip.pipeline.machine.processes import forked_workers, one_thread
+from stickslip.pipeline.machine.processes import forked_workers, frugal
 
 def about():
     there = dict(os.environ), sorted(signal.pthread_sigmask(signal.SIG_BLOCK, ()))
     return os.getppid(), "stickslip.pipeline.running.preload" in sys.modules, *there
 
 before = dict(os.environ)
-with one_thread(), forked_workers():
+with frugal(), forked_workers():
     from stickslip.pipeline.running import cluster
     with cluster.local(2) as client:
         found = list(client.run(about).values())

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from stickslip.pipeline import Scene, SceneError, expand, load_scene, parse_scene
+from stickslip.pipeline import Scene, SceneError, expand, load_scene, parse_scene, run_ensemble
 
 SCENES = Path(str(resources.files("stickslip.workflows"))) / "scenes"
 
@@ -158,7 +158,6 @@ BAD = {
         "t_burn = 1.0\nconfidence = 0.9999999999999999",
         ["analysis.confidence", "less than or equal to 0.999999", "`confidence = 0.95`"],
     ),
-    "a million members": ("matrices = 3", "matrices = 1000000000", ["run.matrices", "10000000", "lower `matrices`"]),
     "draws beyond counting": ("ratio_draws = 2", "ratio_draws = 1000000000000", ["10000000", "number of draws"]),
     "number in quotes": ("t_end = 8.0", 't_end = "8e0"', ["run.t_end", "number", "write it without quotes: 8e0"]),
     "count in quotes": ("matrices = 3", 'matrices = "3.5"', ["run.matrices", "integer", "`matrices = 20`"]),
@@ -313,3 +312,13 @@ def test_json_schema_takes_what_the_reader_takes():
     assert "engine" in schema["properties"]
     kinds = {option["type"] for option in schema["$defs"]["SystemTable"]["properties"]["n"]["anyOf"]}
     assert kinds == {"integer", "array"}
+
+
+def test_a_scene_of_many_members_is_run_if_the_user_says_yes(tmp_path, source):
+    """It is read and counted without a list of members."""
+    large = parse_scene(edit(source, "matrices = 3", "matrices = 1000000000"))
+    assert len(expand(large)) == large.n_members > 1e9
+    large.check_size(yes=True)
+    with pytest.raises(SceneError, match=f"at most 10000000 members, got {large.n_members} .*`matrices`.* --yes"):
+        run_ensemble(large, tmp_path / "out", workers=0)
+    assert not [*tmp_path.iterdir()]

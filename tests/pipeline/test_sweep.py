@@ -580,7 +580,7 @@ BAD = {
         "kappa = [0.2, 0.1]",
         f"kappa = {[k / 1000 for k in range(1000)]}\nrho = {[k / 1000 for k in range(1000)]}\n"
         f"static = {[1.5 + k / 10 for k in range(10)]}",
-        ["10000000 members", "the lists"],
+        ["10000000 points", "lists: expected"],
     ),
     "scales of a damping without any": (
         "[twins]\nsizes = 1e-3",

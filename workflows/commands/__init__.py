@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import Any
 
 from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
-from stickslip.pipeline.machine.processes import one_thread
+from stickslip.pipeline.machine.processes import frugal
 from stickslip.pipeline.machine.signals import Interrupted, interruptible
 from stickslip.workflows import NO_FOLDER
 from stickslip.workflows.commands.command import UNFINISHED, WRONG, Wrong, listed
@@ -83,7 +83,7 @@ def main(argv: list[str] | None = None) -> int:
     whole = parser()
     arguments = whole.parse_args(argv, argparse.Namespace(is_program=argv is None, parser=whole))
     try:
-        with interruptible(), one_thread():  # a report's products are small, and a member's digits are a worker's
+        with interruptible(), frugal():  # a report's products are small, and a member's digits are a worker's
             return COMMANDS[arguments.command](arguments)
     except Interrupted as interrupt:
         print("\ninterrupted", file=sys.stderr)

@@ -50,6 +50,7 @@ class Run(Command):
         )
         parser.add_argument("--retry-failed", action="store_true", help="run the shards of failed members again")
         parser.add_argument("--accept-version", action="store_true", help="resume data that another version began")
+        parser.add_argument("--yes", action="store_true", help="run more than 10 million members")
         parser.add_argument("--only", metavar="MEMBER", help="run one member and show its row; write nothing")
         parser.add_argument(
             "--dry-run",
@@ -134,6 +135,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
                 retry_failed=arguments.retry_failed,
                 accept_version=arguments.accept_version,
                 dashboard=arguments.dashboard,
+                yes=arguments.yes,
             )
             if asking is not None:
                 is_answered = write_report(out, asking, watch)
@@ -179,6 +181,7 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
 
     scene = load(file)
     own_questions.check(scene, file.parent, str(file))
+    scene.check_size(arguments.yes)
     scene.check_engines()
     ends.check(scene)
     check_memory(scene, arguments.workers)
@@ -250,7 +253,8 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
 
 def _again(arguments: argparse.Namespace, out: Place) -> str:
     where = ["--scheduler", arguments.scheduler] if arguments.scheduler else ["--workers", str(arguments.workers)]
-    flags = [flag for flag in ("--retry-failed", "--no-report") if getattr(arguments, flag[2:].replace("-", "_"))]
+    known = ("--retry-failed", "--no-report", "--yes")
+    flags = [flag for flag in known if getattr(arguments, flag[2:].replace("-", "_"))]
     return command("run", arguments.scene, "--out", str(out), *where, *flags)
 
 

@@ -20,7 +20,7 @@ from matplotlib.axes import Axes
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, columns, frame, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
-from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SPEED_DEPENDENT
+from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SPEED_DEPENDENT, joined
 from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
@@ -72,19 +72,16 @@ _RUN = {
     "z_start": F, "w_start": F,
 }  # fmt: skip
 
-#: What is counted over all groups, of each run.
-_FOLLOWED = ("group", "fate", "untold", "unit", "matrix", "growth_rate", "z_start", "w_start")
-
 
 def answer(study: Study) -> Answer:
     """What became of the unchanged runs, and whether what lasts is steady."""
     level = study.settings.confidence
-    by_group = {group.label: _runs(group) for group in study.groups}
+    runs = _runs(study.groups)
+    starts = np.cumsum([0, *map(len, study.groups)]).tolist()
+    by_group = {group.label: runs[k : k + len(group)] for group, k in zip(study.groups, starts, strict=False)}
     first = {label: _first(own) for label, own in by_group.items() if (own["fate"] != FAILED).any()}
     curves = {label: _thinned(survival(*some, level)) for label, some in first.items()}
     groups = [_group_row(study, group, by_group[group.label], first.get(group.label)) for group in study.groups]
-    runs = pd.concat([own[[*_FOLLOWED]] for own in by_group.values()], ignore_index=True)
-    listed = columns(_RUN, [*by_group.values()])
     moving = sorted((row for row in groups if row["n_moving"]), key=lambda row: -row["n"])
     systems = _brief(groups)
     is_one_engine = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
@@ -125,7 +122,7 @@ def answer(study: Study) -> Answer:
     tables = {
         "fates": frame(_GROUP, groups),
         "survival_curves": pd.concat([frame(_CURVE, []), *(_curve_table(*one) for one in curves.items())]),
-        "runs": listed,
+        "runs": _listed(study.groups, runs),
     }
     return Answer(facts, tables=tables, figures=_figures(study, facts, runs, curves))
 
@@ -158,24 +155,41 @@ def _figures(
     return shown
 
 
-def _runs(group: Group) -> pd.DataFrame:
-    """A row a run: its fate, and the times that tell when its motion ended or up to which it was followed."""
-    fates = group.fates
+def _runs(groups: Sequence[Group]) -> pd.DataFrame:
+    """A row a run, group by group: its fate, and the times that tell when its motion ended or up to which it went."""
+    labels = [group.label for group in groups]
+    return joined([_of_group(group, k, labels) for k, group in enumerate(groups)])
+
+
+def _of_group(group: Group, number: int, labels: Sequence[str]) -> pd.DataFrame:
+    fates, size = group.fates, len(group)
     numbers = {name: group.column(name).to_numpy(np.float64, na_value=np.nan)
                for name in ("t_stop", "growth_rate", "z_start", "w_start")}  # fmt: skip
-    numbers["t_end"] = np.full(len(group), float(group.key["t_end"]))
+    numbers["t_end"] = np.full(size, float(group.key["t_end"]))
     t_last, n_last = group.last.T
     t, _ = ends_at(fates, t_last, numbers["t_stop"], numbers["t_end"])
     is_speed_dependent = any(group.key[name] is not None for name in SPEED_DEPENDENT)
     untold = np.where(np.isnan(numbers["growth_rate"]), "rate", "stable")
     held = is_held(t_last, n_last, int(group.key["n"]), numbers["t_end"])
-    words = {"group": group.label, "fate": fates, "untold": "law" if is_speed_dependent else untold}
     return pd.DataFrame({
-        "n": group.key["n"], "kappa_n": _kappa_n(group.key), "matrix": group.column("matrix").to_numpy(np.int64),
-        "unit": group.column("unit").to_numpy(np.int64), "member_id": group.column("member_id").array, **numbers,
-        "t_last": t_last, "t": np.where(fates == FAILED, np.nan, t), "is_held": (fates == SUSTAINED) & held,
-        **{name: pd.Categorical(np.broadcast_to(some, len(fates))) for name, some in words.items()},
-    })  # fmt: skip
+        "matrix": group.column("matrix").to_numpy(np.int64), "unit": group.column("unit").to_numpy(np.int64),
+        **numbers, "t_last": t_last, "t": np.where(fates == FAILED, np.nan, t),
+        "is_held": (fates == SUSTAINED) & held,
+        "group": pd.Categorical.from_codes(np.full(size, number), pd.Index(labels)),
+        "fate": pd.Categorical(fates, (*WATCHED, FAILED)),
+        "untold": pd.Categorical(np.full(size, "law") if is_speed_dependent else untold, ("law", "rate", "stable")),
+    }, copy=False)  # fmt: skip
+
+
+def _listed(groups: Sequence[Group], runs: pd.DataFrame) -> pd.DataFrame:
+    """The table of runs."""
+    sizes, own = [*map(len, groups)], groups[0].table.own
+    more = {
+        "n": np.repeat([group.key["n"] for group in groups], sizes),
+        "kappa_n": np.repeat(np.array([_kappa_n(group.key) for group in groups], dtype=np.float64), sizes),
+        "member_id": own["member_id"].iloc[np.concatenate([group.rows for group in groups])].array,
+    }
+    return columns(_RUN, [runs.assign(**more)])
 
 
 def _followed(runs: pd.DataFrame) -> pd.DataFrame:
