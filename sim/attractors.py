@@ -382,11 +382,9 @@ class _End:
         k = int(places[0])
         t = events.t[k]
         at = self._follow(float(t), np.array([t])).samples
-        before = events.initial_mode.copy()
-        before[events.block[:k]] = events.mode[:k]
         once = slice(k, k + p + 1)
         round_ = replace(events, t=events.t[once] - t, block=events.block[once], mode=events.mode[once],
-                         initial_mode=before)  # fmt: skip
+                         initial_mode=events.mode_after(k))  # fmt: skip
 
         def follow(z: Floats, w: Floats, modes: NDArray[np.int8], length: float, times: Floats) -> Run:
             return simulate(s, z, w, length, t_eval=times, modes=modes, stop_early=False, **self._settings)
@@ -486,13 +484,11 @@ def _symbols(events: EventSeries) -> NDArray[np.int64]:
 def _in_order(events: EventSeries, first: int, together: float) -> EventSeries:
     """The events from some event on, those of one instant by block: their order is otherwise one of rounding."""
     t, block, mode = events.t[first:], events.block[first:], events.mode[first:]
-    start = events.initial_mode.copy()
-    start[events.block[:first]] = events.mode[:first]  # for a repeated block the last assignment holds
     if (np.diff(t) <= together).any():
         instant = np.cumsum(np.append(0, np.diff(t) > together))
         order = np.lexsort((block, instant))
         t, block, mode = t[order], block[order], mode[order]
-    return replace(events, t=t, block=block, mode=mode, initial_mode=start)
+    return replace(events, t=t, block=block, mode=mode, initial_mode=events.mode_after(first))
 
 
 def _from_lowest(path: Path, events: EventSeries, period: float, drift: Floats) -> tuple[EventSeries, Samples]:

@@ -109,9 +109,12 @@ class EventSeries:
         if np.ndim(time) != 0:
             raise ValueError(f"time: expected one number, got {time!r}")
         self._known(time)
+        return self.mode_after(int(np.searchsorted(self.t, time, side="right")))
+
+    def mode_after(self, k: int) -> NDArray[np.int8]:
+        """Modes of all blocks after the first k events, int8, shape (n,)."""
         mode = self.initial_mode.copy()
-        upto = np.searchsorted(self.t, time, side="right")
-        mode[self.block[:upto]] = self.mode[:upto]  # for a repeated block the last assignment holds
+        mode[self.block[:k]] = self.mode[:k]  # for a repeated block the last assignment holds
         return mode
 
     def _known(self, times: ArrayLike) -> Floats:

@@ -25,9 +25,7 @@ class End(Record):
     )
 
     def of(self, made: Made) -> dict[str, Any]:
-        run, events = made.run, made.run.events
-        mode = events.initial_mode.copy()
-        mode[events.block] = events.mode  # the last event of a block decides
+        run, mode = made.run, made.run.events.mode_after(len(made.run.events))
         # a block that slips after a collapse may have turned round without an event
         side = np.where(run.w > made.system.belt_speed_at(run.t_end), 1, -1)
         return {"z_end": run.z, "w_end": run.w, "mode_end": np.where(mode == 0, 0, side).astype(np.int8)}
