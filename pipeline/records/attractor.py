@@ -66,7 +66,7 @@ class AttractorRecord(WindowRecord):
         ),
         Column("numbers", "section_w", "velocity of each block then", along="block", repeats=False),
         Column(
-            "whole", "exits_block", "the block with most exits in a period, or in an irregular run", is_label=True
+            "whole", "exits_block", "the block with most exits in a period, or in an irregular run", is_averaged=False
         ),
         Column(
             "numbers",

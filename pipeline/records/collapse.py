@@ -24,7 +24,7 @@ class CollapseRecord(Record):
             "from when on it is certain that no block sticks again; null if that is not",
             least=0.0,
             absent="no collapse is certain",
-            is_label=True,
+            is_averaged=False,
         ),
     )
 

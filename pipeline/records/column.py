@@ -24,8 +24,9 @@ class Column(NamedTuple):
         Of a list: what it has a value for, its dimension in NetCDF. Empty: it is not written there.
     repeats : bool
         Whether values repeat. Those that do not, as times, are stored without a dictionary and split into bytes.
-    is_label : bool
-        Whether no mean of a number is taken: it says which, as that of a block, or when something came to be known.
+    is_averaged : bool
+        Whether means of a number are taken: not if it says which, as that of a block, or when something came to be
+        known.
     least : float, optional
         What a number is never below, by what it is: 0 for an amplitude.
     absent : str
@@ -39,7 +40,7 @@ class Column(NamedTuple):
     nullable: bool = True
     along: str = ""
     repeats: bool = True
-    is_label: bool = False
+    is_averaged: bool = True
     least: float | None = None
     absent: str = ""
 
@@ -51,4 +52,4 @@ class Column(NamedTuple):
     @property
     def is_number(self) -> bool:
         """Whether it holds one number a member, of which means can be taken: of truths, their share."""
-        return self.kind in ("number", "whole", "count", "yes or no") and not self.is_label
+        return self.kind in ("number", "whole", "count", "yes or no") and self.is_averaged

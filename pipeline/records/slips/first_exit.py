@@ -24,7 +24,7 @@ class FirstExit(Record):
             least=0.0,
             absent="no exit",
         ),
-        Column("whole", "first_exit_block", "the block that lets go first", is_label=True),
+        Column("whole", "first_exit_block", "the block that lets go first", is_averaged=False),
     )
     needs = frozenset({"events"})
 
