@@ -45,11 +45,13 @@ from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.effective import tau
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, panel
+from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PANEL, PURPLE, panel
 
 MOST_CURVES = 8  # in one figure
 MOST_RUNS = 200  # in one figure; more lines hide each other
 MOST_STEPS = 2000  # of one curve: each is then a quarter of a dot wide
+_LETTERS, _LETTER = 60, 0.05  # below an axis, side by side; inches that one takes, upright
+_SHORT = 28  # of names in a legend of two columns
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
 FATES = {
     COLLAPSED: ("slips for good", BLUE, "s"), QUIET: ("quiet", "#56B4E9", "D"),
@@ -365,8 +367,8 @@ def shares(ax: Axes, key: str, ticks: Sequence[str], counts: Mapping[str, Sequen
             label, colour, _ = FATES[name]
             ax.bar(range(len(ticks)), some / total, 0.7, floor, color=colour, label=label)
             floor += some / total
-    ax.set(xlim=(-0.6, len(ticks) - 0.4), xlabel=key, ylabel="share of runs")
-    ax.set_xticks(range(len(ticks)), ticks)
+    ax.set(xlabel=key, ylabel="share of runs")
+    _set_ticks(ax, ticks)
     ax.figure.legend(loc="outside upper center", ncols=4, fontsize=7, handlelength=1.2)
 
 
@@ -374,7 +376,22 @@ def _by_system(systems: Sequence[Row]) -> tuple[str, list[str]]:
     """Label and ticks of an axis of systems."""
     if len({row["n"] for row in systems}) == len(systems):
         return "blocks, n", [str(row["n"]) for row in systems]
-    return "", [str(row["system"]).replace(", ", "\n") for row in systems]
+    texts, same = [str(row["system"]) for row in systems], f"n = {systems[0]['n']}, "
+    return "", [text.removeprefix(same) for text in texts] if all(same in text for text in texts) else texts
+
+
+def _set_ticks(ax: Axes, ticks: Sequence[str]) -> None:
+    """One tick a system, its words below each other; upright where there is no room for them side by side."""
+    ax.set_xlim(-0.6, len(ticks) - 0.4)
+    stacked = [text.replace(", ", "\n") for text in ticks]
+    widest = max(len(line) for text in stacked for line in text.split("\n"))
+    if widest * len(ticks) <= _LETTERS:
+        ax.set_xticks(range(len(ticks)), stacked)
+    else:
+        ax.set_xticks(range(len(ticks)), ticks, rotation=90, fontsize=6)
+        figure = ax.get_figure(root=True)
+        assert figure is not None  # it is drawn on one
+        figure.set_figheight(PANEL[1] + _LETTER * max(map(len, ticks)))
 
 
 @panel()
@@ -389,8 +406,8 @@ def growth(ax: Axes, systems: Sequence[Row], runs: pd.DataFrame) -> None:
         if len(some):
             ax.plot(some["x"], some["growth_rate"], marker, color=colour, markersize=3, label=label)
     key, ticks = _by_system(systems)
-    ax.set(xlim=(-0.6, len(ticks) - 0.4), xlabel=key, ylabel="linear growth rate, all slip")
-    ax.set_xticks(range(len(ticks)), ticks)
+    ax.set(xlabel=key, ylabel="linear growth rate, all slip")
+    _set_ticks(ax, ticks)
     ax.figure.legend(loc="outside upper center", ncols=4, fontsize=7, handlelength=1.2)
 
 
@@ -419,7 +436,8 @@ def survival_curves(ax: Axes, curves: Sequence[tuple[str, Curve]], t_end: float)
         if len(curves) <= 2:
             ax.fill_between(t, low, high, step="post", color=colour, alpha=0.15, linewidth=0)
     ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), xlabel="time t", ylabel="share not ended")
-    ax.figure.legend(loc="outside upper center", ncols=2, fontsize=7, handlelength=1.2)
+    columns = 2 if max(len(label) for label, _ in curves) <= _SHORT else 1
+    ax.figure.legend(loc="outside upper center", ncols=columns, fontsize=7, handlelength=1.2)
 
 
 @panel()
