@@ -11,7 +11,7 @@ from stickslip.pipeline.records.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Sharing, WindowRecord
 from stickslip.sim.engines.coulomb.settings import Coulomb
 
-_NO_CYCLE = "on no cycle"
+_NO_CYCLE = "on no cycle, or undecided"
 #: Values of z at exits that are kept, the last.
 _MOST = 64
 
@@ -48,13 +48,13 @@ class AttractorRecord(WindowRecord):
             "largest modulus of the Floquet multipliers of a periodic run, but for shifts in time and along its"
             " drift; below 1 the cycle attracts",
             least=0.0,
-            absent="on no cycle, or one of too many events",
+            absent="on no cycle, undecided, or on one of too many events",
         ),
         Column(
             "number",
             "deviation_rate",
             "rate at which a small deviation grows, of a run in no cycle with many events; above 0 if irregular",
-            absent="on a cycle, or few events",
+            absent="on a cycle, or with few events",
         ),
         Column(
             "numbers",
