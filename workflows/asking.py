@@ -14,6 +14,8 @@ from stickslip.pipeline.machine.processes import Child, ChildDied, n_cores
 from stickslip.workflows import own_questions
 
 if TYPE_CHECKING:
+    from distributed import Client
+
     from stickslip.analysis.ensemble import Study
     from stickslip.analysis.report.page import Answered
     from stickslip.analysis.series.runs import Put
@@ -40,8 +42,8 @@ class Asking:
     workers : int, optional
         Local processes of dask that what questions ask of each run is computed by; instead of processes that answer
         questions.
-    scheduler : str, optional
-        Address of a running dask cluster to be used instead.
+    scheduler : str or distributed.Client, optional
+        Address of a running dask cluster to be used instead, or a client of one.
     """
 
     def __init__(
@@ -49,7 +51,7 @@ class Asking:
         own: Path | None = None,
         with_pdf: bool = False,
         workers: int | None = None,
-        scheduler: str | None = None,
+        scheduler: str | Client | None = None,
     ) -> None:
         self.own, self.with_pdf, self._workers, self._scheduler = own, with_pdf, workers, scheduler
         self._stack = ExitStack()
@@ -131,12 +133,12 @@ class Asking:
 
 
 @contextmanager
-def _spread(opened: Opened, study: Study, workers: int, scheduler: str | None) -> Iterator[Put]:
+def _spread(opened: Opened, study: Study, workers: int, scheduler: str | Client | None) -> Iterator[Put]:
     """Puts functions to runs on workers of dask, which are there as long as the with-block."""
     from stickslip.pipeline.running.cluster import check_address, connect
     from stickslip.workflows.on_workers import OnWorkers
 
-    if scheduler is not None:
+    if isinstance(scheduler, str):
         check_address(scheduler)
     with connect(workers, scheduler) as client:
         yield OnWorkers(opened, study.settings, client, scheduler)

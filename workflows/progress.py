@@ -90,7 +90,7 @@ class Watch:
         self._directory = directory
         self._stream = sys.stderr if stream is None else stream
         self._bar: tqdm | None = None
-        self._said = -_EVERY
+        self._said: float | None = None  # when a line was
         self._last: Progress | None = None
         self._opened: Opened | None = None
 
@@ -131,8 +131,14 @@ class Watch:
 
     def answered(self, n: int, n_all: int) -> None:
         """Show how many of a report's questions are answered; the bar is removed at the end."""
+        words, now = f"report: {n}/{n_all} questions", time.monotonic()
         if self._has_bar:
-            self._draw(n, n_all, f"report: {n}/{n_all} questions").leave = False
+            self._draw(n, n_all, words).leave = False
+        elif self._said is None:
+            self._said = now  # most reports are done before the first line
+        elif now - self._said >= _EVERY:
+            self._said = now
+            print(words, file=self._stream, flush=True)
 
     @property
     def _has_bar(self) -> bool:
@@ -161,6 +167,6 @@ class Watch:
 
     def _line(self, progress: Progress) -> None:
         now = time.monotonic()
-        if now - self._said >= _EVERY or progress.n_done == progress.n_members:
+        if self._said is None or now - self._said >= _EVERY or progress.n_done == progress.n_members:
             self._said = now
             print(self._words(progress), file=self._stream, flush=True)

@@ -13,9 +13,11 @@ import os
 import resource
 import signal
 import socket
+import stat
 import tempfile
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import dask
 import distributed
@@ -25,6 +27,7 @@ from distributed.core import rpc
 from distributed.system import MEMORY_LIMIT
 from distributed.utils import LoopRunner, silence_logging_cmgr
 
+from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.errors import AddressError, SceneError, ScheduleError
 from stickslip.pipeline.machine import processes
 from stickslip.pipeline.machine.processes import ONE_THREAD, environment_kept
@@ -38,6 +41,9 @@ log = logging.getLogger(__name__)
 
 #: Seconds to wait for a scheduler at a given address.
 CONNECT_TIMEOUT = 5.0
+
+#: Files that a driver of local workers may open, where the system lets it.
+_MOST_FILES = 65_536
 
 _LOCAL_CLUSTER = {
     "distributed.nanny.pre-spawn-environ": ONE_THREAD,
@@ -91,12 +97,19 @@ def check_address(address: str) -> None:
     # in turn: refused or silent; no address; no certificate for tls; tcp where dask has to encrypt;
     # the answer of another service, taken for the length of a message
     except (OSError, ValueError, TypeError, RuntimeError, MemoryError) as error:
-        why = " ".join(str(error).split()) or f"no answer in {CONNECT_TIMEOUT:.0f} s"
+        why = " ".join(str(_first_of(error)).split()) or f"no answer in {CONNECT_TIMEOUT:.0f} s"
         raise AddressError(
             f"scheduler: expected the address of a running dask scheduler, tcp://HOST:PORT, or tls://HOST:PORT with "
             f"certificates in dask's configuration, distributed.comm.tls, got {address!r} ({why}); start one with "
             f"`dask scheduler`, or leave the address out to run on this machine"
         ) from error
+
+
+def _first_of(error: BaseException) -> BaseException:
+    """The error that others were raised from: dask's own hide what TLS says of a certificate."""
+    while isinstance(error.__cause__, OSError):
+        error = error.__cause__
+    return error
 
 
 async def _who_is_at(address: str) -> dict[str, Any]:
@@ -152,13 +165,15 @@ def _files_for(workers: int) -> Iterator[None]:
         If it may not.
     """
     needed = 32 + 16 * workers
+    most = max(needed, _MOST_FILES)  # others on this machine may open connections too, which are then refused
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if hard != resource.RLIM_INFINITY and hard < needed:
         raise ScheduleError(
             f"workers: expected a limit of {needed} or more open files, for {workers} of them, got {hard} "
             f"(`ulimit -n`); raise it, or use fewer workers"
         )
-    resource.setrlimit(resource.RLIMIT_NOFILE, (soft if soft == resource.RLIM_INFINITY else max(soft, needed), hard))
+    raised = most if hard == resource.RLIM_INFINITY else min(most, hard)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft if soft == resource.RLIM_INFINITY else max(soft, raised), hard))
     try:
         yield
     finally:
@@ -166,7 +181,12 @@ def _files_for(workers: int) -> Iterator[None]:
 
 
 def _look_at(client: Client) -> None:
-    """Warn of those workers that are there whose setup makes them slow or their numbers differ."""
+    """Refuse workers that are there and run another version; warn of a setup that is slow or that others may enter.
+
+    Raises
+    ------
+    ScheduleError
+    """
     several = [address for address, count in client.nthreads().items() if count > 1]
     if several:
         log.warning(
@@ -175,8 +195,15 @@ def _look_at(client: Client) -> None:
             len(several),
             several[0],
         )
-    threads = client.run(_threads_of_libraries, on_error="ignore") or {}
-    unset = [address for address, counts in threads.items() if not counts & {"1"}]
+    # by names that every Python knows: a worker that cannot load a function of ours ends, and only its log says why
+    for address, found in (client.run(eval, _PROGRAM, on_error="return") or {}).items():
+        if found != program():
+            raise ScheduleError(
+                f"expected workers with this version of the program ({program()}), got {address} with {found!r}; "
+                "install the same there, then try again"
+            )
+    setups: dict[str, _Setup] = client.run(_setup, on_error="ignore") or {}
+    unset = [address for address, one in setups.items() if not one.threads & {"1"}]
     if unset:
         log.warning(
             "expected workers whose libraries have one thread each, got %d that do not say so, %s first: last digits "
@@ -184,10 +211,35 @@ def _look_at(client: Client) -> None:
             len(unset),
             unset[0],
         )
+    open_to_others = [(address, one.shared) for address, one in setups.items() if one.shared]
+    if open_to_others:
+        log.warning(
+            "expected workers in a directory in which nobody else may write, as they run what lies there, got %s of "
+            "%s; start them with DASK_TEMPORARY_DIRECTORY=$(mktemp -d) in their environment",
+            open_to_others[0][1],
+            open_to_others[0][0],
+        )
 
 
-def _threads_of_libraries() -> set[str]:
-    return {value for name in ONE_THREAD if (value := os.environ.get(name)) is not None}
+#: What tells the version of a worker's program, as code of its own.
+_PROGRAM = "__import__('importlib').import_module('stickslip.pipeline.dataset.program').program()"
+
+
+class _Setup(NamedTuple):
+    """How a worker was set up: numbers of threads of its libraries, and its directory if others may write there."""
+
+    threads: set[str]
+    shared: str
+
+
+def _setup(dask_worker: Worker) -> _Setup:
+    threads = {value for name in ONE_THREAD if (value := os.environ.get(name)) is not None}
+    at = Path(dask_worker.local_directory)
+    is_shared = any(
+        found.st_uid not in (0, os.geteuid()) or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        for found in (at.stat(), at.parent.stat())
+    )
+    return _Setup(threads, str(at.parent) if is_shared else "")
 
 
 def _close(client: Client, cluster: SpecCluster) -> None:

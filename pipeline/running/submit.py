@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import logging
 import pickle
 import time
 from collections.abc import Callable, Generator, Iterable
@@ -14,6 +16,8 @@ from distributed.comm import CommClosedError
 
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.errors import ScheduleError
+
+log = logging.getLogger(__name__)
 
 #: Tasks in flight for each worker: enough that none waits, few enough to hold and to lose little.
 WINDOW = 3
@@ -110,7 +114,7 @@ class _Patience:
 
     def __init__(self, client: Client, scheduler: str | Client | None, again: str) -> None:
         self._client, self._scheduler, self._again = client, scheduler, again
-        self._looked = self._alive = time.monotonic()
+        self._looked = self._connected = self._staffed = time.monotonic()
 
     def look(self) -> None:
         """Raise if it is time to give up; a cluster at an address may be without workers for any time."""
@@ -118,16 +122,24 @@ class _Patience:
         if now - self._looked < 1.0:
             return
         self._looked = now
-        is_connected = self._client.status == "running"
-        if is_connected and (self._scheduler is not None or self._client.nthreads()):
-            self._alive = now
-        elif now - self._alive > LOST_TIMEOUT:
-            if not is_connected:
-                raise CommClosedError
-            raise ScheduleError(
-                f"expected workers, got none for {LOST_TIMEOUT:.0f} s; see what ends them (memory?), then "
-                f"{self._again}"
+        if self._client.status == "running":
+            self._connected = now
+            with contextlib.suppress(*LOST):  # it may be lost just now, which is seen at the next look
+                if self._client.nthreads():
+                    self._staffed = now
+        if now - self._connected > LOST_TIMEOUT:
+            raise CommClosedError
+        if self._connected == now and now - self._staffed > LOST_TIMEOUT:
+            if self._scheduler is None:
+                raise ScheduleError(
+                    f"expected workers, got none for {LOST_TIMEOUT:.0f} s; see what ends them (memory?), then "
+                    f"{self._again}"
+                )
+            log.warning(
+                "waiting for workers: there was none for %.0f s; start some, or see in their logs what ends them",
+                LOST_TIMEOUT,
             )
+            self._staffed = now
 
 
 def _until(is_so: Callable[[], bool], patience: _Patience) -> None:

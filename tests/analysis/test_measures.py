@@ -216,7 +216,9 @@ def test_runs_without_a_value_are_counted_and_named(recorded, settings):
 
 def test_a_run_that_failed_to_be_measured_is_not_one_without_such_a_number(recorded, settings):
     data = recorded({"period": lambda rng, matrix, v: None if matrix < 2 else 2.0 + v})
-    column = data.recorded["period"]._replace(absent="on no cycle, or undecided", problems={"m0-0": "mine:one: KeyError: 'a'"})
+    column = data.recorded["period"]._replace(
+        absent="on no cycle, or undecided", problems={"m0-0": "mine:one: KeyError: 'a'"}
+    )
     answer = sweep.answer(Study(replace(data, recorded={"period": column}), settings))
     missing = answer.tables["sweep_missing"].set_index("member_id")["reason"]
     assert missing["m0-0"] == "mine:one: KeyError: 'a'"

@@ -15,12 +15,13 @@ from pathlib import Path
 
 import dask
 import pytest
-from distributed import Security
+from distributed import Client, Security
 from distributed.core import rpc
 from distributed.utils import LoopRunner
 
-from stickslip.pipeline import AddressError, ScheduleError, run_ensemble
+from stickslip.pipeline import AddressError, ScheduleError, run_ensemble, status
 from stickslip.pipeline.running import cluster
+from tests.processes import dask_by_hand
 
 
 def listening(pids):
@@ -94,8 +95,26 @@ def test_certificates_of_dasks_configuration_open_an_address(scene, source, fini
             run_ensemble(scene, tmp_path / "out", scheduler=client.scheduler.address)
         with pytest.raises(AddressError, match=r"certificates in dask's configuration, distributed\.comm\.tls"):
             run_ensemble(scene, tmp_path / "other", scheduler=client.scheduler.address)
+        foreign = Security.temporary()
+        others = {f"distributed.comm.tls.{key}": getattr(foreign, name) for key, name in names.items()}
+        with dask.config.set(others), pytest.raises(AddressError, match=r"UNKNOWN_CA|certificate verify failed"):
+            run_ensemble(scene, tmp_path / "other", scheduler=client.scheduler.address)
     assert content(tmp_path / "out") == content(finished)
     assert not (tmp_path / "other").exists()
+
+
+def test_workers_that_cannot_load_the_program_are_refused_by_name(scene, tmp_path):
+    """Their first task would end them, and only their logs would say why."""
+    (tmp_path / "bad" / "stickslip").mkdir(parents=True)
+    (tmp_path / "bad" / "stickslip" / "__init__.py").write_text("raise ImportError('half installed')")
+    with dask_by_hand(tmp_path, "--nthreads", "1", PYTHONPATH=str(tmp_path / "bad")) as (address, _):
+        with Client(address, set_as_default=False) as client:
+            client.wait_for_workers(1, timeout=120)
+        with pytest.raises(
+            ScheduleError, match=r"this version .*, got tcp://\S+ with ImportError\('half installed'\)"
+        ):
+            run_ensemble(scene, tmp_path / "out", scheduler=address)
+    assert status(tmp_path / "out").n_done == 0
 
 
 class _Page(BaseHTTPRequestHandler):

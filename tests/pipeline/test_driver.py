@@ -144,6 +144,16 @@ def test_a_run_without_workers_gives_up(monkeypatch):
             submit._until(lambda: False, submit._Patience(client, None, "go on"))
 
 
+def test_a_run_at_an_address_says_that_it_waits_for_workers(monkeypatch):
+    said = []
+    monkeypatch.setattr("stickslip.pipeline.running.submit.LOST_TIMEOUT", 0.5)
+    monkeypatch.setattr(submit.log, "warning", lambda words, *_: said.append(words))
+    with cluster.connect(1, None) as client:
+        client.cluster.scale(0)
+        submit._until(lambda: len(said) > 1, submit._Patience(client, client, "go on"))
+    assert all(words.startswith("waiting for workers: ") for words in said)
+
+
 def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
     """In place of a cluster, what is done at once; a batch is in flight until its result is released."""
     in_flight, most = set(), []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import re
@@ -17,7 +18,7 @@ from distributed import Client
 
 from stickslip.pipeline import parse_scene, run_ensemble, status, verify
 from stickslip.workflows.commands import main
-from tests.processes import dask_by_hand
+from tests.processes import dask_by_hand, until
 from tests.scenes import COULOMB, ensemble
 
 SCRIPT = Path(__file__).parents[2] / "workflows" / "guide" / "slurm.py"
@@ -81,6 +82,60 @@ def test_what_slurm_is_told(slurm, tmp_path, monkeypatch):
     assert memory in (22, 23, 24)  # of 24 GB, in the units of Slurm
     lifetime, stagger = (int(re.search(rf"--{name} (\d+)s", script)[1]) for name in ("lifetime", "lifetime-stagger"))
     assert lifetime + stagger < 90 * 60 - 60  # the last worker leaves before the job ends
+    assert "--worker-class stickslip.pipeline.running.cluster.QuietWorker" in script
+
+
+@pytest.mark.parametrize("minutes", [1, 10, 20, 32, 120])
+def test_workers_leave_before_their_job_ends_and_not_at_once(slurm, minutes):
+    arguments = slurm.parser().parse_args(["mine.toml", "--out", "x", "--minutes", str(minutes)])
+    _, lifetime, _, stagger, *_ = slurm.slurm_settings(arguments)["worker_extra_args"]
+    lifetime, stagger = int(lifetime.rstrip("s")), int(stagger.rstrip("s"))
+    assert 30 * minutes <= lifetime - stagger < lifetime + stagger <= 60 * minutes - min(300, 15 * minutes)
+
+
+#: Slurm in little: a job is a group of processes, known by the first one's number.
+SBATCH = """#!/bin/sh
+cp "$1" "$JOBS/$$.sh"
+setsid sh "$JOBS/$$.sh" > "$JOBS/$$.log" 2>&1 &
+echo "Submitted batch job $!"
+"""
+SCANCEL = """#!/bin/sh
+kill -KILL -- "-$1"
+"""
+
+
+@pytest.mark.long
+def test_a_job_that_ends_is_replaced_and_the_report_is_made_by_the_workers(scene_file, reference, tmp_path):
+    pytest.importorskip("dask_jobqueue")
+    (jobs := tmp_path / "jobs").mkdir()
+    for name, script in (("sbatch", SBATCH), ("scancel", SCANCEL)):
+        (file := tmp_path / name).write_text(script)
+        file.chmod(0o755)
+    environment = os.environ | {
+        "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}", "JOBS": str(jobs),
+        "DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT": "1s",
+    }  # fmt: skip
+    asked = [str(scene_file), "--out", "out", "--workers", "2", "--per-job", "2", "--memory", "1", "--report"]
+    command = [sys.executable, SCRIPT, *asked]
+    with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        until(lambda: list((tmp_path / "out" / "data").glob("shard-*")), timeout=120)
+        (job,) = (int(file.stem) for file in jobs.glob("*.sh"))
+        (group,) = {os.getpgid(pid) for pid in children_named(f"{job}.sh")}
+        os.killpg(group, signal.SIGKILL)
+        _, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err
+    assert len(list(jobs.glob("*.sh"))) > 1
+    assert shards(tmp_path / "out") == reference
+    assert (tmp_path / "out" / "report.html").exists()
+    assert "Traceback" not in err
+
+
+def children_named(name):
+    """Numbers of the processes that were started with a file of that name."""
+    for entry in Path("/proc").iterdir():
+        with contextlib.suppress(OSError):
+            if entry.name.isdecimal() and name.encode() in (entry / "cmdline").read_bytes():
+                yield int(entry.name)
 
 
 @pytest.mark.long
@@ -109,17 +164,23 @@ def test_the_script_ends_by_sigterm_and_goes_on(slurm, scene_file, reference, tm
         (["--nthreads", "1"], []),
         (
             ["--nthreads", "2", "--no-nanny"],
-            ["expected workers of one thread each", "libraries have one thread each"],
+            ["expected workers of one thread each", "libraries have one thread each", "nobody else may write"],
         ),
     ],
 )
 def test_a_scheduler_and_workers_by_hand(worker, warned, tmp_path, monkeypatch, capsys, caplog):
-    """Threads that run members side by side, in one process, get the same bytes, and the driver says it is slow."""
+    """Threads that run members side by side, in one process, get the same bytes, and the driver says it is slow.
+
+    And that somebody else made the directory in which dask looks for modules, so that they may write there.
+    """
+    scratch = tmp_path / "scratch" / "dask-scratch-space"
+    scratch.mkdir(parents=True)
+    scratch.chmod(0o777 if warned else 0o700)
     monkeypatch.setattr("stickslip.pipeline.ensemble.pack.TARGET_COST", 0.005)
     source = SOURCE.replace(b"[100, 5]", b"[20, 5]").replace(b"matrices = 30", b"matrices = 6")
     (tmp_path / "mine.toml").write_bytes(source)
     run_ensemble(parse_scene(source), tmp_path / "reference", workers=0)
-    with dask_by_hand(tmp_path, *worker) as (address, _):
+    with dask_by_hand(tmp_path, *worker, DASK_TEMPORARY_DIRECTORY=str(scratch.parent)) as (address, _):
         with Client(address, set_as_default=False) as client:
             client.wait_for_workers(1, timeout=120)
         command = ["run", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "out"), "--scheduler", address]

@@ -8,14 +8,17 @@ SIGTERM, it cancels its jobs and leaves a dataset that the same command resumes.
 from __future__ import annotations
 
 import argparse
+import asyncio
 import contextlib
 import os
 import sys
 from collections.abc import Iterator
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from distributed import Client, Security
+import dask
+from dask.utils import parse_timedelta
+from distributed import Client, Security, SpecCluster
 
 from stickslip.pipeline import (
     Interrupted,
@@ -25,17 +28,17 @@ from stickslip.pipeline import (
     interruptible,
     run_ensemble,
 )
+from stickslip.pipeline.errors import command
 from stickslip.pipeline.machine.signals import unbroken
-from stickslip.pipeline.running.cluster import QuietScheduler, local
+from stickslip.pipeline.running.cluster import QuietScheduler, QuietWorker, local
+from stickslip.workflows.asking import Asking
+from stickslip.workflows.commands.report import write_report
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.scenes import find, load
 
-if TYPE_CHECKING:
-    from distributed.deploy import Cluster
-
-#: Seconds that a worker leaves before its job ends, to hand over what it holds, and by how much more some do: workers
-#: that started together are not all replaced at once.
-MARGIN, STAGGER = 300, 240
+#: Seconds that a worker leaves before its job ends, to hand over what it holds, and by how much more or less some do:
+#: workers that started together are not all replaced at once. In short jobs, at most these parts of their time.
+MARGIN, STAGGER = (300, 1 / 4), (240, 1 / 8)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -49,6 +52,7 @@ def parser() -> argparse.ArgumentParser:
     found.add_argument("--minutes", type=int, default=120, help="time limit of a job (default: 120)")
     found.add_argument("--queue", metavar="NAME", help="Slurm's partition")
     found.add_argument("--account", metavar="NAME", help="whom Slurm charges")
+    found.add_argument("--report", action="store_true", help="have the workers look at the runs for the report too")
     found.add_argument("--local", action="store_true", help="processes of this machine instead, to try the rest")
     return found
 
@@ -59,7 +63,10 @@ def slurm_settings(arguments: argparse.Namespace) -> dict[str, Any]:
     # of its own: workers look for modules there, and the shared one belongs to whoever came first
     prologue += ["export DASK_TEMPORARY_DIRECTORY=$(mktemp -d)", "trap 'rm -rf \"$DASK_TEMPORARY_DIRECTORY\"' EXIT"]
     hours, minutes = divmod(arguments.minutes, 60)
-    lifetime = max(60, 60 * arguments.minutes - MARGIN - STAGGER)
+    margin, stagger = (min(most, int(part * 60 * arguments.minutes)) for most, part in (MARGIN, STAGGER))
+    lifetime = 60 * arguments.minutes - margin - stagger
+    how_long = ["--lifetime", f"{lifetime}s", "--lifetime-stagger", f"{stagger}s"]
+    no_pages = ["--no-dashboard", "--worker-class", f"{QuietWorker.__module__}.{QuietWorker.__qualname__}"]
     return {
         "job_name": "stickslip",
         "cores": arguments.per_job,
@@ -69,7 +76,7 @@ def slurm_settings(arguments: argparse.Namespace) -> dict[str, Any]:
         "queue": arguments.queue,
         "account": arguments.account,
         "job_script_prologue": prologue,
-        "worker_extra_args": ["--lifetime", f"{lifetime}s", "--lifetime-stagger", f"{STAGGER}s", "--no-dashboard"],
+        "worker_extra_args": [*how_long, *no_pages],
         # others use these machines: whoever lacks the run's certificate is refused. Workers find theirs in files that
         # only their owner can read, in the directory in which jobs are submitted and begin
         "security": Security.temporary(),
@@ -89,7 +96,7 @@ def start(arguments: argparse.Namespace) -> Iterator[Client]:
 
     with contextlib.ExitStack() as opened:
         with unbroken():  # a cluster that is half built, or half closed, would leave its jobs behind
-            cluster = SLURMCluster(**slurm_settings(arguments))
+            cluster = replacing(SLURMCluster)(**slurm_settings(arguments))
             opened.callback(_close, cluster)
         # not `scale`: what is adapted is also replaced, when a job's time is over or its node fails
         n_jobs = -(-arguments.workers // arguments.per_job)
@@ -97,9 +104,42 @@ def start(arguments: argparse.Namespace) -> Iterator[Client]:
         yield opened.enter_context(Client(cluster, set_as_default=False))
 
 
-def _close(cluster: Cluster) -> None:
-    with unbroken():
-        cluster.close()
+def replacing(kind: type[SpecCluster]) -> type[SpecCluster]:
+    """A kind of cluster that submits another job once the last worker of one has left.
+
+    Dask's own looks for a job by the name of the worker. Where jobs have several, each has a name of its own, as
+    SLURMCluster-1-0 of SLURMCluster-1, and no job would ever be missed.
+    """
+
+    class Replacing(kind):  # type: ignore[valid-type, misc]
+        def _update_worker_status(self, op: str, message: Any) -> None:
+            if op != "remove":
+                super()._update_worker_status(op, message)
+                return
+            left = self.scheduler_info["workers"].pop(message, None)
+            if left is not None:  # else it left before it was seen to come
+                delay = parse_timedelta(dask.config.get("distributed.deploy.lost-worker-timeout"))
+                asyncio.get_running_loop().call_later(delay, self._forget, self._job_of(left))
+
+        def _forget(self, job: str) -> None:
+            """Give up a job without workers: one is then missing, and is submitted."""
+            if job in self.workers and job not in map(self._job_of, self.scheduler_info["workers"].values()):
+                self._futures.add(asyncio.ensure_future(self.workers.pop(job).close()))
+
+        def _job_of(self, worker: dict[str, Any]) -> str:
+            name = str(worker["name"])
+            return name if name in self.workers else name.rpartition("-")[0]
+
+    return Replacing
+
+
+def _close(cluster: SpecCluster) -> None:
+    try:
+        with unbroken():
+            cluster.close()
+    except Exception as error:  # noqa: BLE001  dask's; what was run stands
+        print(f"slurm.py: closing the cluster failed ({error!r}); see with squeue that no job is left",
+              file=sys.stderr)  # fmt: skip
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -114,6 +154,9 @@ def main(argv: list[str] | None = None) -> int:
             client.wait_for_workers(1)
             with Watch(arguments.out) as watch:
                 status = run_ensemble(scene, arguments.out, scheduler=client, on_progress=watch)
+                if arguments.report:
+                    with Asking(scheduler=client) as asking:
+                        write_report(arguments.out, asking, watch)
     except Interrupted as interrupt:
         print("interrupted; finished work is kept: rerun the same command to resume", file=sys.stderr)
         return interrupt.exit_code
@@ -121,6 +164,8 @@ def main(argv: list[str] | None = None) -> int:
         sys.exit(f"slurm.py: {error}")
     n_failed = sum(status.failures.values())
     print(f"data    {arguments.out}: {status.n_done} of {status.n_members} members, {n_failed} failed")
+    if not arguments.report:
+        print(f"report  not written; write it with: {command('report', arguments.out)}")
     return 1 if status.failures else 0
 
 
