@@ -174,8 +174,8 @@ def draw(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:
 
 
 def by_waves() -> AbstractContextManager[object]:
-    """While it lasts, waveform relaxation takes systems of any size; by default only large ones."""
-    return patch.object(coulomb, "SIZE_OF_WAVES", 1)
+    """While it lasts, waveform relaxation takes systems of any size at any tolerance; by default only large ones."""
+    return patch.multiple(coulomb, SIZE_OF_WAVES=1, MORE_BLOCKS=1, TOL_OF_JUMPS=0.0)
 
 
 def draw_for_waves(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:

@@ -10,8 +10,7 @@ goes on to the other side. z is the integral of u + v; to the macro step, whose 
 block gives the L2 projection of its z.
 
 An exit is late by the error of F over F', and with static friction above the kinetic w is then off by m - mu times
-that, however short the step is: its `lag` is (m - mu) / |F'|, but at most the time of the block's own motion, as the
-motion carries a displacement on in the same way.
+that, however short the step is: its `lag` is (m - mu) / |F'|.
 
 Blocks to which nothing happens are most: `slide` takes them side by side. Coefficients here are of powers of x, the
 place in the macro step, over its length.
@@ -232,7 +231,7 @@ def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
     else:
         return -1 - i
     work.end_u[i], work.end_z[i], work.end_mode[i] = u, z, mode
-    block.lag[i] = min(lag, 1.0 / np.sqrt(block.row_sum[i])) if lag > 0.0 else 0.0
+    block.lag[i] = lag
     for k in range(STAGES):
         value = z0
         for p in range(STAGES):
