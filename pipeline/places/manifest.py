@@ -218,10 +218,11 @@ def _manifest(place: Place) -> Manifest:
     try:
         content = place.read(MANIFEST)
     except (FileNotFoundError, NotADirectoryError):
-        found = f"no {MANIFEST}"
+        found, remedy = f"no {MANIFEST}", f"name the directory of a run, or {_HEALED_BY_RUNNING}"
         if isinstance(place, Directory) and not place.path.is_dir():
             found = "a file" if place.path.exists() else "no such directory"
-        raise StoreError(f"{place}: expected a dataset, found {found}; name the directory of a run") from None
+            remedy = "name the directory of a run"
+        raise StoreError(f"{place}: expected a dataset, found {found}; {remedy}") from None
     except OSError as error:
         raise StoreError(f"{file}: cannot be read ({error.strerror}); {place.remedy}") from error
     rest = content[len(_checked(b"")) :]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
 from stickslip.pipeline.machine.signals import Interrupted
 from stickslip.workflows.commands.command import DONE, UNFINISHED, Command
@@ -43,5 +44,9 @@ class Verify(Command):
         from stickslip.pipeline import verify
 
         problems = verify(arguments.directory)
-        print("\n".join(problems) if problems else f"{arguments.directory}: every shard is as the manifest says")
-        return UNFINISHED if problems else DONE
+        if not problems:
+            print(f"{arguments.directory}: every shard is as the manifest says")
+            return DONE
+        print("\n".join(problems))
+        print("rerun the scene: it computes what is missing or damaged, and only that", file=sys.stderr)
+        return UNFINISHED
