@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
+import json
+import logging
 import os
+import pickle
+import resource
+import subprocess
 import sys
 import tempfile
 import time
 import tracemalloc
 from itertools import islice
+from multiprocessing import get_context
 from pathlib import Path
 
+import dask
+import psutil
 from distributed import Client, LocalCluster, as_completed
 
-from stickslip.pipeline import parse_scene
+from stickslip.pipeline import Progress, parse_scene, run_ensemble
+from stickslip.pipeline.dataset.program import program
+from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.ensemble import pack
 from stickslip.pipeline.places.locate import place_of
+from stickslip.pipeline.running import worker
+from stickslip.pipeline.running.cluster import QuietWorker
 
 #: A shard of small runs.
 SHARD = os.urandom(50_000)
@@ -72,6 +86,78 @@ def tasks(n_tasks: int) -> None:
         print(f"{1e3 * (time.process_time() - started) / n_tasks:.1f} ms a task")
 
 
+def _farm(address: str, n_workers: int, seconds: float, size: int) -> None:
+    """Workers in one process that wait instead of computing, and send as many random bytes."""
+    files = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (files, files))
+    shard = os.urandom(size)
+
+    def wait(task: bytes) -> Result:
+        batch, *_ = pickle.loads(task)
+        ids = tuple(batch.members.ids())
+        time.sleep(seconds)
+        return Result(batch.name, shard, ids, {"finished": len(ids)}, program(), seconds, "farm", os.getpid())
+
+    worker.compute_packed = wait  # the driver names it, and sends no code
+
+    async def live() -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            workers = [
+                QuietWorker(address, nthreads=1, memory_limit=0, local_directory=folder, name=k)
+                for k in range(n_workers)
+            ]
+            for k in range(0, n_workers, 50):
+                await asyncio.gather(*workers[k : k + 50])
+            await asyncio.gather(*(one.finished() for one in workers))
+
+    often = ("worker.profile.enabled", "admin.tick.interval", "admin.system-monitor.interval")  # each worker would
+    dask.config.set({f"distributed.{name}": value for name, value in zip(often, (False, "1h", "1h"), strict=True)})
+    logging.disable()
+    asyncio.run(live())
+
+
+def waiting(n_workers: int, seconds: float, size: int, out: str) -> None:
+    """Shards a second of a driver, and processor time of each process, with workers that only wait."""
+    source = (Path(__file__).parent / "scale.toml").read_text()
+    for old, new in (("matrices = 5000", "matrices = 5000000"), ("t_end = 20.0", "t_end = 12000.0")):
+        source = source.replace(old, new)
+    scene = parse_scene(source.encode())
+    with tempfile.TemporaryDirectory() as folder, contextlib.ExitStack() as held:
+        file = Path(folder) / "scheduler.json"
+        command = ["dask", "scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--no-show"]
+        scheduler = subprocess.Popen([*command, "--scheduler-file", file], stderr=subprocess.DEVNULL)
+        held.callback(scheduler.kill)
+        while not file.exists():
+            time.sleep(0.1)
+        address = json.loads(file.read_text())["address"]
+        farm = get_context("spawn").Process(target=_farm, args=(address, n_workers, seconds, size))
+        farm.start()
+        held.callback(farm.kill)
+        with Client(address, set_as_default=False) as client:
+            client.wait_for_workers(n_workers)
+        of = {
+            "driver": psutil.Process(),
+            "scheduler": psutil.Process(scheduler.pid),
+            "workers": psutil.Process(farm.pid),
+        }
+        marks: list[tuple[float, int, dict[str, float]]] = []
+
+        def look(progress: Progress) -> None:
+            if not marks or time.monotonic() - marks[-1][0] > 10:
+                used = {name: sum(one.cpu_times()[:2]) for name, one in of.items()}
+                marks.append((time.monotonic(), progress.n_shards_done, used))
+                if len(marks) > 2:
+                    (since, before, then), (now, done, used) = marks[-2:]
+                    shards = done - before
+                    print(f"{shards / (now - since):.0f} shards a second; each: ", end="")
+                    print(
+                        ", ".join(f"{name} {1e3 * (used[name] - then[name]) / shards:.1f} ms" for name in of), end=""
+                    )
+                    print("; driver", of["driver"].memory_info().rss // 10**6, "MB", flush=True)
+
+        run_ensemble(scene, out, scheduler=address, on_progress=look)
+
+
 if __name__ == "__main__":
     match sys.argv[1:]:
         case ["plan"]:
@@ -81,5 +167,7 @@ if __name__ == "__main__":
             commit(300)
         case ["tasks"]:
             tasks(1500)
+        case ["waiting", n_workers, seconds, size, out]:
+            waiting(int(n_workers), float(seconds), int(size), out)
         case _:
             sys.exit(__doc__)

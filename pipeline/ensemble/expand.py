@@ -42,18 +42,13 @@ def expand(scene: Scene) -> Members:
 
 
 class Members(Sequence[Member]):
-    """Members of an ensemble, each made when it is asked for, or all before they are sent to another process.
+    """Members of an ensemble, each made when it is asked for, in whatever process.
 
     Slices and `at` select members of the same ensemble. Ids and costs are found without making a member.
     """
 
-    def __init__(self, ensemble: _Ensemble | _Made, places: Sequence[int]) -> None:
+    def __init__(self, ensemble: _Numbered, places: Sequence[int]) -> None:
         self._ensemble, self._places = ensemble, places
-
-    @staticmethod
-    def of(*members: Member) -> Members:
-        """Members that exist already."""
-        return Members(_Made(members), range(len(members)))
 
     def __len__(self) -> int:
         return len(self._places)
@@ -72,8 +67,8 @@ class Members(Sequence[Member]):
 
     __hash__ = None  # type: ignore[assignment]
 
-    def __reduce__(self) -> tuple[Callable[..., Members], tuple[Member, ...]]:
-        return Members.of, tuple(self)
+    def __reduce__(self) -> tuple[Callable[..., Members], tuple[_Numbered, Sequence[int]]]:
+        return Members, (self._ensemble.part(self._places), self._places)
 
     def at(self, which: Sequence[int]) -> Members:
         """The members at some places of this sequence."""
@@ -99,25 +94,6 @@ class Members(Sequence[Member]):
         return [Members(self._ensemble, places) for places in self._ensemble.by_variant(self._places)]
 
 
-class _Made:
-    """Members that exist already, by number, with the methods of `_Ensemble`."""
-
-    def __init__(self, members: tuple[Member, ...]) -> None:
-        self._members = members
-
-    def member(self, k: int) -> Member:
-        return self._members[k]
-
-    def ids(self, places: Sequence[int]) -> Iterator[str]:
-        return (self._members[k].member_id for k in places)
-
-    def costs(self, places: Sequence[int]) -> Iterator[float]:
-        return (self._members[k].cost for k in places)
-
-    def by_variant(self, places: Sequence[int]) -> Iterator[Sequence[int]]:
-        return ([k] for k in places)
-
-
 @dataclass(frozen=True)
 class _Variant:
     """What is run of a matrix at a point of the grid: a change, an engine, a draw of its ratios."""
@@ -128,85 +104,152 @@ class _Variant:
     words: tuple[str, ...]
 
 
-class _Ensemble:
-    """The members of a scene by number: source, matrix, point of the grid, draw of the start, variant."""
+class _Numbered:
+    """Members by number: source, matrix, place (a point of the grid with a draw of the start), variant."""
 
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
-        self.sources = scene.sources
-        self.points = [_Point(swept, at) for swept, at in scene.points()]
-        self.draws = [scene.start_draws(point.at) for point in self.points]
-        self.ends = list(accumulate(map(len, self.draws)))
-        self.variants = list(_variants(scene))
-        self.kind = lru_cache(_KINDS)(self._kind)
-        self.of_run = lru_cache(_KINDS)(self._of_run)
+    def __init__(self, sources: Sequence[tuple[int, SystemFile | SystemFunction | None]], *sizes: int) -> None:
+        self.sources = sources
+        self.n_matrices, self.n_places, self.n_variants = sizes
+        self.a_matrix = self.n_places * self.n_variants
+        self.a_source = self.n_matrices * self.a_matrix
 
-    def __len__(self) -> int:
-        return len(self.sources) * self.scene.run.matrices * self.ends[-1] * len(self.variants)
+    def kind(self, source: int, point: int, variant: int) -> Member:
+        """A member without its id, its matrix and the draw of its start."""
+        raise NotImplementedError
+
+    def at(self, place: int) -> tuple[int, int | None]:
+        """The point of a place, and the draw of the start."""
+        raise NotImplementedError
+
+    def of_run(self, place: int, variant: int) -> str:
+        """The last part of a member's name."""
+        raise NotImplementedError
 
     def _split(self, k: int) -> tuple[int, int, int, int]:
-        """The numbers of a member's source, matrix, place (a point with a draw of the start) and variant."""
-        rest, variant = divmod(k, len(self.variants))
-        rest, place = divmod(rest, self.ends[-1])
-        return *divmod(rest, self.scene.run.matrices), place, variant
+        """The numbers of a member's source, matrix, place and variant."""
+        source, rest = divmod(k, self.a_source)
+        matrix, rest = divmod(rest, self.a_matrix)
+        return source, matrix, *divmod(rest, self.n_variants)
 
     def member(self, k: int) -> Member:
         source, matrix, place, variant = self._split(k)
-        kind, origin = self.kind(source, place, variant), self.sources[source][1]
-        number = matrix if origin is None else origin.matrix(matrix)
+        point, draw = self.at(place)
+        kind, origin = self.kind(source, point, variant), self.sources[source][1]
         name = self._of_system(source, matrix) + self.of_run(place, variant)
-        return replace(kind, member_id=name, source=kind.source._replace(matrix=number))
+        of = kind.source._replace(matrix=matrix if origin is None else origin.matrix(matrix))
+        return replace(kind, member_id=name, source=of, begin=kind.begin._replace(draw=draw))
 
-    def ids(self, places: Sequence[int]) -> Iterator[str]:
+    def part(self, numbers: Sequence[int]) -> _Part:
+        """What makes some members: each kind once, however many matrices and starts there are of it."""
+        kinds: dict[tuple[int, int, int], Member] = {}
+        at: dict[int, tuple[int, int | None]] = {}
+        words: dict[tuple[int, int], str] = {}
+        for k in numbers:
+            source, _, place, variant = self._split(k)
+            if (place, variant) not in words:
+                at[place], words[place, variant] = self.at(place), self.of_run(place, variant)
+            for which in ((source, point, variant) for point in (0, at[place][0])):  # the first has the cost
+                if which not in kinds:
+                    kinds[which] = self.kind(*which)
+        return _Part(kinds, at, words, self.sources, self.n_matrices, self.n_places, self.n_variants)
+
+    def ids(self, numbers: Sequence[int]) -> Iterator[str]:
         """The `member_id` of each; the runs of a matrix are handled together."""
-        n_variants, a_matrix = len(self.variants), self.ends[-1] * len(self.variants)
-        for of_matrix, some in groupby(places, lambda k: k // a_matrix):
-            system = self._of_system(*divmod(of_matrix, self.scene.run.matrices))
+        n_variants, a_matrix = self.n_variants, self.a_matrix
+        for of_matrix, some in groupby(numbers, lambda k: k // a_matrix):
+            system = self._of_system(*divmod(of_matrix, self.n_matrices))
             for k in some:
                 yield system + self.of_run(*divmod(k - of_matrix * a_matrix, n_variants))
 
-    def costs(self, places: Sequence[int]) -> Iterator[float]:
-        """The `cost` of each."""
-        n_variants = len(self.variants)
-        for source, some in groupby(places, lambda k: k // (n_variants * self.ends[-1] * self.scene.run.matrices)):
-            of_variant = [self.kind(source, 0, variant).cost for variant in range(n_variants)]
-            yield from (of_variant[k % n_variants] for k in some)
+    def costs(self, numbers: Sequence[int]) -> Iterator[float]:
+        """The `cost` of each: that of its source and its variant at the first point."""
+        for source, some in groupby(numbers, lambda k: k // self.a_source):
+            of_variant: dict[int, float] = {}
+            for variant in (k % self.n_variants for k in some):
+                if variant not in of_variant:
+                    of_variant[variant] = self.kind(source, 0, variant).cost
+                yield of_variant[variant]
+
+    def by_variant(self, numbers: Sequence[int]) -> Iterator[Sequence[int]]:
+        """The numbers of those with one source and one variant together, without going through all of a range."""
+        n_variants, a_source = self.n_variants, self.a_source
+        if not isinstance(numbers, range) or numbers.step != 1:
+            found: dict[tuple[int, int], list[int]] = {}
+            for k in numbers:
+                found.setdefault((k // a_source, k % n_variants), []).append(k)
+            yield from found.values()
+            return
+        for source in range(numbers.start // a_source, -(-numbers.stop // a_source)):
+            begin, end = max(numbers.start, source * a_source), min(numbers.stop, (source + 1) * a_source)
+            for k in range(begin, min(end, begin + n_variants)):
+                yield range(k, end, n_variants)
 
     def _of_system(self, source: int, matrix: int) -> str:
         """The first part of a member's name."""
         n, origin = self.sources[source]
         return f"n{n}-{'' if origin is None else origin.word + '-'}m{matrix:03d}"
 
+
+class _Part(_Numbered):
+    """Some members of an ensemble, for another process: the scene stays where it is."""
+
+    def __init__(
+        self,
+        kinds: Mapping[tuple[int, int, int], Member],
+        at: Mapping[int, tuple[int, int | None]],
+        words: Mapping[tuple[int, int], str],
+        *of_ensemble: Any,
+    ) -> None:
+        super().__init__(*of_ensemble)
+        self._kinds, self._at, self._words = kinds, at, words
+
+    def kind(self, source: int, point: int, variant: int) -> Member:
+        return self._kinds[source, point, variant]
+
+    def at(self, place: int) -> tuple[int, int | None]:
+        return self._at[place]
+
+    def of_run(self, place: int, variant: int) -> str:
+        return self._words[place, variant]
+
+
+class _Ensemble(_Numbered):
+    """The members of a scene."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.points = [_Point(swept, at) for swept, at in scene.points()]
+        self.draws = [scene.start_draws(point.at) for point in self.points]
+        self.ends = list(accumulate(map(len, self.draws)))
+        self.variants = list(_variants(scene))
+        super().__init__(scene.sources, scene.run.matrices, self.ends[-1], len(self.variants))
+        self._kinds = lru_cache(_KINDS)(self._kind)
+        self._of_runs = lru_cache(_KINDS)(self._of_run)
+
+    def __len__(self) -> int:
+        return len(self.sources) * self.a_source
+
+    def kind(self, source: int, point: int, variant: int) -> Member:
+        return self._kinds(source, point, variant)
+
+    def at(self, place: int) -> tuple[int, int | None]:
+        k = bisect_right(self.ends, place)
+        return k, self.draws[k][place - self.ends[k] + len(self.draws[k])]
+
+    def of_run(self, place: int, variant: int) -> str:
+        return self._of_runs(place, variant)
+
     def _of_run(self, place: int, variant: int) -> str:
-        """The rest of it."""
-        point, draw = self._place(place)
+        number, draw = self.at(place)
+        point = self.points[number]
         drawn = () if draw is None else (f"s{draw}",)
         ends = self.scene.ends
         started = () if ends is None or not point.is_at_end else (ends.word,)
         return "".join(f"-{word}" for word in (*point.words, *drawn, *started, *self.variants[variant].words))
 
-    def by_variant(self, places: Sequence[int]) -> Iterator[Sequence[int]]:
-        """The places of those with one source and one variant together, without going through all of a range."""
-        n_variants, a_source = len(self.variants), self.ends[-1] * len(self.variants) * self.scene.run.matrices
-        if not isinstance(places, range) or places.step != 1:
-            found: dict[tuple[int, int], list[int]] = {}
-            for k in places:
-                found.setdefault((k // a_source, k % n_variants), []).append(k)
-            yield from found.values()
-            return
-        for source in range(places.start // a_source, -(-places.stop // a_source)):
-            begin, end = max(places.start, source * a_source), min(places.stop, (source + 1) * a_source)
-            for k in range(begin, min(end, begin + n_variants)):
-                yield range(k, end, n_variants)
-
-    def _place(self, place: int) -> tuple[_Point, int | None]:
-        k = bisect_right(self.ends, place)
-        return self.points[k], self.draws[k][place - self.ends[k] + len(self.draws[k])]
-
-    def _kind(self, source: int, place: int, variant: int) -> Member:
-        """A member without its id and its matrix."""
+    def _kind(self, source: int, number: int, variant: int) -> Member:
         scene, (n, origin), chosen = self.scene, self.sources[source], self.variants[variant]
-        point, draw = self._place(place)
+        point = self.points[number]
         given = point.at | _of_file(origin)
         z0, w0, seed = given.pop("z"), given.pop("w"), given.pop("seed")
         if w0 == BELT and isinstance(given["belt_speed"], float):
@@ -219,7 +262,7 @@ class _Ensemble:
         if isinstance(scene.system.force, ForceTable):
             given["force_blocks"] = scene.system.force.on_blocks
         terms = tuple((name, given[name]) for name in _TERMS if given.get(name) is not None)
-        begin = Start(z0, w0, draw, scene.ends if point.is_at_end else None)
+        begin = Start(z0, w0, None, scene.ends if point.is_at_end else None)
         of = Source(n, scene.system.coupling, 0, seed, origin, parameters)
         kind = Member("", of, terms, chosen.change, begin, chosen.method, scene.run.t_end)
         return replace(kind, shared_cost=sum(record.cost(kind, chosen.sharing) for record in scene.records))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import logging
+import math
 import pickle
 import time
 from collections.abc import Callable, Generator, Iterable
@@ -28,6 +29,9 @@ LOST_TIMEOUT = 60.0
 #: Seconds between two looks at what has come in; meanwhile the workers have their next tasks.
 _LOOK = 0.02
 
+#: Seconds between two looks at how many workers there are: the scheduler names each of them.
+_LOOK_AT_WORKERS = 1.0
+
 #: How often tasks whose workers died are tried again.
 ATTEMPTS = 3
 
@@ -39,8 +43,17 @@ R = TypeVar("R")
 
 
 def in_flight(client: Client) -> Callable[[], int]:
-    """How many tasks are to be in flight, for as many workers as there are each time that it is asked."""
-    return lambda: WINDOW * max(1, sum(client.nthreads().values()))
+    """How many tasks are to be in flight, for as many workers as there are at the last look."""
+    looked, count = -math.inf, 0
+
+    def window() -> int:
+        nonlocal looked, count
+        if time.monotonic() - looked > _LOOK_AT_WORKERS:
+            count = WINDOW * max(1, sum(client.nthreads().values()))
+            looked = time.monotonic()
+        return count
+
+    return window
 
 
 def lost_scheduler(again: str) -> ScheduleError:

@@ -13,10 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stickslip.pipeline import expand, parse_scene
+from stickslip.pipeline import expand, load_scene, parse_scene
 from stickslip.pipeline.ensemble.pack import Batch, tasks
+from tests.scenes import COULOMB, ensemble
 
 ROOT = Path(__file__).parents[2]
+SCENES = ["basin", "burridge_knopoff_slow", "cascades", "counting", "robustness", "survival", "thousands"]
 
 
 def by_id(scene):
@@ -280,6 +282,23 @@ def test_members_are_the_same_however_they_are_reached(scene):
     assert len(members.firsts()) == len(sent.firsts() + members[20:].firsts()) / 2 == len(kinds)
     with pytest.raises(IndexError):
         members[len(made)]
+
+
+@pytest.mark.parametrize("shipped", SCENES)
+def test_any_members_of_a_shipped_scene_are_the_same_in_another_process(shipped, rng):
+    members = expand(load_scene(ROOT / "workflows" / "scenes" / f"{shipped}.toml"))
+    for k in (0, len(members) - 1, *rng.integers(0, len(members), 3).tolist()):
+        for some in (members[k : k + 50], members.at(rng.integers(0, len(members), 10).tolist())):
+            sent = pickle.loads(pickle.dumps(some))
+            assert list(sent) == list(some)
+            assert (list(sent.ids()), list(sent.costs())) == (list(some.ids()), list(some.costs()))
+
+
+@pytest.mark.parametrize(("matrices", "draws", "most"), [(10_000, 1, 3_000), (1, 10_000, 600_000)])
+def test_what_is_sent_of_many_members_is_what_they_differ_in(matrices, draws, most):
+    """Of matrices nothing, of starts their numbers and words; whole members would take 79 bytes or more each."""
+    source = ensemble(5, 20.0, matrices, COULOMB).replace("z = -0.7", f"z = {{uniform = [0, 1]}}\ndraws = {draws}")
+    assert len(pickle.dumps(expand(parse_scene(source.encode())))) < most
 
 
 def test_members_that_are_run_the_same_way_are_found_together(scene, rng):

@@ -192,6 +192,18 @@ def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
     assert max(most) == 3
 
 
+def test_workers_are_counted_once_a_second(monkeypatch):
+    """A look names each of a thousand workers: one for each result would take longer than the result."""
+    clock, looks = [0.0], []
+    client = SimpleNamespace(nthreads=lambda: looks.append(clock[0]) or dict.fromkeys(range(len(looks)), 1))
+    monkeypatch.setattr(submit.time, "monotonic", lambda: clock[0])
+    window = submit.in_flight(client)
+    found = []
+    for clock[0] in (5.0, 5.5, 5.9, 6.1, 7.0, 7.2):
+        found.append(window() // submit.WINDOW)
+    assert (looks, found) == ([5.0, 6.1, 7.2], [1, 1, 1, 2, 2, 3])
+
+
 def test_cold_engines_are_those_whose_kernels_are_missing(finished, tmp_path, monkeypatch):
     assert not any(map(worker.is_cold, ("coulomb", "sigmoid")))  # those of `finished`
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))

@@ -26,7 +26,7 @@ def bytes_of(members, found, recording):
 
 def members_of(source):
     scene = parse_scene(source.encode())
-    return expand.Members.of(*expand.expand(scene)), scene.recording
+    return list(expand.expand(scene)), scene.recording
 
 
 @pytest.mark.parametrize("perturbation", ["", "[perturbation]\nsizes = [0.05]\nreadings = ['scale', 'relative']\n"])
