@@ -17,16 +17,19 @@ import tracemalloc
 from itertools import islice
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import dask
 import psutil
 from distributed import Client, LocalCluster, as_completed
+from fsspec.implementations.memory import MemoryFileSystem
 
 from stickslip.pipeline import Progress, parse_scene, run_ensemble
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.ensemble import pack
 from stickslip.pipeline.places.locate import place_of
+from stickslip.pipeline.places.object_store import Prefix
 from stickslip.pipeline.running import worker
 from stickslip.pipeline.running.cluster import QuietWorker
 
@@ -52,17 +55,27 @@ def plan(n_members: int) -> None:
     print(f"{cost / len(packed):.2f} s each by estimate")
 
 
+class _Slow(MemoryFileSystem):
+    """An object store that answers after 30 ms."""
+
+    def pipe_file(self, *arguments: Any, **keywords: Any) -> None:
+        time.sleep(0.03)
+        super().pipe_file(*arguments, **keywords)
+
+
 def commit(n_shards: int) -> None:
-    """Time from one commit to the next: a shard that is on the disk, and its line of the record."""
+    """Time of a commit, of a shard and its line of the record: on the disk and to a store, one by one and together."""
     with tempfile.TemporaryDirectory(dir=".") as folder:
-        place = place_of(folder)
         (Path(folder) / "data").mkdir()
-        with place.record("timings.jsonl") as append:
-            started = time.perf_counter()
-            for k in range(n_shards):
-                place.replace(f"data/{k}", SHARD)
-                append(LINE)
-            print(f"{1e3 * (time.perf_counter() - started) / n_shards:.1f} ms a commit")
+        for name, place in (("disk", place_of(folder)), ("store", Prefix("memory://out", _Slow(), "/out"))):
+            for together in (1, 16):
+                with place.record("timings.jsonl") as append:
+                    started = time.perf_counter()
+                    for k in range(0, n_shards, together):
+                        place.replace_each({f"data/{k + one}": SHARD for one in range(together)})
+                        append(LINE * together)
+                    took = time.perf_counter() - started
+                print(f"{name}, {together} together: {1e3 * took / n_shards:.1f} ms a commit")
 
 
 def _result(k: int) -> bytes:
@@ -164,7 +177,7 @@ if __name__ == "__main__":
             plan(10_000)
             plan(100_000)
         case ["commit"]:
-            commit(300)
+            commit(160)
         case ["tasks"]:
             tasks(1500)
         case ["waiting", n_workers, seconds, size, out]:

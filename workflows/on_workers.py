@@ -68,15 +68,16 @@ class OnWorkers:
         results = submit(self._client, todo, _answer, in_flight(self._client), self._scheduler, _AGAIN)
         while True:
             try:
-                number, by, given = next(results)
+                some = next(results)
             except StopIteration as end:
                 return list(end.value)
-            if by != program():
-                raise ScheduleError(
-                    f"expected workers with this version of the program ({program()}), got {by}; install the same "
-                    f"there, then {_AGAIN}"
-                )
-            found[number] = given
+            for number, by, given in some:
+                if by != program():
+                    raise ScheduleError(
+                        f"expected workers with this version of the program ({program()}), got {by}; install the "
+                        f"same there, then {_AGAIN}"
+                    )
+                found[number] = given
 
 
 def _answer(task: bytes) -> tuple[int, str, Any]:

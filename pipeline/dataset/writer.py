@@ -331,42 +331,48 @@ class Store:
         """Add a line to the lock, for processes that ask who is writing."""
         self._hold.note(line)
 
-    def commit(self, result: Result) -> Shard:
-        """Make a shard part of the dataset: its bytes, its name, its line of the record, each in one step.
+    def commit(self, *results: Result) -> None:
+        """Make shards part of the dataset: their bytes, each in one step, then their lines of the record in another.
 
         Raises
         ------
         StoreError
-            If it cannot be written, or the right to write was lost; the dataset is then as it was before.
+            If one cannot be written, or the right to write was lost; the dataset is then as it was before.
         """
-        shard = Shard(
-            sha256=hashlib.sha256(result.shard).hexdigest(),
-            rows=len(result.member_ids),
-            bytes=len(result.shard),
-            first=result.member_ids[0],
-            last=result.member_ids[-1],
-            outcomes=result.outcomes,
-        )
-        commit = Commit(
-            shard=result.name,
-            entry=shard,
-            program=result.program,
-            seconds=result.seconds,
-            host=result.host,
-            pid=result.pid,
+        shards = {result.name: _shard(result) for result in results}
+        lines = b"".join(
+            Commit(
+                shard=result.name,
+                entry=shards[result.name],
+                program=result.program,
+                seconds=result.seconds,
+                host=result.host,
+                pid=result.pid,
+            ).line
+            for result in results
         )
         assert self._record is not None  # there is something to do
         with unbroken(), _explained(self.place):
             self._hold.check()
             try:
-                self.place.replace(f"{DATA}/{result.name}", result.shard)
-                self._record(commit.line)
-                self._shards[result.name] = shard
+                self.place.replace_each({f"{DATA}/{result.name}": result.shard for result in results})
+                self._record(lines)
+                self._shards.update(shards)
             except BaseException:
-                if result.name not in self._shards:
-                    self._remove(f"{DATA}/{result.name}")
+                for name in shards.keys() - self._shards.keys():
+                    self._remove(f"{DATA}/{name}")
                 raise
-        return shard
+
+
+def _shard(result: Result) -> Shard:
+    return Shard(
+        sha256=hashlib.sha256(result.shard).hexdigest(),
+        rows=len(result.member_ids),
+        bytes=len(result.shard),
+        first=result.member_ids[0],
+        last=result.member_ids[-1],
+        outcomes=result.outcomes,
+    )
 
 
 def begun(place: Place, manifest: Manifest) -> StoreError:

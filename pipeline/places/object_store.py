@@ -18,7 +18,7 @@ import errno
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -33,7 +33,7 @@ LEASE = 60.0
 #: Seconds after which the process that took over a void lock checks that it still owns it: another may have too.
 SETTLE = 2.0
 
-#: Objects that are read at once.
+#: Objects that are read, or put, at once.
 _AT_ONCE = 16
 
 #: Bytes, some twenty lines, after which another part begins.
@@ -89,6 +89,10 @@ class Prefix(Place):
 
     def replace(self, name: str, content: bytes) -> None:
         self._patiently(name, lambda: self.system.pipe_file(self.key(name), content))
+
+    def replace_each(self, contents: Mapping[str, bytes]) -> None:
+        with ThreadPoolExecutor(_AT_ONCE) as pool:
+            list(pool.map(self.replace, contents, contents.values()))
 
     def remove(self, name: str) -> None:
         with contextlib.suppress(FileNotFoundError):

@@ -7,7 +7,7 @@ import os
 import socket
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -113,6 +113,11 @@ class Place(ABC):
     def replace(self, name: str, content: bytes) -> None:
         """Replace the content of a file in one step: a crash leaves the old or the new."""
 
+    def replace_each(self, contents: Mapping[str, bytes]) -> None:
+        """As `replace`, for each file; if one is refused, others may be there or not."""
+        for name, content in contents.items():
+            self.replace(name, content)
+
     @abstractmethod
     def remove(self, name: str) -> None:
         """Remove a file, if it is there."""
@@ -133,7 +138,7 @@ class Place(ABC):
 
     @abstractmethod
     def record(self, name: str) -> contextlib.AbstractContextManager[Callable[[bytes], None]]:
-        """A function that appends a line to a file, durably and whole; a line that a crash cut short is removed."""
+        """A function that appends lines to a file, durably; a line that a crash cut short is removed."""
 
     def read_record(self, name: str) -> bytes:
         """The content of a file of lines, all its parts together; empty if there is none."""

@@ -233,14 +233,17 @@ def fill(
     store.note(Began(time.time(), before.n_done, before.cost_done).line)
     # closed at once if a commit fails or the user interrupts, and the workers with it
     with contextlib.closing(_results(store.todo, order, cold, at, connected)) as results:
-        for result in results:
-            if result.program != program():
-                raise ScheduleError(
-                    f"expected workers with this version of the program ({program()}), got {result.program} on "
-                    f"{result.host}; install the same there, then rerun the scene"
-                )
-            tally = tally.plus(store.commit(result), todo[result.name])
-            report(result.name)
+        for some in results:
+            for result in some:
+                if result.program != program():
+                    raise ScheduleError(
+                        f"expected workers with this version of the program ({program()}), got {result.program} on "
+                        f"{result.host}; install the same there, then rerun the scene"
+                    )
+            store.commit(*some)
+            for name in (result.name for result in some):
+                tally = tally.plus(store.done[name], todo[name])
+                report(name)
 
 
 def run_member(scene: Scene, member_id: str) -> dict[str, object]:
@@ -270,17 +273,17 @@ def _results(
     cold: Mapping[str, Member],
     at: Workers,
     connected: Callable[[Client], None],
-) -> Generator[Result]:
-    """The batches' results in the order they come in; `connected` is told the client, once there is one.
+) -> Generator[Sequence[Result]]:
+    """The batches' results in the order they come in, those that are there together.
 
-    `cold` has a member of each engine that is to be compiled.
+    `connected` is told the client, once there is one. `cold` has a member of each engine that is to be compiled.
     """
     if not todo:
         return
     workers, scheduler, dashboard = at
     if workers == 0 and scheduler is None:
         for task in todo:
-            yield compute(*order(task))
+            yield [compute(*order(task))]
         return
     n_workers = max(1, min(workers, max(len(todo), len(cold))))  # at an address it may be asked for none here
     with connect(n_workers, scheduler, dashboard) as client:

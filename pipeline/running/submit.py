@@ -32,6 +32,9 @@ _LOOK = 0.02
 #: Seconds between two looks at how many workers there are: the scheduler names each of them.
 _LOOK_AT_WORKERS = 1.0
 
+#: Results that are yielded together, at most.
+_TOGETHER = 16
+
 #: How often tasks whose workers died are tried again.
 ATTEMPTS = 3
 
@@ -68,8 +71,10 @@ def submit(
     window: Callable[[], int],
     scheduler: str | Client | None,
     again: str,
-) -> Generator[R, None, list[T]]:
-    """Yield results as they come in, with `window()` tasks in flight; return the tasks whose workers died.
+) -> Generator[list[R], None, list[T]]:
+    """Yield results as they come in, those that are there together, with `window()` tasks in flight.
+
+    Returns the tasks whose workers died.
 
     Parameters
     ----------
@@ -106,20 +111,24 @@ def submit(
             return lost
         patience = _Patience(client, scheduler, again)
         _until(running.has_ready, patience)
-        future = next(running)
-        task = task_of.pop(future)
+        results: list[R] = []
         try:
-            result = _fetch(future, patience)
-        except KilledWorker:
-            lost.append(task)
-        except (ImportError, AttributeError) as error:
-            raise ScheduleError(
-                f"expected workers with this version of the program ({program()}), got one that cannot run it "
-                f"({error}); install the same there, then {again}"
-            ) from error
-        else:
-            yield result
-        future.release()  # a held result is computed again when its worker dies
+            while running.has_ready() and len(results) < _TOGETHER:
+                future = next(running)
+                task = task_of.pop(future)
+                try:
+                    results.append(_fetch(future, patience))
+                except KilledWorker:
+                    lost.append(task)
+                except (ImportError, AttributeError) as error:
+                    raise ScheduleError(
+                        f"expected workers with this version of the program ({program()}), got one that cannot run "
+                        f"it ({error}); install the same there, then {again}"
+                    ) from error
+                future.release()  # a held result is computed again when its worker dies
+        finally:  # what has come in is kept even if the next is lost
+            if results:
+                yield results
 
 
 class _Patience:

@@ -10,6 +10,7 @@ import sys
 from types import SimpleNamespace
 
 import pytest
+from distributed.comm import CommClosedError
 
 from stickslip.pipeline import Progress, ScheduleError, expand, run_ensemble, status, verify
 from stickslip.pipeline.dataset.writer import Store
@@ -154,6 +155,21 @@ def test_a_run_at_an_address_says_that_it_waits_for_workers(monkeypatch):
     assert all(words.startswith("waiting for workers: ") for words in said)
 
 
+class Running(list):
+    """In place of `as_completed`: all that is added is done."""
+
+    add, count = list.append, list.__len__
+
+    def is_empty(self):
+        return not self
+
+    def has_ready(self):
+        return bool(self)
+
+    def __next__(self):
+        return self.pop(0)
+
+
 def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
     """In place of a cluster, what is done at once; a batch is in flight until its result is released."""
     in_flight, most = set(), []
@@ -169,18 +185,6 @@ def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
         def release(self):
             in_flight.discard(self)
 
-    class Running(list):
-        add, count = list.append, list.__len__
-
-        def is_empty(self):
-            return not self
-
-        def has_ready(self):
-            return bool(self)
-
-        def __next__(self):
-            return self.pop(0)
-
     def send(work, task, pure):
         future = Done(task)
         most.append(len(in_flight))
@@ -188,8 +192,32 @@ def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
 
     monkeypatch.setattr(submit, "as_completed", lambda loop: Running())
     client = SimpleNamespace(loop=None, submit=send)
-    assert list(submit.submit(client, list(range(10)), None, lambda: 3, None, "go on")) == list(range(10))
+    found = submit.submit(client, list(range(10)), None, lambda: 3, None, "go on")
+    assert [one for some in found for one in some] == list(range(10))
     assert max(most) == 3
+
+
+def test_what_came_in_is_kept_though_the_scheduler_is_lost(monkeypatch):
+    """Three results are there at once, and while the third is fetched nobody answers."""
+
+    class Done:
+        def __init__(self, task):
+            self.task = task
+
+        def result(self, timeout):
+            if self.task == 2:
+                raise CommClosedError
+            return self.task
+
+        def release(self):
+            pass
+
+    monkeypatch.setattr(submit, "as_completed", lambda loop: Running())
+    client = SimpleNamespace(loop=None, submit=lambda work, task, pure: Done(pickle.loads(task)))
+    found = submit.submit(client, range(3), None, lambda: 3, None, "go on")
+    assert next(found) == [0, 1]
+    with pytest.raises(CommClosedError):
+        next(found)
 
 
 def test_workers_are_counted_once_a_second(monkeypatch):

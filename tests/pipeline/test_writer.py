@@ -216,6 +216,30 @@ def test_a_commit_that_fails_is_forgotten(scene, source, tmp_path, monkeypatch):
     assert [file.name for file in shards(tmp_path)] == [second.name]
 
 
+@pytest.mark.parametrize("at", [0, 1, 2])
+def test_shards_that_are_committed_together_are_all_there_or_none(scene, tmp_path, monkeypatch, at):
+    """Whichever of the shards is refused; none leaves a file, and the record has no word of it."""
+    with Store(tmp_path, scene) as store:
+        first, *some = (compute(*task) for task in store.todo[:4])
+        store.commit(first)
+        replace = Directory.replace
+
+        def full(place, name, content):
+            if name.endswith(some[at].name):
+                raise OSError(errno.ENOSPC, "No space left on device")
+            replace(place, name, content)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Directory, "replace", full)
+            with pytest.raises(StoreError, match="No space left"):
+                store.commit(*some)
+        assert [file.name for file in shards(tmp_path)] == [first.name]
+        assert len((tmp_path / "timings.jsonl").read_bytes().splitlines()) == 1
+        store.commit(*some)
+        assert set(store.done) == {one.name for one in (first, *some)}
+    assert verify(tmp_path) == []
+
+
 # ------------------------------------------------------------------------------------------ damage
 
 

@@ -52,7 +52,7 @@ def shuffled(rng):
     def submit(client, todo, work, window, scheduler, again):
         todo = list(todo)
         for k in rng.permutation(len(todo)):
-            yield pickle.loads(pickle.dumps(work(pickle.dumps(todo[k]))))
+            yield [pickle.loads(pickle.dumps(work(pickle.dumps(todo[k]))))]
         return []
 
     return submit
@@ -91,7 +91,7 @@ def test_parts_whose_workers_died_are_asked_again_and_given_up_in_the_end(in_sha
         todo = list(todo)
         asked.append(len(todo))
         for task in todo[1:]:
-            yield work(pickle.dumps(task))
+            yield [work(pickle.dumps(task))]
         return todo[:1]
 
     monkeypatch.setattr(on_workers, "submit", dying)
