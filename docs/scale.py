@@ -64,7 +64,7 @@ class _Slow(MemoryFileSystem):
 
 
 def commit(n_shards: int) -> None:
-    """Time of a commit, of a shard and its line of the record: on the disk and to a store, one by one and together."""
+    """Time of a commit of a shard and its line of the record, on the disk and to a store, one by one and together."""
     with tempfile.TemporaryDirectory(dir=".") as folder:
         (Path(folder) / "data").mkdir()
         for name, place in (("disk", place_of(folder)), ("store", Prefix("memory://out", _Slow(), "/out"))):

@@ -18,23 +18,31 @@ import errno
 import threading
 import time
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, TypeVar
 
 from stickslip.pipeline.errors import StoreError
-from stickslip.pipeline.places.place import DATA, LOCK, TEMPORARY, Hold, Lock, Mark, Place, part, this_process
+from stickslip.pipeline.places.place import (
+    AT_ONCE,
+    DATA,
+    LOCK,
+    TEMPORARY,
+    Hold,
+    Lock,
+    Mark,
+    Place,
+    part,
+    this_process,
+)
 
 #: Seconds after its last renewal after which the lock of an object store is void.
 LEASE = 60.0
 
 #: Seconds after which the process that took over a void lock checks that it still owns it: another may have too.
 SETTLE = 2.0
-
-#: Objects that are read, or put, at once.
-_AT_ONCE = 16
 
 #: Bytes, some twenty lines, after which another part begins.
 _PART = 10_000
@@ -76,9 +84,9 @@ class Prefix(Place):
         return self._patiently(name, lambda: self.system.cat_file(self.key(name)))
 
     def read_each(self, names: Sequence[str]) -> Iterator[bytes | None]:
-        with ThreadPoolExecutor(_AT_ONCE) as pool:  # most of the time of a request is waiting
-            for first in range(0, len(names), _AT_ONCE):
-                yield from pool.map(self._read_if_there, names[first : first + _AT_ONCE])
+        with ThreadPoolExecutor(AT_ONCE) as pool:  # most of the time of a request is waiting
+            for first in range(0, len(names), AT_ONCE):
+                yield from pool.map(self._read_if_there, names[first : first + AT_ONCE])
 
     def marks(self, names: Sequence[str]) -> list[Mark | None]:
         found = {}
@@ -89,10 +97,6 @@ class Prefix(Place):
 
     def replace(self, name: str, content: bytes) -> None:
         self._patiently(name, lambda: self.system.pipe_file(self.key(name), content))
-
-    def replace_each(self, contents: Mapping[str, bytes]) -> None:
-        with ThreadPoolExecutor(_AT_ONCE) as pool:
-            list(pool.map(self.replace, contents, contents.values()))
 
     def remove(self, name: str) -> None:
         with contextlib.suppress(FileNotFoundError):

@@ -8,14 +8,15 @@ import socket
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 SCENE, MANIFEST, TIMINGS, LOCK, DATA = "scene.toml", "manifest.json", "timings.jsonl", ".lock", "data"
 #: Prefix of the names of files while they are being written.
 TEMPORARY = ".tmp-"
-#: Parts of a file of lines that are requested at once.
-_PARTS = 16
+#: Files that are read, or written, at once.
+AT_ONCE = 16
 
 
 class Hold(ABC):
@@ -115,8 +116,8 @@ class Place(ABC):
 
     def replace_each(self, contents: Mapping[str, bytes]) -> None:
         """As `replace`, for each file; if one is refused, others may be there or not."""
-        for name, content in contents.items():
-            self.replace(name, content)
+        with ThreadPoolExecutor(AT_ONCE) as pool:  # most of the time is waiting, for a disk as for a store
+            list(pool.map(self.replace, contents, contents.values()))
 
     @abstractmethod
     def remove(self, name: str) -> None:
@@ -148,10 +149,10 @@ class Place(ABC):
         """An object cannot grow: in a store, and in a copy of one, a file of lines may have many parts."""
         parts: list[bytes] = []
         while True:
-            asked = range(len(parts), len(parts) + _PARTS)
+            asked = range(len(parts), len(parts) + AT_ONCE)
             found = [content for content in self.read_each([part(name, k) for k in asked]) if content is not None]
             parts += found
-            if len(found) < _PARTS:
+            if len(found) < AT_ONCE:
                 return parts
 
     @property
