@@ -8,6 +8,7 @@ import json
 import os
 import shutil
 import signal
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,8 +16,10 @@ from typing import Any
 
 from stickslip.pipeline import expand, extend, run_ensemble, status
 from stickslip.pipeline.dataset.opened import open_dataset
+from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.places import directory
 from stickslip.pipeline.places.manifest import read_manifest
+from stickslip.pipeline.running.worker import compute
 from stickslip.pipeline.scene.adding import with_records
 from stickslip.workflows import reporting
 from stickslip.workflows.fresh import is_current
@@ -49,11 +52,13 @@ _STEPS = ("open", "fsync", "replace", "write", "close", "unlink", "truncate")
 
 def _deadly(moment: int, is_before: bool, calls: list[int]) -> None:
     """From now on the process dies before or after its `moment`-th call of the system; `calls` counts them."""
+    turn = threading.Lock()  # shards that are committed together are written by threads
 
     def of(operation: Callable[..., Any]) -> Callable[..., Any]:
         def call(*args: Any, **kwargs: Any) -> Any:
-            calls[0] += 1
-            dies = calls[0] == moment
+            with turn:
+                calls[0] += 1
+                dies = calls[0] == moment
             if dies and is_before:
                 os.kill(os.getpid(), signal.SIGKILL)
             found = operation(*args, **kwargs)
@@ -98,7 +103,23 @@ def _torn(opened: Callable[..., Any], calls: list[int]) -> Callable[..., Any]:
 @fault(quick=4, full=10_000, timeout=1200)
 def driver_killed_at_each_step(world: World, count: int) -> int:
     """Dead before and after each call of the system that a run makes; the full count is all of them."""
-    moments = _moments(world, world.run, count)
+    return _killed_at_each_step(world, world.run, count)
+
+
+@fault(quick=6, full=10_000, timeout=1200)
+def driver_killed_amid_shards_that_come_together(world: World, count: int) -> int:
+    """The same where results are there three at a time, in whatever order their threads get on."""
+
+    def run(out: Path) -> None:
+        with Store(out, world.scene) as store:
+            for some in (store.todo[k : k + 3] for k in range(0, len(store.todo), 3)):
+                store.commit(*(compute(*task) for task in some))
+
+    return _killed_at_each_step(world, run, count)
+
+
+def _killed_at_each_step(world: World, run: Callable[[Path], None], count: int) -> int:
+    moments = _moments(world, run, count)
     world.check(world.directory / "counted")
     for moment, is_before in moments:
         out = world.directory / "out"
@@ -106,7 +127,7 @@ def driver_killed_at_each_step(world: World, count: int) -> int:
 
         def killed(moment: int = moment, is_before: bool = is_before, out: Path = out) -> None:
             _deadly(moment, is_before, [0])
-            world.run(out)
+            run(out)
 
         assert world.fork(killed) == -signal.SIGKILL
         world.resume(out)
