@@ -107,9 +107,12 @@ def _farm(address: str, n_workers: int, seconds: float, size: int) -> None:
 
     def wait(task: bytes) -> Result:
         batch, *_ = pickle.loads(task)
-        ids = tuple(batch.members.ids())
+        first, *_, last = batch.members.ids()
         time.sleep(seconds)
-        return Result(batch.name, shard, ids, {"finished": len(ids)}, program(), seconds, "farm", os.getpid())
+        done = {"finished": len(batch.members)}
+        return Result(
+            batch.name, shard, len(batch.members), first, last, done, program(), seconds, "farm", os.getpid()
+        )
 
     worker.compute_packed = wait  # the driver names it, and sends no code
 

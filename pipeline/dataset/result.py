@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 
-@dataclass(frozen=True)
-class Result:
-    """A computed batch: the shard's bytes, and facts about their computation that are no data."""
+class Result(NamedTuple):
+    """A computed batch: the shard's bytes, what the manifest says of it, and facts of its computation."""
 
     name: str
     shard: bytes
-    member_ids: tuple[str, ...]
+    rows: int
+    first: str  #: ids of the first member and of the last
+    last: str
     outcomes: dict[str, int]
     program: str
     seconds: float

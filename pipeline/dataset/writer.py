@@ -367,10 +367,10 @@ class Store:
 def _shard(result: Result) -> Shard:
     return Shard(
         sha256=hashlib.sha256(result.shard).hexdigest(),
-        rows=len(result.member_ids),
+        rows=result.rows,
         bytes=len(result.shard),
-        first=result.member_ids[0],
-        last=result.member_ids[-1],
+        first=result.first,
+        last=result.last,
         outcomes=result.outcomes,
     )
 

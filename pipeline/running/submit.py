@@ -12,6 +12,7 @@ from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import CancelledError
 from typing import Any, TypeVar
 
+from dask.sizeof import sizeof
 from distributed import Client, Future, KilledWorker, as_completed
 from distributed.comm import CommClosedError
 
@@ -32,8 +33,8 @@ _LOOK = 0.02
 #: Seconds between two looks at how many workers there are: the scheduler names each of them.
 _LOOK_AT_WORKERS = 1.0
 
-#: Results that are yielded together, at most.
-_TOGETHER = 16
+#: Results that are yielded together, at most, and bytes after which no more are fetched.
+_TOGETHER, _ROOM = 16, 2**26
 
 #: How often tasks whose workers died are tried again.
 ATTEMPTS = 3
@@ -113,7 +114,7 @@ def submit(
         _until(running.has_ready, patience)
         results: list[R] = []
         try:
-            while running.has_ready() and len(results) < _TOGETHER:
+            while running.has_ready() and len(results) < _TOGETHER and sizeof(results) < _ROOM:
                 future = next(running)
                 task = task_of.pop(future)
                 try:

@@ -64,7 +64,9 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
     return Result(
         name=batch.name,
         shard=encode(rows, schema_of(recording)),
-        member_ids=tuple(member.member_id for member in members),
+        rows=len(members),
+        first=members[0].member_id,
+        last=members[-1].member_id,
         outcomes=dict(Counter(map(str, rows["outcome"]))),
         program=program(),
         seconds=time.perf_counter() - start,
