@@ -13,7 +13,6 @@ import os
 import resource
 import signal
 import socket
-import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -33,6 +32,7 @@ from stickslip.pipeline.machine import processes
 from stickslip.pipeline.machine.processes import ONE_THREAD, environment_kept
 from stickslip.pipeline.machine.signals import blocked, unbroken
 from stickslip.pipeline.records.record import Memory
+from stickslip.sim.kernels.cache import is_ours, others_write
 
 if TYPE_CHECKING:  # workers load this module first
     from stickslip.pipeline.scene.scene import Scene
@@ -235,10 +235,7 @@ class _Setup(NamedTuple):
 def _setup(dask_worker: Worker) -> _Setup:
     threads = {value for name in ONE_THREAD if (value := os.environ.get(name)) is not None}
     at = Path(dask_worker.local_directory)
-    is_shared = any(
-        found.st_uid not in (0, os.geteuid()) or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-        for found in (at.stat(), at.parent.stat())
-    )
+    is_shared = any(not is_ours(found) or others_write(found) for found in (at.stat(), at.parent.stat()))
     return _Setup(threads, str(at.parent) if is_shared else "")
 
 

@@ -174,7 +174,7 @@ def _opened(path: Path) -> Iterator[int]:
             name = parts.pop()
             found = _found(name, held)
             if stat.S_ISLNK(found.st_mode):
-                if not _is_ours(found):
+                if not is_ours(found):
                     raise _refusal(at / name, f"a link of {_owner(found)}", path)
                 n_links += 1
                 if n_links > _MOST_LINKS:
@@ -218,8 +218,14 @@ def _content(directory: int, file: Path) -> bytes:
         os.close(descriptor)
 
 
-def _is_ours(found: os.stat_result) -> bool:
+def is_ours(found: os.stat_result) -> bool:
+    """Whether a file or a directory is this user's or root's."""
     return found.st_uid in (0, os.geteuid())
+
+
+def others_write(found: os.stat_result) -> bool:
+    """Whether its mode lets others write it."""
+    return bool(found.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
 
 
 def _owner(found: os.stat_result) -> str:
@@ -228,9 +234,9 @@ def _owner(found: os.stat_result) -> str:
 
 def _check(found: os.stat_result, at: Path, cache: Path, is_passed: bool = False) -> None:
     """Refuse what others own or may write; in a directory that is only passed, the sticky bit protects ours."""
-    if not _is_ours(found):
+    if not is_ours(found):
         raise _refusal(at, f"one of {_owner(found)}", cache)
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and not (is_passed and found.st_mode & stat.S_ISVTX):
+    if others_write(found) and not (is_passed and found.st_mode & stat.S_ISVTX):
         raise _refusal(at, f"one that others may write (mode {stat.S_IMODE(found.st_mode):o})", cache)
 
 
