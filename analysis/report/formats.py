@@ -201,7 +201,8 @@ def table(
     out.append("</tbody></table></div>")
     if len(rows) > most:
         kept_where = f" in report/{escape(where)}.parquet" if where else ""
-        out.append(f'<p class="note">{len(rows) - most:,} more rows{kept_where}.</p>')
+        more = len(rows) - most
+        out.append(f'<p class="note">{more:,} more row{"s" * (more > 1)}{kept_where}.</p>')
     return Markup("".join(out))
 
 

@@ -270,7 +270,8 @@ def _moved(rows: Sequence[Row]) -> Row | None:
     moved = [
         {"quantity": some[0]["quantity"], "low": min(row["relative"] for row in some),
          "high": max(row["relative"] for row in some), "n": len(some),
-         "n_agree": sum(row["verdict"] == AGREE for row in some)}
+         "n_agree": sum(row["verdict"] == AGREE for row in some),
+         "n_differ": sum(row["verdict"] == DIFFER for row in some)}
         for some in _parted(known, "quantity")
     ]  # fmt: skip
     thresholds = [row["threshold"] for row in known]

@@ -111,7 +111,7 @@ def answer(study: Study) -> Answer:
         "rated": [row for row in systems if row["is_rated"]],
         "is_certified": "t_collapse" in members,
         "untold": Counter(runs.loc[runs["fate"] == QUIET, "untold"]),
-        "has_ends": bool(runs["fate"].isin(ENDS).any()),
+        "has_ends": bool((runs["fate"].isin(ENDS) & (runs["t"] > 0.0)).any()),
         "basin": _basin(followed, setting),
         "few": [row for row in moving if row["basis"] == enough.FEW_MATRICES],
         "drifting": [row for row in moving if row["is_drifting"]],

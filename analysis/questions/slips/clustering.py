@@ -81,7 +81,7 @@ def answer(study: Study) -> Answer:
         "pairs": _code(of[PAIRS]), "apart": _apart(of[PAIRS], 1 - level),
         "close": _closest(of[PAIRS], lead, level, len(rows[label]) - 1), "powered": POWERED,
         "margin": margin, "pairs_margin": PAIRS_MARGIN, "n_groups": len(rows), "n_drawn": min(len(rows), MOST_DRAWN),
-        "same": [row for other, some in rows.items() if other != label for row in some[:1]][:2],
+        "same": [rows[one.group.label][0] for one in measured[1:] if one.group.n_moving == len(one.group)][:2],
         "is_drawn": any(row["ratio"] is not None for row in spectra[label]),
     }  # fmt: skip
     first = list(spectra)[:MOST_DRAWN]
@@ -157,7 +157,7 @@ def _largest(rows: Sequence[Row]) -> Row:
     """The row that leads: the primary question if it differs from chance, else the largest effect that is shown."""
     common = [row for row in rows if row["kind"] != PAIRS]
     differ = [row for row in common if row["verdict"] in (MORE, LESS)]
-    if common[0] in differ or not differ:
+    if common[0] in differ or not differ or (common[0]["upto"] or 0.0) < PRIMARY / 2:
         return common[0]
     return max(differ, key=lambda row: row["shown"])
 

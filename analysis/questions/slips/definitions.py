@@ -169,7 +169,7 @@ def by_step(ax: Axes, rows: Sequence[Row], name: str, what: str) -> None:
     ax.xaxis.set_minor_formatter(NullFormatter())
     ax.minorticks_off()
     ax.set(xlabel="sampling step dt", ylabel=what)
-    ax.legend(loc="best", fontsize=7)
+    ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize=7)
 
 
 QUESTION = Question(answer, share=0.12, of_cascades=True)

@@ -236,12 +236,13 @@ def _change(name: str, key: str, some: Sequence[_Measured], confidence: float) -
 
 
 def _told(changes: Sequence[Row], lead: str) -> list[Row]:
-    """Changes of the natural period that are shown and involve the leading group, and the settings without them."""
+    """Changes of the natural period that are shown, go one way, and involve the leading group; where they are not."""
     of_period = [row for row in changes if row["number"] == "period" and row["key"] != ENGINE]
     return [
         row | {"not_at": [one["at"] for one in of_period
                           if one["key"] == row["key"] and one["verdict"] != row["verdict"]]}
-        for row in of_period if lead in row["groups"] and row["verdict"] != UNKNOWN
+        for row in of_period
+        if lead in row["groups"] and row["verdict"] != UNKNOWN and len(set(np.sign(np.diff(row["numbers"])))) == 1
     ]  # fmt: skip
 
 
