@@ -71,6 +71,27 @@ def test_cascades_are_told_from_the_toss_of_a_coin(planted, settings, rate, verd
     assert_honest(report)
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "said"),
+    [
+        (
+            0.001,
+            0.009,
+            "0.72% steeper than the fair-coin null (0.14% to 1.3%), but whether by more than 1% cannot be told",
+        ),
+        (-0.009, -0.001, "0.72% shallower than the fair-coin null (0.14% to 1.3%), but whether by more"),
+        (-0.001, 0.011, "not distinguishable from the fair-coin null"),
+    ],
+)
+def test_a_difference_that_is_shown_is_not_called_none_because_it_may_be_small(low, high, said):
+    middle = (low + high) / 2
+    lead = {"group": "one", "gamma": LN2 + middle, "gamma_low": LN2 + low, "gamma_high": LN2 + high, "chance": LN2}
+    lead |= {"difference": middle, "difference_low": low, "difference_high": high, "verdict": "cannot be told"}
+    words = environment().get_template("cascades.html").module
+    facts = {"lead": lead, "is_by_engine": False, "rows": [lead], "margin": 0.01}
+    assert said in str(words.answer(facts))
+
+
 def test_as_chance_has_to_be_shown():
     """As between engines: within the margin is within it, shown or not; an interval of more is no evidence."""
 
