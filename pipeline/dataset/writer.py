@@ -331,7 +331,7 @@ class Store:
         """Add a line to the lock, for processes that ask who is writing."""
         self._hold.note(line)
 
-    def commit(self, *results: Result) -> None:
+    def commit(self, *results: Result) -> list[Shard]:
         """Make shards part of the dataset: their bytes, each in one step, then their lines of the record in another.
 
         Raises
@@ -362,6 +362,7 @@ class Store:
                 for name in shards.keys() - self._shards.keys():
                     self._remove(f"{DATA}/{name}")
                 raise
+        return list(shards.values())
 
 
 def _shard(result: Result) -> Shard:

@@ -240,10 +240,9 @@ def fill(
                         f"expected workers with this version of the program ({program()}), got {result.program} on "
                         f"{result.host}; install the same there, then rerun the scene"
                     )
-            store.commit(*some)
-            for name in (result.name for result in some):
-                tally = tally.plus(store.done[name], todo[name])
-                report(name)
+            for result, shard in zip(some, store.commit(*some), strict=True):
+                tally = tally.plus(shard, todo[result.name])
+                report(result.name)
 
 
 def run_member(scene: Scene, member_id: str) -> dict[str, object]:

@@ -75,12 +75,14 @@ def answer(study: Study) -> Answer:
     }
     lead, label = measured[0], measured[0].group.label
     of = {kind: [row for row in rows[label] if row["kind"] == kind] for kind in (POWER, VARIANCE, FANO, PAIRS)}
+    leading = _largest(rows[label])
     facts = {
-        "group": label, "rows": rows[label], "of": of, "lead": _largest(rows[label]),
+        "group": label, "rows": rows[label], "of": of, "lead": leading,
         "windows": sorted(of[FANO], key=lambda row: row["upto"]), "first": rows[label][0],
         "pairs": _code(of[PAIRS]), "apart": _apart(of[PAIRS], 1 - level),
         "close": _closest(of[PAIRS], lead, level, len(rows[label]) - 1), "powered": POWERED,
         "margin": margin, "pairs_margin": PAIRS_MARGIN, "n_groups": len(rows), "n_drawn": min(len(rows), MOST_DRAWN),
+        "is_short": _is_short(leading),
         "same": [rows[one.group.label][0] for one in measured[1:] if one.group.n_moving == len(one.group)][:2],
         "is_drawn": any(row["ratio"] is not None for row in spectra[label]),
     }  # fmt: skip
@@ -157,9 +159,14 @@ def _largest(rows: Sequence[Row]) -> Row:
     """The row that leads: the primary question if it differs from chance, else the largest effect that is shown."""
     common = [row for row in rows if row["kind"] != PAIRS]
     differ = [row for row in common if row["verdict"] in (MORE, LESS)]
-    if common[0] in differ or not differ or (common[0]["upto"] or 0.0) < PRIMARY / 2:
+    if common[0] in differ or not differ or _is_short(common[0]):
         return common[0]
     return max(differ, key=lambda row: row["shown"])
+
+
+def _is_short(row: Row) -> bool:
+    """Whether runs are too short for the primary question, so that its place is taken by one that nobody asked."""
+    return (row["upto"] or 0.0) < PRIMARY / 2
 
 
 def _code(rows: Sequence[Row]) -> str:
