@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,6 +15,39 @@ from stickslip.analysis.stats.estimates import Estimate
 #: Draws a figure from plain data when called.
 Recipe = Callable[[], Figure]
 Row = dict[Any, Any]
+
+#: Rows of a table that are made and written together, where it is longer.
+_TOGETHER = 100_000
+
+
+@dataclass(frozen=True)
+class Long:
+    """A table that is too long to be held whole: iterated over, it gives its parts, one after the other.
+
+    Attributes
+    ----------
+    n_rows : int
+    part : callable
+        Makes the rows of a slice.
+    """
+
+    n_rows: int
+    part: Callable[[slice], pd.DataFrame]
+
+    def __len__(self) -> int:
+        return self.n_rows
+
+    def __iter__(self) -> Iterator[pd.DataFrame]:
+        for k in range(0, self.n_rows, _TOGETHER):
+            yield self.part(slice(k, k + _TOGETHER))
+
+
+Table = pd.DataFrame | Long
+
+
+def long(n_rows: int, part: Callable[[slice], pd.DataFrame]) -> Table:
+    """A table by what makes some of its rows: whole, unless it is too long."""
+    return part(slice(None)) if n_rows <= _TOGETHER else Long(n_rows, part)
 
 
 @dataclass(frozen=True)
@@ -30,7 +63,7 @@ class Answer:
     lack : str
         A code for why there is no answer, which the template puts into words; empty if there is an answer. Without a
         template, the words.
-    tables : mapping of str to DataFrame
+    tables : mapping of str to Table
         Kept whole as Parquet, with nullable types: a missing value is null, never NaN.
     figures : mapping of str to Recipe
         By name; the template says what each shows. A question of a user's own may give a matplotlib Figure as well.
@@ -38,7 +71,7 @@ class Answer:
 
     facts: Mapping[str, Any] = field(default_factory=dict)
     lack: str = ""
-    tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    tables: Mapping[str, Table] = field(default_factory=dict)
     figures: Mapping[str, Recipe] = field(default_factory=dict)
 
 

@@ -95,7 +95,7 @@ def shares() -> list[Statistic]:
 def sample(group: Group) -> Sample:
     """The sums of the runs of a filled group."""
     found = Sample({
-        QUANTITIES[name].label: UnitSums(group.units, rows) for name, rows in group.quantities.items()
+        one.label: group.sums(name) for name, one in QUANTITIES.items()
     })  # fmt: skip
     fates, (t_last, n_last) = group.fates, group.last.T
     ran = np.flatnonzero(fates != FAILED)

@@ -23,7 +23,7 @@ import pandas as pd
 
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET
-from stickslip.analysis.models.motion import COLUMNS, N_COLUMNS, Motion
+from stickslip.analysis.models.motion import COLUMNS, Motion
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
@@ -57,17 +57,10 @@ class Group:
         Rows of the group's own members among them, by unit and then by member_id.
     units : ndarray of int, shape (G,)
         Units of the members in motion, ascending: the rows of all arrays.
-    means : ndarray, shape (G, 5)
-        Sums over runs of: time mean of n_stick, its means in the two halves of the window, variance in time, 1.
-    quantities : dict of str to ndarray, shape (G, 2)
-        Sums over runs of `QUANTITIES`, by name.
-    stuck : ndarray, shape (G, 2)
-        Sums over runs of the integral of n_stick and of the time without lulls (`models.counting`). Their quotient is
-        the mean n_stick of the pool with which the runs are compared.
+    totals : dict of str to ndarray, shape (G,)
+        Sums over runs of each of `motion.COLUMNS`, by name.
     counts : ndarray of int, shape (G, K)
         Number of cascades of each size from 1 on, by the definition `events`.
-    effective : ndarray, shape (G, 4)
-        Mean of `effective.row` over the runs of each unit.
     fates : ndarray of str, shape (R,)
         Fate of each member, from `models.fates.fates`.
     last : ndarray, shape (R, 2)
@@ -83,11 +76,8 @@ class Group:
     table: Members
     rows: np.ndarray
     units: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    means: np.ndarray = field(default_factory=lambda: np.zeros((0, 5)))
-    quantities: dict[str, np.ndarray] = field(default_factory=dict)
-    stuck: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    totals: dict[str, np.ndarray] = field(default_factory=dict)
     counts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int64))
-    effective: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
     fates: np.ndarray = field(default_factory=lambda: np.zeros(0, object))
     last: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     n_quiet: int = 0
@@ -149,14 +139,25 @@ class Group:
     def finished(self) -> pd.DataFrame:
         return self.members[self.is_finished]
 
-    @property
-    def n_runs(self) -> int:
-        return int(self.means[:, 4].sum())
+    def of(self, *names: str) -> np.ndarray:
+        """Some of `totals` side by side, shape (G, number of names)."""
+        return np.column_stack([self.totals.get(name, np.zeros(0)) for name in names])
 
     @property
-    def sums(self) -> np.ndarray:
-        """Total size and number of cascades by `events`, shape (G, 2)."""
-        return self.quantities["gamma"]
+    def n_runs(self) -> int:
+        return int(self.of("runs").sum())
+
+    def sums(self, quantity: str) -> UnitSums:
+        """The two sums of one of `QUANTITIES`."""
+        return UnitSums(self.units, self.of(*QUANTITIES[quantity].parts))
+
+    @property
+    def stuck(self) -> np.ndarray:
+        """Sums over runs of the integral of n_stick and of the time without lulls (`models.counting`), shape (G, 2).
+
+        Their quotient is the mean n_stick of the pool with which the runs are compared.
+        """
+        return self.of("stuck", "active")
 
     @property
     def pool_mean(self) -> float | None:
@@ -164,9 +165,9 @@ class Group:
         stuck, time = self.stuck.sum(axis=0)
         return float(stuck / time) if stuck else None
 
-    def by_unit(self) -> np.ndarray:
-        """`means` averaged over the runs of each unit, so that every unit has the same weight."""
-        return self.means / self.means[:, 4:] if len(self.means) else self.means
+    def by_unit(self, *names: str) -> np.ndarray:
+        """Some of `totals` averaged over the runs of each unit, so that every unit has the same weight."""
+        return self.of(*names) / self.of("runs")
 
     def sums_of(self, numbers: np.ndarray) -> UnitSums:
         """By unit, the mean of a number over its runs that have one, and 1, so that every unit has the same weight.
@@ -183,16 +184,17 @@ class Group:
 
     def mean(self, confidence: float) -> Estimate:
         """Mean n_stick."""
-        return over_matrices(ratio, self.by_unit()[:, [0, 4]], confidence)
+        return over_matrices(ratio, self.by_unit("mean", "runs"), confidence)
 
     def drift(self, confidence: float) -> Estimate:
         """Mean n_stick in the second half of the window minus that in the first, paired over units."""
-        rows = self.by_unit()
-        return over_matrices(ratio, np.column_stack([rows[:, 2] - rows[:, 1], rows[:, 4]]), confidence)
+        first, second, runs = self.by_unit("first_half", "second_half", "runs").T
+        return over_matrices(ratio, np.column_stack([second - first, runs]), confidence)
 
     def basis(self, confidence: float) -> enough.Basis:
         """Whether a statistic that assumes a stationary law may be judged."""
-        return enough.basis(self.by_unit()[:, 1:4], int(self.sums[:, 1].sum()), confidence)
+        n_cascades = int(self.of("cascades").sum())
+        return enough.basis(self.by_unit("first_half", "second_half", "variance"), n_cascades, confidence)
 
 
 def groups(members: Members, some: np.ndarray) -> list[Group]:
@@ -291,35 +293,44 @@ def fill(found: Sequence[Group], given: Iterable[tuple[np.ndarray, Motion]]) -> 
 
 
 class _Filling:
-    """A group whose sums are being filled in, a row a unit of its members."""
+    """A group whose sums are being filled in, a row a unit of its members.
+
+    What runs give is kept column by column, and each is given up as its sums are made: they take most of the memory.
+    """
 
     def __init__(self, group: Group) -> None:
         self._group = group
-        self._units, self._row = np.unique(group.column("unit").to_numpy(), return_inverse=True)
-        self._sums = np.zeros((len(self._units), N_COLUMNS))
-        self._counts = np.zeros((len(self._units), 0), dtype=np.int64)
+        self._units, row = np.unique(group.column("unit").to_numpy(), return_inverse=True)
+        self._row = row.astype(np.int32)
+        self._rows: list[np.ndarray] = []
+        self._columns: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
+        self._sizes: list[np.ndarray] = []
         group.fates, group.last = np.full(len(group), FAILED, dtype=object), np.full((len(group), 2), np.nan)
 
     def add(self, places: np.ndarray, given: Motion) -> None:
         """Add what the members at some places give."""
         self._group.fates[places] = given.fates
         self._group.last[places] = given.last
-        np.add.at(self._sums, self._row[places], given.sums)
+        moves = np.flatnonzero(given.sums[:, COLUMNS["runs"]])
+        self._rows.append(self._row[places[moves]])
+        for name, k in COLUMNS.items():
+            self._columns[name].append(given.sums[moves, k])
         run, size, n_times = given.sizes.T
-        if (more := int(size.max(initial=0)) - self._counts.shape[1]) > 0:
-            self._counts = np.pad(self._counts, ((0, 0), (0, more)))
-        np.add.at(self._counts, (self._row[places[run]], size - 1), n_times)
+        self._sizes.append(np.column_stack([self._row[places[run]], size, n_times]).astype(np.int32))
 
     def finish(self) -> None:
         """Hand the sums of the units in motion to the group."""
-        group, sums, group.counts = self._group, self._sums, self._counts
-        moves = sums[:, COLUMNS["means"]][:, -1] > 0
-        if not moves.all():
-            sums = self._sums = sums[moves]  # the whole is given up before the next copy is made
-            group.counts = self._counts = group.counts[moves]
-        group.units, group.n_short = self._units[moves], int(sums[:, COLUMNS["short"]].sum())
-        group.quantities = {name: sums[:, COLUMNS[name]] for name in QUANTITIES}
-        group.means, group.stuck = sums[:, COLUMNS["means"]], sums[:, COLUMNS["stuck"]]
-        group.effective = sums[:, COLUMNS["effective"]]
-        group.effective /= group.means[:, 4:]
+        group, rows = self._group, np.concatenate([np.zeros(0, np.int32), *self._rows])
+        moves = np.bincount(rows, minlength=len(self._units)) > 0
+        number = np.cumsum(moves, dtype=np.int32) - 1
+        rows, group.units = number[rows], self._units[moves]
+        group.n_short = int(sum(some.sum() for some in self._columns.pop("short")))
+        for name in [*self._columns]:
+            column = np.concatenate([np.zeros(0), *self._columns.pop(name)])
+            group.totals[name] = np.bincount(rows, column, len(group.units))
+        most = max((int(some[:, 1].max(initial=0)) for some in self._sizes), default=0)
+        group.counts = np.zeros((len(group.units), most), dtype=np.int64)
+        while self._sizes:
+            row, size, n_times = self._sizes.pop().T
+            np.add.at(group.counts, (number[row], size - 1), n_times)
         group.n_quiet = int((group.fates == QUIET).sum())

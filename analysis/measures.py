@@ -208,13 +208,13 @@ def _of_n_stick(study: Study, _: Study | None) -> Iterator[Measure]:
 
 def of_mean(group: Group) -> Values:
     """Mean n_stick of a filled group's runs in motion, every unit with the same weight."""
-    return Values(UnitSums(group.units, group.by_unit()[:, [0, 4]]))
+    return Values(UnitSums(group.units, group.by_unit("mean", "runs")))
 
 
 def of_gamma(confidence: float, group: Group) -> Values:
     """Sums of gamma over a filled group's runs in motion, if they allow a statistic of a steady state."""
     is_judged = group.basis(confidence).code in enough.JUDGED
-    return Values(UnitSums(group.units, group.sums)) if is_judged else Values()
+    return Values(group.sums("gamma")) if is_judged else Values()
 
 
 #: What an ensemble may hold that can be measured, in the order in which measures lead.

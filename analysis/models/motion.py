@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,24 +12,19 @@ from stickslip.analysis.models.fates import FAILED, MOVING, fates
 from stickslip.analysis.series.runs import Ended, Runs, no_series
 from stickslip.analysis.series.windows import NoSeries, Windows, in_parts, windows
 from stickslip.analysis.stats import effective, enough
-from stickslip.analysis.stats.quantities import QUANTITIES
+from stickslip.analysis.stats.quantities import SUMS
 
 #: Change points and runs that are worked on at once.
 _POINTS, _RUNS = 1 << 19, 1 << 13
-_LENGTHS = {**dict.fromkeys(QUANTITIES, 2), "means": 5, "stuck": 2, "effective": 4, "short": 1}
-
-
-def _columns() -> Iterator[tuple[str, slice]]:
-    k = 0
-    for name, length in _LENGTHS.items():
-        yield name, slice(k, k + length)
-        k += length
-
-
-#: Columns of `Motion.sums`: those of `QUANTITIES`; the time mean, `enough.halves` and 1; the integral of n_stick and
-#: the time without lulls; `effective.rows`; and whether the window is too short for a correlation time or has none.
-COLUMNS: Mapping[str, slice] = dict(_columns())
-N_COLUMNS = sum(_LENGTHS.values())
+#: Columns of `Motion.sums` by name: those of `quantities.SUMS`; n_stick in the two halves of the window; its integral
+#: and the time without lulls; `effective.rows`, without the variance; and whether the window is too short for a
+#: correlation time or has none.
+COLUMNS: Mapping[str, int] = {
+    name: k for k, name in enumerate((
+        *(name for names in SUMS for name in names),
+        "first_half", "second_half", "stuck", "active", "tens", "twenties", "sokal", "short",
+    ))
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -75,7 +70,7 @@ def joined(parts: Sequence[Motion]) -> Motion:
     return Motion(
         np.concatenate([np.zeros(0, object), *(one.fates for one in parts)]),
         np.concatenate([np.zeros((0, 2)), *(one.last for one in parts)]),
-        np.concatenate([np.zeros((0, N_COLUMNS)), *(one.sums for one in parts)]),
+        np.concatenate([np.zeros((0, len(COLUMNS))), *(one.sums for one in parts)]),
         np.concatenate([np.zeros((0, 3), np.int64), *sizes]),
     )
 
@@ -91,7 +86,7 @@ def motion(runs: Runs, some: Ended, is_brief: bool = False) -> Motion:
     ValueError
         If a member that did not fail has no change points, or they are not a series; the error names the member.
     """
-    last, sums = np.full((len(some), 2), np.nan), np.zeros((len(some), N_COLUMNS))
+    last, sums = np.full((len(some), 2), np.nan), np.zeros((len(some), len(COLUMNS)))
     fates_of = np.full(len(some), FAILED, dtype=object)
     sizes = [np.zeros((0, 3), dtype=np.int64)]
     ran = np.flatnonzero(some.outcome != FAILED)
@@ -124,16 +119,20 @@ def _sizes(runs: Windows, names: np.ndarray) -> np.ndarray:
 
 def _sums(runs: Windows, is_brief: bool) -> np.ndarray:
     """`COLUMNS` of each run, shape (R, C)."""
-    found = np.zeros((len(runs), N_COLUMNS))
-    for name, quantity in QUANTITIES.items():
-        if not (is_brief and name == "correlation_time"):
-            found[:, COLUMNS[name]] = quantity.sums(runs)
-    halves = enough.halves(runs)
-    found[:, COLUMNS["means"]] = np.column_stack([runs.mean, halves, np.ones(len(runs))])
+    found = np.zeros((len(runs), len(COLUMNS)))
+
+    def put(names: Sequence[str], columns: np.ndarray) -> None:
+        found[:, [COLUMNS[name] for name in names]] = columns
+
+    for names, of in SUMS.items():
+        if not (is_brief and "tau" in names):
+            put(names, of(runs))
+    halves = enough.halves(runs)[:, :2]
+    put(("first_half", "second_half"), halves)
     if is_brief:
         return found
-    tau = found[:, COLUMNS["correlation_time"]][:, 0]
-    stuck = np.column_stack([halves[:, :2].mean(axis=1) * runs.span, runs.span - runs.total(lulls(runs))])
-    found[:, COLUMNS["stuck"]], found[:, COLUMNS["effective"]] = stuck, effective.rows(runs, tau)
-    found[:, COLUMNS["short"]] = ((tau == 0) | effective.is_short(runs, tau))[:, None]
+    tau = found[:, COLUMNS["tau"]]
+    put(("stuck", "active"), np.column_stack([halves.mean(axis=1) * runs.span, runs.span - runs.total(lulls(runs))]))
+    put(("tens", "twenties", "sokal"), effective.rows(runs, tau)[:, 1:])
+    put(("short",), ((tau == 0) | effective.is_short(runs, tau))[:, None])
     return found

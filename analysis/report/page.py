@@ -13,11 +13,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 from jinja2 import Environment
 from jinja2.runtime import Macro
 from markupsafe import Markup
 
-from stickslip.analysis.answer import F, I, Recipe, S, frame, records
+from stickslip.analysis.answer import F, I, Long, Recipe, S, Table, frame, records
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.questions import QUESTIONS, is_own, question, refuse_unknown
@@ -32,7 +34,6 @@ from stickslip.sim.systems.terms import TERMS
 #: What a question's template may lack: macros, and whether its alerts are about the data, whatever question leads.
 OPTIONAL_WORDS = ("lack", "alarm", "alerts", "panels", "panel", "panel_caption", "main", "of_data")
 MOST_SAID = 3  # answers on the first screen
-_ROWS_OF_CSV = 100_000  # of a table that is written as CSV too; a longer one is for programs
 _ROWS = 10_000  # of a table that is in the JSON of all; a longer one is read from a file of its own
 MOST_ALERTS = 3  # in order of rank
 _GROUPS: Mapping[str, str] = {
@@ -63,7 +64,7 @@ class Answered:
     key: str
     facts: Mapping[str, Any]
     lack: str = ""
-    tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    tables: Mapping[str, Table] = field(default_factory=dict)
     figures: Mapping[str, Drawn] = field(default_factory=dict)
 
     def figure(self, name: str, alt: str) -> Markup:
@@ -136,7 +137,7 @@ class Report:
     ----------
     html : str
         The whole page, with its images inside.
-    tables : dict of str to DataFrame
+    tables : dict of str to Table
         All tables, with nulls where a column does not apply or a number could not be computed.
     headline : list of str
         The main statements, for a terminal.
@@ -148,7 +149,7 @@ class Report:
     """
 
     html: str
-    tables: dict[str, pd.DataFrame]
+    tables: dict[str, Table]
     headline: list[str]
     figures: dict[str, Drawn] = field(default_factory=dict)
     problems: dict[str, str] = field(default_factory=dict)
@@ -162,7 +163,7 @@ class Report:
         made: dict[str, Callable[[], bytes]] = {}
         for name, table in self.tables.items():
             made[f"report/{name}.parquet"] = partial(_parquet, table)
-            if len(table) <= _ROWS_OF_CSV:
+            if not isinstance(table, Long):
                 made[f"report/{name}.csv"] = partial(_csv, table)
         made["report/tables.json"] = partial(_json, self.tables)
         for name, drawn in self.figures.items():
@@ -176,20 +177,28 @@ class Report:
         return [f"report/figures/{name}.pdf" for name, drawn in self.figures.items() if drawn.pdf is None]
 
 
-def _parquet(table: pd.DataFrame) -> bytes:
-    return table.to_parquet(index=False)
+def _parquet(table: Table) -> bytes:
+    written = pa.BufferOutputStream()
+    writer: pq.ParquetWriter | None = None
+    for part in table if isinstance(table, Long) else [table]:
+        rows = pa.Table.from_pandas(part, preserve_index=False)
+        writer = writer or pq.ParquetWriter(written, rows.schema)
+        writer.write_table(rows)
+    assert writer is not None  # a table that is long has a part
+    writer.close()
+    return written.getvalue().to_pybytes()
 
 
 def _csv(table: pd.DataFrame) -> bytes:
     return str(table.to_csv(index=False)).encode()
 
 
-def _json(tables: Mapping[str, pd.DataFrame]) -> bytes:
+def _json(tables: Mapping[str, Table]) -> bytes:
     """Tables of up to `_ROWS` rows as JSON lists of rows, one row a line."""
     encode = json.JSONEncoder(allow_nan=False).encode
     listed = []
     for name, table in tables.items():
-        if len(table) <= _ROWS:
+        if not isinstance(table, Long) and len(table) <= _ROWS:
             rows = ",\n".join(map(encode, records(table)))
             listed.append(f"{encode(name)}: [\n{rows}\n]")
     return ("{\n" + ",\n".join(listed) + "\n}\n").encode()

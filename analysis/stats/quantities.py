@@ -1,4 +1,4 @@
-"""The quantities of a run's window: each has two sums, which add over runs and matrices, and a statistic of them."""
+"""The quantities of a run's window: each is a statistic of two sums, which add over runs and matrices."""
 
 from __future__ import annotations
 
@@ -11,12 +11,7 @@ from stickslip.analysis.series.windows import Windows
 from stickslip.analysis.stats.effective import correlation_times
 from stickslip.analysis.stats.estimates import Statistic, gamma, ratio
 
-Sums = Callable[[Windows], np.ndarray]  # of R runs, shape (R, 2)
-
-
-def _once(of: Callable[[Windows], np.ndarray]) -> Sums:
-    """A number of each run, and 1: their quotient is a mean over runs."""
-    return lambda runs: np.column_stack([of(runs), np.ones(len(runs))])
+Sums = Callable[[Windows], np.ndarray]  # of R runs, shape (R, number of names)
 
 
 def _cascades(runs: Windows) -> np.ndarray:
@@ -29,20 +24,39 @@ def _correlation(runs: Windows) -> np.ndarray:
     return np.column_stack([taus, taus > 0])
 
 
+#: What is summed over runs, by name, and how it is found in their windows. Names together are found together.
+SUMS: Mapping[tuple[str, ...], Sums] = {
+    ("runs",): lambda runs: np.ones((len(runs), 1)),
+    ("mean",): lambda runs: runs.mean[:, None],
+    ("variance",): lambda runs: runs.variance[:, None],
+    ("rate",): lambda runs: (runs.exits / runs.span)[:, None],
+    ("slipped", "cascades"): _cascades,
+    ("tau", "timed"): _correlation,
+}
+
+
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity: its name for readers, its two sums over each window, and the statistic of the sums."""
+    """A quantity: its name for readers, the names of its two sums, and the statistic of these."""
 
     label: str
-    sums: Sums
+    parts: tuple[str, str]
     of: Statistic = ratio
+
+    def sums(self, runs: Windows) -> np.ndarray:
+        """Its two sums over each window, shape (R, 2)."""
+        found: dict[str, np.ndarray] = {}
+        for names, of in SUMS.items():
+            if not set(names).isdisjoint(self.parts):
+                found |= zip(names, of(runs).T, strict=True)
+        return np.column_stack([found[name] for name in self.parts])
 
 
 #: By the name under which a scene declares a margin.
 QUANTITIES: Mapping[str, Quantity] = {
-    "mean": Quantity("mean n_stick", _once(lambda runs: runs.mean)),
-    "variance": Quantity("variance of n_stick in time", _once(lambda runs: runs.variance)),
-    "rate": Quantity("exit rate", _once(lambda runs: runs.exits / runs.span)),
-    "gamma": Quantity("gamma", _cascades, gamma),
-    "correlation_time": Quantity("correlation time", _correlation),
+    "mean": Quantity("mean n_stick", ("mean", "runs")),
+    "variance": Quantity("variance of n_stick in time", ("variance", "runs")),
+    "rate": Quantity("exit rate", ("rate", "runs")),
+    "gamma": Quantity("gamma", ("slipped", "cascades"), gamma),
+    "correlation_time": Quantity("correlation time", ("tau", "timed")),
 }

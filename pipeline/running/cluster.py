@@ -22,7 +22,8 @@ import dask
 import distributed
 from distributed import Client, Nanny, Scheduler, Security, SpecCluster, Worker
 from distributed.comm import get_address_host_port
-from distributed.core import rpc
+from distributed.core import Server, rpc
+from distributed.gc import GCDiagnosis
 from distributed.system import MEMORY_LIMIT
 from distributed.utils import LoopRunner, silence_logging_cmgr
 
@@ -253,18 +254,35 @@ def _kill(cluster: SpecCluster) -> None:
             os.kill(nanny.pid, signal.SIGKILL)
 
 
-class QuietScheduler(Scheduler):
-    """A scheduler without dask's web server, which shows workers and logs to anybody who asks."""
+class _NoDiagnosis(GCDiagnosis):
+    """Looks at no garbage collection: dask's hook fails, with a traceback, if one goes on as it is set."""
+
+    def enable(self) -> None:
+        self._enabled = True
+
+    def disable(self) -> None:
+        self._enabled = False
+
+
+class _Quiet(Server):
+    """A server of dask without its web server, which shows workers and logs to anybody who asks."""
 
     def start_http_server(self, *_: Any, **__: Any) -> None:
         """Open nothing."""
 
+    async def start_unsafe(self) -> Any:
+        """Start as dask does, but for its diagnosis of garbage collections."""
+        if not distributed.gc._gc_diagnosis.enabled:  # else a cluster of the user's own has begun it
+            distributed.gc._gc_diagnosis = _NoDiagnosis()  # type: ignore[no-untyped-call]
+        return await super().start_unsafe()  # type: ignore[no-untyped-call]
 
-class QuietWorker(Worker):
-    """A worker without that web server."""
 
-    def start_http_server(self, *_: Any, **__: Any) -> None:
-        """Open nothing."""
+class QuietScheduler(_Quiet, Scheduler):
+    """A scheduler that opens no page."""
+
+
+class QuietWorker(_Quiet, Worker):
+    """A worker that opens no page."""
 
 
 def _local_cluster(workers: int, dashboard: bool, loop: LoopRunner, opened: contextlib.ExitStack) -> SpecCluster:

@@ -7,7 +7,7 @@ motion, in a lull or quiet, are censored at t_end.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from itertools import islice
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, I, Question, Row, S, columns, frame, named
+from stickslip.analysis.answer import Answer, F, I, Question, Row, S, columns, frame, long, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SPEED_DEPENDENT, joined
@@ -79,24 +79,22 @@ def answer(study: Study) -> Answer:
     """What became of the unchanged runs, and whether what lasts is steady."""
     level = study.settings.confidence
     runs = _runs(study.groups)
-    starts = np.cumsum([0, *map(len, study.groups)]).tolist()
-    by_group = {group.label: runs[k : k + len(group)] for group, k in zip(study.groups, starts, strict=False)}
-    first = {label: _first(own) for label, own in by_group.items() if (own["fate"] != FAILED).any()}
+    first = {group.label: _first(group) for group in study.groups if (group.fates != FAILED).any()}
     curves = {label: _thinned(survival(*some, level)) for label, some in first.items()}
-    groups = [_group_row(study, group, by_group[group.label], first.get(group.label)) for group in study.groups]
+    groups = [_group_row(study, group, first.get(group.label)) for group in study.groups]
     moving = sorted((row for row in groups if row["n_moving"]), key=lambda row: -row["n"])
     systems = _brief(groups)
     is_one_engine = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
     members = study.data.table.own
     failed = members[members["outcome"] == FAILED]
-    followed = _followed(runs)
-    drawn, setting = _of_draws(study.groups, followed)
+    followed = runs[runs["fate"] != FAILED] if len(failed) else runs
+    drawn = _of_draws(study.groups, DRAWN, followed, members["unit"])
     facts: dict[str, Any] = {
         "systems": systems,
         "groups": groups,
         "moving": moving,
-        "total": {**_counts(runs), "runs": len(followed), "held": sum(row["n_held"] for row in groups)},
-        "share": _share(followed, drawn, MOVING, level),
+        "total": {**_counts(runs["fate"]), "runs": len(followed), "held": sum(row["n_held"] for row in groups)},
+        "share": _share(followed["fate"], drawn, MOVING, level),
         "level": f"{100 * level:g}%",
         "n_systems": len(np.unique(drawn)),
         "has_copies": len(members) > len(runs),
@@ -107,12 +105,12 @@ def answer(study: Study) -> Answer:
         "partly": [row for row in systems if 0 < row["n_moving"] < row["n_runs"]],
         "lasting": [row for row in systems if is_one_engine and row["n_moving"] == row["n_runs"]],
         "endless": [row for row in systems if not row["n_collapsed"] and not row["n_diverged"]],
-        "linear": _linear(followed),
+        "linear": _linear(followed, members["growth_rate"]),
         "rated": [row for row in systems if row["is_rated"]],
         "is_certified": "t_collapse" in members,
         "untold": Counter(runs.loc[runs["fate"] == QUIET, "untold"]),
         "has_ends": bool((runs["fate"].isin(ENDS) & (runs["t"] > 0.0)).any()),
-        "basin": _basin(followed, setting),
+        "basin": _basin(study.groups, followed, members),
         "few": [row for row in moving if row["basis"] == enough.FEW_MATRICES],
         "drifting": [row for row in moving if row["is_drifting"]],
         "unsure": [row for row in moving if row["basis"] == enough.DRIFT_UNKNOWN],
@@ -124,7 +122,7 @@ def answer(study: Study) -> Answer:
     tables = {
         "fates": frame(_GROUP, groups),
         "survival_curves": pd.concat([frame(_CURVE, []), *(_curve_table(*one) for one in curves.items())]),
-        "runs": _listed(study.groups, runs),
+        "runs": long(len(runs), partial(_listed, study.groups, runs)),
     }
     return Answer(facts, tables=tables, figures=_figures(study, facts, runs, curves))
 
@@ -143,8 +141,10 @@ def _figures(
         if facts["has_ends"]:
             shown["survival"] = partial(survival_curves, some, max(facts["t_end"]))
         if facts["linear"]:
-            known = runs[runs["growth_rate"].notna() & (runs["fate"] != FAILED)]
-            shown["growth"] = partial(growth, facts["rated"], known[["group", "fate", "growth_rate"]])
+            ran = runs[runs["fate"] != FAILED]
+            rates = study.data.table.own["growth_rate"].to_numpy()[ran["row"]]
+            known = ran[["group", "fate"]].assign(growth_rate=rates)[~np.isnan(rates)]
+            shown["growth"] = partial(growth, facts["rated"], known)
         if facts["basin"] is not None:
             shown["basin"] = partial(basin, facts["basin"]["points"])
     else:
@@ -158,59 +158,44 @@ def _figures(
 
 
 def _runs(groups: Sequence[Group]) -> pd.DataFrame:
-    """A row a run, group by group: its fate, and the times that tell when its motion ended or up to which it went."""
+    """A row a run, group by group: its row among the members, its fate, and until when it was in motion."""
     labels = [group.label for group in groups]
     return joined([_of_group(group, k, labels) for k, group in enumerate(groups)])
 
 
 def _of_group(group: Group, number: int, labels: Sequence[str]) -> pd.DataFrame:
     fates, size = group.fates, len(group)
-    numbers = {name: group.column(name).to_numpy(np.float64, na_value=np.nan)
-               for name in ("t_stop", "growth_rate", "z_start", "w_start")}  # fmt: skip
-    numbers["t_end"] = np.full(size, float(group.key["t_end"]))
-    t_last, n_last = group.last.T
-    t, _ = ends_at(fates, t_last, numbers["t_stop"], numbers["t_end"])
+    t_stop, rates = (group.column(name).to_numpy(np.float64, na_value=np.nan) for name in ("t_stop", "growth_rate"))
+    t, _ = ends_at(fates, group.last[:, 0], t_stop, np.full(size, float(group.key["t_end"])))
     is_speed_dependent = any(group.key[name] is not None for name in SPEED_DEPENDENT)
-    untold = np.where(np.isnan(numbers["growth_rate"]), "rate", "stable")
-    held = is_held(t_last, n_last, int(group.key["n"]), numbers["t_end"])
+    untold = np.full(size, "law") if is_speed_dependent else np.where(np.isnan(rates), "rate", "stable")
     return pd.DataFrame({
-        "matrix": group.column("matrix").to_numpy(np.int64), "unit": group.column("unit").to_numpy(np.int64),
-        **numbers, "t_last": t_last, "t": np.where(fates == FAILED, np.nan, t),
-        "is_held": (fates == SUSTAINED) & held,
+        "row": group.rows.astype(np.int32),
+        "t": np.where(fates == FAILED, np.nan, t),
         "group": pd.Categorical.from_codes(np.full(size, number), pd.Index(labels)),
         "fate": pd.Categorical(fates, (*WATCHED, FAILED)),
-        "untold": pd.Categorical(np.full(size, "law") if is_speed_dependent else untold, ("law", "rate", "stable")),
+        "untold": pd.Categorical(untold, ("law", "rate", "stable")),
     }, copy=False)  # fmt: skip
 
 
-def _listed(groups: Sequence[Group], runs: pd.DataFrame) -> pd.DataFrame:
-    """The table of runs."""
-    sizes, own = [*map(len, groups)], groups[0].table.own
+def _listed(groups: Sequence[Group], runs: pd.DataFrame, some: slice) -> pd.DataFrame:
+    """Some rows of the table of runs."""
+    part = runs.iloc[some]
+    own, of_group = groups[0].table.own.iloc[part["row"]], part["group"].cat.codes.to_numpy()
+    of_members = {name: own[name].array for name in _RUN if name in own}
     more = {
-        "n": np.repeat([group.key["n"] for group in groups], sizes),
-        "kappa_n": np.repeat(np.array([_kappa_n(group.key) for group in groups], dtype=np.float64), sizes),
-        "member_id": own["member_id"].iloc[np.concatenate([group.rows for group in groups])].array,
+        "n": np.array([group.key["n"] for group in groups])[of_group],
+        "kappa_n": np.array([_kappa_n(group.key) for group in groups], dtype=np.float64)[of_group],
     }
-    return columns(_RUN, [runs.assign(**more)])
+    return columns(_RUN, [part.assign(**of_members, **more)])
 
 
-def _followed(runs: pd.DataFrame) -> pd.DataFrame:
-    """Runs that did not fail."""
-    has_failed = runs["fate"] == FAILED
-    return runs[~has_failed] if has_failed.any() else runs
-
-
-def _of_draws(groups: Sequence[Group], followed: pd.DataFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Of each run, numbers of what it was drawn with, its system and unit, and of its setting and matrix."""
-    labels = [group.label for group in groups]
-    systems = [tuple(group.key[name] for name in DRAWN) for group in groups]
-    settings = [tuple(one for name, one in group.key.items() if name not in ("z0", "w0")) for group in groups]
-    found = []
-    for keys, drawn in ((systems, "unit"), (settings, "matrix")):
-        number = dict(zip(labels, map(keys.index, keys), strict=True))
-        own = pd.factorize(followed[drawn])[0]  # they may be any numbers
-        found.append(pd.factorize(followed["group"].map(number).to_numpy(np.int64) + len(keys) * own)[0])
-    return found[0], found[1]
+def _of_draws(groups: Sequence[Group], keys: Collection[str], followed: pd.DataFrame, drawn: pd.Series) -> np.ndarray:
+    """Of each run, the number of the values that its group has of some keys, and of what was drawn for the run."""
+    values = [tuple(group.key[name] for name in keys) for group in groups]
+    number = np.array([*map(values.index, values)])[followed["group"].cat.codes]
+    own = pd.factorize(drawn.to_numpy()[followed["row"]])[0]  # they may be any numbers
+    return np.asarray(pd.factorize(number + len(values) * own)[0])
 
 
 def _thinned(curve: Curve) -> Curve:
@@ -227,11 +212,12 @@ def _curve_table(label: str, curve: Curve) -> pd.DataFrame:
 _First = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def _first(runs: pd.DataFrame) -> _First:
+def _first(group: Group) -> _First:
     """Fates and times of the first run of each unit of a group that did not fail."""
-    first = _followed(runs[["unit", "fate", "t_last", "t_stop", "t_end"]]).drop_duplicates("unit")
-    t_last, t_stop, t_end = (first[name].to_numpy() for name in ("t_last", "t_stop", "t_end"))
-    return np.array(first["fate"]), t_last, t_stop, t_end
+    ran = np.flatnonzero(group.fates != FAILED)
+    first = ran[np.unique(group.column("unit").to_numpy()[ran], return_index=True)[1]]
+    t_stop = group.column("t_stop").to_numpy(np.float64, na_value=np.nan)[first]
+    return group.fates[first], group.last[first, 0], t_stop, np.full(len(first), float(group.key["t_end"]))
 
 
 def _kappa_n(key: Mapping[str, Any]) -> float | None:
@@ -239,32 +225,38 @@ def _kappa_n(key: Mapping[str, Any]) -> float | None:
     return None if key["kappa"] is None or key["n"] == 1 else key["n"] * key["kappa"]
 
 
-def _counts(runs: pd.DataFrame) -> dict[str, int]:
+def _counts(fates: pd.Series | np.ndarray) -> dict[str, int]:
     """Number of runs of each fate, and of those in motion."""
-    how = Counter(runs["fate"].value_counts().to_dict())
+    how = Counter(pd.Series(fates).value_counts().to_dict())
     return {**{f"n_{name}": how[name] for name in (*WATCHED, FAILED)}, "n_moving": sum(how[name] for name in MOVING)}
 
 
 def _share(
-    followed: pd.DataFrame, drawn: np.ndarray, of: Sequence[str], confidence: float, untold: Sequence[str] = (QUIET,)
+    fates: pd.Series, drawn: np.ndarray, of: Sequence[str], confidence: float, untold: Sequence[str] = (QUIET,)
 ) -> Estimate:
     """Share of runs with one of some fates; runs with one number of `drawn`, of one unit, are dependent.
 
     For the fates in `untold` it is unknown whether the run belongs to them, and the interval covers both cases; with
     () every run counts as it is seen.
     """
-    if not len(followed):
+    if not len(fates):
         return Estimate(reason="every run failed")
-    counts = [np.bincount(drawn, followed["fate"].isin(some)) for some in (of, untold)]
+    counts = [np.bincount(drawn, fates.isin(some)) for some in (of, untold)]
     return bounded_share(np.column_stack([*counts, np.bincount(drawn)]), confidence)
 
 
-def _basin(followed: pd.DataFrame, setting: np.ndarray) -> Row | None:
+def _basin(groups: Sequence[Group], followed: pd.DataFrame, members: pd.DataFrame) -> Row | None:
     """Starts of the runs of one system by what they do at the end (`KINDS`); None if all do the same.
 
     A start must be given by two numbers, and both must vary; else None. Of several such systems or engines, the one
     with most runs.
     """
+    start = members[["z_start", "w_start"]]
+    if start.isna().all().any() or (start.min() == start.max()).any():
+        return None
+    others = [name for name in groups[0].key if name not in ("z0", "w0")]
+    setting = _of_draws(groups, others, followed, members["matrix"])
+    followed = followed.assign(**{str(name): start[name].to_numpy()[followed["row"]] for name in start})
     start = followed[["z_start", "w_start"]]
     is_known = start.notna().all(axis=1).to_numpy()
     by_setting = start[is_known].groupby(setting[is_known])
@@ -282,40 +274,43 @@ def _basin(followed: pd.DataFrame, setting: np.ndarray) -> Row | None:
     return max(found, key=lambda one: int(one["n"]), default=None)
 
 
-def _group_row(study: Study, group: Group, own: pd.DataFrame, first: _First | None) -> Row:
+def _group_row(study: Study, group: Group, first: _First | None) -> Row:
     """Row of the table `fates`: the runs of a group by fate, when they end, and their mean n_stick.
 
     `first` is what `_first` finds; None if all runs failed.
     """
-    level = study.settings.confidence
-    followed = _followed(own[["unit", "fate", "t", "t_last"]])
+    level, t_end = study.settings.confidence, float(group.key["t_end"])
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
-    span = float(group.key["t_end"]) - study.settings.t_burn
-    memory = tau(group.effective)
+    memory = tau(group.by_unit("variance", "tens", "twenties", "sokal"))
     half, least = Estimate(), Estimate()
     if first is not None:
-        fates, t_last, t_stop, t_end = first
-        half = half_ended(fates, t_last, t_stop, t_end, level)
-        least = half_ended(np.where(fates == QUIET, COLLAPSED, fates), t_last, t_stop, t_end, level)
-    unit = pd.factorize(followed["unit"])[0]
+        fates, t_last, t_stop, ends = first
+        half = half_ended(fates, t_last, t_stop, ends, level)
+        least = half_ended(np.where(fates == QUIET, COLLAPSED, fates), t_last, t_stop, ends, level)
+    ran = np.flatnonzero(group.fates != FAILED)
+    fates, (t_last, n_last) = group.fates[ran], group.last[ran].T
+    t_stop = group.column("t_stop").to_numpy(np.float64, na_value=np.nan)[ran]
+    t, _ = ends_at(fates, t_last, t_stop, np.full(len(ran), t_end))
+    unit = pd.factorize(group.column("unit").to_numpy()[ran])[0]
+    followed = pd.Series(pd.Categorical(fates, WATCHED))
     share, settled = _share(followed, unit, MOVING, level), _share(followed, unit, SETTLED, level, untold=())
+    n_held = np.count_nonzero(is_held(t_last, n_last, int(group.key["n"]), t_end) & (fates == SUSTAINED))
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
-        "engine": group.key["engine"], "n_runs": len(followed), "t_end": float(group.key["t_end"]),
-        **_counts(own), **named("moving", share), **named("settled", settled),
-        "n_held": int(own["is_held"].sum()), "is_rated": bool(own["growth_rate"].notna().any()),
+        "engine": group.key["engine"], "n_runs": len(ran), "t_end": t_end,
+        **_counts(group.fates), **named("moving", share), **named("settled", settled),
+        "n_held": n_held, "is_rated": bool(group.column("growth_rate").notna().any()),
         "half": half, **named("median", half), "median_least": least.value,
-        "last_end": _latest(followed, "t", ENDS), "last_quiet": _latest(followed, "t_last", (QUIET,)),
+        "last_end": _latest(t[np.isin(fates, ENDS)]), "last_quiet": _latest(t_last[fates == QUIET]),
         **named("mean", mean), "drifts": drift, **named("drift", drift),
-        "effective_samples": memory and len(group.units) * span / (2 * memory),
+        "effective_samples": memory and len(group.units) * (t_end - study.settings.t_burn) / (2 * memory),
         "basis": basis.code, "is_drifting": _is_drifting(drift, basis),
     }  # fmt: skip
 
 
-def _latest(runs: pd.DataFrame, time: str, of: Sequence[str]) -> float | None:
-    """The latest time of runs of some fates; None if there is none."""
-    found = runs.loc[runs["fate"].isin(of), time]
-    return float(found.max()) if len(found) else None
+def _latest(times: np.ndarray) -> float | None:
+    """The latest of some times; None if there is none."""
+    return float(times.max()) if len(times) else None
 
 
 def _is_drifting(drift: Estimate, basis: enough.Basis) -> bool:
@@ -337,14 +332,14 @@ def _brief(groups: Sequence[Row]) -> list[Row]:
     return sorted((row for row in found if row["n_runs"]), key=lambda row: (row["n"], row["kappa_n"]))
 
 
-def _linear(followed: pd.DataFrame) -> list[Row]:
+def _linear(followed: pd.DataFrame, growth_rates: pd.Series) -> list[Row]:
     """Number of runs of each fate where slipping all together is linearly stable, and where it is unstable.
 
     Empty if no growth rate is known.
     """
-    known = followed[followed["growth_rate"].notna()]
-    has = np.asarray(is_unstable(known["growth_rate"].to_numpy(np.float64)))
-    parts = {"stable": known[~has], "unstable": known[has]}
+    rates = growth_rates.to_numpy(np.float64)[followed["row"]]
+    has, is_known = np.asarray(is_unstable(rates)), ~np.isnan(rates)
+    parts = {"stable": followed["fate"][is_known & ~has], "unstable": followed["fate"][is_known & has]}
     return [{"state": state, "n_runs": len(some), **_counts(some)} for state, some in parts.items() if len(some)]
 
 

@@ -153,8 +153,8 @@ class _Judged:
             if study.motion.fates[member] in MOVING and (found := _sums(study.motion.sums[member])) is not None:
                 self.sums[member] = found
         some = study.motion.sums[[base for base in bases if base in self.sums]]
-        n_cascades = int(some[:, COLUMNS["gamma"]][:, 1].sum())
-        self.basis = enough.basis(some[:, COLUMNS["means"]][:, 1:4], n_cascades, self.level)
+        n_cascades, halves = int(some[:, COLUMNS["cascades"]].sum()), ("first_half", "second_half", "variance")
+        self.basis = enough.basis(some[:, [COLUMNS[name] for name in halves]], n_cascades, self.level)
         self.lack = self._lack()
         self.rows: list[Row] = [] if self.lack == NO_MOTION else self._rows()
         if not self.lack and all(row["shift"] is None for row in self.rows):
@@ -286,7 +286,7 @@ def _of(comparison: Comparison, matrix: int) -> list[int]:
 
 def _sums(found: np.ndarray) -> np.ndarray | None:
     """Sums of each of `PRIMARY`, shape (3, 2), from a row of `Motion.sums`; None where one of them has no value."""
-    rows = np.array([found[COLUMNS[name]] for name in PRIMARY])
+    rows = np.array([found[[COLUMNS[part] for part in QUANTITIES[name].parts]] for name in PRIMARY])
     try:
         for name, row in zip(PRIMARY, rows, strict=True):
             QUANTITIES[name].of(row[None])

@@ -79,7 +79,7 @@ def answer(study: Study) -> Answer:
 
 def _law_row(group: Group, confidence: float) -> Row:
     """gamma of a group against ln 2 and against the pool, each with its interval over matrices."""
-    sums, basis = group.sums, group.basis(confidence)
+    sums, basis = group.sums("gamma").rows, group.basis(confidence)
     some = sums[:, 1] > 0
     rate = over_matrices(gamma, sums[some], confidence)
     row: Row = {
@@ -124,7 +124,7 @@ def _size_rows(group: Group, confidence: float) -> list[Row]:
     if not len(counts):
         return []
     totals = counts.sum(axis=1)
-    rate = over_matrices(gamma, group.sums[group.sums[:, 1] > 0], confidence).value
+    rate = over_matrices(gamma, group.sums("gamma").counted.rows, confidence).value
     n, mean = int(group.key["n"]), group.pool_mean
     by_pool = pool.law(n, mean, counts.shape[1]) if mean is not None and pool.is_one(n, mean) else None
     rows = []
