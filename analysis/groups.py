@@ -23,7 +23,7 @@ import pandas as pd
 
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET
-from stickslip.analysis.models.motion import COLUMNS, Motion
+from stickslip.analysis.models.motion import COLUMNS, EFFECTIVE, Motion
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
@@ -58,7 +58,9 @@ class Group:
     units : ndarray of int, shape (G,)
         Units of the members in motion, ascending: the rows of all arrays.
     totals : dict of str to ndarray, shape (G,)
-        Sums over runs of each of `motion.COLUMNS`, by name.
+        Sums over runs of each of `motion.COLUMNS`, by name, but of the following ones.
+    effective : ndarray, shape (4,)
+        Sums over units of their means over runs of `effective.rows`.
     counts : ndarray of int, shape (G, K)
         Number of cascades of each size from 1 on, by the definition `events`.
     fates : ndarray of str, shape (R,)
@@ -77,6 +79,7 @@ class Group:
     rows: np.ndarray
     units: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     totals: dict[str, np.ndarray] = field(default_factory=dict)
+    effective: np.ndarray = field(default_factory=lambda: np.zeros(4))
     counts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int64))
     fates: np.ndarray = field(default_factory=lambda: np.zeros(0, object))
     last: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
@@ -328,6 +331,9 @@ class _Filling:
         for name in [*self._columns]:
             column = np.concatenate([np.zeros(0), *self._columns.pop(name)])
             group.totals[name] = np.bincount(rows, column, len(group.units))
+        group.effective = group.by_unit("variance", *EFFECTIVE).sum(axis=0)
+        for name in EFFECTIVE:
+            del group.totals[name]
         most = max((int(some[:, 1].max(initial=0)) for some in self._sizes), default=0)
         group.counts = np.zeros((len(group.units), most), dtype=np.int64)
         while self._sizes:

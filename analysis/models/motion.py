@@ -16,13 +16,14 @@ from stickslip.analysis.stats.quantities import SUMS
 
 #: Change points and runs that are worked on at once.
 _POINTS, _RUNS = 1 << 19, 1 << 13
+#: Columns of `effective.rows` after the variance.
+EFFECTIVE = ("tens", "twenties", "sokal")
 #: Columns of `Motion.sums` by name: those of `quantities.SUMS`; n_stick in the two halves of the window; its integral
-#: and the time without lulls; `effective.rows`, without the variance; and whether the window is too short for a
-#: correlation time or has none.
+#: and the time without lulls; `EFFECTIVE`; and whether the window is too short for a correlation time or has none.
 COLUMNS: Mapping[str, int] = {
     name: k for k, name in enumerate((
         *(name for names in SUMS for name in names),
-        "first_half", "second_half", "stuck", "active", "tens", "twenties", "sokal", "short",
+        "first_half", "second_half", "stuck", "active", *EFFECTIVE, "short",
     ))
 }  # fmt: skip
 
@@ -133,6 +134,6 @@ def _sums(runs: Windows, is_brief: bool) -> np.ndarray:
         return found
     tau = found[:, COLUMNS["tau"]]
     put(("stuck", "active"), np.column_stack([halves.mean(axis=1) * runs.span, runs.span - runs.total(lulls(runs))]))
-    put(("tens", "twenties", "sokal"), effective.rows(runs, tau)[:, 1:])
+    put(EFFECTIVE, effective.rows(runs, tau)[:, 1:])
     put(("short",), ((tau == 0) | effective.is_short(runs, tau))[:, None])
     return found

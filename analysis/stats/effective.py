@@ -109,7 +109,7 @@ def rows(runs: Windows, taus: np.ndarray) -> np.ndarray:
     return np.column_stack([runs.variance, *spread, 2 * taus * runs.variance])
 
 
-def tau(rows: np.ndarray) -> float | None:
-    """Correlation time from the rows of runs of equal length, shape (G, 4); None if n_stick does not change."""
-    variance, tens, twenties, sokal = np.sum(rows, axis=0)
+def tau(sums: np.ndarray) -> float | None:
+    """Correlation time from the sum of the rows of runs of equal length, shape (4,); None if n_stick does not change."""
+    variance, tens, twenties, sokal = sums
     return float(max(2 * tens - twenties, sokal) / (2 * variance)) if variance > 0 else None

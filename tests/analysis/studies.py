@@ -517,7 +517,7 @@ def effective_study(rng, ensembles, t_end=2400.0):
         means, answer = x.mean(axis=1), wandering_tau(t_end, **shares)
         taus, held = [], []
         for some in rng.integers(runs, size=(ensembles, MATRICES)):
-            taus.append(effective.tau(rows[some]))
+            taus.append(effective.tau(rows[some].sum(axis=0)))
             half = 1.96 * np.sqrt(rows[some, 0].mean() * 2 * taus[-1] / t_end)
             held.append(abs(means[some[0]] - 100) <= half)
         errors = np.array(taus) - answer

@@ -281,7 +281,7 @@ def _group_row(study: Study, group: Group, first: _First | None) -> Row:
     """
     level, t_end = study.settings.confidence, float(group.key["t_end"])
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
-    memory = tau(group.by_unit("variance", "tens", "twenties", "sokal"))
+    memory = tau(group.effective)
     half, least = Estimate(), Estimate()
     if first is not None:
         fates, t_last, t_stop, ends = first
