@@ -75,6 +75,8 @@ class Recorded(NamedTuple):
         What it is never below, by what it is: 0 for an amplitude.
     absent : str
         Why a run may have none, by what it is: a steady slide has no period. Empty if all should have one.
+    called : str
+        What it is called in a sentence; empty: by its column.
     problems : mapping of str to str
         By member_id: why a run has none although it should.
     """
@@ -84,6 +86,7 @@ class Recorded(NamedTuple):
     least: float | None = None
     absent: str = ""
     problems: Mapping[str, str] = {}
+    called: str = ""
 
 
 @dataclass(frozen=True)

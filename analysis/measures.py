@@ -180,7 +180,7 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
         words = column.words.partition(";")[0]
         yield Measure(
             Statistic(f"mean {name}", ratio, MARGIN, least=column.least),
-            name, f"mean {name}", words, name,
+            name, f"mean {column.called or name}", words, name,
             partial(_column, numbers, column.problems, column.absent or NO_VALUE),
             column.absent,
             is_recorded=not is_own,

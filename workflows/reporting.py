@@ -80,6 +80,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             one.least,
             printable(one.absent),
             problems.get(one.name, {}),
+            one.called,
         )
         for one in kept
     }

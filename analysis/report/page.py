@@ -137,7 +137,7 @@ class Report:
     ----------
     html : str
         The whole page, with its images inside.
-    tables : dict of str to Table
+    tables : mapping of str to Table
         All tables, with nulls where a column does not apply or a number could not be computed.
     headline : list of str
         The main statements, for a terminal.
@@ -149,7 +149,7 @@ class Report:
     """
 
     html: str
-    tables: dict[str, Table]
+    tables: Mapping[str, Table]
     headline: list[str]
     figures: dict[str, Drawn] = field(default_factory=dict)
     problems: dict[str, str] = field(default_factory=dict)

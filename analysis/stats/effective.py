@@ -110,6 +110,6 @@ def rows(runs: Windows, taus: np.ndarray) -> np.ndarray:
 
 
 def tau(sums: np.ndarray) -> float | None:
-    """Correlation time from the sum of the rows of runs of equal length, shape (4,); None if n_stick does not change."""
+    """Correlation time from the summed rows of runs of equal length, shape (4,); None if n_stick does not change."""
     variance, tens, twenties, sokal = sums
     return float(max(2 * tens - twenties, sokal) / (2 * variance)) if variance > 0 else None

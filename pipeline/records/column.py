@@ -29,6 +29,8 @@ class Column(NamedTuple):
         known.
     least : float, optional
         What a number is never below, by what it is: 0 for an amplitude.
+    title : str
+        What a number is called in a sentence; empty: its name, with spaces.
     absent : str
         Why a run has no such number, in words, where that is what it is, as a steady slide has no period; empty if a
         run without one lacks it.
@@ -43,6 +45,12 @@ class Column(NamedTuple):
     is_averaged: bool = True
     least: float | None = None
     absent: str = ""
+    title: str = ""
+
+    @property
+    def called(self) -> str:
+        """What it is called in a sentence."""
+        return self.title or self.name.replace("_", " ")
 
     @property
     def is_list(self) -> bool:

@@ -28,7 +28,13 @@ class Amplitude(StateRecord):
             "half of peak to peak of z after t_burn, the largest of the blocks; null if the run ended before",
             least=0.0,
         ),
-        Column("number", "amplitude_mean", "its mean over the blocks", least=0.0),
+        Column(
+            "number",
+            "amplitude_mean",
+            "half of peak to peak of z after t_burn, mean over the blocks",
+            least=0.0,
+            title="amplitude over the blocks",
+        ),
     )
 
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:

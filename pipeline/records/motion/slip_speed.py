@@ -27,7 +27,13 @@ class SlipSpeed(StateRecord):
             "mean of |w - v| over blocks and time after t_burn, 0 while they stick; null if the run ended before",
             least=0.0,
         ),
-        Column("number", "slip_speed_rms", "its root mean square", least=0.0),
+        Column(
+            "number",
+            "slip_speed_rms",
+            "root mean square of |w - v| over blocks and time after t_burn",
+            least=0.0,
+            title="root mean square of the slip speed",
+        ),
     )
 
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:

@@ -23,6 +23,7 @@ class FirstExit(Record):
             "time of the first exit; null, as below, if there is none",
             least=0.0,
             absent="no exit",
+            title="time of the first exit",
         ),
         Column("whole", "first_exit_block", "the block that lets go first", is_averaged=False),
     )

@@ -26,8 +26,15 @@ class StickShare(WindowRecord):
             "stick_share",
             "share of the time after t_burn that a block sticks, mean over the blocks; null if the run ended before",
             least=0.0,
+            title="share of time that a block sticks",
         ),
-        Column("number", "never_slipped", "share of the blocks that stick from t_burn to the end", least=0.0),
+        Column(
+            "number",
+            "never_slipped",
+            "share of the blocks that stick from t_burn to the end",
+            least=0.0,
+            title="share of blocks that never slip",
+        ),
     )
     needs = frozenset({"events"})
 

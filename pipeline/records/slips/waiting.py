@@ -24,16 +24,23 @@ class Waiting(WindowRecord):
             "waiting_count",
             "number of times between successive exits of the same block after t_burn",
             least=0.0,
+            title="number of waiting times",
         ),
         Column(
-            "number", "waiting_mean", "their mean; null if there are none", least=0.0, absent="no block left twice"
+            "number",
+            "waiting_mean",
+            "mean of the times between successive exits of the same block after t_burn; null if there are none",
+            least=0.0,
+            absent="no block left twice",
+            title="waiting time",
         ),
         Column(
             "number",
             "waiting_cv",
-            "their standard deviation over their mean; null with fewer than two",
+            "standard deviation of these times over their mean; null with fewer than two",
             least=0.0,
             absent="fewer than two times",
+            title="coefficient of variation of waiting times",
         ),
     )
     needs = frozenset({"events"})
