@@ -110,7 +110,7 @@ def answer(study: Study) -> Answer:
         "is_certified": "t_collapse" in members,
         "untold": Counter(runs.loc[runs["fate"] == QUIET, "untold"]),
         "has_ends": bool((runs["fate"].isin(ENDS) & (runs["t"] > 0.0)).any()),
-        "basin": _basin(study.groups, followed, members),
+        "basin": None if "attractor" in members else _basin(study.groups, followed, members),  # drawn there
         "few": [row for row in moving if row["basis"] == enough.FEW_MATRICES],
         "drifting": [row for row in moving if row["is_drifting"]],
         "unsure": [row for row in moving if row["basis"] == enough.DRIFT_UNKNOWN],
