@@ -37,7 +37,7 @@ _BACK, _CLOSEST, _WIDEST = 1e4, 1e-9, 1e-4
 _TOGETHER = 100.0
 #: Of K dz, over that of its terms: below, z has only moved along the null space of K.
 _NULL = 1e-12
-#: States within this share of a period from an event are those at the event.
+#: States within this share of a period from an event, or that of the run's tolerance, are those at the event.
 _EXACT = 1e-12
 #: Rounds of events that are tried as a cycle, the shortest first.
 _TRIED = 8
@@ -327,8 +327,17 @@ class _End:
         expected = np.append(last.t[-p:], last.t[-p] + cycle.period) + (cycle.period - begin)
         expected = np.maximum.accumulate(np.maximum(expected, self._start))
         length = float(expected[-1]) - self._start + _TOGETHER * self._back * (self._fastest + cycle.period)
-        after = self._follow(length, expected)
-        events, symbols = after.events, _symbols(last)[-p:]
+        once = np.append(np.arange(-p, 0), -p)
+        foreseen = replace(last, t=expected, block=last.block[once], mode=last.mode[once],
+                           initial_mode=self._mode, t_start=self._start)  # fmt: skip
+        followed: list[Run] = []
+
+        def follow(times: Floats) -> Samples:
+            followed.append(self._follow(length, times))
+            return followed[0].samples
+
+        path = Path.of(self._system, foreseen, expected, follow)
+        events, symbols = followed[0].events, _symbols(last)[-p:]
         again = np.flatnonzero(_symbols(events)[p:] == symbols[0])
         if len(again) == 0:
             return None
@@ -338,11 +347,8 @@ class _End:
         events = replace(events, t=events.t[order], block=events.block[order], mode=events.mode[order])
         if (_symbols(events)[:p] != symbols).any():
             return None
-        edges = events.t
-        if self._system.weakening is None and (np.abs(edges - expected) <= _EXACT * cycle.period).all():
-            path = Path.of(self._system, events, edges, lambda _: after.samples)
-        else:
-            path = self._path(events, edges)
+        if not (np.abs(events.t - expected) <= max(_EXACT, self._back / _BACK) * cycle.period).all():
+            path = self._path(events, events.t)
         drift, period = self._drift(path.states), float(events.t[p] - events.t[0])
         if drift is None or not self._has_phase(period):
             return None

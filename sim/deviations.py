@@ -226,25 +226,25 @@ class Path:
                 part = slice(first, first + at_a_time)
                 yield from exponential(_held(matrix, self.modes[1:][part]) * lengths[part, None, None])
             return
-        of, h = self.steps.segment, self.steps.length
-        matrix = self.system.slip_matrix()
-        for k in range(m):
-            first, last = np.searchsorted(of, [k, k + 1])
-            flow = np.identity(2 * n)
-            for begin in range(first, last, at_a_time):
-                part = slice(begin, min(begin + at_a_time, last))
-                for step in exponential(self._magnus(matrix, part, h[part], self.modes[k + 1])):
-                    flow = step @ flow
-            yield flow
+        matrix, of = self.system.slip_matrix(), self.steps.segment
+        is_last, flow, first = np.append(of[1:] != of[:-1], True), np.identity(2 * n), 0
+        while first < len(of):
+            part = slice(first, first + at_a_time)
+            steps, ends = exponential(self._magnus(matrix, part, self.steps)), np.flatnonzero(is_last[part]) + 1
+            for some in filter(len, np.split(steps, ends)):
+                flow, first = _product(some) @ flow, first + len(some)
+                if is_last[first - 1]:
+                    yield flow
+                    flow = np.identity(2 * n)
 
-    def _magnus(self, matrix: Floats, part: slice, h: Floats, mode: NDArray[np.int8]) -> Floats:
-        """The exponents of some steps of one segment, shape (q, 2n, 2n)."""
-        n = self.system.n
-        drag = self.system.kinetic_slope(self.slip[part]) * (mode != 0)
-        a = np.tile(_held(matrix, mode[None]), (len(h), 3, 1, 1))
+    def _magnus(self, matrix: Floats, part: slice, steps: Steps) -> Floats:
+        """The exponents of some steps, shape (q, 2n, 2n)."""
+        n, modes = self.system.n, self.modes[1:][steps.segment[part]]
+        drag = self.system.kinetic_slope(self.slip[part]) * (modes != 0)[:, np.newaxis]
+        a = np.repeat(_held(matrix, modes)[:, np.newaxis], 3, axis=1)
         own = n + np.arange(n)
         a[:, :, own, own] -= drag
-        a *= h[:, None, None, None]
+        a *= steps.length[part, None, None, None]
         one, two = a[:, 1], np.sqrt(15) / 3 * (a[:, 2] - a[:, 0])
         three = 10 / 3 * (a[:, 2] - 2 * a[:, 1] + a[:, 0])
         c = _commutator(one, two)
@@ -278,6 +278,15 @@ def exponential(matrices: Floats) -> Floats:
         more = squarings > k
         total[more] = total[more] @ total[more]
     return total
+
+
+def _product(matrices: Floats) -> Floats:
+    """The product of a stack, the last on the left, two by two: calls cost more than products."""
+    found = matrices
+    while len(found) > 1:
+        pairs = found[1::2] @ found[: len(found) - len(found) % 2 : 2]
+        found = np.concatenate([pairs, found[-1:]]) if len(found) % 2 else pairs
+    return np.asarray(found[0])
 
 
 def _held(matrix: Floats, modes: NDArray[np.int8]) -> Floats:

@@ -119,34 +119,56 @@ def steady_sliding(system: System, z: Floats, w: Floats, mode: NDArray[np.int8])
     that at rest, and friction deviates from its tangent there by rho_k(r_k) at most while |w_k| <= r_k < |v_k|. Then
     |w_i| stays below r_i if the eigenmodes and B rho(r) together are below.
     """
-    speed = np.broadcast_to(np.abs(system.belt_speed_at(0.0)), system.n)
     slip = -np.sign(system.belt_speed_at(0.0))
     if not (slip * mode > 0).all() or system.n > _EIGENVALUES_MAX:
         return ""
-    unit = system.of_unit_mass
-    if system.weakening is None:
-        eigenmodes = _eigenmodes(unit)
-    else:
-        eigenmodes = _Eigenmodes(unit.slip_matrix(unit.kinetic_slope(speed)))
-    if not eigenmodes.decay:
+    if system not in _SLIDING:
+        _SLIDING[system] = _Sliding.of(system)
+    if (sliding := _SLIDING[system]) is None:
         return ""
-    try:
-        rest = unit.rest_under(-unit.kinetic(speed) * slip)
-    except np.linalg.LinAlgError:
-        return ""
-    reach = eigenmodes.sizes[unit.n :] @ np.abs(eigenmodes.inverse @ np.concatenate((z - rest, w)))
-    bound = speed * _SHARES[:, np.newaxis]
-    if system.weakening is not None:
-        tangent = unit.kinetic_slope(speed) * bound
-        deviation = np.maximum(
-            *(np.abs(unit.kinetic(speed + s * bound) - unit.kinetic(speed) - s * tangent) for s in (-1, 1))
-        )
-        most = np.maximum.accumulate(deviation[::-1])[::-1]  # of all smaller |w|
-        bound = bound - _CERTAIN * most @ eigenmodes.response()[unit.n :].T
-    if not (is_below := (_CERTAIN * reach < bound).all(axis=1)).any():
+    reach = sliding.sizes @ np.abs(sliding.inverse @ np.concatenate((z - sliding.rest, w)))
+    if not (is_below := (_CERTAIN * reach < sliding.bound).all(axis=1)).any():
         return ""
     within = float(_SHARES[is_below].min())
     return f"all blocks slip; |w| stays below {within:.3g} of the belt's speed, as the all-slip system decays"
+
+
+@dataclass(frozen=True, eq=False)
+class _Sliding:
+    """What `steady_sliding` takes of a system: of T, the rows of w, as sizes; T^-1; the rest; r less B rho(r)."""
+
+    sizes: Floats
+    inverse: NDArray[np.complex128]
+    rest: Floats
+    bound: Floats
+
+    @classmethod
+    def of(cls, system: System) -> _Sliding | None:
+        """None if not all eigenmodes decay, or there is no state of rest."""
+        unit, speed = system.of_unit_mass, np.broadcast_to(np.abs(system.belt_speed_at(0.0)), system.n)
+        if system.weakening is None:
+            eigenmodes = _eigenmodes(unit)
+        else:
+            eigenmodes = _Eigenmodes(unit.slip_matrix(unit.kinetic_slope(speed)))
+        if not eigenmodes.decay:
+            return None
+        try:
+            rest = unit.rest_under(unit.kinetic(speed) * np.sign(system.belt_speed_at(0.0)))
+        except np.linalg.LinAlgError:
+            return None
+        bound = speed * _SHARES[:, np.newaxis]
+        if system.weakening is not None:
+            tangent = unit.kinetic_slope(speed) * bound
+            deviation = np.maximum(
+                *(np.abs(unit.kinetic(speed + s * bound) - unit.kinetic(speed) - s * tangent) for s in (-1, 1))
+            )
+            most = np.maximum.accumulate(deviation[::-1])[::-1]  # of all smaller |w|
+            bound = bound - _CERTAIN * most @ eigenmodes.response()[unit.n :].T
+        return cls(eigenmodes.sizes[unit.n :], eigenmodes.inverse, rest, bound)
+
+
+#: None where there is none.
+_SLIDING: WeakKeyDictionary[System, _Sliding | None] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True)
