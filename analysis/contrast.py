@@ -66,8 +66,8 @@ class Sample:
     Attributes
     ----------
     sums : dict of str to UnitSums
-        By statistic. Only runs that reached t_end enter. Shares are the exception: there each unit has 1 or
-        0, and 1, from its first run that did not fail.
+        By statistic. Only runs that reached t_end enter. Shares are the exception: there all runs of a unit that
+        did not fail enter.
     unjudged : set of str
         Statistics for which most windows are too short.
     """
@@ -99,11 +99,10 @@ def sample(group: Group) -> Sample:
     })  # fmt: skip
     fates, (t_last, n_last) = group.fates, group.last.T
     ran = np.flatnonzero(fates != FAILED)
-    units, first = np.unique(group.column("unit").to_numpy()[ran], return_index=True)
-    away = fates[ran[first]] == DIVERGED
-    slips = ~away & is_all_slip(t_last[ran[first]], n_last[ran[first]], float(group.key["t_end"]))
+    units, away = group.column("unit").to_numpy()[ran], fates[ran] == DIVERGED
+    slips = ~away & is_all_slip(t_last[ran], n_last[ran], float(group.key["t_end"]))
     for name, has in ((ALL_SLIP, slips), (RUN_AWAY, away)):
-        found.sums[name] = UnitSums(units, np.column_stack([has, np.ones(len(has))]))
+        found.sums[name] = UnitSums.of(units, np.column_stack([has, np.ones(len(has))]))
     if 2 * group.n_short > group.n_runs:
         found.unjudged.add(QUANTITIES["correlation_time"].label)
     return found

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import special
 
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.compare import share_over_matrices, wilson
+from stickslip.analysis.stats.compare import share_over_matrices, wilson, wilsons
 from stickslip.analysis.stats.estimates import Estimate
 
 COLLAPSED, DIVERGED, SUSTAINED, LULL, QUIET, FAILED = (
@@ -38,8 +38,11 @@ Many = np.ndarray | float
 Curve = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float) -> Curve:
+def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float, units: np.ndarray | None = None) -> Curve:
     """Share that has not ended by a time, with Greenwood's interval on the log-log scale.
+
+    Of runs of the same unit, which are not independent, the interval is Wilson's for an effective number of runs, as
+    of `compare.share_over_matrices`: whatever did not end is then to be followed until the last end.
 
     Parameters
     ----------
@@ -47,6 +50,8 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float) -> Cur
     ended : ndarray, shape (m,), bool
         Whether it ended then, or was only followed until then (censored).
     confidence : float
+    units : ndarray of int, shape (m,), optional
+        The unit of each; left out, each is one by itself.
 
     Returns
     -------
@@ -60,6 +65,8 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float) -> Cur
     at_end = np.sort(times[ended])
     n_stay = n_at_risk - (np.searchsorted(at_end, t, side="right") - np.searchsorted(at_end, t, side="left"))
     share = np.cumprod(n_stay / np.maximum(n_at_risk, 1))
+    if units is not None and len(np.unique(units)) < len(units):
+        return t, share, *wilsons(share, _effective(t, share, times, ended, units), confidence)
     with np.errstate(divide="ignore", invalid="ignore"):  # where the interval has no width
         variance = np.cumsum((n_at_risk - n_stay) / (n_at_risk * n_stay))
         half = student.half_width(confidence, np.inf) * np.sqrt(variance) / np.log(share)
@@ -69,8 +76,36 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float) -> Cur
     return t, share, low, high
 
 
+def _effective(
+    t: np.ndarray, share: np.ndarray, times: np.ndarray, ended: np.ndarray, units: np.ndarray
+) -> np.ndarray:
+    """Effective numbers of independent runs behind the share left at each t, by how far units differ in it."""
+    place = np.unique(units, return_inverse=True)[1]
+    n_of, in_time = np.bincount(place).astype(np.float64), np.argsort(times[ended], kind="stable")
+    of_end = place[ended][in_time]
+    order = np.argsort(of_end, kind="stable")
+    first = np.searchsorted(of_end[order], of_end[order])
+    n_before = np.empty(len(order))
+    n_before[order] = np.arange(len(order)) - first  # ends of the same unit before each
+    left = n_of[of_end] - n_before
+    # sums over units of what is left squared, and times their size, from each end on
+    squares = np.append(0.0, np.cumsum(1.0 - 2.0 * left)) + np.sum(n_of**2)
+    products = np.append(0.0, np.cumsum(-n_of[of_end])) + np.sum(n_of**2)
+    by = np.searchsorted(times[ended][in_time], t, side="right")
+    residual = squares[by] - 2.0 * share * products[by] + share**2 * np.sum(n_of**2)
+    variance = len(n_of) / max(len(n_of) - 1, 1) * np.maximum(residual, 0.0) / len(times) ** 2
+    most = np.full(len(t), float(len(times)))
+    trials = np.divide(share * (1.0 - share), variance, out=most, where=variance > 0)
+    return np.where((share > 0) & (share < 1), np.clip(trials, len(n_of), len(times)), float(len(n_of)))
+
+
 def survival(
-    fates: np.ndarray, t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray, confidence: float
+    fates: np.ndarray,
+    t_last: np.ndarray,
+    t_stop: np.ndarray,
+    t_end: np.ndarray,
+    confidence: float,
+    units: np.ndarray | None = None,
 ) -> Curve:
     """Share of runs that have not ended by a time: `kaplan_meier` of the results of `ends_at`.
 
@@ -82,13 +117,15 @@ def survival(
         Fates of runs that did not fail.
     t_last, t_stop, t_end : ndarray, shape (m,)
         Of each run: its last event; when it was certified or left every bound; and the end that was asked for.
+    units : ndarray of int, shape (m,), optional
+        As in `kaplan_meier`.
     """
     times, ended, earliest = _ends(fates, t_last, t_stop, t_end)
-    curve = kaplan_meier(times, ended, confidence)
+    curve = kaplan_meier(times, ended, confidence, units)
     is_quiet = fates == QUIET
     if not is_quiet.any():
         return curve
-    least = kaplan_meier(earliest, ended | is_quiet, confidence)
+    least = kaplan_meier(earliest, ended | is_quiet, confidence, units)
     t = np.union1d(curve[0], least[0])
     (share, high), (low,) = (
         [one[np.searchsorted(of[0], t, side="right") - 1] for one in some]
@@ -98,14 +135,25 @@ def survival(
 
 
 def half_ended(
-    fates: np.ndarray, t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray, confidence: float
+    fates: np.ndarray,
+    t_last: np.ndarray,
+    t_stop: np.ndarray,
+    t_end: np.ndarray,
+    confidence: float,
+    units: np.ndarray | None = None,
 ) -> Estimate:
     """Time by which half of the runs have ended: `median` of the runs of `survival`, with the same parameters.
 
     The lower end of the interval takes quiet runs as ended at their last events, the upper end as not ended.
     """
     times, ended, earliest = _ends(fates, t_last, t_stop, t_end)
-    return median(times, ended, confidence, earliest)
+    found = median(times, ended, confidence, earliest)
+    if units is None or len(np.unique(units)) == len(units):
+        return found
+    # runs of a unit are not independent: from when, and until when, the interval of the share holds one half
+    t, _, low, high = survival(fates, t_last, t_stop, t_end, confidence, units)
+    ends = [float(t[np.argmax(side <= 0.5)]) if (side <= 0.5).any() else None for side in (low, high)]
+    return Estimate(found.value, ends[0], ends[1], found.reason)
 
 
 def _ends(

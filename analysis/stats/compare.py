@@ -199,14 +199,19 @@ def wilson(successes: float, trials: float, confidence: float) -> tuple[float, f
     """
     if not (trials > 0 and 0 <= successes <= trials):
         raise ValueError(f"successes, trials: expected 0 <= successes <= trials > 0, got {successes} of {trials}")
+    low, high = wilsons(np.array([successes / trials]), np.array([trials]), confidence)
+    return float(low[0]), float(high[0])
+
+
+def wilsons(shares: np.ndarray, trials: np.ndarray, confidence: float) -> tuple[np.ndarray, np.ndarray]:
+    """`wilson` of many shares, shape (m,) as all arrays here."""
     z = float(special.ndtri(0.5 + confidence / 2))
-    share, z2 = successes / trials, z * z / trials
-    centre = (share + z2 / 2) / (1 + z2)
-    half = z / (1 + z2) * np.sqrt(share * (1 - share) / trials + z2 / (4 * trials))
+    z2 = z * z / trials
+    centre = (shares + z2 / 2) / (1 + z2)
+    half = z / (1 + z2) * np.sqrt(shares * (1 - shares) / trials + z2 / (4 * trials))
     # exact at the ends, where rounding would leave about 1e-17
-    low = float(centre - half) if successes > 0 else 0.0
-    high = float(centre + half) if successes < trials else 1.0
-    return max(low, 0.0), min(high, 1.0)
+    low, high = np.where(shares > 0, centre - half, 0.0), np.where(shares < 1, centre + half, 1.0)
+    return np.maximum(low, 0.0), np.minimum(high, 1.0)
 
 
 def share_over_matrices(counts: np.ndarray, confidence: float) -> tuple[float, float, float, float]:

@@ -152,7 +152,7 @@ def test_a_sample_is_the_planted_one(planted):
             planted.member("m4", 4),
             planted.member("m5", 5, outcome="diverged", t_stop=200.0),
             planted.member("m6", 6, outcome="failed", t_stop=None),
-            planted.member("m2 again", 2, outcome="diverged", t_stop=200.0),  # shares have the first run of a matrix
+            planted.member("m2 again", 2, outcome="diverged", t_stop=200.0),  # shares have all runs of a matrix
             planted.member("m7", 7, outcome="failed", t_stop=None),
             planted.member("m7 again", 7, outcome="collapsed", t_stop=310.0),  # that did not fail
         ]
@@ -168,10 +168,10 @@ def test_a_sample_is_the_planted_one(planted):
     assert found.of("exit rate").rows[:3, 0] == pytest.approx(2 / 5, rel=0.01)
     total, count = found.of("gamma").rows[0]
     assert total == 2 * count
-    shares = {name: found.of(name).rows[:, 0].tolist() for name in found.sums if name.startswith("share")}
-    assert shares == {
-        "share of runs with no late stick": [0, 0, 0, 1, 1, 0, 1],  # the failed run is in none
-        "share of runs that run away": [0, 0, 0, 0, 0, 1, 0],
+    shares = {name: found.of(name).rows.T.tolist() for name in found.sums if name.startswith("share")}
+    assert shares == {  # failed runs are in none
+        "share of runs with no late stick": [[0, 0, 0, 1, 1, 0, 1], [1, 1, 2, 1, 1, 1, 1]],
+        "share of runs that run away": [[0, 0, 1, 0, 0, 1, 0], [1, 1, 2, 1, 1, 1, 1]],
     }
 
 

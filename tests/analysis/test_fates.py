@@ -18,13 +18,15 @@ from stickslip.analysis.models.fates import (
     bounded_share,
     ends_at,
     fate,
+    half_ended,
     kaplan_meier,
     median,
+    survival,
 )
 from stickslip.analysis.questions.runs.fates import answer
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import MOST_ALERTS, _primary, _Shown
-from stickslip.analysis.stats.compare import wilson
+from stickslip.analysis.stats.compare import share_over_matrices, wilson
 from tests.analysis import studies
 
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0)
@@ -43,6 +45,32 @@ def test_survival_against_the_textbook():
     half = median(np.array(ended + censored, dtype=float), np.arange(21) < 9, 0.95)
     # of 21 tosses at most 5 are heads with 0.013, at most 6 with 0.039: the sixth smallest, 9, on
     assert (half.value, half.low, half.high) == (23, 9, None)
+
+
+def test_runs_of_one_unit_count_together_in_the_interval_of_survival(rng):
+    """At each time it is that of a share of runs, counted by unit; ends of several runs may be at one time."""
+    units = np.sort(rng.integers(0, 12, 60))
+    ended = rng.random(60) < 0.7
+    times = np.where(ended, np.round(rng.exponential(5.0, 60) + np.repeat(rng.exponential(5.0, 12), 5), 0), 99.0)
+    t, share, low, high = kaplan_meier(times, ended, 0.95, units)
+    n_of = np.bincount(units)
+    for k in range(len(t)):
+        left = np.bincount(units, ~(ended & (times <= t[k])))
+        counts = np.column_stack([left, n_of])[n_of > 0]
+        assert (share[k], low[k], high[k]) == pytest.approx(share_over_matrices(counts, 0.95)[:3], abs=1e-12)
+
+
+def test_survival_and_its_median_are_of_all_starts_of_a_matrix():
+    """Of 4 starts in each of 6 matrices, the first ends at once; the others go on, in half of the matrices."""
+    fates_of = np.repeat([[COLLAPSED] + [SUSTAINED] * 3, [COLLAPSED] * 4], 3, axis=0).ravel()
+    t_last = np.where(np.arange(24) % 4 == 0, 10.0, 50.0)
+    units, t_end = np.repeat(np.arange(6), 4), np.full(24, 1000.0)
+    t, share, _, _ = survival(fates_of, t_last, t_end, t_end, 0.95, units)
+    assert t.tolist() == [0.0, 10.0, 50.0]
+    assert share == pytest.approx([1.0, 18 / 24, 9 / 24])
+    half = half_ended(fates_of, t_last, t_end, t_end, 0.95, units)
+    assert half.value == 50.0
+    assert (half.low, half.high) == (50.0, None)
 
 
 def covered(n, confidence):

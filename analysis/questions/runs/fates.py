@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -79,9 +79,13 @@ def answer(study: Study) -> Answer:
     """What became of the unchanged runs, and whether what lasts is steady."""
     level = study.settings.confidence
     runs = _runs(study.groups)
-    first = {group.label: _first(group) for group in study.groups if (group.fates != FAILED).any()}
-    curves = {label: _thinned(survival(*some, level)) for label, some in first.items()}
-    groups = [_group_row(study, group, first.get(group.label)) for group in study.groups]
+    ran = {group.label: _Ran.of(group) for group in study.groups}
+    curves = {
+        label: _thinned(survival(some.fates, some.t_last, some.t_stop, some.t_end, level, some.units))
+        for label, some in ran.items()
+        if len(some.fates)
+    }
+    groups = [_group_row(study, group, ran[group.label]) for group in study.groups]
     moving = sorted((row for row in groups if row["n_moving"]), key=lambda row: -row["n"])
     systems = _brief(groups)
     is_one_engine = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
@@ -209,15 +213,21 @@ def _curve_table(label: str, curve: Curve) -> pd.DataFrame:
     return columns(_CURVE, [pd.DataFrame(dict(zip(_CURVE, (label, *curve), strict=True)))])
 
 
-_First = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+class _Ran(NamedTuple):
+    """The runs of a group that did not fail: their fates, times and units, shape (m,) each."""
 
+    fates: np.ndarray
+    t_last: np.ndarray
+    t_stop: np.ndarray
+    t_end: np.ndarray
+    units: np.ndarray
 
-def _first(group: Group) -> _First:
-    """Fates and times of the first run of each unit of a group that did not fail."""
-    ran = np.flatnonzero(group.fates != FAILED)
-    first = ran[np.unique(group.column("unit").to_numpy()[ran], return_index=True)[1]]
-    t_stop = group.column("t_stop").to_numpy(np.float64, na_value=np.nan)[first]
-    return group.fates[first], group.last[first, 0], t_stop, np.full(len(first), float(group.key["t_end"]))
+    @classmethod
+    def of(cls, group: Group) -> _Ran:
+        ran = np.flatnonzero(group.fates != FAILED)
+        t_stop, units = (group.column(name).to_numpy(np.float64, na_value=np.nan)[ran] for name in ("t_stop", "unit"))
+        t_end = np.full(len(ran), float(group.key["t_end"]))
+        return cls(group.fates[ran], group.last[ran, 0], t_stop, t_end, pd.factorize(units)[0])
 
 
 def _kappa_n(key: Mapping[str, Any]) -> float | None:
@@ -274,30 +284,24 @@ def _basin(groups: Sequence[Group], followed: pd.DataFrame, members: pd.DataFram
     return max(found, key=lambda one: int(one["n"]), default=None)
 
 
-def _group_row(study: Study, group: Group, first: _First | None) -> Row:
-    """Row of the table `fates`: the runs of a group by fate, when they end, and their mean n_stick.
-
-    `first` is what `_first` finds; None if all runs failed.
-    """
+def _group_row(study: Study, group: Group, ran: _Ran) -> Row:
+    """Row of the table `fates`: the runs of a group by fate, when they end, and their mean n_stick."""
     level, t_end = study.settings.confidence, float(group.key["t_end"])
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
     memory = tau(group.effective)
-    half, least = Estimate(), Estimate()
-    if first is not None:
-        fates, t_last, t_stop, ends = first
-        half = half_ended(fates, t_last, t_stop, ends, level)
-        least = half_ended(np.where(fates == QUIET, COLLAPSED, fates), t_last, t_stop, ends, level)
-    ran = np.flatnonzero(group.fates != FAILED)
-    fates, (t_last, n_last) = group.fates[ran], group.last[ran].T
-    t_stop = group.column("t_stop").to_numpy(np.float64, na_value=np.nan)[ran]
-    t, _ = ends_at(fates, t_last, t_stop, np.full(len(ran), t_end))
-    unit = pd.factorize(group.column("unit").to_numpy()[ran])[0]
+    fates, t_last, t_stop, ends, unit = ran
+    half, least = (
+        half_ended(some, t_last, t_stop, ends, level, unit) if len(fates) else Estimate()
+        for some in (fates, np.where(fates == QUIET, COLLAPSED, fates))
+    )
+    t, _ = ends_at(fates, t_last, t_stop, ends)
+    n_last = group.last[group.fates != FAILED, 1]
     followed = pd.Series(pd.Categorical(fates, WATCHED))
     share, settled = _share(followed, unit, MOVING, level), _share(followed, unit, SETTLED, level, untold=())
     n_held = np.count_nonzero(is_held(t_last, n_last, int(group.key["n"]), t_end) & (fates == SUSTAINED))
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
-        "engine": group.key["engine"], "n_runs": len(ran), "t_end": t_end,
+        "engine": group.key["engine"], "n_runs": len(fates), "t_end": t_end,
         **_counts(group.fates), **named("moving", share), **named("settled", settled),
         "n_held": n_held, "is_rated": bool(group.column("growth_rate").notna().any()),
         "half": half, **named("median", half), "median_least": least.value,
