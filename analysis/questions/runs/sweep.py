@@ -46,7 +46,7 @@ from stickslip.analysis.style import EXACT, GREY, panel
 
 #: Tolerances of engines relative to the state, and what sums over a run lose to rounding at any tolerance.
 RELATIVE, ROUNDING = ("tol", "rtol"), 1e-12
-RISES, FALLS = "rises", "falls"
+RISES, FALLS, SAME = "rises", "falls", "the same in all"
 MOST_LINES = 6  # in one figure
 MOST_COLUMNS = 5  # of measures in the table of values
 MOST_FIGURES = 8  # of statistics along a key
@@ -83,8 +83,9 @@ def answer(study: Study) -> Answer | None:
             row |= dict.fromkeys(("relative", "relative_low", "relative_high", "p_equivalent"))
         row |= {"p_different": row["p_absolute"], "p_equivalent": _known(row["p_equivalent"], row["p_absolute"])}
         row["is_same"] = row["difference"] is not None and abs(row["difference"]) <= row["noise"]
-        if row["is_same"] and row["difference_low"] is not None and not row["is_share"]:  # a share is of few runs
-            row["p_equivalent"] = 0.0
+        row["is_same"] &= row["difference_low"] is not None and not row["is_share"]  # a share is of few runs
+        if row["is_same"]:  # no test: what is the same in each of a few units may differ in others
+            row |= {"p_equivalent": None, "p_different": None, "verdict": SAME}
         row["subject"], row["words"] = subjects.get(row["quantity"], ("", ""))
         row.setdefault("is_few", False)
     contrast.judge(contrasts, 1 - level, Words(WITHIN, RISES, FALLS))
@@ -97,7 +98,11 @@ def answer(study: Study) -> Answer | None:
         tables["sweep_measures"] = frame({**_MEASURES, **keys}, _measured(rows, asked))
         tables["sweep_missing"] = frame(_MISSING, _missing(points, asked))
     lead = max(points, key=lambda name: sum(int(point.group.is_finished.sum()) for point in points[name]))
-    own = [row for row in contrasts if row["setting"] == lead and (row["p_different"] is not None or row["is_few"])]
+    own = [
+        row
+        for row in contrasts
+        if row["setting"] == lead and (row["p_different"] is not None or row["is_few"] or row["is_same"])
+    ]
     facts: dict[str, Any] = {
         "setting": lead,
         "n_settings": len(points),
@@ -132,7 +137,7 @@ def answer(study: Study) -> Answer | None:
     figures = _figures(points, lead, in_order, drawn, asked, level)
     facts |= {
         "changes": sorted(_ends(own, axes), key=lambda row: row["is_same"]),
-        "ends": [row for row in contrasts if row["is_last"]],
+        "ends": [row for row in contrasts if row["is_last"] and row["first"] is not None],
         "told": told,
         "figures": list(figures),
         "along": in_order[0].name,
@@ -336,6 +341,7 @@ def _value_row(point: Point, setting: str, axes: Sequence[Axis], asked: Sequence
         **ChainMap(*estimates),
         "basis": point.group.basis(confidence).code,
         **ChainMap(*(named(_cell(k), estimate(one.statistic, [point], confidence)) for k, one in enumerate(asked))),
+        **{f"{_cell(k)}_runs": len(point.group) - len(point.values[one.name].missing) for k, one in enumerate(asked)},
         "values": [point.values[one.name] for one in asked],
     }  # fmt: skip
 
@@ -372,7 +378,10 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
             found for point in every for found in point.values[one.name].missing.items() if found[1] != one.absent
         )
         gaps.setdefault(missing, []).append(one.axis)
-    shown = [(one.name, _cell(k)) for k, one in enumerate(asked[:MOST_COLUMNS])]
+    shown = [
+        (one.name, _cell(k), any(point.values[one.name].missing for point in every))
+        for k, one in enumerate(asked[:MOST_COLUMNS])
+    ]
     return {
         "measures": [
             {"subject": one.subject, "words": one.words, "axis": one.axis, "figure": _figure(one)}
@@ -385,8 +394,9 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
             for one in asked
             for why, some in _withheld(one, every).items()
         ],
-        "cells": [cell for name, key in shown
-                  for cell in ((name, key, "#"), ("interval", (f"{key}_low", f"{key}_high"), "#"))],
+        "cells": [cell for name, key, lacks in shown
+                  for cell in ((name, key, "#"), ("interval", (f"{key}_low", f"{key}_high"), "#"),
+                               ("of runs", f"{key}_runs", "n"))[: 2 + lacks]],
     }  # fmt: skip
 
 

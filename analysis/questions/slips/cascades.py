@@ -18,6 +18,7 @@ from stickslip.analysis.series.cascades import spans
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, against
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices, ratio
+from stickslip.analysis.stats.families import EXPONENTIAL, maximise, truncate
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
 
 #: Relative margin within which gamma counts as that of chance, whatever margin a scene declares between engines.
@@ -50,7 +51,6 @@ def answer(study: Study) -> Answer:
     facts: dict[str, Any] = {
         "rows": [row for _, row in made],
         "t_burn": study.settings.t_burn,
-        "paper": PAPER_GAMMA,
         "margin": GAMMA_MARGIN,
     }
     if not judged:
@@ -60,6 +60,8 @@ def answer(study: Study) -> Answer:
     group, row = lead[0]
     facts |= {
         "lead": row,
+        "paper": PAPER_GAMMA if group.key["coupling"] == "antisymmetric" else None,
+        "bounded": _bounded(group, row["gamma"]),
         "refused": [row for _, row in made if row["basis"] not in enough.JUDGED],
         "sizes": [one for one in sizes if one["group"] == group.label],
         "is_by_engine": len({row["n"] for row in by_label.values()})
@@ -102,6 +104,17 @@ def _law_row(group: Group, confidence: float) -> Row:
         if basis.code in enough.JUDGED:
             row["pool_verdict"] = verdict_on(pool.against(group.key["n"]), rows, GAMMA_MARGIN * of_pool, confidence)
     return row
+
+
+def _bounded(group: Group, gamma: float) -> float | None:
+    """gamma of the exponential law of sizes up to n, where that is another one; None if it cannot be found either."""
+    n = int(group.key["n"])
+    try:
+        fit = maximise(EXPONENTIAL, *truncate(np.pad(group.counts.sum(axis=0), (1, 0)), 1, max(n, 2)))
+    except Undefined:
+        return None
+    found = fit.parameters["gamma"]
+    return found if abs(found - gamma) > GAMMA_MARGIN * gamma else None
 
 
 def _less(estimate: Estimate, number: float) -> Estimate:

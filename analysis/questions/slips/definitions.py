@@ -49,7 +49,8 @@ def answer(study: Study) -> Answer:
         **counts(compared),
         "margin": GAMMA_MARGIN,
         "brief": [_brief(lead, name, steps) for name in DEFINITIONS],
-        "paper": PAPER_GAMMA, "is_drawn": len({row["dt"] for row in sampled}) > 1,
+        "paper": PAPER_GAMMA if judged[0].key["coupling"] == "antisymmetric" else None,
+        "is_drawn": len({row["dt"] for row in sampled}) > 1,
         "spans": {name: _span(sampled, name) for name in ("length", "decreases")},
     }  # fmt: skip
     figures = {"definitions": partial(by_step, lead, "gamma", "γ")} if facts["is_drawn"] else {}

@@ -26,10 +26,11 @@ from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel, size_axis
 
 MARGIN = 0.1  # of the variance of sizes, for which a scene declares no margin
 MOST_DRAWN = 2  # groups in the figure
+WHOLE = 10.0  # an exponential up to n blocks is as good as one without a bound if gamma n is larger
 _EXPONENTIAL: Mapping[str, str] = {
     "group": S, "smallest": I, "n_cascades": I, "n_matrices": I, "variance": F, "variance_low": F, "variance_high": F,
     "verdict": S, "pool": F, "over_pool": F, "over_pool_low": F, "over_pool_high": F, "rotation": F,
-    "over_rotation": F, "over_rotation_low": F, "over_rotation_high": F, "gap": F, "gap_at": I,
+    "over_rotation": F, "over_rotation_low": F, "over_rotation_high": F, "gamma": F, "gap": F, "gap_at": I,
     "p_value": F, "fit": S, "reason": S,
 }  # fmt: skip
 _QUOTIENTS: Mapping[str, str] = {
@@ -64,7 +65,7 @@ def answer(study: Study) -> Answer:
     off, *ends = (lead[key] - 1 for key in ("variance", "variance_low", "variance_high"))
     facts = {
         "lead": lead, "off": off, "low": ends[0], "high": ends[1], "is_shown": not ends[0] <= 0 <= ends[1],
-        "margin": MARGIN, "rows": rows,
+        "margin": MARGIN, "rows": rows, "is_cut": lead["gamma"] is not None and lead["gamma"] * sizes[-1] < WHOLE,
         "over": {key: Estimate(*(lead[f"over_{key}{end}"] for end in ("", "_low", "_high")))
                  for key in ("pool", "rotation")},
         "n": group.key["n"], "rivals": _gains(sizes, counts.sum(axis=0)),
@@ -87,7 +88,8 @@ def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> R
         "group": group.label, "smallest": int(sizes[0]), "n_cascades": int(counts.sum()), "n_matrices": len(counts),
         "variance": None, "variance_low": None, "variance_high": None, "verdict": None,
         **_pool(group, sizes, counts, level), **_rotation(study, group, sizes, counts),
-        "gap": fit.gap, "gap_at": fit.at, "p_value": fit.p_value, "fit": fit.verdict(1 - level),
+        "gamma": _gamma(sizes, counts), "gap": fit.gap, "gap_at": fit.at,
+        "p_value": fit.p_value, "fit": fit.verdict(1 - level),
         "reason": over.reason or fit.reason or None,
     }  # fmt: skip
     if over.value is None or over.low is None or over.high is None:
@@ -95,6 +97,14 @@ def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> R
     row |= {"variance": 1 + over.value, "variance_low": 1 + over.low, "variance_high": 1 + over.high}
     row["verdict"] = against(excess, moments(counts), MARGIN).verdict(level, MANY)
     return row
+
+
+def _gamma(sizes: np.ndarray, counts: np.ndarray) -> float | None:
+    """That of the exponential on these sizes alone which fits best; None if there is none."""
+    try:
+        return maximise(EXPONENTIAL, sizes, counts.sum(axis=0)).parameters["gamma"]
+    except Undefined:
+        return None
 
 
 def _pool(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float) -> Row:
