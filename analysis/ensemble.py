@@ -77,6 +77,10 @@ class Recorded(NamedTuple):
         Why a run may have none, by what it is: a steady slide has no period. Empty if all should have one.
     called : str
         What it is called in a sentence; empty: by its column.
+    says_it : bool
+        Whether that says what it is, without `words`.
+    is_cut : bool
+        Whether it is of times that have to lie in the window, so that the mean is too small unless it is much longer.
     problems : mapping of str to str
         By member_id: why a run has none although it should.
     """
@@ -87,6 +91,8 @@ class Recorded(NamedTuple):
     absent: str = ""
     problems: Mapping[str, str] = {}
     called: str = ""
+    says_it: bool = False
+    is_cut: bool = False
 
 
 @dataclass(frozen=True)

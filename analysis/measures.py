@@ -76,6 +76,10 @@ class Measure:
     is_recorded : bool
         Whether it is what the scene records for its own sake; if nothing is, n_stick and gamma are all that is
         measured, and otherwise they are left out, unless the scene asks for cascades.
+    says_it : bool
+        Whether the subject says what it is, without `words`.
+    is_cut : bool
+        Whether it is of times that have to lie in the window, so that the mean is too small unless it is much longer.
     """
 
     statistic: Statistic
@@ -86,6 +90,8 @@ class Measure:
     of: Callable[[Group], Values]
     absent: str = ""
     is_recorded: bool = True
+    says_it: bool = False
+    is_cut: bool = False
 
     @property
     def name(self) -> str:
@@ -184,6 +190,8 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
             partial(_column, numbers, column.problems, column.absent or NO_VALUE),
             column.absent,
             is_recorded=not is_own,
+            says_it=column.says_it,
+            is_cut=column.is_cut,
         )  # fmt: skip
 
 

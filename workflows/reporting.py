@@ -81,6 +81,8 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             printable(one.absent),
             problems.get(one.name, {}),
             one.called,
+            bool(one.title),
+            one.is_cut,
         )
         for one in kept
     }

@@ -29,6 +29,9 @@ class Column(NamedTuple):
         known.
     least : float, optional
         What a number is never below, by what it is: 0 for an amplitude.
+    is_cut : bool
+        Whether it is of times that have to lie between t_burn and the end of a run: the long ones are cut, so that
+        their mean is too small unless the run is much longer.
     title : str
         What a number is called in a sentence; empty: its name, with spaces.
     absent : str
@@ -46,6 +49,7 @@ class Column(NamedTuple):
     least: float | None = None
     absent: str = ""
     title: str = ""
+    is_cut: bool = False
 
     @property
     def called(self) -> str:

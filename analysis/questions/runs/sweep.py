@@ -48,6 +48,7 @@ from stickslip.analysis.style import EXACT, GREY, panel
 RELATIVE, ROUNDING = ("tol", "rtol"), 1e-12
 RISES, FALLS, SAME = "rises", "falls", "the same in all"
 MOST_LINES = 6  # in one figure
+SHORT = 0.02  # of the window: the mean of random times of this length that lie in it whole is 2% too small
 MOST_COLUMNS = 5  # of measures in the table of values
 MOST_FIGURES = 8  # of statistics along a key
 _FEW_TICKS = 4  # so few values of a key are its ticks
@@ -77,7 +78,7 @@ def answer(study: Study) -> Answer | None:
               for name, some in found.items()}  # fmt: skip
     rows = [_value_row(point, name, axes, asked, level) for name, some in points.items() for point in some]
     contrasts = [row for name, some in points.items() for row in _contrasts(name, axes, some, asked, study)]
-    subjects = {one.name: (one.subject, one.words) for one in asked if one.name not in KEYS}
+    subjects = {one.name: (one.subject, "" if one.says_it else one.words) for one in asked if one.name not in KEYS}
     for row in contrasts:  # a change from zero is a change, although it has no ratio
         if not row["is_share"] and row["first_low"] is not None and row["first_low"] <= 0 <= row["first_high"]:
             row |= dict.fromkeys(("relative", "relative_low", "relative_high", "p_equivalent"))
@@ -119,6 +120,7 @@ def answer(study: Study) -> Answer | None:
         "unjudged": [row for row in rows if row["basis"] not in enough.JUDGED],
         "t_burn": study.settings.t_burn,
         **(_facts(points, asked) if recorded else {"measures": [], "gaps": [], "withheld": []}),
+        "cut": [_cut(one, _cell(k), rows, points, study) for k, one in enumerate(asked) if one.is_cut],
     }
     if not own:
         few = max(rows, key=lambda row: row["n_units"])
@@ -398,6 +400,14 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
                   for cell in ((name, key, "#"), ("interval", (f"{key}_low", f"{key}_high"), "#"),
                                ("of runs", f"{key}_runs", "n"))[: 2 + lacks]],
     }  # fmt: skip
+
+
+def _cut(one: Measure, cell: str, rows: Sequence[Row], points: Mapping[str, Sequence[Point]], study: Study) -> Row:
+    """The largest mean of times that have to lie in the window, and that; whether it is so large that it is cut."""
+    ends = {point.group.label: float(point.group.key["t_end"]) for some in points.values() for point in some}
+    found = [(row[cell], ends[row["group"]] - study.settings.t_burn) for row in rows if row[cell] is not None]
+    most, window = max(found, key=lambda pair: pair[0] / pair[1], default=(0.0, 1.0))
+    return {"subject": one.subject, "most": most, "window": window, "is_cut": most > SHORT * window}
 
 
 def _withheld(one: Measure, points: Sequence[Point]) -> dict[str, list[Point]]:

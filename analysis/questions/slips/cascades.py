@@ -249,7 +249,8 @@ def size_law(axes: Sequence[Axes], laws: Sequence[tuple[str, Sequence[Row]]], fi
     below.set(ylabel="f / fair coin", xlabel="cascade size s", ylim=(min(ends) - margin, max(ends) + margin))
     size_axis(top, largest)
     size_axis(below, widest)
-    top.legend(loc="upper right", fontsize=7)
+    if top.get_legend_handles_labels()[0]:  # no size may be known well enough
+        top.legend(loc="upper right", fontsize=7)
     below.legend(loc="lower left", fontsize=7)
 
 

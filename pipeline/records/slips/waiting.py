@@ -33,6 +33,7 @@ class Waiting(WindowRecord):
             least=0.0,
             absent="no block left twice",
             title="waiting time",
+            is_cut=True,
         ),
         Column(
             "number",
