@@ -25,7 +25,7 @@ def verify(path: Where) -> list[str]:
 
     Problems are missing, damaged and stray files, wrong row counts, outcomes and schemas, members other than the
     scene's, and a changed function of the user's, or module beside it. An unfinished dataset is no problem. Running
-    its scene again computes what is missing or damaged, only that.
+    its scene again computes what is missing or damaged, and only that.
 
     Raises
     ------
@@ -61,7 +61,9 @@ def verify(path: Where) -> list[str]:
                 problems.append(f"{place.named(f'{DATA}/{name}')}: {problem}")
     known = {f"{DATA}/{name}" for name in found.manifest.known}
     strays = [name for name in files if name.startswith((f"{DATA}/", TEMPORARY)) and name not in known]
-    return problems + [f"{place.named(name)}: stray file, not in the manifest" for name in strays]
+    return problems + [
+        f"{place.named(name)}: stray file, not in the manifest: nothing reads it; delete it" for name in strays
+    ]
 
 
 def _content(content: bytes, schema: pa.Schema, ids: list[str], outcomes: Mapping[str, int]) -> str:

@@ -215,5 +215,5 @@ def _explained(duckdb: Any, place: Place, names: list[str]) -> Iterator[None]:
         if asked and asked[1].lower() in TABLES and asked[1].lower() not in names:
             raise not_recorded(asked[1].lower()) from error
         unknown = isinstance(error, duckdb.PermissionException | duckdb.CatalogException)
-        words = f"; a query reads the views {', '.join(names)}, and nothing else" if unknown else ""
+        words = f"; a query reads {', '.join(['shards', *names])}, and nothing else" if unknown else ""
         raise QueryError(f"query: {printable(str(error).strip())}{words}") from error

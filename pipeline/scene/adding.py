@@ -12,6 +12,7 @@ from stickslip.pipeline.records import RECORDS
 from stickslip.pipeline.records.own import OwnRecord
 from stickslip.pipeline.records.record import Record, WindowRecord
 from stickslip.pipeline.scene.scene import Scene, parse_scene
+from stickslip.pipeline.scene.tables import RecordTable, RunTable
 from stickslip.pipeline.scene.toml import parse_toml, plain, written
 
 #: The keys that each ask for a record.
@@ -39,6 +40,11 @@ def with_records(scene: Scene, keys: Mapping[str, Any], folder: Path = Path()) -
     """
     tables = parse_toml(scene.source, "scene")
     there = tables.get("record", {})
+    if others := [key for key in keys if key in RunTable.model_fields and key not in RecordTable.model_fields]:
+        raise SceneError(
+            f"record.{others[0]}: expected a key under [record], got one under [run]; change it in the scene, and run"
+            " that with this directory: it computes what is new"
+        )
     new = {key: _joined(there.get(key), value) for key, value in plain(keys).items()}
     for key, value in new.items():
         if there.get(key) == value and key in _NAMES:
@@ -132,10 +138,14 @@ def _check(before: Scene, found: Scene) -> None:
     of_name = {record.name: record for record in found.records}
     for record in before.records:
         other = of_name.get(record.name)
-        if other != record:
-            shown = "none" if other is None else _of(other)
+        if other is None:
             raise SceneError(
-                f"record.{record.name}: expected what the data have, {_of(record)}, got {shown}; leave out what"
+                f"record.{record.name}: expected records that the data lack, got none for one that they have; records"
+                " are only added: leave it out, or run the scene without it into another directory"
+            )
+        if other != record:
+            raise SceneError(
+                f"record.{record.name}: expected what the data have, {_of(record)}, got {_of(other)}; leave out what"
                 " changes it, or run the scene into another directory"
             )
     for record in found.records:

@@ -321,7 +321,8 @@ def content_of(place):
         ({"waiting": True, "dt": 0.1}, r"record\.dt: expected only with some of"),
         ({"amplitude": True}, r"record\.dt: expected with `amplitude`, found nothing"),
         ({"waiting": False}, r"record: expected a record that the data lack, got none; name one"),
-        ({"events": False, "waiting": True}, r"record\.events: expected what the data have, events, got none; leave"),
+        ({"events": False, "waiting": True}, r"record\.events: expected records that the data lack, .* leave it out"),
+        ({"seed": [0, 1]}, r"record\.seed: expected a key under \[record\], got one under \[run\]; change it in"),
         ({"waiting": True, "t_burn": 90.0}, r"record\.t_burn: expected less than run\.t_end"),
     ],
 )

@@ -96,7 +96,7 @@ def of_member(name):
 
 CONDITION = "^filters: expected a condition.*"
 MEMBER = "^member_id: expected "
-VIEWS = "the views members, n_stick, cascades, events, and nothing else"
+VIEWS = "a query reads shards, members, n_stick, cascades, events, and nothing else"
 
 
 @pytest.mark.parametrize(

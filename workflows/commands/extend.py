@@ -30,6 +30,8 @@ class Extend(Command):
     )
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        # argparse names DIR last, where it would be taken for one more key
+        parser.usage = "%(prog)s DIR (--record KEY[=VALUE] ... | --give-up) [options]"
         parser.add_argument("directory", metavar="DIR")
         what = parser.add_mutually_exclusive_group(required=True)
         what.add_argument(

@@ -20,9 +20,9 @@ class Plot(Command):
     name = "plot"
     words = "draw a member of a dataset that records events: which block slips when"
     examples = (
-        ("stickslip plot runs/mine n100-m000-coulomb --out slips.svg", ""),
-        ("stickslip plot runs/mine n100-m000-coulomb --span 200 250 --out slips.png", "between two times"),
-        ("stickslip plot runs/mine n100-m000-coulomb --kind spectrum --out spectrum.pdf", ""),
+        ("stickslip plot runs/mine n100-m000-coulomb-1e-10 --out slips.svg", ""),
+        ("stickslip plot runs/mine n100-m000-coulomb-1e-10 --span 200 250 --out slips.png", "between two times"),
+        ("stickslip plot runs/mine n100-m000-coulomb-1e-10 --kind spectrum --out spectrum.pdf", ""),
     )
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:

@@ -48,5 +48,5 @@ class Verify(Command):
             print(f"{arguments.directory}: every shard is as the manifest says")
             return DONE
         print("\n".join(problems))
-        print("rerun the scene: it computes what is missing or damaged, and only that", file=sys.stderr)
+        print("for shards, rerun the scene: it computes what is missing or damaged, and only that", file=sys.stderr)
         return UNFINISHED
