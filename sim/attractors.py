@@ -300,9 +300,16 @@ class _End:
         return Path.of(self._system, events, edges, lambda times: self._follow(length, times).samples)
 
     def _has_phase(self, period: float) -> bool:
-        """Whether all forces are at the same phase after a period."""
+        """Whether all forces are at the same phase after a period, and have turned."""
         turns = [f * period / (2.0 * math.pi) for f in self._frequencies]
-        return all(abs(x - round(x)) <= self._back * max(x, 1.0) for x in turns)
+        return all(round(x) >= 1 and abs(x - round(x)) <= self._back * x for x in turns)
+
+    def _whole(self, period: float) -> float:
+        """A period that has a phase, in whole turns of the slowest force, if there is one."""
+        if not self._frequencies:
+            return period
+        turn = 2.0 * math.pi / self._frequencies[0]
+        return round(period / turn) * turn
 
     def _without_events(self) -> Attractor:
         """A run without events, which may follow a force and have its period."""
@@ -352,12 +359,11 @@ class _End:
         drift, period = self._drift(path.states), float(events.t[p] - events.t[0])
         if drift is None or not self._has_phase(period):
             return None
+        period = self._whole(period)
         if (part := self._part(path, events)) < p:
-            # it settles from side to side, and is still too far off to be back after a part of the round
-            shorter = self._settled(_Cycle(part, period * part / p, is_back=False))
-            # in so many turns a spiral onto the shorter cycle may come as near as a longer cycle does
-            if shorter is not None or self._system.changes or _off(path, p) > _APART * _off(path, part):
-                return shorter
+            # it settles from side to side, and is still too far off to be back after a part of the round; in so many
+            # turns a spiral onto the shorter cycle may come as near as a longer cycle does
+            return self._settled(_Cycle(part, period * part / p, is_back=False))
         is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
         multiplier = path.multiplier(drift, bool(self._frequencies)) if is_short else None
         round_, states = _from_lowest(path, events, period, drift)
@@ -365,13 +371,19 @@ class _End:
         return Attractor("periodic", why, period, multiplier, None, drift, round_, states)
 
     def _part(self, path: Path, events: EventSeries) -> int:
-        """Events of the shortest part of a round after which events repeat and the state nearly comes back."""
+        """Events of the shortest part of a round after which events repeat and the state nearly comes back.
+
+        Not where it comes back so much nearer after the whole: a cycle whose period has doubled is near its half.
+        Under a force, where no Newton step can tell, something else may die out as fast.
+        """
         p = len(path.block)
         symbols = _symbols(_in_order(events, 0, self._together))[:p]
         near = _ALMOST * self._back * _size(path.states)
         for part in range(1, p // 2 + 1):
-            if p % part == 0 and (symbols[part:] == symbols[:-part]).all() and _off(path, part) <= near:
-                return part
+            if p % part == 0 and (symbols[part:] == symbols[:-part]).all():
+                off = _off(path, part)
+                if off <= near and (self._system.changes or _off(path, p) > _APART * off):
+                    return part
         return p
 
     def _settled(self, cycle: _Cycle) -> Attractor | None:

@@ -22,10 +22,12 @@ from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries, by_block
 from stickslip.sim.systems.system import System
 
-#: Rounds of Newton's method, and how much nearer each has to come.
-_MOST, _NEARER = 12, 0.5
+#: Rounds of Newton's method, each of which has to come nearer.
+_MOST = 12
 #: A round is run for so much longer than the last: it may take another time from another state.
 _LONGER = 1.2
+#: A state comes back exactly within this share of its largest number.
+_EXACT = 1e-14
 #: A run is near a cycle if its next return is where M puts it, within this share of its distance from the cycle.
 _LINEAR = 0.1
 #: Of that distance, over the largest number in the states, now and by M in as many rounds as here: from further off a
@@ -90,42 +92,44 @@ def near_cycle(
     period = float(events.t[p])
     missed, returned = math.inf, np.empty(0)
     is_held = (modes == 0) | (np.arange(n) == block)
+    found, is_on_its_way = None, False
     for k in range(_MOST):
         w = np.where(is_held, system.belt_speed_at(0.0), w)
         if not _are_allowed(system, z, w, modes):
-            return None
-        run = follow(z, w, modes, _LONGER * period, np.empty(0))
-        found = in_order(run.events)
-        if len(found) < p or (found.block[p - 1], found.mode[p - 1]) != symbol:
-            return None
-        order = by_block(found.block[: p - 1])
-        if (found.block[order] != expected[0]).any() or (found.mode[order] != expected[1]).any():
-            return None
-        t = np.append(0.0, found.t[:p])
+            break
+        after = in_order(follow(z, w, modes, _LONGER * period, np.empty(0)).events)
+        if len(after) < p or (after.block[p - 1], after.mode[p - 1]) != symbol:
+            break
+        order = by_block(after.block[: p - 1])
+        if (after.block[order] != expected[0]).any() or (after.mode[order] != expected[1]).any():
+            break
+        t = np.append(0.0, after.t[:p])
         round_ = replace(
-            found, t=t, block=np.append(block, found.block[:p]).astype(found.block.dtype),
-            mode=np.append(mode, found.mode[:p]).astype(found.mode.dtype), initial_mode=before, t_end=float(t[-1]),
+            after, t=t, block=np.append(block, after.block[:p]).astype(after.block.dtype),
+            mode=np.append(mode, after.mode[:p]).astype(after.mode.dtype), initial_mode=before, t_end=float(t[-1]),
         )  # fmt: skip
         ending = partial(_samples, follow, z, w, modes, float(t[-1]))
         path = Path.of(system, round_, t, ending)
-        matrix = path.monodromy(is_forced=False)
         error = np.concatenate([path.states.z[-1] - z, path.states.w[-1] - w])
         size = float(max(np.abs(path.states.z).max(), np.abs(path.states.w).max()))
+        # a state is further from the cycle than it moves in a round: once it is back, more steps go to the cycle
+        if np.linalg.norm(error) > missed:
+            break
+        matrix = path.monodromy(is_forced=False)
         if k == 0:
             returned = error
-        if np.abs(error).max() <= back * size:
+        elif np.abs(error).max() <= back * size:
             start = np.concatenate([first[0] - z, first[1] - w])
+            found = Near(round_, path, matrix, float(np.linalg.norm(start)) / size)
             off = np.linalg.norm(start + returned - matrix @ start)
-            far = float(np.linalg.norm(start))
-            is_linear = off <= _LINEAR * far + back * size
-            is_near = _largest_power(matrix, start) <= _FAR * size
-            return Near(round_, path, matrix, far / size) if is_linear and is_near else None
-        if np.linalg.norm(error) > _NEARER * missed:
-            return None
+            is_linear = off <= (_LINEAR * found.distance + back) * size
+            is_on_its_way = bool(is_linear and _largest_power(matrix, start) <= _FAR * size)
         missed, period = float(np.linalg.norm(error)), float(t[-1])
+        if missed <= _EXACT * size:
+            break
         step = np.linalg.lstsq(np.identity(2 * n) - matrix, error, rcond=1e-12)[0]
         z, w = z + step[:n], w + step[n:]
-    return None
+    return found if is_on_its_way else None
 
 
 def _largest_power(matrix: Floats, start: Floats) -> float:

@@ -35,8 +35,8 @@ N_PRODUCTS_THEN, N_COUNTERS = 8, 9
 #: Clocks that every engine keeps, float64, from the start of the present piece: the time, and the times after which a
 #: collapse may next be certified, with all blocks slipping left and (the next clock) right. An engine may keep more
 #: behind them. After, not at: a run takes a step between two requests, or would make them for ever. Then the time of
-#: the last event.
-TIME, CHECK, _CHECK_RIGHT, _LAST_EVENT, N_CLOCKS = range(5)
+#: the last event, and what the time lacks by rounding.
+TIME, CHECK, _CHECK_RIGHT, _LAST_EVENT, LACKING, N_CLOCKS = range(6)
 
 #: All blocks are to slip, before a collapse is certified, as long as takes this share of what that costs.
 _SEEN = 0.1
@@ -96,7 +96,7 @@ class State(NamedTuple):
         """
         may_collapse = [one.stop_early and one.system.has_one_belt and not one.system.changes for one in tasks]
         checks = [-np.inf if may else np.inf for may in may_collapse]
-        clock = np.array([[0.0, check, check, 0.0, *own] for check, own in zip(checks, clocks, strict=True)])
+        clock = np.array([[0.0, check, check, 0.0, 0.0, *own] for check, own in zip(checks, clocks, strict=True)])
         z, w = np.array([task.z0 for task in tasks]), np.array([task.w0 for task in tasks])
         samples = stack([Buffers(np.full(len(one.t), np.inf), one.z, one.w) for one in (t.samples for t in tasks)])
         return cls(z, w, mode, clock, np.zeros((len(tasks), N_COUNTERS), dtype=np.int64), samples)
@@ -135,6 +135,20 @@ def state_of(states, k):  # type: ignore[no-untyped-def]
         states.z[k], states.w[k], states.mode[k], states.clock[k], states.counters[k],
         Buffers(samples.t[k], samples.z[k], samples.w[k]),
     )  # fmt: skip
+
+
+@inner
+def later(t, lacking, step, t_end):  # type: ignore[no-untyped-def]
+    """The time a step after t, at most t_end, and what it lacks by rounding, as t lacks `lacking`.
+
+    Without that the time of a long run would be off by as many roundings, of one sign, as there are steps.
+    """
+    by = step + lacking
+    end = t + by
+    if end >= t_end:
+        return t_end, 0.0
+    moved = end - t
+    return end, (t - (end - moved)) + (by - moved)
 
 
 @inner
@@ -342,7 +356,7 @@ def complete(
                 break
             n_placed = _to_user(drive, task, state, n_placed)
             drive.go_on(z, w)
-            clock[TIME] = 0.0
+            clock[TIME] = clock[LACKING] = 0.0
             recorded.of_piece.append(0)
             _hand_over(drive, task, state)
             plan.go_on()

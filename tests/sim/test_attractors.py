@@ -606,6 +606,37 @@ def test_rounds_that_come_nearer_under_a_force_are_no_cycle():
     assert late.multiplier == pytest.approx(np.exp(-damping * turn / 2), rel=1e-6)
 
 
+#: Period and largest multiplier of two blocks by steps of DOP853 from event to event, at tolerances of 1e-13.
+DOUBLED = [
+    (3.12, 1e4, 1e-8, 6, 758.14426215),
+    (3.2, 8e4, 1e-10, 6, 768.76125992),
+    (3.22, 4e4, 1e-10, 12, 1537.164918977),
+    (3.34, 2e4, 1e-8, 12, 1505.746547042),
+    (3.39, 8e4, 1e-8, 24, 2994.4344768),
+    (3.39, 1.2e5, 1e-9, 24, 2994.4344768),
+]
+
+
+@pytest.mark.parametrize(("stiffness", "t_end", "tol", "n_events", "period"), DOUBLED)
+def test_a_period_that_has_doubled_is_not_doubled_once_more(stiffness, t_end, tol, n_events, period):
+    """Two blocks on a slow belt, whose period doubles again and again: halves of a cycle are nearly alike.
+
+    Newton's method goes on to the cycle itself, from a state that is back but still settles.
+    """
+    k = stiffness
+    system = System([[1 + k, -k], [-k, 1 + k]], 0.0, [2.25, 1.0], -1e-3, static=[2.8125, 1.25])
+    found = attractor(simulate(system, [0.0, 0.3], "belt", t_end, tol=tol), system, t_end / 2, tol=tol)
+    assert (found.kind, found.n_events) == ("periodic", n_events)
+    assert found.period == pytest.approx(period, rel=max(2e-9, 0.3 * tol))
+
+
+def test_a_force_that_has_hardly_turned_has_no_period_yet():
+    force = Harmonic([0.9, 0.0], 1e-5, -1.5708)
+    system = System([[2.0, -1.0], [-1.0, 1.5]], 0.1, [1.0, 0.8], -0.2, static=[1.3, 1.0], force=force)
+    run = simulate(system, 0.0, 0.0, 2000.0, tol=1e-8)
+    assert attractor(run, system, 1000.0, tol=1e-8).kind != "periodic"
+
+
 def test_events_of_one_instant_may_end_what_is_followed_of_an_irregular_run():
     """Two copies of a chaotic pair, together until the end of the run: then one leads, by less than can be told.
 

@@ -307,3 +307,20 @@ def test_a_run_on_a_ramp_goes_on_from_any_event_with_the_modes_there(rng):
             np.testing.assert_allclose([*rest.z, *rest.w], [*whole.z, *whole.w], atol=1e-6)
         with pytest.raises(ValueError, match="modes: expected what the state allows, got 1 for block 0"):
             simulate(system, z, -0.2, end, t_start=start, modes=[1, 0, 0])
+
+
+def test_the_clock_of_a_long_run_does_not_drift(rng):
+    """One undamped block with static friction: the time of its last exit in closed form, after a million units.
+
+    Each step adds to the time: half a unit in its last place, of one sign for many steps, would come to 1e-6.
+    """
+    mp = mpmath.mp.clone()
+    mp.dps = 40
+    k, kinetic, v = (float(rng.uniform(*ends)) for ends in ((1.0, 2.0), (0.5, 1.0), (0.1, 0.3)))
+    static = kinetic + float(rng.uniform(0.1, 0.4))
+    run = simulate(System([[k]], 0.0, kinetic, -v, static=static), 0.0, -v, 1e6, tol=1e-13)
+    leaves = run.events.t[run.events.is_exit]
+    drop, rate = mp.mpf(static) - mp.mpf(kinetic), mp.sqrt(mp.mpf(k))
+    period = 2 * drop / (mp.mpf(k) * v) + 2 / rate * (mp.pi - mp.atan(drop * rate / (mp.mpf(k) * v)))
+    expected = mp.mpf(static) / (mp.mpf(k) * v) + (len(leaves) - 1) * period
+    assert abs(float(leaves[-1] - expected)) < 1e-8

@@ -317,7 +317,7 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
     while counters[loop.N_STEPS] < n_last:
         if n_recorded + n > len(events.t):
             return loop.BUFFER_FULL, n_recorded
-        t = clock[loop.TIME]
+        t, lacked = clock[loop.TIME], clock[loop.LACKING]
         remaining = t_end - t
         if remaining <= 0.0 and not goal.is_last:
             return loop.DONE, n_recorded  # the next piece decides which blocks stick from here on
@@ -352,9 +352,11 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
             is_event = due[1] <= end
             moved = min(due[1], end) - s
             s = min(due[1], end)
-            now = t_end if s == remaining else min(t + s, t_end)
+            now, lacking = t_end, 0.0
+            if s < remaining:
+                now, lacking = loop.later(t, lacked, s, t_end)
             sample(expansion.series, local.origin, order, t, now, state)
-            clock[loop.TIME] = now
+            clock[loop.TIME], clock[loop.LACKING] = now, lacking
             is_stalled = stalls(goal, counters, moved, now, n_recorded == before)
             before = n_recorded
             if is_stalled:

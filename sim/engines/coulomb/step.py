@@ -145,7 +145,9 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
             counters[loop.LAST_BLOCK] = block
         for i in range(n):
             near[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * h) + search.reach[i])
-        t_next = t_end if step == remaining else min(t + step, t_end)
+        t_next, lacking = t_end, 0.0
+        if step < remaining:
+            t_next, lacking = loop.later(t, clock[loop.LACKING], step, t_end)
         sample(series, None, order, t, t_next, state)
         left = h - step
         is_inside = (
@@ -167,7 +169,7 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
             _on_the_edge(model, expansion, near, 0.0, w, block, is_inside)
             is_open = False
             is_cut = is_cut or block >= 0
-        clock[loop.TIME] = t_next
+        clock[loop.TIME], clock[loop.LACKING] = t_next, lacking
         clock[control.EXPOSURE] += step
         if not is_open:
             control.note_window(clock, is_cut)

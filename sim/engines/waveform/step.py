@@ -292,7 +292,10 @@ def take_steps(model, work, control, state, events, bound, precheck):  # type: i
                 return loop.STALLED, n_recorded
             continue
         counters[loop.N_STEPS] += 1
-        span = Span(t, h, control.t_end if h == control.t_end - t else t + h)
+        end, lacking = control.t_end, 0.0
+        if h < control.t_end - t:
+            end, lacking = loop.later(t, clock[loop.LACKING], h, control.t_end)
+        span = Span(t, h, end)
         first_event, n_recorded = (
             n_recorded,
             _step_events(model, model.exact, work, found.n_substeps, span, events, n_recorded),
@@ -306,7 +309,7 @@ def take_steps(model, work, control, state, events, bound, precheck):  # type: i
         counters[loop.N_SAMPLED] = n_sampled
         _accept(work, state, h)
         grow(clock, h, found, may_grow)
-        clock[loop.TIME], may_grow = span.end, True
+        clock[loop.TIME], clock[loop.LACKING], may_grow = end, lacking, True
         for k in range(first_event, n_recorded):
             if events.block[k] < len(mode):  # by the first definition of sticking
                 loop.note_event(clock, counters)
