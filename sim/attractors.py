@@ -47,6 +47,9 @@ _TRIED_NEAR, _NEAR = 2, 0.02
 _ALMOST = 1e3
 #: A round comes back by itself, not as a spiral onto a part of it, if it comes back so much nearer than that part.
 _APART = 0.02
+#: A state that is off by more than so many tolerances after a round moves, and by this share of |1 - m| is far from a
+#: cycle with the multiplier m, as what dies out under hardly any damping.
+_SEEN, _FAR = 100.0, 0.1
 #: How often the last event must recur before a run is called irregular, the most events over which its growth rate is
 #: taken, and the logarithm of what a deviation grows by over them.
 _FEW, _FOLLOWED, _GROWN = 30, 512, 2.0
@@ -366,9 +369,18 @@ class _End:
             return self._settled(_Cycle(part, period * part / p, is_back=False))
         is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
         multiplier = path.multiplier(drift, bool(self._frequencies)) if is_short else None
+        if multiplier is not None and self._is_far(path, drift, multiplier):
+            why = f"after t = {period:.6g} the state is nearly back, but goes on as deviations do; lengthen the run"
+            return Attractor("undecided", why)
         round_, states = _from_lowest(path, events, period, drift)
         why = f"{p} events, and the state at each, come back"
         return Attractor("periodic", why, period, multiplier, None, drift, round_, states)
+
+    def _is_far(self, path: Path, drift: Floats, multiplier: float) -> bool:
+        """Whether a state is as far from a cycle as it is large, though it moves little in a round: m is near one."""
+        dz, dw = (one[-1] - one[0] for one in (path.states.z, path.states.w))
+        off = float(max(np.abs(dz - drift).max(), np.abs(dw).max())) / _size(path.states)
+        return off > max(_SEEN * self._back / _BACK, _FAR * abs(1.0 - multiplier))
 
     def _part(self, path: Path, events: EventSeries) -> int:
         """Events of the shortest part of a round after which events repeat and the state nearly comes back.

@@ -630,6 +630,15 @@ def test_a_period_that_has_doubled_is_not_doubled_once_more(stiffness, t_end, to
     assert found.period == pytest.approx(period, rel=max(2e-9, 0.3 * tol))
 
 
+@pytest.mark.parametrize(("damping", "tol"), [(1e-5, 1e-8), (1e-7, 1e-10), (-1e-6, 1e-9)])
+def test_what_dies_out_or_grows_slowly_is_no_cycle(damping, tol):
+    """A block without friction: in a period its swing changes by pi R, within what a state may miss itself by."""
+    slow, ideal = (System([[1.0]], r, 0.0, -0.2) for r in (damping, 0.0))
+    found = [attractor(simulate(s, 1.0, 0.0, 400.0, tol=tol), s, 200.0, tol=tol) for s in (slow, ideal)]
+    assert [one.kind for one in found] == ["undecided", "periodic"]
+    assert found[1].period == pytest.approx(2 * np.pi, rel=1e-7)
+
+
 def test_a_force_that_has_hardly_turned_has_no_period_yet():
     force = Harmonic([0.9, 0.0], 1e-5, -1.5708)
     system = System([[2.0, -1.0], [-1.0, 1.5]], 0.1, [1.0, 0.8], -0.2, static=[1.3, 1.0], force=force)
