@@ -37,8 +37,8 @@ _BACK, _CLOSEST, _WIDEST = 1e4, 1e-9, 1e-4
 _TOGETHER = 100.0
 #: Of K dz, over that of its terms: below, z has only moved along the null space of K.
 _NULL = 1e-12
-#: States within this share of a period from an event, or that of the run's tolerance, are those at the event.
-_EXACT = 1e-12
+#: States within so much of a period from an event are those at the event: the run's tolerance, between two ends.
+_EXACT, _MOST_OFF = 1e-12, 1e-8
 #: Rounds of events that are tried as a cycle, the shortest first.
 _TRIED = 8
 #: The same of rounds that only nearly come back, within this share of their time: the run may settle there.
@@ -47,7 +47,7 @@ _TRIED_NEAR, _NEAR = 2, 0.02
 _ALMOST = 1e3
 #: A round comes back by itself, not as a spiral onto a part of it, if it comes back so much nearer than that part.
 _APART = 0.02
-#: A state that is off by more than so many tolerances after a round moves, and by this share of |1 - m| is far from a
+#: A state that is off by more than so many tolerances after a round moves; by this share of |1 - m| it is far from a
 #: cycle with the multiplier m, as what dies out under hardly any damping.
 _SEEN, _FAR = 100.0, 0.1
 #: How often the last event must recur before a run is called irregular, the most events over which its growth rate is
@@ -180,8 +180,7 @@ def attractor(
     if max(bends, default=-math.inf) > run.t_end:
         return Attractor("undecided", f"a force or a belt changes until t = {max(bends):g}; lengthen the run")
     settings = {name: value for name, value in settings.items() if name != "stop_early"}
-    back = min(max(_BACK * Coulomb(**settings).tol, _CLOSEST), _WIDEST)
-    return _End(run, system, max([t_burn, *bends]), back, {"engine": engine, **settings}).found()
+    return _End(run, system, max([t_burn, *bends]), Coulomb(**settings).tol, {"engine": engine, **settings}).found()
 
 
 def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> bool:
@@ -218,8 +217,9 @@ def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> boo
 class _End:
     """The end of a run, and what follows on it."""
 
-    def __init__(self, run: Run, system: System, since: float, back: float, settings: dict[str, Any]) -> None:
-        self._run, self._system, self._since, self._back, self._settings = run, system, since, back, settings
+    def __init__(self, run: Run, system: System, since: float, tol: float, settings: dict[str, Any]) -> None:
+        self._run, self._system, self._since, self._tol, self._settings = run, system, since, tol, settings
+        self._back = min(max(_BACK * tol, _CLOSEST), _WIDEST)
         self._v = system.belt_speed_at(run.t_end)
         self._mode = run.events.mode_at(run.t_end)
         self._w = np.where(self._mode == 0, self._v, run.w)
@@ -357,7 +357,7 @@ class _End:
         events = replace(events, t=events.t[order], block=events.block[order], mode=events.mode[order])
         if (_symbols(events)[:p] != symbols).any():
             return None
-        if not (np.abs(events.t - expected) <= max(_EXACT, self._back / _BACK) * cycle.period).all():
+        if not (np.abs(events.t - expected) <= max(_EXACT, min(self._tol, _MOST_OFF)) * cycle.period).all():
             path = self._path(events, events.t)
         drift, period = self._drift(path.states), float(events.t[p] - events.t[0])
         if drift is None or not self._has_phase(period):
@@ -369,18 +369,18 @@ class _End:
             return self._settled(_Cycle(part, period * part / p, is_back=False))
         is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
         multiplier = path.multiplier(drift, bool(self._frequencies)) if is_short else None
-        if multiplier is not None and self._is_far(path, drift, multiplier):
-            why = f"after t = {period:.6g} the state is nearly back, but goes on as deviations do; lengthen the run"
-            return Attractor("undecided", why)
+        if multiplier is not None and (moved := _moved(path, drift)) > _SEEN * self._tol:
+            # it may still be far from the cycle, by as much as it moves in all rounds to come
+            if moved > _FAR * abs(1.0 - multiplier):
+                why = f"{p} events come back, and so nearly does the state, which moves on; lengthen the run"
+                return Attractor("undecided", why)
+            if self._has_newton(p) and multiplier < 1.0:
+                found = self._settled(_Cycle(p, period, is_back=False))
+                if found is not None or moved / (1.0 - multiplier) > self._back:
+                    return found
         round_, states = _from_lowest(path, events, period, drift)
         why = f"{p} events, and the state at each, come back"
         return Attractor("periodic", why, period, multiplier, None, drift, round_, states)
-
-    def _is_far(self, path: Path, drift: Floats, multiplier: float) -> bool:
-        """Whether a state is as far from a cycle as it is large, though it moves little in a round: m is near one."""
-        dz, dw = (one[-1] - one[0] for one in (path.states.z, path.states.w))
-        off = float(max(np.abs(dz - drift).max(), np.abs(dw).max())) / _size(path.states)
-        return off > max(_SEEN * self._back / _BACK, _FAR * abs(1.0 - multiplier))
 
     def _part(self, path: Path, events: EventSeries) -> int:
         """Events of the shortest part of a round after which events repeat and the state nearly comes back.
@@ -398,10 +398,14 @@ class _End:
                     return part
         return p
 
+    def _has_newton(self, p: int) -> bool:
+        """Whether Newton's method may be asked for a cycle of so many events: no force may depend on time."""
+        return not self._system.changes and p * (2.0 * self._system.n) ** 3 <= _WORK_NEAR
+
     def _settled(self, cycle: _Cycle) -> Attractor | None:
-        """The cycle that the run comes nearer to, if it attracts; else None. No force may depend on time."""
+        """The cycle that the run comes nearer to, if it attracts; else None."""
         s, p = self._system, cycle.n_events
-        if s.changes or p * (2.0 * s.n) ** 3 > _WORK_NEAR:
+        if not self._has_newton(p):
             return None
         after = self._follow(2.2 * cycle.period, np.empty(0)).events
         events = _in_order(after, 0, self._at_once)
@@ -419,7 +423,7 @@ class _End:
         def follow(z: Floats, w: Floats, modes: NDArray[np.int8], length: float, times: Floats) -> Run:
             return simulate(s, z, w, length, t_eval=times, modes=modes, stop_early=False, **self._settings)
 
-        found = near_cycle(s, at.z[0], at.w[0], round_, p, self._back,
+        found = near_cycle(s, at.z[0], at.w[0], round_, p, min(self._back, _SEEN * self._tol),
                            lambda some: _in_order(some, 0, self._at_once), follow)  # fmt: skip
         drift = None if found is None else self._drift(found.path.states)
         if found is None or drift is None or (multiplier := largest(found.matrix, drift)) >= 1.0:
@@ -504,6 +508,12 @@ def _off(path: Path, k: int) -> float:
     """How far the state at the k-th event of a path is from the first."""
     z, w = path.states.z, path.states.w
     return float(max(np.abs(z[k] - z[0]).max(), np.abs(w[k] - w[0]).max()))
+
+
+def _moved(path: Path, drift: Floats) -> float:
+    """By what share of its largest number a state moves in a round, but for its drift."""
+    dz, dw = (one[-1] - one[0] for one in (path.states.z, path.states.w))
+    return float(max(np.abs(dz - drift).max(), np.abs(dw).max())) / _size(path.states)
 
 
 def _symbols(events: EventSeries) -> NDArray[np.int64]:

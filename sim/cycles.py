@@ -23,7 +23,7 @@ from stickslip.sim.runs.series import EventSeries, by_block
 from stickslip.sim.systems.system import System
 
 #: Rounds of Newton's method, each of which has to come nearer.
-_MOST = 12
+_MOST = 20
 #: A round is run for so much longer than the last: it may take another time from another state.
 _LONGER = 1.2
 #: A state comes back exactly within this share of its largest number.
