@@ -6,11 +6,13 @@ import warnings
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from stickslip.pipeline import Scene, Status, extend, query, run_ensemble, status
-from stickslip.pipeline.dataset.opened import dataset_scene, open_dataset
+from stickslip.pipeline import Scene, Status, expand, extend, query, run_ensemble, status
+from stickslip.pipeline.dataset.opened import dataset_scene, near, open_dataset
+from stickslip.pipeline.errors import QueryError
 from stickslip.pipeline.places.place import Where
 from stickslip.workflows.progress import Watch
 from stickslip.workflows.scenes import find, load, with_known_questions
@@ -21,7 +23,11 @@ if TYPE_CHECKING:
     from distributed import Client
     from numpy.typing import NDArray
 
+    from stickslip.pipeline.ensemble.member import Member
     from stickslip.sim import EventSeries
+
+#: Members among whose names one is looked for that is like an unknown one.
+MOST_NEAR = 10_000
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,23 @@ class Dataset:
     def members(self) -> pd.DataFrame:
         """One row a member: parameters, outcome, counts; see `stickslip.members`."""
         return query.members(self.path)
+
+    def member(self, member_id: str) -> Member:
+        """One member: its `system()` and `start()`, drawn anew, and its run, `simulate()`.
+
+        A function that makes its system is run by `system`, in this process; it is looked for in the working directory.
+
+        Raises
+        ------
+        QueryError
+            If the scene has no such member.
+        """
+        members = expand(self.scene)
+        place = next((k for k, name in enumerate(members.ids()) if name == member_id), None)
+        if place is None:
+            known = list(islice(members.ids(), MOST_NEAR))
+            raise QueryError(f"member_id: expected a member of the scene, got {member_id!r}{near(member_id, known)}")
+        return members[place]
 
     def n_stick(self, member_id: str) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
         """Times, and how many blocks of a member stick from each to the next; see `stickslip.n_stick`."""

@@ -10,7 +10,7 @@ import nbformat
 import pytest
 
 from stickslip import Dataset
-from stickslip.pipeline import verify
+from stickslip.pipeline import QueryError, verify
 
 pytestmark = pytest.mark.long  # a kernel of its own, and workers
 PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "notebook.md").read_text()
@@ -43,6 +43,10 @@ def test_the_cells_show_what_the_page_says(done):
     dataset = Dataset(folder / "runs" / "belt")
     assert (len(dataset.members), verify(dataset.path)) == (36, [])
     assert (folder / "runs" / "belt" / "report.html").exists()
+    last = dataset.members.iloc[-1]
+    assert len(dataset.member(last["member_id"]).simulate().events) == last["n_events"]
+    with pytest.raises(QueryError, match=r"member_id: expected a member of the scene, got 'm0'"):
+        dataset.member("m0")
 
 
 def test_a_bar_is_shown_and_nothing_else(done):
