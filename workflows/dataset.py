@@ -63,7 +63,7 @@ class Dataset:
     def member(self, member_id: str) -> Member:
         """One member: its `system()` and `start()`, drawn anew, and its run, `simulate()`.
 
-        A function that makes its system is run by `system`, in this process; it is looked for in the working directory.
+        A function that makes its system is looked for in the working directory, and run by `system` in this process.
 
         Raises
         ------
