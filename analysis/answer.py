@@ -16,8 +16,8 @@ from stickslip.analysis.stats.estimates import Estimate
 Recipe = Callable[[], Figure]
 Row = dict[Any, Any]
 
-#: Rows of a table that are made and written together, where it is longer.
-_TOGETHER = 100_000
+#: Rows from which on a table is for programs alone, and is made and written in parts of as many.
+LONG = 100_000
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,8 @@ class Long:
         return self.n_rows
 
     def __iter__(self) -> Iterator[pd.DataFrame]:
-        for k in range(0, self.n_rows, _TOGETHER):
-            yield self.part(slice(k, k + _TOGETHER))
+        for k in range(0, self.n_rows, LONG):
+            yield self.part(slice(k, k + LONG))
 
 
 Table = pd.DataFrame | Long
@@ -47,7 +47,7 @@ Table = pd.DataFrame | Long
 
 def long(n_rows: int, part: Callable[[slice], pd.DataFrame]) -> Table:
     """A table by what makes some of its rows: whole, unless it is too long."""
-    return part(slice(None)) if n_rows <= _TOGETHER else Long(n_rows, part)
+    return part(slice(None)) if n_rows <= LONG else Long(n_rows, part)
 
 
 @dataclass(frozen=True)

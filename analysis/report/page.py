@@ -19,7 +19,7 @@ from jinja2 import Environment
 from jinja2.runtime import Macro
 from markupsafe import Markup
 
-from stickslip.analysis.answer import F, I, Long, Recipe, S, Table, frame, records
+from stickslip.analysis.answer import LONG, F, I, Long, Recipe, S, Table, frame, records
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.questions import QUESTIONS, is_own, question, refuse_unknown
@@ -163,7 +163,7 @@ class Report:
         made: dict[str, Callable[[], bytes]] = {}
         for name, table in self.tables.items():
             made[f"report/{name}.parquet"] = partial(_parquet, table)
-            if not isinstance(table, Long):
+            if not isinstance(table, Long) and len(table) <= LONG:
                 made[f"report/{name}.csv"] = partial(_csv, table)
         made["report/tables.json"] = partial(_json, self.tables)
         for name, drawn in self.figures.items():

@@ -332,7 +332,7 @@ def test_written_tables_read_back_with_nulls(planted, settings):
 def test_a_table_written_in_parts_is_the_table(planted, settings, monkeypatch):
     data = planted.ensemble({"coulomb": LN2}, 8)
     whole = contents(report_of(data, settings))
-    monkeypatch.setattr("stickslip.analysis.answer._TOGETHER", 3)
+    monkeypatch.setattr("stickslip.analysis.answer.LONG", 3)
     parts = contents(report_of(data, settings))
     assert {*whole} - {*parts} == {"report/runs.csv"}
     for name in whole:
