@@ -58,7 +58,7 @@ def study_of(path: Where | Opened, whole: bool = False) -> Study:
 def _data(opened: Opened, whole: bool = False) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
     scene, names = opened.scene, scalar_names(opened)
-    kept = [column for record in scene.records for column in record.kept if column.is_number]
+    kept = [column for record in scene.records_in_order for column in record.kept if column.is_number]
     values, said = {one.name: list[np.ndarray]() for one in kept}, dict[str, str]()
 
     def prepared(part: pd.DataFrame) -> pd.DataFrame:

@@ -177,6 +177,12 @@ class Scene(StrictTable):
         return tuple(one for record in RECORDS if (one := record.asked(keys, settings)) is not None)
 
     @property
+    def records_in_order(self) -> list[Record]:
+        """`records`, in the order in which the scene asks for them."""
+        asked = [*parse_toml(self.source, "scene").get("record", {})]
+        return sorted(self.records, key=lambda one: asked.index(one.name) if one.name in asked else len(asked))
+
+    @property
     def _record_t_burn(self) -> float:
         """From when on records measure that leave out the start."""
         return self.analysis.t_burn if self.record.t_burn is None else self.record.t_burn

@@ -140,6 +140,13 @@ def test_what_does_not_apply_is_refused(asked, words, match):
         scene_of(asked, **words, **{word: value for word, value in usual.items() if word not in words})
 
 
+def test_records_are_taken_in_the_order_of_their_keys():
+    for asked in (("waiting", "amplitude", "stick_share"), ("stick_share", "waiting", "amplitude")):
+        scene = scene_of(asked, SPEED=-0.2, STATIC=1.2, START=0.0, END=10.0, SEED=0, DT=0.1, BURN=1.0)
+        assert [one.name for one in scene.records_in_order][:3] == list(asked)
+        assert {one.name for one in scene.records_in_order} == {one.name for one in scene.records}
+
+
 def test_t_burn_of_the_analysis_counts_where_a_record_takes_it():
     words = {"BLOCKS": 1, "STATIC": 1.3, "SPEED": 0.1, "START": 0.0, "END": 20.0, "SEED": 0, "t_burn = BURN\n": ""}
     one = scene_of(("amplitude",), **words, DT=0.1)
