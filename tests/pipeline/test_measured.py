@@ -142,7 +142,7 @@ def test_what_does_not_apply_is_refused(asked, words, match):
 
 def test_records_are_taken_in_the_order_of_their_keys():
     for asked in (("waiting", "amplitude", "stick_share"), ("stick_share", "waiting", "amplitude")):
-        scene = scene_of(asked, SPEED=-0.2, STATIC=1.2, START=0.0, END=10.0, SEED=0, DT=0.1, BURN=1.0)
+        scene = scene_of(asked, BLOCKS=3, SPEED=-0.2, STATIC=1.2, START=0.0, END=10.0, SEED=0, DT=0.1, BURN=1.0)
         assert [one.name for one in scene.records_in_order][:3] == list(asked)
         assert {one.name for one in scene.records_in_order} == {one.name for one in scene.records}
 
