@@ -118,10 +118,10 @@ def near_cycle(
         matrix = path.monodromy(is_forced=False)
         if k == 0:
             returned = error
-        elif np.abs(error).max() <= back * size:
+        if np.abs(error).max() <= back * size:
             start = np.concatenate([first[0] - z, first[1] - w])
             found = Near(round_, path, matrix, float(np.linalg.norm(start)) / size)
-            off = np.linalg.norm(start + returned - matrix @ start)
+            off = np.abs(start + returned - matrix @ start).max()
             is_linear = off <= (_LINEAR * found.distance + back) * size
             is_on_its_way = bool(is_linear and _largest_power(matrix, start) <= _FAR * size)
         missed, period = float(np.linalg.norm(error)), float(t[-1])

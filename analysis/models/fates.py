@@ -96,7 +96,8 @@ def _effective(
     variance = len(n_of) / max(len(n_of) - 1, 1) * np.maximum(residual, 0.0) / len(times) ** 2
     most = np.full(len(t), float(len(times)))
     trials = np.divide(share * (1.0 - share), variance, out=most, where=variance > 0)
-    return np.where((share > 0) & (share < 1), np.clip(trials, len(n_of), len(times)), float(len(n_of)))
+    is_between = (share > 0) & (share < 1) & (len(n_of) > 1)  # one unit is one trial
+    return np.where(is_between, np.clip(trials, len(n_of), len(times)), float(len(n_of)))
 
 
 def survival(
@@ -152,8 +153,14 @@ def half_ended(
         return found
     # runs of a unit are not independent: from when, and until when, the interval of the share holds one half
     t, _, low, high = survival(fates, t_last, t_stop, t_end, confidence, units)
-    ends = [float(t[np.argmax(side <= 0.5)]) if (side <= 0.5).any() else None for side in (low, high)]
-    return Estimate(found.value, ends[0], ends[1], found.reason)
+    first, last = np.flatnonzero(low <= 0.5), np.flatnonzero(high > 0.5)
+    until = int(last[-1]) + 1 if len(last) else 0
+    return Estimate(
+        found.value,
+        float(t[first[0]]) if len(first) else None,
+        float(t[until]) if until < len(t) else None,
+        found.reason,
+    )
 
 
 def _ends(

@@ -73,6 +73,18 @@ def test_survival_and_its_median_are_of_all_starts_of_a_matrix():
     assert (half.low, half.high) == (50.0, None)
 
 
+def test_one_unit_is_one_trial_and_an_end_holds_until_the_last_time_that_allows_it():
+    fates_of, t = np.full(40, COLLAPSED, dtype=object), np.arange(1.0, 41.0)
+    _, share, low, high = survival(fates_of, t, t, np.full(40, 99.0), 0.95, np.zeros(40, int))
+    k = int(np.argmin(np.abs(share - 0.5)))
+    assert (low[k], high[k]) == pytest.approx(wilson(0.5, 1.0, 0.95))
+    # 60 of each of two units end at 1, so that both agree, then 40 of one at 2: half may yet last
+    t_last = np.concatenate([np.ones(60), np.full(40, 2.0), np.ones(60), np.full(40, 50.0)])
+    how = np.where(t_last < 50.0, COLLAPSED, SUSTAINED)
+    half = half_ended(how, t_last, np.full(200, 50.0), np.full(200, 50.0), 0.95, np.repeat([0, 1], 100))
+    assert (half.value, half.high) == (1.0, None)
+
+
 def covered(n, confidence):
     """Chance that a median lies between the k-th smallest and the k-th largest of n times, by counting tosses.
 

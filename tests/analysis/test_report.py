@@ -88,7 +88,7 @@ def test_a_difference_that_is_shown_is_not_called_none_because_it_may_be_small(l
     lead = {"group": "one", "gamma": LN2 + middle, "gamma_low": LN2 + low, "gamma_high": LN2 + high, "chance": LN2}
     lead |= {"difference": middle, "difference_low": low, "difference_high": high, "verdict": "cannot be told"}
     words = environment().get_template("cascades.html").module
-    facts = {"lead": lead, "is_by_engine": False, "rows": [lead], "margin": 0.01, "bounded": None}
+    facts = {"lead": lead, "is_by_engine": False, "rows": [lead], "margin": 0.01, "bounded": None, "only": None}
     assert said in str(words.answer(facts))
 
 

@@ -67,6 +67,13 @@ def test_a_change_along_eight_values_is_found_within_matrices(swept, settings):
     assert (table["n_units"] == 8).all()
 
 
+def test_opposite_changes_are_not_the_same(swept, settings):
+    data = swept({"belt_speed": [-0.2, -0.1]}, lambda at, m: (30 if m % 2 else -30) * int(at["belt_speed"] == -0.1))
+    row = changes(sweep.answer(Study(data, settings)))["belt_speed"]
+    assert abs(row["difference"]) < 1e-9 < row["difference_high"]
+    assert row["verdict"] == UNKNOWN
+
+
 def test_a_grid_tells_which_key_it_is(swept, settings):
     axes = {"kappa": [0.2, 0.25], "friction": [0.8, 0.9, 1.0, 1.1, 1.2], "belt_speed": [-0.1, -0.2, -0.3]}
     data = swept(axes, lambda at, matrix: 40 * at["friction"] + 400 * (at["kappa"] - 0.2) + matrix % 3)

@@ -639,6 +639,18 @@ def test_what_dies_out_or_grows_slowly_is_no_cycle(damping, tol):
     assert found[1].period == pytest.approx(2 * np.pi, rel=1e-7)
 
 
+def test_a_start_near_a_cycle_that_attracts_at_once_is_on_it():
+    """One round after the start a block that sticks has no error left, and Newton's method nothing to do."""
+    system = System([[1.0]], 0.1, 1.0, -0.2, static=1.5)
+    long = simulate(system, [0.3], [0.0], 200.0)
+    period = attractor(long, system).period
+    before = float(long.events.t[np.flatnonzero(long.events.mode == 0)[-4]]) - 0.3
+    state = simulate(system, [0.3], [0.0], 200.0, t_eval=[before]).samples
+    for dz in np.linspace(-0.02, 0.02, 11):
+        found = attractor(simulate(system, state.z[0] + dz, state.w[0], 2.1 * period), system)
+        assert (found.kind, found.period) == ("periodic", pytest.approx(period, rel=1e-8)), dz
+
+
 def test_a_force_that_has_hardly_turned_has_no_period_yet():
     force = Harmonic([0.9, 0.0], 1e-5, -1.5708)
     system = System([[2.0, -1.0], [-1.0, 1.5]], 0.1, [1.0, 0.8], -0.2, static=[1.3, 1.0], force=force)

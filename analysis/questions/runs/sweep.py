@@ -83,9 +83,8 @@ def answer(study: Study) -> Answer | None:
         if not row["is_share"] and row["first_low"] is not None and row["first_low"] <= 0 <= row["first_high"]:
             row |= dict.fromkeys(("relative", "relative_low", "relative_high", "p_equivalent"))
         row |= {"p_different": row["p_absolute"], "p_equivalent": _known(row["p_equivalent"], row["p_absolute"])}
-        row["is_same"] = row["difference"] is not None and abs(row["difference"]) <= row["noise"]
-        row["is_same"] &= row["difference_low"] is not None and not row["is_share"]  # a share is of few runs
-        if row["is_same"]:  # no test: what is the same in each of a few units may differ in others
+        if row["is_same"] and row["difference_low"] is not None:
+            # no test: what is the same in each of a few units may differ in others
             row |= {"p_equivalent": None, "p_different": None, "verdict": SAME}
         row["subject"], row["words"] = subjects.get(row["quantity"], ("", ""))
         row.setdefault("is_few", False)
@@ -102,7 +101,7 @@ def answer(study: Study) -> Answer | None:
     own = [
         row
         for row in contrasts
-        if row["setting"] == lead and (row["p_different"] is not None or row["is_few"] or row["is_same"])
+        if row["setting"] == lead and (row["p_different"] is not None or row["is_few"] or row["verdict"] == SAME)
     ]
     facts: dict[str, Any] = {
         "setting": lead,
@@ -180,9 +179,15 @@ def _contrasts(
             yield row | {
                 "setting": setting, "key": axis.name, "first_value": as_text(base), "second_value": as_text(value),
                 "last_value": as_text(axis.values[-1]), "is_last": value == others[-1],
-                "noise": noise * largest[one.name],
+                "is_same": not one.is_share and _is_same(first, second, one.name, noise * largest[one.name]),
                 "is_part": not one.is_share and row["n_first"] < max(n_units[base], n_units[value]),
             }  # fmt: skip
+
+
+def _is_same(first: Sample, second: Sample, name: str, noise: float) -> bool:
+    """Whether a statistic that is known is the same in each unit; not said of shares, which are of few runs."""
+    a, b = (some.of(name).rows for some in (first, second))
+    return len(a) > 0 and bool((np.abs(a[:, 0] / a[:, 1] - b[:, 0] / b[:, 1]) <= noise).all())
 
 
 def _either_way(row: Row, one: Statistic, first: Sample, second: Sample, confidence: float) -> Row:

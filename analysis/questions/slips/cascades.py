@@ -62,6 +62,7 @@ def answer(study: Study) -> Answer:
         "lead": row,
         "paper": PAPER_GAMMA if group.key["coupling"] == "antisymmetric" else None,
         "bounded": _bounded(group, row["gamma"]),
+        "only": int(seen[0]) + 1 if len(seen := np.flatnonzero(group.counts.sum(axis=0))) == 1 else None,
         "refused": [row for _, row in made if row["basis"] not in enough.JUDGED],
         "sizes": [one for one in sizes if one["group"] == group.label],
         "is_by_engine": len({row["n"] for row in by_label.values()})
@@ -113,7 +114,7 @@ def _bounded(group: Group, gamma: float) -> float | None:
         fit = maximise(EXPONENTIAL, *truncate(np.pad(group.counts.sum(axis=0), (1, 0)), 1, max(n, 2)))
     except Undefined:
         return None
-    found = fit.parameters["gamma"]
+    found = round(fit.parameters["gamma"], 12)  # of equal counts 0
     return found if abs(found - gamma) > GAMMA_MARGIN * gamma else None
 
 
