@@ -262,6 +262,11 @@ class _End:
         return s.changed(belt_speed=self._v, force=s.force_at(self._run.t_end)) if s.changes else s
 
     @property
+    def _close(self) -> float:
+        """By how much of its largest number a state on a cycle may miss itself."""
+        return min(self._back, _SEEN * self._tol)
+
+    @property
     def _together(self) -> float:
         return _TOGETHER * self._at_once
 
@@ -390,11 +395,12 @@ class _End:
         """
         p = len(path.block)
         symbols = _symbols(_in_order(events, 0, self._together))[:p]
-        near = _ALMOST * self._back * _size(path.states)
+        size, whole = _size(path.states), _off(path, p)
+        near, exactly = _ALMOST * self._back * size, self._close * size
         for part in range(1, p // 2 + 1):
             if p % part == 0 and (symbols[part:] == symbols[:-part]).all():
                 off = _off(path, part)
-                if off <= near and (self._system.changes or _off(path, p) > _APART * off):
+                if off <= exactly or (off <= near and (self._system.changes or whole > _APART * off)):
                     return part
         return p
 
@@ -423,7 +429,7 @@ class _End:
         def follow(z: Floats, w: Floats, modes: NDArray[np.int8], length: float, times: Floats) -> Run:
             return simulate(s, z, w, length, t_eval=times, modes=modes, stop_early=False, **self._settings)
 
-        found = near_cycle(s, at.z[0], at.w[0], round_, p, min(self._back, _SEEN * self._tol),
+        found = near_cycle(s, at.z[0], at.w[0], round_, p, self._close,
                            lambda some: _in_order(some, 0, self._at_once), follow)  # fmt: skip
         drift = None if found is None else self._drift(found.path.states)
         if found is None or drift is None or (multiplier := largest(found.matrix, drift)) >= 1.0:

@@ -658,6 +658,11 @@ def test_a_force_that_has_hardly_turned_has_no_period_yet():
     assert attractor(run, system, 1000.0, tol=1e-8).kind != "periodic"
 
 
+def test_a_cycle_that_newtons_method_went_round_twice_is_given_once():
+    """Among the systems of this seed is one with a multiplier of -0.66: it was given twice its period."""
+    test_a_cycle_found_early_is_the_one_that_the_run_settles_on(np.random.default_rng(3724779975))
+
+
 def test_events_of_one_instant_may_end_what_is_followed_of_an_irregular_run():
     """Two copies of a chaotic pair, together until the end of the run: then one leads, by less than can be told.
 
