@@ -75,14 +75,14 @@ class Recorded(NamedTuple):
         What it is never below, by what it is: 0 for an amplitude.
     absent : str
         Why a run may have none, by what it is: a steady slide has no period. Empty if all should have one.
+    problems : mapping of str to str
+        By member_id: why a run has none although it should.
     called : str
         What it is called in a sentence; empty: by its column.
     says_it : bool
         Whether that says what it is, without `words`.
     is_cut : bool
         Whether it is of times that have to lie in the window, so that the mean is too small unless it is much longer.
-    problems : mapping of str to str
-        By member_id: why a run has none although it should.
     """
 
     words: str

@@ -34,6 +34,8 @@ _ROUNDING = 1e-14
 
 #: Keys that separate settings and are not swept.
 FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
+#: Columns of motion whose sums a group keeps for each unit.
+_TOTALS = tuple(name for name in COLUMNS if name not in (*EFFECTIVE, "short"))
 _SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*FIXED, "drawn", "parameters"))
 Value = float | str
 
@@ -58,7 +60,7 @@ class Group:
     units : ndarray of int, shape (G,)
         Units of the members in motion, ascending: the rows of all arrays.
     totals : dict of str to ndarray, shape (G,)
-        Sums over runs of each of `motion.COLUMNS`, by name, but of the following ones.
+        Sums over runs of each of `motion.COLUMNS`, by name, but of those in `effective` and `n_short`.
     effective : ndarray, shape (4,)
         Sums over units of their means over runs of `effective.rows`.
     counts : ndarray of int, shape (G, K)
@@ -78,7 +80,7 @@ class Group:
     table: Members
     rows: np.ndarray
     units: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
-    totals: dict[str, np.ndarray] = field(default_factory=dict)
+    totals: dict[str, np.ndarray] = field(default_factory=lambda: {name: np.zeros(0) for name in _TOTALS})
     effective: np.ndarray = field(default_factory=lambda: np.zeros(4))
     counts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int64))
     fates: np.ndarray = field(default_factory=lambda: np.zeros(0, object))
@@ -144,7 +146,7 @@ class Group:
 
     def of(self, *names: str) -> np.ndarray:
         """Some of `totals` side by side, shape (G, number of names)."""
-        return np.column_stack([self.totals.get(name, np.zeros(0)) for name in names])
+        return np.column_stack([self.totals[name] for name in names])
 
     @property
     def n_runs(self) -> int:

@@ -113,7 +113,8 @@ def near_cycle(
         error = np.concatenate([path.states.z[-1] - z, path.states.w[-1] - w])
         size = float(max(np.abs(path.states.z).max(), np.abs(path.states.w).max()))
         # a state is further from the cycle than it moves in a round: once it is back, more steps go to the cycle
-        if np.linalg.norm(error) > missed:
+        off_by = float(np.linalg.norm(error))
+        if off_by > missed:
             break
         matrix = path.monodromy(is_forced=False)
         if k == 0:
@@ -124,7 +125,7 @@ def near_cycle(
             off = np.abs(start + returned - matrix @ start).max()
             is_linear = off <= (_LINEAR * found.distance + back) * size
             is_on_its_way = bool(is_linear and _largest_power(matrix, start) <= _FAR * size)
-        missed, period = float(np.linalg.norm(error)), float(t[-1])
+        missed, period = off_by, float(t[-1])
         if missed <= _EXACT * size:
             break
         step = np.linalg.lstsq(np.identity(2 * n) - matrix, error, rcond=1e-12)[0]

@@ -65,7 +65,7 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float, units:
     at_end = np.sort(times[ended])
     n_stay = n_at_risk - (np.searchsorted(at_end, t, side="right") - np.searchsorted(at_end, t, side="left"))
     share = np.cumprod(n_stay / np.maximum(n_at_risk, 1))
-    if units is not None and len(np.unique(units)) < len(units):
+    if units is not None and _are_shared(units):
         return t, share, *wilsons(share, _effective(t, share, times, ended, units), confidence)
     with np.errstate(divide="ignore", invalid="ignore"):  # where the interval has no width
         variance = np.cumsum((n_at_risk - n_stay) / (n_at_risk * n_stay))
@@ -74,6 +74,11 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float, units:
     for k in np.flatnonzero((share == 0) | (share == 1)):
         low[k], high[k] = wilson(share[k] * len(times), len(times), confidence)
     return t, share, low, high
+
+
+def _are_shared(units: np.ndarray) -> bool:
+    """Whether a unit has several runs."""
+    return len(np.unique(units)) < len(units)
 
 
 def _effective(
@@ -149,7 +154,7 @@ def half_ended(
     """
     times, ended, earliest = _ends(fates, t_last, t_stop, t_end)
     found = median(times, ended, confidence, earliest)
-    if units is None or len(np.unique(units)) == len(units):
+    if units is None or not _are_shared(units):
         return found
     # runs of a unit are not independent: from when, and until when, the interval of the share holds one half
     t, _, low, high = survival(fates, t_last, t_stop, t_end, confidence, units)

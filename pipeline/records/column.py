@@ -29,14 +29,14 @@ class Column(NamedTuple):
         known.
     least : float, optional
         What a number is never below, by what it is: 0 for an amplitude.
-    is_cut : bool
-        Whether it is of times that have to lie between t_burn and the end of a run: the long ones are cut, so that
-        their mean is too small unless the run is much longer.
-    title : str
-        What a number is called in a sentence; empty: its name, with spaces.
     absent : str
         Why a run has no such number, in words, where that is what it is, as a steady slide has no period; empty if a
         run without one lacks it.
+    title : str
+        What a number is called in a sentence; empty: its name, with spaces.
+    is_cut : bool
+        Whether it is of times that have to lie between t_burn and the end of a run: the long ones are cut, so that
+        their mean is too small unless the run is much longer.
     """
 
     kind: Kind

@@ -139,13 +139,13 @@ def state_of(states, k):  # type: ignore[no-untyped-def]
 
 @inner
 def later(t, lacking, step, t_end):  # type: ignore[no-untyped-def]
-    """The time a step after t, at most t_end, and what it lacks by rounding, as t lacks `lacking`.
+    """The time a step after t, and what it lacks by rounding, as t lacks `lacking`; t_end, exactly, if it takes all.
 
     Without that the time of a long run would be off by as many roundings, of one sign, as there are steps.
     """
     by = step + lacking
     end = t + by
-    if end >= t_end:
+    if step >= t_end - t or end >= t_end:
         return t_end, 0.0
     moved = end - t
     return end, (t - (end - moved)) + (by - moved)

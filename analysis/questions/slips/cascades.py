@@ -18,7 +18,7 @@ from stickslip.analysis.series.cascades import spans
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, against
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices, ratio
-from stickslip.analysis.stats.families import EXPONENTIAL, maximise, truncate
+from stickslip.analysis.stats.families import gamma_up_to, truncate
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
 
 #: Relative margin within which gamma counts as that of chance, whatever margin a scene declares between engines.
@@ -110,12 +110,10 @@ def _law_row(group: Group, confidence: float) -> Row:
 def _bounded(group: Group, gamma: float) -> float | None:
     """gamma of the exponential law of sizes up to n, where that is another one; None if it cannot be found either."""
     n = int(group.key["n"])
-    try:
-        fit = maximise(EXPONENTIAL, *truncate(np.pad(group.counts.sum(axis=0), (1, 0)), 1, max(n, 2)))
-    except Undefined:
+    found = gamma_up_to(*truncate(np.pad(group.counts.sum(axis=0), (1, 0)), 1, max(n, 2)))
+    if found is None or abs(found - gamma) <= GAMMA_MARGIN * gamma:
         return None
-    found = round(fit.parameters["gamma"], 12)  # of equal counts 0
-    return found if abs(found - gamma) > GAMMA_MARGIN * gamma else None
+    return round(found, 12)  # of equal counts 0
 
 
 def _less(estimate: Estimate, number: float) -> Estimate:

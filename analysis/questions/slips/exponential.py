@@ -20,7 +20,7 @@ from stickslip.analysis.stats.compare import against
 from stickslip.analysis.stats.dispersion import excess, moments
 from stickslip.analysis.stats.effects import MANY
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, paired_difference
-from stickslip.analysis.stats.families import CUT_OFF, EXPONENTIAL, POWER_LAW, maximise, truncate
+from stickslip.analysis.stats.families import CUT_OFF, EXPONENTIAL, POWER_LAW, gamma_up_to, maximise, truncate
 from stickslip.analysis.stats.goodness import goodness, quotients
 from stickslip.analysis.style import EXACT, GREY, SMOOTHED, panel, size_axis
 
@@ -88,7 +88,7 @@ def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> R
         "group": group.label, "smallest": int(sizes[0]), "n_cascades": int(counts.sum()), "n_matrices": len(counts),
         "variance": None, "variance_low": None, "variance_high": None, "verdict": None,
         **_pool(group, sizes, counts, level), **_rotation(study, group, sizes, counts),
-        "gamma": _gamma(sizes, counts), "gap": fit.gap, "gap_at": fit.at,
+        "gamma": gamma_up_to(sizes, counts.sum(axis=0)), "gap": fit.gap, "gap_at": fit.at,
         "p_value": fit.p_value, "fit": fit.verdict(1 - level),
         "reason": over.reason or fit.reason or None,
     }  # fmt: skip
@@ -97,14 +97,6 @@ def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> R
     row |= {"variance": 1 + over.value, "variance_low": 1 + over.low, "variance_high": 1 + over.high}
     row["verdict"] = against(excess, moments(counts), MARGIN).verdict(level, MANY)
     return row
-
-
-def _gamma(sizes: np.ndarray, counts: np.ndarray) -> float | None:
-    """That of the exponential on these sizes alone which fits best; None if there is none."""
-    try:
-        return maximise(EXPONENTIAL, sizes, counts.sum(axis=0)).parameters["gamma"]
-    except Undefined:
-        return None
 
 
 def _pool(group: Group, sizes: np.ndarray, counts: np.ndarray, confidence: float) -> Row:

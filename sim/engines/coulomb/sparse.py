@@ -352,9 +352,7 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
             is_event = due[1] <= end
             moved = min(due[1], end) - s
             s = min(due[1], end)
-            now, lacking = t_end, 0.0
-            if s < remaining:
-                now, lacking = loop.later(t, lacked, s, t_end)
+            now, lacking = loop.later(t, lacked, s, t_end)
             sample(expansion.series, local.origin, order, t, now, state)
             clock[loop.TIME], clock[loop.LACKING] = now, lacking
             is_stalled = stalls(goal, counters, moved, now, n_recorded == before)

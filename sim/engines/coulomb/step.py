@@ -145,9 +145,7 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
             counters[loop.LAST_BLOCK] = block
         for i in range(n):
             near[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * h) + search.reach[i])
-        t_next, lacking = t_end, 0.0
-        if step < remaining:
-            t_next, lacking = loop.later(t, clock[loop.LACKING], step, t_end)
+        t_next, lacking = loop.later(t, clock[loop.LACKING], step, t_end)
         sample(series, None, order, t, t_next, state)
         left = h - step
         is_inside = (

@@ -292,9 +292,7 @@ def take_steps(model, work, control, state, events, bound, precheck):  # type: i
                 return loop.STALLED, n_recorded
             continue
         counters[loop.N_STEPS] += 1
-        end, lacking = control.t_end, 0.0
-        if h < control.t_end - t:
-            end, lacking = loop.later(t, clock[loop.LACKING], h, control.t_end)
+        end, lacking = loop.later(t, clock[loop.LACKING], h, control.t_end)
         span = Span(t, h, end)
         first_event, n_recorded = (
             n_recorded,
