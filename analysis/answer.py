@@ -146,4 +146,5 @@ def named(name: str, estimate: Estimate) -> Row:
 
 def records(table: pd.DataFrame) -> list[Row]:
     """Rows of a table as dictionaries of plain Python values, None for null."""
-    return table.astype(object).where(table.notna(), None).to_dict(orient="records")
+    columns = [column.astype(object).where(column.notna(), None).tolist() for _, column in table.items()]
+    return [dict(zip(table, row, strict=True)) for row in zip(*columns, strict=True)]

@@ -194,6 +194,8 @@ def _numbered(shared: pd.DataFrame, numbers: dict[tuple[Any, ...], int]) -> np.n
     code = np.zeros(len(shared), dtype=np.int64)
     for name in shared:
         found, values = pd.factorize(shared[name])  # -1 for null
+        if (found == found[:1]).all():  # as most are
+            continue
         code = np.unique(code * (len(values) + 1) + found + 1, return_inverse=True)[1]
     _, first = np.unique(code, return_index=True)
     kinds = shared.iloc[first].astype(object)

@@ -10,6 +10,7 @@ be told.
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 from scipy import special
 
 from stickslip.analysis.stats import student
@@ -78,7 +79,7 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float, units:
 
 def _are_shared(units: np.ndarray) -> bool:
     """Whether a unit has several runs."""
-    return len(np.unique(units)) < len(units)
+    return not pd.Index(units).is_unique
 
 
 def _effective(

@@ -100,7 +100,7 @@ def answer(study: Study) -> Answer:
         "total": {**_counts(runs["fate"]), "runs": len(followed), "held": sum(row["n_held"] for row in groups)},
         "share": _share(followed["fate"], drawn, MOVING, level),
         "level": f"{100 * level:g}%",
-        "n_systems": len(np.unique(drawn)),
+        "n_systems": int(drawn.max(initial=-1)) + 1,
         "has_copies": len(members) > len(runs),
         "t_end": sorted({float(group.key["t_end"]) for group in study.groups}),
         "last_share": LAST_SHARE,
