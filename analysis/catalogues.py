@@ -93,6 +93,11 @@ class Catalogues:
         """Number of episodes of at least that magnitude."""
         return int(np.count_nonzero(self.magnitudes() >= magnitude))
 
+    def basis(self, confidence: float) -> enough.Basis:
+        """Whether the law of these episodes may be judged: there are enough, and their rate does not drift."""
+        halves = np.array([sum(run.halves() for run in runs) for runs in self.runs.values()])
+        return enough.basis(halves, int(halves.sum()), confidence, drift)
+
     def at_least(self, magnitude: float) -> dict[int, np.ndarray]:
         """Number of episodes of at least that magnitude and the time in which they were counted, by unit."""
         return {
@@ -166,9 +171,8 @@ def summarise(one: Catalogues, level: float) -> None:
         rows = np.array([quantity.sums(run, one.least) for run in one.each()], dtype=np.float64)
         known = np.isfinite(rows).all(axis=1)
         one.sample.sums[name] = UnitSums.of(np.array(units)[known], rows[known])
-    halves = np.array([sum(run.halves() for run in runs) for runs in one.runs.values()])
-    n_episodes = int(halves.sum())
-    basis = enough.basis(halves, n_episodes, level, drift)
+    basis = one.basis(level)
+    n_episodes = basis.n_cascades
     sizes = np.concatenate([run.size for run in one.each()])
     one.row = {
         "group": one.label, "least": one.least, "stuck_below": _stuck_below(one.group),

@@ -36,7 +36,8 @@ _ROUNDING = 1e-14
 FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
 #: Columns of motion whose sums a group keeps for each unit.
 _TOTALS = tuple(name for name in COLUMNS if name not in (*EFFECTIVE, "short"))
-_SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*FIXED, "drawn", "parameters"))
+_LISTS = ("drawn", "parameters")  # settings that hold several, each "name = value"
+_SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*FIXED, *_LISTS))
 Value = float | str
 
 
@@ -123,8 +124,7 @@ class Group:
     def at(self) -> dict[str, Value]:
         """Value of each key that a scene may sweep, by its name there: a number, or a distribution to draw from."""
         drawn, given = (
-            dict(part.split(" = ", 1) for part in (self.key[name] or "").split("; ") if part)
-            for name in ("drawn", "parameters")
+            dict(part.split(" = ", 1) for part in (self.key[name] or "").split("; ") if part) for name in _LISTS
         )
         found: dict[str, Value] = {key: float(text) for key, text in given.items()}
         for column in _SWEPT:
@@ -244,11 +244,24 @@ def labels(keys: Sequence[Mapping[str, Any]]) -> list[str]:
         for name, value in key.items():
             values.setdefault((key["engine"], name), set()).add(value)
     differ = {place for place, some in values.items() if len(some) > 1}
-    return [_label(key, differ) for key in keys]
+    if all("w0" in key and key["w0"] == key["belt_speed"] for key in keys):
+        differ -= {(key["engine"], "w0") for key in keys}  # all start on the belt
+    lists = {place: set.intersection(*map(_parts, some)) for place, some in values.items() if place[1] in _LISTS}
+    return [_label(key, differ, lists) for key in keys]
 
 
-def _label(key: Mapping[str, Any], differ: Collection[tuple[str, str]]) -> str:
-    """Name of a group; `differ` holds engine and name of each setting in which groups of that engine differ."""
+def _parts(text: str | None) -> set[str]:
+    """What a setting of `_LISTS` holds."""
+    return set((text or "").split("; "))
+
+
+def _label(
+    key: Mapping[str, Any], differ: Collection[tuple[str, str]], shared: Mapping[tuple[str, str], set[str]]
+) -> str:
+    """Name of a group; `differ` holds engine and name of each setting in which groups of that engine differ.
+
+    `shared` has by engine and name what all of them have of settings that are lists.
+    """
     parts = [f"n = {key['n']}", engine_name(key["engine"])]
     defaults = ENGINES[key["engine"]].defaults()
     for name in key:
@@ -256,8 +269,10 @@ def _label(key: Mapping[str, Any], differ: Collection[tuple[str, str]]) -> str:
             continue
         rule = SETTINGS[name].in_label if name in SETTINGS else "if it differs"
         is_said = rule == "always" or (rule == "unless default" and key[name] != defaults[name])
-        if is_said or (key["engine"], name) in differ:
-            parts.append(_plain(key[name]) if name in ("drawn", "parameters") else f"{name} = {_plain(key[name])}")
+        if name in _LISTS:
+            parts += [part for part in key[name].split("; ") if part not in shared[key["engine"], name]]
+        elif is_said or (key["engine"], name) in differ:
+            parts.append(f"{name} = {_plain(key[name])}")
     if key["perturbation_size"] > 0:
         parts.append(f"perturbed by {_plain(key['perturbation_size'])}")
     return ", ".join(parts)

@@ -150,6 +150,8 @@ def _episodes(
     least = found.least if common is None else common
     if name == B_VALUE and found.n_from(least) < enough.LEAST_CASCADES:
         return Values(missing=missing, withheld=f"fewer than {enough.LEAST_CASCADES} episodes {beyond}")
+    if name == B_VALUE and found.basis(level).code == enough.DRIFTS:
+        return Values(missing=missing, withheld="the rate of episodes drifts")
     if name == B_VALUE and not has_b(found, level):
         return Values(missing=missing, withheld="no single b is shown to hold")
     units, rows, finished = list[int](), list[tuple[float, float]](), group.finished

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -36,7 +37,11 @@ _BACK, _CLOSEST, _WIDEST = 1e4, 1e-9, 1e-4
 #: round, at times apart that pass through the first bound, but hardly move near this one in a round that comes back.
 _TOGETHER = 100.0
 #: Of K dz, over that of its terms: below, z has only moved along the null space of K.
-_NULL = 1e-12
+_NULL, _DENSE = 1e-12, 500
+#: By so much of its static friction the force on a block that sticks may be above, from rounding.
+_ROUNDING = 1e-9
+#: A cycle is larger than what its states may miss themselves by, so many times: what dies out is none.
+_LARGER = 10.0
 #: States within so much of a period from an event are those at the event: the run's tolerance, between two ends.
 _EXACT, _MOST_OFF = 1e-12, 1e-8
 #: Rounds of events that are tried as a cycle, the shortest first.
@@ -47,12 +52,13 @@ _TRIED_NEAR, _NEAR = 2, 0.02
 _ALMOST = 1e3
 #: A round comes back by itself, not as a spiral onto a part of it, if it comes back so much nearer than that part.
 _APART = 0.02
-#: A state that is off by more than so many tolerances after a round moves; by this share of |1 - m| it is far from a
-#: cycle with the multiplier m, as what dies out under hardly any damping.
+#: A state that is off by more than so many tolerances after a round moves; within this share of its largest number
+#: from the cycle Newton's method is asked. What dies out under hardly any damping is further off.
 _SEEN, _FAR = 100.0, 0.1
 #: How often the last event must recur before a run is called irregular, the most events over which its growth rate is
-#: taken, and the logarithm of what a deviation grows by over them.
-_FEW, _FOLLOWED, _GROWN = 30, 512, 2.0
+#: taken, and the logarithm of what a deviation grows by over the last two thirds of them, with a third of that in
+#: each half. On a torus deviations grow as time does: by ln 2 and ln 1.5 there.
+_FEW, _FOLLOWED, _GROWN = 30, 512, 3.0
 #: No multiplier of a cycle with more than so many events times (2 n)^3: it would take some seconds.
 _WORK = 2e9
 #: Nor is a cycle of more than so many sought by Newton's method, which takes several.
@@ -146,8 +152,9 @@ def attractor(
     Rest, sliding and escape are proved. A run is periodic if its last events, their blocks, modes and the times
     between them, repeat those of the period before, and in the period that follows, which is run, the state at an
     event comes back, within 1e4 `tol` of the largest number in it. It is irregular if the last event recurs at least
-    30 times without that, and a deviation grows by e^2 and more over as many events as after `t_burn`, but at most
-    512, that follow. This costs two runs of one or two periods, or two over these events.
+    30 times without that, and a deviation grows by e^3 and more, and by e in each half, over the last two thirds of
+    as many events as after `t_burn`, but at most 512, that follow. This costs two runs of one or two periods, or two
+    over these events.
 
     Parameters
     ----------
@@ -283,7 +290,7 @@ class _End:
     def _is_at_rest(self) -> bool:
         """Whether all blocks stick, and neither belts nor forces ever load one enough to leave."""
         s = self._system
-        if self._mode.any() or (np.abs(s.stiffness @ self._v) > _NULL * s.row_sums * s.fastest_belt).any():
+        if self._mode.any() or self._is_loaded_by(self._v):
             return False
         swing, steady = np.zeros(s.n), s.damping * self._v + s.stiffness @ self._run.z
         for term in s.force:
@@ -292,7 +299,12 @@ class _End:
             else:
                 steady -= term.at(self._run.t_end)
         outward = np.where(s.closed == 0, np.abs(steady), s.closed * steady)
-        return not swing.any() or bool((outward + swing <= s.static).all())
+        return bool((outward + swing <= s.static * (1.0 + _ROUNDING)).all())
+
+    def _is_loaded_by(self, moved: Floats) -> bool:
+        """Whether springs pull at blocks that are moved so, for which they have to be stretched."""
+        s = self._system
+        return bool((np.abs(s.stiffness @ moved) > _NULL * s.row_sums * np.abs(moved).max()).any())
 
     # ---------------------------------------------------------------------------------------------- cycles
 
@@ -328,10 +340,15 @@ class _End:
         first = math.ceil(self._start / period) * period
         events = self._follow(first + period - self._start, np.empty(0)).events
         path = self._path(events, np.array([first, first + period]))
-        drift = self._drift(path.states)
+        if not (len(events) or self._mode.any() or self._is_loaded_by(self._v)):
+            return Attractor("rest", "all blocks stick through a period of the force", states=path.states.first(1))
+        drift = self._drift(path)
         if len(events) or drift is None:
             return none
-        multiplier = path.multiplier(drift, is_forced=True)
+        matrix = path.monodromy(is_forced=True)
+        if self._distance(path, drift, matrix) > self._back:
+            return replace(none, reason="no event, and the state nearly comes back, but moves on; lengthen the run")
+        multiplier = largest(matrix, drift)
         events = replace(events, t_start=0.0, t_end=period)
         why = "the state comes back after a period of the force"
         return Attractor("periodic", why, period, multiplier, None, drift, events, path.states.first(1))
@@ -364,7 +381,7 @@ class _End:
             return None
         if not (np.abs(events.t - expected) <= max(_EXACT, min(self._tol, _MOST_OFF)) * cycle.period).all():
             path = self._path(events, events.t)
-        drift, period = self._drift(path.states), float(events.t[p] - events.t[0])
+        drift, period = self._drift(path), float(events.t[p] - events.t[0])
         if drift is None or not self._has_phase(period):
             return None
         period = self._whole(period)
@@ -373,15 +390,17 @@ class _End:
             # turns a spiral onto the shorter cycle may come as near as a longer cycle does
             return self._settled(_Cycle(part, period * part / p, is_back=False))
         is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
-        multiplier = path.multiplier(drift, bool(self._frequencies)) if is_short else None
-        if multiplier is not None and (moved := _moved(path, drift)) > _SEEN * self._tol:
+        matrix = path.monodromy(bool(self._frequencies)) if is_short else None
+        multiplier = None if matrix is None else largest(matrix, drift)
+        if matrix is not None and np.abs(path.missed(drift)).max() > _SEEN * self._tol * self._size(path.states):
             # it may still be far from the cycle, by as much as it moves in all rounds to come
-            if moved > _FAR * abs(1.0 - multiplier):
-                why = f"{p} events come back, and so nearly does the state, which moves on; lengthen the run"
+            distance = self._distance(path, drift, matrix)
+            if distance > (_FAR if self._has_newton(p) else self._back):
+                why = "events come back, and so nearly does the state, which moves on; lengthen the run"
                 return Attractor("undecided", why)
-            if self._has_newton(p) and multiplier < 1.0:
+            if self._has_newton(p) and largest(matrix, drift) < 1.0:
                 found = self._settled(_Cycle(p, period, is_back=False))
-                if found is not None or moved / (1.0 - multiplier) > self._back:
+                if found is not None or distance > self._back:
                     return found
         round_, states = _from_lowest(path, events, period, drift)
         why = f"{p} events, and the state at each, come back"
@@ -395,7 +414,7 @@ class _End:
         """
         p = len(path.block)
         symbols = _symbols(_in_order(events, 0, self._together))[:p]
-        size, whole = _size(path.states), _off(path, p)
+        size, whole = self._size(path.states), _off(path, p)
         near, exactly = _ALMOST * self._back * size, self._close * size
         for part in range(1, p // 2 + 1):
             if p % part == 0 and (symbols[part:] == symbols[:-part]).all():
@@ -431,8 +450,8 @@ class _End:
 
         found = near_cycle(s, at.z[0], at.w[0], round_, p, self._close,
                            lambda some: _in_order(some, 0, self._at_once), follow)  # fmt: skip
-        drift = None if found is None else self._drift(found.path.states)
-        if found is None or drift is None or (multiplier := largest(found.matrix, drift)) >= 1.0:
+        drift = None if found is None else self._drift(found.path)
+        if found is None or drift is None or (multiplier := largest(found.matrix, drift)) >= 1.0 - self._back:
             return None
         if (part := self._part(found.path, found.events)) < p:
             return self._settled(_Cycle(part, cycle.period * part / p, is_back=False))
@@ -441,15 +460,33 @@ class _End:
         why = f"it settles on a cycle of {p} events, which attracts and is {found.distance:.1g} away"
         return Attractor("periodic", why, period, multiplier, None, drift, listed, states)
 
-    def _drift(self, states: Samples) -> Floats | None:
-        """By what z has moved without a change of the forces, if the last of the states is otherwise the first."""
-        dz, dw = states.z[-1] - states.z[0], states.w[-1] - states.w[0]
-        allowed, s = self._back * _size(states), self._system
-        if (np.abs(dw) > allowed).any():
-            return None
-        if (np.abs(dz) <= allowed).all():
-            return np.zeros(s.n)
-        return dz if (np.abs(s.stiffness @ dz) <= _NULL * s.row_sums * np.abs(states.z).max()).all() else None
+    def _drift(self, path: Path) -> Floats | None:
+        """By what z has moved without a change of the forces, if the last state of a round is otherwise the first.
+
+        None, too, if the motion is no larger than what it may miss itself by: what dies out has no period.
+        """
+        dz, dw = (one[-1] - one[0] for one in (path.states.z, path.states.w))
+        drift = dz - self._across(dz)
+        allowed = self._back * self._size(path.states)
+        if (np.abs(drift) <= allowed).all():
+            drift = np.zeros_like(dz)
+        has_come_back = (np.abs(dz - drift) <= allowed).all() and (np.abs(dw) <= allowed).all()
+        return drift if has_come_back and path.extent > _LARGER * allowed else None
+
+    def _across(self, z: Floats) -> Floats:
+        """z without what no spring holds, shape (..., n)."""
+        free = _null_space(self._system)
+        return np.asarray(z - z @ free @ free.T)
+
+    def _size(self, states: Samples) -> float:
+        """The largest number in the states, as far as springs hold z."""
+        return float(max(np.abs(self._across(states.z)).max(), np.abs(states.w).max()))
+
+    def _distance(self, path: Path, drift: Floats, matrix: Floats) -> float:
+        """How far a state is from its cycle, over its largest number: what it misses itself by, over 1 - M."""
+        missed = path.missed(drift)
+        off = np.linalg.lstsq(np.identity(len(missed)) - matrix, missed, rcond=1e-12)[0]
+        return float(np.abs(off).max()) / self._size(path.states)
 
     # ---------------------------------------------------------------------------------------------- no cycle
 
@@ -458,18 +495,19 @@ class _End:
         symbols = _symbols(last)
         n_again = int((symbols == symbols[-1]).sum()) - 1
         if n_again < _FEW:
-            why = f"no cycle, and the last event recurs {n_again} times after t = {self._since:g}, of at least {_FEW}"
+            why = f"no cycle, and the last event recurs too seldom ({n_again} times, of at least {_FEW})"
             return Attractor("undecided", f"{why}; lengthen the run")
         length = self._run.t_end - float(last.t[-min(len(last), _FOLLOWED)])
         events = _in_order(self._follow(length, np.empty(0)).events, 0, self._at_once)
         if len(events) < _FEW:
             return Attractor("undecided", f"few events follow on t = {self._run.t_end:g}; lengthen the run")
         path = self._path(events, events.t)
-        rate = path.growth_rate(bool(self._frequencies))
-        grown = rate * float(events.t[-1] - events.t[0])
-        if grown < _GROWN:
-            does = "decay" if grown < -_GROWN else "change by less than e^2"
-            why = f"no cycle, and deviations {does}, at the rate {rate:.3g}; lengthen the run"
+        rate, *grown = path.growth(bool(self._frequencies))
+        if not math.isfinite(rate):
+            return Attractor("undecided", "no cycle, and nothing is left of a deviation; lengthen the run")
+        if sum(grown) < _GROWN or min(grown) < _GROWN / 3.0:
+            does = "decay" if sum(grown) < -_GROWN else "do not grow as in chaos"
+            why = f"no cycle, and deviations {does} (at the rate {rate:.3g}); lengthen the run"
             return Attractor("undecided", why, growth_rate=rate)
         why = f"no cycle, while the last event recurs {n_again} times, and deviations grow"
         return Attractor("irregular", why, growth_rate=rate, events=events, states=path.states)
@@ -516,12 +554,6 @@ def _off(path: Path, k: int) -> float:
     return float(max(np.abs(z[k] - z[0]).max(), np.abs(w[k] - w[0]).max()))
 
 
-def _moved(path: Path, drift: Floats) -> float:
-    """By what share of its largest number a state moves in a round, but for its drift."""
-    dz, dw = (one[-1] - one[0] for one in (path.states.z, path.states.w))
-    return float(max(np.abs(dz - drift).max(), np.abs(dw).max())) / _size(path.states)
-
-
 def _symbols(events: EventSeries) -> NDArray[np.int64]:
     """A number for the block and mode of each event."""
     return events.block.astype(np.int64) * 3 + events.mode + 1
@@ -560,3 +592,17 @@ def _alone(z: Floats, w: Floats) -> Samples:
 def _size(states: Samples) -> float:
     """The largest number in the states."""
     return float(max(np.abs(states.z).max(), np.abs(states.w).max()))
+
+
+@lru_cache(maxsize=2)
+def _null_space(system: System) -> Floats:
+    """Displacements at which no spring pulls, as orthonormal columns, shape (n, k).
+
+    Of more than `_DENSE` blocks, that of all by as much, if it is one.
+    """
+    k, n = system.stiffness, system.n
+    if n > _DENSE:
+        all_alike = np.full((n, 1), n**-0.5)
+        return all_alike[:, : int((np.abs(k @ all_alike[:, 0]) <= _NULL * system.row_sums).all())]
+    _, sizes, directions = np.linalg.svd(k if isinstance(k, np.ndarray) else k.toarray())
+    return np.asarray(directions[sizes <= _NULL * sizes.max()].T)

@@ -12,6 +12,7 @@ from stickslip.sim.attractors import Attractor, attractor
 from stickslip.sim.numerics.arguments import Floats, number
 from stickslip.sim.runs.run import Run
 from stickslip.sim.simulation import simulate
+from stickslip.sim.systems.drive import Harmonic
 from stickslip.sim.systems.system import System
 
 
@@ -21,7 +22,9 @@ def continued(
     """What runs of the exact engine settle on, one system after the other, each from the attractor before.
 
     That is, from the event of a cycle after which most blocks stick, and otherwise from the end of the run; a block
-    that sticks there takes the speed of its new belt, and so does one ahead of a new belt that bars that side.
+    that sticks there takes the speed of its new belt, and so does one ahead of a new belt that bars that side. Under
+    a periodic force it is always the end of the run, and the force goes on from the phase that it has there; where
+    there are several frequencies, the time goes on.
 
     An attractor is followed for as long as it attracts what the step to the next system leaves of it; then another
     one is found. So the same systems in the opposite order may give others: where they do, several attract.
@@ -50,23 +53,48 @@ def continued(
     t_end = number("t_end", t_end)
     found: list[Attractor] = []
     run: Run | None = None
+    before: System | None = None
     for system in systems:
         if run is not None and run.events.n != system.n:
             raise ValueError(f"systems: expected {run.events.n} blocks in each, as in the first, got {system.n}")
-        z, w = z0, w0
-        if run is not None and run.outcome != "diverged":
-            z, w, sticks = _on(found[-1], run)
-            v = system.belt_speed_at(0.0)
+        z, w, start = z0, w0, 0.0
+        if run is not None and before is not None and run.outcome != "diverged":
+            waves = _waves(system)
+            z, w, sticks = _at_end(run) if waves else _on(found[-1], run)
+            start = _time_of_phase(waves, _waves(before), run.t_end)
+            v = system.belt_speed_at(start)
             w = np.where(sticks | (system.closed * (w - v) > 0.0), v, w)
-        run = simulate(system, z, w, t_end, **settings)
-        found.append(attractor(run, system, min(t_burn, run.t_end), **settings))
+        run, before = simulate(system, z, w, start + t_end, t_start=start, **settings), system
+        found.append(attractor(run, system, min(start + t_burn, run.t_end), **settings))
     return found
 
 
+def _waves(system: System) -> list[tuple[float, float]]:
+    """Frequency and phase of every periodic force on a block, that of a positive amplitude."""
+    waves = (x for x in system.force if isinstance(x, Harmonic))
+    every = (one for x in waves for one in np.broadcast(x.amplitude, x.frequency, x.phase))
+    return [(float(f), float(phase) + np.pi * (amplitude < 0)) for amplitude, f, phase in every if amplitude and f]
+
+
+def _time_of_phase(waves: list[tuple[float, float]], before: list[tuple[float, float]], t: float) -> float:
+    """When forces have the phase that those of the system before have at t; 0 if there were or are none."""
+    if not waves or not before:
+        return 0.0
+    if len({f for f, _ in waves}) > 1 or len({f for f, _ in before}) > 1:
+        return t
+    (f_before, phase_before), (f, phase) = before[0], waves[0]
+    return float((f_before * t + phase_before - phase) / f % (2.0 * np.pi / abs(f)))
+
+
+def _at_end(run: Run) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """z and w at the end of a run, and which blocks stick there."""
+    return run.z, run.w, run.events.mode_at(run.t_end) == 0
+
+
 def _on(found: Attractor, run: Run) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """z and w on an attractor, and which blocks stick there."""
+    """The same on an attractor, at the event after which most blocks stick; without one at the end of the run."""
     if found.kind != "periodic" or found.events is None or found.states is None or len(found.events) == 0:
-        return run.z, run.w, run.events.mode_at(run.t_end) == 0
+        return _at_end(run)
     sticks = np.array([found.events.mode_at(t) == 0 for t in found.events.t])
     k = int(sticks.sum(axis=1).argmax())
     return found.states.z[k], found.states.w[k], sticks[k]

@@ -112,12 +112,18 @@ class Path:
         slip = (w[m + 1 :] - system.belt_speed_at(edges[0])).reshape(-1, 3, system.n)
         return cls(unit, modes, Samples(edges, z[: m + 1], w[: m + 1]), events.block[:m], steps, slip)
 
-    def multiplier(self, drift: Floats, is_forced: bool) -> float:
-        """Largest modulus of the multipliers of a cycle, whose last state is the first.
+    @cached_property
+    def extent(self) -> float:
+        """How large the motion is: how far states lie from the first, and z' and w' over the fastest rate."""
+        s, (_, z, w) = self.system, (self.states.t, self.states.z, self.states.w)
+        apart = max(np.abs(z[:-1] - z[0]).max(), np.abs(w[:-1] - w[0]).max())
+        fastest = float(s.rates.max()) or 1.0
+        return float(max(apart, np.abs(w).max() / fastest, np.abs(self._slip_rates).max() / fastest))
 
-        Those of a shift in time, where no force depends on it, and of one along the drift do not count.
-        """
-        return largest(self.monodromy(is_forced), drift)
+    def missed(self, drift: Floats) -> Floats:
+        """By what the last state misses the first, but for a drift, shape (2n,)."""
+        z, w = self.states.z, self.states.w
+        return np.concatenate([z[-1] - z[0] - drift, w[-1] - w[0]])
 
     def monodromy(self, is_forced: bool) -> Floats:
         """By what deviations just before the first event are multiplied until just before the last edge.
@@ -135,29 +141,32 @@ class Path:
         moved[n:][self.modes[0] == 0] = 0.0
         return moved
 
-    def growth_rate(self, is_forced: bool) -> float:
-        """The rate at which a deviation grows along the events, apart from shifts in time.
+    def growth(self, is_forced: bool) -> tuple[float, float, float]:
+        """The rate at which a deviation grows along the events, apart from shifts in time, and ln of its growth.
 
-        Minus infinity if none is left. The first third, in which it turns to the direction that grows fastest, does
-        not count, nor what it grows within a round: it is compared at the last event and at an earlier one like it.
+        That is given in two parts, one after the other. All are minus infinity if no deviation is left. The first
+        third, in which it turns to the direction that grows fastest, does not count, nor what it grows within a
+        round: it is compared at the last event and at earlier ones like it.
         """
         n, m = self.system.n, len(self.states) - 1
         moved = np.random.default_rng(0).normal(size=(2 * n, 1))
         moved[n:][self.modes[0] == 0] = 0.0
         logs = np.zeros(m)
-        for k, flow in enumerate(self._flows()):
-            if not is_forced:
-                self._onto_section(k, moved)
-            self._pass(k, moved)
-            size = float(np.linalg.norm(moved))
-            if size == 0.0:
-                return -math.inf
-            logs[k] = math.log(size)
-            moved = flow @ (moved / size)
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # by rates that are as good as zero
+            for k, flow in enumerate(self._flows()):
+                if not is_forced:
+                    self._onto_section(k, moved)
+                self._pass(k, moved)
+                size = float(np.linalg.norm(moved))
+                if size == 0.0 or not math.isfinite(size):
+                    return -math.inf, -math.inf, -math.inf
+                logs[k] = math.log(size)
+                moved = flow @ (moved / size)
         changes = self.modes[:-1] + 3 * self.modes[1:]
         alike = (self.block == self.block[-1]) & (changes == changes[-1])[:, self.block[-1]]
-        first = m // 3 + int(alike[m // 3 : -1].argmax())
-        return float(logs[first + 1 :].sum() / (self.states.t[m - 1] - self.states.t[first]))
+        first, middle = (k + int(alike[k:-1].argmax()) for k in (m // 3, 2 * m // 3))
+        grown = float(logs[first + 1 : middle + 1].sum()), float(logs[middle + 1 :].sum())
+        return sum(grown) / float(self.states.t[m - 1] - self.states.t[first]), *grown
 
     # ------------------------------------------------------------------------------------------ events
 
@@ -253,7 +262,10 @@ class Path:
 
 
 def largest(monodromy: Floats, drift: Floats) -> float:
-    """Largest modulus of the multipliers, but for that of a shift along the drift."""
+    """Largest modulus of the multipliers of a cycle, but for that of a shift along the drift.
+
+    `monodromy` is that of its `Path`; there the multiplier of a shift in time is 0, where no force depends on it.
+    """
     n = len(drift)
     if drift.any():
         along = drift / np.linalg.norm(drift)

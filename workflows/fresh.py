@@ -9,6 +9,7 @@ from pathlib import Path
 from stickslip.analysis import report
 from stickslip.analysis.report import OF_OWN, PAGE
 from stickslip.pipeline.dataset.opened import Opened
+from stickslip.pipeline.errors import StoreError
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
 from stickslip.version import __version__
@@ -42,8 +43,19 @@ def is_current(opened: Opened) -> bool:
     """Whether the report in a dataset was made from its present data and settings, by this program.
 
     Whether what a user's own questions are answered by is as it was is not looked at.
+
+    Raises
+    ------
+    StoreError
+        If it is, but data that it was made from are gone or cut.
     """
-    return made_from(opened).encode() in _head(opened)
+    is_made = made_from(opened).encode() in _head(opened)
+    if is_made and (lost := opened.lost):
+        raise StoreError(
+            f"{opened.place}: expected the {len(opened.manifest.shards)} shards that its report was made from, got"
+            f" {len(lost)} of them missing or of another size, {lost[0]} first; rerun the scene to rebuild them"
+        )
+    return is_made
 
 
 def has_own(opened: Opened) -> bool:

@@ -62,7 +62,10 @@ def _status_lines(found: Status) -> list[str]:
     ]
     if found.n_damaged:
         which = command("verify", found.path)
-        lines.append(f"damaged {found.n_damaged} of the shards, or missing: `{which}` says which")
+        lines.append(
+            f"damaged {found.n_damaged} of these shards, or missing, with {found.n_lost} of the members:"
+            f" `{which}` says which"
+        )
     if (extension := found.extension) is not None:
         done = f"{extension.n_shards_done} of {extension.n_shards} shards"
         go_on = "" if found.running is not None else ": rerun `stickslip extend` with the same keys to go on"

@@ -140,6 +140,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
             for match in matches
         ],
         "from_zero": from_zero,
+        "has_other_systems": any(match.is_paired and match.differs.keys() & {*SYSTEM_KEYS} for match in matches),
         "n_paired": sum(match.is_paired for match in matches),
         "unmatched": unmatched,
         "alone": [[row["member_id"] for row in alone if row["dataset"] == one.name] for one in (first, second)],

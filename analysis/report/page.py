@@ -31,8 +31,10 @@ from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
 from stickslip.sim.systems.terms import TERMS
 
-#: What a question's template may lack: macros, and whether its alerts are about the data, whatever question leads.
+#: What a question's template may lack: macros, and up to which rank its alerts are about the data, so that they are
+#: shown whatever question leads; a tick has the last.
 OPTIONAL_WORDS = ("lack", "alarm", "alerts", "panels", "panel", "panel_caption", "main", "of_data")
+_TICK = 9
 MOST_SAID = 3  # answers on the first screen
 _ROWS = 10_000  # of a table that is in the JSON of all; a longer one is read from a file of its own
 MOST_ALERTS = 3  # in order of rank
@@ -268,7 +270,7 @@ def build(
         mark_of_own=Markup(OF_OWN),
         sources={file: digest for one in own.values() for file, digest in one.sources.items()},
         alarms=_safe(alarms),
-        alerts=_safe(_alerts([*leading, *(one for one in others if one.words.of_data)])),
+        alerts=_safe(_alerts(leading, [one for one in shown if one not in leading])),
         primary=[one.words.name for one in leading],
         settings=settings,
         members=len(data.table),
@@ -312,17 +314,21 @@ def _in_order(study: Study, answered: list[_Shown]) -> tuple[list[_Shown], list[
     return leading, [one for one in answered if one not in leading]
 
 
-def _alerts(heard: Sequence[_Shown]) -> list[str]:
-    """The most important alerts of some answers, as list items."""
-    warned = [item for one in heard
-              for item in re.findall(r"<li.*?</li>", one.says(one.words.alerts), re.DOTALL)]  # fmt: skip
-    return sorted(warned, key=_rank)[:MOST_ALERTS]
+def _alerts(leading: Sequence[_Shown], others: Sequence[_Shown]) -> list[str]:
+    """The most important alerts, as list items: all of the answers that lead, and those of data of the others."""
+    warned = [(item, _TICK) for one in leading for item in _items(one)]
+    warned += [(item, one.words.of_data) for one in others if one.words.of_data for item in _items(one)]
+    return sorted((item for item, upto in warned if _rank(item) <= upto), key=_rank)[:MOST_ALERTS]
+
+
+def _items(one: _Shown) -> list[str]:
+    return re.findall(r"<li.*?</li>", one.says(one.words.alerts), re.DOTALL)
 
 
 def _rank(alert: str) -> int:
-    """Rank of an alert, as its template gives it; a tick has no rank and comes last."""
+    """Rank of an alert, as its template gives it; a tick has none and comes last."""
     given = re.match(r'<li data-rank="(\d)"', alert)
-    return int(given[1]) if given else 9
+    return int(given[1]) if given else _TICK
 
 
 def _safe(texts: Sequence[str]) -> list[Markup]:

@@ -101,6 +101,13 @@ class Opened:
                 format=ds.ParquetFileFormat(default_fragment_scan_options=checked),
             )
 
+    @property
+    def lost(self) -> list[str]:
+        """The shards whose files are gone or have another size than was written, in the order of their names."""
+        shards = dict(sorted(self.manifest.shards.items()))
+        marks = self.place.marks([f"{DATA}/{name}" for name in shards])
+        return [name for name, mark in zip(shards, marks, strict=True) if not mark or mark.size != shards[name].bytes]
+
     def check(self, names: Sequence[str] | None = None) -> None:
         """Check some shards, or all, against the manifest; a checked one is read again only if its file has changed.
 

@@ -14,7 +14,7 @@ from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_fa
 from stickslip.pipeline.ensemble.pack import Task, number_of
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import Shard
-from stickslip.pipeline.places.place import DATA, LOCK, Lock, Where
+from stickslip.pipeline.places.place import LOCK, Lock, Where
 from stickslip.pipeline.scene.scene import parse_scene
 
 
@@ -110,6 +110,7 @@ class Status(Tally):
     failures: dict[str, int]  #: failed members by reason
     first_failed: str | None  #: a failed member, to be run alone
     n_damaged: int  #: of the shards that are done, those whose files are gone or have another size
+    n_lost: int  #: members in these
     running: Running | None
     rate: float | None
     eta: float | None
@@ -154,8 +155,8 @@ def counted(opened: Opened, tasks: Sequence[Task]) -> Status:
     place, shards = opened.place, opened.manifest.shards
     tally = Tally.of(tasks, shards)
     # after the manifest was read: a shard is there before it is listed
-    marks = dict(zip(shards, place.marks([f"{DATA}/{name}" for name in shards]), strict=True))
-    there = [name for name, shard in sorted(shards.items()) if shard.n_failed and marks[name] is not None]
+    lost = opened.lost
+    there = [name for name, shard in sorted(shards.items()) if shard.n_failed and name not in lost]
     failed = rows_that_failed(opened, there) if there else []
     current = running(place)
     rate = eta = None
@@ -167,7 +168,8 @@ def counted(opened: Opened, tasks: Sequence[Task]) -> Status:
         path=str(place),
         failures=dict(Counter(reason for _, reason in failed).most_common()),
         first_failed=failed[0][0] if failed else None,
-        n_damaged=sum(mark is None or mark.size != shards[name].bytes for name, mark in marks.items()),
+        n_damaged=len(lost),
+        n_lost=sum(shards[name].rows for name in lost),
         running=current,
         rate=rate,
         eta=eta,

@@ -10,7 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from stickslip.pipeline.dataset.opened import open_dataset, reading
+from stickslip.pipeline.dataset.opened import Opened, open_dataset, reading
 from stickslip.pipeline.dataset.schema import schema_of
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.own.files import ChangedError
@@ -20,7 +20,7 @@ from stickslip.pipeline.places.manifest import SCHEMA_VERSION
 from stickslip.pipeline.places.place import DATA, TEMPORARY, Where
 
 
-def verify(path: Where) -> list[str]:
+def verify(path: Where | Opened) -> list[str]:
     """Check a dataset that nobody is writing; one line a problem, an empty list if there is none.
 
     Problems are missing, damaged and stray files, wrong row counts, outcomes and schemas, members other than the

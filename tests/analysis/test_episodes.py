@@ -50,6 +50,10 @@ def strict(settings):
     return replace(settings, confidence=SURE)
 
 
+#: Systems for a test of a law at `SURE`: fewer have no p-value so small.
+FOR_A_TEST = 1 + int(np.ceil(-np.log2(1 - SURE)))
+
+
 def power_law(b, cut_off=None):
     """Moments from 1 on: a Pareto law with exponent b; beyond a cut-off thinned by exp(-m / cut_off)."""
 
@@ -128,7 +132,9 @@ def test_rate_and_exponent_are_found(planted_episodes, strict):
 
 def test_a_cut_off_and_an_exponential_are_told_from_a_power_law(planted_episodes, strict, rng):
     found = {
-        name: episodes.answer(Study(planted_episodes(EXACT, rate=3.0, moments=moments), strict)).facts["moments"]
+        name: episodes.answer(
+            Study(planted_episodes(EXACT, rate=3.0, moments=moments, n_matrices=FOR_A_TEST), strict)
+        ).facts["moments"]
         for name, moments in {
             "cut off": power_law(0.5, 30.0),
             "exponential": lambda rng, m: 1.0 + rng.exponential(20.0, m),
@@ -296,6 +302,43 @@ def test_every_size_of_a_chain_has_its_law_and_each_sentence_names_it(planted_ep
     assert "law" not in warned
     assert "single b" not in warned, "said above"
     assert "For n = 200, a single b holds" in part
+
+
+def test_no_law_is_told_of_few_systems_nor_a_power_law_without_a_positive_b(planted_episodes, settings, strict):
+    """Five systems cannot reject a law at 0.95; and moments that scatter about a mean fall off as no power does."""
+    few = planted_episodes(EXACT, rate=3.0, n_matrices=5)
+    moments = episodes.answer(Study(few, settings)).facts["moments"]
+    assert (moments["law"], moments["untested"]) == (episodes.UNKNOWN, "few matrices")
+    html = build(few, replace(settings, question=("episodes",)), "A chain", "", {}).html
+    assert re.search(r"the law of their moments cannot be told: 5\smatrices are too few to test one", html)
+    humped = planted_episodes(EXACT, 24, 3.0, lambda rng, m: 1.0 + rng.gamma(3.0, 20.0, m))
+    found = episodes.answer(Study(humped, strict)).facts["moments"]
+    assert found["exponent"].high < -1.0
+    assert found["law"] in (episodes.UNKNOWN, episodes.NONE)
+
+
+def test_the_ends_of_two_keys_are_not_compared(planted_episodes, strict):
+    grid = {f"{v}-{k}": ({"belt_speed": v, "kappa": k}, 1.0) for v in (-0.1, -0.2) for k in (0.2, 0.3)}
+    facts = episodes.answer(Study(planted_episodes(grid, rate=2.0), strict)).facts
+    assert (len(facts["rows"]), facts["changes"]) == (4, [])
+
+
+def test_episodes_that_become_more_are_said_to_whichever_question_leads(planted_episodes, settings):
+    """At one of two speeds half of the episodes in the first half of the time are left out."""
+    speeds = {str(v): ({"belt_speed": v}, 1.0) for v in (-0.1, -0.2)}
+    data = planted_episodes(speeds, rate=3.0, n_matrices=20)
+    table = data.episodes
+    is_early = table["start"] < 0.5 * (settings.t_burn + float(data.members["t_end"].iloc[0]))
+    is_out = is_early & table["member_id"].str.endswith("-0.2") & (np.arange(len(table)) % 2 == 0)
+    data = replace(data, episodes=table[~is_out])
+    for question in ((), ("sweep",), ("episodes",)):
+        html = build(data, replace(settings, question=question), "A chain", "", {}).html
+        top, _, _ = html.partition("<nav>")
+        assert "the rate of episodes changes by" in top, question
+        assert "are those of this window, not of a steady state" in top
+    assert "b of the episodes is not given at one of two points of the sweep (the rate of episodes drifts)" in re.sub(
+        "<[^>]*>", "", build(data, settings, "A chain", "", {}).html
+    ).replace("1 of 2 points", "one of two points")
 
 
 def test_every_b_of_a_sweep_is_said_with_its_interval(planted_episodes, strict):

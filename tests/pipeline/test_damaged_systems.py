@@ -35,7 +35,8 @@ def test_a_damaged_file_is_read_right_or_refused_in_a_line(n_files, tmp_path):
     for kind, count in counts.items():
         print(f"{kind:20}", dict(count))
     assert sum(count["refused"] for count in counts.values()) > n_files / 3
-    assert sum(count["as it was"] for count in counts.values()) > 0
+    if n_files > 3 * N_KINDS:  # of few files all may show that they are damaged
+        assert sum(count["as it was"] for count in counts.values()) > 0
 
 
 @pytest.mark.parametrize("name", ["friction", "indptr"])

@@ -606,6 +606,73 @@ def test_rounds_that_come_nearer_under_a_force_are_no_cycle():
     assert late.multiplier == pytest.approx(np.exp(-damping * turn / 2), rel=1e-6)
 
 
+def test_what_dies_out_is_no_cycle_and_no_chaos(rng):
+    """A damped block without friction crosses zero speed for ever, or until its motion is lost in rounding."""
+    for t_end in (280.0, 600.0, 2e3, 2e4):
+        damping, at = rng.uniform(0.05, 0.2), rng.choice([0.0, rng.uniform(0.1, 10.0)])
+        system = System([[1.0]], damping, 0.0, 0.0, force=at)
+        for tol in (1e-6, 1e-10):
+            found = settled(system, at + 1.0, 0.0, t_end, t_end / 2, tol=tol)
+            assert found.kind == "undecided", (damping, at, t_end, tol)
+            assert found.growth_rate is None or np.isfinite(found.growth_rate)
+
+
+def test_a_block_that_forces_together_never_move_is_at_rest(rng):
+    for phase in rng.uniform(1.7, 2 * np.pi - 1.7, 5):
+        waves = [Harmonic(0.8, 1.0), Harmonic(0.8, 1.0, phase)]
+        assert 1.6 * abs(np.cos(phase / 2)) < 1.3 < 1.6
+        assert settled(System([[1.0]], 0.1, 1.3, 0.0, force=waves), 0.0, 0.0, 100.0, 50.0).kind == "rest"
+
+
+def test_a_forced_block_has_one_section_once_it_is_found(rng):
+    """It slides, so its response is known in closed form; until that is reached, the run is undecided."""
+    damping, frequency, belt = 0.02, 0.5, 5.0
+    system = System([[1.0]], damping, 1.0, belt, force=Harmonic(0.3, frequency))
+    exact = 0.3 / (1 - frequency**2 + 1j * frequency * damping)
+    kinds = []
+    for t_end in (200.0, 500.0, 1000.0, 3000.0):
+        found = settled(system, rng.uniform(-2, 2), rng.uniform(-2, 2), t_end, t_end / 2)
+        kinds.append(found.kind)
+        if found.kind == "periodic":
+            assert found.section[0] == pytest.approx([1.0 + exact.real], abs=1e-5)
+            assert found.multiplier == pytest.approx(np.exp(-damping * np.pi / frequency), rel=1e-6)
+    assert kinds[0] == "undecided"
+    assert kinds[-1] == "periodic"
+
+
+def test_a_drift_is_found_wherever_blocks_have_come_to(rng):
+    """Two blocks with a spring between them alone: nothing changes if both are moved."""
+    k = 1.0
+    system = System([[k, -k], [-k, k]], [0.05, 0.05], 1.0, [-0.3, -0.5], static=1.4)
+    near = settled(system, [0.1, 0.0], [-0.3, -0.5], 2000.0, 1000.0)
+    assert near.kind == "periodic"
+    assert abs(near.drift[0]) > 0.1
+    for offset, t_end, tol in ((1e4, 2000.0, 1e-10), (0.0, 1e5, 1e-8), (0.0, 1e5, 1e-6)):
+        found = settled(system, [0.1 + offset, offset], [-0.3, -0.5], t_end, t_end - 1000.0, tol=tol)
+        assert found.period == pytest.approx(near.period, rel=1e3 * tol)
+        assert found.drift == pytest.approx(near.drift, rel=1e4 * tol)
+        assert found.multiplier == pytest.approx(near.multiplier, abs=1e-3)
+
+
+#: Belt, length, z and w of runs on a torus, whose deviations grow by e^2 and more over so many events, as time does.
+ON_A_TORUS = [
+    (1.6, 1000.0, [-1.54026947, 0.91606047], [1.70969571, 1.87170476]),
+    (1.8, 1000.0, [-1.68547985, 0.61045831], [-0.90460361, 0.81060828]),
+    (1.6, 4000.0, [1.01219996, -0.24308427], [0.35352044, -1.49056611]),
+    (2.0, 4000.0, [1.49409052, -0.11079865], [1.65048773, 1.06366847]),
+]
+
+
+def test_deviations_that_grow_as_time_does_are_no_chaos(rng):
+    """Two blocks of a brake: on its belt at 1.6, runs that begin 1e-9 apart were up to 5e-8 apart at t = 16,000."""
+    drawn = [(float(rng.choice([1.6, 1.8, 2.0])), 1000.0, *rng.uniform(-2, 2, (2, 2)).tolist()) for _ in range(10)]
+    for belt, t_end, z, w in (*ON_A_TORUS, *drawn):
+        system = System(
+            [[2.0, -0.8], [-0.8, 1.5]], 0.05, [0.6, 0.8], belt, static=[1.0, 1.3], weakening=Stribeck(0.5)
+        )
+        assert settled(system, z, w, t_end, t_end / 2).kind != "irregular", (belt, t_end, z, w)
+
+
 #: Period and largest multiplier of two blocks by steps of DOP853 from event to event, at tolerances of 1e-13.
 DOUBLED = [
     (3.12, 1e4, 1e-8, 6, 758.14426215),

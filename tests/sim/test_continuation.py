@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stickslip.sim import Stribeck, System
-from stickslip.sim.continuation import continued
+from stickslip.sim import Harmonic, Stribeck, System
+from stickslip.sim.continuation import _time_of_phase, continued
 
 OSCILLATOR = System([[1.0]], 0.1, 0.5, 1.5, static=1.0, weakening=Stribeck(0.5))
 #: Steady sliding is stable while damping outweighs the fall of friction: R > exp(-v / 0.5).
@@ -35,6 +35,28 @@ def test_a_block_ahead_of_a_slower_belt_that_bars_it_takes_its_speed():
     for z0 in (0.5, -0.4, 0.2):
         found = continued(systems, z0, 0.9, t_end=50.3, t_burn=10.0)
         assert len(found) == len(systems)
+
+
+def test_a_force_goes_on_from_its_phase():
+    """The same system again and again, and with a force whose phase is given in another way, keeps its cycle.
+
+    Of the state at the end of a run, with the force begun anew, a cycle of twice the period is what attracts.
+    """
+    force = Harmonic(-0.814, 1.6954, 1.792)
+    system = System([[1.762]], 0.219, 1.216, -0.07, static=1.634, force=force)
+    turned = system.changed(force=Harmonic(0.814, 1.6954, 1.792 - np.pi + 1.0))
+    found = continued([system, system, turned, system, system], 0.103, -0.07, t_end=1000.0, t_burn=500.0)
+    assert [one.period for one in found] == pytest.approx([2 * np.pi / 1.6954] * 5, rel=1e-9)
+
+
+def test_the_time_at_which_a_force_has_the_phase_of_another(rng):
+    """Of one frequency each, whatever they are: the cosines are the same then, and go on from there."""
+    for _ in range(100):
+        (f, phase), (f_before, phase_before) = rng.uniform([-3, -9], [3, 9], (2, 2)).tolist()
+        t = rng.uniform(0.0, 1e3)
+        new = _time_of_phase([(f, phase)] * 2, [(f_before, phase_before)], t)
+        assert 0.0 <= new < 2 * np.pi / abs(f)
+        assert np.exp(1j * (f * new + phase)) == pytest.approx(np.exp(1j * (f_before * t + phase_before)), abs=1e-10)
 
 
 def test_what_does_not_fit_is_refused():

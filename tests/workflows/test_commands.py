@@ -91,6 +91,7 @@ def test_status_and_verify(dataset, capsys):
     assert main(["status", str(dataset)]) == 0
     assert "6 of 6 done" in capsys.readouterr().out
     assert main(["verify", str(dataset)]) == 0
+    assert "every shard that is done is as the manifest says\n" in capsys.readouterr().out
 
 
 def test_running_again_computes_nothing_and_changes_no_byte(dataset, small_scene, capsys):
@@ -535,7 +536,9 @@ def test_the_status_of_a_dataset_that_has_lost_a_shard(dataset, tmp_path, capsys
         damage()
         assert main(["status", str(copy)]) == 1
         said = capsys.readouterr().out
-        assert f"damaged 1 of the shards, or missing: `stickslip verify '{copy}'` says which" in said
+        assert f"damaged 1 of these shards, or missing, with 6 of the members: `stickslip verify '{copy}'`" in said
+        assert main(["report", str(copy)]) == 1, "not even where the page is up to date"
+        assert f"1 of them missing or of another size, {shard.name} first" in capsys.readouterr().err
     assert main(["status", str(dataset)]) == 0
     assert "damaged" not in capsys.readouterr().out
 

@@ -30,7 +30,7 @@ class Plot(Command):
         parser.add_argument("member", metavar="MEMBER", help="its member_id, as in the view `members`")
         parser.add_argument(
             "--kind", default="space_time", metavar="KIND",
-            help="space_time (default), n_stick, slip, a map of how often each block of a grid slips, or spectrum,"
+            help="space_time (default); n_stick; slip: how often each block of a grid slips, as a map; or spectrum:"
             " that of n_stick",
         )  # fmt: skip
         parser.add_argument(

@@ -51,7 +51,10 @@ class Export(Command):
 
     name = "export"
     words = "write a dataset as one file of another form"
-    examples = (("stickslip export runs/quick --netcdf quick.nc", "for xarray and others"),)
+    examples = (
+        ("stickslip export runs/quick --netcdf quick.nc", "for xarray and others"),
+        ('stickslip query runs/quick "SELECT * FROM members" --out members.csv', "CSV is the answer to a query"),
+    )
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("directory", metavar="DIR")

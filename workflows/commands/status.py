@@ -42,10 +42,14 @@ class Verify(Command):
 
     def __call__(self, arguments: argparse.Namespace) -> int:
         from stickslip.pipeline import verify
+        from stickslip.pipeline.dataset.opened import open_dataset
 
-        problems = verify(arguments.directory)
+        found = open_dataset(arguments.directory)
+        problems = verify(found)
         if not problems:
-            print(f"{arguments.directory}: every shard is as the manifest says")
+            n, of = len(found.manifest.shards), len(found.tasks)
+            rest = "" if n == of else f", {n} of {of}; rerun the scene for the others"
+            print(f"{arguments.directory}: every shard that is done is as the manifest says{rest}")
             return DONE
         print("\n".join(problems))
         print("for shards, rerun the scene: it computes what is missing or damaged, and only that", file=sys.stderr)

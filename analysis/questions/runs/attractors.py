@@ -231,9 +231,12 @@ def _most(numbers: np.ndarray) -> float | None:
 
 
 def _reasons(reasons: Sequence[np.ndarray]) -> list[tuple[str, int]]:
-    """Why runs are undecided, the commonest reason first, with how many; dots stand for numbers that differ."""
+    """Why runs are undecided, the commonest reason first, with how many.
+
+    What differs from run to run, in brackets, is left out; dots stand for other numbers that do.
+    """
     words = pd.Series([str(one) for some in reasons for one in some if one is not None], dtype=object)
-    words = words.str.removesuffix("; lengthen the run")
+    words = words.str.removesuffix("; lengthen the run").str.replace(r" \([^)]*\)$", "", regex=True)
     kinds = words.groupby(words.str.replace(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", "…", regex=True))
     found = [(str(some.iloc[0] if len(some.unique()) == 1 else plain), len(some)) for plain, some in kinds]
     return sorted(found, key=lambda one: -one[1])
@@ -382,6 +385,7 @@ def _ranges(
         multipliers = [_most(some.multiplier) for some in listed]
         rows.append({
             "first": ticks[one.first], "last": ticks[one.last], "on": one.on, "attractors": "; ".join(one.on),
+            "n_cycles": max(int(some.cycle.max(initial=0)) for some in listed),
             "n_values": len(listed), "n_runs": sum(some.n for some in listed), "n_undecided": n_undecided,
             "least_share": wilson(n_units, n_units, study.settings.confidence)[0] if is_all else None,
             "place": (one.first, one.last), "multipliers": multipliers, "multiplier_first": multipliers[0],

@@ -89,7 +89,7 @@ def answer(study: Study) -> Answer | None:
     tables, facts = {"engines": frame(_TABLE, found)}, _facts(found)
     if not any(facts.values()):
         lack = next((row["reason"] for row in found if row["reason"]), "nothing to count")
-        return Answer({"n_matrices": min(row["n_first"] for row in found)}, lack=lack, tables=tables)
+        return Answer(facts | {"n_matrices": min(row["n_first"] for row in found)}, lack=lack, tables=tables)
     facts["with_episodes"] = study.data.episodes is not None
     drawn = [one["rows"] for one in facts["laws"] or facts["tolerances"]]
     return Answer(facts, tables=tables, figures={"contrasts": partial(contrasts, drawn[0])} if drawn else {})

@@ -464,7 +464,7 @@ def _figures(
                 found["sweep_fates"] = partial(shares, axes[0].name, ticks[1], counts)
             continue
         lines = _lines(points, lead, axes, statistics[name], level)
-        if any(one is not None for _, some in lines for one in some):
+        if sum(one is not None for _, some in lines for one in some) > 1:
             found[names[name]] = partial(curves, labels[name], axes[0].name, *ticks, lines, may_be_log)
     return found
 

@@ -29,6 +29,7 @@ from stickslip.analysis.catalogues import (
 )
 from stickslip.analysis.contrast import SCHEMA, Statistic, contrast, judge
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.grid import axes_of, settings
 from stickslip.analysis.members import DRAWN
 from stickslip.analysis.methods import against_reference, by_laws, comparison, names
 from stickslip.analysis.models.episodes import (
@@ -45,9 +46,10 @@ from stickslip.analysis.models.episodes import (
 )
 from stickslip.analysis.questions.runs.sweep import FALLS, RISES
 from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, relative_difference
+from stickslip.analysis.stats.enough import DRIFTS
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import parameter
-from stickslip.analysis.stats.goodness import REJECTED, goodness
+from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, goodness
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
@@ -58,6 +60,7 @@ SLOW = 0.05  # largest share of time in episodes if the drive is slow for the ch
 #: become 2.3%, 3.6% and 8.7% on belts 10, 50 and 50 times slower, where `_slower` expects 2.4%, 4.1% and 6.8%. Shares
 #: of 90% and 99% (a grid of 12 x 12) become 9.3% and 34% on a belt 50 times slower, and 15% and 66% were expected.
 TELLING = 0.8
+LEFT_OUT = 0.01  # share of a group's episodes that are too small to be drawn
 FEWEST = 30  # episodes from a magnitude on, for their rate to be drawn
 _STEP = 2  # classes between points of the figures
 MOST_OVER = 2.5  # largest rate in a figure, over the reference's
@@ -107,14 +110,17 @@ def answer(study: Study) -> Answer | None:
         one.row["has_b"] = one.is_judged and follows(b[one.label], len(one.runs), level)
         one.row |= named("b", b_of_law(one, level) if one.is_judged else Estimate())
     tables = {"episodes": frame(_GROUPS, [one.row for one in found])}
+    warned = _warned(found, [first for first, *_ in by_system], study)
     if not judged:
         best = max(found, key=lambda one: one.row["n_episodes"]).row
-        return Answer({"best": best, "t_burn": study.settings.t_burn}, lack=best["basis"], tables=tables)
+        return Answer(warned | {"best": best}, lack=best["basis"], tables=tables)
     lead = _lead(judged)
     leaders = [first for first, *_ in by_system if first.is_judged]
-    contrasts, changes = against_reference(by_system, level), _changes(leaders, level)
+    contrasts, along = against_reference(by_system, level), settings([one.group for one in leaders])
+    is_line = (len(along) > 1) + len(axes_of(along)) < 2  # the ends of several keys would be two corners
+    changes = _changes(leaders, level) if is_line else []
     compared = by_laws(study, by_system)
-    rates = _rates(by_system, lead, lead.least - CLASS, level)  # from the fullest class on: no law is asked of a rate
+    rates = _rates(by_system, lead, _drawn_from(lead, leaders), level)
     told = [lead, *(one for one in leaders if one is not lead)]
     laws, moments = zip(*(_laws(study, one, b[one.label]) for one in told), strict=True)
     sizes = [row for one in leaders for row in _sizes(one, level)]
@@ -128,28 +134,43 @@ def answer(study: Study) -> Answer | None:
     }
     figures = _figures(found, leaders, lead, rates, sizes, b, bool(contrasts))
     references = [one.row for one in leaders]
-    fast = sorted((row for row in references if row[OCCUPANCY] > SLOW), key=lambda row: -row[OCCUPANCY])
-    facts = {
-        "lead": lead.row, "rows": [one.row for one in found], "laws": [row for rows in laws for row in rows],
+    facts = warned | {
+        "lead": lead.row, "laws": [row for rows in laws for row in rows],
         "moments": moments[0], "others": moments[1:], "least": lead.least,
         "class": CLASS, "fitted": FITTED, "windows": WINDOWS, "margin": MARGIN,
         "window": (float(lead.group.key["t_end"]) - study.settings.t_burn) * (1 - lead.row[OCCUPANCY]) / WINDOWS,
-        "t_burn": study.settings.t_burn, "n_blocks": lead.group.key["n"],
-        "refused": [one.row for one in found if not one.is_judged],
-        "ends": (references[0], references[-1]), "changes": changes, "b": b[lead.label], "slow": SLOW,
+        "n_blocks": lead.group.key["n"],
+        "ends": (references[0], references[-1]), "changes": changes, "b": b[lead.label],
         "b_rows": _b_rows({lead.label: b[lead.label]}),
         "most_over": MOST_OVER if any((row["over"] or 0.0) > MOST_OVER for row in rates) else None,
-        "fast": fast, "slower": _slower(fast[0]) if fast else None,
-        "has_sizes": "episode_sizes" in figures, "is_sweep": len(by_system) > 1,
+        "has_sizes": "episode_sizes" in figures,
         **comparison(contrasts, compared, {one.label: str(one.row["method"]) for one in found}),
     }  # fmt: skip
     return Answer(facts, tables=tables, figures=figures)
+
+
+def _warned(found: Sequence[Catalogues], references: Sequence[Catalogues], study: Study) -> Row:
+    """What pages have to say of these episodes, whichever question leads: the drive is fast, or their rate drifts."""
+    fast = sorted(
+        (one.row for one in references if (one.row[OCCUPANCY] or 0.0) > SLOW), key=lambda row: -row[OCCUPANCY]
+    )
+    return {
+        "fast": fast, "slow": SLOW, "slower": _slower(fast[0]) if fast else None, "is_sweep": len(references) > 1,
+        "drifting": [one.row for one in found if one.row["basis"] == DRIFTS], "t_burn": study.settings.t_burn,
+        "rows": [one.row for one in found],
+    }  # fmt: skip
 
 
 def _lead(judged: Sequence[Catalogues]) -> Catalogues:
     """The group that leads: the finest setting, and the largest n, where the ends of a chain matter least."""
     first = fineness(judged[0].group)
     return max((one for one in judged if fineness(one.group) == first), key=lambda one: int(one.group.key["n"]))
+
+
+def _drawn_from(lead: Catalogues, leaders: Sequence[Catalogues]) -> float:
+    """The edge of a class from which rates are drawn: no law is asked of a rate, so nearly all episodes count."""
+    first = min(float(np.quantile(one.magnitudes(), LEFT_OUT)) for one in leaders)
+    return lead.least - CLASS * max(int(np.ceil((lead.least - first) / CLASS)), 1)
 
 
 def _figures(
@@ -234,12 +255,14 @@ def _sizes(one: Catalogues, level: float) -> list[Row]:
 def _laws(study: Study, one: Catalogues, b: Sequence[BValue]) -> tuple[list[Row], Row]:
     """Rows of the table `episode_laws`, and facts: the law that the moments of a group follow, with its exponents."""
     level, counts = study.settings.confidence, classes(one)
-    own = {"group": one.label, "method": one.row["method"], "least": one.least, "n_episodes": int(counts.sum())}
+    own = {"group": one.label, "method": one.row["method"], "least": one.least, "n_episodes": int(counts.sum()),
+           "n_matrices": len(counts)}  # fmt: skip
     has_b = one.row["has_b"]  # "open": too few episodes to tell
     of_b = {"has_b": has_b, "single": "one" if has_b else "none" if len(b) > 1 else "open"}
     fits = fits_of(one)
     if not fits:
-        return [], own | of_b | {"exponent": Estimate(), "b": Estimate(), "law": UNKNOWN, "says": UNKNOWN}
+        unknown = {"law": UNKNOWN, "says": UNKNOWN, "untested": None}
+        return [], own | of_b | unknown | {"exponent": Estimate(), "b": Estimate()}
     base, with_cut_off, _ = fits
     exponent, cut_off = (parameter(with_cut_off, which, counts, level) for which in (0, 1))
     bounded = parameter(base, 0, counts, level)
@@ -255,23 +278,26 @@ def _laws(study: Study, one: Catalogues, b: Sequence[BValue]) -> tuple[list[Row]
         })  # fmt: skip
     law = _verdict(rows[1]["fit"], exponent, cut_off)
     says = f"{law} {of_b['single']}" if law in (POWER, CUT_OFF) or has_b else law
-    return rows, own | of_b | {"exponent": exponent, "b": bounded, "law": law, "says": says}
+    untested = rows[1]["reason"] if law == UNKNOWN else None
+    return rows, own | of_b | {"exponent": exponent, "b": bounded, "law": law, "says": says, "untested": untested}
 
 
 def _verdict(fit: str, exponent: Estimate, cut_off: Estimate) -> str:
-    """The law that moments follow, from the power law with a cut-off.
+    """The law that moments follow, from the power law with a cut-off; unknown if its fit is not tested, or undecided.
 
-    It contains the two others: the power law has no cut-off, and the exponential has the exponent -1.
+    It contains the two others: the power law has no cut-off, and the exponential has the exponent -1. Without a
+    positive b there is no power law, whatever fits.
     """
     if fit == REJECTED:
         return NONE
-    if cut_off.value == 0.0:
-        return POWER
-    if cut_off.low is None or exponent.low is None or exponent.high is None:
+    if fit != NOT_REJECTED or exponent.low is None or exponent.high is None:
         return UNKNOWN
-    if exponent.low <= -1.0 <= exponent.high:
-        return EXPONENTIAL if cut_off.low > 0 else UNKNOWN
-    return CUT_OFF if cut_off.low > 0 else POWER
+    has_cut_off = cut_off.low is not None and cut_off.low > 0  # without an interval it is 0, its bound
+    if has_cut_off and exponent.low <= -1.0 <= exponent.high:
+        return EXPONENTIAL
+    if exponent.low <= 0:
+        return UNKNOWN
+    return CUT_OFF if has_cut_off else POWER
 
 
 def _rates(systems: Iterable[Sequence[Catalogues]], lead: Catalogues, first_edge: float, level: float) -> list[Row]:
