@@ -33,7 +33,13 @@ class AttractorRecord(WindowRecord):
             "rest, sliding, periodic, irregular, escaping or undecided; null, as all below, if not the exact law",
         ),
         Column("text", "attractor_reason", "how that is known, or why it is undecided"),
-        Column("number", "period", "of a periodic run; null otherwise", least=0.0, absent=_NO_CYCLE),
+        Column(
+            "number",
+            "period",
+            "of the cycle of each periodic run, which may differ; null otherwise",
+            least=0.0,
+            absent=_NO_CYCLE,
+        ),
         Column("count", "exits_per_period", "exits in a period; null if not periodic", least=0.0, absent=_NO_CYCLE),
         Column(
             "count",
