@@ -304,7 +304,7 @@ def test_what_all_runs_do_has_a_bound(planted):
     """Wilson's interval of 20 in 20 begins at 0.839."""
     found = asked(data_of(planted, [SUSTAINED] * 20))
     said = "came to slip for good or ran away by t = 1000 (95%: at most 16% of such systems)"
-    assert f"None of 20 systems {said}." in WORDS.answer(found.facts)
+    assert f"Not one of 20 systems {said}." in WORDS.answer(found.facts)
     assert '<li class="ok">All 20 runs reached t = 1000' in WORDS.alerts(found.facts)
     none = asked(data_of(planted, [DIVERGED] * 20))
     assert "No run of 20 sticks and slips at t = 1000 (at most 16% of such systems do)" in WORDS.answer(none.facts)
@@ -323,7 +323,7 @@ def test_runs_whose_blocks_all_stick_are_not_said_to_move(planted, n_held):
     found = asked(replace(data, series=dict(data.series) | held | late))
     assert found.tables["fates"]["n_held"].tolist() == [n_held]
     said, alerts = WORDS.answer(found.facts), WORDS.alerts(found.facts)
-    assert ("None of 20 systems" in said) == (n_held < 20)
+    assert ("Not one of 20 systems" in said) == (n_held < 20)
     assert ("In all 20 runs every block has stuck to its belt for the last quarter" in said) == (n_held == 20)
     assert f"{n_held} of 20 runs that count as in motion {'is' if n_held == 1 else 'are'} held" in alerts
     assert "held" not in WORDS.alerts(asked(data_of(planted, [SUSTAINED] * 20)).facts)
@@ -356,7 +356,7 @@ def test_points_of_a_sweep_share_their_matrices(planted):
     series = dict(data.series) | {f"s{name}": points for name, points in data.series.items()}
     found = asked(Data(pd.concat([data.members, other]), series))
     said = WORDS.answer(found.facts)
-    assert "None of 40 runs of 20 systems came to slip for good" in said
+    assert "Not one of 40 runs of 20 systems came to slip for good" in said
     assert "(95%: at most 16% of such systems)" in said
 
 
