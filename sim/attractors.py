@@ -80,9 +80,9 @@ class Attractor:
     period : float or None
         Of a periodic run.
     multiplier : float or None
-        Of a periodic run: the largest modulus of its Floquet multipliers, but for those of a shift in time and along
-        its drift. Below one the cycle attracts; above, only symmetry or chance keeps the run on it. None if it would
-        take too long.
+        Of a periodic run: the largest modulus of its Floquet multipliers, but for those of a shift in time and of
+        shifts of z at which no spring pulls. Below one the cycle attracts; above, only symmetry or chance keeps the
+        run on it. None if it would take too long.
     growth_rate : float or None
         Of an irregular run: the largest rate at which a small deviation grows, but for shifts in time, over the
         events in `events`. Of an undecided one that has many events: the same.
@@ -348,7 +348,7 @@ class _End:
         matrix = path.monodromy(is_forced=True)
         if self._distance(path, drift, matrix) > self._back:
             return replace(none, reason="no event, and the state nearly comes back, but moves on; lengthen the run")
-        multiplier = largest(matrix, drift)
+        multiplier = largest(matrix, _null_space(self._system))
         events = replace(events, t_start=0.0, t_end=period)
         why = "the state comes back after a period of the force"
         return Attractor("periodic", why, period, multiplier, None, drift, events, path.states.first(1))
@@ -391,14 +391,14 @@ class _End:
             return self._settled(_Cycle(part, period * part / p, is_back=False))
         is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
         matrix = path.monodromy(bool(self._frequencies)) if is_short else None
-        multiplier = None if matrix is None else largest(matrix, drift)
+        multiplier = None if matrix is None else largest(matrix, _null_space(self._system))
         if matrix is not None and np.abs(path.missed(drift)).max() > _SEEN * self._tol * self._size(path.states):
             # it may still be far from the cycle, by as much as it moves in all rounds to come
             distance = self._distance(path, drift, matrix)
             if distance > (_FAR if self._has_newton(p) else self._back):
                 why = "events come back, and so nearly does the state, which moves on; lengthen the run"
                 return Attractor("undecided", why)
-            if self._has_newton(p) and largest(matrix, drift) < 1.0:
+            if self._has_newton(p) and largest(matrix, _null_space(self._system)) < 1.0:
                 found = self._settled(_Cycle(p, period, is_back=False))
                 if found is not None or distance > self._back:
                     return found
@@ -451,7 +451,10 @@ class _End:
         found = near_cycle(s, at.z[0], at.w[0], round_, p, self._close,
                            lambda some: _in_order(some, 0, self._at_once), follow)  # fmt: skip
         drift = None if found is None else self._drift(found.path)
-        if found is None or drift is None or (multiplier := largest(found.matrix, drift)) >= 1.0 - self._back:
+        if found is None or drift is None:
+            return None
+        multiplier = largest(found.matrix, _null_space(s))
+        if multiplier >= 1.0 - self._back:
             return None
         if (part := self._part(found.path, found.events)) < p:
             return self._settled(_Cycle(part, cycle.period * part / p, is_back=False))

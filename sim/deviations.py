@@ -261,17 +261,15 @@ class Path:
         return one + three / 12 + _commutator(c - 20 * one - three, two + d) / 240
 
 
-def largest(monodromy: Floats, drift: Floats) -> float:
-    """Largest modulus of the multipliers of a cycle, but for that of a shift along the drift.
+def largest(monodromy: Floats, free: Floats) -> float:
+    """Largest modulus of the multipliers of a cycle, but for those of shifts along `free`, which change nothing.
 
     `monodromy` is that of its `Path`; there the multiplier of a shift in time is 0, where no force depends on it.
+    `free`, shape (n, k), has orthonormal columns, along which no spring pulls.
     """
-    n = len(drift)
-    if drift.any():
-        along = drift / np.linalg.norm(drift)
-        monodromy = monodromy.copy()
-        monodromy[:n] -= np.outer(along, along @ monodromy[:n])
-    return float(np.abs(np.linalg.eigvals(monodromy)).max())
+    across, n = monodromy.copy(), len(free)
+    across[:n] -= free @ (free.T @ across[:n])
+    return float(np.abs(np.linalg.eigvals(across)).max())
 
 
 def exponential(matrices: Floats) -> Floats:
