@@ -51,8 +51,8 @@ class AttractorRecord(WindowRecord):
         Column(
             "number",
             "multiplier",
-            "largest modulus of the Floquet multipliers of a periodic run, but for shifts in time and of blocks that no"
-            " spring holds; below 1 the cycle attracts",
+            "largest modulus of the Floquet multipliers of a periodic run, but for shifts in time and of blocks that"
+            " no spring holds; below 1 the cycle attracts",
             least=0.0,
             absent="on no cycle, undecided, or on one of too many events",
         ),
