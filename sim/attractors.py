@@ -400,8 +400,10 @@ class _End:
                 return Attractor("undecided", why)
             if self._has_newton(p) and largest(matrix, _null_space(self._system)) < 1.0:
                 found = self._settled(_Cycle(p, period, is_back=False))
-                if found is not None or distance > self._back:
+                if found is not None:
                     return found
+            if distance > self._back:
+                return None
         round_, states = _from_lowest(path, events, period, drift)
         why = f"{p} events, and the state at each, come back"
         return Attractor("periodic", why, period, multiplier, None, drift, round_, states)
@@ -474,7 +476,7 @@ class _End:
         if (np.abs(drift) <= allowed).all():
             drift = np.zeros_like(dz)
         has_come_back = (np.abs(dz - drift) <= allowed).all() and (np.abs(dw) <= allowed).all()
-        return drift if has_come_back and path.extent > _LARGER * allowed else None
+        return drift if has_come_back and path.extent(drift) > _LARGER * allowed else None
 
     def _across(self, z: Floats) -> Floats:
         """z without what no spring holds, shape (..., n)."""

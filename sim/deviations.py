@@ -112,13 +112,17 @@ class Path:
         slip = (w[m + 1 :] - system.belt_speed_at(edges[0])).reshape(-1, 3, system.n)
         return cls(unit, modes, Samples(edges, z[: m + 1], w[: m + 1]), events.block[:m], steps, slip)
 
-    @cached_property
-    def extent(self) -> float:
-        """How large the motion is: how far states lie from the first, and z' and w' over the fastest rate."""
-        s, (_, z, w) = self.system, (self.states.t, self.states.z, self.states.w)
-        apart = max(np.abs(z[:-1] - z[0]).max(), np.abs(w[:-1] - w[0]).max())
+    def extent(self, drift: Floats) -> float:
+        """How large the motion is, but for a drift at a steady speed.
+
+        The largest of: how far states lie from the first, and z' and w' over the fastest rate.
+        """
+        s, (t, z, w) = self.system, (self.states.t, self.states.z, self.states.w)
+        steady = drift / (t[-1] - t[0])
+        apart = z - z[0] - np.outer(t - t[0], steady), w - w[0]
         fastest = float(s.rates.max()) or 1.0
-        return float(max(apart, np.abs(w).max() / fastest, np.abs(self._slip_rates).max() / fastest))
+        sizes = (*apart, (w - steady) / fastest, self._slip_rates / fastest)
+        return float(max(np.abs(one[:-1]).max() for one in sizes))
 
     def missed(self, drift: Floats) -> Floats:
         """By what the last state misses the first, but for a drift, shape (2n,)."""
