@@ -136,6 +136,8 @@ def test_blocks_that_rest_keep_nobody_from_slow_motion(rng):
         z0, w0 = rng.uniform(-10, -2), rng.uniform(0.1, 3)
         k = np.diag([0.7, *stiffness])
         if rng.random() < 0.5:  # what sticks is pulled by less than its friction
+            # beside springs of 1e12, K z is not known to tell that: steps are then short
+            np.fill_diagonal(k[1:, 1:], np.minimum(stiffness, 1e10))
             k[1:, 0] = np.where(friction > 0, 0.04 * rng.uniform(-1, 1, len(light)), 0.0)
         order = rng.permutation(len(k))
         system = System(k[np.ix_(order, order)], np.r_[damping, light][order], np.r_[0.4, friction][order], 0.0)

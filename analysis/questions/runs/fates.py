@@ -62,6 +62,7 @@ KINDS = {
     "no late stick": (SETTLED, BLUE, "s"), "sticks and slips": (MOVING, "#E69F00", "o"),
     "ran away": ((DIVERGED,), GREY, "^"),
 }  # fmt: skip
+FROM_ZERO = 0.8  # least over largest n_stick up to which its axis begins at 0
 _COUNTS = (*(f"n_{name}" for name in (*WATCHED, FAILED)), "n_moving")
 _GROUP: Mapping[str, str] = {
     "group": S, "n": I, "kappa_n": F, "engine": S, "n_runs": I, **dict.fromkeys(_COUNTS, I), "n_held": I, "t_end": F,
@@ -444,7 +445,10 @@ def all_runs(ax: Axes, paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
     """n_stick of runs, in means over blocks of time."""
     for t, mean in paths:
         ax.plot(t, mean, color=EXACT, alpha=0.35, linewidth=0.7)
-    ax.set(xlabel="time t", ylabel="$n_{stick}$", ylim=(0, None))
+    ax.set(xlabel="time t", ylabel="$n_{stick}$")
+    least, most = ax.dataLim.intervaly
+    if least < FROM_ZERO * most:  # else it would be a flat line at the top
+        ax.set_ylim(0, None)
 
 
 def _most_have_ended(study: Study) -> bool:

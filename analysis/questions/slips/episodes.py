@@ -62,6 +62,7 @@ SLOW = 0.05  # largest share of time in episodes if the drive is slow for the ch
 TELLING = 0.8
 LEFT_OUT = 0.01  # share of a group's episodes that are too small to be drawn
 FEWEST = 30  # episodes from a magnitude on, for their rate to be drawn
+MOST_STEMS = 300  # episodes of one run that are drawn
 _STEP = 2  # classes between points of the figures
 MOST_OVER = 2.5  # largest rate in a figure, over the reference's
 _GROUPS: Mapping[str, str] = {
@@ -143,7 +144,7 @@ def answer(study: Study) -> Answer | None:
         "ends": (references[0], references[-1]), "changes": changes, "b": b[lead.label],
         "b_rows": _b_rows({lead.label: b[lead.label]}),
         "most_over": MOST_OVER if any((row["over"] or 0.0) > MOST_OVER for row in rates) else None,
-        "has_sizes": "episode_sizes" in figures,
+        "has_sizes": "episode_sizes" in figures, "most_stems": MOST_STEMS,
         **comparison(contrasts, compared, {one.label: str(one.row["method"]) for one in found}),
     }  # fmt: skip
     return Answer(facts, tables=tables, figures=figures)
@@ -194,7 +195,7 @@ def _figures(
         figures["episode_sizes"] = partial(shares_of_sizes, sizes, {one.label: labels[one.label] for one in leaders})
     else:
         run = next(one for one in lead.each() if len(one.start))
-        figures["one_catalogue"] = partial(one_catalogue, run.start, run.magnitude)
+        figures["one_catalogue"] = partial(one_catalogue, run.start[:MOST_STEMS], run.magnitude[:MOST_STEMS])
     return figures
 
 
