@@ -38,10 +38,11 @@ _BACK, _CLOSEST, _WIDEST = 1e4, 1e-9, 1e-4
 _TOGETHER = 100.0
 #: Of K dz, over that of its terms: below, z has only moved along the null space of K.
 _NULL, _DENSE = 1e-12, 500
+#: A cycle is larger than what its states may miss themselves by, so many times, of which two are from one side to the
+#: other: what dies out is none.
+_LARGER = 3.0
 #: By so much of its static friction the force on a block that sticks may be above, from rounding.
 _ROUNDING = 1e-9
-#: A cycle is larger than what its states may miss themselves by, so many times: what dies out is none.
-_LARGER = 10.0
 #: States within so much of a period from an event are those at the event: the run's tolerance, between two ends.
 _EXACT, _MOST_OFF = 1e-12, 1e-8
 #: Rounds of events that are tried as a cycle, the shortest first.

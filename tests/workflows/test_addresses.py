@@ -35,7 +35,7 @@ def test_run_status_verify_query_and_report_at_an_address(here, server, tmp_path
     assert main(["status", out]) == 0
     assert "members 2 of 2 done" in capsys.readouterr().out
     assert main(["verify", out]) == 0
-    assert capsys.readouterr().out == f"{out}: every shard is as the manifest says\n"
+    assert capsys.readouterr().out == f"{out}: every shard that is done is as the manifest says\n"
     assert main(["query", out, "SELECT count(*) AS n FROM members", "--format", "csv"]) == 0
     assert capsys.readouterr().out.split() == ['"n"', "2"]
     assert main(["report", out]) == 0
