@@ -38,8 +38,8 @@ _BACK, _CLOSEST, _WIDEST = 1e4, 1e-9, 1e-4
 _TOGETHER = 100.0
 #: Of K dz, over that of its terms: below, z has only moved along the null space of K.
 _NULL, _DENSE = 1e-12, 500
-#: A cycle is larger than what its states may miss themselves by, so many times, of which two are from one side to the
-#: other: what dies out is none.
+#: A cycle is larger than what its states may miss themselves by, and than their distance from it, so many times, of
+#: which two are from one side to the other: what dies out is none.
 _LARGER = 3.0
 #: By so much of its static friction the force on a block that sticks may be above, from rounding.
 _ROUNDING = 1e-9
@@ -300,7 +300,8 @@ class _End:
             else:
                 steady -= term.at(self._run.t_end)
         outward = np.where(s.closed == 0, np.abs(steady), s.closed * steady)
-        return bool((outward + swing <= s.static * (1.0 + _ROUNDING)).all())
+        rounding = _ROUNDING * s.static + _NULL * s.row_sums * np.abs(self._run.z).max()
+        return bool((outward + swing <= s.static + rounding).all())
 
     def _is_loaded_by(self, moved: Floats) -> bool:
         """Whether springs pull at blocks that are moved so, for which they have to be stretched."""
@@ -343,7 +344,7 @@ class _End:
         path = self._path(events, np.array([first, first + period]))
         if not (len(events) or self._mode.any() or self._is_loaded_by(self._v)):
             return Attractor("rest", "all blocks stick through a period of the force", states=path.states.first(1))
-        drift = self._drift(path)
+        drift = self._drift(path, larger=0.0)  # it follows the force, however weak that is
         if len(events) or drift is None:
             return none
         matrix = path.monodromy(is_forced=True)
@@ -393,9 +394,12 @@ class _End:
         is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
         matrix = path.monodromy(bool(self._frequencies)) if is_short else None
         multiplier = None if matrix is None else largest(matrix, _null_space(self._system))
-        if matrix is not None and np.abs(path.missed(drift)).max() > _SEEN * self._tol * self._size(path.states):
+        size = self._size(path)
+        distance = 0.0 if matrix is None else self._distance(path, drift, matrix)
+        if distance * size > path.extent(drift) / _LARGER:
+            return None  # as far from its end as it is large: it dies out
+        if matrix is not None and np.abs(path.missed(drift)).max() > _SEEN * self._tol * size:
             # it may still be far from the cycle, by as much as it moves in all rounds to come
-            distance = self._distance(path, drift, matrix)
             if distance > (_FAR if self._has_newton(p) else self._back):
                 why = "events come back, and so nearly does the state, which moves on; lengthen the run"
                 return Attractor("undecided", why)
@@ -417,7 +421,7 @@ class _End:
         """
         p = len(path.block)
         symbols = _symbols(_in_order(events, 0, self._together))[:p]
-        size, whole = self._size(path.states), _off(path, p)
+        size, whole = self._size(path), _off(path, p)
         near, exactly = _ALMOST * self._back * size, self._close * size
         for part in range(1, p // 2 + 1):
             if p % part == 0 and (symbols[part:] == symbols[:-part]).all():
@@ -466,33 +470,39 @@ class _End:
         why = f"it settles on a cycle of {p} events, which attracts and is {found.distance:.1g} away"
         return Attractor("periodic", why, period, multiplier, None, drift, listed, states)
 
-    def _drift(self, path: Path) -> Floats | None:
+    def _drift(self, path: Path, larger: float = _LARGER) -> Floats | None:
         """By what z has moved without a change of the forces, if the last state of a round is otherwise the first.
 
-        None, too, if the motion is no larger than what it may miss itself by: what dies out has no period.
+        None, too, if the motion is not so many times larger than what it may miss itself by: what dies out has no
+        period.
         """
-        dz, dw = (one[-1] - one[0] for one in (path.states.z, path.states.w))
+        s, z = self._system, path.states.z
+        dz, dw = (one[-1] - one[0] for one in (z, path.states.w))
         drift = dz - self._across(dz)
-        allowed = self._back * self._size(path.states)
+        if s.n > _DENSE and (np.abs(s.stiffness @ dz) <= _NULL * s.row_sums * np.abs(z).max()).all():
+            drift = dz
+        allowed = self._back * self._size(path)
         if (np.abs(drift) <= allowed).all():
             drift = np.zeros_like(dz)
         has_come_back = (np.abs(dz - drift) <= allowed).all() and (np.abs(dw) <= allowed).all()
-        return drift if has_come_back and path.extent(drift) > _LARGER * allowed else None
+        return drift if has_come_back and path.extent(drift) >= larger * allowed else None
 
     def _across(self, z: Floats) -> Floats:
         """z without what no spring holds, shape (..., n)."""
         free = _null_space(self._system)
         return np.asarray(z - z @ free @ free.T)
 
-    def _size(self, states: Samples) -> float:
-        """The largest number in the states, as far as springs hold z."""
-        return float(max(np.abs(self._across(states.z)).max(), np.abs(states.w).max()))
+    def _size(self, path: Path) -> float:
+        """The largest number in the states, as far as springs hold z; of the motion if all are zero."""
+        z, w = path.states.z, path.states.w
+        return float(max(np.abs(self._across(z)).max(), np.abs(w).max())) or path.extent(np.zeros_like(z[0]))
 
     def _distance(self, path: Path, drift: Floats, matrix: Floats) -> float:
         """How far a state is from its cycle, over its largest number: what it misses itself by, over 1 - M."""
-        missed = path.missed(drift)
-        off = np.linalg.lstsq(np.identity(len(missed)) - matrix, missed, rcond=1e-12)[0]
-        return float(np.abs(off).max()) / self._size(path.states)
+        missed, across, n = path.missed(drift), matrix.copy(), self._system.n
+        missed[:n], across[:n] = self._across(missed[:n]), self._across(across[:n].T).T
+        off = np.linalg.lstsq(np.identity(2 * n) - across, missed, rcond=1e-12)[0]
+        return float(np.abs(off).max()) / self._size(path)
 
     # ---------------------------------------------------------------------------------------------- no cycle
 
@@ -610,5 +620,6 @@ def _null_space(system: System) -> Floats:
     if n > _DENSE:
         all_alike = np.full((n, 1), n**-0.5)
         return all_alike[:, : int((np.abs(k @ all_alike[:, 0]) <= _NULL * system.row_sums).all())]
-    _, sizes, directions = np.linalg.svd(k if isinstance(k, np.ndarray) else k.toarray())
-    return np.asarray(directions[sizes <= _NULL * sizes.max()].T)
+    dense, sums = k if isinstance(k, np.ndarray) else k.toarray(), system.row_sums
+    _, sizes, directions = np.linalg.svd(dense / np.where(sums > 0.0, sums, 1.0)[:, np.newaxis])
+    return np.asarray(directions[sizes <= _NULL].T)

@@ -24,7 +24,7 @@ def continued(
     That is, from the event of a cycle after which most blocks stick, and otherwise from the end of the run; a block
     that sticks there takes the speed of its new belt, and so does one ahead of a new belt that bars that side. Under
     a periodic force it is always the end of the run, and the force goes on from the phase that it has there; where
-    there are several frequencies, the time goes on.
+    there are several frequencies, the time goes on, and ramps of belts and forces are over.
 
     An attractor is followed for as long as it attracts what the step to the next system leaves of it; then another
     one is found. So the same systems in the opposite order may give others: where they do, several attract.

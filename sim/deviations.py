@@ -150,7 +150,7 @@ class Path:
 
         That is given in two parts, one after the other. All are minus infinity if no deviation is left. The first
         third, in which it turns to the direction that grows fastest, does not count, nor what it grows within a
-        round: it is compared at the last event and at earlier ones like it.
+        round: it is compared at the last event and at earlier ones like it; without these both parts are 0.
         """
         n, m = self.system.n, len(self.states) - 1
         moved = np.random.default_rng(0).normal(size=(2 * n, 1))
@@ -170,6 +170,8 @@ class Path:
         alike = (self.block == self.block[-1]) & (changes == changes[-1])[:, self.block[-1]]
         first, middle = (k + int(alike[k:-1].argmax()) for k in (m // 3, 2 * m // 3))
         grown = float(logs[first + 1 : middle + 1].sum()), float(logs[middle + 1 :].sum())
+        if not (alike[first] and alike[middle] and first < middle):
+            return sum(grown) / float(self.states.t[m - 1] - self.states.t[first]), 0.0, 0.0
         return sum(grown) / float(self.states.t[m - 1] - self.states.t[first]), *grown
 
     # ------------------------------------------------------------------------------------------ events

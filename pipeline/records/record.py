@@ -217,7 +217,7 @@ class StateRecord(WindowRecord):
 
     def problem(self, facts: Facts) -> str:
         window = facts.t_end - self.t_burn
-        if window >= self.dt:
+        if len(steps(self.t_burn, facts.t_end, self.dt)) > 1:
             return ""
         return (
             f"expected a step record.dt of at most run.t_end - record.t_burn = {window:.3g}, got {self.dt:g}; shorten"

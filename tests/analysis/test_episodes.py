@@ -317,6 +317,15 @@ def test_no_law_is_told_of_few_systems_nor_a_power_law_without_a_positive_b(plan
     assert found["law"] in (episodes.UNKNOWN, episodes.NONE)
 
 
+@pytest.mark.parametrize("few", [{"rate": 1e-9, "n_matrices": 5}, {"rate": 3.0, "n_matrices": 1}])
+def test_episodes_that_cannot_be_judged_have_a_page(planted_episodes, settings, few):
+    """None at all; and of one system, which has no interval."""
+    data = planted_episodes(EXACT, **few)
+    for question in ((), ("fates",), ("episodes",)):
+        html = build(data, replace(settings, question=question), "A chain", "", {}).html
+        assert ("some block slips" in html) or few["n_matrices"] > 1
+
+
 def test_the_ends_of_two_keys_are_not_compared(planted_episodes, strict):
     grid = {f"{v}-{k}": ({"belt_speed": v, "kappa": k}, 1.0) for v in (-0.1, -0.2) for k in (0.2, 0.3)}
     facts = episodes.answer(Study(planted_episodes(grid, rate=2.0), strict)).facts
