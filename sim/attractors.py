@@ -58,8 +58,9 @@ _APART = 0.02
 _SEEN, _FAR = 100.0, 0.1
 #: How often the last event must recur before a run is called irregular, the most events over which its growth rate is
 #: taken, and the logarithm of what a deviation grows by over the last two thirds of them, with a third of that in
-#: each half. On a torus deviations grow as time does: by ln 2 and ln 1.5 there.
-_FEW, _FOLLOWED, _GROWN = 30, 512, 3.0
+#: each half. On a torus deviations grow as time does: by ln 2 and ln 1.5 there. Of so many blocks
+#: and more these events are few rounds, and it is the logarithm over all of them.
+_FEW, _FOLLOWED, _GROWN, _MANY, _GROWN_FEW = 30, 512, 3.0, 16, 2.0
 #: No multiplier of a cycle with more than so many events times (2 n)^3: it would take some seconds.
 _WORK = 2e9
 #: Nor is a cycle of more than so many sought by Newton's method, which takes several.
@@ -460,6 +461,8 @@ class _End:
         drift = None if found is None else self._drift(found.path)
         if found is None or drift is None:
             return None
+        if found.distance * self._size(found.path) > found.path.extent(drift) / _LARGER:
+            return None  # it dies out
         multiplier = largest(found.matrix, _null_space(s))
         if multiplier >= 1.0 - self._back:
             return None
@@ -473,8 +476,8 @@ class _End:
     def _drift(self, path: Path, larger: float = _LARGER) -> Floats | None:
         """By what z has moved without a change of the forces, if the last state of a round is otherwise the first.
 
-        None, too, if the motion is not so many times larger than what it may miss itself by: what dies out has no
-        period.
+        None if it is not; and if the motion is not so many times larger than what it may miss itself by: what dies
+        out has no period, and a motion so small cannot be told from that.
         """
         s, z = self._system, path.states.z
         dz, dw = (one[-1] - one[0] for one in (z, path.states.w))
@@ -493,9 +496,9 @@ class _End:
         return np.asarray(z - z @ free @ free.T)
 
     def _size(self, path: Path) -> float:
-        """The largest number in the states, as far as springs hold z; of the motion if all are zero."""
+        """The largest number in the states, as far as springs hold z, or of the motion if that is larger."""
         z, w = path.states.z, path.states.w
-        return float(max(np.abs(self._across(z)).max(), np.abs(w).max())) or path.extent(np.zeros_like(z[0]))
+        return float(max(np.abs(self._across(z)).max(), np.abs(w).max(), path.extent(np.zeros_like(z[0]))))
 
     def _distance(self, path: Path, drift: Floats, matrix: Floats) -> float:
         """How far a state is from its cycle, over its largest number: what it misses itself by, over 1 - M."""
@@ -521,7 +524,9 @@ class _End:
         rate, *grown = path.growth(bool(self._frequencies))
         if not math.isfinite(rate):
             return Attractor("undecided", "no cycle, and nothing is left of a deviation; lengthen the run")
-        if sum(grown) < _GROWN or min(grown) < _GROWN / 3.0:
+        of_all = rate * float(events.t[-1] - events.t[0])
+        is_slow = sum(grown) < _GROWN or min(grown) < _GROWN / 3.0 if self._system.n < _MANY else of_all < _GROWN_FEW
+        if is_slow:
             does = "decay" if sum(grown) < -_GROWN else "do not grow as in chaos"
             why = f"no cycle, and deviations {does} (at the rate {rate:.3g}); lengthen the run"
             return Attractor("undecided", why, growth_rate=rate)

@@ -215,15 +215,6 @@ class StateRecord(WindowRecord):
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
         return cls(keys["t_burn"], keys["dt"]) if keys[cls.name] else None
 
-    def problem(self, facts: Facts) -> str:
-        window = facts.t_end - self.t_burn
-        if len(steps(self.t_burn, facts.t_end, self.dt)) > 1:
-            return ""
-        return (
-            f"expected a step record.dt of at most run.t_end - record.t_burn = {window:.3g}, got {self.dt:g}; shorten"
-            " record.dt or record.t_burn"
-        )
-
     def times(self, member: Member) -> Floats:
         return steps(self.t_burn, member.t_end, self.dt)
 

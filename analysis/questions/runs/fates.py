@@ -447,7 +447,7 @@ def all_runs(ax: Axes, paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
         ax.plot(t, mean, color=EXACT, alpha=0.35, linewidth=0.7)
     ax.set(xlabel="time t", ylabel="$n_{stick}$")
     least, most = ax.dataLim.intervaly
-    if least < FROM_ZERO * most:  # else it would be a flat line at the top
+    if least <= FROM_ZERO * most:  # else it would be a flat line at the top
         ax.set_ylim(0, None)
 
 

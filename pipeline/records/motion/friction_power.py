@@ -34,7 +34,7 @@ class FrictionPower(StateRecord):
         return is_exact(member)
 
     def problem(self, facts: Facts) -> str:
-        return needs_exact(facts) or super().problem(facts)
+        return needs_exact(facts)
 
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:
         slip = samples.w - system.belt_speed_at(samples.t)
