@@ -170,9 +170,9 @@ class Path:
         alike = (self.block == self.block[-1]) & (changes == changes[-1])[:, self.block[-1]]
         first, middle = (k + int(alike[k:-1].argmax()) for k in (m // 3, 2 * m // 3))
         grown = float(logs[first + 1 : middle + 1].sum()), float(logs[middle + 1 :].sum())
-        if not (alike[first] and alike[middle] and first < middle):
-            return sum(grown) / float(self.states.t[m - 1] - self.states.t[first]), 0.0, 0.0
-        return sum(grown) / float(self.states.t[m - 1] - self.states.t[first]), *grown
+        rate = sum(grown) / float(self.states.t[m - 1] - self.states.t[first])
+        are_alike = alike[first] and alike[middle] and first < middle
+        return rate, *(grown if are_alike else (0.0, 0.0))
 
     # ------------------------------------------------------------------------------------------ events
 
