@@ -15,11 +15,14 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 from stickslip.sim.cycles import near_cycle
 from stickslip.sim.deviations import Path, largest
 from stickslip.sim.engines.certificates import steady_sliding
 from stickslip.sim.engines.coulomb.settings import Coulomb
+from stickslip.sim.growth import TOL, Growth, growth
 from stickslip.sim.numerics.arguments import Floats, number
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries, by_block
@@ -29,14 +32,17 @@ from stickslip.sim.systems.system import System
 
 Kind = Literal["rest", "sliding", "periodic", "irregular", "escaping", "undecided"]
 
-#: A state has come back if it differs by less than this many tolerances of the run, of its largest number; the same
-#: for times, of the period. Within bounds: of rounding, and of what can be told from a return by chance. Events so
-#: close in time, of the shortest period that blocks can have, are at one instant.
+#: A state has come back if it differs by less than this many tolerances of the run, of the size of its motion; the
+#: same for times, of the period. Within bounds: of rounding, and of what can be told from a return by chance. Events
+#: so close in time, of the shortest period that blocks can have, are at one instant.
 _BACK, _CLOSEST, _WIDEST = 1e4, 1e-9, 1e-4
+#: By so much of the largest z a state may miss itself, however small its motion: some thousand roundings.
+_OF_Z = 1e-12
 #: Rounds are compared as if events within so many times that were: blocks that synchronise change order from round to
 #: round, at times apart that pass through the first bound, but hardly move near this one in a round that comes back.
 _TOGETHER = 100.0
-#: Of K dz, over that of its terms: below, z has only moved along the null space of K.
+#: Of K dz, over that of its terms: below, z has only moved along the null space of K. Up to so many blocks all
+#: of that is found.
 _NULL, _DENSE = 1e-12, 500
 #: A cycle is larger than what its states may miss themselves by, and than their distance from it, so many times, of
 #: which two are from one side to the other: what dies out is none.
@@ -53,14 +59,13 @@ _TRIED_NEAR, _NEAR = 2, 0.02
 _ALMOST = 1e3
 #: A round comes back by itself, not as a spiral onto a part of it, if it comes back so much nearer than that part.
 _APART = 0.02
-#: A state that is off by more than so many tolerances after a round moves; within this share of its largest number
+#: A state that is off by more than so many tolerances after a round moves; within this share of its motion's size
 #: from the cycle Newton's method is asked. What dies out under hardly any damping is further off.
 _SEEN, _FAR = 100.0, 0.1
-#: How often the last event must recur before a run is called irregular, the most events over which its growth rate is
-#: taken, and the logarithm of what a deviation grows by over the last two thirds of them, with a third of that in
-#: each half. On a torus deviations grow as time does: by ln 2 and ln 1.5 there. Of so many blocks
-#: and more these events are few rounds, and it is the logarithm over all of them.
-_FEW, _FOLLOWED, _GROWN, _MANY, _GROWN_FEW = 30, 512, 3.0, 16, 2.0
+#: How often the last event must recur before a run is called irregular, the most rounds over which its growth rate is
+#: taken, and ln of what a deviation grows by over the last two thirds of them, with a third of that in each half: on
+#: a torus deviations grow as time does, by ln 2 and ln 1.5 there. The most events of an irregular run that are kept.
+_FEW, _MOST_ROUNDS, _GROWN, _FOLLOWED = 30, 200, 3.0, 512
 #: No multiplier of a cycle with more than so many events times (2 n)^3: it would take some seconds.
 _WORK = 2e9
 #: Nor is a cycle of more than so many sought by Newton's method, which takes several.
@@ -86,8 +91,8 @@ class Attractor:
         shifts of z at which no spring pulls. Below one the cycle attracts; above, only symmetry or chance keeps the
         run on it. None if it would take too long.
     growth_rate : float or None
-        Of an irregular run: the largest rate at which a small deviation grows, but for shifts in time, over the
-        events in `events`. Of an undecided one that has many events: the same.
+        Of an irregular run: the rate at which small deviations grow, but for shifts in time. Of an undecided one that
+        has many events: the same.
     drift : float64, shape (n,), or None
         Of a periodic run: by what z changes in a period, where springs do not hold the blocks to the ground; else 0.
     events : EventSeries or None
@@ -153,10 +158,10 @@ def attractor(
 
     Rest, sliding and escape are proved. A run is periodic if its last events, their blocks, modes and the times
     between them, repeat those of the period before, and in the period that follows, which is run, the state at an
-    event comes back, within 1e4 `tol` of the largest number in it. It is irregular if the last event recurs at least
-    30 times without that, and a deviation grows by e^3 and more, and by e in each half, over the last two thirds of
-    as many events as after `t_burn`, but at most 512, that follow; of 16 blocks and more, by
-    e^2 over all. This costs two runs of one or two periods, or two over these events.
+    event comes back, within 1e4 `tol` of its motion's size. It is irregular if the last event recurs at least
+    30 times without that, and runs that begin next to each other on its end part by e^3 and more, and by e in each
+    half, over the last two thirds of as much time as these events took, 200 rounds at most, or of the time until they
+    are 1e5 times as far apart. This costs two runs of one or two periods, or of that time.
 
     Parameters
     ----------
@@ -202,7 +207,8 @@ def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> boo
     ----------
     one, other : Attractor
     tolerance : float
-        Of the states, over the largest number in them, and of the period, relative.
+        Of the period, relative, and of the states, over the size of the motion, from event to event; over the largest
+        number in them if there is one event or none.
     """
     if one.kind != other.kind or one.states is None or other.states is None or one.kind == "irregular":
         return False
@@ -210,12 +216,12 @@ def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> boo
         return False
     if one.period is not None and abs(one.period - (other.period or 0.0)) > tolerance * one.period:
         return False
-    along = np.zeros(one.states.z.shape[1])
+    across = np.identity(one.states.z.shape[1])
     if one.drift is not None and one.drift.any():
-        along = one.drift / np.linalg.norm(one.drift)
-    dz, dw = other.states.z - one.states.z[0], other.states.w - one.states.w[0]
-    dz = dz - np.outer(dz @ along, along)
-    allowed = tolerance * max(_size(one.states), _size(other.states))
+        across -= np.outer(one.drift, one.drift) / (one.drift @ one.drift)
+    z, other_z = one.states.z @ across, other.states.z @ across
+    dz, dw = other_z - z[0], other.states.w - one.states.w[0]
+    allowed = tolerance * max(_size(z, one.states.w), _size(other_z, other.states.w))
     agrees = (np.abs(dz) <= allowed).all(axis=1) & (np.abs(dw) <= allowed).all(axis=1)
     if one.events is None or other.events is None:
         return bool(agrees[0])
@@ -272,7 +278,7 @@ class _End:
 
     @property
     def _close(self) -> float:
-        """By how much of its largest number a state on a cycle may miss itself."""
+        """By how much of its motion's size a state on a cycle may miss itself."""
         return min(self._back, _SEEN * self._tol)
 
     @property
@@ -345,11 +351,12 @@ class _End:
         path = self._path(events, np.array([first, first + period]))
         if not (len(events) or self._mode.any() or self._is_loaded_by(self._v)):
             return Attractor("rest", "all blocks stick through a period of the force", states=path.states.first(1))
-        drift = self._drift(path, larger=0.0)  # it follows the force, however weak that is
+        size = self._size(path)
+        drift = self._drift(path, size, larger=0.0)  # it follows the force, however weak that is
         if len(events) or drift is None:
             return none
         matrix = path.monodromy(is_forced=True)
-        if self._distance(path, drift, matrix) > self._back:
+        if self._distance(path, drift, matrix) > self._back * size:
             return replace(none, reason="no event, and the state nearly comes back, but moves on; lengthen the run")
         multiplier = largest(matrix, _null_space(self._system))
         events = replace(events, t_start=0.0, t_end=period)
@@ -384,37 +391,37 @@ class _End:
             return None
         if not (np.abs(events.t - expected) <= max(_EXACT, min(self._tol, _MOST_OFF)) * cycle.period).all():
             path = self._path(events, events.t)
-        drift, period = self._drift(path), float(events.t[p] - events.t[0])
+        size, period = self._size(path), float(events.t[p] - events.t[0])
+        drift = self._drift(path, size)
         if drift is None or not self._has_phase(period):
             return None
         period = self._whole(period)
-        if (part := self._part(path, events)) < p:
+        if (part := self._part(path, events, size)) < p:
             # it settles from side to side, and is still too far off to be back after a part of the round; in so many
             # turns a spiral onto the shorter cycle may come as near as a longer cycle does
             return self._settled(_Cycle(part, period * part / p, is_back=False))
         is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
         matrix = path.monodromy(bool(self._frequencies)) if is_short else None
         multiplier = None if matrix is None else largest(matrix, _null_space(self._system))
-        size = self._size(path)
         distance = 0.0 if matrix is None else self._distance(path, drift, matrix)
-        if distance * size > path.extent(drift) / _LARGER:
+        if distance > path.extent(drift) / _LARGER:
             return None  # as far from its end as it is large: it dies out
         if matrix is not None and np.abs(path.missed(drift)).max() > _SEEN * self._tol * size:
             # it may still be far from the cycle, by as much as it moves in all rounds to come
-            if distance > (_FAR if self._has_newton(p) else self._back):
+            if distance > (_FAR if self._has_newton(p) else self._back) * size:
                 why = "events come back, and so nearly does the state, which moves on; lengthen the run"
                 return Attractor("undecided", why)
             if self._has_newton(p) and multiplier is not None and multiplier < 1.0:
                 found = self._settled(_Cycle(p, period, is_back=False))
                 if found is not None:
                     return found
-            if distance > self._back:
+            if distance > self._back * size:
                 return None
         round_, states = _from_lowest(path, events, period, drift)
         why = f"{p} events, and the state at each, come back"
         return Attractor("periodic", why, period, multiplier, None, drift, round_, states)
 
-    def _part(self, path: Path, events: EventSeries) -> int:
+    def _part(self, path: Path, events: EventSeries, size: float) -> int:
         """Events of the shortest part of a round after which events repeat and the state nearly comes back.
 
         Not where it comes back so much nearer after the whole: a cycle whose period has doubled is near its half.
@@ -422,7 +429,7 @@ class _End:
         """
         p = len(path.block)
         symbols = _symbols(_in_order(events, 0, self._together))[:p]
-        size, whole = self._size(path), _off(path, p)
+        whole = _off(path, p)
         near, exactly = _ALMOST * self._back * size, self._close * size
         for part in range(1, p // 2 + 1):
             if p % part == 0 and (symbols[part:] == symbols[:-part]).all():
@@ -457,55 +464,56 @@ class _End:
             return simulate(s, z, w, length, t_eval=times, modes=modes, stop_early=False, **self._settings)
 
         found = near_cycle(s, at.z[0], at.w[0], round_, p, self._close,
-                           lambda some: _in_order(some, 0, self._at_once), follow)  # fmt: skip
-        drift = None if found is None else self._drift(found.path)
-        if found is None or drift is None:
+                           lambda some: _in_order(some, 0, self._at_once), follow, self._size)  # fmt: skip
+        if found is None:
             return None
-        if found.distance * self._size(found.path) > found.path.extent(drift) / _LARGER:
+        size = self._size(found.path)
+        drift = self._drift(found.path, size)
+        if drift is None:
+            return None
+        if found.distance * size > found.path.extent(drift) / _LARGER:
             return None  # it dies out
         multiplier = largest(found.matrix, _null_space(s))
         if multiplier >= 1.0 - self._back:
             return None
-        if (part := self._part(found.path, found.events)) < p:
+        if (part := self._part(found.path, found.events, size)) < p:
             return self._settled(_Cycle(part, cycle.period * part / p, is_back=False))
         period = float(found.events.t[-1])
         listed, states = _from_lowest(found.path, found.events, period, drift)
         why = f"it settles on a cycle of {p} events, which attracts and is {found.distance:.1g} away"
         return Attractor("periodic", why, period, multiplier, None, drift, listed, states)
 
-    def _drift(self, path: Path, larger: float = _LARGER) -> Floats | None:
+    def _drift(self, path: Path, size: float, larger: float = _LARGER) -> Floats | None:
         """By what z has moved without a change of the forces, if the last state of a round is otherwise the first.
 
         None if it is not; and if the motion is not so many times larger than what it may miss itself by: what dies
         out has no period, and a motion so small cannot be told from that.
         """
-        s, z = self._system, path.states.z
-        dz, dw = (one[-1] - one[0] for one in (z, path.states.w))
-        drift = dz - self._across(dz)
-        if s.n > _DENSE and (np.abs(s.stiffness @ dz) <= _NULL * s.row_sums * np.abs(z).max()).all():
-            drift = dz
-        allowed = self._back * self._size(path)
+        dz, dw = (one[-1] - one[0] for one in (path.states.z, path.states.w))
+        drift = dz - _across(self._system, dz)
+        allowed = self._back * size
         if (np.abs(drift) <= allowed).all():
             drift = np.zeros_like(dz)
         has_come_back = (np.abs(dz - drift) <= allowed).all() and (np.abs(dw) <= allowed).all()
         return drift if has_come_back and path.extent(drift) >= larger * allowed else None
 
-    def _across(self, z: Floats) -> Floats:
-        """z without what no spring holds, shape (..., n)."""
-        free = _null_space(self._system)
-        return np.asarray(z - z @ free @ free.T)
-
     def _size(self, path: Path) -> float:
-        """The largest number in the states, as far as springs hold z, or of the motion if that is larger."""
+        """How large the motion is, or the fastest belt: the engine's tolerance is relative to that.
+
+        So much larger than it is where z is, that z's rounding is within the smallest of them.
+        """
         z, w = path.states.z, path.states.w
-        return float(max(np.abs(self._across(z)).max(), np.abs(w).max(), path.extent(np.zeros_like(z[0]))))
+        moved = z[-1] - z[0]
+        extent = path.extent(moved - _across(self._system, moved))
+        of_motion = max(np.abs(w).max(), self._system.fastest_belt, extent)
+        return float(max(of_motion, _OF_Z / self._close * np.abs(z).max()))
 
     def _distance(self, path: Path, drift: Floats, matrix: Floats) -> float:
-        """How far a state is from its cycle, over its largest number: what it misses itself by, over 1 - M."""
-        missed, across, n = path.missed(drift), matrix.copy(), self._system.n
-        missed[:n], across[:n] = self._across(missed[:n]), self._across(across[:n].T).T
+        """How far a state is from its cycle: what it misses itself by, over 1 - M."""
+        s, missed, across, n = self._system, path.missed(drift), matrix.copy(), self._system.n
+        missed[:n], across[:n] = _across(s, missed[:n]), _across(s, across[:n].T).T
         off = np.linalg.lstsq(np.identity(2 * n) - across, missed, rcond=1e-12)[0]
-        return float(np.abs(off).max()) / self._size(path)
+        return float(np.abs(off).max())
 
     # ---------------------------------------------------------------------------------------------- no cycle
 
@@ -516,22 +524,33 @@ class _End:
         if n_again < _FEW:
             why = f"no cycle, and the last event recurs too seldom ({n_again} times, of at least {_FEW})"
             return Attractor("undecided", f"{why}; lengthen the run")
-        length = self._run.t_end - float(last.t[-min(len(last), _FOLLOWED)])
-        events = _in_order(self._follow(length, np.empty(0)).events, 0, self._at_once)
-        if len(events) < _FEW:
-            return Attractor("undecided", f"few events follow on t = {self._run.t_end:g}; lengthen the run")
-        path = self._path(events, events.t)
-        rate, *grown = path.growth(bool(self._frequencies))
-        if not math.isfinite(rate):
+        place = np.flatnonzero(symbols == symbols[-1])
+        grown = self._growth(float(last.t[-1] - last.t[place[-1 - min(n_again, _MOST_ROUNDS)]]))
+        if grown is None:
             return Attractor("undecided", "no cycle, and nothing is left of a deviation; lengthen the run")
-        of_all = rate * float(events.t[-1] - events.t[0])
-        is_slow = sum(grown) < _GROWN or min(grown) < _GROWN / 3.0 if self._system.n < _MANY else of_all < _GROWN_FEW
-        if is_slow:
-            does = "decay" if sum(grown) < -_GROWN else "do not grow as in chaos"
+        rate, both = grown.rate, grown.second + grown.last
+        if both < _GROWN or min(grown.second, grown.last) < _GROWN / 3.0:
+            does = "decay" if both < -_GROWN else "do not grow as in chaos"
             why = f"no cycle, and deviations {does} (at the rate {rate:.3g}); lengthen the run"
             return Attractor("undecided", why, growth_rate=rate)
+        length = self._run.t_end - float(last.t[-min(len(last), _FOLLOWED)])
+        events = _in_order(self._follow(length, np.empty(0)).events, 0, self._at_once)
+        states = self._path(events, events.t).states
         why = f"no cycle, while the last event recurs {n_again} times, and deviations grow"
-        return Attractor("irregular", why, growth_rate=rate, events=events, states=path.states)
+        return Attractor("irregular", why, growth_rate=rate, events=events, states=states)
+
+    def _growth(self, length: float) -> Growth | None:
+        """How fast runs from the end and from next to it part."""
+        tol = min(self._tol, TOL)
+
+        def follow(z: Floats, times: Floats) -> Run:
+            return simulate(
+                self._system, z, self._w, float(times[-1]), t_start=self._start, t_eval=times,
+                modes=self._mode if z is self._run.z else None, stop_early=False, **self._settings | {"tol": tol},
+            )  # fmt: skip
+
+        times = self._start, self._start + length
+        return growth(self._system, self._run.z, times, follow, bool(self._frequencies))
 
 
 class _Cycle(NamedTuple):
@@ -610,21 +629,30 @@ def _alone(z: Floats, w: Floats) -> Samples:
     return Samples(np.zeros(1), z[np.newaxis], w[np.newaxis])
 
 
-def _size(states: Samples) -> float:
-    """The largest number in the states."""
-    return float(max(np.abs(states.z).max(), np.abs(states.w).max()))
+def _size(z: Floats, w: Floats) -> float:
+    """How large the motion is between some states, or, of one, the largest number in it."""
+    return float(max(np.ptp(z, axis=0).max() if len(z) > 1 else np.abs(z).max(), np.abs(w).max()))
+
+
+def _across(system: System, z: Floats) -> Floats:
+    """z without what no spring holds, shape (..., n)."""
+    free = _null_space(system)
+    return np.asarray(z - z @ free @ free.T)
 
 
 @lru_cache(maxsize=2)
-def _null_space(system: System) -> Floats:
-    """Displacements at which no spring pulls, as orthonormal columns, shape (n, k).
+def _null_space(system: System) -> Any:
+    """Displacements at which no spring pulls, as orthonormal columns, shape (n, k), an array or a sparse one.
 
-    Of more than `_DENSE` blocks, that of all by as much, if it is one.
+    Of more than `_DENSE` blocks: of those that springs connect, if they are moved by as much.
     """
-    k, n = system.stiffness, system.n
-    if n > _DENSE:
-        all_alike = np.full((n, 1), n**-0.5)
-        return all_alike[:, : int((np.abs(k @ all_alike[:, 0]) <= _NULL * system.row_sums).all())]
-    dense, sums = k if isinstance(k, np.ndarray) else k.toarray(), system.row_sums
+    k, sums = system.stiffness, system.row_sums
+    if system.n > _DENSE:
+        n_parts, part = connected_components(csr_array(k), directed=False)
+        sizes = np.bincount(part, minlength=n_parts)
+        each = csr_array((sizes[part] ** -0.5, (np.arange(system.n), part)))
+        is_held = np.bincount(part, np.abs(k @ np.ones(system.n)) > _NULL * sums, minlength=n_parts) > 0
+        return each[:, np.flatnonzero(~is_held)]
+    dense = k if isinstance(k, np.ndarray) else k.toarray()
     _, sizes, directions = np.linalg.svd(dense / np.where(sums > 0.0, sums, 1.0)[:, np.newaxis])
     return np.asarray(directions[sizes <= _NULL].T)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,8 +24,9 @@ def continued(
 
     That is, from the event of a cycle after which most blocks stick, and otherwise from the end of the run; a block
     that sticks there takes the speed of its new belt, and so does one ahead of a new belt that bars that side. Under
-    a periodic force it is always the end of the run, and the force goes on from the phase that it has there; where
-    there are several frequencies, the time goes on, and ramps of belts and forces are over.
+    a periodic force it is always the end of the run, and the force, which is that at the same place in `force`, goes
+    on from the phase that it has there; where there are several frequencies, the time goes on, and ramps of belts and
+    forces are over.
 
     An attractor is followed for as long as it attracts what the step to the next system leaves of it; then another
     one is found. So the same systems in the opposite order may give others: where they do, several attract.
@@ -69,21 +71,42 @@ def continued(
     return found
 
 
-def _waves(system: System) -> list[tuple[float, float]]:
-    """Frequency and phase of every periodic force on a block, that of a positive amplitude."""
+class _Wave(NamedTuple):
+    """A periodic force on a block; it has a frequency also where its amplitude is 0."""
+
+    amplitude: float
+    frequency: float
+    phase: float
+
+    @property
+    def turns(self) -> bool:
+        return self.amplitude != 0.0 and self.frequency != 0.0
+
+    @property
+    def start(self) -> float:
+        """The phase of a positive amplitude."""
+        return self.phase + math.pi * (self.amplitude < 0.0)
+
+
+def _waves(system: System) -> list[_Wave]:
+    """Every periodic force on every block."""
     waves = (x for x in system.force if isinstance(x, Harmonic))
-    every = (one for x in waves for one in np.broadcast(x.amplitude, x.frequency, x.phase))
-    return [(float(f), float(phase) + np.pi * (amplitude < 0)) for amplitude, f, phase in every if amplitude and f]
+    return [_Wave(*map(float, one)) for x in waves for one in np.broadcast(x.amplitude, x.frequency, x.phase)]
 
 
-def _time_of_phase(waves: list[tuple[float, float]], before: list[tuple[float, float]], t: float) -> float:
+def _time_of_phase(waves: list[_Wave], before: list[_Wave], t: float) -> float:
     """When forces have the phase that those of the system before have at t; 0 if there were or are none."""
-    if not waves or not before:
+    turning = [k for k, one in enumerate(waves) if one.turns]
+    known = [one for one in before if one.turns] or [one for one in before if one.frequency]
+    if not turning or not known:
         return 0.0
-    if len({f for f, _ in waves}) > 1 or len({f for f, _ in before}) > 1:
+    if any(len({one.frequency for one in some if one.turns}) > 1 for some in (waves, before)):
         return t
-    (f_before, phase_before), (f, phase) = before[0], waves[0]
-    return float((f_before * t + phase_before - phase) / f % (2.0 * np.pi / abs(f)))
+    same = (k for k in turning if k < len(before) and before[k].frequency)
+    k = next(same, None)
+    wave, earlier = (waves[turning[0]], known[0]) if k is None else (waves[k], before[k])
+    phase = earlier.frequency * t + earlier.start - wave.start
+    return float(phase / wave.frequency % (2.0 * math.pi / abs(wave.frequency)))
 
 
 def _at_end(run: Run) -> tuple[Floats, Floats, NDArray[np.bool_]]:
@@ -95,6 +118,6 @@ def _on(found: Attractor, run: Run) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """The same on an attractor, at the event after which most blocks stick; without one at the end of the run."""
     if found.kind != "periodic" or found.events is None or found.states is None or len(found.events) == 0:
         return _at_end(run)
-    sticks = np.array([found.events.mode_at(t) == 0 for t in found.events.t])
+    sticks = found.events.modes_at(found.events.t) == 0
     k = int(sticks.sum(axis=1).argmax())
     return found.states.z[k], found.states.w[k], sticks[k]

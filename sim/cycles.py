@@ -26,13 +26,13 @@ from stickslip.sim.systems.system import System
 _MOST = 20
 #: A round is run for so much longer than the last: it may take another time from another state.
 _LONGER = 1.2
-#: A state comes back exactly within this share of its largest number.
+#: A state comes back exactly within this share of its motion's size.
 _EXACT = 1e-14
 #: A run is near a cycle if its next return is where M puts it, within this share of its distance from the cycle.
 _LINEAR = 0.1
-#: Of that distance, over the largest number in the states, now and by M in as many rounds as here: from further off a
+#: Of that distance, over the motion's size, now and by M in as many rounds as here: from further off a
 #: block that is near its belt's speed, or near leaving, may have another event.
-_FAR, _ROUNDS = 1e-3, 100
+_FAR, _ROUNDS = 3e-3, 100
 
 
 class Follow(Protocol):
@@ -45,7 +45,7 @@ class Follow(Protocol):
 class Near:
     """A cycle near a run: its events, those at time 0 first and last, the path of one round, and its matrix.
 
-    `distance` is that of the run's state from it, over the largest number in the states.
+    `distance` is that of the run's state from it, over the size of its motion.
     """
 
     events: EventSeries
@@ -63,6 +63,7 @@ def near_cycle(
     back: float,
     in_order: Callable[[EventSeries], EventSeries],
     follow: Follow,
+    size_of: Callable[[Path], float],
 ) -> Near | None:
     """The cycle near a state at an entry or a crossing, if a run from that state is on its way to it; else None.
 
@@ -76,10 +77,12 @@ def near_cycle(
     n_events : int
         Of a round.
     back : float
-        By how much of the largest number the state may miss itself.
+        By how much of the motion's size the state may miss itself.
     in_order : callable
         Puts the events of one instant in the order of `events`.
     follow : Follow
+    size_of : callable
+        The size of the motion on a path.
     """
     n, p = system.n, n_events
     first = z, w
@@ -111,7 +114,7 @@ def near_cycle(
         ending = partial(_samples, follow, z, w, modes, float(t[-1]))
         path = Path.of(system, round_, t, ending)
         error = np.concatenate([path.states.z[-1] - z, path.states.w[-1] - w])
-        size = float(max(np.abs(path.states.z).max(), np.abs(path.states.w).max()))
+        size = size_of(path)
         # a state is further from the cycle than it moves in a round: once it is back, more steps go to the cycle
         off_by = float(np.linalg.norm(error))
         if off_by > missed:

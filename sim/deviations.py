@@ -13,7 +13,6 @@ a crossing multiplies it by w_i'+ / w_i'-. These commute, so the order of events
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -145,45 +144,12 @@ class Path:
         moved[n:][self.modes[0] == 0] = 0.0
         return moved
 
-    def growth(self, is_forced: bool) -> tuple[float, float, float]:
-        """The rate at which a deviation grows along the events, apart from shifts in time, and ln of its growth.
-
-        That is given in two parts, one after the other. All are minus infinity if no deviation is left. The first
-        third, in which it turns to the direction that grows fastest, does not count, nor what it grows within a
-        round: it is compared at the last event and at earlier ones like it; without these both parts are 0.
-        """
-        n, m = self.system.n, len(self.states) - 1
-        moved = np.random.default_rng(0).normal(size=(2 * n, 1))
-        moved[n:][self.modes[0] == 0] = 0.0
-        logs = np.zeros(m)
-        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # by rates that are as good as zero
-            for k, flow in enumerate(self._flows()):
-                if not is_forced:
-                    self._onto_section(k, moved)
-                self._pass(k, moved)
-                size = float(np.linalg.norm(moved))
-                if size == 0.0 or not math.isfinite(size):
-                    return -math.inf, -math.inf, -math.inf
-                logs[k] = math.log(size)
-                moved = flow @ (moved / size)
-        changes = self.modes[:-1] + 3 * self.modes[1:]
-        alike = (self.block == self.block[-1]) & (changes == changes[-1])[:, self.block[-1]]
-        first, middle = (k + int(alike[k:-1].argmax()) for k in (m // 3, 2 * m // 3))
-        grown = float(logs[first + 1 : middle + 1].sum()), float(logs[middle + 1 :].sum())
-        rate = sum(grown) / float(self.states.t[m - 1] - self.states.t[first])
-        are_alike = alike[first] and alike[middle] and first < middle
-        return rate, *(grown if are_alike else (0.0, 0.0))
-
     # ------------------------------------------------------------------------------------------ events
 
     @cached_property
     def _slip_rates(self) -> Floats:
         """w' before each edge, shape (m + 1, n)."""
-        s, (t, z, w) = self.system, (self.states.t, self.states.z, self.states.w)
-        forces = -(s.stiffness @ z.T).T - s.damping * w - s.kinetic(w - s.belt_speed_at(t)) * self.modes
-        if s.force:
-            forces += s.force_at(t)
-        return np.where(self.modes == 0, 0.0, forces)
+        return slip_rates(self.system, self.states, self.modes)
 
     @cached_property
     def _motion(self) -> Floats:
@@ -265,6 +231,15 @@ class Path:
         c = _commutator(one, two)
         d = _commutator(one, 2 * three + c) / -60
         return one + three / 12 + _commutator(c - 20 * one - three, two + d) / 240
+
+
+def slip_rates(system: System, states: Samples, modes: NDArray[np.int8]) -> Floats:
+    """w' of blocks of unit masses at some states, with the modes there, shape (m, n)."""
+    s, (t, z, w) = system, (states.t, states.z, states.w)
+    forces = -(s.stiffness @ z.T).T - s.damping * w - s.kinetic(w - s.belt_speed_at(t)) * modes
+    if s.force:
+        forces += s.force_at(t)
+    return np.where(modes == 0, 0.0, forces)
 
 
 def largest(monodromy: Floats, free: Floats) -> float:

@@ -111,6 +111,22 @@ class EventSeries:
         self._known(time)
         return self.mode_after(int(np.searchsorted(self.t, time, side="right")))
 
+    def modes_at(self, times: ArrayLike) -> NDArray[np.int8]:
+        """Modes of all blocks at some times that do not decrease, int8, shape (m, n), right-continuous.
+
+        Raises
+        ------
+        ValueError
+            If a time lies outside [t_start, t_end].
+        """
+        upto = np.searchsorted(self.t, self._known(times), side="right")
+        mode, first = self.initial_mode.copy(), 0
+        modes = np.empty((len(upto), self.n), dtype=np.int8)
+        for k, last in enumerate(upto.tolist()):
+            mode[self.block[first:last]] = self.mode[first:last]
+            modes[k], first = mode, last
+        return modes
+
     def mode_after(self, k: int) -> NDArray[np.int8]:
         """Modes of all blocks after the first k events, int8, shape (n,)."""
         mode = self.initial_mode.copy()

@@ -350,6 +350,20 @@ def test_episodes_that_become_more_are_said_to_whichever_question_leads(planted_
     ).replace("1 of 2 points", "one of two points")
 
 
+def test_a_method_is_told_of_where_the_one_it_is_compared_with_drifts(planted_episodes, planted, settings):
+    """Of exact events half of the first half are left out, of the smoothed ones none."""
+    data = planted_episodes(EXACT | {"smoothed": (planted.sigmoid, 1.0)}, rate=3.0, n_matrices=20)
+    table = data.episodes
+    is_early = table["start"] < 0.5 * (settings.t_burn + float(data.members["t_end"].iloc[0]))
+    is_out = is_early & table["member_id"].str.endswith("exact") & (np.arange(len(table)) % 2 == 0)
+    data = replace(data, episodes=table[~is_out])
+    answer = episodes.answer(Study(data, settings))
+    assert answer.facts["lead"]["method"].startswith("sigmoid")
+    assert answer.tables["episodes"].set_index("method").loc["exact", "basis"] == enough.DRIFTS
+    html = build(data, replace(settings, question=("episodes",)), "A chain", "", {}).html
+    assert "the rate of episodes changes by" in html
+
+
 def test_every_b_of_a_sweep_is_said_with_its_interval(planted_episodes, strict):
     """One law at both speeds."""
     speeds = {str(v): ({"belt_speed": v}, 1.0) for v in (-0.1, -0.2)}

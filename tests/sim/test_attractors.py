@@ -13,8 +13,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from stickslip.sim import Harmonic, Piecewise, Rational, Stribeck, System, simulate
-from stickslip.sim.attractors import attractor, same_cycle
+from stickslip.sim.attractors import _null_space, attractor, same_cycle
 from stickslip.sim.deviations import exponential
+from stickslip.sim.growth import growth
 from stickslip.workflows.gallery.field import two_blocks
 from stickslip.workflows.gallery.field.forced import Forced, most_friction, shape, sliding_cycle
 from stickslip.workflows.gallery.field.one_block import period
@@ -667,6 +668,110 @@ def test_a_drift_is_found_wherever_blocks_have_come_to(rng):
         assert found.period == pytest.approx(near.period, rel=1e3 * tol)
         assert found.drift == pytest.approx(near.drift, rel=1e4 * tol)
         assert found.multiplier == pytest.approx(near.multiplier, abs=1e-3)
+
+
+def test_a_cycle_is_told_beside_a_large_offset(rng):
+    """A steady force moves the cycle of a block, and nothing else, whatever the tolerance."""
+    drop, speed, damping = 0.3, rng.uniform(0.1, 0.3), rng.uniform(0.0, 0.05)
+    for at, tol, rel in ((1e3, 1e-5, 1e-7), (1e3, 1e-8, 1e-9), (1e6, 1e-6, 1e-7), (1e6, 1e-10, 1e-9)):
+        system = System([[1.0]], damping, 1.0, -speed, static=1.0 + drop, force=at)
+        found = settled(system, at + 0.3, 0.0, 300.0, tol=tol)
+        assert found.kind == "periodic", (at, tol, found.reason)
+        assert found.period == pytest.approx(period(drop, speed, damping), rel=rel)
+        other = settled(system, at - 0.1, 0.1, 333.0, tol=tol)
+        assert same_cycle(found, other)
+        assert not same_cycle(found, settled(system.changed(static=1.001 + drop), at, 0.0, 300.0, tol=tol))
+
+
+def test_a_weak_force_is_followed_beside_a_large_offset(rng):
+    """A sliding block swings with its force by the closed form, at any amplitude above the tolerance."""
+    frequency, damping = rng.uniform(0.3, 0.7), rng.uniform(0.1, 0.3)
+    for amplitude, at, tol in ((1e-3, 1e3, 1e-8), (1e-6, 10.0, 1e-10)):
+        system = System([[1.0]], damping, 1.0, 5.0, force=[Harmonic(amplitude, frequency), at])
+        found = settled(system, at + 1.0, 0.0, 600.0, tol=tol)
+        assert found.kind == "periodic"
+        exact = (amplitude / (1 - frequency**2 + 1j * damping * frequency)).real
+        assert found.section[0] - at - 1.0 == pytest.approx([exact], abs=0.01 * amplitude)
+
+
+def test_blocks_that_no_spring_holds_have_the_period_of_their_force(rng):
+    """Each goes its way; where they come to lie does not matter."""
+    for _ in range(10):
+        n, frequency = int(rng.integers(1, 5)), rng.uniform(0.3, 1.5)
+        force = Harmonic(rng.uniform(1.3, 3.0, n), frequency, rng.uniform(0, 6))
+        system = System(np.zeros((n, n)), rng.uniform(0.05, 0.3, n), 1.0, 0.0, force=force)
+        found = settled(system, rng.uniform(-1, 1, n), 0.0, 800.0)
+        assert found.period == pytest.approx(2 * np.pi / frequency, rel=1e-12), (system, found.reason)
+
+
+def test_what_no_spring_holds_of_many_blocks(rng):
+    """Chains without a ground, in parts of random sizes, beside blocks alone and a chain that is held."""
+    n = 520
+    ends = np.sort(rng.choice(np.arange(1, n), 8, replace=False))
+    stiffness, free = np.zeros((n, n)), []
+    for k, part in enumerate(np.split(np.arange(n), ends)):
+        for i, j in itertools.pairwise(part):
+            stiffness[[i, j], [j, i]] -= 1.0
+            stiffness[[i, j], [i, j]] += 1.0
+        if k == 0:
+            stiffness[part[0], part[0]] += 0.5
+        else:
+            free.append(part)
+    found = _null_space(System(stiffness, 0.1)).toarray()
+    assert found.shape == (n, len(free))
+    np.testing.assert_allclose(found.T @ found, np.identity(len(free)), atol=1e-12)
+    for part in free:
+        moved = np.isin(np.arange(n), part) / np.sqrt(len(part))
+        np.testing.assert_allclose(found @ (found.T @ moved), moved, atol=1e-12)
+
+
+def test_many_blocks_that_no_spring_holds_drift(rng):
+    """A chain of 520, of which one block sticks and slips on a slow belt, and the others go along with theirs."""
+    n = 520
+    stiffness = 2.0 * np.identity(n) - np.eye(n, k=1) - np.eye(n, k=-1)
+    stiffness[0, 0] = stiffness[-1, -1] = 1.0
+    belt = np.full(n, 0.1)
+    belt[0] = -0.2
+    static = np.full(n, 100.0)
+    static[0] = 1.3
+    system = System(stiffness, 0.0, 1.0, belt, static=static)
+    found = settled(system, 0.0, "belt", 200.0)
+    assert found.kind == "periodic"
+    assert found.period == pytest.approx(period(0.3, 0.3), rel=1e-9)  # of one block, seen from the others
+    np.testing.assert_allclose(found.drift, 0.1 * found.period, rtol=1e-7)
+
+
+def test_deviations_grow_at_the_rate_of_the_closed_form(rng):
+    """Beside a point from which a force without friction pushes a block away."""
+    for _ in range(5):
+        rate = rng.uniform(0.05, 0.5)
+        system = System([[-(rate**2)]], 0.0, 0.0)
+
+        def follow(z, times, system=system):
+            return simulate(system, z, 0.0, times[-1], t_eval=times, stop_early=False, tol=1e-12)
+
+        found = growth(system, np.array([1.0]), (0.0, 40.0 / rate), follow, is_forced=True)
+        assert found.rate == pytest.approx(rate, rel=1e-2)
+
+
+@pytest.mark.parametrize("n_pairs", [4, 20, 130])
+def test_many_blocks_are_as_chaotic_as_a_part_of_them(rng, n_pairs):
+    """Pairs of chaotic blocks without a spring between them, each from its own start."""
+    pair, friction = np.array([[3.9, -2.9], [-2.9, 3.9]]), np.array([1.0, 1.2])
+    starts = rng.uniform(-0.4, 0.4, (n_pairs, 2))
+
+    def of(some):
+        m = len(some)
+        system = System(np.kron(np.identity(m), pair), 0.0, np.tile(friction, m), -0.05,
+                        static=np.tile(1.47 * friction, m))  # fmt: skip
+        return settled(system, some.ravel(), 0.0, 600.0, 100.0)
+
+    alone = [of(starts[k : k + 1]) for k in range(min(n_pairs, 8))]
+    rates = [one.growth_rate for one in alone if one.kind == "irregular"]
+    assert len(rates) > 0.7 * len(alone)
+    found = of(starts)
+    assert found.kind == "irregular"
+    assert 0.5 * min(rates) < found.growth_rate < 2.0 * max(rates)
 
 
 #: Belt, length, z and w of runs on a torus, whose deviations grow by e^2 and more over so many events, as time does.

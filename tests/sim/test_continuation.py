@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stickslip.sim import Harmonic, Stribeck, System
-from stickslip.sim.continuation import _time_of_phase, continued
+from stickslip.sim.continuation import _time_of_phase, _Wave, continued
 
 OSCILLATOR = System([[1.0]], 0.1, 0.5, 1.5, static=1.0, weakening=Stribeck(0.5))
 #: Steady sliding is stable while damping outweighs the fall of friction: R > exp(-v / 0.5).
@@ -54,9 +54,19 @@ def test_the_time_at_which_a_force_has_the_phase_of_another(rng):
     for _ in range(100):
         (f, phase), (f_before, phase_before) = rng.uniform([-3, -9], [3, 9], (2, 2)).tolist()
         t = rng.uniform(0.0, 1e3)
-        new = _time_of_phase([(f, phase)] * 2, [(f_before, phase_before)], t)
+        new = _time_of_phase([_Wave(1.0, f, phase)] * 2, [_Wave(1.0, f_before, phase_before)], t)
         assert 0.0 <= new < 2 * np.pi / abs(f)
         assert np.exp(1j * (f * new + phase)) == pytest.approx(np.exp(1j * (f_before * t + phase_before)), abs=1e-10)
+
+
+def test_a_force_that_comes_in_keeps_the_phase_of_its_place():
+    """Another force goes on meanwhile, a block away: with the phase of that, the two would be out of step."""
+    first, second = _Wave(0.0, 1.3, 0.2), _Wave(0.5, 1.3, 2.9)
+    for amplitude in (0.4, -0.4):
+        both = [_Wave(amplitude, 1.3, 0.2 - np.pi * (amplitude < 0)), second]
+        new = _time_of_phase(both, [first, second], 17.0)
+        assert np.exp(1j * (1.3 * new + 2.9)) == pytest.approx(np.exp(1j * (1.3 * 17.0 + 2.9)), abs=1e-10)
+    assert _time_of_phase([first, first], [first, second], 17.0) == 0.0
 
 
 def test_what_does_not_fit_is_refused():

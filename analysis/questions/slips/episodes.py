@@ -116,7 +116,7 @@ def answer(study: Study) -> Answer | None:
         best = max(found, key=lambda one: one.row["n_episodes"]).row
         return Answer(warned | {"best": best}, lack=best["basis"], tables=tables)
     lead = _lead(judged)
-    leaders = [first for first, *_ in by_system if first.is_judged]
+    leaders = [first for first, *_ in by_system if first.is_judged] or [lead]
     contrasts, along = against_reference(by_system, level), settings([one.group for one in leaders])
     is_line = (len(along) > 1) + len(axes_of(along)) < 2  # the ends of several keys would be two corners
     changes = _changes(leaders, level) if is_line else []
