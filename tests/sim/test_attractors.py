@@ -13,9 +13,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from stickslip.sim import Harmonic, Piecewise, Rational, Stribeck, System, simulate
-from stickslip.sim.attractors import _null_space, attractor, same_cycle
-from stickslip.sim.deviations import exponential
-from stickslip.sim.growth import growth
+from stickslip.sim.attractors import attractor, same_cycle
+from stickslip.sim.attractors.deviations import exponential
+from stickslip.sim.attractors.growth import growth
+from stickslip.sim.attractors.null_space import null_space
 from stickslip.workflows.gallery.field import two_blocks
 from stickslip.workflows.gallery.field.forced import Forced, most_friction, shape, sliding_cycle
 from stickslip.workflows.gallery.field.one_block import period
@@ -717,7 +718,7 @@ def test_what_no_spring_holds_of_many_blocks(rng):
             stiffness[part[0], part[0]] += 0.5
         else:
             free.append(part)
-    found = _null_space(System(stiffness, 0.1)).toarray()
+    found = null_space(System(stiffness, 0.1)).toarray()
     assert found.shape == (n, len(free))
     np.testing.assert_allclose(found.T @ found, np.identity(len(free)), atol=1e-12)
     for part in free:

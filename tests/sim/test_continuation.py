@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stickslip.sim import Harmonic, Stribeck, System
-from stickslip.sim.continuation import _time_of_phase, _Wave, continued
+from stickslip.sim.attractors.continuation import _time_of_phase, _Wave, continued
 
 OSCILLATOR = System([[1.0]], 0.1, 0.5, 1.5, static=1.0, weakening=Stribeck(0.5))
 #: Steady sliding is stable while damping outweighs the fall of friction: R > exp(-v / 0.5).

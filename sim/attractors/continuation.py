@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.attractors import Attractor, attractor
+from stickslip.sim.attractors.result import Attractor
+from stickslip.sim.attractors.settling import attractor
 from stickslip.sim.numerics.arguments import Floats, number
 from stickslip.sim.runs.run import Run
 from stickslip.sim.simulation import simulate

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.deviations import Path
+from stickslip.sim.attractors.deviations import Path
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries, by_block

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stickslip.sim.deviations import slip_rates
+from stickslip.sim.attractors.deviations import slip_rates
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.system import System

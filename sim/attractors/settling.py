@@ -8,29 +8,26 @@ whether the state comes back too, and gives the states at the events.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
-from stickslip.sim.cycles import near_cycle
-from stickslip.sim.deviations import Path, largest
+from stickslip.sim.attractors.deviations import Path, largest
+from stickslip.sim.attractors.growth import TOL, Growth, growth
+from stickslip.sim.attractors.newton import near_cycle
+from stickslip.sim.attractors.null_space import NULL, across, null_space
+from stickslip.sim.attractors.result import Attractor
+from stickslip.sim.attractors.rounds import Round, in_order, rounds_of, symbols_of
 from stickslip.sim.engines.certificates import steady_sliding
 from stickslip.sim.engines.coulomb.settings import Coulomb
-from stickslip.sim.growth import TOL, Growth, growth
 from stickslip.sim.numerics.arguments import Floats, number
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries, by_block
 from stickslip.sim.simulation import simulate
 from stickslip.sim.systems.drive import Harmonic, Piecewise
 from stickslip.sim.systems.system import System
-
-Kind = Literal["rest", "sliding", "periodic", "irregular", "escaping", "undecided"]
 
 #: A state has come back if it differs by less than this many tolerances of the run, of the size of its motion; the
 #: same for times, of the period. Within bounds: of rounding, and of what can be told from a return by chance. Events
@@ -41,9 +38,6 @@ _OF_Z = 1e-12
 #: Rounds are compared as if events within so many times that were: blocks that synchronise change order from round to
 #: round, at times apart that pass through the first bound, but hardly move near this one in a round that comes back.
 _TOGETHER = 100.0
-#: Of K dz, over that of its terms: below, z has only moved along the null space of K. Up to so many blocks all
-#: of that is found.
-_NULL, _DENSE = 1e-12, 500
 #: A cycle is larger than what its states may miss themselves by, and than their distance from it, so many times, of
 #: which two are from one side to the other: what dies out is none.
 _LARGER = 3.0
@@ -51,10 +45,6 @@ _LARGER = 3.0
 _ROUNDING = 1e-9
 #: States within so much of a period from an event are those at the event: the run's tolerance, between two ends.
 _EXACT, _MOST_OFF = 1e-12, 1e-8
-#: Rounds of events that are tried as a cycle, the shortest first.
-_TRIED = 8
-#: The same of rounds that only nearly come back, within this share of their time: the run may settle there.
-_TRIED_NEAR, _NEAR = 2, 0.02
 #: A part of a round that misses the state by less than so many times what is allowed is looked at in the same way.
 _ALMOST = 1e3
 #: A round comes back by itself, not as a spiral onto a part of it, if it comes back so much nearer than that part.
@@ -70,85 +60,6 @@ _FEW, _MOST_ROUNDS, _GROWN, _FOLLOWED = 30, 200, 3.0, 512
 _WORK = 2e9
 #: Nor is a cycle of more than so many sought by Newton's method, which takes several.
 _WORK_NEAR = 1e8
-
-
-@dataclass(frozen=True, eq=False)
-class Attractor:
-    """What a run settles on (dimensionless).
-
-    Attributes
-    ----------
-    kind : str
-        "rest": all blocks stick for ever; "sliding": all slip for ever, and their velocities go to zero; "periodic";
-        "irregular": chaotic, perhaps for a time; "escaping": the run diverged; "undecided": the run is too short to
-        tell, or has several frequencies.
-    reason : str
-        How it is known, or why it is not.
-    period : float or None
-        Of a periodic run.
-    multiplier : float or None
-        Of a periodic run: the largest modulus of its Floquet multipliers, but for those of a shift in time and of
-        shifts of z at which no spring pulls. Below one the cycle attracts; above, only symmetry or chance keeps the
-        run on it. None if it would take too long.
-    growth_rate : float or None
-        Of an irregular run: the rate at which small deviations grow, but for shifts in time. Of an undecided one that
-        has many events: the same.
-    drift : float64, shape (n,), or None
-        Of a periodic run: by what z changes in a period, where springs do not hold the blocks to the ground; else 0.
-    events : EventSeries or None
-        Of one period, from t = 0 on; of an irregular run, those that follow on its end.
-    states : Samples or None
-        The state at each of these events; of a period without events, the state at a whole number of periods; of rest
-        and sliding, the one state at which the run is, or to which it comes.
-    """
-
-    kind: Kind
-    reason: str = ""
-    period: float | None = None
-    multiplier: float | None = None
-    growth_rate: float | None = None
-    drift: Floats | None = None
-    events: EventSeries | None = None
-    states: Samples | None = None
-
-    @property
-    def n_events(self) -> int | None:
-        """Events a period; None if not periodic."""
-        return len(self.events) if self.kind == "periodic" and self.events is not None else None
-
-    @property
-    def n_exits(self) -> int | None:
-        """Exits a period; None if not periodic."""
-        return self.events.counts()["n_exits"] if self.kind == "periodic" and self.events is not None else None
-
-    @property
-    def section(self) -> tuple[Floats, Floats] | None:
-        """z and w, shape (n,) each, at one event of the cycle, the same whatever the start; None if irregular.
-
-        The events of a cycle begin where their (block, mode), in order, are lowest; where several places are alike,
-        where z of the event's block is lowest.
-        """
-        return None if self.states is None or self.kind == "irregular" else (self.states.z[0], self.states.w[0])
-
-    @property
-    def busiest(self) -> int | None:
-        """The block with most exits in `events`, the lowest of several; None if there are no exits."""
-        if self.events is None or not (leaves := self.events.is_exit).any():
-            return None
-        return int(np.bincount(self.events.block[leaves]).argmax())
-
-    def at_exits(self, block: int | None = None) -> Floats:
-        """z of a block at each of its exits in `events`, shape (m,); default: the `busiest`."""
-        block = self.busiest if block is None else block
-        if block is None or self.events is None or self.states is None:
-            return np.empty(0)
-        return np.asarray(self.states.z[self.events.is_exit & (self.events.block == block), block])
-
-    def __repr__(self) -> str:
-        if self.kind == "periodic":
-            multiplier = "" if self.multiplier is None else f", multiplier {self.multiplier:.4g}"
-            return f"Attractor(periodic, period {self.period:.9g}, {self.n_events} events{multiplier})"
-        return f"Attractor({self.kind}{'' if self.growth_rate is None else f', growth rate {self.growth_rate:.3g}'})"
 
 
 def attractor(
@@ -197,38 +108,6 @@ def attractor(
     return _End(run, system, max([t_burn, *bends]), Coulomb(**settings).tol, {"engine": engine, **settings}).found()
 
 
-def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> bool:
-    """Whether two attractors are one: the same cycle, or rest or sliding at the same state.
-
-    Cycles are one if they have the same events, in order from some event on, and periods and the states at that event
-    agree, but for a shift along the drift.
-
-    Parameters
-    ----------
-    one, other : Attractor
-    tolerance : float
-        Of the period, relative, and of the states, over the size of the motion, from event to event; over the largest
-        number in them if there is one event or none.
-    """
-    if one.kind != other.kind or one.states is None or other.states is None or one.kind == "irregular":
-        return False
-    if one.states.z.shape != other.states.z.shape:
-        return False
-    if one.period is not None and abs(one.period - (other.period or 0.0)) > tolerance * one.period:
-        return False
-    across = np.identity(one.states.z.shape[1])
-    if one.drift is not None and one.drift.any():
-        across -= np.outer(one.drift, one.drift) / (one.drift @ one.drift)
-    z, other_z = one.states.z @ across, other.states.z @ across
-    dz, dw = other_z - z[0], other.states.w - one.states.w[0]
-    allowed = tolerance * max(_size(z, one.states.w), _size(other_z, other.states.w))
-    agrees = (np.abs(dz) <= allowed).all(axis=1) & (np.abs(dw) <= allowed).all(axis=1)
-    if one.events is None or other.events is None:
-        return bool(agrees[0])
-    mine, its = _symbols(one.events), _symbols(other.events)
-    return any((np.roll(its, -k) == mine).all() for k in np.flatnonzero(agrees))
-
-
 class _End:
     """The end of a run, and what follows on it."""
 
@@ -259,10 +138,10 @@ class _End:
         ):
             return self._sliding(why)
         first = int(np.searchsorted(run.events.t, self._since, side="right"))
-        last = _in_order(run.events, first, self._at_once)
+        last = in_order(run.events, first, self._at_once)
         if len(last) == 0:
             return self._without_events()
-        for cycle in _rounds(_in_order(run.events, first, self._together), self._back):
+        for cycle in rounds_of(in_order(run.events, first, self._together), self._back):
             if not self._has_phase(cycle.period):
                 continue
             found = self._once_more(cycle, last) if cycle.is_back else self._settled(cycle)
@@ -307,13 +186,13 @@ class _End:
             else:
                 steady -= term.at(self._run.t_end)
         outward = np.where(s.closed == 0, np.abs(steady), s.closed * steady)
-        rounding = _ROUNDING * s.static + _NULL * s.row_sums * np.abs(self._run.z).max()
+        rounding = _ROUNDING * s.static + NULL * s.row_sums * np.abs(self._run.z).max()
         return bool((outward + swing <= s.static + rounding).all())
 
     def _is_loaded_by(self, moved: Floats) -> bool:
         """Whether springs pull at blocks that are moved so, for which they have to be stretched."""
         s = self._system
-        return bool((np.abs(s.stiffness @ moved) > _NULL * s.row_sums * np.abs(moved).max()).any())
+        return bool((np.abs(s.stiffness @ moved) > NULL * s.row_sums * np.abs(moved).max()).any())
 
     # ---------------------------------------------------------------------------------------------- cycles
 
@@ -358,12 +237,12 @@ class _End:
         matrix = path.monodromy(is_forced=True)
         if self._distance(path, drift, matrix) > self._back * size:
             return replace(none, reason="no event, and the state nearly comes back, but moves on; lengthen the run")
-        multiplier = largest(matrix, _null_space(self._system))
+        multiplier = largest(matrix, null_space(self._system))
         events = replace(events, t_start=0.0, t_end=period)
         why = "the state comes back after a period of the force"
         return Attractor("periodic", why, period, multiplier, None, drift, events, path.states.first(1))
 
-    def _once_more(self, cycle: _Cycle, last: EventSeries) -> Attractor | None:
+    def _once_more(self, cycle: Round, last: EventSeries) -> Attractor | None:
         """The cycle, if the run goes round it once more; else None."""
         p, begin = cycle.n_events, self._run.t_end - self._start
         expected = np.append(last.t[-p:], last.t[-p] + cycle.period) + (cycle.period - begin)
@@ -379,15 +258,15 @@ class _End:
             return followed[0].samples
 
         path = Path.of(self._system, foreseen, expected, follow)
-        events, symbols = followed[0].events, _symbols(last)[-p:]
-        again = np.flatnonzero(_symbols(events)[p:] == symbols[0])
+        events, symbols = followed[0].events, symbols_of(last)[-p:]
+        again = np.flatnonzero(symbols_of(events)[p:] == symbols[0])
         if len(again) == 0:
             return None
         # as in the round before, so that the first event comes first again
         order = np.append(np.empty(p, dtype=np.intp), p + again[0])
         order[by_block(last.block[-p:])] = by_block(events.block[:p])
         events = replace(events, t=events.t[order], block=events.block[order], mode=events.mode[order])
-        if (_symbols(events)[:p] != symbols).any():
+        if (symbols_of(events)[:p] != symbols).any():
             return None
         if not (np.abs(events.t - expected) <= max(_EXACT, min(self._tol, _MOST_OFF)) * cycle.period).all():
             path = self._path(events, events.t)
@@ -399,10 +278,10 @@ class _End:
         if (part := self._part(path, events, size)) < p:
             # it settles from side to side, and is still too far off to be back after a part of the round; in so many
             # turns a spiral onto the shorter cycle may come as near as a longer cycle does
-            return self._settled(_Cycle(part, period * part / p, is_back=False))
+            return self._settled(Round(part, period * part / p, is_back=False))
         is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
         matrix = path.monodromy(bool(self._frequencies)) if is_short else None
-        multiplier = None if matrix is None else largest(matrix, _null_space(self._system))
+        multiplier = None if matrix is None else largest(matrix, null_space(self._system))
         distance = 0.0 if matrix is None else self._distance(path, drift, matrix)
         if distance > path.extent(drift) / _LARGER:
             return None  # as far from its end as it is large: it dies out
@@ -412,7 +291,7 @@ class _End:
                 why = "events come back, and so nearly does the state, which moves on; lengthen the run"
                 return Attractor("undecided", why)
             if self._has_newton(p) and multiplier is not None and multiplier < 1.0:
-                found = self._settled(_Cycle(p, period, is_back=False))
+                found = self._settled(Round(p, period, is_back=False))
                 if found is not None:
                     return found
             if distance > self._back * size:
@@ -428,7 +307,7 @@ class _End:
         Under a force, where no Newton step can tell, something else may die out as fast.
         """
         p = len(path.block)
-        symbols = _symbols(_in_order(events, 0, self._together))[:p]
+        symbols = symbols_of(in_order(events, 0, self._together))[:p]
         whole = _off(path, p)
         near, exactly = _ALMOST * self._back * size, self._close * size
         for part in range(1, p // 2 + 1):
@@ -442,13 +321,13 @@ class _End:
         """Whether Newton's method may be asked for a cycle of so many events: no force may depend on time."""
         return not self._system.changes and p * (2.0 * self._system.n) ** 3 <= _WORK_NEAR
 
-    def _settled(self, cycle: _Cycle) -> Attractor | None:
+    def _settled(self, cycle: Round) -> Attractor | None:
         """The cycle that the run comes nearer to, if it attracts; else None."""
         s, p = self._system, cycle.n_events
         if not self._has_newton(p):
             return None
         after = self._follow(2.2 * cycle.period, np.empty(0)).events
-        events = _in_order(after, 0, self._at_once)
+        events = in_order(after, 0, self._at_once)
         # from an event at which the block has its belt's speed, whatever the state
         places = np.flatnonzero((events.mode == 0) | (events.previous_mode != 0))
         if len(places) == 0 or len(events) <= places[0] + p:
@@ -464,7 +343,7 @@ class _End:
             return simulate(s, z, w, length, t_eval=times, modes=modes, stop_early=False, **self._settings)
 
         found = near_cycle(s, at.z[0], at.w[0], round_, p, self._close,
-                           lambda some: _in_order(some, 0, self._at_once), follow, self._size)  # fmt: skip
+                           lambda some: in_order(some, 0, self._at_once), follow, self._size)  # fmt: skip
         if found is None:
             return None
         size = self._size(found.path)
@@ -473,11 +352,11 @@ class _End:
             return None
         if found.distance * size > found.path.extent(drift) / _LARGER:
             return None  # it dies out
-        multiplier = largest(found.matrix, _null_space(s))
+        multiplier = largest(found.matrix, null_space(s))
         if multiplier >= 1.0 - self._back:
             return None
         if (part := self._part(found.path, found.events, size)) < p:
-            return self._settled(_Cycle(part, cycle.period * part / p, is_back=False))
+            return self._settled(Round(part, cycle.period * part / p, is_back=False))
         period = float(found.events.t[-1])
         listed, states = _from_lowest(found.path, found.events, period, drift)
         why = f"it settles on a cycle of {p} events, which attracts and is {found.distance:.1g} away"
@@ -490,7 +369,7 @@ class _End:
         out has no period, and a motion so small cannot be told from that.
         """
         dz, dw = (one[-1] - one[0] for one in (path.states.z, path.states.w))
-        drift = dz - _across(self._system, dz)
+        drift = dz - across(self._system, dz)
         allowed = self._back * size
         if (np.abs(drift) <= allowed).all():
             drift = np.zeros_like(dz)
@@ -504,22 +383,22 @@ class _End:
         """
         z, w = path.states.z, path.states.w
         moved = z[-1] - z[0]
-        extent = path.extent(moved - _across(self._system, moved))
+        extent = path.extent(moved - across(self._system, moved))
         of_motion = max(np.abs(w).max(), self._system.fastest_belt, extent)
         return float(max(of_motion, _OF_Z / self._close * np.abs(z).max()))
 
     def _distance(self, path: Path, drift: Floats, matrix: Floats) -> float:
         """How far a state is from its cycle: what it misses itself by, over 1 - M."""
-        s, missed, across, n = self._system, path.missed(drift), matrix.copy(), self._system.n
-        missed[:n], across[:n] = _across(s, missed[:n]), _across(s, across[:n].T).T
-        off = np.linalg.lstsq(np.identity(2 * n) - across, missed, rcond=1e-12)[0]
+        s, n, missed, held = self._system, self._system.n, path.missed(drift), matrix.copy()
+        missed[:n], held[:n] = across(s, missed[:n]), across(s, held[:n].T).T
+        off = np.linalg.lstsq(np.identity(2 * n) - held, missed, rcond=1e-12)[0]
         return float(np.abs(off).max())
 
     # ---------------------------------------------------------------------------------------------- no cycle
 
     def _not_periodic(self, last: EventSeries) -> Attractor:
         """Irregular, or too short to tell."""
-        symbols = _symbols(last)
+        symbols = symbols_of(last)
         n_again = int((symbols == symbols[-1]).sum()) - 1
         if n_again < _FEW:
             why = f"no cycle, and the last event recurs too seldom ({n_again} times, of at least {_FEW})"
@@ -534,7 +413,7 @@ class _End:
             why = f"no cycle, and deviations {does} (at the rate {rate:.3g}); lengthen the run"
             return Attractor("undecided", why, growth_rate=rate)
         length = self._run.t_end - float(last.t[-min(len(last), _FOLLOWED)])
-        events = _in_order(self._follow(length, np.empty(0)).events, 0, self._at_once)
+        events = in_order(self._follow(length, np.empty(0)).events, 0, self._at_once)
         states = self._path(events, events.t).states
         why = f"no cycle, while the last event recurs {n_again} times, and deviations grow"
         return Attractor("irregular", why, growth_rate=rate, events=events, states=states)
@@ -553,67 +432,17 @@ class _End:
         return growth(self._system, self._run.z, times, follow, bool(self._frequencies))
 
 
-class _Cycle(NamedTuple):
-    """A round of events that may be a cycle: how many there are, their time, and whether it has come back.
-
-    If it has not, the run may be about to settle on a cycle of as many events.
-    """
-
-    n_events: int
-    period: float
-    is_back: bool
-
-
-def _rounds(last: EventSeries, back: float) -> Iterator[_Cycle]:
-    """Rounds after which the last events repeat, the shortest first: their symbols, and the times between them."""
-    symbols, n = _symbols(last), len(last)
-    place = np.flatnonzero(symbols == symbols[-1])[::-1]
-    ago = last.t[-1] - last.t[place]
-    rounds = np.arange(1, (len(place) - 1) // 2 + 1)
-    period = ago[rounds]
-    again = np.abs(ago[2 * rounds] - 2.0 * period) <= 2.0 * _NEAR * period
-    again &= 2 * place[rounds] - (n - 1) >= 0
-    tried = {True: _TRIED, False: _TRIED_NEAR}
-    for k in rounds[again].tolist():
-        p, span = n - 1 - int(place[k]), float(ago[k])
-        one, before = slice(n - p, n), slice(n - 2 * p, n - p)
-        if (symbols[one] != symbols[before]).any():
-            continue
-        off = np.abs(last.t[one] - last.t[before] - span).max(initial=abs(ago[2 * k] - 2.0 * span)) / (2.0 * span)
-        is_back = bool(off <= back)
-        if off <= _NEAR and tried[is_back] > 0:
-            tried[is_back] -= 1
-            yield _Cycle(p, span, is_back)
-            if tried[True] == 0:
-                return
-
-
 def _off(path: Path, k: int) -> float:
     """How far the state at the k-th event of a path is from the first."""
     z, w = path.states.z, path.states.w
     return float(max(np.abs(z[k] - z[0]).max(), np.abs(w[k] - w[0]).max()))
 
 
-def _symbols(events: EventSeries) -> NDArray[np.int64]:
-    """A number for the block and mode of each event."""
-    return events.block.astype(np.int64) * 3 + events.mode + 1
-
-
-def _in_order(events: EventSeries, first: int, together: float) -> EventSeries:
-    """The events from some event on, those of one instant by block: their order is otherwise one of rounding."""
-    t, block, mode = events.t[first:], events.block[first:], events.mode[first:]
-    if (np.diff(t) <= together).any():
-        instant = np.cumsum(np.append(0, np.diff(t) > together))
-        order = np.lexsort((block, instant))
-        t, block, mode = t[order], block[order], mode[order]
-    return replace(events, t=t, block=block, mode=mode, initial_mode=events.mode_after(first))
-
-
 def _from_lowest(path: Path, events: EventSeries, period: float, drift: Floats) -> tuple[EventSeries, Samples]:
     """The events of a cycle and the states there, from the place that `Attractor.section` names."""
     p = len(path.states) - 1
     t, block, mode = events.t[:p], events.block[:p], events.mode[:p]
-    symbols = _symbols(events)[:p]
+    symbols = symbols_of(events)[:p]
     places = np.flatnonzero(symbols == symbols.min()).tolist()
     twice = [*symbols.tolist(), *symbols.tolist()]
     lowest = min(places, key=lambda k: (twice[k : k + p], path.states.z[k, block[k]]))
@@ -627,32 +456,3 @@ def _from_lowest(path: Path, events: EventSeries, period: float, drift: Floats) 
 
 def _alone(z: Floats, w: Floats) -> Samples:
     return Samples(np.zeros(1), z[np.newaxis], w[np.newaxis])
-
-
-def _size(z: Floats, w: Floats) -> float:
-    """How large the motion is between some states, or, of one, the largest number in it."""
-    return float(max(np.ptp(z, axis=0).max() if len(z) > 1 else np.abs(z).max(), np.abs(w).max()))
-
-
-def _across(system: System, z: Floats) -> Floats:
-    """z without what no spring holds, shape (..., n)."""
-    free = _null_space(system)
-    return np.asarray(z - z @ free @ free.T)
-
-
-@lru_cache(maxsize=2)
-def _null_space(system: System) -> Any:
-    """Displacements at which no spring pulls, as orthonormal columns, shape (n, k), an array or a sparse one.
-
-    Of more than `_DENSE` blocks: of those that springs connect, if they are moved by as much.
-    """
-    k, sums = system.stiffness, system.row_sums
-    if system.n > _DENSE:
-        n_parts, part = connected_components(csr_array(k), directed=False)
-        sizes = np.bincount(part, minlength=n_parts)
-        each = csr_array((sizes[part] ** -0.5, (np.arange(system.n), part)))
-        is_held = np.bincount(part, np.abs(k @ np.ones(system.n)) > _NULL * sums, minlength=n_parts) > 0
-        return each[:, np.flatnonzero(~is_held)]
-    dense = k if isinstance(k, np.ndarray) else k.toarray()
-    _, sizes, directions = np.linalg.svd(dense / np.where(sums > 0.0, sums, 1.0)[:, np.newaxis])
-    return np.asarray(directions[sizes <= _NULL].T)

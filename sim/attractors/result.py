@@ -1,0 +1,131 @@
+"""An attractor: what a run settles on, and whether two runs settle on the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from stickslip.sim.attractors.rounds import symbols_of
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.runs.run import Samples
+from stickslip.sim.runs.series import EventSeries
+
+Kind = Literal["rest", "sliding", "periodic", "irregular", "escaping", "undecided"]
+
+
+@dataclass(frozen=True, eq=False)
+class Attractor:
+    """What a run settles on (dimensionless).
+
+    Attributes
+    ----------
+    kind : str
+        "rest": all blocks stick for ever; "sliding": all slip for ever, and their velocities go to zero; "periodic";
+        "irregular": chaotic, perhaps for a time; "escaping": the run diverged; "undecided": the run is too short to
+        tell, or has several frequencies.
+    reason : str
+        How it is known, or why it is not.
+    period : float or None
+        Of a periodic run.
+    multiplier : float or None
+        Of a periodic run: the largest modulus of its Floquet multipliers, but for those of a shift in time and of
+        shifts of z at which no spring pulls. Below one the cycle attracts; above, only symmetry or chance keeps the
+        run on it. None if it would take too long.
+    growth_rate : float or None
+        Of an irregular run: the rate at which small deviations grow, but for shifts in time. Of an undecided one that
+        has many events: the same.
+    drift : float64, shape (n,), or None
+        Of a periodic run: by what z changes in a period, where springs do not hold the blocks to the ground; else 0.
+    events : EventSeries or None
+        Of one period, from t = 0 on; of an irregular run, those that follow on its end.
+    states : Samples or None
+        The state at each of these events; of a period without events, the state at a whole number of periods; of rest
+        and sliding, the one state at which the run is, or to which it comes.
+    """
+
+    kind: Kind
+    reason: str = ""
+    period: float | None = None
+    multiplier: float | None = None
+    growth_rate: float | None = None
+    drift: Floats | None = None
+    events: EventSeries | None = None
+    states: Samples | None = None
+
+    @property
+    def n_events(self) -> int | None:
+        """Events a period; None if not periodic."""
+        return len(self.events) if self.kind == "periodic" and self.events is not None else None
+
+    @property
+    def n_exits(self) -> int | None:
+        """Exits a period; None if not periodic."""
+        return self.events.counts()["n_exits"] if self.kind == "periodic" and self.events is not None else None
+
+    @property
+    def section(self) -> tuple[Floats, Floats] | None:
+        """z and w, shape (n,) each, at one event of the cycle, the same whatever the start; None if irregular.
+
+        The events of a cycle begin where their (block, mode), in order, are lowest; where several places are alike,
+        where z of the event's block is lowest.
+        """
+        return None if self.states is None or self.kind == "irregular" else (self.states.z[0], self.states.w[0])
+
+    @property
+    def busiest(self) -> int | None:
+        """The block with most exits in `events`, the lowest of several; None if there are no exits."""
+        if self.events is None or not (leaves := self.events.is_exit).any():
+            return None
+        return int(np.bincount(self.events.block[leaves]).argmax())
+
+    def at_exits(self, block: int | None = None) -> Floats:
+        """z of a block at each of its exits in `events`, shape (m,); default: the `busiest`."""
+        block = self.busiest if block is None else block
+        if block is None or self.events is None or self.states is None:
+            return np.empty(0)
+        return np.asarray(self.states.z[self.events.is_exit & (self.events.block == block), block])
+
+    def __repr__(self) -> str:
+        if self.kind == "periodic":
+            multiplier = "" if self.multiplier is None else f", multiplier {self.multiplier:.4g}"
+            return f"Attractor(periodic, period {self.period:.9g}, {self.n_events} events{multiplier})"
+        return f"Attractor({self.kind}{'' if self.growth_rate is None else f', growth rate {self.growth_rate:.3g}'})"
+
+
+def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> bool:
+    """Whether two attractors are one: the same cycle, or rest or sliding at the same state.
+
+    Cycles are one if they have the same events, in order from some event on, and periods and the states at that event
+    agree, but for a shift along the drift.
+
+    Parameters
+    ----------
+    one, other : Attractor
+    tolerance : float
+        Of the period, relative, and of the states, over the size of the motion, from event to event; over the largest
+        number in them if there is one event or none.
+    """
+    if one.kind != other.kind or one.states is None or other.states is None or one.kind == "irregular":
+        return False
+    if one.states.z.shape != other.states.z.shape:
+        return False
+    if one.period is not None and abs(one.period - (other.period or 0.0)) > tolerance * one.period:
+        return False
+    across = np.identity(one.states.z.shape[1])
+    if one.drift is not None and one.drift.any():
+        across -= np.outer(one.drift, one.drift) / (one.drift @ one.drift)
+    z, other_z = one.states.z @ across, other.states.z @ across
+    dz, dw = other_z - z[0], other.states.w - one.states.w[0]
+    allowed = tolerance * max(_size(z, one.states.w), _size(other_z, other.states.w))
+    agrees = (np.abs(dz) <= allowed).all(axis=1) & (np.abs(dw) <= allowed).all(axis=1)
+    if one.events is None or other.events is None:
+        return bool(agrees[0])
+    mine, its = symbols_of(one.events), symbols_of(other.events)
+    return any((np.roll(its, -k) == mine).all() for k in np.flatnonzero(agrees))
+
+
+def _size(z: Floats, w: Floats) -> float:
+    """How large the motion is between some states, or, of one, the largest number in it."""
+    return float(max(np.ptp(z, axis=0).max() if len(z) > 1 else np.abs(z).max(), np.abs(w).max()))
