@@ -83,7 +83,9 @@ class Sample:
 def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(QUANTITIES)) -> list[Statistic]:
     """The named quantities for which a margin is declared, as statistics."""
     return [
-        Statistic(one.label, one.of, margins[name]) for name, one in QUANTITIES.items() if name in {*of} & {*margins}
+        Statistic(one.label, one.of, margins[name], least=0.0)
+        for name, one in QUANTITIES.items()
+        if name in {*of} & {*margins}
     ]
 
 

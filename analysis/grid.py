@@ -62,7 +62,7 @@ class Point:
     fates: dict[str, int] = field(default_factory=dict)
     values: dict[str, Values] = field(default_factory=dict)
 
-    def rank(self) -> list[list[tuple[int, float, str]]]:
+    def rank(self) -> list[list[tuple[int, str, tuple[float, ...]]]]:
         """Sorts points along the axes, in the order of their values."""
         return [order(value) for value in self.at.values()]
 
@@ -111,7 +111,7 @@ def as_text(value: Sequence[Value]) -> str:
     return " with ".join(one if isinstance(one, str) else short(one) for one in value)
 
 
-def order(value: Sequence[Value]) -> list[tuple[int, float, str]]:
+def order(value: Sequence[Value]) -> list[tuple[int, str, tuple[float, ...]]]:
     """Sorts values: numbers before distributions."""
     return [by_value(one) for one in value]
 

@@ -12,6 +12,7 @@ units, as matrices are.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -25,12 +26,14 @@ from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET
 from stickslip.analysis.models.motion import COLUMNS, EFFECTIVE, Motion
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, UnitSums, at_least, over_matrices, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.engines import ENGINES, SETTINGS
 
 #: Numbers that differ by less, relatively, are shown as one.
 _ROUNDING = 1e-14
+
+_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 
 #: Keys that separate settings and are not swept.
 FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
@@ -189,7 +192,7 @@ class Group:
 
     def mean(self, confidence: float) -> Estimate:
         """Mean n_stick."""
-        return over_matrices(ratio, self.by_unit("mean", "runs"), confidence)
+        return at_least(over_matrices(ratio, self.by_unit("mean", "runs"), confidence), 0.0)
 
     def drift(self, confidence: float) -> Estimate:
         """Mean n_stick in the second half of the window minus that in the first, paired over units."""
@@ -225,11 +228,16 @@ def _by_unit(members: Members, rows: np.ndarray) -> np.ndarray:
     return members.own[["unit", "member_id"]].iloc[rows].sort_values(["unit", "member_id"]).index.to_numpy()
 
 
-def by_value(value: object) -> tuple[int, float, str]:
-    """Sorts settings: numbers by their value, then None, then words."""
+def by_value(value: object) -> tuple[int, str, tuple[float, ...]]:
+    """Sorts settings: numbers by their value, then None, then words, and of the same words by the numbers in them.
+
+    The last number comes first, which is the upper end or the width of a distribution: wider ones come later.
+    """
     if isinstance(value, (int, float, np.number)):
-        return 0, float(value), ""
-    return (1, 0.0, "") if value is None else (2, 0.0, str(value))
+        return 0, "", (float(value),)
+    if value is None:
+        return 1, "", ()
+    return 2, _NUMBER.sub("", str(value)), tuple(float(one) for one in reversed(_NUMBER.findall(str(value))))
 
 
 def engine_name(engine: str) -> str:

@@ -31,8 +31,8 @@ class Attractor:
         Of a periodic run.
     multiplier : float or None
         Of a periodic run: the largest modulus of its Floquet multipliers, but for those of a shift in time and of
-        shifts of z at which no spring pulls. Below one the cycle attracts; above, only symmetry or chance keeps the
-        run on it. None if it would take too long.
+        shifts of z at which no spring pulls; 0 if it is below 100 `tol`. Below one the cycle attracts; above, only
+        symmetry or chance keeps the run on it. None if it would take too long.
     growth_rate : float or None
         Of an irregular run: the rate at which small deviations grow, but for shifts in time. Of an undecided one that
         has many events: the same.

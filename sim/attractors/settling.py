@@ -237,7 +237,7 @@ class _End:
         matrix = path.monodromy(is_forced=True)
         if self._distance(path, drift, matrix) > self._back * size:
             return replace(none, reason="no event, and the state nearly comes back, but moves on; lengthen the run")
-        multiplier = largest(matrix, null_space(self._system))
+        multiplier = self._multiplier(matrix)
         events = replace(events, t_start=0.0, t_end=period)
         why = "the state comes back after a period of the force"
         return Attractor("periodic", why, period, multiplier, None, drift, events, path.states.first(1))
@@ -281,7 +281,7 @@ class _End:
             return self._settled(Round(part, period * part / p, is_back=False))
         is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
         matrix = path.monodromy(bool(self._frequencies)) if is_short else None
-        multiplier = None if matrix is None else largest(matrix, null_space(self._system))
+        multiplier = None if matrix is None else self._multiplier(matrix)
         distance = 0.0 if matrix is None else self._distance(path, drift, matrix)
         if distance > path.extent(drift) / _LARGER:
             return None  # as far from its end as it is large: it dies out
@@ -352,7 +352,7 @@ class _End:
             return None
         if found.distance * size > found.path.extent(drift) / _LARGER:
             return None  # it dies out
-        multiplier = largest(found.matrix, null_space(s))
+        multiplier = self._multiplier(found.matrix)
         if multiplier >= 1.0 - self._back:
             return None
         if (part := self._part(found.path, found.events, size)) < p:
@@ -386,6 +386,11 @@ class _End:
         extent = path.extent(moved - across(self._system, moved))
         of_motion = max(np.abs(w).max(), self._system.fastest_belt, extent)
         return float(max(of_motion, _OF_Z / self._close * np.abs(z).max()))
+
+    def _multiplier(self, matrix: Floats) -> float:
+        """The largest multiplier; 0 if it cannot be told from that."""
+        found = largest(matrix, null_space(self._system))
+        return found if found > self._close else 0.0
 
     def _distance(self, path: Path, drift: Floats, matrix: Floats) -> float:
         """How far a state is from its cycle: what it misses itself by, over 1 - M."""

@@ -112,6 +112,22 @@ def test_settings_that_differ_are_matched_by_what_they_share(planted):
     assert report.tables["unmatched"]["setting"].tolist() == ["n = 200, sigmoid, eps = 0.01, stick = convergent"]
 
 
+def test_each_difference_is_told_with_its_setting(planted):
+    """At the first of three belt speeds n_stick is half as large, and nowhere else."""
+
+    def of(name, draw, level):
+        parts = [ensemble(planted, name, draw=draw, level=level if k == 0 else 100, belt_speed=-0.1 * (k + 1))
+                 for k in range(3)]  # fmt: skip
+        tables = [one.data.members.assign(member_id=lambda t, k=k: t["member_id"] + f"-{k}")
+                  for k, one in enumerate(parts)]  # fmt: skip
+        series = {f"{m}-{k}": points for k, one in enumerate(parts) for m, points in one.data.series.items()}
+        return replace(parts[0], data=Data(pd.concat(tables, ignore_index=True), series))
+
+    report = compare(of("first", 0, 100), of("second", 1, 50), SETTINGS)
+    assert re.search(r"mean n_stick differs by −\S+ \([^)]*\) at belt_speed = -0\.1, beyond", report.headline[0])
+    assert "0 of one" not in report.headline[0]
+
+
 def test_members_without_a_partner_are_named(planted):
     """Matrices 4 and 5 are in the first alone; with other seeds nobody has a partner, and none is missed."""
     first, second = ensemble(planted, "first", n_matrices=6), ensemble(planted, "second", draw=1, n_matrices=4)

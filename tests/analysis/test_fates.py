@@ -491,6 +491,21 @@ def test_a_grid_of_starts_shows_its_basin_too(planted, rng):
     assert (basin["n"], basin["of"]) == (30, 30)
 
 
+def test_swept_starts_are_counted_together_and_quiet_ones_on_a_cycle_are_said(planted, rng):
+    """Each start is a setting of one run: what every run of one does is nothing to tell."""
+    data, z, _ = starts(planted, rng, 30, drawn=None, start_draw=None)
+    is_quiet = (np.abs(z) < 1) & (data.members["outcome"] == "finished").to_numpy()
+    members = data.members.assign(
+        attractor=np.where(is_quiet, "periodic", "undecided"), exits_per_period=np.where(is_quiet, 0, 1)
+    )
+    facts = asked(Data(members, data.series)).facts
+    assert facts["n_on_cycle"] == is_quiet.sum()
+    words = environment().get_template("fates.html").module
+    said = re.sub(r"\s+", " ", str(words.answer(facts))).strip()
+    assert said.startswith(f"{(np.abs(z) >= 1).sum()} of 30 runs, one at each setting, are in motion at t = ")
+    assert f"{is_quiet.sum()} of them" in str(words.alerts(facts)) or not is_quiet.any()
+
+
 @pytest.mark.parametrize("columns", [{"z0": None, "w0": None}, {"w0": 0.5}])
 def test_starts_that_are_not_known_or_do_not_vary_show_no_basin(planted, rng, columns):
     """Datasets of before have no numbers of starts that were drawn."""

@@ -342,3 +342,35 @@ def test_intervals_of_a_change_cover_it(recorded, settings, rng):
         row = rows_of(sweep.answer(Study(data, settings)), "mean x").loc["-0.1"]
         inside.append(row["difference_low"] <= 0.4 <= row["difference_high"])
     assert agrees(sum(inside), len(inside), 0.95)
+
+
+def test_what_is_beyond_both_ends_of_a_key_is_told(recorded, settings):
+    """A resonance: at the middle speed five times as much as at the first, at the last half as much."""
+    at = {-0.3: 1.0, -0.2: 5.0, -0.1: 0.5}
+    said = sentence(sweep.answer(Study(recorded({"swing": lambda rng, m, v: at[v] + 0.01 * rng.normal()}), settings)))
+    assert re.search(r"falls from \S+ to \S+ .* and is largest at belt_speed = −0\.2: (5\.0\d|4\.9\d) \(", said)
+    steady = recorded({"swing": lambda rng, m, v: 5.0 + 10 * v + 0.01 * rng.normal()})
+    assert "largest" not in sentence(sweep.answer(Study(steady, settings)))
+
+
+def test_averages_are_over_values_that_have_one_throughout(recorded, settings):
+    """Of two friction coefficients one has no period at some starts: a map of averages would jump there."""
+    axes = {"z0": [0.0, 1.0, 2.0, 3.0], "w0": [0.0, 1.0, 2.0], "friction": [1.0, 2.0]}
+
+    def period(rng, matrix, z, w, friction):
+        return None if friction == 2.0 and z > 1.5 else 6.0 + friction
+
+    data = recorded({"period": period}, n_matrices=1, axes=axes)
+    figures = sweep.answer(Study(data, settings)).figures
+    (ax, *_) = figures["sweep_map"]().axes
+    assert np.unique(ax.images[0].get_array()).tolist() == [7.0]
+    (ax, *_) = figures["sweep_of_period"]().axes
+    assert {*np.concatenate([line.get_ydata() for line in ax.lines if len(line.get_ydata()) == 4])} == {7.0}
+
+
+def test_a_column_without_a_value_has_no_number_of_runs(recorded, settings):
+    """Of nine measures one is known of no run; five have columns, and it is said how many more there are."""
+    columns = {f"own_{k}": lambda rng, m, v, k=k: None if k == 0 else k + v for k in range(9)}
+    html = build(recorded(columns), settings, "Own", "", {}).html
+    assert not re.search(r"<th[^>]*>of runs", html)
+    assert re.search(r"(3|Three) more measures in report/sweep_measures\.parquet", html)

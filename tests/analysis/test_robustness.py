@@ -135,3 +135,11 @@ def test_the_page_says_it(rng, planted, settings, spread):
     assert "Does a changed system keep its statistics?" in report.html
     assert ("Mean n<sub>stick</sub> moves" in report.html) == moves
     assert set(report.figures) >= {"robustness", "parting"}
+
+
+def test_a_shift_without_an_interval_has_a_page(rng, planted, settings):
+    """Few matrices about zero: Fieller's interval does not exist."""
+    for g in (3, 4, 5):
+        data = ensemble(rng, planted, lambda own: own + rng.normal(0, 30, len(own)), spread=30.0, g=g)
+        report = build(data, replace(settings, question=("robustness",)), "T", "", {})
+        assert "Does a changed system keep its statistics?" in report.html

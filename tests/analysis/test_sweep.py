@@ -172,7 +172,9 @@ def test_keys_that_go_together_are_one_axis_and_distributions_are_values(planted
         drawn=data.members["kappa"].map({0.2: "friction = uniform(0.9, 1.1)", 0.3: "friction = uniform(0.8, 1.2)"}),
     )
     (axis,) = sweep.axes_of(sweep.settings(Study(Data(drawn, data.series), settings).groups))
-    assert axis == sweep.Axis(("friction",), ((1.0,), ("uniform(0.8, 1.2)",), ("uniform(0.9, 1.1)",)))
+    assert axis == sweep.Axis(("friction",), ((1.0,), ("uniform(0.9, 1.1)",), ("uniform(0.8, 1.2)",))), (
+        "wider ones last"
+    )
 
 
 def test_parameters_of_a_function_are_swept(swept, settings):

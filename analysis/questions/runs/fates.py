@@ -21,6 +21,7 @@ from stickslip.analysis.answer import Answer, F, I, Question, Row, S, columns, f
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SPEED_DEPENDENT, joined
+from stickslip.analysis.models.attractors import PERIODIC
 from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
@@ -50,7 +51,8 @@ from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PANEL, PU
 MOST_CURVES = 8  # in one figure
 MOST_RUNS = 200  # in one figure; more lines hide each other
 MOST_STEPS = 2000  # of one curve: each is then a quarter of a dot wide
-_LETTERS, _LETTER = 60, 0.05  # below an axis, side by side; inches that one takes, upright
+_LETTERS, _LETTER = 42, 0.05  # below an axis, side by side; inches that one takes, upright
+_MOST_TICKS = 40  # upright
 _SHORT = 28  # of names in a legend of two columns
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
 FATES = {
@@ -113,6 +115,7 @@ def answer(study: Study) -> Answer:
         "linear": _linear(followed, members["growth_rate"]),
         "rated": [row for row in systems if row["is_rated"]],
         "is_certified": "t_collapse" in members,
+        "n_on_cycle": _n_on_cycle(runs, members),
         "untold": Counter(runs.loc[runs["fate"] == QUIET, "untold"]),
         "has_ends": bool((runs["fate"].isin(ENDS) & (runs["t"] > 0.0)).any()),
         "basin": None if "attractor" in members else _basin(study.groups, followed, members),  # drawn there
@@ -348,6 +351,14 @@ def _linear(followed: pd.DataFrame, growth_rates: pd.Series) -> list[Row]:
     return [{"state": state, "n_runs": len(some), **_counts(some)} for state, some in parts.items() if len(some)]
 
 
+def _n_on_cycle(runs: pd.DataFrame, members: pd.DataFrame) -> int:
+    """How many quiet runs are on a cycle without exits, where that is recorded."""
+    if not {"attractor", "exits_per_period"} <= {*members}:
+        return 0
+    own = members.iloc[runs.loc[runs["fate"] == QUIET, "row"]]
+    return int(((own["attractor"] == PERIODIC) & (own["exits_per_period"] == 0)).sum())
+
+
 def _commonest(reasons: pd.Series) -> str:
     return str(reasons.value_counts().index[0]) if len(reasons) else ""
 
@@ -388,7 +399,9 @@ def _set_ticks(ax: Axes, ticks: Sequence[str]) -> None:
     if widest * len(ticks) <= _LETTERS:
         ax.set_xticks(range(len(ticks)), stacked)
     else:
-        ax.set_xticks(range(len(ticks)), ticks, rotation=90, fontsize=6)
+        step = -(-len(ticks) // _MOST_TICKS)
+        ticks = ticks[::step]
+        ax.set_xticks(range(0, step * len(ticks), step), ticks, rotation=90, fontsize=6)
         figure = ax.get_figure(root=True)
         assert figure is not None  # it is drawn on one
         figure.set_figheight(PANEL[1] + _LETTER * max(map(len, ticks)))

@@ -70,7 +70,8 @@ def answer(study: Study) -> Answer | None:
         "ceiling": CEILING,
         "floor": FLOOR,
         "tolerances": TOLERANCES,
-        "n_displaced": len(growths),
+        "n_moved": len(growths),
+        "n_displaced": sum(row["n_floor"] is not None for row in growths),
     }
     if largest is None:
         return Answer(facts, "no pairs", tables)

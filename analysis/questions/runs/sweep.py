@@ -128,6 +128,7 @@ def answer(study: Study) -> Answer | None:
     still = {one.name for one in asked} - {row["quantity"] for row in contrasts if not row["is_same"]}
     told = _told(own, axes, leading, bool(recorded))
     for row in own:
+        row["beyond"] = _beyond(row, own)
         row |= _everywhere([one for one in contrasts if _place(one) == _place(row)], len(points))
     most = max(own, key=lambda row: (row["quantity"] == leading[0], row["is_last"], _weight(row)))["key"]
     in_order = [most, *(row["key"] for row in told), *(axis.name for axis in axes)]
@@ -298,6 +299,20 @@ def _told(rows: Sequence[Row], axes: Sequence[Axis], leading: Sequence[str], is_
     return sorted(found, key=lambda row: (row["verdict"] not in (RISES, FALLS), -_weight(row)))
 
 
+def _beyond(end: Row, rows: Sequence[Row]) -> Row | None:
+    """Of the values between a key's ends, the one at which a statistic is furthest beyond both, if it is at any.
+
+    That is shown: against the first value by its verdict, against the last as the intervals of the changes lie apart.
+    """
+    low, high = end["difference_low"], end["difference_high"]
+    if not end["is_last"] or end["is_share"] or low is None:
+        return None
+    alike = [row for row in rows if (row["quantity"], row["key"]) == (end["quantity"], end["key"])]
+    above = [row for row in alike if row["verdict"] == RISES and row["difference_low"] > max(high, 0.0)]
+    below = [row for row in alike if row["verdict"] == FALLS and row["difference_high"] < min(low, 0.0)]
+    return max([*above, *below], key=lambda row: abs(row["difference"]), default=None)
+
+
 def _place(row: Row) -> tuple[Any, ...]:
     """What identifies a change in every setting."""
     return tuple(row[name] for name in ("quantity", "key", "first_value", "second_value"))
@@ -385,16 +400,19 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
             found for point in every for found in point.values[one.name].missing.items() if found[1] != one.absent
         )
         gaps.setdefault(missing, []).append(one.axis)
+    known = [(k, one) for k, one in enumerate(asked) if any(len(point.values[one.name].sums) for point in every)]
     shown = [
         (one.name, _cell(k), any(point.values[one.name].missing for point in every))
-        for k, one in enumerate(asked[:MOST_COLUMNS])
+        for k, one in known[:MOST_COLUMNS]
     ]
     return {
         "measures": [
-            {"subject": one.subject, "words": one.words, "axis": one.axis, "figure": _figure(one)}
+            {"subject": one.subject, "words": "" if one.says_it else one.words, "definition": one.words,
+             "axis": one.axis, "figure": _figure(one)}
             for one in asked
             if one.name not in KEYS
         ],
+        "n_beyond": len(known) - len(shown),
         "gaps": [{"of": of, "runs": runs} for runs, of in gaps.items() if runs],
         "withheld": [
             {"subject": one.subject, "why": why, "at": [point.group.label for point in some]}
@@ -425,7 +443,7 @@ def _withheld(one: Measure, points: Sequence[Point]) -> dict[str, list[Point]]:
 
 
 _OF = {
-    "mean": Statistic(MEAN, ratio, 0.0),
+    "mean": Statistic(MEAN, ratio, 0.0, least=0.0),
     "gamma": Statistic(GAMMA, QUANTITIES["gamma"].of, 0.0),
     "moving": Statistic(IN_MOTION, ratio, 0.0, is_share=True),
 }
@@ -450,8 +468,9 @@ def _figures(
     found: dict[str, Any] = {}
     if len(axes) > 1:
         of = statistics[leading[0] if may_be_log or leading[0] == IN_MOTION else MEAN]
+        some = _throughout(of, main, axes)
         cells = [
-            [estimate(of, points_at(points_at(main, axes[1], y), axes[0], x), level).value for x in axes[0].values]
+            [estimate(of, points_at(points_at(some, axes[1], y), axes[0], x), level).value for x in axes[0].values]
             for y in axes[1].values
         ]
         across, up = ((axis.name, [as_text(value) for value in axis.values]) for axis in axes[:2])
@@ -467,6 +486,24 @@ def _figures(
         if sum(one is not None for _, some in lines for one in some) > 1:
             found[names[name]] = partial(curves, labels[name], axes[0].name, *ticks, lines, may_be_log)
     return found
+
+
+def _throughout(of: Statistic, points: Sequence[Point], axes: Sequence[Axis]) -> Sequence[Point]:
+    """Points at those values of the axes from the third on that have a statistic wherever any have it.
+
+    If there are none, at those that have it at most points: averages over some here and others there would differ
+    by what these are like.
+    """
+    has: dict[tuple[Any, ...], set[tuple[Any, ...]]] = {}
+    for point in points:
+        if len(point.sample.of(of.name)):
+            place = [point.at[axis] for axis in axes]
+            has.setdefault(tuple(place[2:]), set()).add(tuple(place[:2]))
+    if not has:
+        return points
+    every = set().union(*has.values())
+    kept = {rest for rest, some in has.items() if some == every} or {max(has, key=lambda rest: len(has[rest]))}
+    return [point for point in points if tuple(point.at[axis] for axis in axes[2:]) in kept]
 
 
 def _lines_drawn(axes: Sequence[Axis]) -> dict[str, Any]:
@@ -485,8 +522,9 @@ def _lines(
     if len(axes) > 1:
         along = axes[1]
         drawn = np.linspace(0, len(along.values) - 1, _lines_drawn(axes)["n"]).round().astype(int).tolist()
+        held = _throughout(of, points[lead], axes)
         parts = [
-            (f"{along.name} = {as_text(value)}", points_at(points[lead], along, value))
+            (f"{along.name} = {as_text(value)}", points_at(held, along, value))
             for value in (along.values[k] for k in drawn)
         ]
     found = []

@@ -25,6 +25,7 @@ class Waiting(WindowRecord):
             "number of times between successive exits of the same block after t_burn",
             least=0.0,
             title="number of waiting times",
+            is_averaged=False,
         ),
         Column(
             "number",
