@@ -274,7 +274,10 @@ def _joined(values: Sequence[Any], show: Show) -> str:
 
 
 def _cell(column: Column, text: str) -> str:
-    return f'<td data-h="{escape(column[0])}"{_left(column)}>{_lowered(text)}</td>'
+    shown = _lowered(text)
+    if shown != escape(text):  # one item beside its header on a narrow screen
+        shown = Markup("<span>{}</span>").format(shown)
+    return f'<td data-h="{escape(column[0])}"{_left(column)}>{shown}</td>'
 
 
 def _lowered(text: str) -> Markup:

@@ -25,8 +25,8 @@ def continued(
 
     That is, from the event of a cycle after which most blocks stick, and otherwise from the end of the run; a block
     that sticks there takes the speed of its new belt, and so does one ahead of a new belt that bars that side. Under
-    a periodic force it is always the end of the run, and the force, which is that at the same place in `force`, goes
-    on from the phase that it has there; where there are several frequencies, the time goes on, and ramps of belts and
+    a periodic force it is always the end of the run, and forces of one frequency go on from the phase at which they
+    are most like those that were; where there are several frequencies, the time goes on, and ramps of belts and
     forces are over.
 
     An attractor is followed for as long as it attracts what the step to the next system leaves of it; then another
@@ -62,9 +62,8 @@ def continued(
             raise ValueError(f"systems: expected {run.events.n} blocks in each, as in the first, got {system.n}")
         z, w, start = z0, w0, 0.0
         if run is not None and before is not None and run.outcome != "diverged":
-            waves = _waves(system)
-            z, w, sticks = _at_end(run) if waves else _on(found[-1], run)
-            start = _time_of_phase(waves, _waves(before), run.t_end)
+            z, w, sticks = _at_end(run) if _Swing.of(system).frequencies else _on(found[-1], run)
+            start = _time_of_phase(system, before, run.t_end)
             v = system.belt_speed_at(start)
             w = np.where(sticks | (system.closed * (w - v) > 0.0), v, w)
         run, before = simulate(system, z, w, start + t_end, t_start=start, **settings), system
@@ -72,42 +71,39 @@ def continued(
     return found
 
 
-class _Wave(NamedTuple):
-    """A periodic force on a block; it has a frequency also where its amplitude is 0."""
+class _Swing(NamedTuple):
+    """Periodic forces: their frequencies, and if there is one, what they come to on each block.
 
-    amplitude: float
-    frequency: float
-    phase: float
+    That is f in Re(f exp(i omega t)), shape (n,).
+    """
 
-    @property
-    def turns(self) -> bool:
-        return self.amplitude != 0.0 and self.frequency != 0.0
+    frequencies: list[float]
+    of_blocks: NDArray[np.complex128]
 
-    @property
-    def start(self) -> float:
-        """The phase of a positive amplitude."""
-        return self.phase + math.pi * (self.amplitude < 0.0)
-
-
-def _waves(system: System) -> list[_Wave]:
-    """Every periodic force on every block."""
-    waves = (x for x in system.force if isinstance(x, Harmonic))
-    return [_Wave(*map(float, one)) for x in waves for one in np.broadcast(x.amplitude, x.frequency, x.phase)]
+    @classmethod
+    def of(cls, system: System) -> _Swing:
+        total = np.zeros(system.n, dtype=np.complex128)
+        frequencies = set()
+        for one in system.force:
+            if isinstance(one, Harmonic):
+                turns = (one.amplitude != 0.0) & (one.frequency != 0.0)
+                frequencies |= {*np.abs(one.frequency)[turns].tolist()}
+                total += np.where(turns, one.amplitude * np.exp(1j * np.sign(one.frequency) * one.phase), 0.0)
+        return cls(sorted(frequencies), total)
 
 
-def _time_of_phase(waves: list[_Wave], before: list[_Wave], t: float) -> float:
-    """When forces have the phase that those of the system before have at t; 0 if there were or are none."""
-    turning = [k for k, one in enumerate(waves) if one.turns]
-    known = [one for one in before if one.turns] or [one for one in before if one.frequency]
-    if not turning or not known:
+def _time_of_phase(system: System, before: System, t: float) -> float:
+    """When forces are most like those of the system before at t; 0 if there were or are none.
+
+    Where there are several frequencies, that is t.
+    """
+    now, then = _Swing.of(system), _Swing.of(before)
+    if not now.frequencies or not then.frequencies:
         return 0.0
-    if any(len({one.frequency for one in some if one.turns}) > 1 for some in (waves, before)):
+    if len(now.frequencies) > 1 or len(then.frequencies) > 1:
         return t
-    same = (k for k in turning if k < len(before) and before[k].frequency)
-    k = next(same, None)
-    wave, earlier = (waves[turning[0]], known[0]) if k is None else (waves[k], before[k])
-    phase = earlier.frequency * t + earlier.start - wave.start
-    return float(phase / wave.frequency % (2.0 * math.pi / abs(wave.frequency)))
+    alike = np.vdot(now.of_blocks, then.of_blocks * np.exp(1j * then.frequencies[0] * t))
+    return float(np.angle(alike) / now.frequencies[0] % (2.0 * math.pi / now.frequencies[0]))
 
 
 def _at_end(run: Run) -> tuple[Floats, Floats, NDArray[np.bool_]]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,8 +80,8 @@ class Path:
         Of unit masses.
     modes : int8, shape (m + 1, n)
         Before the first edge, and from each but the last to the next.
-    states : Samples
-        At the m + 1 edges.
+    states, middle : Samples
+        At the m + 1 edges, and half way between them.
     block : int, shape (m,)
         Of the event at each edge but the last; empty: there are none.
     steps : Steps or None
@@ -92,6 +93,7 @@ class Path:
     system: System
     modes: NDArray[np.int8]
     states: Samples
+    middle: Samples
     block: NDArray[np.int32]
     steps: Steps | None
     slip: Floats
@@ -104,24 +106,27 @@ class Path:
         for k, (block, mode) in enumerate(zip(events.block[:m].tolist(), events.mode[:m].tolist(), strict=True)):
             modes[k + 1 :, block] = mode
         steps = None if system.weakening is None else Steps.of(unit, edges, modes[1:])
-        times = edges if steps is None else np.concatenate([edges, steps.t.ravel()])
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        times = np.concatenate([edges, middle, *([] if steps is None else [steps.t.ravel()])])
         order = np.argsort(times, kind="stable")
         samples, place = follow(times[order]), np.argsort(order, kind="stable")
         z, w = samples.z[place], samples.w[place]
-        slip = (w[m + 1 :] - system.belt_speed_at(edges[0])).reshape(-1, 3, system.n)
-        return cls(unit, modes, Samples(edges, z[: m + 1], w[: m + 1]), events.block[:m], steps, slip)
+        slip = (w[2 * m + 1 :] - system.belt_speed_at(edges[0])).reshape(-1, 3, system.n)
+        states, halfway = (Samples(times[part], z[part], w[part]) for part in (slice(m + 1), slice(m + 1, 2 * m + 1)))
+        return cls(unit, modes, states, halfway, events.block[:m], steps, slip)
 
     def extent(self, drift: Floats) -> float:
         """How large the motion is, but for a drift at a steady speed.
 
         The largest of: how far states lie from the first, and z' and w' over the fastest rate.
         """
-        s, (t, z, w) = self.system, (self.states.t, self.states.z, self.states.w)
-        steady = drift / (t[-1] - t[0])
+        one, other = self.states, self.middle
+        t, z, w = np.append(one.t, other.t), np.concatenate([one.z, other.z]), np.concatenate([one.w, other.w])
+        steady = drift / (self.states.t[-1] - t[0])
         apart = z - z[0] - np.outer(t - t[0], steady), w - w[0]
-        fastest = float(s.rates.max()) or 1.0
+        fastest = float(self.system.rates.max()) or 1.0
         sizes = (*apart, (w - steady) / fastest, self._slip_rates / fastest)
-        return float(max(np.abs(one[:-1]).max() for one in sizes))
+        return float(max(np.abs(size).max() for size in sizes))
 
     def missed(self, drift: Floats) -> Floats:
         """By what the last state misses the first, but for a drift, shape (2n,)."""
@@ -242,13 +247,13 @@ def slip_rates(system: System, states: Samples, modes: NDArray[np.int8]) -> Floa
     return np.where(modes == 0, 0.0, forces)
 
 
-def largest(monodromy: Floats, free: Floats) -> float:
+def largest(monodromy: Floats, free: Any) -> float:
     """Largest modulus of the multipliers of a cycle, but for those of shifts along `free`, which change nothing.
 
     `monodromy` is that of its `Path`; there the multiplier of a shift in time is 0, where no force depends on it.
-    `free`, shape (n, k), has orthonormal columns, along which no spring pulls.
+    `free`, shape (n, k), an array or a sparse one, has orthonormal columns, along which no spring pulls.
     """
-    across, n = monodromy.copy(), len(free)
+    across, n = monodromy.copy(), free.shape[0]
     across[:n] -= free @ (free.T @ across[:n])
     return float(np.abs(np.linalg.eigvals(across)).max())
 

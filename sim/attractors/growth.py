@@ -1,30 +1,35 @@
 """How fast runs that begin next to each other part.
 
-Two runs give the largest Lyapunov exponent (G. Benettin, L. Galgani and J.-M. Strelcyn, Phys. Rev. A 14 (1976) 2338)
-at the cost of the runs, whatever the number of blocks and events. Their distance is taken across the motion, as a
-shift in time does not grow; where a force depends on time there is none.
+Two runs, of which the second is set back next to the first again and again, give the largest Lyapunov exponent
+(G. Benettin, L. Galgani and J.-M. Strelcyn, Phys. Rev. A 14 (1976) 2338) at the cost of the runs, whatever the number
+of blocks and events. Their distance is that of (z, w / omega), omega the fastest rate of a block, across the motion,
+as a shift in time does not grow; where a force depends on time there is none.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stickslip.sim.attractors.deviations import slip_rates
+from stickslip.sim.attractors.null_space import across
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.system import System
 
-#: How far apart they begin, of the size of the motion, with the tolerance at which they are run; ln of how many times
-#: as far apart they may come, to 1e-4; and rounding of z, a thousand times.
-_APART, TOL, _FAR, _ROUNDING = 1e-9, 1e-12, math.log(1e5), 1e-13
-#: Shares of the time, the next one where runs are not yet far apart; instants in each; how many are the least.
-_SHARES, _SAMPLES, _FEWEST = (1 / 64, 1 / 8, 1.0), 600, 30
-#: Distances are averaged over this share of the time: they vary within a round.
-_WINDOW = 0.1
+#: The tolerance at which they are run; how far apart they begin, of the size of the motion, or by how many times what
+#: this tolerance and rounding leave; and the most of the size of the motion that this may be.
+TOL, _APART, _NOISE, _MOST = 1e-12, 1e-8, 1e3, 1e-4
+_EPS = float(np.finfo(np.float64).eps)
+#: The first piece, of the time; instants in each; ln of the growth in a piece below which the next is twice as long,
+#: above which half as long; and of the growth, or decay, that is enough.
+_FIRST, _SAMPLES, _LITTLE, _MUCH, _ENOUGH = 1 / 64, 50, 2.0, 5.0, 30.0
+#: ln of what a distance of zero counts as.
+_NOTHING = -10.0
+#: Distances are averaged over this share of the time, at so many instants: they vary within a round.
+_WINDOW, _INSTANTS = 0.1, 60
 
 
 class Growth(NamedTuple):
@@ -38,59 +43,89 @@ class Growth(NamedTuple):
     last: float
 
 
+class Follow(Protocol):
+    """Runs a system from z, w and modes, if they are known, with samples at some times, the start first."""
+
+    def __call__(self, z: Floats, w: Floats, modes: NDArray[np.int8] | None, times: Floats) -> Run: ...
+
+
 def growth(
-    system: System, z: Floats, times: tuple[float, float], follow: Callable[[Floats, Floats], Run], is_forced: bool
+    system: System,
+    z: Floats,
+    w: Floats,
+    modes: NDArray[np.int8],
+    times: tuple[float, float],
+    follow: Follow,
+    is_forced: bool,
 ) -> Growth | None:
-    """How fast runs from a state and from next to it part; None if nothing is left of a deviation.
+    """How fast runs from a state and from next to it part; None if the motion is too small to tell.
 
     Parameters
     ----------
     system : System
-    z : float64, shape (n,)
-        Of the state.
+    z, w : float64, shape (n,)
+        The state.
+    modes : int8, shape (n,)
     times : (float, float)
-        From the first to the second, or until they are 1e5 times as far apart as they began.
-    follow : callable
-        Runs from some z, and the w of the state, with samples at some times.
+        From the first to the second, or until they have parted, or come together, by e^30.
+    follow : Follow
     is_forced : bool
         Whether a force depends on time.
     """
-    begin, end = times
-    for share in _SHARES:
-        at = np.linspace(begin, begin + share * (end - begin), _SAMPLES + 1)
-        one = follow(z, at)
-        apart = _APART * _size(one, z)
-        shift = np.random.default_rng(0).normal(size=len(z))
-        other = follow(z + apart / np.linalg.norm(shift) * shift, at)
-        logs = _distances(system, one, other, is_forced) - math.log(apart)
-        is_far = logs > _FAR
-        last = int(is_far.argmax()) if is_far.any() else len(logs) - 1
-        if is_far.any() and last >= _FEWEST:
-            break
-    since = at[: last + 1] - begin
-    width = _WINDOW * float(since[last])
-    ends = since[last] / 3.0 * np.arange(1, 4)
-    means = [float(logs[: last + 1][np.abs(since - t + width / 2) <= width / 2].mean()) for t in ends]
-    if not np.isfinite(means).all():
-        return None
-    return Growth((means[2] - means[0]) / float(ends[2] - ends[0]), means[1] - means[0], means[2] - means[1])
+    n, fastest = system.n, float(system.rates.max()) or 1.0
+    t, end = times
+    length, total, apart = _FIRST * (end - t), 0.0, 0.0
+    known: NDArray[np.int8] | None = modes
+    towards = _any_direction(n)
+    instants, logs = [np.array([t])], [np.zeros(1)]
+    while t < end and abs(total) < _ENOUGH:
+        at = np.linspace(t, end if end - t < 1.5 * length else t + length, _SAMPLES + 1)
+        one = follow(z, w, known, at)
+        if not apart:
+            size = float(np.ptp(across(system, one.samples.z), axis=0).max())
+            noise = max(TOL * system.fastest_belt / fastest, _EPS * float(np.abs(z).max()))
+            apart = max(_APART * size, _NOISE * noise)
+            if apart > _MOST * size:
+                return None
+        shift = apart * towards
+        other = follow(z + shift[:n], w + fastest * shift[n:], None, at)
+        found = _apart(system, fastest, one, other, is_forced) / apart
+        with np.errstate(divide="ignore"):
+            grown = np.maximum(np.log(np.linalg.norm(found, axis=1)), _NOTHING)
+        instants.append(at[1 : len(grown)])
+        logs.append(total + grown[1:])
+        if len(grown) < len(at):
+            break  # one of them ran away
+        t, total = float(at[-1]), total + float(grown[-1])
+        z, w, known = one.samples.z[-1], one.samples.w[-1], None
+        towards = _any_direction(n) if grown[-1] <= _NOTHING else found[-1] / np.linalg.norm(found[-1])
+        towards[n:][one.events.mode_at(t) == 0] = 0.0
+        length *= 2.0 if abs(grown[-1]) < _LITTLE else 0.5 if abs(grown[-1]) > _MUCH else 1.0
+    return _of(np.concatenate(instants), np.concatenate(logs))
 
 
-def _size(run: Run, z: Floats) -> float:
-    """The size of the motion, or what rounding leaves of it where z is large."""
-    return float(max(np.ptp(run.samples.z, axis=0).max(), _ROUNDING / _APART * np.abs(z).max()))
+def _any_direction(n: int) -> Floats:
+    direction = np.append(np.random.default_rng(0).normal(size=n), np.zeros(n))
+    return np.asarray(direction / np.linalg.norm(direction))
 
 
-def _distances(system: System, one: Run, other: Run, is_forced: bool) -> Floats:
-    """ln of the distance of two runs at the instants of their samples, as far as both go."""
+def _apart(system: System, fastest: float, one: Run, other: Run, is_forced: bool) -> Floats:
+    """By what two runs differ at the instants of their samples, as far as both go, shape (m, 2n)."""
     m = int(np.searchsorted(one.samples.t, min(one.t_end, other.t_end), side="right"))
-    a, b = (np.concatenate([run.samples.z[:m], run.samples.w[:m]], axis=1) for run in (one, other))
-    apart = b - a
+    states = one.samples.first(m)
+    apart = np.concatenate([other.samples.z[:m] - states.z, (other.samples.w[:m] - states.w) / fastest], axis=1)
     if not is_forced:
-        states = one.samples.first(m)
         rates = slip_rates(system.of_unit_mass, states, one.events.modes_at(states.t))
-        along = np.concatenate([states.w, rates], axis=1)
+        along = np.concatenate([states.w, rates / fastest], axis=1)
         size = (along**2).sum(axis=1)
         apart -= ((apart * along).sum(axis=1) / np.where(size > 0.0, size, 1.0))[:, np.newaxis] * along
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.log(np.linalg.norm(apart, axis=1)))
+    return np.asarray(apart)
+
+
+def _of(instants: Floats, logs: Floats) -> Growth:
+    """From ln of the distance at some instants."""
+    begin, length = float(instants[0]), float(instants[-1] - instants[0])
+    ends = begin + length / 3.0 * np.arange(1, 4)
+    windows = ends[:, np.newaxis] - _WINDOW * length * np.linspace(0.0, 1.0, _INSTANTS)
+    first, second, third = np.interp(windows, instants, logs).mean(axis=1).tolist()
+    return Growth((third - first) / (length * 2.0 / 3.0), second - first, third - second)

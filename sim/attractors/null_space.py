@@ -31,7 +31,7 @@ def null_space(system: System) -> Any:
     """
     k, sums = system.stiffness, system.row_sums
     if system.n > _DENSE:
-        n_parts, part = connected_components(csr_array(k), directed=False)
+        n_parts, part = connected_components(csr_array(k) != 0, directed=False)
         sizes = np.bincount(part, minlength=n_parts)
         each = csr_array((sizes[part] ** -0.5, (np.arange(system.n), part)))
         is_held = np.bincount(part, np.abs(k @ np.ones(system.n)) > NULL * sums, minlength=n_parts) > 0

@@ -43,6 +43,8 @@ class Attractor:
     states : Samples or None
         The state at each of these events; of a period without events, the state at a whole number of periods; of rest
         and sliding, the one state at which the run is, or to which it comes.
+    size : float or None
+        Of a periodic run: how large its motion is, as tolerances are relative to that.
     """
 
     kind: Kind
@@ -53,6 +55,7 @@ class Attractor:
     drift: Floats | None = None
     events: EventSeries | None = None
     states: Samples | None = None
+    size: float | None = None
 
     @property
     def n_events(self) -> int | None:
@@ -104,8 +107,7 @@ def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> boo
     ----------
     one, other : Attractor
     tolerance : float
-        Of the period, relative, and of the states, over the size of the motion, from event to event; over the largest
-        number in them if there is one event or none.
+        Of the period, relative, and of the states, over the size of the motion, or at rest over the largest number.
     """
     if one.kind != other.kind or one.states is None or other.states is None or one.kind == "irregular":
         return False
@@ -118,7 +120,8 @@ def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> boo
         across -= np.outer(one.drift, one.drift) / (one.drift @ one.drift)
     z, other_z = one.states.z @ across, other.states.z @ across
     dz, dw = other_z - z[0], other.states.w - one.states.w[0]
-    allowed = tolerance * max(_size(z, one.states.w), _size(other_z, other.states.w))
+    sizes = (one.size or _largest(one.states), other.size or _largest(other.states))
+    allowed = tolerance * max(sizes)
     agrees = (np.abs(dz) <= allowed).all(axis=1) & (np.abs(dw) <= allowed).all(axis=1)
     if one.events is None or other.events is None:
         return bool(agrees[0])
@@ -126,6 +129,5 @@ def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> boo
     return any((np.roll(its, -k) == mine).all() for k in np.flatnonzero(agrees))
 
 
-def _size(z: Floats, w: Floats) -> float:
-    """How large the motion is between some states, or, of one, the largest number in it."""
-    return float(max(np.ptp(z, axis=0).max() if len(z) > 1 else np.abs(z).max(), np.abs(w).max()))
+def _largest(states: Samples) -> float:
+    return float(max(np.abs(states.z).max(), np.abs(states.w).max()))

@@ -72,7 +72,7 @@ def attractor(
     event comes back, within 1e4 `tol` of its motion's size. It is irregular if the last event recurs at least
     30 times without that, and runs that begin next to each other on its end part by e^3 and more, and by e in each
     half, over the last two thirds of as much time as these events took, 200 rounds at most, or of the time until they
-    are 1e5 times as far apart. This costs two runs of one or two periods, or of that time.
+    have parted by e^30. This costs two runs of one or two periods, or of that time.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ class _End:
         multiplier = self._multiplier(matrix)
         events = replace(events, t_start=0.0, t_end=period)
         why = "the state comes back after a period of the force"
-        return Attractor("periodic", why, period, multiplier, None, drift, events, path.states.first(1))
+        return Attractor("periodic", why, period, multiplier, None, drift, events, path.states.first(1), size)
 
     def _once_more(self, cycle: Round, last: EventSeries) -> Attractor | None:
         """The cycle, if the run goes round it once more; else None."""
@@ -275,7 +275,7 @@ class _End:
         if drift is None or not self._has_phase(period):
             return None
         period = self._whole(period)
-        if (part := self._part(path, events, size)) < p:
+        if (part := self._part(path, events, drift, size)) < p:
             # it settles from side to side, and is still too far off to be back after a part of the round; in so many
             # turns a spiral onto the shorter cycle may come as near as a longer cycle does
             return self._settled(Round(part, period * part / p, is_back=False))
@@ -287,7 +287,8 @@ class _End:
             return None  # as far from its end as it is large: it dies out
         if matrix is not None and np.abs(path.missed(drift)).max() > _SEEN * self._tol * size:
             # it may still be far from the cycle, by as much as it moves in all rounds to come
-            if distance > (_FAR if self._has_newton(p) else self._back) * size:
+            is_neutral = multiplier is not None and abs(multiplier - 1.0) <= self._back  # how far is not known
+            if is_neutral or distance > (_FAR if self._has_newton(p) else self._back) * size:
                 why = "events come back, and so nearly does the state, which moves on; lengthen the run"
                 return Attractor("undecided", why)
             if self._has_newton(p) and multiplier is not None and multiplier < 1.0:
@@ -298,9 +299,9 @@ class _End:
                 return None
         round_, states = _from_lowest(path, events, period, drift)
         why = f"{p} events, and the state at each, come back"
-        return Attractor("periodic", why, period, multiplier, None, drift, round_, states)
+        return Attractor("periodic", why, period, multiplier, None, drift, round_, states, size)
 
-    def _part(self, path: Path, events: EventSeries, size: float) -> int:
+    def _part(self, path: Path, events: EventSeries, drift: Floats, size: float) -> int:
         """Events of the shortest part of a round after which events repeat and the state nearly comes back.
 
         Not where it comes back so much nearer after the whole: a cycle whose period has doubled is near its half.
@@ -308,11 +309,11 @@ class _End:
         """
         p = len(path.block)
         symbols = symbols_of(in_order(events, 0, self._together))[:p]
-        whole = _off(path, p)
+        whole = _off(path, p, drift)
         near, exactly = _ALMOST * self._back * size, self._close * size
         for part in range(1, p // 2 + 1):
             if p % part == 0 and (symbols[part:] == symbols[:-part]).all():
-                off = _off(path, part)
+                off = _off(path, part, drift * (part / p))
                 if off <= exactly or (off <= near and (self._system.changes or whole > _APART * off)):
                     return part
         return p
@@ -355,12 +356,12 @@ class _End:
         multiplier = self._multiplier(found.matrix)
         if multiplier >= 1.0 - self._back:
             return None
-        if (part := self._part(found.path, found.events, size)) < p:
+        if (part := self._part(found.path, found.events, drift, size)) < p:
             return self._settled(Round(part, cycle.period * part / p, is_back=False))
         period = float(found.events.t[-1])
         listed, states = _from_lowest(found.path, found.events, period, drift)
         why = f"it settles on a cycle of {p} events, which attracts and is {found.distance:.1g} away"
-        return Attractor("periodic", why, period, multiplier, None, drift, listed, states)
+        return Attractor("periodic", why, period, multiplier, None, drift, listed, states, size)
 
     def _drift(self, path: Path, size: float, larger: float = _LARGER) -> Floats | None:
         """By what z has moved without a change of the forces, if the last state of a round is otherwise the first.
@@ -377,15 +378,17 @@ class _End:
         return drift if has_come_back and path.extent(drift) >= larger * allowed else None
 
     def _size(self, path: Path) -> float:
-        """How large the motion is, or the fastest belt: the engine's tolerance is relative to that.
+        """How large the motion is: what tolerances are relative to.
 
-        So much larger than it is where z is, that z's rounding is within the smallest of them.
+        It is larger where belts are so fast, or z so large, that errors of the engine, which are relative to belts,
+        or rounding of z are not within the smallest of them.
         """
-        z, w = path.states.z, path.states.w
+        t, z, w = path.states.t, path.states.z, path.states.w
         moved = z[-1] - z[0]
-        extent = path.extent(moved - across(self._system, moved))
-        of_motion = max(np.abs(w).max(), self._system.fastest_belt, extent)
-        return float(max(of_motion, _OF_Z / self._close * np.abs(z).max()))
+        drift = moved - across(self._system, moved)
+        of_motion = max(np.abs(w - drift / (t[-1] - t[0])).max(), path.extent(drift))
+        of_belts = self._close / self._back * self._system.fastest_belt
+        return float(max(of_motion, of_belts, _OF_Z / self._close * np.abs(z).max()))
 
     def _multiplier(self, matrix: Floats) -> float:
         """The largest multiplier; 0 if it cannot be told from that."""
@@ -411,7 +414,7 @@ class _End:
         place = np.flatnonzero(symbols == symbols[-1])
         grown = self._growth(float(last.t[-1] - last.t[place[-1 - min(n_again, _MOST_ROUNDS)]]))
         if grown is None:
-            return Attractor("undecided", "no cycle, and nothing is left of a deviation; lengthen the run")
+            return Attractor("undecided", "no cycle, and the motion is too small to tell what deviations do")
         rate, both = grown.rate, grown.second + grown.last
         if both < _GROWN or min(grown.second, grown.last) < _GROWN / 3.0:
             does = "decay" if both < -_GROWN else "do not grow as in chaos"
@@ -425,22 +428,20 @@ class _End:
 
     def _growth(self, length: float) -> Growth | None:
         """How fast runs from the end and from next to it part."""
-        tol = min(self._tol, TOL)
+        s, settings = self._system, self._settings | {"tol": min(self._tol, TOL)}
 
-        def follow(z: Floats, times: Floats) -> Run:
-            return simulate(
-                self._system, z, self._w, float(times[-1]), t_start=self._start, t_eval=times,
-                modes=self._mode if z is self._run.z else None, stop_early=False, **self._settings | {"tol": tol},
-            )  # fmt: skip
+        def follow(z: Floats, w: Floats, modes: NDArray[np.int8] | None, times: Floats) -> Run:
+            return simulate(s, z, w, float(times[-1]), t_start=float(times[0]), t_eval=times, modes=modes,
+                            stop_early=False, **settings)  # fmt: skip
 
         times = self._start, self._start + length
-        return growth(self._system, self._run.z, times, follow, bool(self._frequencies))
+        return growth(s, self._run.z, self._w, self._mode, times, follow, bool(self._frequencies))
 
 
-def _off(path: Path, k: int) -> float:
-    """How far the state at the k-th event of a path is from the first."""
+def _off(path: Path, k: int, drift: Floats) -> float:
+    """How far the state at the k-th event of a path is from the first, but for a drift."""
     z, w = path.states.z, path.states.w
-    return float(max(np.abs(z[k] - z[0]).max(), np.abs(w[k] - w[0]).max()))
+    return float(max(np.abs(z[k] - z[0] - drift).max(), np.abs(w[k] - w[0]).max()))
 
 
 def _from_lowest(path: Path, events: EventSeries, period: float, drift: Floats) -> tuple[EventSeries, Samples]:

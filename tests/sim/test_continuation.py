@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stickslip.sim import Harmonic, Stribeck, System
-from stickslip.sim.attractors.continuation import _time_of_phase, _Wave, continued
+from stickslip.sim.attractors.continuation import _time_of_phase, continued
 
 OSCILLATOR = System([[1.0]], 0.1, 0.5, 1.5, static=1.0, weakening=Stribeck(0.5))
 #: Steady sliding is stable while damping outweighs the fall of friction: R > exp(-v / 0.5).
@@ -49,24 +49,34 @@ def test_a_force_goes_on_from_its_phase():
     assert [one.period for one in found] == pytest.approx([2 * np.pi / 1.6954] * 5, rel=1e-9)
 
 
-def test_the_time_at_which_a_force_has_the_phase_of_another(rng):
+def test_the_time_at_which_forces_are_like_others(rng):
     """Of one frequency each, whatever they are: the cosines are the same then, and go on from there."""
+    one = System([[1.0]], 0.1)
     for _ in range(100):
         (f, phase), (f_before, phase_before) = rng.uniform([-3, -9], [3, 9], (2, 2)).tolist()
-        t = rng.uniform(0.0, 1e3)
-        new = _time_of_phase([_Wave(1.0, f, phase)] * 2, [_Wave(1.0, f_before, phase_before)], t)
+        sign, t = rng.choice([-1.0, 1.0]), rng.uniform(0.0, 1e3)
+        before = one.changed(force=Harmonic(2.0 * sign, f_before, phase_before))
+        new = _time_of_phase(one.changed(force=Harmonic(sign, f, phase)), before, t)
         assert 0.0 <= new < 2 * np.pi / abs(f)
-        assert np.exp(1j * (f * new + phase)) == pytest.approx(np.exp(1j * (f_before * t + phase_before)), abs=1e-10)
+        assert np.cos(f * new + phase) == pytest.approx(np.cos(f_before * t + phase_before), abs=1e-10)
+        turns = np.sin(f * new + phase) * f, np.sin(f_before * t + phase_before) * f_before
+        assert np.sign(turns[0]) == np.sign(turns[1])
 
 
-def test_a_force_that_comes_in_keeps_the_phase_of_its_place():
-    """Another force goes on meanwhile, a block away: with the phase of that, the two would be out of step."""
-    first, second = _Wave(0.0, 1.3, 0.2), _Wave(0.5, 1.3, 2.9)
-    for amplitude in (0.4, -0.4):
-        both = [_Wave(amplitude, 1.3, 0.2 - np.pi * (amplitude < 0)), second]
-        new = _time_of_phase(both, [first, second], 17.0)
-        assert np.exp(1j * (1.3 * new + 2.9)) == pytest.approx(np.exp(1j * (1.3 * 17.0 + 2.9)), abs=1e-10)
-    assert _time_of_phase([first, first], [first, second], 17.0) == 0.0
+def test_a_force_that_comes_in_leaves_the_others_their_phase(rng):
+    """One that has no amplitude is none to a system; whichever places forces have, the large one goes on."""
+    for _ in range(20):
+        phases, place = rng.uniform(0, 2 * np.pi, 2), int(rng.integers(2))
+
+        def system(amplitude, phases=phases, place=place):
+            forces = [Harmonic(amplitude, 1.3, phases[0]), Harmonic([0.5, 0.2], 1.3, phases[1])]
+            return System(np.eye(2), 0.1, force=forces[:: 1 - 2 * place])
+
+        for first, second in ((0.0, 1e-3), (1e-3, 0.0), (1e-3, -1e-3)):
+            t = rng.uniform(0.0, 100.0)
+            new = _time_of_phase(system(second), system(first), t)
+            np.testing.assert_allclose(system(second).force_at(new), system(first).force_at(t), atol=3e-3)
+    assert _time_of_phase(System(np.eye(2), 0.1), system(0.0), 17.0) == 0.0
 
 
 def test_what_does_not_fit_is_refused():

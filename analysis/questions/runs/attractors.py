@@ -383,7 +383,10 @@ def _ranges(
         n_units = max(some.n if some.is_one_system else len(np.unique(some.unit)) for some in listed)
         is_all = len(one.on) == 1 and not n_undecided and n_units >= _LEAST_UNITS
         multipliers = [_most(some.multiplier) for some in listed]
+        by_run = [np.array(of(some), dtype=object) for some in listed]
         rows.append({
+            "shares": [_bounds([float((found == kind).mean()) for found in by_run]) for kind in one.on],
+            "is_by_system": all(map(_is_by_system, listed, by_run)),
             "first": ticks[one.first], "last": ticks[one.last], "on": one.on, "attractors": "; ".join(one.on),
             "n_cycles": max(int(some.cycle.max(initial=0)) for some in listed),
             "n_values": len(listed), "n_runs": sum(some.n for some in listed), "n_undecided": n_undecided,
@@ -392,6 +395,18 @@ def _ranges(
             "multiplier_last": multipliers[-1],
         })  # fmt: skip
     return rows
+
+
+def _bounds(shares: Sequence[float]) -> tuple[float, float]:
+    return min(shares), max(shares)
+
+
+def _is_by_system(runs: Runs, found: np.ndarray) -> bool:
+    """Whether runs are of several systems, some of them with several starts, and all of a system do the same."""
+    if runs.is_one_system:
+        return False
+    n_runs, n_kinds = (pd.Series(found).groupby(runs.unit).agg(how) for how in ("size", "nunique"))
+    return bool(n_runs.max() > 1 and n_kinds.max() == 1)
 
 
 def _changes_of_exits(found: Sequence[Row], ticks: Sequence[str], x: Sequence[float]) -> list[Row]:
