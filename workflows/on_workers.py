@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from distributed import Client
@@ -37,7 +38,8 @@ class OnWorkers:
     def __init__(
         self, opened: Opened, settings: AnalysisSettings, client: Client, scheduler: str | Client | None
     ) -> None:
-        self._parts, self._client, self._scheduler = Parts(opened, settings), client, scheduler
+        there = replace(opened, place=opened.place.from_anywhere)
+        self._parts, self._client, self._scheduler = Parts(there, settings), client, scheduler
 
     def __call__(
         self, of: Callable[..., T], some: Ended, beside: Ended | None = None

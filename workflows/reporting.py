@@ -236,8 +236,7 @@ def write(built: Report, where: Where) -> str:
     files, (listed,) = built.files(), place.read_each([LIST])
     earlier = built.gone() if listed is None else listed.decode(errors="replace").splitlines()
     place.replace(LIST, _lines([UNFINISHED, *earlier, *files]))
-    for name, content in files.items():
-        place.replace(name, content())
+    place.replace_all(files)
     for name in earlier:
         if _OURS.fullmatch(name) and name not in files:
             place.remove(name)

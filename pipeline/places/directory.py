@@ -8,7 +8,7 @@ import fcntl
 import os
 import re
 import socket
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -72,6 +72,10 @@ class Directory(Place):
     def __init__(self, path: Path) -> None:
         self.path, self.address = path, str(path)
 
+    @property
+    def from_anywhere(self) -> Directory:
+        return Directory(self.path.absolute())
+
     def named(self, name: str) -> str:
         return str(self.path / name)
 
@@ -94,6 +98,16 @@ class Directory(Place):
         file.parent.mkdir(exist_ok=True)
         with replacing(file) as stream:
             stream.write(content)
+
+    def replace_all(self, files: Mapping[str, Callable[[], bytes]]) -> None:
+        """All are written before the first old one is replaced: a disk that is full leaves these."""
+        with contextlib.ExitStack() as begun:
+            for name, content in reversed([*files.items()]):  # the last one that is begun is the first to be replaced
+                (self.path / name).parent.mkdir(exist_ok=True)
+                stream = begun.enter_context(replacing(self.path / name))
+                stream.write(content())
+                stream.flush()
+                os.fsync(stream.fileno())
 
     def remove(self, name: str) -> None:
         (self.path / name).unlink(missing_ok=True)
@@ -126,7 +140,7 @@ class Directory(Place):
         if file.exists():
             whole = file.read_bytes().rpartition(b"\n")
             os.truncate(file, len(whole[0]) + len(whole[1]))
-        descriptor = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+        descriptor = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
         try:
             yield lambda line: _append(descriptor, line)
         finally:
@@ -152,7 +166,7 @@ class _Locked(Hold):
 def _acquire(file: Path) -> int:
     """An exclusive lock on a file, as a descriptor that holds it until it is closed."""
     while True:
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o644)
+        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
         if not is_locked(descriptor):
             owner = os.read(descriptor, 200).decode(errors="replace").partition("\n")[0]
             os.close(descriptor)

@@ -114,6 +114,16 @@ class Place(ABC):
     def replace(self, name: str, content: bytes) -> None:
         """Replace the content of a file in one step: a crash leaves the old or the new."""
 
+    @property
+    def from_anywhere(self) -> Place:
+        """The same for processes that were started in another directory."""
+        return self
+
+    def replace_all(self, files: Mapping[str, Callable[[], bytes]]) -> None:
+        """As `replace`, one file after the other, of which each is made when it is written."""
+        for name, content in files.items():
+            self.replace(name, content())
+
     def replace_each(self, contents: Mapping[str, bytes]) -> None:
         """As `replace`, for each file; if one is refused, others may be there or not."""
         with ThreadPoolExecutor(AT_ONCE) as pool:  # most of the time is waiting, for a disk as for a store

@@ -99,7 +99,7 @@ class AttractorRecord(WindowRecord):
         )
 
     def cost(self, member: Member, sharing: Sharing) -> float:
-        return 0.2 * member.cost if self.applies(member) else 0.0
+        return 0.5 * member.cost if self.applies(member) else 0.0
 
     def of(self, made: Made) -> dict[str, Any]:
         from stickslip.sim.attractors import attractor  # it loads numba, which who reads a dataset does not need

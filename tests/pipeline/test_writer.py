@@ -195,6 +195,19 @@ def test_a_line_that_a_crash_cut_short_spoils_no_other(tmp_path):
     assert (tmp_path / "lines").read_bytes() == b"one\nthree\n"
 
 
+def test_files_have_the_modes_that_their_owner_lets_them_have(scene, tmp_path):
+    """As a group has that works in one directory: the next member resumes."""
+    before = os.umask(0o002)
+    try:
+        with Store(tmp_path / "out", scene) as store:
+            store.commit(compute(*store.todo[0]))
+            modes = {file.name: file.stat().st_mode & 0o777 for file in (tmp_path / "out").rglob("*.*")}
+    finally:
+        os.umask(before)
+    assert {".lock", "timings.jsonl"} <= modes.keys()
+    assert set(modes.values()) == {0o664}, modes
+
+
 def test_a_commit_that_fails_is_forgotten(scene, source, tmp_path, monkeypatch):
     with Store(tmp_path, scene) as store:
         first, second = (compute(*task) for task in store.todo[:2])

@@ -543,6 +543,31 @@ def test_the_status_of_a_dataset_that_has_lost_a_shard(dataset, tmp_path, capsys
     assert "damaged" not in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("n_written", [0, 1, 3])
+def test_a_disk_that_is_full_half_way_through_a_report_leaves_the_old_tables_with_their_page(
+    n_written, tmp_path, monkeypatch
+):
+    old, new = (Report(f"<{k}>", {"law": pd.DataFrame({"gamma": [0.7 + k]})}, []) for k in range(2))
+    write(old, tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    fsync, calls = os.fsync, []
+
+    def full(descriptor):
+        calls.append(descriptor)
+        if len(calls) > 2 + n_written:  # the list of files, its name, and some of these
+            raise OSError(28, "No space left on device")
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write(new, tmp_path)
+    after = {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    assert after == before | {"files.txt": after["files.txt"]}
+    monkeypatch.undo()
+    write(new, tmp_path)
+    assert {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}["report.html"] == b"<1>"
+
+
 @pytest.mark.parametrize("n_whole", [0, 2, 3])
 def test_a_report_that_cannot_be_written_leaves_the_old_one_whole(n_whole, tmp_path, monkeypatch):
     table = pd.DataFrame({"gamma": [0.7]})

@@ -12,6 +12,7 @@ import asyncio
 import contextlib
 import os
 import sys
+import tempfile
 from collections.abc import Iterator
 from importlib import import_module
 from typing import Any
@@ -19,6 +20,7 @@ from typing import Any
 import dask
 from dask.utils import parse_timedelta
 from distributed import Client, Security, SpecCluster
+from distributed.core import Status
 
 from stickslip.pipeline import (
     Interrupted,
@@ -39,6 +41,8 @@ from stickslip.workflows.scenes import find, load
 #: Seconds that a worker leaves before its job ends, to hand over what it holds, and by how much more or less some do:
 #: workers that started together are not all replaced at once. In short jobs, at most these parts of their time.
 MARGIN, STAGGER = (300, 1 / 4), (240, 1 / 8)
+#: Seconds until a job that was refused is submitted again.
+RETRY = 60.0
 
 
 def parser() -> argparse.ArgumentParser:
@@ -95,13 +99,29 @@ def start(arguments: argparse.Namespace) -> Iterator[Client]:
     from dask_jobqueue.slurm import SLURMCluster
 
     with contextlib.ExitStack() as opened:
+        # of its own, as above: this process, which has the scheduler, looks for modules there too
+        own = opened.enter_context(tempfile.TemporaryDirectory(prefix="stickslip-", ignore_cleanup_errors=True))
+        opened.enter_context(dask.config.set({"temporary-directory": own}))
         with unbroken():  # a cluster that is half built, or half closed, would leave its jobs behind
             cluster = replacing(SLURMCluster)(**slurm_settings(arguments))
             opened.callback(_close, cluster)
         # not `scale`: what is adapted is also replaced, when a job's time is over or its node fails
         n_jobs = -(-arguments.workers // arguments.per_job)
         cluster.adapt(minimum_jobs=n_jobs, maximum_jobs=n_jobs)
-        yield opened.enter_context(Client(cluster, set_as_default=False))
+        client = opened.enter_context(Client(cluster, set_as_default=False))
+        _wait(client, cluster, arguments.workers)
+        yield client
+
+
+def _wait(client: Client, cluster: Any, workers: int) -> None:
+    """Until there is a worker; SystemExit if Slurm refuses the first jobs, as it will refuse others."""
+    print(f"dask    waiting for the first of {workers} workers")
+    while True:
+        with contextlib.suppress(TimeoutError):
+            client.wait_for_workers(1, timeout=2)
+            return
+        if cluster.refused and not cluster.n_accepted:
+            sys.exit(f"slurm.py: Slurm takes no job: {cluster.refused}")
 
 
 def replacing(kind: type[SpecCluster]) -> type[SpecCluster]:
@@ -112,6 +132,30 @@ def replacing(kind: type[SpecCluster]) -> type[SpecCluster]:
     """
 
     class Replacing(kind):  # type: ignore[valid-type, misc]
+        #: what Slurm said last of a job that it refused, and how many it has taken
+        refused, n_accepted = "", 0
+
+        async def _correct_state_internal(self) -> None:
+            """As dask does; a job that is refused is submitted again later, where dask would count it as there."""
+            before = {*self.workers}
+            try:
+                await super()._correct_state_internal()
+            except (RuntimeError, OSError) as error:  # of sbatch, or there is none
+                self._again(error)
+            self.n_accepted += len({*self.workers} - before)
+
+        def _again(self, error: Exception) -> None:
+            for name, job in [*self.workers.items()]:
+                if job.job_id is None:
+                    job.status = Status.failed
+                    del self.workers[name]
+            words = str(error)
+            self.refused = (words.partition("stderr:")[2] or words).strip()
+            if self.n_accepted or self.workers:
+                print(f"slurm.py: a job was refused and is submitted again in {RETRY:g} s: {self.refused}",
+                      file=sys.stderr)  # fmt: skip
+                asyncio.get_running_loop().call_later(RETRY, self._correct_state)
+
         def _update_worker_status(self, op: str, message: Any) -> None:
             if op != "remove":
                 super()._update_worker_status(op, message)
@@ -149,14 +193,11 @@ def main(argv: list[str] | None = None) -> int:
         scene = load(find(arguments.scene))
         if not arguments.local:
             import_module("dask_jobqueue.slurm")  # it sets a handler of SIGINT, which ours must replace
-        with interruptible(), start(arguments) as client:
-            print(f"dask    waiting for the first of {arguments.workers} workers")
-            client.wait_for_workers(1)
-            with Watch(arguments.out) as watch:
-                status = run_ensemble(scene, arguments.out, scheduler=client, on_progress=watch)
-                if arguments.report:
-                    with Asking(scheduler=client) as asking:
-                        write_report(arguments.out, asking, watch)
+        with interruptible(), start(arguments) as client, Watch(arguments.out) as watch:
+            status = run_ensemble(scene, arguments.out, scheduler=client, on_progress=watch)
+            if arguments.report:
+                with Asking(scheduler=client) as asking:
+                    write_report(arguments.out, asking, watch)
     except Interrupted as interrupt:
         print("interrupted; finished work is kept: rerun the same command to resume", file=sys.stderr)
         return interrupt.exit_code
