@@ -412,7 +412,7 @@ def _explained(path: Place) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise StoreError(
-            f"{error.filename or path}: cannot be written ({error.strerror}); make room or make {path} "
-            f"writable, then rerun the scene: finished shards are kept"
-        ) from error
+        remedy = f"make room or make {path} writable, then rerun the scene: finished shards are kept"
+        if isinstance(error, FileNotFoundError):  # it was there when the run began
+            remedy = f"{path} was moved or removed: bring it back, and rerun the scene to resume"
+        raise StoreError(f"{error.filename or path}: cannot be written ({error.strerror}); {remedy}") from error
