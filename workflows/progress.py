@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 import time
 from collections import Counter
@@ -72,7 +73,9 @@ def _status_lines(found: Status) -> list[str]:
         lines.append(f"extend  {', '.join(extension.records)}, {done}{go_on}")
     if found.running is not None:
         elapsed = clock(time.time() - found.running.began.at)
-        lines.append(f"running {found.running.owner}, {elapsed}{_pace(found.rate, found.eta)}")
+        is_here = found.running.owner.endswith(f" on {socket.gethostname()}")
+        said = "" if is_here else ", as its lock says: only there it can be seen to live"
+        lines.append(f"running {found.running.owner}{said}, {elapsed}{_pace(found.rate, found.eta)}")
         lines += [f"dask    {found.running.dashboard}"] * (found.running.dashboard is not None)
     elif not found.is_complete:
         lines.append("running nothing: rerun the scene to resume")
