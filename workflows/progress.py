@@ -73,8 +73,9 @@ def _status_lines(found: Status) -> list[str]:
         lines.append(f"extend  {', '.join(extension.records)}, {done}{go_on}")
     if found.running is not None:
         elapsed = clock(time.time() - found.running.began.at)
-        is_here = found.running.owner.endswith(f" on {socket.gethostname()}")
-        said = "" if is_here else ", as its lock says: only there it can be seen to live"
+        # a store's lock is a lease, which its owner renews
+        is_seen = "://" in found.path or found.running.owner.endswith(f" on {socket.gethostname()}")
+        said = "" if is_seen else ", as its lock says: only there it can be seen to live"
         lines.append(f"running {found.running.owner}{said}, {elapsed}{_pace(found.rate, found.eta)}")
         lines += [f"dask    {found.running.dashboard}"] * (found.running.dashboard is not None)
     elif not found.is_complete:
