@@ -25,7 +25,7 @@ TOL, _APART, _NOISE, _MOST = 1e-12, 1e-8, 1e3, 1e-4
 _EPS = float(np.finfo(np.float64).eps)
 #: The first piece, of the time; instants in each; ln of the growth in a piece below which the next is twice as long,
 #: above which half as long; and of the growth, or decay, that is enough.
-_FIRST, _SAMPLES, _LITTLE, _MUCH, _ENOUGH = 1 / 64, 50, 2.0, 5.0, 30.0
+_FIRST, _SAMPLES, _LITTLE, _MUCH, _ENOUGH = 1 / 32, 50, 3.0, 8.0, 30.0
 #: ln of what a distance of zero counts as.
 _NOTHING = -10.0
 #: Distances are averaged over this share of the time, at so many instants: they vary within a round.
