@@ -495,10 +495,9 @@ def test_swept_starts_are_counted_together_and_quiet_ones_on_a_cycle_are_said(pl
     """Each start is a setting of one run: what every run of one does is nothing to tell."""
     data, z, _ = starts(planted, rng, 30, drawn=None, start_draw=None)
     is_quiet = (np.abs(z) < 1) & (data.members["outcome"] == "finished").to_numpy()
-    members = data.members.assign(
-        attractor=np.where(is_quiet, "periodic", "undecided"), exits_per_period=np.where(is_quiet, 0, 1)
-    )
-    facts = asked(Data(members, data.series)).facts
+    exits = {name: 0.0 if quiet else 1.0 for name, quiet in zip(data.members["member_id"], is_quiet, strict=True)}
+    own = {"exits_per_period": Recorded("exits in a period", exits)}
+    facts = asked(Data(data.members, data.series, recorded=own)).facts
     assert facts["n_on_cycle"] == is_quiet.sum()
     words = environment().get_template("fates.html").module
     said = re.sub(r"\s+", " ", str(words.answer(facts))).strip()

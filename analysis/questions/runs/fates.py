@@ -21,7 +21,6 @@ from stickslip.analysis.answer import Answer, F, I, Question, Row, S, columns, f
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SPEED_DEPENDENT, joined
-from stickslip.analysis.models.attractors import PERIODIC
 from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
@@ -115,7 +114,7 @@ def answer(study: Study) -> Answer:
         "linear": _linear(followed, members["growth_rate"]),
         "rated": [row for row in systems if row["is_rated"]],
         "is_certified": "t_collapse" in members,
-        "n_on_cycle": _n_on_cycle(runs, members),
+        "n_on_cycle": _n_on_cycle(study, runs),
         "untold": Counter(runs.loc[runs["fate"] == QUIET, "untold"]),
         "has_ends": bool((runs["fate"].isin(ENDS) & (runs["t"] > 0.0)).any()),
         "basin": None if "attractor" in members else _basin(study.groups, followed, members),  # drawn there
@@ -351,12 +350,13 @@ def _linear(followed: pd.DataFrame, growth_rates: pd.Series) -> list[Row]:
     return [{"state": state, "n_runs": len(some), **_counts(some)} for state, some in parts.items() if len(some)]
 
 
-def _n_on_cycle(runs: pd.DataFrame, members: pd.DataFrame) -> int:
-    """How many quiet runs are on a cycle without exits, where that is recorded."""
-    if not {"attractor", "exits_per_period"} <= {*members}:
+def _n_on_cycle(study: Study, runs: pd.DataFrame) -> int:
+    """How many quiet runs are on a cycle without exits, where that is recorded; exits are null on none."""
+    if "exits_per_period" not in study.data.recorded:
         return 0
-    own = members.iloc[runs.loc[runs["fate"] == QUIET, "row"]]
-    return int(((own["attractor"] == PERIODIC) & (own["exits_per_period"] == 0)).sum())
+    exits = study.data.recorded["exits_per_period"].values
+    quiet = study.data.table.own["member_id"].iloc[runs.loc[runs["fate"] == QUIET, "row"]]
+    return sum(exits.get(name) == 0.0 for name in quiet)
 
 
 def _commonest(reasons: pd.Series) -> str:

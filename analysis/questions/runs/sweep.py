@@ -91,6 +91,7 @@ def answer(study: Study) -> Answer | None:
     contrast.judge(contrasts, 1 - level, Words(WITHIN, RISES, FALLS))
     for row in contrasts:
         row["is_told"] = row["verdict"] != UNKNOWN or bool(row["open"])
+        row["beyond"] = _beyond(row, contrasts)
     keys = {key: axis.dtype(k) for axis in axes for k, key in enumerate(axis.keys)}
     tables = {"sweep": frame({**_VALUES, **keys}, rows), "sweep_changes": frame(_CONTRASTS, contrasts)}
     recorded = [one for one in asked if one.is_recorded]
@@ -128,7 +129,6 @@ def answer(study: Study) -> Answer | None:
     still = {one.name for one in asked} - {row["quantity"] for row in contrasts if not row["is_same"]}
     told = _told(own, axes, leading, bool(recorded))
     for row in own:
-        row["beyond"] = _beyond(row, own)
         row |= _everywhere([one for one in contrasts if _place(one) == _place(row)], len(points))
     most = max(own, key=lambda row: (row["quantity"] == leading[0], row["is_last"], _weight(row)))["key"]
     in_order = [most, *(row["key"] for row in told), *(axis.name for axis in axes)]
@@ -307,7 +307,7 @@ def _beyond(end: Row, rows: Sequence[Row]) -> Row | None:
     low, high = end["difference_low"], end["difference_high"]
     if not end["is_last"] or end["is_share"] or low is None:
         return None
-    alike = [row for row in rows if (row["quantity"], row["key"]) == (end["quantity"], end["key"])]
+    alike = [row for row in rows if all(row[name] == end[name] for name in ("setting", "quantity", "key"))]
     above = [row for row in alike if row["verdict"] == RISES and row["difference_low"] > max(high, 0.0)]
     below = [row for row in alike if row["verdict"] == FALLS and row["difference_high"] < min(low, 0.0)]
     return max([*above, *below], key=lambda row: abs(row["difference"]), default=None)
