@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study, build
+from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
