@@ -354,7 +354,7 @@ def _n_on_cycle(study: Study, runs: pd.DataFrame) -> int:
     """How many quiet runs are on a cycle without exits, where that is recorded; exits are null on none."""
     if "exits_per_period" not in study.data.recorded:
         return 0
-    exits = study.data.recorded["exits_per_period"].values
+    exits = study.data.recorded["exits_per_period"].values  # noqa: PD011  a named tuple, no data frame
     quiet = study.data.table.own["member_id"].iloc[runs.loc[runs["fate"] == QUIET, "row"]]
     return sum(exits.get(name) == 0.0 for name in quiet)
 
