@@ -33,7 +33,9 @@ from stickslip.sim.engines import ENGINES, SETTINGS
 #: Numbers that differ by less, relatively, are shown as one.
 _ROUNDING = 1e-14
 
-_NUMBER = re.compile(r"[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+#: A number, whose sign is no hyphen in a word; and a distribution.
+_NUMBER = re.compile(r"(?:(?<!\w)[-+])?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+_DRAWN = re.compile(r"(uniform|normal)\(([^,()]+), ([^,()]+)\)")
 
 #: Keys that separate settings and are not swept.
 FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
@@ -231,13 +233,24 @@ def _by_unit(members: Members, rows: np.ndarray) -> np.ndarray:
 def by_value(value: object) -> tuple[int, str, tuple[float, ...]]:
     """Sorts settings: numbers by their value, then None, then words, and of the same words by the numbers in them.
 
-    The last number comes first, which is the upper end or the width of a distribution: wider ones come later.
+    Distributions are sorted by their width first: that of an interval, or a standard deviation.
     """
     if isinstance(value, (int, float, np.number)):
         return 0, "", (float(value),)
     if value is None:
         return 1, "", ()
-    return 2, _NUMBER.sub("", str(value)), tuple(float(one) for one in reversed(_NUMBER.findall(str(value))))
+    text = _DRAWN.sub(_by_width, str(value))
+    return 2, _NUMBER.sub("", text), tuple(map(float, _NUMBER.findall(text)))
+
+
+def _by_width(found: re.Match[str]) -> str:
+    name, first, second = found[1], float(found[2]), float(found[3])
+    return f"{name}({round(second - first, 12) if name == 'uniform' else second:.15g}, {first:.15g})"
+
+
+def parts_of(label: str) -> list[str]:
+    """What the name of a group consists of; a distribution is one part."""
+    return re.split(r", (?![^()]*\))", label)
 
 
 def engine_name(engine: str) -> str:

@@ -13,6 +13,7 @@ from stickslip.analysis.answer import Row, named
 from stickslip.analysis.catalogues import MARGIN, Catalogues
 from stickslip.analysis.contrast import Statistic, contrast, judge
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import parts_of
 from stickslip.analysis.models.episodes import QUANTITIES, RATE, Catalogue
 from stickslip.analysis.models.laws import Difference, difference_of_order, distance_of_shares, largest_gap
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
@@ -63,7 +64,7 @@ def _method(label: str, of_one_size: bool, are_exact: bool) -> str:
     """Name of a method from the label of its group, without what all groups share."""
     bare = label.partition(", ")[2] if of_one_size else label
     if are_exact:
-        bare = ", ".join(word for word in bare.split(", ") if word != "exact") or "exact"
+        bare = ", ".join(word for word in parts_of(bare) if word != "exact") or "exact"
     bare = bare.replace("moreau, step", "time steps h").replace("sigmoid, eps", "sigmoid \u03b5")
     bare = re.sub(r"\beps\b", "\u03b5", bare)
     bare = re.sub(r"(?<=\u03b5 = )0\.00\d+", _power, bare)

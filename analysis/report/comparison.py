@@ -20,7 +20,7 @@ from stickslip.analysis.contrast import (
     told,
 )
 from stickslip.analysis.ensemble import Data, Study
-from stickslip.analysis.groups import Group
+from stickslip.analysis.groups import Group, parts_of
 from stickslip.analysis.measures import KEYS, Measure, measures
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS
 from stickslip.analysis.questions.runs.engines import contrasts, summary
@@ -157,7 +157,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
 
 def _apart(labels: Sequence[str]) -> list[str]:
     """What tells each of some settings from the others; empty if there is one."""
-    parts = [label.split(", ") for label in labels]
+    parts = [parts_of(label) for label in labels]
     shared = set.intersection(*map(set, parts)) if len(parts) > 1 else set(parts[0])
     return [", ".join(part for part in some if part not in shared) for some in parts]
 

@@ -10,6 +10,7 @@ import re
 import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import BinaryIO
 
@@ -20,7 +21,7 @@ from stickslip.pipeline.places.place import DATA, LOCK, TEMPORARY, Hold, Mark, P
 @contextlib.contextmanager
 def replacing(file: Path) -> Iterator[BinaryIO]:
     """A stream for the new content of a file, which replaces the old in one step if the with-block succeeds."""
-    temporary = file.with_name(f"{_begun(file)}{os.getpid()}")
+    temporary = _temporary(file)
     try:
         with open(temporary, "wb") as stream:
             yield stream
@@ -28,10 +29,24 @@ def replacing(file: Path) -> Iterator[BinaryIO]:
             os.fsync(stream.fileno())
         os.replace(temporary, file)
     except BaseException:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        _remove(temporary)
         raise
-    directory = os.open(file.parent, os.O_RDONLY)
+    _sync(file.parent)
+
+
+def _temporary(file: Path) -> Path:
+    return file.with_name(f"{_begun(file)}{os.getpid()}")
+
+
+def _remove(*temporary: Path) -> None:
+    for file in temporary:
+        with contextlib.suppress(OSError):
+            file.unlink(missing_ok=True)
+
+
+def _sync(folder: Path) -> None:
+    """Have the names in a folder on the disk."""
+    directory = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(directory)
     finally:
@@ -101,13 +116,21 @@ class Directory(Place):
 
     def replace_all(self, files: Mapping[str, Callable[[], bytes]]) -> None:
         """All are written before the first old one is replaced: a disk that is full leaves these."""
-        with contextlib.ExitStack() as begun:
-            for name, content in reversed([*files.items()]):  # the last one that is begun is the first to be replaced
-                (self.path / name).parent.mkdir(exist_ok=True)
-                stream = begun.enter_context(replacing(self.path / name))
-                stream.write(content())
-                stream.flush()
-                os.fsync(stream.fileno())
+        begun = {self.path / name: _temporary(self.path / name) for name in files}
+        try:
+            for content, (file, temporary) in zip(files.values(), begun.items(), strict=True):
+                file.parent.mkdir(exist_ok=True)
+                with open(temporary, "wb") as stream:
+                    stream.write(content())
+                    stream.flush()
+                    os.fsync(stream.fileno())
+            for folder, some in groupby(begun, lambda file: file.parent):
+                for file in some:
+                    os.replace(begun[file], file)
+                _sync(folder)
+        except BaseException:
+            _remove(*begun.values())
+            raise
 
     def remove(self, name: str) -> None:
         (self.path / name).unlink(missing_ok=True)

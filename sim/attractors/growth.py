@@ -19,9 +19,11 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.system import System
 
-#: The tolerance at which they are run; how far apart they begin, of the size of the motion, or by how many times what
-#: this tolerance and rounding leave; and the most of the size of the motion that this may be.
-TOL, _APART, _NOISE, _MOST = 1e-12, 1e-8, 1e3, 1e-4
+#: The tolerance at which they are run.
+TOL = 1e-12
+#: How far apart they begin, of the size of the motion, or if that is more, of the errors of such runs; and the most
+#: of the size of the motion that the latter may be.
+_APART, _NOISE, _MOST = 1e-8, 1e3, 1e-4
 _EPS = float(np.finfo(np.float64).eps)
 #: The first piece, of the time; instants in each; ln of the growth in a piece below which the next is twice as long,
 #: above which half as long; and of the growth, or decay, that is enough.
@@ -125,6 +127,8 @@ def _apart(system: System, fastest: float, one: Run, other: Run, is_forced: bool
 def _of(instants: Floats, logs: Floats) -> Growth:
     """From ln of the distance at some instants."""
     begin, length = float(instants[0]), float(instants[-1] - instants[0])
+    if length == 0.0:
+        return Growth(0.0, 0.0, 0.0)  # one of them ran away at once
     ends = begin + length / 3.0 * np.arange(1, 4)
     windows = ends[:, np.newaxis] - _WINDOW * length * np.linspace(0.0, 1.0, _INSTANTS)
     first, second, third = np.interp(windows, instants, logs).mean(axis=1).tolist()

@@ -31,7 +31,8 @@ class Attractor:
         Of a periodic run.
     multiplier : float or None
         Of a periodic run: the largest modulus of its Floquet multipliers, but for those of a shift in time and of
-        shifts of z at which no spring pulls; 0 if it is below 100 `tol`. Below one the cycle attracts; above, only
+        shifts of z at which no spring pulls; 0 if it is below
+        100 `tol`, at most 1e-4. Below one the cycle attracts; above, only
         symmetry or chance keeps the run on it. None if it would take too long.
     growth_rate : float or None
         Of an irregular run: the rate at which small deviations grow, but for shifts in time. Of an undecided one that
@@ -44,7 +45,7 @@ class Attractor:
         The state at each of these events; of a period without events, the state at a whole number of periods; of rest
         and sliding, the one state at which the run is, or to which it comes.
     size : float or None
-        Of a periodic run: how large its motion is, as tolerances are relative to that.
+        Of a periodic run: how large its motion is.
     """
 
     kind: Kind

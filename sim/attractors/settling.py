@@ -221,7 +221,8 @@ class _End:
 
     def _without_events(self) -> Attractor:
         """A run without events, which may follow a force and have its period."""
-        none = Attractor("undecided", f"no event after t = {self._since:g}, and no proof of steady sliding")
+        more = "; lengthen the run" if self._frequencies else ""
+        none = Attractor("undecided", f"no event after t = {self._since:g}, and no proof of steady sliding{more}")
         if len(self._frequencies) != 1:
             return none
         period = 2.0 * np.pi / self._frequencies[0]
@@ -240,7 +241,9 @@ class _End:
         multiplier = self._multiplier(matrix)
         events = replace(events, t_start=0.0, t_end=period)
         why = "the state comes back after a period of the force"
-        return Attractor("periodic", why, period, multiplier, None, drift, events, path.states.first(1), size)
+        return Attractor(
+            "periodic", why, period, multiplier, None, drift, events, path.states.first(1), self._extent(path)
+        )
 
     def _once_more(self, cycle: Round, last: EventSeries) -> Attractor | None:
         """The cycle, if the run goes round it once more; else None."""
@@ -299,7 +302,7 @@ class _End:
                 return None
         round_, states = _from_lowest(path, events, period, drift)
         why = f"{p} events, and the state at each, come back"
-        return Attractor("periodic", why, period, multiplier, None, drift, round_, states, size)
+        return Attractor("periodic", why, period, multiplier, None, drift, round_, states, self._extent(path))
 
     def _part(self, path: Path, events: EventSeries, drift: Floats, size: float) -> int:
         """Events of the shortest part of a round after which events repeat and the state nearly comes back.
@@ -361,7 +364,7 @@ class _End:
         period = float(found.events.t[-1])
         listed, states = _from_lowest(found.path, found.events, period, drift)
         why = f"it settles on a cycle of {p} events, which attracts and is {found.distance:.1g} away"
-        return Attractor("periodic", why, period, multiplier, None, drift, listed, states, size)
+        return Attractor("periodic", why, period, multiplier, None, drift, listed, states, self._extent(found.path))
 
     def _drift(self, path: Path, size: float, larger: float = _LARGER) -> Floats | None:
         """By what z has moved without a change of the forces, if the last state of a round is otherwise the first.
@@ -377,18 +380,21 @@ class _End:
         has_come_back = (np.abs(dz - drift) <= allowed).all() and (np.abs(dw) <= allowed).all()
         return drift if has_come_back and path.extent(drift) >= larger * allowed else None
 
-    def _size(self, path: Path) -> float:
-        """How large the motion is: what tolerances are relative to.
-
-        It is larger where belts are so fast, or z so large, that errors of the engine, which are relative to belts,
-        or rounding of z are not within the smallest of them.
-        """
+    def _extent(self, path: Path) -> float:
+        """How large the motion is, but for what no spring holds."""
         t, z, w = path.states.t, path.states.z, path.states.w
         moved = z[-1] - z[0]
         drift = moved - across(self._system, moved)
-        of_motion = max(np.abs(w - drift / (t[-1] - t[0])).max(), path.extent(drift))
+        return float(max(np.abs(w - drift / (t[-1] - t[0])).max(), path.extent(drift)))
+
+    def _size(self, path: Path) -> float:
+        """What tolerances are relative to: how large the motion is.
+
+        Or more, where belts are so fast that errors of the engine, which are relative to them, or z so large that its
+        rounding exceeds the smallest of these tolerances.
+        """
         of_belts = self._close / self._back * self._system.fastest_belt
-        return float(max(of_motion, of_belts, _OF_Z / self._close * np.abs(z).max()))
+        return max(self._extent(path), of_belts, _OF_Z / self._close * float(np.abs(path.states.z).max()))
 
     def _multiplier(self, matrix: Floats) -> float:
         """The largest multiplier; 0 if it cannot be told from that."""

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import Data, Study, build
+from stickslip.analysis.groups import by_value, parts_of
 from stickslip.analysis.questions.runs import sweep
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats import enough
@@ -220,7 +221,7 @@ def test_figures_draw_what_the_table_says(swept, settings, key):
     )
     places = np.array(speeds)
     if key == "friction":
-        laws = {speed: f"uniform(0.{k}, 1)" for k, speed in enumerate(speeds)}
+        laws = {speed: f"uniform(0, 0.{k + 1})" for k, speed in enumerate(speeds)}
         drawn = data.members["belt_speed"].map({speed: f"friction = {law}" for speed, law in laws.items()})
         data = Data(data.members.assign(belt_speed=-0.1, drawn=drawn), data.series)
         places = np.arange(3)
@@ -251,3 +252,18 @@ def test_a_change_in_several_settings_is_told_of_all_of_them(swept, settings):
     assert told["ends"][0] < told["ends"][1]
     words = str(environment().get_template("sweep.html").module.answer(answer.facts))
     assert "within 2% in 1 of 2 settings, rises in 1" in words or "rises in 1 of 2 settings, within 2% in 1" in words
+
+
+def test_settings_are_in_the_order_of_their_numbers_and_widths():
+    in_order = [
+        [1.0, "uniform(0.9, 1.1)", "uniform(0.8, 1.1)", "uniform(0.5, 1.05)", "uniform(0, 1)"],
+        ["normal(1, 0.1)", "normal(0.5, 0.2)"],
+        ["K-1.npy", "K-9.npy", "K-10.npy"],
+        ["n3-s2", "n4-s1", "n5-s1"],
+        [-2.0, -1.0, 3.0, None, "friction = uniform(0.9, 1.1); z = uniform(-1, 1)"],
+    ]
+    for values in in_order:
+        assert sorted(reversed(values), key=by_value) == values
+    assert parts_of("n = 2, exact, friction = uniform(0.8, 1.1), kappa = 0.2") == [
+        "n = 2", "exact", "friction = uniform(0.8, 1.1)", "kappa = 0.2",
+    ]  # fmt: skip

@@ -134,9 +134,10 @@ def replacing(kind: type[SpecCluster]) -> type[SpecCluster]:
     class Replacing(kind):  # type: ignore[valid-type, misc]
         #: what Slurm said last of a job that it refused, and how many it has taken
         refused, n_accepted = "", 0
+        _next: asyncio.TimerHandle | None = None
 
         async def _correct_state_internal(self) -> None:
-            """As dask does; a job that is refused is submitted again later, where dask would count it as there."""
+            """As dask does; but a job that is refused is submitted again later, whereas dask counts it as running."""
             before = {*self.workers}
             try:
                 await super()._correct_state_internal()
@@ -151,10 +152,11 @@ def replacing(kind: type[SpecCluster]) -> type[SpecCluster]:
                     del self.workers[name]
             words = str(error)
             self.refused = (words.partition("stderr:")[2] or words).strip()
-            if self.n_accepted or self.workers:
+            is_due = self._next is None or self._next.when() <= asyncio.get_running_loop().time()
+            if is_due and (self.n_accepted or self.workers):
                 print(f"slurm.py: a job was refused and is submitted again in {RETRY:g} s: {self.refused}",
                       file=sys.stderr)  # fmt: skip
-                asyncio.get_running_loop().call_later(RETRY, self._correct_state)
+                self._next = asyncio.get_running_loop().call_later(RETRY, self._correct_state)
 
         def _update_worker_status(self, op: str, message: Any) -> None:
             if op != "remove":

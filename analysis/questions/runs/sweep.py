@@ -302,7 +302,8 @@ def _told(rows: Sequence[Row], axes: Sequence[Axis], leading: Sequence[str], is_
 def _beyond(end: Row, rows: Sequence[Row]) -> Row | None:
     """Of the values between a key's ends, the one at which a statistic is furthest beyond both, if it is at any.
 
-    That is shown: against the first value by its verdict, against the last as the intervals of the changes lie apart.
+    That is judged against the first value by its verdict, and against the last as the intervals of both changes lie
+    apart.
     """
     low, high = end["difference_low"], end["difference_high"]
     if not end["is_last"] or end["is_share"] or low is None:
@@ -444,7 +445,7 @@ def _withheld(one: Measure, points: Sequence[Point]) -> dict[str, list[Point]]:
 
 _OF = {
     "mean": Statistic(MEAN, ratio, 0.0, least=0.0),
-    "gamma": Statistic(GAMMA, QUANTITIES["gamma"].of, 0.0),
+    "gamma": Statistic(GAMMA, QUANTITIES["gamma"].of, 0.0, least=0.0),
     "moving": Statistic(IN_MOTION, ratio, 0.0, is_share=True),
 }
 
