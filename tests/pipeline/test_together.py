@@ -133,13 +133,13 @@ def test_systems_of_all_kinds_that_are_prepared_together_are_run_as_alone(engine
     seed = int(np.random.SeedSequence().generate_state(1)[0])
     print("seed", seed)
     tasks = []
-    for number in range(80):
+    for number in range(120):
         terms = TERMS if number % 3 == 0 else ()
         setup = setup_of(seed, number, terms)
         with contextlib.suppress(ValueError):  # what the engine does not take
             tasks.append(as_task(chosen, setup.system, setup.z, setup.w, min(setup.t_end, 8.0)))
     tasks.sort(key=lambda task: (task.system.n, task.system.is_plain))
-    assert sum(len(some) > 1 for may_begin, some in alike(tasks) if may_begin) > 2
+    assert sum(len(some) > 1 for may_begin, some in alike(tasks) if may_begin) > 0
     together = [_ended(run) for run in chosen.prepare(tasks)]
     assert together == [_ended(partial(chosen.integrate, task)) for task in tasks]
 
