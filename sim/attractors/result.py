@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -46,6 +46,8 @@ class Attractor:
         and sliding, the one state at which the run is, or to which it comes.
     size : float or None
         Of a periodic run: how large its motion is.
+    free : array or sparse array, shape (n, k), or None
+        Of a periodic run: displacements at which no spring pulls, orthonormal.
     """
 
     kind: Kind
@@ -57,6 +59,7 @@ class Attractor:
     events: EventSeries | None = None
     states: Samples | None = None
     size: float | None = None
+    free: Any = None
 
     @property
     def n_events(self) -> int | None:
@@ -102,7 +105,7 @@ def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> boo
     """Whether two attractors are one: the same cycle, or rest or sliding at the same state.
 
     Cycles are one if they have the same events, in order from some event on, and periods and the states at that event
-    agree, but for a shift along the drift.
+    agree, but for a shift of z at which no spring pulls.
 
     Parameters
     ----------
@@ -116,10 +119,9 @@ def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> boo
         return False
     if one.period is not None and abs(one.period - (other.period or 0.0)) > tolerance * one.period:
         return False
-    across = np.identity(one.states.z.shape[1])
-    if one.drift is not None and one.drift.any():
-        across -= np.outer(one.drift, one.drift) / (one.drift @ one.drift)
-    z, other_z = one.states.z @ across, other.states.z @ across
+    z, other_z = one.states.z, other.states.z
+    if one.free is not None:
+        z, other_z = (each - each @ one.free @ one.free.T for each in (z, other_z))
     dz, dw = other_z - z[0], other.states.w - one.states.w[0]
     sizes = (one.size or _largest(one.states), other.size or _largest(other.states))
     allowed = tolerance * max(sizes)

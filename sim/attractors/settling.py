@@ -241,9 +241,8 @@ class _End:
         multiplier = self._multiplier(matrix)
         events = replace(events, t_start=0.0, t_end=period)
         why = "the state comes back after a period of the force"
-        return Attractor(
-            "periodic", why, period, multiplier, None, drift, events, path.states.first(1), self._extent(path)
-        )
+        kept = path.states.first(1), self._extent(path), null_space(self._system)
+        return Attractor("periodic", why, period, multiplier, None, drift, events, *kept)
 
     def _once_more(self, cycle: Round, last: EventSeries) -> Attractor | None:
         """The cycle, if the run goes round it once more; else None."""
@@ -302,7 +301,18 @@ class _End:
                 return None
         round_, states = _from_lowest(path, events, period, drift)
         why = f"{p} events, and the state at each, come back"
-        return Attractor("periodic", why, period, multiplier, None, drift, round_, states, self._extent(path))
+        return Attractor(
+            "periodic",
+            why,
+            period,
+            multiplier,
+            None,
+            drift,
+            round_,
+            states,
+            self._extent(path),
+            null_space(self._system),
+        )
 
     def _part(self, path: Path, events: EventSeries, drift: Floats, size: float) -> int:
         """Events of the shortest part of a round after which events repeat and the state nearly comes back.
@@ -364,7 +374,9 @@ class _End:
         period = float(found.events.t[-1])
         listed, states = _from_lowest(found.path, found.events, period, drift)
         why = f"it settles on a cycle of {p} events, which attracts and is {found.distance:.1g} away"
-        return Attractor("periodic", why, period, multiplier, None, drift, listed, states, self._extent(found.path))
+        return Attractor(
+            "periodic", why, period, multiplier, None, drift, listed, states, self._extent(found.path), null_space(s)
+        )
 
     def _drift(self, path: Path, size: float, larger: float = _LARGER) -> Floats | None:
         """By what z has moved without a change of the forces, if the last state of a round is otherwise the first.

@@ -813,6 +813,10 @@ def test_blocks_that_a_force_moves_on_have_one_cycle(rng):
     assert one.period == pytest.approx(2 * np.pi / 0.4)
     assert one.size > 0.1
     assert same_cycle(one, other)
+    alone = system.changed(stiffness=np.zeros((2, 2)), force=[Harmonic([1.1, 1.4], 0.4), [0.4, 0.3]])
+    one, other = (settled(alone, rng.uniform(-1, 1, 2), 0.0, 800.0, 400.0) for _ in range(2))
+    assert (one.drift != 0.0).all()
+    assert same_cycle(one, other), "wherever each of them has come to"
 
 
 def test_the_period_on_a_carrier_that_moves_is_that_at_rest():
