@@ -11,7 +11,7 @@ import numpy as np
 from stickslip.analysis.answer import F, S
 from stickslip.analysis.contrast import Sample, Statistic
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import FIXED, Group, Value, by_value, labels, short
+from stickslip.analysis.groups import FIXED, Group, Order, Value, by_value, labels, short
 from stickslip.analysis.measures import GAMMA, MEAN, Measure, Values, of_gamma, of_mean
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
@@ -62,7 +62,7 @@ class Point:
     fates: dict[str, int] = field(default_factory=dict)
     values: dict[str, Values] = field(default_factory=dict)
 
-    def rank(self) -> list[list[tuple[int, str, tuple[float, ...]]]]:
+    def rank(self) -> list[list[Order]]:
         """Sorts points along the axes, in the order of their values."""
         return [order(value) for value in self.at.values()]
 
@@ -111,7 +111,7 @@ def as_text(value: Sequence[Value]) -> str:
     return " with ".join(one if isinstance(one, str) else short(one) for one in value)
 
 
-def order(value: Sequence[Value]) -> list[tuple[int, str, tuple[float, ...]]]:
+def order(value: Sequence[Value]) -> list[Order]:
     """Sorts values: numbers before distributions."""
     return [by_value(one) for one in value]
 

@@ -44,6 +44,8 @@ _TOTALS = tuple(name for name in COLUMNS if name not in (*EFFECTIVE, "short"))
 _LISTS = ("drawn", "parameters")  # settings that hold several, each "name = value"
 _SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*FIXED, *_LISTS))
 Value = float | str
+#: A key to sort values by.
+Order = tuple[int, str, tuple[float, ...]]
 
 
 @dataclass
@@ -230,7 +232,7 @@ def _by_unit(members: Members, rows: np.ndarray) -> np.ndarray:
     return members.own[["unit", "member_id"]].iloc[rows].sort_values(["unit", "member_id"]).index.to_numpy()
 
 
-def by_value(value: object) -> tuple[int, str, tuple[float, ...]]:
+def by_value(value: object) -> Order:
     """Sorts settings: numbers by their value, then None, then words, and of the same words by the numbers in them.
 
     Distributions are sorted by their width first: that of an interval, or a standard deviation.
@@ -251,6 +253,13 @@ def _by_width(found: re.Match[str]) -> str:
 def parts_of(label: str) -> list[str]:
     """What the name of a group consists of; a distribution is one part."""
     return re.split(r", (?![^()]*\))", label)
+
+
+def apart(labels: Sequence[str], always: int = 0) -> list[str]:
+    """What tells each of some groups from the others, after so many of the first parts of its name."""
+    parts = [parts_of(label) for label in labels]
+    shared = set.intersection(*map(set, parts)) if parts else set()
+    return [", ".join([*own[:always], *(part for part in own[always:] if part not in shared)]) for own in parts]
 
 
 def engine_name(engine: str) -> str:

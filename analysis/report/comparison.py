@@ -20,7 +20,7 @@ from stickslip.analysis.contrast import (
     told,
 )
 from stickslip.analysis.ensemble import Data, Study
-from stickslip.analysis.groups import Group, parts_of
+from stickslip.analysis.groups import Group, apart
 from stickslip.analysis.measures import KEYS, Measure, measures
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS
 from stickslip.analysis.questions.runs.engines import contrasts, summary
@@ -105,7 +105,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
         for held, group, some in zip(pair, (match.first, match.second), zip(*measured, strict=True), strict=False):
             held.sums.update({measure.name: measure.of(group).sums for measure in some})
         found.append((match, [contrast(each, *pair, match.is_paired, settings.confidence) for each in asked]))
-    where = _apart([match.first.label for match in matches])
+    where = apart([match.first.label for match in matches])
     rows = [
         row | {"setting": match.first.label, "other": match.second.label, "is_paired": match.is_paired, "at": at}
         for (match, some), at in zip(found, where, strict=True)
@@ -153,13 +153,6 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     return _report(facts, {
         "compared": frame(_TABLE, rows), "unmatched": frame(_UNMATCHED, unmatched), "alone": frame(_ALONE, alone),
     })  # fmt: skip
-
-
-def _apart(labels: Sequence[str]) -> list[str]:
-    """What tells each of some settings from the others; empty if there is one."""
-    parts = [parts_of(label) for label in labels]
-    shared = set.intersection(*map(set, parts)) if len(parts) > 1 else set(parts[0])
-    return [", ".join(part for part in some if part not in shared) for some in parts]
 
 
 def _both(one: Study, other: Study) -> list[tuple[Measure, Measure]]:

@@ -23,10 +23,8 @@ def replacing(file: Path) -> Iterator[BinaryIO]:
     """A stream for the new content of a file, which replaces the old in one step if the with-block succeeds."""
     temporary = _temporary(file)
     try:
-        with open(temporary, "wb") as stream:
+        with _synced(temporary) as stream:
             yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
         os.replace(temporary, file)
     except BaseException:
         _remove(temporary)
@@ -36,6 +34,15 @@ def replacing(file: Path) -> Iterator[BinaryIO]:
 
 def _temporary(file: Path) -> Path:
     return file.with_name(f"{_begun(file)}{os.getpid()}")
+
+
+@contextlib.contextmanager
+def _synced(file: Path) -> Iterator[BinaryIO]:
+    """A stream for a file whose content is on the disk after the with-block."""
+    with open(file, "wb") as stream:
+        yield stream
+        stream.flush()
+        os.fsync(stream.fileno())
 
 
 def _remove(*temporary: Path) -> None:
@@ -120,10 +127,8 @@ class Directory(Place):
         try:
             for content, (file, temporary) in zip(files.values(), begun.items(), strict=True):
                 file.parent.mkdir(exist_ok=True)
-                with open(temporary, "wb") as stream:
+                with _synced(temporary) as stream:
                     stream.write(content())
-                    stream.flush()
-                    os.fsync(stream.fileno())
             for folder, some in groupby(begun, lambda file: file.parent):
                 for file in some:
                     os.replace(begun[file], file)

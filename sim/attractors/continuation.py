@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.attractors.result import Attractor
-from stickslip.sim.attractors.settling import attractor
+from stickslip.sim.attractors.settling import attractor, frequencies_of
 from stickslip.sim.numerics.arguments import Floats, number
 from stickslip.sim.runs.run import Run
 from stickslip.sim.simulation import simulate
@@ -62,7 +62,7 @@ def continued(
             raise ValueError(f"systems: expected {run.events.n} blocks in each, as in the first, got {system.n}")
         z, w, start = z0, w0, 0.0
         if run is not None and before is not None and run.outcome != "diverged":
-            z, w, sticks = _at_end(run) if _Swing.of(system).frequencies else _on(found[-1], run)
+            z, w, sticks = _at_end(run) if frequencies_of(system) else _on(found[-1], run)
             start = _time_of_phase(system, before, run.t_end)
             v = system.belt_speed_at(start)
             w = np.where(sticks | (system.closed * (w - v) > 0.0), v, w)
@@ -71,39 +71,28 @@ def continued(
     return found
 
 
-class _Swing(NamedTuple):
-    """Periodic forces: their frequencies, and if there is one, what they come to on each block.
-
-    That is f in Re(f exp(i omega t)), shape (n,).
-    """
-
-    frequencies: list[float]
-    of_blocks: NDArray[np.complex128]
-
-    @classmethod
-    def of(cls, system: System) -> _Swing:
-        total = np.zeros(system.n, dtype=np.complex128)
-        frequencies = set()
-        for one in system.force:
-            if isinstance(one, Harmonic):
-                turns = (one.amplitude != 0.0) & (one.frequency != 0.0)
-                frequencies |= {*np.abs(one.frequency)[turns].tolist()}
-                total += np.where(turns, one.amplitude * np.exp(1j * np.sign(one.frequency) * one.phase), 0.0)
-        return cls(sorted(frequencies), total)
-
-
 def _time_of_phase(system: System, before: System, t: float) -> float:
     """When forces are most like those of the system before at t; 0 if there were or are none.
 
     Where there are several frequencies, that is t.
     """
-    now, then = _Swing.of(system), _Swing.of(before)
-    if not now.frequencies or not then.frequencies:
+    now, then = frequencies_of(system), frequencies_of(before)
+    if not now or not then:
         return 0.0
-    if len(now.frequencies) > 1 or len(then.frequencies) > 1:
+    if len(now) > 1 or len(then) > 1:
         return t
-    alike = np.vdot(now.of_blocks, then.of_blocks * np.exp(1j * then.frequencies[0] * t))
-    return float(np.angle(alike) / now.frequencies[0] % (2.0 * math.pi / now.frequencies[0]))
+    alike = np.vdot(_swing(system), _swing(before) * np.exp(1j * then[0] * t))
+    return float(np.angle(alike) / now[0] % (2.0 * math.pi / now[0]))
+
+
+def _swing(system: System) -> NDArray[np.complex128]:
+    """What forces of one frequency come to on each block: f in Re(f exp(i omega t)), omega > 0, shape (n,)."""
+    total = np.zeros(system.n, dtype=np.complex128)
+    for one in system.force:
+        if isinstance(one, Harmonic):
+            phasor = one.amplitude * np.exp(1j * np.sign(one.frequency) * one.phase)
+            total += np.where(one.frequency != 0.0, phasor, 0.0)
+    return total
 
 
 def _at_end(run: Run) -> tuple[Floats, Floats, NDArray[np.bool_]]:

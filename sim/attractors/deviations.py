@@ -16,13 +16,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.runs.run import Samples
+from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.systems.drive import Harmonic
 from stickslip.sim.systems.system import System
@@ -35,6 +35,14 @@ _STEP = 0.1
 _NODES = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
 #: Numbers in matrices that are kept at a time.
 _ROOM = 2**21
+
+
+class Follow(Protocol):
+    """Runs a system from z, w and modes, if they are known, from one time to another, with samples at some times."""
+
+    def __call__(
+        self, z: Floats, w: Floats, modes: NDArray[np.int8] | None, span: tuple[float, float], times: Floats
+    ) -> Run: ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,12 @@ as a shift in time does not grow; where a force depends on time there is none.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.attractors.deviations import slip_rates
+from stickslip.sim.attractors.deviations import Follow, slip_rates
 from stickslip.sim.attractors.null_space import across
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run
@@ -43,12 +43,6 @@ class Growth(NamedTuple):
     rate: float
     second: float
     last: float
-
-
-class Follow(Protocol):
-    """Runs a system from z, w and modes, if they are known, with samples at some times, the start first."""
-
-    def __call__(self, z: Floats, w: Floats, modes: NDArray[np.int8] | None, times: Floats) -> Run: ...
 
 
 def growth(
@@ -82,7 +76,8 @@ def growth(
     instants, logs = [np.array([t])], [np.zeros(1)]
     while t < end and abs(total) < _ENOUGH:
         at = np.linspace(t, end if end - t < 1.5 * length else t + length, _SAMPLES + 1)
-        one = follow(z, w, known, at)
+        span = t, float(at[-1])
+        one = follow(z, w, known, span, at)
         if not apart:
             size = float(np.ptp(across(system, one.samples.z), axis=0).max())
             noise = max(TOL * system.fastest_belt / fastest, _EPS * float(np.abs(z).max()))
@@ -90,7 +85,7 @@ def growth(
             if apart > _MOST * size:
                 return None
         shift = apart * towards
-        other = follow(z + shift[:n], w + fastest * shift[n:], None, at)
+        other = follow(z + shift[:n], w + fastest * shift[n:], None, span, at)
         found = _apart(system, fastest, one, other, is_forced) / apart
         with np.errstate(divide="ignore"):
             grown = np.maximum(np.log(np.linalg.norm(found, axis=1)), _NOTHING)
@@ -98,7 +93,7 @@ def growth(
         logs.append(total + grown[1:])
         if len(grown) < len(at):
             break  # one of them ran away
-        t, total = float(at[-1]), total + float(grown[-1])
+        t, total = span[1], total + float(grown[-1])
         z, w, known = one.samples.z[-1], one.samples.w[-1], None
         towards = _any_direction(n) if grown[-1] <= _NOTHING else found[-1] / np.linalg.norm(found[-1])
         towards[n:][one.events.mode_at(t) == 0] = 0.0

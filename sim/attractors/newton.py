@@ -11,14 +11,13 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.attractors.deviations import Path
+from stickslip.sim.attractors.deviations import Follow, Path
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.runs.run import Run, Samples
+from stickslip.sim.runs.run import Samples
 from stickslip.sim.runs.series import EventSeries, by_block
 from stickslip.sim.systems.system import System
 
@@ -33,12 +32,6 @@ _LINEAR = 0.1
 #: Of that distance, over the motion's size, now and by M in as many rounds as here: from further off a
 #: block that is near its belt's speed, or near leaving, may have another event.
 _FAR, _ROUNDS = 3e-3, 100
-
-
-class Follow(Protocol):
-    """Runs a system from a state at time 0, with the modes of the blocks, for a time."""
-
-    def __call__(self, z: Floats, w: Floats, modes: NDArray[np.int8], length: float, times: Floats) -> Run: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +93,7 @@ def near_cycle(
         w = np.where(is_held, system.belt_speed_at(0.0), w)
         if not _are_allowed(system, z, w, modes):
             break
-        after = in_order(follow(z, w, modes, _LONGER * period, np.empty(0)).events)
+        after = in_order(follow(z, w, modes, (0.0, _LONGER * period), np.empty(0)).events)
         if len(after) < p or (after.block[p - 1], after.mode[p - 1]) != symbol:
             break
         order = by_block(after.block[: p - 1])
@@ -146,7 +139,7 @@ def _largest_power(matrix: Floats, start: Floats) -> float:
 
 
 def _samples(follow: Follow, z: Floats, w: Floats, modes: NDArray[np.int8], length: float, times: Floats) -> Samples:
-    return follow(z, w, modes, length, times).samples
+    return follow(z, w, modes, (0.0, length), times).samples
 
 
 def _are_allowed(system: System, z: Floats, w: Floats, modes: NDArray[np.int8]) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -108,6 +109,12 @@ def attractor(
     return _End(run, system, max([t_burn, *bends]), Coulomb(**settings).tol, {"engine": engine, **settings}).found()
 
 
+def frequencies_of(system: System) -> list[float]:
+    """Of the forces, rising, each once."""
+    waves = (x for x in system.force if isinstance(x, Harmonic))
+    return sorted({abs(f) for x in waves for f in x.frequency[x.amplitude != 0.0].tolist() if f})
+
+
 class _End:
     """The end of a run, and what follows on it."""
 
@@ -117,9 +124,7 @@ class _End:
         self._v = system.belt_speed_at(run.t_end)
         self._mode = run.events.mode_at(run.t_end)
         self._w = np.where(self._mode == 0, self._v, run.w)
-        waves = (x for x in system.force if isinstance(x, Harmonic))
-        #: of the forces, each once
-        self._frequencies = sorted({abs(f) for x in waves for f in x.frequency[x.amplitude != 0.0].tolist() if f})
+        self._frequencies = frequencies_of(system)
         #: the shortest period that blocks can have: times are at one instant, or not, in units of it
         self._fastest = 2.0 * math.pi / float(system.rates.max()) if system.rates.any() else 1.0
         #: where what follows begins: the time matters only where the drive depends on it
@@ -196,12 +201,19 @@ class _End:
 
     # ---------------------------------------------------------------------------------------------- cycles
 
+    def _run_from(
+        self, z: Floats, w: Floats, modes: NDArray[np.int8] | None, span: tuple[float, float], times: Floats,
+        **settings: Any,
+    ) -> Run:  # fmt: skip
+        """A run of the system as the one that ended: a `Follow`."""
+        return simulate(
+            self._system, z, w, span[1], t_start=span[0], t_eval=times, modes=modes, stop_early=False,
+            **self._settings | settings,
+        )  # fmt: skip
+
     def _follow(self, length: float, times: Floats) -> Run:
         """The run from the end on, with the states at some times."""
-        return simulate(
-            self._system, self._run.z, self._w, self._start + length, t_start=self._start, t_eval=times,
-            modes=self._mode, stop_early=False, **self._settings,
-        )  # fmt: skip
+        return self._run_from(self._run.z, self._w, self._mode, (self._start, self._start + length), times)
 
     def _path(self, events: EventSeries, edges: Floats) -> Path:
         length = float(edges.max()) - self._start  # those of one instant are in the order of blocks
@@ -353,11 +365,8 @@ class _End:
         round_ = replace(events, t=events.t[once] - t, block=events.block[once], mode=events.mode[once],
                          initial_mode=events.mode_after(k))  # fmt: skip
 
-        def follow(z: Floats, w: Floats, modes: NDArray[np.int8], length: float, times: Floats) -> Run:
-            return simulate(s, z, w, length, t_eval=times, modes=modes, stop_early=False, **self._settings)
-
         found = near_cycle(s, at.z[0], at.w[0], round_, p, self._close,
-                           lambda some: in_order(some, 0, self._at_once), follow, self._size)  # fmt: skip
+                           lambda some: in_order(some, 0, self._at_once), self._run_from, self._size)  # fmt: skip
         if found is None:
             return None
         size = self._size(found.path)
@@ -425,11 +434,11 @@ class _End:
     def _not_periodic(self, last: EventSeries) -> Attractor:
         """Irregular, or too short to tell."""
         symbols = symbols_of(last)
-        n_again = int((symbols == symbols[-1]).sum()) - 1
+        place = np.flatnonzero(symbols == symbols[-1])
+        n_again = len(place) - 1
         if n_again < _FEW:
             why = f"no cycle, and the last event recurs too seldom ({n_again} times, of at least {_FEW})"
             return Attractor("undecided", f"{why}; lengthen the run")
-        place = np.flatnonzero(symbols == symbols[-1])
         grown = self._growth(float(last.t[-1] - last.t[place[-1 - min(n_again, _MOST_ROUNDS)]]))
         if grown is None:
             return Attractor("undecided", "no cycle, and the motion is too small to tell what deviations do")
@@ -440,20 +449,17 @@ class _End:
             return Attractor("undecided", why, growth_rate=rate)
         length = self._run.t_end - float(last.t[-min(len(last), _FOLLOWED)])
         events = in_order(self._follow(length, np.empty(0)).events, 0, self._at_once)
+        if len(events) < _FEW:
+            return Attractor("undecided", f"few events follow on t = {self._run.t_end:g}; lengthen the run")
         states = self._path(events, events.t).states
         why = f"no cycle, while the last event recurs {n_again} times, and deviations grow"
         return Attractor("irregular", why, growth_rate=rate, events=events, states=states)
 
     def _growth(self, length: float) -> Growth | None:
         """How fast runs from the end and from next to it part."""
-        s, settings = self._system, self._settings | {"tol": min(self._tol, TOL)}
-
-        def follow(z: Floats, w: Floats, modes: NDArray[np.int8] | None, times: Floats) -> Run:
-            return simulate(s, z, w, float(times[-1]), t_start=float(times[0]), t_eval=times, modes=modes,
-                            stop_early=False, **settings)  # fmt: skip
-
-        times = self._start, self._start + length
-        return growth(s, self._run.z, self._w, self._mode, times, follow, bool(self._frequencies))
+        follow = partial(self._run_from, tol=min(self._tol, TOL))
+        times, is_forced = (self._start, self._start + length), bool(self._frequencies)
+        return growth(self._system, self._run.z, self._w, self._mode, times, follow, is_forced)
 
 
 def _off(path: Path, k: int, drift: Floats) -> float:

@@ -104,32 +104,6 @@ kill -KILL -- "-$1"
 """
 
 
-@pytest.mark.long
-def test_a_job_that_ends_is_replaced_and_the_report_is_made_by_the_workers(scene_file, reference, tmp_path):
-    pytest.importorskip("dask_jobqueue")
-    (jobs := tmp_path / "jobs").mkdir()
-    for name, script in (("sbatch", SBATCH), ("scancel", SCANCEL)):
-        (file := tmp_path / name).write_text(script)
-        file.chmod(0o755)
-    environment = os.environ | {
-        "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}", "JOBS": str(jobs),
-        "DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT": "1s",
-    }  # fmt: skip
-    asked = [str(scene_file), "--out", "out", "--workers", "2", "--per-job", "2", "--memory", "1", "--report"]
-    command = [sys.executable, SCRIPT, *asked]
-    with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as process:
-        until(lambda: list((tmp_path / "out" / "data").glob("shard-*")), timeout=120)
-        (job,) = (int(file.stem) for file in jobs.glob("*.sh"))
-        (group,) = {os.getpgid(pid) for pid in children_named(f"{job}.sh")}
-        os.killpg(group, signal.SIGKILL)
-        _, err = process.communicate(timeout=300)
-    assert process.returncode == 0, err
-    assert len(list(jobs.glob("*.sh"))) > 1
-    assert shards(tmp_path / "out") == reference
-    assert (tmp_path / "out" / "report.html").exists()
-    assert "Traceback" not in err
-
-
 REFUSES = """#!/bin/sh
 echo "sbatch: error: invalid partition specified: none" >&2
 exit 1
@@ -141,8 +115,9 @@ if [ "$(wc -l < "$JOBS/asked")" = 2 ]; then echo "sbatch: error: controller is a
 """ + SBATCH.removeprefix("#!/bin/sh\n")
 
 
-def begun(tmp_path, scene_file, sbatch):
-    """The script, with a second between attempts, beside a Slurm in little."""
+@contextlib.contextmanager
+def in_little(tmp_path, scene_file, sbatch, *more, n=1):
+    """The script, with a second between attempts, beside a Slurm in little; and where that keeps its jobs."""
     pytest.importorskip("dask_jobqueue")
     (jobs := tmp_path / "jobs").mkdir()
     for name, script in (("sbatch", sbatch), ("scancel", SCANCEL)):
@@ -152,18 +127,35 @@ def begun(tmp_path, scene_file, sbatch):
         "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}", "JOBS": str(jobs),
         "DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT": "1s",
     }  # fmt: skip
-    asked = [str(scene_file), "--out", "out", "--workers", "1", "--per-job", "1", "--memory", "1"]
-    code = (
-        f"import sys; sys.path.insert(0, {str(SCRIPT.parent)!r}); import slurm; slurm.RETRY = 1; slurm.main({asked})"
-    )
-    return jobs, subprocess.Popen(
-        [sys.executable, "-c", code], cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True
-    )
+    asked = [str(scene_file), "--out", "out", "--workers", str(n), "--per-job", str(n), "--memory", "1", *more]
+    code = f"import sys; sys.path.insert(0, {str(SCRIPT.parent)!r}); import slurm; slurm.RETRY = 1"
+    command = [sys.executable, "-c", f"{code}; sys.exit(slurm.main({asked}))"]
+    with subprocess.Popen(command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        yield process, jobs
+
+
+def kill_the_job(tmp_path, jobs):
+    """Once it has made a shard."""
+    until(lambda: list((tmp_path / "out" / "data").glob("shard-*")), timeout=120)
+    (job,) = (int(file.stem) for file in jobs.glob("*.sh"))
+    (group,) = {os.getpgid(pid) for pid in children_named(f"{job}.sh")}
+    os.killpg(group, signal.SIGKILL)
+
+
+@pytest.mark.long
+def test_a_job_that_ends_is_replaced_and_the_report_is_made_by_the_workers(scene_file, reference, tmp_path):
+    with in_little(tmp_path, scene_file, SBATCH, "--report", n=2) as (process, jobs):
+        kill_the_job(tmp_path, jobs)
+        _, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err
+    assert len(list(jobs.glob("*.sh"))) > 1
+    assert shards(tmp_path / "out") == reference
+    assert (tmp_path / "out" / "report.html").exists()
+    assert "Traceback" not in err
 
 
 def test_a_slurm_that_takes_no_job_ends_the_script_with_its_words(scene_file, tmp_path):
-    _, process = begun(tmp_path, scene_file, REFUSES)
-    with process:
+    with in_little(tmp_path, scene_file, REFUSES) as (process, _):
         _, err = process.communicate(timeout=120)
     assert process.returncode == 1
     assert "slurm.py: Slurm takes no job: sbatch: error: invalid partition specified: none" in err
@@ -171,12 +163,8 @@ def test_a_slurm_that_takes_no_job_ends_the_script_with_its_words(scene_file, tm
 
 @pytest.mark.long
 def test_a_job_that_is_refused_is_submitted_again(scene_file, reference, tmp_path):
-    jobs, process = begun(tmp_path, scene_file, REFUSES_ONCE)
-    with process:
-        until(lambda: list((tmp_path / "out" / "data").glob("shard-*")), timeout=120)
-        (job,) = (int(file.stem) for file in jobs.glob("*.sh"))
-        (group,) = {os.getpgid(pid) for pid in children_named(f"{job}.sh")}
-        os.killpg(group, signal.SIGKILL)
+    with in_little(tmp_path, scene_file, REFUSES_ONCE) as (process, jobs):
+        kill_the_job(tmp_path, jobs)
         _, err = process.communicate(timeout=300)
     assert process.returncode == 0, err
     assert "a job was refused and is submitted again in 1 s: sbatch: error: controller is away" in err

@@ -19,7 +19,7 @@ from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, columns, frame, long, named
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import Group, parts_of
+from stickslip.analysis.groups import Group, apart
 from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SPEED_DEPENDENT, joined
 from stickslip.analysis.models.fates import (
     COLLAPSED,
@@ -330,12 +330,8 @@ def _is_drifting(drift: Estimate, basis: enough.Basis) -> bool:
 
 def _brief(groups: Sequence[Row]) -> list[Row]:
     """Groups with runs that did not fail, in order of n and kappa n, named by n and what else tells them apart."""
-    parts = [parts_of(row["group"]) for row in groups]
-    shared = set.intersection(*map(set, parts)) if parts else set()
-    found = [
-        row | {"system": ", ".join(part for k, part in enumerate(own) if not k or part not in shared)}
-        for row, own in zip(groups, parts, strict=True)
-    ]
+    names = apart([row["group"] for row in groups], always=1)
+    found = [row | {"system": name} for row, name in zip(groups, names, strict=True)]
     return sorted((row for row in found if row["n_runs"]), key=lambda row: (row["n"], row["kappa_n"]))
 
 
