@@ -94,17 +94,22 @@ def shares() -> list[Statistic]:
     return [Statistic(name, ratio, SHARE_MARGIN, is_share=True) for name in (ALL_SLIP, RUN_AWAY)]
 
 
-def sample(group: Group) -> Sample:
-    """The sums of the runs of a filled group."""
-    found = Sample({
-        one.label: group.sums(name) for name, one in QUANTITIES.items()
-    })  # fmt: skip
-    fates, (t_last, n_last) = group.fates, group.last.T
-    ran = np.flatnonzero(fates != FAILED)
-    units, away = group.column("unit").to_numpy()[ran], fates[ran] == DIVERGED
-    slips = ~away & is_all_slip(t_last[ran], n_last[ran], float(group.key["t_end"]))
-    for name, has in ((ALL_SLIP, slips), (RUN_AWAY, away)):
-        found.sums[name] = UnitSums.of(units, np.column_stack([has, np.ones(len(has))]))
+def sample(group: Group, of: Collection[str] | None = None) -> Sample:
+    """The sums of the runs of a filled group, of all statistics or of those that are named."""
+
+    def is_asked(name: str) -> bool:
+        return of is None or name in of
+
+    quantities = ((one.label, name) for name, one in QUANTITIES.items())
+    found = Sample({label: group.sums(name) for label, name in quantities if is_asked(label)})
+    if is_asked(ALL_SLIP) or is_asked(RUN_AWAY):
+        fates, (t_last, n_last) = group.fates, group.last.T
+        ran = np.flatnonzero(fates != FAILED)
+        units, away = group.column("unit").to_numpy()[ran], fates[ran] == DIVERGED
+        slips = ~away & is_all_slip(t_last[ran], n_last[ran], float(group.key["t_end"]))
+        for name, has in ((ALL_SLIP, slips), (RUN_AWAY, away)):
+            if is_asked(name):
+                found.sums[name] = UnitSums.of(units, np.column_stack([has, np.ones(len(has))]))
     if 2 * group.n_short > group.n_runs:
         found.unjudged.add(QUANTITIES["correlation_time"].label)
     return found

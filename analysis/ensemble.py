@@ -194,7 +194,7 @@ class Study:
 
     def ended(self, rows: np.ndarray) -> Ended:
         """How the runs of some members ended, by their rows and in their order."""
-        some = self.data.table.at(rows)
+        some = self.data.table.ends.at(rows)
         t_end = some.of_each("t_end").astype(np.float64)
         names, outcomes = (column.to_numpy(object) for column in (some.own["member_id"], some.known_outcomes))
         t_stop, rates = (some.own[name].to_numpy(np.float64, na_value=np.nan) for name in ("t_stop", "growth_rate"))

@@ -343,18 +343,14 @@ def fill(found: Sequence[Group], given: Iterable[tuple[np.ndarray, Motion]]) -> 
 
 
 class _Filling:
-    """A group whose sums are being filled in, a row a unit of its members.
-
-    What runs give is kept column by column, and each is given up as its sums are made: they take most of the memory.
-    """
+    """A group whose sums are being filled in, a row a unit of its members."""
 
     def __init__(self, group: Group) -> None:
         self._group = group
         self._units, row = np.unique(group.column("unit").to_numpy(), return_inverse=True)
         self._row = row.astype(np.int32)
-        self._rows: list[np.ndarray] = []
-        self._columns: dict[str, list[np.ndarray]] = {name: [] for name in COLUMNS}
-        self._sizes: list[np.ndarray] = []
+        self._sums = {name: np.zeros(len(self._units)) for name in COLUMNS}
+        self._counts = np.zeros((len(self._units), 0), dtype=np.int64)
         group.fates, group.last = np.full(len(group), FAILED, dtype=object), np.full((len(group), 2), np.nan)
 
     def add(self, places: np.ndarray, given: Motion) -> None:
@@ -362,28 +358,23 @@ class _Filling:
         self._group.fates[places] = given.fates
         self._group.last[places] = given.last
         moves = np.flatnonzero(given.sums[:, COLUMNS["runs"]])
-        self._rows.append(self._row[places[moves]])
+        rows = self._row[places[moves]]
         for name, k in COLUMNS.items():
-            self._columns[name].append(given.sums[moves, k])
+            np.add.at(self._sums[name], rows, given.sums[moves, k])
         run, size, n_times = given.sizes.T
-        self._sizes.append(np.column_stack([self._row[places[run]], size, n_times]).astype(np.int32))
+        if (more := int(size.max(initial=0)) - self._counts.shape[1]) > 0:
+            self._counts = np.pad(self._counts, ((0, 0), (0, more)))
+        np.add.at(self._counts, (self._row[places[run]], size - 1), n_times)
 
     def finish(self) -> None:
         """Hand the sums of the units in motion to the group."""
-        group, rows = self._group, np.concatenate([np.zeros(0, np.int32), *self._rows])
-        moves = np.bincount(rows, minlength=len(self._units)) > 0
-        number = np.cumsum(moves, dtype=np.int32) - 1
-        rows, group.units = number[rows], self._units[moves]
-        group.n_short = int(sum(some.sum() for some in self._columns.pop("short")))
-        for name in [*self._columns]:
-            column = np.concatenate([np.zeros(0), *self._columns.pop(name)])
-            group.totals[name] = np.bincount(rows, column, len(group.units))
+        group, moves = self._group, self._sums["runs"] > 0
+        group.units, group.counts = self._units[moves], self._counts[moves]
+        del self._counts
+        group.n_short = int(self._sums.pop("short").sum())
+        for name in [*self._sums]:  # each is given up as it is handed over: they take most of the memory
+            group.totals[name] = self._sums.pop(name)[moves]
         group.effective = group.by_unit("variance", *EFFECTIVE).sum(axis=0)
         for name in EFFECTIVE:
             del group.totals[name]
-        most = max((int(some[:, 1].max(initial=0)) for some in self._sizes), default=0)
-        group.counts = np.zeros((len(group.units), most), dtype=np.int64)
-        while self._sizes:
-            row, size, n_times = self._sizes.pop().T
-            np.add.at(group.counts, (number[row], size - 1), n_times)
         group.n_quiet = int((group.fates == QUIET).sum())

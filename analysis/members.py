@@ -51,6 +51,8 @@ REQUIRED = (
     "reason",
     "t_stop",
 )
+#: Columns of `Members.own` that tell how a run ended, and of which setting and unit it is.
+_ENDS = ("member_id", "unit", "setting", "outcome", "t_stop", "growth_rate", "attractor")
 #: Columns of records that the analysis takes for itself.
 READ = ("growth_rate",)
 
@@ -113,6 +115,11 @@ class Members:
     def at(self, rows: np.ndarray) -> Members:
         """Some of them, by their rows, whose numbers they keep."""
         return Members(self.own.iloc[rows], self.settings)
+
+    @property
+    def ends(self) -> Members:
+        """All of them, with the columns alone that tell how a run ended."""
+        return Members(self.own[[name for name in _ENDS if name in self.own]], self.settings)
 
     def of_each(self, name: str) -> np.ndarray:
         """A value of the settings for each member, shape (R,), of objects."""
@@ -221,7 +228,7 @@ def _set_units(own: pd.DataFrame, settings: list[dict[str, Any]]) -> None:
         one["unit_is"] = MATRIX if unit_is[k] == START and not is_drawn[number] else unit_is[k]
         if unit_is[k] == FILE:
             one |= {"file": None, "kappa": None}
-    own["unit"] = own["matrix"].astype("int64")
+    own["unit"] = own["matrix"]
     of_start = np.array([one["unit_is"] == START for one in settings])[own["setting"]] & own["start_draw"].notna()
     if of_start.any():
         own.loc[of_start, "unit"] = own["start_draw"][of_start].astype("int64")

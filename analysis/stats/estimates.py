@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from stickslip.analysis.stats import student
 
+_TOGETHER = 1 << 16  # rows that are left out in turn at once, so that few copies of them are in memory
 LN2 = float(np.log(2.0))  # gamma of P(k) = 2^-k: exits and entries equally likely and independent
 
 
@@ -143,7 +144,8 @@ def jackknife(statistic: Statistic, sums: np.ndarray) -> tuple[float, float]:
         At least two rows, independent of each other.
     """
     whole = sums.sum(axis=0, keepdims=True)
-    return float(statistic(whole)[0]), jackknife_error(statistic(whole - sums))
+    parts = (sums[k : k + _TOGETHER] for k in range(0, len(sums), _TOGETHER))
+    return float(statistic(whole)[0]), jackknife_error(np.concatenate([statistic(whole - part) for part in parts]))
 
 
 def jackknife_error(left_out: np.ndarray) -> float:

@@ -67,20 +67,22 @@ def answer(study: Study) -> Answer | None:
     if not pairs:
         return None
     level, margins = study.settings.confidence, study.margins
-    compared = {group.label: group for pair in pairs for group in (pair.reference, pair.other)}
-    whole = {label: sample(group) for label, group in compared.items()}
     families: dict[tuple[str, str], list[Row]] = {}
     for pair in pairs:
-        theirs, asked = whole[pair.other.label], statistics(margins) + shares()
-        if pair.threshold is not None:
-            theirs, asked = by_threshold[pair.other.label][pair.threshold], statistics(margins, _BY_THRESHOLD)
+        asked = statistics(margins) + shares() if pair.threshold is None else statistics(margins, _BY_THRESHOLD)
         of_pair = {
             "kind": pair.kind, "reference": pair.reference.label, "setting": pair.other.label,
             "threshold": pair.threshold, "n": pair.other.key["n"], "of_reference": _engine(pair.reference),
             "of_setting": _engine(pair.other),
         }  # fmt: skip
         rows = families.setdefault((pair.kind, pair.reference.label), [])
-        rows += [of_pair | contrast(one, whole[pair.reference.label], theirs, True, level) for one in asked]
+        for one in asked:  # one by one: sums of all take more memory than all that is known of the runs
+            theirs = (
+                sample(pair.other, [one.name])
+                if pair.threshold is None
+                else by_threshold[pair.other.label][pair.threshold]
+            )
+            rows.append(of_pair | contrast(one, sample(pair.reference, [one.name]), theirs, True, level))
     for rows in families.values():
         judge(rows, 1 - level)
         for row in rows:

@@ -81,13 +81,13 @@ def answer(study: Study) -> Answer:
     """What became of the unchanged runs, and whether what lasts is steady."""
     level = study.settings.confidence
     runs = _runs(study.groups)
-    ran = {group.label: _Ran.of(group) for group in study.groups}
-    curves = {
-        label: _thinned(survival(some.fates, some.t_last, some.t_stop, some.t_end, level, some.units))
-        for label, some in ran.items()
-        if len(some.fates)
-    }
-    groups = [_group_row(study, group, ran[group.label]) for group in study.groups]
+    groups, curves = list[Row](), dict[str, Curve]()
+    for group in study.groups:
+        ran = _Ran.of(group)
+        groups.append(_group_row(study, group, ran))
+        if len(ran.fates):
+            curves[group.label] = _thinned(survival(*ran[:4], level, ran.units))
+        del ran  # which takes more memory than what is kept of it
     moving = sorted((row for row in groups if row["n_moving"]), key=lambda row: -row["n"])
     systems = _brief(groups)
     is_one_engine = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
@@ -173,7 +173,7 @@ def _runs(groups: Sequence[Group]) -> pd.DataFrame:
 def _of_group(group: Group, number: int, labels: Sequence[str]) -> pd.DataFrame:
     fates, size = group.fates, len(group)
     t_stop, rates = (group.column(name).to_numpy(np.float64, na_value=np.nan) for name in ("t_stop", "growth_rate"))
-    t, _ = ends_at(fates, group.last[:, 0], t_stop, np.full(size, float(group.key["t_end"])))
+    t, _ = ends_at(fates, group.last[:, 0], t_stop, np.broadcast_to(float(group.key["t_end"]), size))
     is_speed_dependent = any(group.key[name] is not None for name in SPEED_DEPENDENT)
     untold = np.full(size, "law") if is_speed_dependent else np.where(np.isnan(rates), "rate", "stable")
     return pd.DataFrame({
@@ -229,7 +229,7 @@ class _Ran(NamedTuple):
     def of(cls, group: Group) -> _Ran:
         ran = np.flatnonzero(group.fates != FAILED)
         t_stop, units = (group.column(name).to_numpy(np.float64, na_value=np.nan)[ran] for name in ("t_stop", "unit"))
-        t_end = np.full(len(ran), float(group.key["t_end"]))
+        t_end = np.broadcast_to(float(group.key["t_end"]), len(ran))
         return cls(group.fates[ran], group.last[ran, 0], t_stop, t_end, pd.factorize(units)[0])
 
 
