@@ -251,7 +251,7 @@ def build(
     shown = [_shown(filled, one) for one in found]
     leading, others = _in_order(study, [one for one in shown if not one.lack])
     if leading and leading[0].key in own:  # the page is the user's
-        title, about = leading[0].words.name, ": ".join(filter(None, (title, about)))
+        title, about = leading[0].words.name, _joined(title, about)
     said = [one.says(one.words.answer) for one in leading[:MOST_SAID]]
     alarms = [text for one in (*leading, *others) if (text := one.says(one.words.alarm))]
     raised = {one.key for one in shown}
@@ -283,6 +283,11 @@ def build(
     figures = {name: drawn for one in found for name, drawn in one.figures.items()}
     headline = [*(plain(text) for text in alarms), title, *(plain(text) for text in said)]
     return Report(page, tables, headline, figures, problems | missing, not_run)
+
+
+def _joined(title: str, about: str) -> str:
+    """A scene's title, before what it is about."""
+    return f"{title}{' ' if title.endswith('?') else ': '}{about}" if title and about else title or about
 
 
 def _words(filled: Environment, key: str) -> SimpleNamespace:

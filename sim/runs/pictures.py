@@ -33,14 +33,21 @@ _MODES = {0: ("sticks", "#E3E3E3"), 1: ("slips right", BLUE), -1: ("slips left",
 #: More intervals than this are drawn as an image of so many columns and at most so many rows.
 _VECTORS, _COLUMNS, _ROWS = 4000, 1500, 750
 
+#: A slip is drawn at least this part of the axis wide, and in an image so where blocks slip for less than this share
+#: of the time, unless more than the next share of it would have the colour of a slip. What sums leave of a share of
+#: nothing is below the last.
+_SEEN, _SELDOM, _BUSY, _NONE = 600, 0.02, 0.4, 1e-10
+#: The quantile of what blocks slip for in the columns where they do that has the whole colour then.
+_LONG = 0.9
+
 #: Blocks whose time series are drawn if none are named: lines of more cross each other too often to be told apart.
 _FIRST = 3
 
 #: A map of at most so many blocks a side has the numbers in its cells.
 _NUMBERED = 16
 
-#: At most so many rows of a grid are numbered.
-_TICKS = 12
+#: At most so many rows of a grid are numbered, and times named, which may be long.
+_TICKS, _TIMES = 12, 5
 
 #: Means of n_stick over so many equal times make its spectrum; the spectrum averages windows of a quarter of the run.
 _MEANS, _WINDOW = 8192, 4
@@ -118,6 +125,8 @@ def space_time(
     else:
         stays.rectangles(ax, seen)
     ax.set(xlabel=_TIME, ylabel="block", xlim=_wide((since, until)), ylim=(-0.5, events.n - 0.5))
+    ax.xaxis.set_major_locator(MaxNLocator(_TIMES))
+    ax.ticklabel_format(axis="x", useOffset=False)
     ax.yaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     ax.yaxis.set_major_formatter(lambda block, _: f"{block:.0f}" if block < events.n else "")
     if width is not None:
@@ -300,9 +309,12 @@ class _Stays:
         from matplotlib.patches import PathPatch
         from matplotlib.path import Path
 
+        least = (self.until - self.since) / _SEEN
         for value in modes:
             here = self.mode == value
             left, right, low = self.start[here], self.stop[here], self.block[here] - 0.5
+            if value:
+                right = np.clip(right, left + least, self.until)  # over the stick that follows, drawn before
             corners = np.stack([left, low, right, low, right, low + 1, left, low + 1], axis=-1).reshape(-1, 4, 2)
             label, colour = _MODES[value]
             path = Path.make_compound_path_from_polys(corners)
@@ -311,7 +323,9 @@ class _Stays:
     def image(self) -> tuple[NDArray[np.float64], int]:
         """Colours, shape (rows, columns, 3), and how many blocks are one row.
 
-        A pixel has the mean colour of its time and blocks: what is too short to be seen still counts.
+        A pixel has the mean colour of its time and blocks. Where blocks slip so seldom that this would show nothing,
+        it has the colour of a slip that is in it, however short, or, if most have one, the more of it the longer
+        blocks slip.
         """
         from matplotlib.colors import to_rgb
 
@@ -319,10 +333,27 @@ class _Stays:
         blocks = np.bincount(np.arange(self.n) // per)
         colours = {mode: np.array(to_rgb(colour)) for mode, (_, colour) in _MODES.items()}
         image = np.broadcast_to(colours[0], (len(blocks), _COLUMNS, 3)).copy()
-        for mode in (1, -1):
-            share = self._share(mode, len(blocks), per) / blocks[:, None]
+        shares = {mode: self._share(mode, len(blocks), per) / blocks[:, None] for mode in (1, -1)}
+        if np.mean(shares[1] + shares[-1]) < _SELDOM:
+            seen = {mode: self._seen(share) for mode, share in shares.items()}
+            if np.mean(seen[1] + seen[-1]) <= _BUSY:
+                shares = seen
+            else:
+                either = shares[1] + shares[-1]
+                longest = np.quantile(either[either > _NONE], _LONG)
+                shares = {mode: np.minimum(share / longest, 1.0) for mode, share in shares.items()}
+        for mode, share in shares.items():
             image += share[..., None] * (colours[mode] - colours[0])
         return np.clip(image, 0.0, 1.0), per
+
+    @staticmethod
+    def _seen(share: Floats) -> Floats:
+        """1 from each column with a slip on, for as long as can be seen; else 0."""
+        has, wide = share > _NONE, -(-_COLUMNS // _SEEN)
+        found = has.copy()
+        for k in range(1, wide):
+            found[:, k:] |= has[:, :-k]
+        return found.astype(np.float64)
 
     def _share(self, mode: int, rows: int, per: int) -> Floats:
         """The sum over the blocks of a row of the share of a column's time that each spends in a mode."""

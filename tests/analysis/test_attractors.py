@@ -310,6 +310,24 @@ def test_the_page_covers_each_value_of_a_second_key(over_two, settings):
     ]  # fmt: skip
 
 
+def test_each_of_few_settings_has_its_own_sentences_and_pictures(planted_runs, settings):
+    """The first n turns at v = 1, 2, 3 of the three static frictions, the second at 2, 3, 4."""
+    data = planted_runs([
+        started(0.1 * s, 0.0, start_draw=s, drawn="z = uniform(0, 1)", belt_speed=float(v), static=1.2 + 0.2 * k, n=n)
+        | (cycle(3.0, 0.1, 1) | {"exits_z": [0.5]} if v <= k + n else SLIDES | {"section_z": [0.0]})
+        for n in (1, 2) for v in range(1, 6) for k in range(3) for s in range(5)
+    ])  # fmt: skip
+    said = build(data, replace(settings, question=("attractors",)), "Planted", "", {}).headline[1]
+    for n in (1, 2):
+        here = f"At n = {n}, exact, the belt_speed"
+        up_to = f"{here} up to which all runs settle on a cycle rises from {n} at static = 1.2"
+        on = f"{here} from which on all runs slide steadily rises from {n + 1} at static = 1.2"
+        assert f"{up_to} to {n + 2} at static = 1.6. {on} to {n + 3} at static = 1.6." in said
+    figures = answer(Study(data, settings)).figures
+    assert [name for name in figures if name.startswith("attractors")] == ["attractors", "attractors_2"]
+    assert len([name for name in figures if name.startswith("bifurcation")]) == 6
+
+
 def test_a_line_that_does_the_same_throughout_turns_nowhere(planted_runs, settings):
     """A cycle up to v = 1 and 3, at the third static friction at all belts."""
     data = planted_runs([

@@ -374,3 +374,40 @@ def test_a_column_without_a_value_has_no_number_of_runs(recorded, settings):
     html = build(recorded(columns), settings, "Own", "", {}).html
     assert not re.search(r"<th[^>]*>of runs", html)
     assert re.search(r"(3|Three) more measures in report/sweep_measures\.parquet", html)
+
+
+def test_a_change_over_some_values_of_another_key_says_over_how_many(recorded, settings):
+    """A period at every belt where kappa = 0.1, and where kappa = 0.2, 0.3 at the first one alone."""
+    axes = {"belt_speed": SPEEDS, "kappa": [0.1, 0.2, 0.3]}
+    data = recorded(
+        {"period": lambda _, matrix, v, k: 3 + v + 0.01 * matrix if k < 0.15 or v < -0.25 else None}, axes=axes
+    )
+    data = replace(data, recorded={"period": data.recorded["period"]._replace(absent="not on a cycle")})
+    answer = sweep.answer(Study(data, settings))
+    assert "as belt_speed goes from −0.3 to −0.1 (at the 1 of 3 values of kappa where both have one)" in sentence(
+        answer
+    )
+    places = {row["key"]: row["places"] for row in answer.facts["ends"] if row["quantity"] == "mean period"}
+    assert places["belt_speed"] == {"n": 1, "of": 3, "name": "kappa"}
+    assert places["kappa"] == {"n": 1, "of": 3, "name": "belt_speed"}
+    assert "1 of 3" in sentence(answer, "main")
+    whole = recorded({"amplitude": lambda _, matrix, v, k: 3 + v + 0.01 * matrix}, axes=axes)
+    assert "where both have one" not in sentence(sweep.answer(Study(whole, settings)))
+
+
+def test_times_that_windows_cut_are_set_beside_what_the_number_of_exits_says(recorded, settings):
+    """Mean times that are 20% too small: n over the rate of exits, which is known of each run, says by how much."""
+    plain = Study(recorded({"amplitude": lambda *_: 1.0}), settings)
+    (group,) = [one for one in plain.groups if one.key["belt_speed"] == -0.1]
+    true = 200 * group.n_runs / group.of("rate").sum()
+    data = recorded({"waiting_mean": lambda *_: true / 1.2})
+    values = data.recorded["waiting_mean"]._replace(is_cut=True, called="waiting time")
+    members = data.members.assign(t_end=100.0 + 40 * true)  # of which the mean is more than 2%
+    data = Data(members, data.series, recorded={"waiting_mean": values})
+    study = Study(data, settings)
+    (cut,) = sweep.answer(study).facts["cut"]
+    exact = 200 * sum(g.n_runs for g in study.groups[:1]) / study.groups[0].of("rate").sum()
+    assert cut["is_cut"]
+    assert cut["by_exits"] == pytest.approx(exact, rel=1e-12)
+    said = sentence(sweep.answer(study), "alerts")
+    assert "From the number of exits, none of which is left out, it would be" in said

@@ -17,7 +17,7 @@ from stickslip.analysis import AnalysisSettings, Data, Study, build, members
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.analysis.questions.slips.cascades import STEEP, verdict_on
 from stickslip.analysis.report import formats
-from stickslip.analysis.report.formats import between, capital, environment, fixed, interval
+from stickslip.analysis.report.formats import between, capital, environment, fixed, interval, percent
 from stickslip.analysis.report.formats import table as shown
 from stickslip.analysis.report.page import _rank, group_columns
 from stickslip.analysis.stats.compare import against
@@ -447,3 +447,11 @@ def test_the_table_of_groups_has_what_a_scene_may_change():
     shown = {column for _, column, _ in group_columns()} | {"n"}
     missing = [name for name in members.SYSTEM_KEYS if name not in shown]
     assert missing == ["z0", "w0", "perturbation_size"]  # what is swept stands in the name of the group
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(1.0, "100%"), (0.99915, "99.9%"), (0.994, "99%"), (1 - 1e-6, "99.9999%"), (0.0, "0%"), (1.5, "150%")],
+)
+def test_what_is_not_all_is_not_said_to_be(share, text):
+    assert percent(share) == text

@@ -211,6 +211,43 @@ def test_the_growth_rate_is_that_of_the_member_s_own_system(tmp_path):
         assert rates[member.member_id] == pytest.approx(np.linalg.eigvals(blocks).real.max(), rel=1e-9)
 
 
+def test_the_growth_rate_has_the_slope_of_friction_at_the_speed_of_the_belt(tmp_path):
+    scene = """
+[system]
+coupling = "chain"
+n = 1
+leaf = 1.0
+damping = 0.1
+friction = 0.5
+static = 1.0
+weakening = {law = "stribeck", speed = 0.5}
+belt_speed = [0.8, 1.6]
+[start]
+z = 0.0
+w = 0.0
+[run]
+t_end = 20.0
+matrices = 1
+[[engine]]
+name = "coulomb"
+[record]
+growth_rate = true
+[analysis]
+t_burn = 5.0
+dt = [0.5]
+"""
+    run_ensemble(parse_scene(scene.encode()), tmp_path / "out", workers=0)
+    found = members(tmp_path / "out").set_index("belt_speed")["growth_rate"]
+    for v in (0.8, 1.6):
+        drag = 0.1 - (1.0 - 0.5) / 0.5 * np.exp(-v / 0.5)  # mu(v) = 0.5 + 0.5 exp(-v / 0.5)
+        assert found[v] == pytest.approx(-drag / 2, rel=1e-12)  # of l^2 + drag l + 1 = 0, which is complex
+    moving = scene.replace("belt_speed = [0.8, 1.6]", "belt_speed = {times = [0.0, 5.0], values = [0.8, 1.6]}")
+    assert (
+        worker.row(expand(parse_scene(moving.encode()))[0], parse_scene(moving.encode()).recording)["growth_rate"]
+        is None
+    )
+
+
 def test_a_proof_of_collapse_is_sought_for_every_run_that_asks_for_it():
     source = ensemble(10, 200.0, 4, COULOMB, seed=5)
     asked = parse_scene(f"{source}\n[record]\ncollapse = true\n".encode())

@@ -72,6 +72,48 @@ def test_an_image_has_the_mean_colour_of_its_pixels(rng, monkeypatch, rows):
     assert drawn.shape == (7 if per == 1 else 4, 5, 3)
 
 
+def seldom(n, m, t_end=1e5, lasts=1e-3):
+    """Blocks that slip m times each, all in turn, for far less than a column."""
+    block = np.tile(np.arange(n), m)
+    start = (np.arange(n * m) + 0.5) * t_end / (n * m)
+    t = np.stack([start, start + lasts], axis=1).ravel()
+    mode = np.tile([1, 0], n * m).astype(np.int8)
+    return EventSeries(t, np.repeat(block, 2).astype(np.int32), mode, np.zeros(n, np.int8), 0.0, t_end)
+
+
+@pytest.mark.parametrize(("n", "m"), [(10, 12), (100, 60)])
+def test_slips_that_are_short_and_seldom_are_seen(n, m):
+    """As rectangles and as an image: some are wide enough to be seen, and nothing has the colour far from them."""
+    series = seldom(n, m)
+    ax = series.plot(ax=axes())
+    slips = to_rgb(pictures._MODES[1][1])
+    if ax.images:
+        image = np.asarray(ax.images[0].get_array())
+        has = np.isclose(image, slips).all(axis=2)
+        assert (has.sum(axis=1) >= m).all()
+        assert has.mean() < 0.4
+        at = series.t[::2] / 1e5 * image.shape[1]
+        assert has[np.tile(np.arange(n), m), at.astype(int)].all()
+    else:
+        (patch,) = [one for one in ax.patches if one.get_label() == "slips right"]
+        widths = [np.ptp(one[:, 0]) for one in patch.get_path().to_polygons()]
+        assert len(widths) == n * m
+        assert min(widths) == pytest.approx(1e5 / pictures._SEEN)
+
+
+def test_where_most_pixels_have_a_short_slip_they_are_darker_the_longer_it_is():
+    series = seldom(50, 1000)
+    longer = seldom(50, 1000, lasts=0.05)
+    both = EventSeries(
+        np.concatenate([series.t, 1e5 + longer.t]), np.concatenate([series.block, longer.block]),
+        np.concatenate([series.mode, longer.mode]), series.initial_mode, 0.0, 2e5,
+    )  # fmt: skip
+    image = np.asarray(both.plot(ax=axes()).images[0].get_array())[:, :, 0]
+    half = image.shape[1] // 2
+    assert image[:, :half].mean() > image[:, half:].mean() + 0.2
+    assert image.std() > 0.05
+
+
 def test_a_span_cuts_rectangles(rng):
     series = random_series(rng, 4, 30)
     ax = series.plot(ax=axes(), span=(4.0, 5.0))

@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+import shutil
 import sys
 from pathlib import Path
 from shutil import copytree
@@ -90,6 +91,12 @@ def test_own_answers_it_and_the_page_names_its_files(place, capsys):
     assert "unchanged\n" in capsys.readouterr().out
     assert "There are 3 runs." in made(place)
     assert not (place / "ran").exists()
+
+
+def test_who_adds_a_record_is_told_how_the_page_keeps_its_questions(place, tmp_path, capsys):
+    out = str(shutil.copytree(place / "runs" / "mine", tmp_path / "mine"))
+    assert main(["extend", out, "--record", "stick_share", "--workers", "1"]) == 0
+    assert f"rewrite it with: stickslip report {out} --own\n" in capsys.readouterr().out
 
 
 def sha256(file):

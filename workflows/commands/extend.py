@@ -64,6 +64,7 @@ def _extend(arguments: argparse.Namespace, keys: dict[str, Any]) -> int:
         from stickslip.pipeline.machine.signals import last_act
         from stickslip.pipeline.places.place import DATA, SCENE
         from stickslip.pipeline.running.extend import addition, extend
+        from stickslip.workflows import own_questions
         from stickslip.workflows.progress import Watch, clock
 
     opened = open_dataset(arguments.directory)
@@ -93,7 +94,8 @@ def _extend(arguments: argparse.Namespace, keys: dict[str, Any]) -> int:
             f"scene   {place.named(SCENE)} has the new keys; to add members later, run that or add them to yours"
         )
     )
-    print(f"report  as before; rewrite it with: {command('report', str(place))}")
+    own = ["--own"] * bool(own_questions.names(opened.scene))
+    print(f"report  as before; rewrite it with: {command('report', str(place), *own)}")
     print(f"time    {clock(watch.elapsed)}")
     return DONE
 

@@ -45,6 +45,7 @@ NONE_EXACT = "none exact"  # no run that has one
 _MOST_BARS = 24
 _MOST_CYCLES = 4  # that are named apart
 _MOST_DIAGRAMS = 3  # of bifurcations, at values of a second key
+_MOST_SETTINGS = 3  # that have pictures of their own
 _ONE_DOT = 1e-3  # of the range of values: what is closer is drawn once
 _LEAST_UNITS = 4  # for a bound on a share that is 1
 _SCHEMA = {
@@ -317,7 +318,7 @@ def _along(study: Study, groups: Sequence[Group], runs: Mapping[str, Runs]) -> R
     found = {
         "name": axis.name, "others": [one.name for one in others],
         "columns": [(key, key, "g" if kind == F else None) for key, kind in name_of.items()],
-        "has_settings": len(by_setting) > 1, "lines": told, "turns": _turns(axis, others, told, len(by_setting) > 1),
+        "has_settings": len(by_setting) > 1, "lines": told, "turns": _turns_by_setting(axis, others, lines, told),
         "is_of_starts": all(some.is_one_system for line in lines for some in line.own), "tally": _tally(lines),
         "ranges": [row | {"key": axis.name, "setting": line.setting if len(by_setting) > 1 else None}
                    | {key: value for one, at in line.others.items() for key, value in zip(one.keys, at, strict=True)}
@@ -345,7 +346,7 @@ def _told(study: Study, axis: Axis, line: _Line, has_settings: bool) -> Row:
     by_exits = _ranges(study, ticks, line.own, _kind_and_exits)
     at = [f"{one.name} = {as_text(value)}" for one, value in line.others.items()]
     return {
-        "at": ", ".join([*([line.setting] if has_settings else []), *at]), "ticks": ticks,
+        "at": ", ".join([*([line.setting] if has_settings else []), *at]), "within": ", ".join(at), "ticks": ticks,
         "told": _ranges(study, ticks, line.own, lambda runs: runs.attractor.tolist()), "ranges": by_exits,
         "changes": _changes_of_exits(by_exits, ticks, x) if x is not None else [],
         "places": [axis.place(value) for value in line.along],
@@ -430,19 +431,31 @@ def _changes_of_exits(found: Sequence[Row], ticks: Sequence[str], x: Sequence[fl
     return rows
 
 
-def _turns(axis: Axis, others: Sequence[Axis], told: Sequence[Row], has_settings: bool) -> list[Row]:
+def _turns_by_setting(axis: Axis, others: Sequence[Axis], lines: Sequence[_Line], told: Sequence[Row]) -> list[Row]:
+    """The turns of each of few settings, or those of all lines together."""
+    named = dict.fromkeys(line.setting for line in lines)
+    if not 1 < len(named) <= _MOST_SETTINGS or len(lines) == len(named):
+        return _turns(axis, others, told, len(named) > 1)
+    return [
+        row | {"setting": name}
+        for name in named
+        for row in _turns(axis, others, [one for line, one in zip(lines, told, strict=True) if line.setting == name])
+    ]
+
+
+def _turns(axis: Axis, others: Sequence[Axis], told: Sequence[Row], has_settings: bool = False) -> list[Row]:
     """How the value up to which, and that from which on, all runs settle on one thing moves from line to line."""
-    is_in_order = len(others) == 1 and not has_settings
     ends = []
     for row in told:
         places = row["places"]
         found = [Range(places[one["place"][0]], places[one["place"][1]], one["on"]) for one in row["told"]]
         ends.append(Along(found, (places[0], places[-1])))
     turns = [turn(ends, is_last) for is_last in (False, True)] if len(told) > 1 else []
-    return [_turn_row(axis, others, told, one, is_in_order) for one in turns if one is not None]
+    return [_turn_row(axis, others, told, one, has_settings) for one in turns if one is not None]
 
 
-def _turn_row(axis: Axis, others: Sequence[Axis], told: Sequence[Row], one: Turn, is_in_order: bool) -> Row:
+def _turn_row(axis: Axis, others: Sequence[Axis], told: Sequence[Row], one: Turn, has_settings: bool) -> Row:
+    is_in_order = len(others) == 1 and not has_settings
     known = [(line, place) for line, place in enumerate(one.places) if place is not None]
     least, most = (of(known, key=lambda pair: pair[1]) for of in (min, max))
     steps = [second[1] - first[1] for first, second in pairwise(known)]
@@ -450,8 +463,10 @@ def _turn_row(axis: Axis, others: Sequence[Axis], told: Sequence[Row], one: Turn
     ends = (known[0], known[-1]) if way else (least, most)
     return {
         "kind": one.kind, "is_last": one.is_last, "way": way, "is_same": least[1] == most[1],
-        "ends": [{"value": axis.texts[place], "at": told[line]["at"]} for line, place in ends],
-        "n": len(known), "n_whole": one.n_whole, "of": len(told),
+        "ends": [{"value": axis.texts[place], "at": told[line]["at" if has_settings else "within"]}
+                 for line, place in ends],
+        "n": len(known), "n_whole": one.n_whole, "of": len(told), "setting": "",
+        "lines": f"values of {others[0].name}" if is_in_order else "lines",
     }  # fmt: skip
 
 
@@ -471,23 +486,36 @@ def _tally(lines: Sequence[_Line]) -> Row:
 def _figures(study: Study, axes: Sequence[Axis], lines: Sequence[_Line], told: Sequence[Row]) -> Row:
     """Shares along the one key or a map over the first two, and bifurcation diagrams; and which values they are at.
 
-    Of several settings that of most groups, and the first values of further keys, are in the map.
+    Each setting has its own, those of most lines first, at the first values of further keys.
     """
+    counts = Counter(line.setting for line in lines).most_common()
+    drawn: dict[str, Recipe] = {}
+    maps, diagrams = list[Row](), list[Row]()
+    for setting, _ in counts[:_MOST_SETTINGS]:
+        _draw(study, axes, setting, lines, told, drawn, maps, diagrams)
+    return {"drawn": drawn, "maps": maps, "diagrams": diagrams, "n_undrawn": max(len(counts) - _MOST_SETTINGS, 0)}
+
+
+def _draw(
+    study: Study, axes: Sequence[Axis], setting: str, lines: Sequence[_Line], told: Sequence[Row],
+    drawn: dict[str, Recipe], maps: list[Row], diagrams: list[Row],
+) -> None:  # fmt: skip
+    """Enter the pictures of a setting, and where they are at."""
     axis, *others = axes
-    setting = max(Counter(line.setting for line in lines).items(), key=lambda one: one[1])[0]
     further = [(one, min((line.others[one] for line in lines if line.setting == setting), key=order))
                for one in others[1:]]  # fmt: skip
     chosen = [k for k, line in enumerate(lines)
               if line.setting == setting and all(line.others[one] == value for one, value in further)]  # fmt: skip
-    drawn: dict[str, Recipe] = {}
+    name = f"attractors_{len(maps) + 1}" if maps else "attractors"
     if not others:
         line = lines[chosen[0]]
         along = Scale(axis.name, _numbers(line.along), line.ticks)
-        drawn["attractors"] = partial(figures_of.shares_along, along, _stacked(line.own))
+        drawn[name] = partial(figures_of.shares_along, along, _stacked(line.own))
     else:
-        drawn["attractors"] = _map(axis, others[0], [lines[k] for k in chosen])
+        drawn[name] = _map(axis, others[0], [lines[k] for k in chosen])
     at_map = [f"{one.name} = {as_text(value)}" for one, value in further]
-    diagrams: list[Row] = []
+    is_one = len({one.setting for one in lines}) == 1
+    maps.append({"figure": name, "at": ", ".join([*([] if is_one else [setting]), *at_map])})
     shown = chosen
     if len(chosen) > _MOST_DIAGRAMS:
         shown = [chosen[round(k)] for k in np.linspace(0, len(chosen) - 1, _MOST_DIAGRAMS)]
@@ -507,11 +535,6 @@ def _figures(study: Study, axes: Sequence[Axis], lines: Sequence[_Line], told: S
                     "n_away": sum(some.n_of(ESCAPING) for some in lines[k].own),
                 }
             )
-    return {
-        "drawn": drawn,
-        "map_at": ", ".join([*([setting] if len({one.setting for one in lines}) > 1 else []), *at_map]),
-        "diagrams": diagrams,
-    }  # fmt: skip
 
 
 def _stacked(own: Sequence[Runs]) -> dict[str, list[float]]:

@@ -140,7 +140,8 @@ def _figures(
     """Shares by fate and times of ends if some runs ended; else n_stick of all runs of the largest group."""
     shown = {}
     if facts["total"]["n_moving"] < facts["total"]["runs"]:
-        some = [(label, curves[label]) for label in list(curves)[:MOST_CURVES]]
+        places = np.linspace(0, max(len(curves) - 1, 0), MOST_CURVES).round().astype(int)
+        some = [one for k, one in enumerate(curves.items()) if k in places]
         if len(facts["systems"]) > 1 or facts["linear"]:
             systems = facts["systems"]
             counts = {name: [row[f"n_{name}"] for row in systems] for name in FATES}
@@ -388,16 +389,20 @@ def _by_system(systems: Sequence[Row]) -> tuple[str, list[str]]:
 
 
 def _set_ticks(ax: Axes, ticks: Sequence[str]) -> None:
-    """One tick a system, its words below each other; upright where there is no room for them side by side."""
+    """One tick a system, its words below each other; upright where there is no room for them side by side.
+
+    Words of more systems than can be told apart are left out.
+    """
     ax.set_xlim(-0.6, len(ticks) - 0.4)
     stacked = [text.replace(", ", "\n") for text in ticks]
     widest = max(len(line) for text in stacked for line in text.split("\n"))
     if widest * len(ticks) <= _LETTERS:
         ax.set_xticks(range(len(ticks)), stacked)
     else:
-        step = -(-len(ticks) // _MOST_TICKS)
-        ticks = ticks[::step]
-        ax.set_xticks(range(0, step * len(ticks), step), ticks, rotation=90, fontsize=6)
+        if len(ticks) > _MOST_TICKS:
+            ax.set(xticks=[], xlabel=f"{len(ticks)} settings, in the order of report/fates.parquet")
+            return
+        ax.set_xticks(range(len(ticks)), ticks, rotation=90, fontsize=6)
         figure = ax.get_figure(root=True)
         assert figure is not None  # it is drawn on one
         figure.set_figheight(PANEL[1] + _LETTER * max(map(len, ticks)))

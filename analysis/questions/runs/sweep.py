@@ -51,7 +51,10 @@ MOST_LINES = 6  # in one figure
 SHORT = 0.02  # of the window: the mean of random times of this length that lie in it whole is 2% too small
 MOST_COLUMNS = 5  # of measures in the table of values
 MOST_FIGURES = 8  # of statistics along a key
+MOST_SETTINGS = 3  # that have pictures of their own over two keys
+MOST_DECADES = 4.0  # of an axis: what lies further below the largest value is below the axis
 _FEW_TICKS = 4  # so few values of a key are its ticks
+_LETTERS, _LINES = 36, 20  # of the ticks of a map, side by side and above each other
 DECADES = 30.0  # largest over least value from which an axis is logarithmic
 _ESTIMATES = {f"{name}{end}": F for name in ("mean", "gamma", "moving") for end in ("", "_low", "_high")}
 _VALUES: Mapping[str, str] = {
@@ -136,17 +139,33 @@ def answer(study: Study) -> Answer | None:
     if len(axes) > 1 and len(in_order[1].values) > max(MOST_LINES, len(in_order[0].values)):
         in_order[:2] = in_order[1::-1]  # a line for each of the few values, not of the many
     drawn = [name for name in leading if name not in still] or leading[:1]
-    figures = _figures(points, lead, in_order, drawn, asked, level)
+    figures, shown_at = dict[str, Any](), dict[str, Row]()
+    # over two keys each setting has pictures of its own, the one that leads first
+    each = [lead, *(name for name in points if name != lead)][: MOST_SETTINGS if len(axes) > 1 else 1]
+    for k, name in enumerate(each):
+        for base, one in _figures(points, name, in_order, drawn, asked, level).items():
+            key = f"{base}_{k + 1}" if k else base
+            figures[key] = one
+            shown_at[key] = {"figure": base, "setting": name if len(axes) > 1 and len(points) > 1 else ""}
     facts |= {
         "changes": sorted(_ends(own, axes), key=lambda row: row["is_same"]),
         "ends": [row for row in contrasts if row["is_last"] and row["first"] is not None],
         "told": told,
         "figures": list(figures),
+        "shown_at": shown_at,
+        "n_drawn": len(each),
+        "is_mixed": _is_mixed(study),
         "along": in_order[0].name,
         "lines": _lines_drawn(in_order),
         "mapped": next((_figure(one) for one in asked if one.name == leading[0]), ""),
     }
     return Answer(facts, tables=tables, figures=figures)
+
+
+def _is_mixed(study: Study) -> bool:
+    """Whether it is recorded that runs settle on different things."""
+    own = study.data.table.own
+    return "attractor" in own and own["attractor"].nunique() > 1
 
 
 def _contrasts(
@@ -169,7 +188,7 @@ def _contrasts(
                 for point in points
                 if point.at[axis] == value and (before := tuple((point.at | {axis: base}).values())) in by_place
             ]
-            first, second = _in_common((IN_MOTION, AT_MOST) if one.is_share else (one.name,), pairs)
+            first, second, kept = _in_common((IN_MOTION, AT_MOST) if one.is_share else (one.name,), pairs)
             if one.is_share and not _differ(first, second, one.name):
                 continue
             row = contrast.contrast(one, first, second, paired=True, confidence=level)
@@ -182,7 +201,17 @@ def _contrasts(
                 "last_value": as_text(axis.values[-1]), "is_last": value == others[-1],
                 "is_same": not one.is_share and _is_same(first, second, one.name, noise * largest[one.name]),
                 "is_part": not one.is_share and row["n_first"] < max(n_units[base], n_units[value]),
+                "places": _places(axis, pairs, kept),
             }  # fmt: skip
+
+
+def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], kept: Sequence[Point]) -> Row | None:
+    """At how many points of the other keys a contrast is, of how many; None where it is at all."""
+    if len(kept) == len(pairs):
+        return None
+    others = [one for one in pairs[0][0].at if one != axis]
+    name = others[0].name if len(others) == 1 else ""
+    return {"n": len(kept), "of": len(pairs), "name": name}
 
 
 def _is_same(first: Sample, second: Sample, name: str, noise: float) -> bool:
@@ -232,22 +261,25 @@ def _largest(name: str, points: Sequence[Point]) -> float:
     return max(float(np.abs(rows[:, 0] / rows[:, 1]).max(initial=0.0)) for rows in every)
 
 
-def _in_common(names: Sequence[str], pairs: Sequence[tuple[Point, Point]]) -> tuple[Sample, Sample]:
+def _in_common(names: Sequence[str], pairs: Sequence[tuple[Point, Point]]) -> tuple[Sample, Sample, Sequence[Point]]:
     """The sums of the first and of the second points of pairs, for the units that both of a pair have.
+
+    And the second points whose units count, for the first name.
 
     Of several pairs, all units count over the same ones, as far as that leaves enough: else a unit that lacks a pair
     would differ from others by what that pair is like.
     """
-    samples = [(a.sample, b.sample) for a, b in pairs if a.group.unit == b.group.unit]
-    first, second = Sample(), Sample()
+    alike = [(a, b) for a, b in pairs if a.group.unit == b.group.unit]
+    first, second, counted = Sample(), Sample(), list[list[Point]]()
     for name in names:
-        sums = [(a.of(name), b.of(name)) for a, b in samples]
+        sums = [(a.sample.of(name), b.sample.of(name)) for a, b in alike]
         sums = [(a.within(b), b.within(a)) for a, b in sums]
         pairs_kept, units = _without_gaps([a.units for a, _ in sums])
         first.sums[name], second.sums[name] = (
             UnitSums.together(sums[k][which].within(units) for k in pairs_kept) for which in (0, 1)
         )
-    return first, second
+        counted.append([alike[k][1] for k in pairs_kept if len(sums[k][0].within(units))])
+    return first, second, counted[0]
 
 
 def _without_gaps(have: Sequence[np.ndarray]) -> tuple[list[int], UnitSums]:
@@ -322,7 +354,7 @@ def _place(row: Row) -> tuple[Any, ...]:
 def _everywhere(rows: Sequence[Row], n_settings: int) -> Row:
     """Least and largest relative change over several settings, and the verdicts; None if a setting has no value."""
     known = sorted((row for row in rows if row["relative"] is not None), key=lambda row: row["relative"])
-    if not len(known) == n_settings > 1:
+    if not len(known) == n_settings > 1 or any(row["places"] != known[0]["places"] for row in known):
         return {"everywhere": None}
     verdicts = Counter(row["verdict"] for row in known).most_common()
     return {"everywhere": {"ends": [known[0]["relative"], known[-1]["relative"]], "verdicts": verdicts}}
@@ -427,11 +459,36 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
 
 
 def _cut(one: Measure, cell: str, rows: Sequence[Row], points: Mapping[str, Sequence[Point]], study: Study) -> Row:
-    """The largest mean of times that have to lie in the window, and that; whether it is so large that it is cut."""
-    ends = {point.group.label: float(point.group.key["t_end"]) for some in points.values() for point in some}
-    found = [(row[cell], ends[row["group"]] - study.settings.t_burn) for row in rows if row[cell] is not None]
-    most, window = max(found, key=lambda pair: pair[0] / pair[1], default=(0.0, 1.0))
-    return {"subject": one.subject, "most": most, "window": window, "is_cut": most > SHORT * window}
+    """The largest mean of times that have to lie in the window, and that; whether it is so large that it is cut.
+
+    And by how much it is too small, by the number of exits, of which none is left out.
+    """
+    at = {point.group.label: point for some in points.values() for point in some}
+    found = [
+        (row[cell], float(point.group.key["t_end"]) - study.settings.t_burn, point)
+        for row in rows
+        if row[cell] is not None and (point := at[row["group"]])
+    ]
+    if not found:
+        return {"is_cut": False}
+    most, window, point = max(found, key=lambda one: one[0] / one[1])
+    return {
+        "subject": one.subject, "most": most, "window": window, "is_cut": most > SHORT * window,
+        "by_exits": _by_exits(point, one.name),
+    }  # fmt: skip
+
+
+def _by_exits(point: Point, name: str) -> float | None:
+    """The mean time between exits of a block from their number, over the units that have a mean of such times.
+
+    None where some of their runs are not in motion, whose exits are not counted.
+    """
+    group, units = point.group, point.values[name].sums.units
+    exits = UnitSums(group.units, group.of("rate", "runs")).within(UnitSums(units, np.zeros((len(units), 2))))
+    if group.n_moving < len(group) or len(exits) < len(units):
+        return None
+    rate, runs = exits.rows.sum(axis=0)
+    return float(group.key["n"] * runs / rate)
 
 
 def _withheld(one: Measure, points: Sequence[Point]) -> dict[str, list[Point]]:
@@ -568,9 +625,14 @@ def curves(
     values = np.array([one.value for _, line in lines for one in line if one is not None])
     if may_be_log and _spans_decades(values):  # an interval that reaches zero goes down to the axis
         ax.set_yscale("log", nonpositive="clip")
-        ax.set_ylim(values.min() / 2, 2 * values.max())
+        ax.set_ylim(max(values.min(), _floor(values)) / 2, 2 * values.max())
     if len(lines) > 1:
         ax.figure.legend(loc="outside upper center", ncols=min(len(lines), 3), fontsize=7, handlelength=1.2)
+
+
+def _floor(values: np.ndarray) -> float:
+    """The least value that an axis reaches: what has decayed to the rounding of a run would take most of it."""
+    return float(values.max() / 10.0**MOST_DECADES)
 
 
 def _spans_decades(values: np.ndarray) -> bool:
@@ -592,7 +654,7 @@ def heat_map(
     ax.set_facecolor("#d8d8d8")
     known = shown[np.isfinite(shown)]
     is_log = may_be_log and bool(len(known)) and _spans_decades(known)
-    norm = LogNorm() if is_log else None
+    norm = LogNorm(max(known.min(), _floor(known)), known.max(), clip=True) if is_log else None
     image = ax.imshow(np.ma.masked_invalid(shown), cmap="viridis", aspect="auto", origin="lower", norm=norm)
     if shown.size <= 80:
         ends = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
@@ -601,9 +663,10 @@ def heat_map(
             if np.isfinite(value):
                 colour = "white" if value < middle else "black"
                 ax.text(column, row, f"{value:.3g}", ha="center", va="center", fontsize=7, color=colour)
-    for axis, (name, ticks) in ((ax.xaxis, across), (ax.yaxis, up)):
+    steps = 1 + sum(len(text) + 2 for text in across[1]) // _LETTERS, 1 + len(up[1]) // _LINES
+    for axis, (name, ticks), step in zip((ax.xaxis, ax.yaxis), (across, up), steps, strict=True):
         axis.set_label_text(name)
-        axis.set_ticks(range(len(ticks)), ticks)
+        axis.set_ticks(range(0, len(ticks), step), ticks[::step])
     bar = ax.figure.colorbar(image, ax=ax, label=what)
     if not is_log:
         bar.ax.yaxis.set_major_locator(MaxNLocator(nbins=5))

@@ -46,7 +46,7 @@ from stickslip.analysis.models.episodes import (
 )
 from stickslip.analysis.questions.runs.sweep import FALLS, RISES
 from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, relative_difference
-from stickslip.analysis.stats.enough import DRIFTS
+from stickslip.analysis.stats.enough import DRIFTS, JUDGED
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import parameter
 from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, goodness
@@ -157,9 +157,15 @@ def _warned(found: Sequence[Catalogues], references: Sequence[Catalogues], study
     )
     return {
         "fast": fast, "slow": SLOW, "slower": _slower(fast[0]) if fast else None, "is_sweep": len(references) > 1,
-        "drifting": [one.row for one in found if one.row["basis"] == DRIFTS], "t_burn": study.settings.t_burn,
-        "rows": [one.row for one in found],
+        "drifting": [one.row for one in found if _drifts(one.row)], "t_burn": study.settings.t_burn,
+        "rows": [one.row for one in found], "judged": JUDGED,
     }  # fmt: skip
+
+
+def _drifts(row: Row) -> bool:
+    """Whether a drift of the rate of episodes is shown, beyond what is judged or beyond the margin of statistics."""
+    is_shown = row["drift_low"] is not None and (row["drift_low"] > 0 or row["drift_high"] < 0)
+    return bool(row["basis"] == DRIFTS or (is_shown and abs(row["drift"]) > MARGIN))
 
 
 def _lead(judged: Sequence[Catalogues]) -> Catalogues:

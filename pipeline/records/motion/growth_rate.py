@@ -9,6 +9,7 @@ import numpy as np
 
 from stickslip.pipeline.records.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Memory, Record, Sharing
+from stickslip.sim.systems.drive import Piecewise
 from stickslip.sim.systems.system import System
 
 _KNOWN: WeakKeyDictionary[System, float] = WeakKeyDictionary()
@@ -25,7 +26,9 @@ class GrowthRate(Record):
         Column(
             "number",
             "growth_rate",
-            "largest real part of the eigenvalues of the system with all blocks slipping; below 0 it comes to rest",
+            "largest real part of the eigenvalues of the system with all blocks slipping at the speeds of their "
+            "belts, with the slope of friction there; below 0 small deviations from that decay",
+            absent="friction depends on the speed of a belt that changes",
         ),
     )
     is_shared = True
@@ -40,6 +43,9 @@ class GrowthRate(Record):
 
     def of(self, made: Made) -> dict[str, Any]:
         system = made.system
+        if system.weakening is not None and isinstance(system.belt_speed, Piecewise):
+            return {}
         if system not in _KNOWN:
-            _KNOWN[system] = float(np.linalg.eigvals(system.slip_matrix()).real.max())
+            drag = system.kinetic_slope(np.broadcast_to(system.belt_speed_at(0.0), system.n))
+            _KNOWN[system] = float(np.linalg.eigvals(system.slip_matrix(drag)).real.max())
         return {"growth_rate": _KNOWN[system]}
