@@ -319,10 +319,9 @@ def test_each_of_few_settings_has_its_own_sentences_and_pictures(planted_runs, s
     ])  # fmt: skip
     said = build(data, replace(settings, question=("attractors",)), "Planted", "", {}).headline[1]
     for n in (1, 2):
-        here = f"At n = {n}, exact, the belt_speed"
-        up_to = f"{here} up to which all runs settle on a cycle rises from {n} at static = 1.2"
-        on = f"{here} from which on all runs slide steadily rises from {n + 1} at static = 1.2"
-        assert f"{up_to} to {n + 2} at static = 1.6. {on} to {n + 3} at static = 1.6." in said
+        up_to = f"At n = {n}, exact, the belt_speed up to which all runs settle on a cycle rises from {n} at static"
+        on = f"There the belt_speed from which on all runs slide steadily rises from {n + 1} at static = 1.2"
+        assert f"{up_to} = 1.2 to {n + 2} at static = 1.6. {on} to {n + 3} at static = 1.6." in said
     figures = answer(Study(data, settings)).figures
     assert [name for name in figures if name.startswith("attractors")] == ["attractors", "attractors_2"]
     assert len([name for name in figures if name.startswith("bifurcation")]) == 6
