@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import socket
 import time
@@ -12,6 +11,7 @@ from dataclasses import dataclass, replace
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_failed
 from stickslip.pipeline.ensemble.pack import Task, number_of
+from stickslip.pipeline.places.directory import is_alive
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import Shard
 from stickslip.pipeline.places.place import LOCK, Lock, Where
@@ -194,20 +194,10 @@ def running(path: Where) -> Running | None:
     except OSError:
         return None
     here = re.fullmatch(r"process (\d+) on (.*)", lock.owner)
-    if here is None or (here[2] == socket.gethostname() and not _is_alive(int(here[1]))) or not lock.is_held:
+    if here is None or (here[2] == socket.gethostname() and not is_alive(int(here[1]))) or not lock.is_held:
         return None
     try:
         at, n_members, cost = lock.notes["began"].split()
         return Running(lock.owner, Began(float(at), int(n_members), float(cost)), lock.notes.get("dashboard"))
     except (KeyError, ValueError):  # it has only just begun
         return None
-
-
-def _is_alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except (PermissionError, OverflowError):  # somebody else's
-        return True
-    return True

@@ -70,17 +70,18 @@ def remove_left(folder: Path, name: str = "") -> None:
     of = re.escape(name) if name else ".*"
     left = re.compile(rf"{re.escape(TEMPORARY)}{of}-{re.escape(socket.gethostname())}-(\d{{1,9}})")
     for one in folder.iterdir():
-        if (found := left.fullmatch(one.name)) and not _is_alive(int(found[1])):
+        if (found := left.fullmatch(one.name)) and not is_alive(int(found[1])):
             with contextlib.suppress(OSError):  # another user's file stays
                 one.unlink()
 
 
-def _is_alive(pid: int) -> bool:
+def is_alive(pid: int) -> bool:
+    """Whether this machine has a process of that number."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
-    except PermissionError:
+    except (PermissionError, OverflowError):  # somebody else's, or of another system
         pass
     return True
 
