@@ -6,8 +6,9 @@ relative to the first group, except that shares of runs are subtracted.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -96,23 +97,22 @@ def shares() -> list[Statistic]:
 
 def sample(group: Group, of: Collection[str] | None = None) -> Sample:
     """The sums of the runs of a filled group, of all statistics or of those that are named."""
-
-    def is_asked(name: str) -> bool:
-        return of is None or name in of
-
-    quantities = ((one.label, name) for name, one in QUANTITIES.items())
-    found = Sample({label: group.sums(name) for label, name in quantities if is_asked(label)})
-    if is_asked(ALL_SLIP) or is_asked(RUN_AWAY):
-        fates, (t_last, n_last) = group.fates, group.last.T
-        ran = np.flatnonzero(fates != FAILED)
-        units, away = group.column("unit").to_numpy()[ran], fates[ran] == DIVERGED
-        slips = ~away & is_all_slip(t_last[ran], n_last[ran], float(group.key["t_end"]))
-        for name, has in ((ALL_SLIP, slips), (RUN_AWAY, away)):
-            if is_asked(name):
-                found.sums[name] = UnitSums.of(units, np.column_stack([has, np.ones(len(has))]))
+    made: dict[str, Callable[[], UnitSums]] = {name: partial(_share_of, group, name) for name in (ALL_SLIP, RUN_AWAY)}
+    made |= {one.label: partial(group.sums, name) for name, one in QUANTITIES.items()}
+    found = Sample({name: make() for name, make in made.items() if of is None or name in of})
     if 2 * group.n_short > group.n_runs:
         found.unjudged.add(QUANTITIES["correlation_time"].label)
     return found
+
+
+def _share_of(group: Group, name: str) -> UnitSums:
+    """Runs of each unit that ran away, or in which no block sticks late, and those that did not fail."""
+    fates, (t_last, n_last) = group.fates, group.last.T
+    ran = np.flatnonzero(fates != FAILED)
+    has = fates[ran] == DIVERGED
+    if name == ALL_SLIP:
+        has = ~has & is_all_slip(t_last[ran], n_last[ran], float(group.key["t_end"]))
+    return UnitSums.of(group.column("unit").to_numpy()[ran], np.column_stack([has, np.ones(len(has))]))
 
 
 def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confidence: float) -> Row:

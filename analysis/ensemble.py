@@ -81,8 +81,9 @@ class Recorded(NamedTuple):
         What it is called in a sentence; empty: by its column.
     says_it : bool
         Whether that says what it is, without `words`.
-    is_cut : bool
-        Whether it is of times that have to lie in the window, so that the mean is too small unless it is much longer.
+    since : float, optional
+        If it is of times that have to lie between this one and the end of a run, so that the mean is too small unless
+        that is much longer.
     """
 
     words: str
@@ -92,7 +93,7 @@ class Recorded(NamedTuple):
     problems: Mapping[str, str] = {}
     called: str = ""
     says_it: bool = False
-    is_cut: bool = False
+    since: float | None = None
 
 
 @dataclass(frozen=True)

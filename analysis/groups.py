@@ -108,6 +108,11 @@ class Group:
         """A column of `members`."""
         return self.table.own[name].iloc[self.rows]
 
+    @property
+    def is_exact(self) -> bool:
+        """Whether its runs follow the exact law, event by event."""
+        return bool(self.key["engine"] == "coulomb")
+
     @cached_property
     def is_moving(self) -> np.ndarray:
         """Whether each member is in motion, shape (R,)."""

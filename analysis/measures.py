@@ -78,8 +78,9 @@ class Measure:
         measured, and otherwise they are left out, unless the scene asks for cascades.
     says_it : bool
         Whether the subject says what it is, without `words`.
-    is_cut : bool
-        Whether it is of times that have to lie in the window, so that the mean is too small unless it is much longer.
+    since : float, optional
+        If it is of times that have to lie between this one and the end of a run, so that the mean is too small unless
+        that is much longer.
     """
 
     statistic: Statistic
@@ -91,7 +92,7 @@ class Measure:
     absent: str = ""
     is_recorded: bool = True
     says_it: bool = False
-    is_cut: bool = False
+    since: float | None = None
 
     @property
     def name(self) -> str:
@@ -177,12 +178,13 @@ def _unfinished(group: Group) -> dict[str, str]:
 def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
     """The mean over runs of every numeric column of a record.
 
-    A column that the analysis takes for itself, the growth rate, is measured too, but not as what the scene is about.
+    A column that the analysis takes for itself, the growth rate, is measured too, but not as what the scene is about,
+    and of the exact law alone, which it is of.
     """
-    own = study.data.table.own
+    is_smoothed = np.array([value is not None for value in study.data.table.of_each("eps")])
     for name, column in study.data.recorded.items():
         is_own = name in READ
-        numbers = own[name].to_numpy(np.float64, na_value=np.nan) if is_own else study.number(name)
+        numbers = np.where(is_smoothed, np.nan, study.number(name)) if is_own else study.number(name)
         if (beside is not None and name not in beside.data.recorded) or (is_own and np.isnan(numbers).all()):
             continue
         words = column.words.partition(";")[0]
@@ -193,7 +195,7 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
             column.absent,
             is_recorded=not is_own,
             says_it=column.says_it,
-            is_cut=column.is_cut,
+            since=column.since,
         )  # fmt: skip
 
 

@@ -100,7 +100,7 @@ class Members:
         settings = [dict(zip(SHARED, values, strict=True)) for values in numbers]
         _set_units(own, settings)
         depends = np.array([any(one[name] is not None for name in SPEED_DEPENDENT) for one in settings])
-        # the rate is that of all blocks slipping under constant friction; smoothing and weakening change it
+        # what grows need not stick where friction depends on speed, and smoothing changes the rate
         own["growth_rate"] = own["growth_rate"].astype("float64").mask(depends[own["setting"]])
         return cls(own, settings)
 

@@ -82,7 +82,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             problems.get(one.name, {}),
             one.called,
             bool(one.title),
-            one.is_cut,
+            scene.record_t_burn if one.is_cut else None,
         )
         for one in kept
     }

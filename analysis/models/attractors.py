@@ -167,7 +167,10 @@ class Along(NamedTuple):
 def turn(lines: Sequence[Along], is_last: bool) -> Turn | None:
     """The turn to, or from, what most lines end, or begin, with; None if no line turns."""
     ends = [found[-1 if is_last else 0] if found else None for found, _ in lines]
-    is_whole = [end is not None and end[:2] == bounds for end, (_, bounds) in zip(ends, lines, strict=True)]
+    # what reaches the other end of its line turns nowhere: beside it is what is not known alone
+    far = [(bounds[0] if is_last else bounds[1]) for _, bounds in lines]
+    is_whole = [end is not None and (end.first if is_last else end.last) == one
+                for end, one in zip(ends, far, strict=True)]  # fmt: skip
     turning = [None if whole else end for end, whole in zip(ends, is_whole, strict=True)]
     n_of = Counter(end.on[0] for end in turning if end is not None and len(end.on) == 1)
     if not n_of:

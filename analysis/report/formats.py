@@ -47,12 +47,9 @@ def signed(value: float, digits: int = 2) -> str:
     return ("+" if value >= 0 else "") + number(value, digits)
 
 
-_MOST_DIGITS = 8  # of a share that is nearly all
-
-
 def percent(value: float, digits: int = 2) -> str:
-    """A share in percent; in as many digits as say that it is not all."""
-    while 0.9 < value < 1 and float(number(100 * value, digits)) == 100.0 and digits < _MOST_DIGITS:
+    """A share in percent; in as many digits as say that it is not all, up to `MOST_DIGITS`."""
+    while abs(value) < 1 and float(f"{abs(100 * value):.{digits}g}") == 100.0 and digits < MOST_DIGITS:
         digits += 1
     return f"{number(100 * value, digits)}%" if value else "0%"
 

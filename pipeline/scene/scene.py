@@ -172,7 +172,7 @@ class Scene(StrictTable):
     @property
     def records(self) -> tuple[Record, ...]:
         """What is kept of a run, in addition to n_stick."""
-        keys = self.record.model_dump() | {"t_burn": self._record_t_burn, "folder": self._folder}
+        keys = self.record.model_dump() | {"t_burn": self.record_t_burn, "folder": self._folder}
         settings = {name: value for engine in self.engines for name, value in engine.settings.items() if value}
         return tuple(one for record in RECORDS if (one := record.asked(keys, settings)) is not None)
 
@@ -183,7 +183,7 @@ class Scene(StrictTable):
         return sorted(self.records, key=lambda one: asked.index(one.name) if one.name in asked else len(asked))
 
     @property
-    def _record_t_burn(self) -> float:
+    def record_t_burn(self) -> float:
         """From when on records measure that leave out the start."""
         return self.analysis.t_burn if self.record.t_burn is None else self.record.t_burn
 
@@ -229,7 +229,7 @@ class Scene(StrictTable):
                     f" engine[{named.index(words)}], got none; remove it, put both into one table, or change eps or a"
                     " tolerance"
                 )
-        for table, t_burn in (("analysis", self.analysis.t_burn), ("record", self._record_t_burn)):
+        for table, t_burn in (("analysis", self.analysis.t_burn), ("record", self.record_t_burn)):
             if t_burn >= self.run.t_end:
                 raise ValueError(
                     f"{table}.t_burn: expected less than run.t_end = {self.run.t_end}, "
@@ -512,7 +512,7 @@ class Scene(StrictTable):
             if self.system.module.beside:
                 keys["system"]["beside"] = self.system.module.beside
         if any(isinstance(record, WindowRecord) for record in self.records):
-            keys["record"]["t_burn"] = self._record_t_burn  # else [analysis] has no influence on the data
+            keys["record"]["t_burn"] = self.record_t_burn  # else [analysis] has no influence on the data
         keys["record"].pop("functions", None)
         if self.record.own:
             keys["record"]["functions"] = {

@@ -33,12 +33,9 @@ _MODES = {0: ("sticks", "#E3E3E3"), 1: ("slips right", BLUE), -1: ("slips left",
 #: More intervals than this are drawn as an image of so many columns and at most so many rows.
 _VECTORS, _COLUMNS, _ROWS = 4000, 1500, 750
 
-#: A slip is drawn at least this part of the axis wide, and in an image so where blocks slip for less than this share
-#: of the time, unless more than the next share of it would have the colour of a slip. What sums leave of a share of
-#: nothing is below the last.
-_SEEN, _SELDOM, _BUSY, _NONE = 600, 0.02, 0.4, 1e-10
-#: The quantile of what blocks slip for in the columns where they do that has the whole colour then.
-_LONG = 0.9
+#: Slips are drawn at least this part of the axis wide, and in an image more strongly than they are long, as far as
+#: they then take no more than this share of the picture. What sums leave of a share of nothing is below the last.
+_SEEN, _BUSY, _NONE = 600, 0.2, 1e-10
 
 #: Blocks whose time series are drawn if none are named: lines of more cross each other too often to be told apart.
 _FIRST = 3
@@ -113,7 +110,7 @@ def space_time(
 ) -> Axes:
     """One row a block, coloured by what it does: which block slips when, and which way."""
     from matplotlib.patches import Patch
-    from matplotlib.ticker import MaxNLocator
+    from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
     since, until = _span(events, span)
     stays = _Stays(events, since, until)
@@ -125,8 +122,9 @@ def space_time(
     else:
         stays.rectangles(ax, seen)
     ax.set(xlabel=_TIME, ylabel="block", xlim=_wide((since, until)), ylim=(-0.5, events.n - 0.5))
-    ax.xaxis.set_major_locator(MaxNLocator(_TIMES))
-    ax.ticklabel_format(axis="x", useOffset=False)
+    if type(ax.xaxis.get_major_formatter()) is ScalarFormatter:  # not that of whoever gave the axes
+        ax.xaxis.set_major_locator(MaxNLocator(_TIMES))
+        ax.ticklabel_format(axis="x", useOffset=False)
     ax.yaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
     ax.yaxis.set_major_formatter(lambda block, _: f"{block:.0f}" if block < events.n else "")
     if width is not None:
@@ -309,7 +307,8 @@ class _Stays:
         from matplotlib.patches import PathPatch
         from matplotlib.path import Path
 
-        least = (self.until - self.since) / _SEEN
+        n_slips = int(np.count_nonzero(self.mode))
+        least = (self.until - self.since) * min(1.0 / _SEEN, _BUSY * self.n / max(n_slips, 1))
         for value in modes:
             here = self.mode == value
             left, right, low = self.start[here], self.stop[here], self.block[here] - 0.5
@@ -323,9 +322,8 @@ class _Stays:
     def image(self) -> tuple[NDArray[np.float64], int]:
         """Colours, shape (rows, columns, 3), and how many blocks are one row.
 
-        A pixel has the mean colour of its time and blocks. Where blocks slip so seldom that this would show nothing,
-        it has the colour of a slip that is in it, however short, or, if most have one, the more of it the longer
-        blocks slip.
+        A pixel has the mean colour of its time and blocks. Where blocks seldom slip it has more of the colour of a
+        slip than that, so that slips too short to be seen are, see `_tone`.
         """
         from matplotlib.colors import to_rgb
 
@@ -334,26 +332,13 @@ class _Stays:
         colours = {mode: np.array(to_rgb(colour)) for mode, (_, colour) in _MODES.items()}
         image = np.broadcast_to(colours[0], (len(blocks), _COLUMNS, 3)).copy()
         shares = {mode: self._share(mode, len(blocks), per) / blocks[:, None] for mode in (1, -1)}
-        if np.mean(shares[1] + shares[-1]) < _SELDOM:
-            seen = {mode: self._seen(share) for mode, share in shares.items()}
-            if np.mean(seen[1] + seen[-1]) <= _BUSY:
-                shares = seen
-            else:
-                either = shares[1] + shares[-1]
-                longest = np.quantile(either[either > _NONE], _LONG)
-                shares = {mode: np.minimum(share / longest, 1.0) for mode, share in shares.items()}
+        either = shares[1] + shares[-1]
+        tone = _tone(either)
         for mode, share in shares.items():
-            image += share[..., None] * (colours[mode] - colours[0])
+            # those that a tone has spread to have the colour of the last slip before
+            of = np.divide(share, either, out=np.zeros_like(share), where=either > _NONE)
+            image += (tone * _carried(of, either))[..., None] * (colours[mode] - colours[0])
         return np.clip(image, 0.0, 1.0), per
-
-    @staticmethod
-    def _seen(share: Floats) -> Floats:
-        """1 from each column with a slip on, for as long as can be seen; else 0."""
-        has, wide = share > _NONE, -(-_COLUMNS // _SEEN)
-        found = has.copy()
-        for k in range(1, wide):
-            found[:, k:] |= has[:, :-k]
-        return found.astype(np.float64)
 
     def _share(self, mode: int, rows: int, per: int) -> Floats:
         """The sum over the blocks of a row of the share of a column's time that each spends in a mode."""
@@ -369,6 +354,35 @@ class _Stays:
             change += np.bincount(at + 1, sign * (x - first), len(change))
         found: Floats = np.cumsum(change.reshape(rows, -1), axis=1)[:, :_COLUMNS]
         return found
+
+
+def _tone(share: Floats) -> Floats:
+    """How much of the colour of a slip pixels have, from the share of their time and blocks that slips take.
+
+    It is that share if slips take `_BUSY` of the picture or more; else a power of it, the same for all pixels, by
+    which they do. If too few pixels have a slip for that, each that has one has the whole colour, and so have those
+    after it, until it can be seen, if that is not too much either.
+    """
+    has = share > _NONE
+    if share.mean() >= _BUSY or not has.any():
+        return share
+    if has.mean() <= _BUSY:
+        wide = has.copy()
+        for k in range(1, -(-_COLUMNS // _SEEN)):
+            wide[:, k:] |= has[:, :-k]
+        return np.asarray(wide if wide.mean() <= _BUSY else has, dtype=np.float64)
+    low, high = 0.0, 1.0
+    some, of_all = np.log(share[has]), _BUSY * share.size
+    for _ in range(30):
+        power = 0.5 * (low + high)
+        low, high = (power, high) if np.exp(power * some).sum() > of_all else (low, power)
+    return np.where(has, np.maximum(share, _NONE) ** high, 0.0)
+
+
+def _carried(of: Floats, share: Floats) -> Floats:
+    """In each row, the value at the last pixel that has a slip, up to there itself."""
+    at = np.where(share > _NONE, np.arange(share.shape[1]), 0)
+    return np.take_along_axis(of, np.maximum.accumulate(at, axis=1), axis=1)
 
 
 def _means(events: EventSeries, since: float, until: float) -> Floats:

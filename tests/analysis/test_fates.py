@@ -290,7 +290,7 @@ def test_half_that_may_have_ended_is_not_said_to_be_fewer(planted):
 def test_without_a_growth_rate_a_lull_cannot_be_told(planted):
     """Nor where friction hangs on the speed of slip, of which the rate says nothing."""
     data = data_of(planted, [LULL] * 5 + [SUSTAINED] * 5)
-    constant = "as linear growth rates are those of constant friction"
+    constant = "as where friction depends on the speed of slip, blocks may move on without a stick"
     for changes, why in (
         ({"growth_rate": None}, "as no growth rate of the all-slip state is recorded"),
         ({"weakening_speed": 0.5}, constant),

@@ -384,30 +384,48 @@ def test_a_change_over_some_values_of_another_key_says_over_how_many(recorded, s
     )
     data = replace(data, recorded={"period": data.recorded["period"]._replace(absent="not on a cycle")})
     answer = sweep.answer(Study(data, settings))
-    assert "as belt_speed goes from −0.3 to −0.1 (at the 1 of 3 values of kappa where both have one)" in sentence(
-        answer
-    )
+    assert "as belt_speed goes from −0.3 to −0.1 (at one of 3 values of kappa)" in sentence(answer)
     places = {row["key"]: row["places"] for row in answer.facts["ends"] if row["quantity"] == "mean period"}
     assert places["belt_speed"] == {"n": 1, "of": 3, "name": "kappa"}
     assert places["kappa"] == {"n": 1, "of": 3, "name": "belt_speed"}
     assert "1 of 3" in sentence(answer, "main")
     whole = recorded({"amplitude": lambda _, matrix, v, k: 3 + v + 0.01 * matrix}, axes=axes)
-    assert "where both have one" not in sentence(sweep.answer(Study(whole, settings)))
+    assert "values of kappa" not in sentence(sweep.answer(Study(whole, settings)))
 
 
 def test_times_that_windows_cut_are_set_beside_what_the_number_of_exits_says(recorded, settings):
-    """Mean times that are 20% too small: n over the rate of exits, which is known of each run, says by how much."""
-    plain = Study(recorded({"amplitude": lambda *_: 1.0}), settings)
-    (group,) = [one for one in plain.groups if one.key["belt_speed"] == -0.1]
-    true = 200 * group.n_runs / group.of("rate").sum()
-    data = recorded({"waiting_mean": lambda *_: true / 1.2})
-    values = data.recorded["waiting_mean"]._replace(is_cut=True, called="waiting time")
-    members = data.members.assign(t_end=100.0 + 40 * true)  # of which the mean is more than 2%
-    data = Data(members, data.series, recorded={"waiting_mean": values})
-    study = Study(data, settings)
-    (cut,) = sweep.answer(study).facts["cut"]
-    exact = 200 * sum(g.n_runs for g in study.groups[:1]) / study.groups[0].of("rate").sum()
-    assert cut["is_cut"]
-    assert cut["by_exits"] == pytest.approx(exact, rel=1e-12)
-    said = sentence(sweep.answer(study), "alerts")
-    assert "From the number of exits, none of which is left out, it would be" in said
+    """Of 200 blocks 150 exit; mean times are 20% too small. Exits less the times between are the blocks that exit."""
+    n_blocks, window = 150, 900.0
+
+    def cut_of(too_small, since=settings.t_burn):
+        data = recorded({"waiting_mean": lambda *_: 1.0})
+        runs = Study(data, settings).runs
+        exits = {name: round(float(runs.window(name, 1000.0).alone.exits[0])) for name in data.series}
+        exact = n_blocks * window * len(exits) / sum(exits.values())
+        mean = data.recorded["waiting_mean"]._replace(
+            values=dict.fromkeys(exits, exact / too_small), since=since, called="waiting time"
+        )
+        members = data.members
+        members = members.assign(waiting_count=members["member_id"].map(exits) - n_blocks)
+        return exact, sweep.answer(Study(Data(members, data.series, recorded={"waiting_mean": mean}), settings))
+
+    exact, answer = cut_of(1.2)
+    (row,) = answer.facts["cut"]
+    assert row["by_exits"] == pytest.approx(exact, rel=1e-9)
+    assert "From the number of exits, none of which is left out, it would be" in sentence(answer, "alerts")
+    assert not cut_of(1.0)[1].facts["cut"], "none is cut"
+    other = cut_of(1.2, since=50.0)[1]
+    assert [row["by_exits"] for row in other.facts["cut"]] == [None], "exits are counted from another time on"
+    assert "the smaller the less regular they are" in sentence(other, "alerts")
+
+
+def test_measures_whose_names_end_in_numbers_keep_their_figures(recorded, settings):
+    axes = {"belt_speed": SPEEDS, "kappa": [0.1, 0.2, 0.3]}
+    data = recorded({name: lambda _, matrix, v, k: 3 + v + 0.01 * matrix for name in ("q", "q_2")}, axes=axes)
+    members = data.members
+    twice = pd.concat([members, members.assign(member_id=members["member_id"] + "b", n=100)], ignore_index=True)
+    series = {**data.series, **{f"{name}b": one for name, one in data.series.items()}}
+    values = {name: dict(one.values) for name, one in data.recorded.items()}
+    own = {name: Recorded(WORDS, some | {f"{k}b": 2 * x for k, x in some.items()}) for name, some in values.items()}
+    figures = sweep.answer(Study(Data(twice, series, recorded=own), settings)).figures
+    assert {"sweep_of_q", "sweep_of_q_2", "sweep_of_q-2", "sweep_of_q_2-2", "sweep_map", "sweep_map-2"} <= {*figures}

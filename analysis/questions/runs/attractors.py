@@ -102,6 +102,7 @@ class _Line(NamedTuple):
     """The runs along a swept key at one value of each other key, `others`, and of the scene's other settings."""
 
     setting: str
+    is_exact: bool
     others: dict[Axis, tuple[Value, ...]]
     along: list[tuple[Value, ...]]
     own: list[Runs]
@@ -337,7 +338,7 @@ def _lines(setting: str, groups: Sequence[Group], axes: Sequence[Axis], runs: Ma
         at_others.setdefault(tuple(at[one] for one in others), []).append((at[axis], runs[group.label]))
     for here in sorted(at_others, key=lambda at: [*map(order, at)]):
         values, own = zip(*sorted(at_others[here], key=lambda one: order(one[0])), strict=True)
-        yield _Line(setting, dict(zip(others, here, strict=True)), list(values), list(own))
+        yield _Line(setting, groups[0].is_exact, dict(zip(others, here, strict=True)), list(values), list(own))
 
 
 def _told(study: Study, axis: Axis, line: _Line, has_settings: bool) -> Row:
@@ -435,7 +436,7 @@ def _turns_by_setting(axis: Axis, others: Sequence[Axis], lines: Sequence[_Line]
     """The turns of each of few settings, or those of all lines together."""
     named = dict.fromkeys(line.setting for line in lines)
     if not 1 < len(named) <= _MOST_SETTINGS or len(lines) == len(named):
-        return _turns(axis, others, told, len(named) > 1)
+        return [row | {"setting": ""} for row in _turns(axis, others, told, len(named) > 1)]
     return [
         row | {"setting": name}
         for name in named
@@ -465,7 +466,7 @@ def _turn_row(axis: Axis, others: Sequence[Axis], told: Sequence[Row], one: Turn
         "kind": one.kind, "is_last": one.is_last, "way": way, "is_same": least[1] == most[1],
         "ends": [{"value": axis.texts[place], "at": told[line]["at" if has_settings else "within"]}
                  for line, place in ends],
-        "n": len(known), "n_whole": one.n_whole, "of": len(told), "setting": "",
+        "n": len(known), "n_whole": one.n_whole, "of": len(told),
         "lines": f"values of {others[0].name}" if is_in_order else "lines",
     }  # fmt: skip
 
@@ -486,55 +487,63 @@ def _tally(lines: Sequence[_Line]) -> Row:
 def _figures(study: Study, axes: Sequence[Axis], lines: Sequence[_Line], told: Sequence[Row]) -> Row:
     """Shares along the one key or a map over the first two, and bifurcation diagrams; and which values they are at.
 
-    Each setting has its own, those of most lines first, at the first values of further keys.
+    Each setting has its own: those of the exact law first, and of these those of most lines.
     """
-    counts = Counter(line.setting for line in lines).most_common()
+    n_lines = Counter(line.setting for line in lines)
+    is_exact = {line.setting: line.is_exact for line in lines}
+    named = sorted(n_lines, key=lambda name: (not is_exact[name], -n_lines[name]))
     drawn: dict[str, Recipe] = {}
     maps, diagrams = list[Row](), list[Row]()
-    for setting, _ in counts[:_MOST_SETTINGS]:
-        _draw(study, axes, setting, lines, told, drawn, maps, diagrams)
-    return {"drawn": drawn, "maps": maps, "diagrams": diagrams, "n_undrawn": max(len(counts) - _MOST_SETTINGS, 0)}
+    for name in named[:_MOST_SETTINGS]:
+        own = [k for k, line in enumerate(lines) if line.setting == name]
+        one = _pictures(study, axes, [lines[k] for k in own], [told[k]["at"] for k in own], len(named) > 1)
+        maps.append({"figure": _nth("attractors", len(maps)), "at": one.at})
+        drawn[maps[-1]["figure"]] = one.map
+        for recipe, facts in one.diagrams:
+            diagrams.append({"figure": _nth("bifurcation", len(diagrams)), **facts})
+            drawn[diagrams[-1]["figure"]] = recipe
+    return {"drawn": drawn, "maps": maps, "diagrams": diagrams, "n_undrawn": len(named) - len(maps)}
 
 
-def _draw(
-    study: Study, axes: Sequence[Axis], setting: str, lines: Sequence[_Line], told: Sequence[Row],
-    drawn: dict[str, Recipe], maps: list[Row], diagrams: list[Row],
-) -> None:  # fmt: skip
-    """Enter the pictures of a setting, and where they are at."""
+def _nth(name: str, n_before: int) -> str:
+    return f"{name}_{n_before + 1}" if n_before else name
+
+
+class _Pictures(NamedTuple):
+    """What is drawn of one setting: shares along the one key, or a map, and where that is; and diagrams."""
+
+    map: Recipe
+    at: str
+    diagrams: list[tuple[Recipe, Row]]
+
+
+def _pictures(
+    study: Study, axes: Sequence[Axis], lines: Sequence[_Line], named: Sequence[str], has_settings: bool
+) -> _Pictures:
+    """The pictures of the lines of one setting, at the first values of further keys than two."""
     axis, *others = axes
-    further = [(one, min((line.others[one] for line in lines if line.setting == setting), key=order))
-               for one in others[1:]]  # fmt: skip
-    chosen = [k for k, line in enumerate(lines)
-              if line.setting == setting and all(line.others[one] == value for one, value in further)]  # fmt: skip
-    name = f"attractors_{len(maps) + 1}" if maps else "attractors"
-    if not others:
-        line = lines[chosen[0]]
-        along = Scale(axis.name, _numbers(line.along), line.ticks)
-        drawn[name] = partial(figures_of.shares_along, along, _stacked(line.own))
+    further = [(one, min((line.others[one] for line in lines), key=order)) for one in others[1:]]
+    chosen = [k for k, line in enumerate(lines) if all(line.others[one] == value for one, value in further)]
+    if others:
+        whole = _map(axis, others[0], [lines[k] for k in chosen])
     else:
-        drawn[name] = _map(axis, others[0], [lines[k] for k in chosen])
-    at_map = [f"{one.name} = {as_text(value)}" for one, value in further]
-    is_one = len({one.setting for one in lines}) == 1
-    maps.append({"figure": name, "at": ", ".join([*([] if is_one else [setting]), *at_map])})
-    shown = chosen
+        line = lines[chosen[0]]
+        whole = partial(
+            figures_of.shares_along, Scale(axis.name, _numbers(line.along), line.ticks), _stacked(line.own)
+        )
+    at = [lines[0].setting] * has_settings + [f"{one.name} = {as_text(value)}" for one, value in further]
     if len(chosen) > _MOST_DIAGRAMS:
-        shown = [chosen[round(k)] for k in np.linspace(0, len(chosen) - 1, _MOST_DIAGRAMS)]
-    for k in shown:
-        x = _numbers(lines[k].along)
-        sections = None if x is None else _sections(study, x, lines[k].own)
+        chosen = [chosen[round(k)] for k in np.linspace(0, len(chosen) - 1, _MOST_DIAGRAMS)]
+    diagrams: list[tuple[Recipe, Row]] = []
+    for k in chosen:
+        own, x = lines[k].own, _numbers(lines[k].along)
+        sections = None if x is None else _sections(study, x, own)
         if sections is not None:
-            name = "bifurcation" if not diagrams else f"bifurcation_{len(diagrams) + 1}"
-            title = told[k]["at"] if len(lines) > 1 else ""
             along = Scale(axis.name, x, lines[k].ticks)
-            drawn[name] = partial(figures_of.bifurcation, along, sections, title)
-            diagrams.append(
-                {
-                    "figure": name,
-                    "at": told[k]["at"],
-                    "n_left_out": _n_left_out(study, lines[k].own),
-                    "n_away": sum(some.n_of(ESCAPING) for some in lines[k].own),
-                }
-            )
+            recipe = partial(figures_of.bifurcation, along, sections, named[k])
+            away = sum(some.n_of(ESCAPING) for some in own)
+            diagrams.append((recipe, {"at": named[k], "n_left_out": _n_left_out(study, own), "n_away": away}))
+    return _Pictures(whole, ", ".join(at), diagrams)
 
 
 def _stacked(own: Sequence[Runs]) -> dict[str, list[float]]:

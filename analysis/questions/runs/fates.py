@@ -384,6 +384,8 @@ def _by_system(systems: Sequence[Row]) -> tuple[str, list[str]]:
     """Label and ticks of an axis of systems."""
     if len({row["n"] for row in systems}) == len(systems):
         return "blocks, n", [str(row["n"]) for row in systems]
+    if len(systems) > _MOST_TICKS:
+        return f"{len(systems)} settings", [""] * len(systems)
     texts, same = [str(row["system"]) for row in systems], f"n = {systems[0]['n']}, "
     return "", [text.removeprefix(same) for text in texts] if all(same in text for text in texts) else texts
 
@@ -391,18 +393,19 @@ def _by_system(systems: Sequence[Row]) -> tuple[str, list[str]]:
 def _set_ticks(ax: Axes, ticks: Sequence[str]) -> None:
     """One tick a system, its words below each other; upright where there is no room for them side by side.
 
-    Words of more systems than can be told apart are left out.
+    Of more than can be told apart there are some.
     """
     ax.set_xlim(-0.6, len(ticks) - 0.4)
     stacked = [text.replace(", ", "\n") for text in ticks]
     widest = max(len(line) for text in stacked for line in text.split("\n"))
-    if widest * len(ticks) <= _LETTERS:
+    if not widest:
+        ax.set_xticks([])
+    elif widest * len(ticks) <= _LETTERS:
         ax.set_xticks(range(len(ticks)), stacked)
     else:
-        if len(ticks) > _MOST_TICKS:
-            ax.set(xticks=[], xlabel=f"{len(ticks)} settings, in the order of report/fates.parquet")
-            return
-        ax.set_xticks(range(len(ticks)), ticks, rotation=90, fontsize=6)
+        step = -(-len(ticks) // _MOST_TICKS)
+        ticks = ticks[::step]
+        ax.set_xticks(range(0, step * len(ticks), step), ticks, rotation=90, fontsize=6)
         figure = ax.get_figure(root=True)
         assert figure is not None  # it is drawn on one
         figure.set_figheight(PANEL[1] + _LETTER * max(map(len, ticks)))

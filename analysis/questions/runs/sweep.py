@@ -34,7 +34,7 @@ from stickslip.analysis.grid import (
     points_at,
     settings,
 )
-from stickslip.analysis.groups import Value
+from stickslip.analysis.groups import Group, Value
 from stickslip.analysis.measures import AXES, GAMMA, KEYS, MEAN, Measure, measures
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
 from stickslip.analysis.questions.runs.fates import FATES, shares
@@ -48,6 +48,7 @@ from stickslip.analysis.style import EXACT, GREY, panel
 RELATIVE, ROUNDING = ("tol", "rtol"), 1e-12
 RISES, FALLS, SAME = "rises", "falls", "the same in all"
 MOST_LINES = 6  # in one figure
+COUNT = "waiting_count"  # of the times between exits of the same block
 SHORT = 0.02  # of the window: the mean of random times of this length that lie in it whole is 2% too small
 MOST_COLUMNS = 5  # of measures in the table of values
 MOST_FIGURES = 8  # of statistics along a key
@@ -123,7 +124,12 @@ def answer(study: Study) -> Answer | None:
         "unjudged": [row for row in rows if row["basis"] not in enough.JUDGED],
         "t_burn": study.settings.t_burn,
         **(_facts(points, asked) if recorded else {"measures": [], "gaps": [], "withheld": []}),
-        "cut": [_cut(one, _cell(k), rows, points, study) for k, one in enumerate(asked) if one.is_cut],
+        "cut": [
+            found
+            for k, one in enumerate(asked)
+            if one.since is not None
+            for found in _cut(one, one.since, _cell(k), rows, points, study)
+        ],
     }
     if not own:
         few = max(rows, key=lambda row: row["n_units"])
@@ -140,12 +146,13 @@ def answer(study: Study) -> Answer | None:
         in_order[:2] = in_order[1::-1]  # a line for each of the few values, not of the many
     drawn = [name for name in leading if name not in still] or leading[:1]
     figures, shown_at = dict[str, Any](), dict[str, Row]()
-    # over two keys each setting has pictures of its own, the one that leads first
-    each = [lead, *(name for name in points if name != lead)][: MOST_SETTINGS if len(axes) > 1 else 1]
+    # over two keys each setting has pictures of its own, the one that leads first, then those of the exact law
+    rest = sorted((name for name in points if name != lead), key=lambda name: not points[name][0].group.is_exact)
+    each = [lead, *rest][: MOST_SETTINGS if len(axes) > 1 else 1]
     for k, name in enumerate(each):
-        for base, one in _figures(points, name, in_order, drawn, asked, level).items():
-            key = f"{base}_{k + 1}" if k else base
-            figures[key] = one
+        for base, figure in _figures(points, name, in_order, drawn, asked, level).items():
+            key = f"{base}-{k + 1}" if k else base  # no measure has a hyphen
+            figures[key] = figure
             shown_at[key] = {"figure": base, "setting": name if len(axes) > 1 and len(points) > 1 else ""}
     facts |= {
         "changes": sorted(_ends(own, axes), key=lambda row: row["is_same"]),
@@ -206,12 +213,13 @@ def _contrasts(
 
 
 def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], kept: Sequence[Point]) -> Row | None:
-    """At how many points of the other keys a contrast is, of how many; None where it is at all."""
+    """At how many points of the other keys a contrast is, of how many; None where it is at all that there are."""
     if len(kept) == len(pairs):
         return None
     others = [one for one in pairs[0][0].at if one != axis]
-    name = others[0].name if len(others) == 1 else ""
-    return {"n": len(kept), "of": len(pairs), "name": name}
+    if len(others) == 1:
+        return {"n": len(kept), "of": len(others[0].values), "name": others[0].name}
+    return {"n": len(kept), "of": len(pairs), "name": ""}
 
 
 def _is_same(first: Sample, second: Sample, name: str, noise: float) -> bool:
@@ -458,37 +466,37 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
     }  # fmt: skip
 
 
-def _cut(one: Measure, cell: str, rows: Sequence[Row], points: Mapping[str, Sequence[Point]], study: Study) -> Row:
-    """The largest mean of times that have to lie in the window, and that; whether it is so large that it is cut.
+def _cut(
+    one: Measure, since: float, cell: str, rows: Sequence[Row], points: Mapping[str, Sequence[Point]], study: Study
+) -> list[Row]:
+    """Where the mean of times that have to lie in the window is too small by most, and its window; none if nowhere.
 
-    And by how much it is too small, by the number of exits, of which none is left out.
+    That is told by the number of exits, or else taken to be so where it is more than `SHORT` of the window.
     """
     at = {point.group.label: point for some in points.values() for point in some}
-    found = [
-        (row[cell], float(point.group.key["t_end"]) - study.settings.t_burn, point)
-        for row in rows
-        if row[cell] is not None and (point := at[row["group"]])
-    ]
-    if not found:
-        return {"is_cut": False}
-    most, window, point = max(found, key=lambda one: one[0] / one[1])
-    return {
-        "subject": one.subject, "most": most, "window": window, "is_cut": most > SHORT * window,
-        "by_exits": _by_exits(point, one.name),
-    }  # fmt: skip
+    found: list[Row] = []
+    for row in rows:
+        point, mean = at[row["group"]], row[cell]
+        window = float(point.group.key["t_end"]) - since
+        if mean is not None and mean > SHORT * window:
+            by_exits = _by_exits(study, point.group, window) if since == study.settings.t_burn else None
+            found.append({"subject": one.subject, "mean": mean, "window": window, "by_exits": by_exits})
+    found = [row for row in found if row["by_exits"] is None or row["by_exits"] > (1.0 + SHORT) * row["mean"]]
+    return sorted(found, key=lambda row: (row["by_exits"] or row["mean"]) / row["mean"])[-1:]
 
 
-def _by_exits(point: Point, name: str) -> float | None:
-    """The mean time between exits of a block from their number, over the units that have a mean of such times.
+def _by_exits(study: Study, group: Group, window: float) -> float | None:
+    """The mean time between exits of a block from their number, of blocks that exit.
 
-    None where some of their runs are not in motion, whose exits are not counted.
+    Those have one exit more than times between exits. None where some runs are not in motion, whose exits are not
+    counted, or have no such time.
     """
-    group, units = point.group, point.values[name].sums.units
-    exits = UnitSums(group.units, group.of("rate", "runs")).within(UnitSums(units, np.zeros((len(units), 2))))
-    if group.n_moving < len(group) or len(exits) < len(units):
+    if COUNT not in study.data.table.own or group.n_moving < len(group):
         return None
-    rate, runs = exits.rows.sum(axis=0)
-    return float(group.key["n"] * runs / rate)
+    n_times = group.column(COUNT).to_numpy(np.float64, na_value=np.nan)
+    n_exits = float(group.totals["rate"].sum()) * window
+    n_blocks = n_exits - float(n_times.sum())
+    return n_blocks * window / n_exits if n_times.min() > 0 and n_blocks > 0 else None
 
 
 def _withheld(one: Measure, points: Sequence[Point]) -> dict[str, list[Point]]:
@@ -532,7 +540,8 @@ def _figures(
             for y in axes[1].values
         ]
         across, up = ((axis.name, [as_text(value) for value in axis.values]) for axis in axes[:2])
-        found["sweep_map"] = partial(heat_map, labels[of.name], across, up, cells, may_be_log)
+        if any(value is not None for row in cells for value in row):
+            found["sweep_map"] = partial(heat_map, labels[of.name], across, up, cells, may_be_log)
     for name in leading[:MOST_FIGURES]:
         if name == IN_MOTION:
             at_value = [[point.fates for point in points_at(main, axes[0], value)] for value in axes[0].values]
@@ -606,14 +615,20 @@ def curves(
     is_log = may_be_log and x is not None and _spans_decades(at * np.sign(at[0]))
     if is_log and at[0] < 0:  # such as the speed of a belt
         at, key = -at, f"|{key}|"
+    values = np.array([one.value for _, line in lines for one in line if one is not None])
+    is_decades = may_be_log and _spans_decades(values)
+    floor = _floor(values) if is_decades else -np.inf
     colours = [EXACT] if len(lines) == 1 else matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(lines)))
     for k, (name, line) in enumerate(lines):
         seen = [(place, one) for place, one in zip(at, line, strict=True) if one is not None]
         value = np.array([one.value for _, one in seen], dtype=float)
         ends = np.array([[one.low, one.high] for _, one in seen], dtype=float).reshape(-1, 2)  # NaN: no interval
-        here, mark = [place for place, _ in seen], f"{'os^Dv<'[k % 6]}-"
+        here, mark = np.array([place for place, _ in seen]), f"{'os^Dv<'[k % 6]}-"
         ax.errorbar(here, value, np.abs(ends - value[:, None]).T, fmt=mark, markersize=3.5, linewidth=0.9,
                     color=colours[k], label=name)  # fmt: skip
+        if (value < floor).any():
+            ax.plot(here[value < floor], np.full((value < floor).sum(), floor), "v", color=colours[k], markersize=5,
+                    markerfacecolor="white")  # fmt: skip
     if x is None:
         ax.set_xticks(at, ticks)
     elif not is_log:
@@ -622,10 +637,11 @@ def curves(
     ax.set(xlim=(at.min() - margin, at.max() + margin), xlabel=key, ylabel=what)
     if is_log:
         ax.set(xscale="log", xlim=(at.min() / 1.2, 1.2 * at.max()))
-    values = np.array([one.value for _, line in lines for one in line if one is not None])
-    if may_be_log and _spans_decades(values):  # an interval that reaches zero goes down to the axis
+    if is_decades:  # an interval that reaches zero goes down to the axis
         ax.set_yscale("log", nonpositive="clip")
-        ax.set_ylim(max(values.min(), _floor(values)) / 2, 2 * values.max())
+        ax.set_ylim(max(values.min(), floor) / 2, 2 * values.max())
+        if values.min() < floor:
+            ax.set_ylabel(f"{what} (open triangles: less)")
     if len(lines) > 1:
         ax.figure.legend(loc="outside upper center", ncols=min(len(lines), 3), fontsize=7, handlelength=1.2)
 
@@ -657,8 +673,8 @@ def heat_map(
     norm = LogNorm(max(known.min(), _floor(known)), known.max(), clip=True) if is_log else None
     image = ax.imshow(np.ma.masked_invalid(shown), cmap="viridis", aspect="auto", origin="lower", norm=norm)
     if shown.size <= 80:
-        ends = (float(known.min()), float(known.max())) if len(known) else (0.0, 0.0)
-        middle = np.sqrt(ends[0] * ends[1]) if is_log else 0.5 * (ends[0] + ends[1])
+        least, most = image.get_clim()
+        middle = np.sqrt(least * most) if is_log else 0.5 * (least + most)
         for (row, column), value in np.ndenumerate(shown):
             if np.isfinite(value):
                 colour = "white" if value < middle else "black"

@@ -46,7 +46,7 @@ from stickslip.analysis.models.episodes import (
 )
 from stickslip.analysis.questions.runs.sweep import FALLS, RISES
 from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, relative_difference
-from stickslip.analysis.stats.enough import DRIFTS, JUDGED
+from stickslip.analysis.stats.enough import DRIFTS
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import parameter
 from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, goodness
@@ -141,6 +141,8 @@ def answer(study: Study) -> Answer | None:
         "class": CLASS, "fitted": FITTED, "windows": WINDOWS, "margin": MARGIN,
         "window": (float(lead.group.key["t_end"]) - study.settings.t_burn) * (1 - lead.row[OCCUPANCY]) / WINDOWS,
         "n_blocks": lead.group.key["n"],
+        "without_law": [first.row["method"] for first, *_ in by_system
+                        if first.row["n_episodes"] and not first.is_judged],
         "ends": (references[0], references[-1]), "changes": changes, "b": b[lead.label],
         "b_rows": _b_rows({lead.label: b[lead.label]}),
         "most_over": MOST_OVER if any((row["over"] or 0.0) > MOST_OVER for row in rates) else None,
@@ -158,7 +160,7 @@ def _warned(found: Sequence[Catalogues], references: Sequence[Catalogues], study
     return {
         "fast": fast, "slow": SLOW, "slower": _slower(fast[0]) if fast else None, "is_sweep": len(references) > 1,
         "drifting": [one.row for one in found if _drifts(one.row)], "t_burn": study.settings.t_burn,
-        "rows": [one.row for one in found], "judged": JUDGED,
+        "rows": [one.row for one in found],
     }  # fmt: skip
 
 
