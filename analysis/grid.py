@@ -18,6 +18,7 @@ from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, boun
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, at_least, over_matrices
 
 IN_MOTION = "share in motion"
+MOST_SETTINGS = 3  # that have pictures of their own
 AT_MOST = "share in motion or quiet"  # whether a quiet run is in motion cannot be told
 
 

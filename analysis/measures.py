@@ -181,10 +181,13 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
     A column that the analysis takes for itself, the growth rate, is measured too, but not as what the scene is about,
     and of the exact law alone, which it is of.
     """
-    is_smoothed = np.array([value is not None for value in study.data.table.of_each("eps")])
+    table = study.data.table
+    is_smoothed = np.array([one["eps"] is not None for one in table.settings])
     for name, column in study.data.recorded.items():
         is_own = name in READ
-        numbers = np.where(is_smoothed, np.nan, study.number(name)) if is_own else study.number(name)
+        numbers = study.number(name)
+        if is_own:
+            numbers = np.where(is_smoothed[table.own["setting"]], np.nan, numbers)
         if (beside is not None and name not in beside.data.recorded) or (is_own and np.isnan(numbers).all()):
             continue
         words = column.words.partition(";")[0]

@@ -228,7 +228,7 @@ def _set_units(own: pd.DataFrame, settings: list[dict[str, Any]]) -> None:
         one["unit_is"] = MATRIX if unit_is[k] == START and not is_drawn[number] else unit_is[k]
         if unit_is[k] == FILE:
             one |= {"file": None, "kappa": None}
-    own["unit"] = own["matrix"]
+    own["unit"] = own["matrix"].astype("int64")
     of_start = np.array([one["unit_is"] == START for one in settings])[own["setting"]] & own["start_draw"].notna()
     if of_start.any():
         own.loc[of_start, "unit"] = own["start_draw"][of_start].astype("int64")

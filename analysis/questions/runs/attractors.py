@@ -16,7 +16,7 @@ import pandas as pd
 
 from stickslip.analysis.answer import Answer, F, I, Question, Recipe, Row, S, frame
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.grid import Axis, as_text, axes_of, order, place_of, settings
+from stickslip.analysis.grid import MOST_SETTINGS, Axis, as_text, axes_of, order, place_of, settings
 from stickslip.analysis.groups import Group, Value, labels
 from stickslip.analysis.models.attractors import (
     ESCAPING,
@@ -45,7 +45,6 @@ NONE_EXACT = "none exact"  # no run that has one
 _MOST_BARS = 24
 _MOST_CYCLES = 4  # that are named apart
 _MOST_DIAGRAMS = 3  # of bifurcations, at values of a second key
-_MOST_SETTINGS = 3  # that have pictures of their own
 _ONE_DOT = 1e-3  # of the range of values: what is closer is drawn once
 _LEAST_UNITS = 4  # for a bound on a share that is 1
 _SCHEMA = {
@@ -435,7 +434,7 @@ def _changes_of_exits(found: Sequence[Row], ticks: Sequence[str], x: Sequence[fl
 def _turns_by_setting(axis: Axis, others: Sequence[Axis], lines: Sequence[_Line], told: Sequence[Row]) -> list[Row]:
     """The turns of each of few settings, or those of all lines together."""
     named = dict.fromkeys(line.setting for line in lines)
-    if not 1 < len(named) <= _MOST_SETTINGS or len(lines) == len(named):
+    if not 1 < len(named) <= MOST_SETTINGS or len(lines) == len(named):
         return [row | {"setting": ""} for row in _turns(axis, others, told, len(named) > 1)]
     return [
         row | {"setting": name}
@@ -494,7 +493,7 @@ def _figures(study: Study, axes: Sequence[Axis], lines: Sequence[_Line], told: S
     named = sorted(n_lines, key=lambda name: (not is_exact[name], -n_lines[name]))
     drawn: dict[str, Recipe] = {}
     maps, diagrams = list[Row](), list[Row]()
-    for name in named[:_MOST_SETTINGS]:
+    for name in named[:MOST_SETTINGS]:
         own = [k for k, line in enumerate(lines) if line.setting == name]
         one = _pictures(study, axes, [lines[k] for k in own], [told[k]["at"] for k in own], len(named) > 1)
         maps.append({"figure": _nth("attractors", len(maps)), "at": one.at})

@@ -25,6 +25,7 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.grid import (
     AT_MOST,
     IN_MOTION,
+    MOST_SETTINGS,
     Axis,
     Point,
     as_text,
@@ -52,7 +53,6 @@ COUNT = "waiting_count"  # of the times between exits of the same block
 SHORT = 0.02  # of the window: the mean of random times of this length that lie in it whole is 2% too small
 MOST_COLUMNS = 5  # of measures in the table of values
 MOST_FIGURES = 8  # of statistics along a key
-MOST_SETTINGS = 3  # that have pictures of their own over two keys
 MOST_DECADES = 4.0  # of an axis: what lies further below the largest value is below the axis
 _FEW_TICKS = 4  # so few values of a key are its ticks
 _LETTERS, _LINES = 36, 20  # of the ticks of a map, side by side and above each other
