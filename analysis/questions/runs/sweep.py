@@ -486,17 +486,21 @@ def _cut(
 
 
 def _by_exits(study: Study, group: Group, window: float) -> float | None:
-    """The mean time between exits of a block from their number, of blocks that exit.
+    """The mean time between exits of a block from their number, of blocks that exit: they have one more than times.
 
-    Those have one exit more than times between exits. None where some runs are not in motion, whose exits are not
-    counted, or have no such time.
+    Over the units whose runs in motion are those that have such times; None if there is none, or no count of times.
     """
-    if COUNT not in study.data.table.own or group.n_moving < len(group):
+    if COUNT not in study.data.table.own:
         return None
-    n_times = group.column(COUNT).to_numpy(np.float64, na_value=np.nan)
-    n_exits = float(group.totals["rate"].sum()) * window
-    n_blocks = n_exits - float(n_times.sum())
-    return n_blocks * window / n_exits if n_times.min() > 0 and n_blocks > 0 else None
+    n_times = group.column(COUNT).to_numpy(np.float64, na_value=0.0)
+    has, units = n_times > 0, group.column("unit").to_numpy()
+    times = UnitSums.of(units[has], np.column_stack([n_times, has])[has])
+    exits = UnitSums(group.units, group.of("rate", "runs")).within(times)
+    times = times.within(exits)
+    alike = times.rows[:, 1] == exits.rows[:, 1]
+    n_exits = window * float(exits.rows[alike, 0].sum())
+    n_blocks = n_exits - float(times.rows[alike, 0].sum())
+    return n_blocks * window / n_exits if n_exits else None
 
 
 def _withheld(one: Measure, points: Sequence[Point]) -> dict[str, list[Point]]:
