@@ -140,7 +140,7 @@ def _pairs(study: Study, by_threshold: Mapping[str, Mapping[float, Sample]]) -> 
         yield from (_Pair(FRICTION, tightest[0], group) for group in tightest[1:])
         for family in families.values():
             yield from (_Pair(TOLERANCE, family[0], group) for group in family[1:])
-            exact = tightest[0] if tightest[0].key["engine"] == "coulomb" else family[0]
+            exact = tightest[0] if tightest[0].is_exact else family[0]
             yield from (_Pair(THRESHOLD, exact, family[0], c) for c in sorted(by_threshold.get(family[0].label, ())))
 
 

@@ -96,6 +96,7 @@ def answer(study: Study) -> Answer | None:
     for row in contrasts:
         row["is_told"] = row["verdict"] != UNKNOWN or bool(row["open"])
         row["beyond"] = _beyond(row, contrasts)
+        row["at_places"] = row["places"] and "{n} of {of}".format(**row["places"])
     keys = {key: axis.dtype(k) for axis in axes for k, key in enumerate(axis.keys)}
     tables = {"sweep": frame({**_VALUES, **keys}, rows), "sweep_changes": frame(_CONTRASTS, contrasts)}
     recorded = [one for one in asked if one.is_recorded]
@@ -124,12 +125,7 @@ def answer(study: Study) -> Answer | None:
         "unjudged": [row for row in rows if row["basis"] not in enough.JUDGED],
         "t_burn": study.settings.t_burn,
         **(_facts(points, asked) if recorded else {"measures": [], "gaps": [], "withheld": []}),
-        "cut": [
-            found
-            for k, one in enumerate(asked)
-            if one.since is not None
-            for found in _cut(one, one.since, _cell(k), rows, points, study)
-        ],
+        "cut": [found for k, one in enumerate(asked) for found in _cut(one, _cell(k), rows, points, study)],
     }
     if not own:
         few = max(rows, key=lambda row: row["n_units"])
@@ -145,10 +141,8 @@ def answer(study: Study) -> Answer | None:
     if len(axes) > 1 and len(in_order[1].values) > max(MOST_LINES, len(in_order[0].values)):
         in_order[:2] = in_order[1::-1]  # a line for each of the few values, not of the many
     drawn = [name for name in leading if name not in still] or leading[:1]
+    each = _drawn(points, lead) if len(axes) > 1 else [lead]
     figures, shown_at = dict[str, Any](), dict[str, Row]()
-    # over two keys each setting has pictures of its own, the one that leads first, then those of the exact law
-    rest = sorted((name for name in points if name != lead), key=lambda name: not points[name][0].group.is_exact)
-    each = [lead, *rest][: MOST_SETTINGS if len(axes) > 1 else 1]
     for k, name in enumerate(each):
         for base, figure in _figures(points, name, in_order, drawn, asked, level).items():
             key = f"{base}-{k + 1}" if k else base  # no measure has a hyphen
@@ -167,6 +161,12 @@ def answer(study: Study) -> Answer | None:
         "mapped": next((_figure(one) for one in asked if one.name == leading[0]), ""),
     }
     return Answer(facts, tables=tables, figures=figures)
+
+
+def _drawn(points: Mapping[str, Sequence[Point]], lead: str) -> list[str]:
+    """The settings with pictures of their own: the one that leads first, then those of the exact law."""
+    rest = sorted((name for name in points if name != lead), key=lambda name: not points[name][0].group.is_exact)
+    return [lead, *rest][:MOST_SETTINGS]
 
 
 def _is_mixed(study: Study) -> bool:
@@ -195,7 +195,7 @@ def _contrasts(
                 for point in points
                 if point.at[axis] == value and (before := tuple((point.at | {axis: base}).values())) in by_place
             ]
-            first, second, kept = _in_common((IN_MOTION, AT_MOST) if one.is_share else (one.name,), pairs)
+            first, second, n_pairs = _in_common((IN_MOTION, AT_MOST) if one.is_share else (one.name,), pairs)
             if one.is_share and not _differ(first, second, one.name):
                 continue
             row = contrast.contrast(one, first, second, paired=True, confidence=level)
@@ -208,18 +208,18 @@ def _contrasts(
                 "last_value": as_text(axis.values[-1]), "is_last": value == others[-1],
                 "is_same": not one.is_share and _is_same(first, second, one.name, noise * largest[one.name]),
                 "is_part": not one.is_share and row["n_first"] < max(n_units[base], n_units[value]),
-                "places": _places(axis, pairs, kept),
+                "places": _places(axis, pairs, n_pairs),
             }  # fmt: skip
 
 
-def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], kept: Sequence[Point]) -> Row | None:
+def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], n_pairs: int) -> Row | None:
     """At how many points of the other keys a contrast is, of how many; None where it is at all that there are."""
-    if len(kept) == len(pairs):
+    if n_pairs == len(pairs):
         return None
     others = [one for one in pairs[0][0].at if one != axis]
     if len(others) == 1:
-        return {"n": len(kept), "of": len(others[0].values), "name": others[0].name}
-    return {"n": len(kept), "of": len(pairs), "name": ""}
+        return {"n": n_pairs, "of": len(others[0].values), "name": others[0].name}
+    return {"n": n_pairs, "of": len(pairs), "name": ""}
 
 
 def _is_same(first: Sample, second: Sample, name: str, noise: float) -> bool:
@@ -269,25 +269,25 @@ def _largest(name: str, points: Sequence[Point]) -> float:
     return max(float(np.abs(rows[:, 0] / rows[:, 1]).max(initial=0.0)) for rows in every)
 
 
-def _in_common(names: Sequence[str], pairs: Sequence[tuple[Point, Point]]) -> tuple[Sample, Sample, Sequence[Point]]:
+def _in_common(names: Sequence[str], pairs: Sequence[tuple[Point, Point]]) -> tuple[Sample, Sample, int]:
     """The sums of the first and of the second points of pairs, for the units that both of a pair have.
 
-    And the second points whose units count, for the first name.
+    And of how many pairs units count, for the first name.
 
     Of several pairs, all units count over the same ones, as far as that leaves enough: else a unit that lacks a pair
     would differ from others by what that pair is like.
     """
-    alike = [(a, b) for a, b in pairs if a.group.unit == b.group.unit]
-    first, second, counted = Sample(), Sample(), list[list[Point]]()
+    samples = [(a.sample, b.sample) for a, b in pairs if a.group.unit == b.group.unit]
+    first, second, n_pairs = Sample(), Sample(), list[int]()
     for name in names:
-        sums = [(a.sample.of(name), b.sample.of(name)) for a, b in alike]
+        sums = [(a.of(name), b.of(name)) for a, b in samples]
         sums = [(a.within(b), b.within(a)) for a, b in sums]
         pairs_kept, units = _without_gaps([a.units for a, _ in sums])
         first.sums[name], second.sums[name] = (
             UnitSums.together(sums[k][which].within(units) for k in pairs_kept) for which in (0, 1)
         )
-        counted.append([alike[k][1] for k in pairs_kept if len(sums[k][0].within(units))])
-    return first, second, counted[0]
+        n_pairs.append(sum(len(sums[k][0].within(units)) > 0 for k in pairs_kept))
+    return first, second, n_pairs[0]
 
 
 def _without_gaps(have: Sequence[np.ndarray]) -> tuple[list[int], UnitSums]:
@@ -467,19 +467,21 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
 
 
 def _cut(
-    one: Measure, since: float, cell: str, rows: Sequence[Row], points: Mapping[str, Sequence[Point]], study: Study
+    one: Measure, cell: str, rows: Sequence[Row], points: Mapping[str, Sequence[Point]], study: Study
 ) -> list[Row]:
     """Where the mean of times that have to lie in the window is too small by most, and its window; none if nowhere.
 
     That is told by the number of exits, or else taken to be so where it is more than `SHORT` of the window.
     """
-    at = {point.group.label: point for some in points.values() for point in some}
+    if one.since is None:
+        return []
+    groups = {point.group.label: point.group for some in points.values() for point in some}
     found: list[Row] = []
     for row in rows:
-        point, mean = at[row["group"]], row[cell]
-        window = float(point.group.key["t_end"]) - since
+        group, mean = groups[row["group"]], row[cell]
+        window = float(group.key["t_end"]) - one.since
         if mean is not None and mean > SHORT * window:
-            by_exits = _by_exits(study, point.group, window) if since == study.settings.t_burn else None
+            by_exits = _by_exits(study, group, window) if one.since == study.settings.t_burn else None
             found.append({"subject": one.subject, "mean": mean, "window": window, "by_exits": by_exits})
     found = [row for row in found if row["by_exits"] is None or row["by_exits"] > (1.0 + SHORT) * row["mean"]]
     return sorted(found, key=lambda row: (row["by_exits"] or row["mean"]) / row["mean"])[-1:]

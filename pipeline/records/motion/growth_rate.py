@@ -46,6 +46,6 @@ class GrowthRate(Record):
         if system.weakening is not None and isinstance(system.belt_speed, Piecewise):
             return {}
         if system not in _KNOWN:
-            drag = system.kinetic_slope(np.broadcast_to(system.belt_speed_at(0.0), system.n))
+            drag = system.kinetic_slope(system.belt_speed_at(0.0))
             _KNOWN[system] = float(np.linalg.eigvals(system.slip_matrix(drag)).real.max())
         return {"growth_rate": _KNOWN[system]}
