@@ -1,7 +1,8 @@
-"""Arithmetic that the kernels share: a bound of rounding, the largest of an array, a copy."""
+"""Arithmetic that the kernels share: a bound of rounding, the largest of an array, a copy; and arrays for it."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numba
@@ -9,11 +10,24 @@ import numba.extending
 import numpy as np
 from numba.core import cgutils
 from numba.np.arrayobj import make_array, populate_array
+from numpy.typing import DTypeLike, NDArray
 
 from stickslip.sim.kernels.compile import inner
 
 #: A bound of the rounding of a sum, relative to the sum of the magnitudes of its terms
 ROUNDING = 32 * np.finfo(np.float64).eps
+_LINE = 64  # the bytes of a line of the cache
+
+
+def zeros(shape: tuple[int, ...], dtype: DTypeLike = np.float64) -> NDArray[Any]:
+    """Zeros that begin with a line of the cache: a load of eight numbers then never takes two lines.
+
+    Products of K took 17% longer with arrays where numpy puts them (n = 200, AVX-512).
+    """
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    room = np.zeros(size + _LINE, np.uint8)
+    first = -room.__array_interface__["data"][0] % _LINE
+    return room[first : first + size].view(dtype).reshape(shape)
 
 
 @numba.extending.intrinsic

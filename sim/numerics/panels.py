@@ -15,13 +15,15 @@ from numba.extending import intrinsic
 from numpy.typing import DTypeLike, NDArray
 
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arithmetic import zeros
 
 #: Rows of a panel: sums of 8 float64 or 16 float32 fill two registers of AVX2 a vector.
 HEIGHT, SINGLE_HEIGHT = 8, 16
 #: The same for panels for two vectors, whose sums leave more registers.
 PAIR_HEIGHT, SINGLE_PAIR_HEIGHT = 16, 32
-#: A bound of the error of (K x)_i in float32, relative to sum_j |K_ij| max |x|: three roundings, of K, x and their
-#: products, and a margin for those of the sum.
+#: The error of (K x)_i in float32, relative to sum_j |K_ij| max |x|: roundings of K, x and their products, and of the
+#: sum. With terms of random signs it was 0.05 of this, n = 48 to 3,000; with terms of one sign at most 0.8 of it with
+#: n = 200, and 4 with n = 3,000.
 SINGLE_ERROR = 8 * float(np.finfo(np.float32).eps)
 _SINGLE_MAX = float(np.finfo(np.float32).max)
 
@@ -32,7 +34,7 @@ def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArra
     Rows of zeros are added to fill the last panel. Shape (..., number of panels, n, height).
     """
     *several, n, _ = matrix.shape
-    found, whole = np.zeros((*several, -(-n // height), n, height), dtype), n // height
+    found, whole = zeros((*several, -(-n // height), n, height), dtype), n // height
     rows = matrix[..., : whole * height, :].reshape(*several, whole, height, n)
     with np.errstate(over="ignore"):
         found[..., :whole, :, :] = rows.swapaxes(-1, -2)

@@ -60,7 +60,7 @@ def are_of_one_kind(row_sums: Floats) -> bool:
 
 
 @inner
-def _moving(x, u, moving):  # type: ignore[no-untyped-def]
+def list_moving(x, u, moving):  # type: ignore[no-untyped-def]
     """List the blocks with x_j or u_j not zero; returns how many there are."""
     m = 0
     for j in range(len(x)):
@@ -111,34 +111,34 @@ def one_product(columns, x, y, moving):  # type: ignore[no-untyped-def]
     if len(columns.dense) == 0:
         _sparse_product(columns, x, y)
     else:
-        _one_pass(columns.dense, x, y, moving, _moving(x, x, moving))
+        _one_pass(columns.dense, x, y, moving, list_moving(x, x, moving))
 
 
 @inner
-def two_products(columns, pairs, x, y):  # type: ignore[no-untyped-def]
+def two_products(columns, pairs, m, x, y):  # type: ignore[no-untyped-def]
     """y_k = K x_k of two vectors, shape (2, n), in one pass over K, whose cost is reading K and not the arithmetic.
 
-    Columns of blocks that do not move (x_j = 0 in both) are not read.
+    Of a dense K only the columns of the m blocks that `list_moving` has put into `pairs.columns` are read.
     """
     if len(pairs.panels) == 0:
         _sparse_product(columns, x[0], y[0])
         _sparse_product(columns, x[1], y[1])
     else:
-        _pair(pairs.panels, x, pairs.product, pairs.columns, _moving(x[0], x[1], pairs.columns))
+        _pair(pairs.panels, x, pairs.product, pairs.columns, m)
         for k in range(2):
             for i in range(y.shape[1]):
                 y[k, i] = pairs.product[k, i]
 
 
 @inner
-def two_single_products(pairs, x, sizes, y):  # type: ignore[no-untyped-def]
+def two_single_products(pairs, m, x, sizes, y):  # type: ignore[no-untyped-def]
     """As `two_products`, in single precision, each vector scaled to its size; the error is that of `SINGLE_ERROR`."""
     single, product = pairs.single, pairs.single_product
     for k in range(2):
         scale = 1.0 / sizes[k] if sizes[k] > 0.0 else 0.0
         for j in range(x.shape[1]):
             single[k, j] = np.float32(x[k, j] * scale)
-    _single_pair(pairs.single_panels, single, product, pairs.columns, _moving(x[0], x[1], pairs.columns))
+    _single_pair(pairs.single_panels, single, product, pairs.columns, m)
     for k in range(2):
         for i in range(y.shape[1]):
             y[k, i] = sizes[k] * product[k, i]

@@ -61,6 +61,9 @@ WORTH = 0.1
 #: about as far below it. PASSED_ON = 0.0005 took up to 9% more products; 0.01 took up to 9% fewer, with errors up to
 #: 3 times as large.
 PASSED_ON = 0.002
+#: With at most this many events in a window, K times what others pass on is taken at each where it makes the window
+#: longer.
+FEW_CARRIED = 3.0
 #: An event is decided by its series if the force is this many times its error away from another decision. With 3
 #: and 30 products changed by 0.1% at most.
 DOUBT = 10.0
@@ -98,9 +101,9 @@ STALL = 1000
 #: So are as many steps in a row without an event, each below this share of the shortest time scale. Chosen.
 CRAWL = 1e-6
 
-#: Clocks behind those that every engine keeps: decaying sums, for the mean length of a window, of their time and of
-#: the number of windows that were cut short.
-EXPOSURE, CUTS = loop.N_CLOCKS, loop.N_CLOCKS + 1
+#: Clocks behind those that every engine keeps: decaying sums, for the mean length of a window, of their time, of the
+#: number of windows that were cut short, and of events that were carried over.
+EXPOSURE, CUTS, CARRIED = range(loop.N_CLOCKS, loop.N_CLOCKS + 3)
 
 
 @inner
@@ -116,9 +119,16 @@ def is_worth_using(clock, left):  # type: ignore[no-untyped-def]
 
 
 @inner
+def pays_to_pass_on(clock):  # type: ignore[no-untyped-def]
+    """Whether windows have so few events that a product at each, for a longer window, costs less than new ones."""
+    return clock[CARRIED] <= FEW_CARRIED * clock[CUTS]
+
+
+@inner
 def note_window(clock, is_cut):  # type: ignore[no-untyped-def]
     """Take a window, whose time is in the clock, into the mean length."""
     clock[EXPOSURE] *= DECAY
+    clock[CARRIED] *= DECAY
     clock[CUTS] = DECAY * (clock[CUTS] + (1.0 if is_cut else 0.0))
 
 

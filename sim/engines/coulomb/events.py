@@ -12,39 +12,42 @@ from stickslip.sim.numerics.roots import roots
 
 
 @inner
-def enclose(series, forces, slips, order, h, reach, n):  # type: ignore[no-untyped-def]
-    """Bounds of how far the event functions of n blocks deviate in h from their tangents, from their coefficients."""
-    for i in range(n):
-        reach[i] = 0.0
+def enclose(series, slips, order, h, reach, n):  # type: ignore[no-untyped-def]
+    """Bounds of how far the event functions of n blocks deviate in h from their tangents, from their coefficients.
+
+    F has two orders less than z: it is needed to the accuracy of w', not of w.
+    """
     power = h * h
-    for k in range(2, order - 1):
+    for i in range(n):
+        reach[i] = (1.0 - slips[i]) * power * abs(series[2, i])
+    for k in range(3, order + 1):
+        of_slip, of_stick = k * power, power * h
         for i in range(n):
-            reach[i] += power * abs(slips[i] * (k + 1) * series[k + 1, i] + (1.0 - slips[i]) * forces[k, i])
+            reach[i] += (slips[i] * of_slip + (1.0 - slips[i]) * of_stick) * abs(series[k, i])
         power *= h
-    for i in range(n):  # F has two orders less: it is needed to the accuracy of w', not of w
-        reach[i] += power * abs(slips[i] * order * series[order, i])
 
 
 @inner
-def excluded(face, motion, bounds, h, reach):  # type: ignore[no-untyped-def]
+def excluded(face, first, bounds, h, reach):  # type: ignore[no-untyped-def]
     """The fast exclusion check: whether a block's event functions have no root within h.
 
-    `face` has its mode, zeros and side (see `Expansion`), `motion` w, half its slope, (K z)_i and its slope, `bounds`
-    v, R v, static friction and the closed side; the functions deviate by at most `reach` from their tangents. It
-    takes numbers, not the model: a call that is not inlined passes the model field by field, for each block.
+    `face` has its mode, zeros and side, `first` the first three coefficients of its series (see `Expansion`),
+    `bounds` v, R v, static friction and the closed side; the functions deviate by at most `reach` from their
+    tangents. It takes numbers, not the model: a call that is not inlined passes the model field by field, for each
+    block.
     """
     mode, zeros, side = face
-    w, half_slope, pull, pull_slope = motion
+    c0, c1, c2 = first
     v, drag, static, closed = bounds
     if mode != 0:
-        gap = mode * (w - v)
-        return zeros == 0 and min(gap, gap + mode * 2.0 * half_slope * h) > reach
-    force = drag + pull
-    return side == 0 and max(push(closed, force), push(closed, force + pull_slope * h)) + reach < static
+        gap = mode * (c1 - v)
+        return zeros == 0 and min(gap, gap + mode * 2.0 * c2 * h) > reach
+    force = drag + c0
+    return side == 0 and max(push(closed, force), push(closed, force + c1 * h)) + reach < static
 
 
 @inner
-def root(model, i, series, forces, at, face, horizon, room):  # type: ignore[no-untyped-def]
+def root(model, i, series, at, face, horizon, room):  # type: ignore[no-untyped-def]
     """Time to the first root of block i's event functions within h, and whether there is one; see `excluded` first.
 
     Its series are the columns `at`; `face` has its mode, zeros and side, `horizon` the order and h; `room` is
@@ -68,7 +71,7 @@ def root(model, i, series, forces, at, face, horizon, room):  # type: ignore[no-
             h *= found[0]
             is_found = True
         return h, is_found
-    force = model.damping[i] * v + forces[0, at]
+    force = model.damping[i] * v + series[0, at]
     first = h
     for sigma in (-1, 1):  # both within h, so that a mirror image has the same bytes
         if sigma == closed:
@@ -80,10 +83,10 @@ def root(model, i, series, forces, at, face, horizon, room):  # type: ignore[no-
         if skip == 0:
             poly[0] = static + sigma * force
         else:
-            poly[0] = sigma * forces[skip, at]
+            poly[0] = sigma * series[skip, at]
         power = h
         for k in range(1, degree + 1):
-            poly[k] = sigma * forces[k + skip, at] * power
+            poly[k] = sigma * series[k + skip, at] * power
             power *= h
         if poly[0] != 0.0 and roots(poly, degree, found) > 0:
             first = min(first, h * found[0])

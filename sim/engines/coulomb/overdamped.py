@@ -23,6 +23,7 @@ from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.model import fastest_belt
 from stickslip.sim.engines.coulomb.sticking import IDENTICALLY_ZERO, known, settle
+from stickslip.sim.engines.coulomb.taylor import hold
 from stickslip.sim.engines.forcing import begin, may_change, take_off
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
@@ -216,6 +217,7 @@ def follow(slow, model, expansion, goal, state, target):  # type: ignore[no-unty
         n_products += n_more
         if order > 0:
             patience[_NEXT] = 1
+            hold(expansion, order)
             return order, h, allowed, n_products
         if order == 0:
             break

@@ -19,11 +19,12 @@ from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.sticking import force_rounding, push
-from stickslip.sim.engines.coulomb.taylor import UNDECIDED, Window, decide, expand
+from stickslip.sim.engines.coulomb.taylor import UNDECIDED, Window, decide, expand, pull_of
 from stickslip.sim.engines.coulomb.windows import evaluate, instant, record, sample, stalls
 from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
+from stickslip.sim.numerics.horner import shift_rows
 
 _NEVER = math.inf
 
@@ -37,8 +38,8 @@ class Local(NamedTuple):
     place: NDArray[np.int64]  #: of a block among the members; -1: it is none
     members: NDArray[np.int64]  #: the blocks near the event, its own first
     series: Floats  #: of the members, about the event
-    forces: Floats
-    changes: Floats  #: of the coefficients, by the event
+    pulls: Floats  #: the coefficients of the change of F by those of the others
+    changes: Floats  #: of the coefficients of z, by the event
     step: Floats
     reach: Floats
     slips: Floats
@@ -57,7 +58,7 @@ class Local(NamedTuple):
             place=np.full(n, -1),
             members=np.zeros(most, np.int64),
             series=np.zeros((control.ORDER_MAX + 1, most)),
-            forces=np.zeros((control.ORDER_MAX + 1, most)),
+            pulls=np.zeros((control.ORDER_MAX + 1, most)),
             changes=np.zeros((control.ORDER_MAX + 1, most)),
             step=np.zeros(most),
             reach=np.zeros(most),
@@ -91,17 +92,17 @@ def _winner(due):  # type: ignore[no-untyped-def]
 @inner
 def _open(model, expansion, search, local, order, h):  # type: ignore[no-untyped-def]
     """Begin a window: all series are about its start; find every block's next event within h."""
-    series, forces, mode, due = expansion.series, expansion.forces, expansion.mode, local.due
+    series, mode, due = expansion.series, expansion.mode, local.due
     zeros, side, reach, room = expansion.zeros, expansion.side, search.reach, (search.poly, search.found)
     damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
     n, size = len(mode), len(due) // 2
-    enclose(series, forces, expansion.slips, order, h, reach, n)
+    enclose(series, expansion.slips, order, h, reach, n)
     for i in range(n):
         due[size + i] = _NEVER
-        face, motion = (mode[i], zeros[i], side[i]), (series[1, i], series[2, i], forces[0, i], forces[1, i])
-        if excluded(face, motion, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[i]):
+        face, first = (mode[i], zeros[i], side[i]), (series[0, i], series[1, i], series[2, i])
+        if excluded(face, first, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[i]):
             continue
-        time, is_found = root(model, i, series, forces, i, face, (order, h), room)
+        time, is_found = root(model, i, series, i, face, (order, h), room)
         due[size + i] = time if is_found else _NEVER
     for k in range(size - 1, 0, -1):
         due[k] = min(due[2 * k], due[2 * k + 1])
@@ -110,7 +111,7 @@ def _open(model, expansion, search, local, order, h):  # type: ignore[no-untyped
 @inner
 def _bring(model, expansion, local, order, s, first, last):  # type: ignore[no-untyped-def]
     """Shift the series of the members in these places to an instant of the window."""
-    series, forces, step = local.series, local.forces, local.step
+    series, step = local.series, local.step
     for a in range(first, last):
         i = local.members[a]
         step[a] = s - local.origin[i]
@@ -119,16 +120,7 @@ def _bring(model, expansion, local, order, s, first, last):  # type: ignore[no-u
         local.slips[a] = expansion.slips[i]
         for k in range(order + 1):
             series[k, a] = expansion.series[k, i]
-        for k in range(order - 1):
-            forces[k, a] = expansion.forces[k, i]
-    for k in range(order):
-        for j in range(order - 1, k - 1, -1):
-            for a in range(first, last):
-                series[j, a] += step[a] * series[j + 1, a]
-    for k in range(order - 2):
-        for j in range(order - 3, k - 1, -1):
-            for a in range(first, last):
-                forces[j, a] += step[a] * forces[j + 1, a]
+    shift_rows(series, first, last, order, step)
 
 
 @inner
@@ -167,26 +159,35 @@ def _gather(model, expansion, local, window, jump, left):  # type: ignore[no-unt
 
 
 @inner
-def _pass_on(model, local, order, start, count):  # type: ignore[no-untyped-def]
-    """The series of the members from the event on; `start` is c_2 of its own block."""
+def _pass_on(model, local, order, start, count, pull, was_stuck):  # type: ignore[no-untyped-def]
+    """The series of the members from the event on; `start` is c_2 of its own block, whose F - R v was `pull`.
+
+    The changes of the others obey their own equations, without constant terms.
+    """
     columns, members, place, ends = model.columns, local.members, local.place, local.ends
-    series, forces, changes, slips = local.series, local.forces, local.changes, local.slips
-    series[1, 0] = model.belt_speed[members[0]]
+    series, pulls, changes, slips, damping = local.series, local.pulls, local.changes, local.slips, local.damping
+    before = model.belt_speed[members[0]]  # the coefficient k + 1 of the event's own block
+    changes[1, :count] = 0.0
     for k in range(order - 1):
+        for a in range(count):
+            pulls[k, a] = 0.0
         if k >= 2:
             for a in range(min(count, ends[(k - 2) // 2])):
                 j = members[a]
                 for p in range(columns.indptr[j], columns.indptr[j + 1]):
                     b = place[columns.indices[p]]
                     if b >= 0:
-                        forces[k, b] += columns.data[p] * changes[k, a]
+                        pulls[k, b] += columns.data[p] * changes[k, a]
         factor = -1.0 / ((k + 2) * (k + 1))
-        for a in range(min(count, ends[k // 2])):
-            c = slips[a] * factor * (local.damping[a] * (k + 1) * series[k + 1, a] + forces[k, a])
-            if k == 0:
-                c = start
-            changes[k + 2, a] = c - series[k + 2, a]
-            series[k + 2, a] = c
+        pull[k] += pulls[k, 0]
+        known = 0.0 if was_stuck else series[k + 2, 0]
+        before = slips[0] * factor * (damping[0] * (k + 1) * before + pull[k]) if k > 0 else start
+        changes[k + 2, 0] = before - known
+        series[k + 2, 0] = before
+        for a in range(1, count):
+            changes[k + 2, a] = slips[a] * factor * (damping[a] * (k + 1) * changes[k + 1, a] + pulls[k, a])
+            series[k, a] += (1.0 - slips[a]) * pulls[k, a]
+            series[k + 2, a] += changes[k + 2, a]
 
 
 @inner
@@ -198,7 +199,7 @@ def _is_alone(model, local, h, count, z_max):  # type: ignore[no-untyped-def]
         if mode[a] == 0:
             drag = model.damping[i] * v[i]
             slack = force_rounding(drag, model.row_sums[i] * z_max, model.static[i], 0.0)
-            if push(model.closed[i], drag + local.forces[0, a]) >= model.static[i] - slack:
+            if push(model.closed[i], drag + series[0, a]) >= model.static[i] - slack:
                 return False
         else:
             gap = series[1, a] - v[i]
@@ -211,7 +212,7 @@ def _is_alone(model, local, h, count, z_max):  # type: ignore[no-untyped-def]
 def _put_back(model, expansion, search, local, order, span, count, n_zeros):  # type: ignore[no-untyped-def]
     """Copy the series of the members back, and find the next event of each in a span from s, of length h."""
     s, h = span
-    series, forces, mode, reach = local.series, local.forces, local.mode, local.reach
+    series, mode, reach = local.series, local.mode, local.reach
     room = search.poly, search.found
     damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
     for a in range(count):
@@ -219,13 +220,12 @@ def _put_back(model, expansion, search, local, order, span, count, n_zeros):  # 
         zeros = n_zeros if a == 0 and mode[a] != 0 else 0
         for k in range(order + 1):
             expansion.series[k, i] = series[k, a]
-        for k in range(order - 1):
-            expansion.forces[k, i] = forces[k, a]
+        expansion.held[i] += v[i] * (s - local.origin[i])
         local.origin[i] = s
         due = _NEVER
-        face, motion = (mode[a], zeros, 0), (series[1, a], series[2, a], forces[0, a], forces[1, a])
-        if not excluded(face, motion, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[a]):
-            time, is_found = root(model, i, series, forces, a, face, (order, h), room)
+        face, first = (mode[a], zeros, 0), (series[0, a], series[1, a], series[2, a])
+        if not excluded(face, first, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[a]):
+            time, is_found = root(model, i, series, a, face, (order, h), room)
             due = s + time if is_found else _NEVER
         _schedule(local.due, i, due)
 
@@ -238,14 +238,15 @@ def _carry(model, goal, expansion, search, local, window, block, span):  # type:
     nothing has changed).
     """
     (s, end), order, allowed = span, window.order, window.allowed
-    members, place, series, forces = local.members, local.place, local.series, local.forces
-    left = end - s
+    members, place, series, pull = local.members, local.place, local.series, expansion.pull
+    left, v = end - s, model.belt_speed[block]
     members[0] = block
     _bring(model, expansion, local, order, s, 0, 1)
     was_stuck = local.mode[0] == 0
     friction, static = model.friction[block], model.static[block]
-    force = model.damping[block] * model.belt_speed[block] + forces[0, 0]
-    new = decide(model, block, was_stuck, force, forces[1, 0], window, goal.rate)
+    pull_of(model, block, local.mode[0], series, 0, order, pull)
+    force = model.damping[block] * v + pull[0]
+    new = decide(model, block, was_stuck, force, pull[1], window, goal.rate)
     if new == UNDECIDED or left <= 0.0:
         return -1.0
     start = 0.0
@@ -253,9 +254,9 @@ def _carry(model, goal, expansion, search, local, window, block, span):  # type:
         start = 0.5 * (static - friction) * new
     elif new != 0:
         start = -0.5 * (force + friction * new)
-    jump, power = 2.0 * abs(start - series[2, 0]), left
+    jump, power = 2.0 * abs(start if was_stuck else start - series[2, 0]), left
     for k in range(1, order - 1):
-        jump += power * abs(forces[k, 0])
+        jump += power * abs(pull[k])
         power *= left
     local.mode[0] = new
     local.slips[0] = 1.0 if new != 0 else 0.0
@@ -265,13 +266,18 @@ def _carry(model, goal, expansion, search, local, window, block, span):  # type:
     for k in range(ties + 1, len(local.ends)):
         local.ends[k] = count
     _bring(model, expansion, local, order, s, 1, count)
-    _pass_on(model, local, order, start, count)
+    z = expansion.held[block] + v * (s - local.origin[block]) if was_stuck else series[0, 0]
+    _pass_on(model, local, order, start, count, pull, was_stuck)
+    series[0, 0], series[1, 0] = z, v
     for k in (order, order - 1):  # two, since one can vanish, by parity as in `expand`
         for a in range(count):
             tail = k * abs(series[k, a]) * left ** (k - 1)
             if tail > allowed:
                 left *= (allowed / tail) ** (1.0 / (k - 1))
-    enclose(series, forces, local.slips, order, left, local.reach, count)
+    if new == 0:
+        for k in range(order - 1):
+            series[k, 0] = pull[k]
+    enclose(series, local.slips, order, left, local.reach, count)
     is_carried = _is_alone(model, local, left, count, window.z_max)
     for a in range(count):
         place[members[a]] = -1
@@ -281,6 +287,7 @@ def _carry(model, goal, expansion, search, local, window, block, span):  # type:
     expansion.slips[block] = local.slips[0]
     n_zeros = 2 if was_stuck and static == friction else 1
     _put_back(model, expansion, search, local, order, (s, left), count, n_zeros)
+    expansion.held[block] = z
     return s + left
 
 
@@ -297,7 +304,7 @@ def _close(model, state, expansion, search, origin, window, s, block):  # type: 
         for i in range(n):
             near[i] += power * abs(k * series[k, i])
         power *= h
-    evaluate(series, origin, order, s, z, w)
+    evaluate(expansion, v, origin, order, s, z, w)
     for i in range(n):
         mode = expansion.mode[i]
         expansion.touching[i] = mode != 0 and mode * (w[i] - v[i]) <= ROUNDING * near[i]
@@ -335,7 +342,7 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
             loop.note_event(clock, counters)
         loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)
         if remaining <= 0.0:
-            sample(expansion.series, local.origin, order, t, t, state)  # a run of no length
+            sample(expansion, model.belt_speed, local.origin, order, t, t, state)  # a run of no length
             return loop.DONE, n_recorded
         is_asked = same and loop.is_check_due(state, mode, precheck, remaining)
         if is_asked and loop.may_collapse(state, mode, precheck):
@@ -353,7 +360,7 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
             moved = min(due[1], end) - s
             s = min(due[1], end)
             now, lacking = loop.later(t, lacked, s, t_end)
-            sample(expansion.series, local.origin, order, t, now, state)
+            sample(expansion, model.belt_speed, local.origin, order, t, now, state)
             clock[loop.TIME], clock[loop.LACKING] = now, lacking
             is_stalled = stalls(goal, counters, moved, now, n_recorded == before)
             before = n_recorded

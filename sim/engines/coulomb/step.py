@@ -34,7 +34,7 @@ from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.model import Model, model_of
 from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
-from stickslip.sim.engines.coulomb.taylor import Expansion, correct, expand, expansion_of, shift
+from stickslip.sim.engines.coulomb.taylor import Expansion, Window, correct, expand, expansion_of, shift
 from stickslip.sim.engines.coulomb.windows import Goal, Search, evaluate, goal_of, record, sample, search_of, stalls
 from stickslip.sim.engines.precheck import precheck_of
 from stickslip.sim.engines.stacks import note_found, rest_of
@@ -45,16 +45,16 @@ from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
 @inner
 def _first_event(model, expansion, search, order, h):  # type: ignore[no-untyped-def]
     """Time to the first root of any event function within h, and its block; (h, -1) if there is none."""
-    series, forces, mode, room = expansion.series, expansion.forces, expansion.mode, (search.poly, search.found)
+    series, mode, room = expansion.series, expansion.mode, (search.poly, search.found)
     zeros, side, reach = expansion.zeros, expansion.side, search.reach
     damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
-    enclose(series, forces, expansion.slips, order, h, reach, len(mode))
+    enclose(series, expansion.slips, order, h, reach, len(mode))
     block = -1
     for i in range(len(mode)):
-        face, motion = (mode[i], zeros[i], side[i]), (series[1, i], series[2, i], forces[0, i], forces[1, i])
-        if excluded(face, motion, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[i]):
+        face, first = (mode[i], zeros[i], side[i]), (series[0, i], series[1, i], series[2, i])
+        if excluded(face, first, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[i]):
             continue
-        h, is_found = root(model, i, series, forces, i, face, (order, h), room)
+        h, is_found = root(model, i, series, i, face, (order, h), room)
         block = i if is_found else block
     return h, block
 
@@ -71,7 +71,7 @@ def _on_the_edge(model, expansion, near, z_max, w, block, has_forces):  # type: 
         touching[i] = mode[i] != 0 and mode[i] * (w[i] - v[i]) <= near[i]
         concerned = touching[i] or i == block
         if mode[i] == 0 and has_forces:
-            force = model.damping[i] * v[i] + expansion.forces[0, i]
+            force = model.damping[i] * v[i] + expansion.series[0, i]
             noise = known(model.forcing, 0, i)
             slack = force_rounding(model.damping[i] * v[i], model.row_sums[i] * z_max, model.static[i], noise)
             concerned = concerned or push(model.closed[i], force) >= model.static[i] - slack
@@ -124,7 +124,7 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
             loop.note_event(clock, counters)
         loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)
         if remaining <= 0.0:
-            sample(series, None, order, t, t, state)  # a run of no length
+            sample(expansion, v, None, order, t, t, state)  # a run of no length
             return loop.DONE, n_recorded
         if same and loop.is_check_due(state, mode, precheck, remaining):
             if loop.may_collapse(state, mode, precheck):
@@ -146,24 +146,28 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
         for i in range(n):
             near[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * h) + search.reach[i])
         t_next, lacking = loop.later(t, clock[loop.LACKING], step, t_end)
-        sample(series, None, order, t, t_next, state)
+        sample(expansion, v, None, order, t, t_next, state)
         left = h - step
         is_inside = (
             block >= 0 and left > 0.0 and model.weakening is None and not is_slow
         )  # else the event ends the window
         if is_inside:
-            shift(series, order, step)
-            shift(expansion.forces, order - 2, step)
-            copy(series[0], z)
-            copy(series[1], w)
-            h = 0.0
-            if _on_the_edge(model, expansion, near, largest(z), w, block, is_inside) == 1:
-                h = correct(model, expansion, block, order, span, left, allowed, rate)
+            shift(expansion, order, step, v)
+            for i in range(n):
+                sticks = mode[i] == 0
+                z[i], w[i] = (expansion.held[i], v[i]) if sticks else (series[0, i], series[1, i])
+            h, z_max = 0.0, largest(z)
+            if _on_the_edge(model, expansion, near, z_max, w, block, is_inside) == 1:
+                window = Window(order, span, allowed, z_max)
+                passes_on = control.pays_to_pass_on(clock)
+                h, n_products = correct(model, expansion, block, window, left, rate, passes_on)
+                counters[loop.N_PRODUCTS] += n_products
                 touching[block] = mode[block] != 0  # so that a new expansion, if it comes first, decides the same
             is_cut = is_cut or h < left
             is_open = control.is_worth_using(clock, h)
+            clock[control.CARRIED] += 1.0 if is_open else 0.0
         else:
-            evaluate(series, None, order, step, z, w)
+            evaluate(expansion, v, None, order, step, z, w)
             _on_the_edge(model, expansion, near, 0.0, w, block, is_inside)
             is_open = False
             is_cut = is_cut or block >= 0

@@ -9,8 +9,9 @@ friction falls with the speed of slip, mu is a series too, near (f + (1 - f) S(x
 v), a the steepness; S_k follow from x_0 .. x_k, x_j = a sigma (j + 1) c_{j+1}, by the recurrence of the law.
 
 `expand` builds the series with one product an order, two to a pass over K, and decides on the way which blocks with
-w = v stick. `correct` carries them over an event of one block without a product if friction does not fall: the others
-then respond by linear equations.
+w = v stick. From then on a block is known by one polynomial: z while it slips, the force on it, F - R v, while it
+sticks, where z moves with the belt. `correct` carries them over an event of one block without a new expansion if
+friction does not fall: the others then respond by linear equations.
 """
 
 from __future__ import annotations
@@ -28,8 +29,9 @@ from stickslip.sim.engines.forcing import acts, begin, may_change, take_off
 from stickslip.sim.kernels.compile import inner, one_of
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
+from stickslip.sim.numerics.horner import shift_rows
 from stickslip.sim.numerics.panels import SINGLE_ERROR
-from stickslip.sim.numerics.products import two_products, two_single_products
+from stickslip.sim.numerics.products import list_moving, two_products, two_single_products
 from stickslip.sim.systems.weakening import LAW_OF
 
 UNDECIDED = 2  #: in the place of a mode
@@ -55,8 +57,11 @@ class Shape(NamedTuple):
 class Expansion(NamedTuple):
     """The series of n blocks about the present instant, which of them stick from then on, and workspace."""
 
-    series: Floats  #: c_k by rows
-    forces: Floats  #: K c_k, less the coefficients of external forces
+    series: (
+        Floats  #: by rows, c_k of a block that slips; once expanded, the coefficients of F - R v of one that sticks
+    )
+    forces: Floats  #: while it is expanded: K c_k, less the coefficients of external forces
+    held: Floats  #: z of a block that sticks
     mode: NDArray[np.int8]
     slips: Floats  #: 1 where a block slips, else 0
     touching: NDArray[np.bool_]  #: whether a block slips with w = v, so that it is to be decided
@@ -67,8 +72,12 @@ class Expansion(NamedTuple):
     side: NDArray[np.int64]  #: of the interval |F| < m at which F is; 0: at neither
     column: Floats
     last: Floats
+    pull: Floats  #: the coefficients of F - R v of one block
     change: Floats
+    passed: Floats  #: of what others pass on: their first two coefficients, and K times these
     sizes: Floats
+    steps: Floats  #: how far a block is from the origin of its series
+    values: Floats  #: value and slope of its series there
     shape: Shape | None  #: None if friction does not fall with speed
 
     @classmethod
@@ -77,17 +86,32 @@ class Expansion(NamedTuple):
 
         Of a run, or of a stack, which shares the series and the workspace: `mode` has shape (n,) or (m, n).
         """
-        n = mode.shape[-1]
+        n, orders = mode.shape[-1], control.ORDER_MAX + 1
         # NaN: a coefficient used before it was computed would show
-        series, forces = np.full((2, control.ORDER_MAX + 1, n), np.nan)
+        series, forces = np.full((2, orders, n), np.nan)
+        held, slips, column, last, steps = np.zeros((5, n))
         zeros, side = np.zeros((2, n), np.int64)
-        slips, column, last = np.zeros((3, n))
-        rows = column, last, np.zeros(control.ORDER_MAX + 1), np.zeros(2)
-        leaves = np.zeros(mode.shape, np.int8)
-        shape = None
-        if n_shapes:
-            shape = Shape(np.full((n_shapes, control.ORDER_MAX + 1, n), np.nan), *np.zeros((2, n)))
-        return cls(series, forces, mode, slips, mode == 0, leaves, zeros, side, *rows, shape)
+        pull, change = np.zeros((2, orders))
+        return cls(
+            series=series,
+            forces=forces,
+            held=held,
+            mode=mode,
+            slips=slips,
+            touching=mode == 0,
+            leaves=np.zeros(mode.shape, np.int8),
+            zeros=zeros,
+            side=side,
+            column=column,
+            last=last,
+            pull=pull,
+            change=change,
+            passed=np.zeros((2, 2, n)),
+            sizes=np.zeros(2),
+            steps=steps,
+            values=np.zeros((2, n)),
+            shape=Shape(np.full((n_shapes, orders, n), np.nan), *np.zeros((2, n))) if n_shapes else None,
+        )
 
 
 @inner
@@ -95,8 +119,9 @@ def expansion_of(expansions, k):  # type: ignore[no-untyped-def]
     """The expansion of run k of a stack, before it has a series."""
     one = expansions
     return Expansion(
-        one.series, one.forces, one.mode[k], one.slips, one.touching[k], one.leaves[k], one.zeros, one.side,
-        one.column, one.last, one.change, one.sizes, one.shape,
+        one.series, one.forces, one.held, one.mode[k], one.slips, one.touching[k], one.leaves[k], one.zeros, one.side,
+        one.column, one.last, one.pull, one.change, one.passed, one.sizes, one.steps,
+        one.values, one.shape,
     )  # fmt: skip
 
 
@@ -218,6 +243,7 @@ def expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-de
         n_products += n_more
         if order > 0:
             expansion.leaves[:] = 0
+            hold(expansion, order)
             return order, h, allowed, n_products
 
 
@@ -234,7 +260,8 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
             w[i] = v[i]
     copy(z, series[0])
     copy(w, series[1])
-    two_products(model.columns, model.pairs, series[:2], forces[:2])
+    m = list_moving(series[0], series[1], model.pairs.columns)
+    two_products(model.columns, model.pairs, m, series[:2], forces[:2])
     forcing, weakening, pushed, pushed_next = model.forcing, model.weakening, 0.0, 0.0
     begin(forcing, t)
     for k in range(2):
@@ -253,14 +280,16 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
     n_small = 0
     last = 0.0
     sizes[1] = largest(series[2])
-    is_single = False
+    is_single, m = False, -1
     for k in range(1, control.ORDER_MAX - 1):
         if k % 2 == 0:
+            if m < 0:
+                m = list_moving(slips, slips, model.pairs.columns)
             if n_undecided == 0 and _may_be_single(model, k, sizes, target, allowed):
                 is_single = True
-                two_single_products(model.pairs, series[k : k + 2], sizes, forces[k : k + 2])
+                two_single_products(model.pairs, m, series[k : k + 2], sizes, forces[k : k + 2])
             else:
-                two_products(model.columns, model.pairs, series[k : k + 2], forces[k : k + 2])
+                two_products(model.columns, model.pairs, m, series[k : k + 2], forces[k : k + 2])
             pushed = take_off(forcing, t, k, forces[k])
             pushed_next = take_off(forcing, t, k + 1, forces[k + 1])
         else:
@@ -272,6 +301,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
             n_undecided -= n_decided
             for i in range(n):
                 slips[i] = 1.0 if mode[i] != 0 else 0.0
+            m = -1
             if k == 1:
                 sizes[1] = largest(series[2])
         factor = -1.0 / ((k + 2) * (k + 1))
@@ -313,13 +343,36 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
 
 
 @inner
-def shift(series, order, step):  # type: ignore[no-untyped-def]
-    """Shift the origin of all series by a step: repeated Horner scheme (c_k <- sum_m C(m, k) c_m step^(m - k))."""
-    n = series.shape[1]
-    for k in range(order):
-        for m in range(order - 1, k - 1, -1):
-            for i in range(n):
-                series[m, i] += step * series[m + 1, i]
+def hold(expansion, order):  # type: ignore[no-untyped-def]
+    """Know the blocks that stick by the force on them from here on."""
+    series, forces, mode = expansion.series, expansion.forces, expansion.mode
+    for i in range(len(mode)):
+        if mode[i] == 0:
+            expansion.held[i] = series[0, i]
+            for k in range(order - 1):
+                series[k, i] = forces[k, i]
+            series[order - 1, i], series[order, i] = 0.0, 0.0
+
+
+@inner
+def shift(expansion, order, step, v):  # type: ignore[no-untyped-def]
+    """Shift the origin of all series by a step."""
+    held, steps = expansion.held, expansion.steps
+    for i in range(len(held)):
+        held[i] += step * v[i]
+        steps[i] = step
+    shift_rows(expansion.series, 0, len(held), order, steps)
+
+
+@inner
+def pull_of(model, i, mode, series, at, order, pull):  # type: ignore[no-untyped-def]
+    """The coefficients of F - R v of block i, whose series, in this mode, is the column `at`."""
+    for k in range(order - 1):
+        pull[k] = series[k, at]
+        if mode != 0:
+            pull[k] = -(k + 1) * ((k + 2) * series[k + 2, at] + model.damping[i] * series[k + 1, at])
+    if mode != 0:
+        pull[0] -= model.friction[i] * mode
 
 
 @inner
@@ -342,28 +395,30 @@ def decide(model, i, was_stuck, force, slope, window, rate):  # type: ignore[no-
 
 
 @inner
-def correct(model, expansion, block, order, span, h, allowed, rate):  # type: ignore[no-untyped-def]
+def correct(model, expansion, block, window, h, rate, passes_on):  # type: ignore[no-untyped-def]
     """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
 
     From the event on, block i moves by its new equation, z_i + delta, where delta starts at second order. The others
     feel K_ji delta, from fourth order on. What they pass on in turn is left out and bounded: its effect on w grows
-    like h^5, and h is cut to where that stays below the tolerance. Returns that h; 0 if the event cannot be decided
-    to the accuracy of the series (then nothing has changed, and a new expansion decides).
+    like h^5, and h is cut to where that stays below the tolerance. Where it would be and this `passes_on`, K times
+    the first two coefficients of the others is included, and what is left out grows like h^7.
 
-    `span` is the length of the window, over which an error `allowed` of w grows into one of z.
+    Returns that h, and how many products that took; 0 if the event cannot be decided to the accuracy of the series
+    (then nothing has changed, and a new expansion decides).
     """
     columns, row_sums, damping, v = model.columns, model.row_sums, model.damping, model.belt_speed
-    series, forces, mode, slips = expansion.series, expansion.forces, expansion.mode, expansion.slips
-    zeros, side = expansion.zeros, expansion.side
+    series, held, mode, slips = expansion.series, expansion.held, expansion.mode, expansion.slips
+    zeros, side, pull = expansion.zeros, expansion.side, expansion.pull
     column, change, last = expansion.column, expansion.change, expansion.last
-    i = block
+    passed, sizes, more = expansion.passed, expansion.sizes, expansion.steps
+    i, order, allowed = block, window.order, window.allowed
     n = len(mode)
     mu, most = model.friction[i], model.static[i]
     was_stuck = mode[i] == 0
-    force = damping[i] * v[i] + forces[0, i]
-    new = decide(model, i, was_stuck, force, forces[1, i], Window(order, span, allowed, largest(series[0])), rate)
+    pull_of(model, i, mode[i], series, i, order, pull)
+    new = decide(model, i, was_stuck, damping[i] * v[i] + pull[0], pull[1], window, rate)
     if new == UNDECIDED:
-        return 0.0
+        return 0.0, 0
 
     if len(columns.dense) == 0:
         column[:] = 0.0
@@ -371,19 +426,26 @@ def correct(model, expansion, block, order, span, h, allowed, rate):  # type: ig
             column[columns.indices[k]] = columns.data[k]
     else:
         copy(columns.dense[i], column)
-    own = column[i]
+    own, z = column[i], held[i] if was_stuck else series[0, i]
     column[i] = 0.0
-    series[1, i] = v[i]
+    before, c = v[i], v[i]  # the coefficient k + 1
     for k in range(order - 1):
-        c = 0.0
-        if new != 0:
-            c = -(damping[i] * (k + 1) * series[k + 1, i] + forces[k, i]) / ((k + 2) * (k + 1))
-            if k == 0:
-                c = 0.5 * (most - mu) * new if was_stuck else c - 0.5 * mu * new
-        change[k + 2] = c - series[k + 2, i]
-        series[k + 2, i] = c
+        known = 0.0 if was_stuck else series[k + 2, i]
+        if new == 0:
+            c = 0.0
+        elif k == 0:
+            c = 0.5 * ((most - mu) * new if was_stuck else -(damping[i] * v[i] + pull[0] + mu * new))
+        else:
+            c = -(damping[i] * (k + 1) * before + pull[k]) / ((k + 2) * (k + 1))
+        before, change[k + 2] = c, c - known
         if k + 2 <= order - 2:
-            forces[k + 2, i] += own * change[k + 2]
+            pull[k + 2] += own * change[k + 2]
+        series[k + 2, i] = c
+    series[0, i], series[1, i] = z, v[i]
+    if new == 0:
+        held[i] = z
+        for k in range(order - 1):
+            series[k, i] = pull[k]
     mode[i] = new
     slips[i] = 1.0 if new != 0 else 0.0
     zeros[:] = 0
@@ -391,22 +453,36 @@ def correct(model, expansion, block, order, span, h, allowed, rate):  # type: ig
     zeros[i] = 0 if new == 0 else (2 if was_stuck and most == mu else 1)
 
     last[:] = 0.0
-    passed_on = 0.0
-    power = h**4
+    limit, pull_of_all = control.PASSED_ON * allowed, largest(row_sums)
+    passed_on, power, n_first, n_products = 0.0, h**5, 5.0, 0
     for k in range(2, order - 1):
+        if passes_on and k == 4 and pull_of_all * passed_on > n_first * limit:
+            sizes[0], sizes[1] = largest(passed[0, 0]), largest(passed[0, 1])
+            m = list_moving(passed[0, 0], passed[0, 1], model.pairs.columns)
+            if len(model.pairs.single_panels) > 0:
+                two_single_products(model.pairs, m, passed[0], sizes, passed[1])
+            else:
+                two_products(model.columns, model.pairs, m, passed[0], passed[1])
+            passed_on, n_first, n_products = 0.0, 7.0, 2
+        for j in range(n):
+            more[j] = column[j] * change[k]
+        if n_products > 0 and k < 6:
+            for j in range(n):
+                more[j] += passed[1, k - 4, j]
         factor = -1.0 / ((k + 2) * (k + 1))
         for j in range(n):
-            pull = column[j] * change[k]
-            forces[k, j] += pull
-            last[j] = slips[j] * factor * (damping[j] * (k + 1) * last[j] + pull)
+            last[j] = slips[j] * factor * (damping[j] * (k + 1) * last[j] + more[j])
+            series[k, j] += (1.0 - slips[j]) * more[j]
             series[k + 2, j] += last[j]
+        if k < 4:
+            copy(last, passed[0, k - 2])
         passed_on += largest(last) * power
         power *= h
-    error = largest(row_sums) * passed_on * h / 5.0
-    if error > control.PASSED_ON * allowed:
-        h *= (control.PASSED_ON * allowed / error) ** 0.2
+    error = pull_of_all * passed_on / n_first
+    if error > limit:
+        h *= (limit / error) ** (1.0 / n_first)
     for k in (order, order - 1):  # two, since one can vanish by parity, as in `expand`
         tail = k * abs(series[k, i]) * h ** (k - 1)
         if tail > allowed:
             h *= (allowed / tail) ** (1.0 / (k - 1))
-    return h
+    return h, n_products

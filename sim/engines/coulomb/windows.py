@@ -11,7 +11,8 @@ from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.numerics.arithmetic import ROUNDING, copy
+from stickslip.sim.numerics.arithmetic import ROUNDING
+from stickslip.sim.numerics.horner import values_and_slopes
 
 
 class Goal(NamedTuple):
@@ -56,36 +57,25 @@ def search_of(searches, k):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _since(origin, s, i):  # type: ignore[no-untyped-def]
-    """The time from the origin of block i's series to s; without an origin that is s."""
-    if origin is None:
-        return s
-    return s - origin[i]
-
-
-@inner
-def evaluate(series, origin, order, s, z, w):  # type: ignore[no-untyped-def]
+def evaluate(expansion, v, origin, order, s, z, w):  # type: ignore[no-untyped-def]
     """z and w at an instant; each block's series is about its own `origin`, if that is given."""
-    n = len(z)
-    copy(series[order], z)
-    for i in range(n):
-        w[i] = order * series[order, i]
-    for k in range(order - 1, 0, -1):
-        for i in range(n):
-            step = _since(origin, s, i)
-            z[i] = z[i] * step + series[k, i]
-            w[i] = w[i] * step + k * series[k, i]
-    for i in range(n):
-        z[i] = z[i] * _since(origin, s, i) + series[0, i]
+    mode, steps, values = expansion.mode, expansion.steps, expansion.values
+    for i in range(len(z)):
+        steps[i] = s if origin is None else s - origin[i]
+    values_and_slopes(expansion.series, order, steps, values)
+    for i in range(len(z)):
+        z[i], w[i] = values[0, i], values[1, i]
+        if mode[i] == 0:
+            z[i], w[i] = expansion.held[i] + v[i] * steps[i], v[i]
 
 
 @inner
-def sample(series, origin, order, t, t_next, state):  # type: ignore[no-untyped-def]
+def sample(expansion, v, origin, order, t, t_next, state):  # type: ignore[no-untyped-def]
     """Record the state at all sample times up to t_next; s is the time since t."""
     samples = state.samples
     k = state.counters[loop.N_SAMPLED]
     while k < len(samples.t) and samples.t[k] <= t_next:
-        evaluate(series, origin, order, samples.t[k] - t, samples.z[k], samples.w[k])
+        evaluate(expansion, v, origin, order, samples.t[k] - t, samples.z[k], samples.w[k])
         k += 1
     state.counters[loop.N_SAMPLED] = k
 
