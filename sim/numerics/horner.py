@@ -1,7 +1,8 @@
 """Horner's scheme for the series of many blocks side by side: a shift of their origin, and their value and slope.
 
-Several levels of the scheme share a pass over the coefficients and stay in registers: with one level a pass, a shift
-took 2.3 times as long for 200 blocks and 4.7 times for 20 (order 13).
+Several levels of the scheme share a pass over the coefficients and stay in registers: with loops over levels, orders
+and blocks a shift took 2.3 times as long for 200 blocks and 4.7 times for 20 (order 13), and runs of 20 to 200 blocks
+and of a chain of 1,000 took 16 to 24% longer.
 """
 
 from __future__ import annotations

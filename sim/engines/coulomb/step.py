@@ -159,8 +159,7 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
             h, z_max = 0.0, largest(z)
             if _on_the_edge(model, expansion, near, z_max, w, block, is_inside) == 1:
                 window = Window(order, span, allowed, z_max)
-                passes_on = control.pays_to_pass_on(clock)
-                h, n_products = correct(model, expansion, block, window, left, rate, passes_on)
+                h, n_products = correct(model, expansion, block, window, left, rate, clock)
                 counters[loop.N_PRODUCTS] += n_products
                 touching[block] = mode[block] != 0  # so that a new expansion, if it comes first, decides the same
             is_cut = is_cut or h < left

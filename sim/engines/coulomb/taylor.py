@@ -76,7 +76,7 @@ class Expansion(NamedTuple):
     change: Floats
     passed: Floats  #: of what others pass on: their first two coefficients, and K times these
     sizes: Floats
-    steps: Floats  #: how far a block is from the origin of its series
+    steps: Floats  #: how far a block is from the origin of its series, and workspace
     values: Floats  #: value and slope of its series there
     shape: Shape | None  #: None if friction does not fall with speed
 
@@ -395,75 +395,61 @@ def decide(model, i, was_stuck, force, slope, window, rate):  # type: ignore[no-
 
 
 @inner
-def correct(model, expansion, block, window, h, rate, passes_on):  # type: ignore[no-untyped-def]
-    """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
-
-    From the event on, block i moves by its new equation, z_i + delta, where delta starts at second order. The others
-    feel K_ji delta, from fourth order on. What they pass on in turn is left out and bounded: its effect on w grows
-    like h^5, and h is cut to where that stays below the tolerance. Where it would be and this `passes_on`, K times
-    the first two coefficients of the others is included, and what is left out grows like h^7.
-
-    Returns that h, and how many products that took; 0 if the event cannot be decided to the accuracy of the series
-    (then nothing has changed, and a new expansion decides).
-    """
-    columns, row_sums, damping, v = model.columns, model.row_sums, model.damping, model.belt_speed
-    series, held, mode, slips = expansion.series, expansion.held, expansion.mode, expansion.slips
-    zeros, side, pull = expansion.zeros, expansion.side, expansion.pull
-    column, change, last = expansion.column, expansion.change, expansion.last
-    passed, sizes, more = expansion.passed, expansion.sizes, expansion.steps
-    i, order, allowed = block, window.order, window.allowed
-    n = len(mode)
-    mu, most = model.friction[i], model.static[i]
-    was_stuck = mode[i] == 0
-    pull_of(model, i, mode[i], series, i, order, pull)
-    new = decide(model, i, was_stuck, damping[i] * v[i] + pull[0], pull[1], window, rate)
-    if new == UNDECIDED:
-        return 0.0, 0
-
-    if len(columns.dense) == 0:
-        column[:] = 0.0
-        for k in range(columns.indptr[i], columns.indptr[i + 1]):
-            column[columns.indices[k]] = columns.data[k]
-    else:
+def _copy_column(columns, i, column):  # type: ignore[no-untyped-def]
+    """Column i of K, dense or sparse."""
+    if len(columns.dense) > 0:
         copy(columns.dense[i], column)
-    own, z = column[i], held[i] if was_stuck else series[0, i]
-    column[i] = 0.0
-    before, c = v[i], v[i]  # the coefficient k + 1
+        return
+    column[:] = 0.0
+    for k in range(columns.indptr[i], columns.indptr[i + 1]):
+        column[columns.indices[k]] = columns.data[k]
+
+
+@inner(inlined=True)
+def _change_own(model, expansion, i, new, order, own):  # type: ignore[no-untyped-def]
+    """The series of block i from its event on, at the belt's speed, and how it changes z; `own` is K_ii."""
+    series, held, pull, change = expansion.series, expansion.held, expansion.pull, expansion.change
+    damping, mu, most, v = model.damping[i], model.friction[i], model.static[i], model.belt_speed[i]
+    was_stuck = expansion.mode[i] == 0
+    z, before = held[i] if was_stuck else series[0, i], v  # the coefficient k + 1
     for k in range(order - 1):
         known = 0.0 if was_stuck else series[k + 2, i]
         if new == 0:
             c = 0.0
         elif k == 0:
-            c = 0.5 * ((most - mu) * new if was_stuck else -(damping[i] * v[i] + pull[0] + mu * new))
+            c = 0.5 * ((most - mu) * new if was_stuck else -(damping * v + pull[0] + mu * new))
         else:
-            c = -(damping[i] * (k + 1) * before + pull[k]) / ((k + 2) * (k + 1))
+            c = -(damping * (k + 1) * before + pull[k]) / ((k + 2) * (k + 1))
         before, change[k + 2] = c, c - known
         if k + 2 <= order - 2:
             pull[k + 2] += own * change[k + 2]
         series[k + 2, i] = c
-    series[0, i], series[1, i] = z, v[i]
+    series[0, i], series[1, i] = z, v
     if new == 0:
         held[i] = z
         for k in range(order - 1):
             series[k, i] = pull[k]
-    mode[i] = new
-    slips[i] = 1.0 if new != 0 else 0.0
-    zeros[:] = 0
-    side[:] = 0
-    zeros[i] = 0 if new == 0 else (2 if was_stuck and most == mu else 1)
+    expansion.mode[i] = new
+    expansion.slips[i] = 1.0 if new != 0 else 0.0
 
+
+@inner(inlined=True)
+def _change_others(model, expansion, order, h, limit, may_take_product):  # type: ignore[no-untyped-def]
+    """The series of the others from an event on, by its block's `change` and `column`, whose own entry is zero.
+
+    Returns the time until what is left out makes an error of w at the limit, at most h, and the number of products.
+    """
+    series, slips, damping, last = expansion.series, expansion.slips, model.damping, expansion.last
+    column, change, more = expansion.column, expansion.change, expansion.steps
+    passed, sizes, n = expansion.passed, expansion.sizes, len(last)
     last[:] = 0.0
-    limit, pull_of_all = control.PASSED_ON * allowed, largest(row_sums)
-    passed_on, power, n_first, n_products = 0.0, h**5, 5.0, 0
+    pull, passed_on, power, left_out, n_products = largest(model.row_sums), 0.0, h**5, 5.0, 0
     for k in range(2, order - 1):
-        if passes_on and k == 4 and pull_of_all * passed_on > n_first * limit:
+        if k == 4 and may_take_product and pull * passed_on > left_out * limit:
             sizes[0], sizes[1] = largest(passed[0, 0]), largest(passed[0, 1])
             m = list_moving(passed[0, 0], passed[0, 1], model.pairs.columns)
-            if len(model.pairs.single_panels) > 0:
-                two_single_products(model.pairs, m, passed[0], sizes, passed[1])
-            else:
-                two_products(model.columns, model.pairs, m, passed[0], passed[1])
-            passed_on, n_first, n_products = 0.0, 7.0, 2
+            two_single_products(model.pairs, m, passed[0], sizes, passed[1])
+            passed_on, left_out, n_products = 0.0, 7.0, 2
         for j in range(n):
             more[j] = column[j] * change[k]
         if n_products > 0 and k < 6:
@@ -478,9 +464,42 @@ def correct(model, expansion, block, window, h, rate, passes_on):  # type: ignor
             copy(last, passed[0, k - 2])
         passed_on += largest(last) * power
         power *= h
-    error = pull_of_all * passed_on / n_first
-    if error > limit:
-        h *= (limit / error) ** (1.0 / n_first)
+    error = pull * passed_on / left_out
+    return h if error <= limit else h * (limit / error) ** (1.0 / left_out), n_products
+
+
+@inner
+def correct(model, expansion, block, window, h, rate, clock):  # type: ignore[no-untyped-def]
+    """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
+
+    From the event on, block i moves by its new equation, z_i + delta, where delta starts at second order. The others
+    feel K_ji delta, from fourth order on. What they pass on in turn is left out and bounded: its effect on w grows
+    like h^5, and h is cut to where that stays below the tolerance. Where it would be, and windows have few events, K
+    times the first two coefficients of the others is included, and what is left out grows like h^7.
+
+    Returns that h, and how many products that took; 0 if the event cannot be decided to the accuracy of the series
+    (then nothing has changed, and a new expansion decides).
+    """
+    series, mode, column, pull = expansion.series, expansion.mode, expansion.column, expansion.pull
+    i, order, allowed = block, window.order, window.allowed
+    was_stuck = mode[i] == 0
+    pull_of(model, i, mode[i], series, i, order, pull)
+    force = model.damping[i] * model.belt_speed[i] + pull[0]
+    new = decide(model, i, was_stuck, force, pull[1], window, rate)
+    if new == UNDECIDED:
+        return 0.0, 0
+    _copy_column(model.columns, i, column)
+    own = column[i]
+    column[i] = 0.0
+    _change_own(model, expansion, i, new, order, own)
+    expansion.zeros[:] = 0
+    expansion.side[:] = 0
+    if new != 0:
+        expansion.zeros[i] = 2 if was_stuck and model.static[i] == model.friction[i] else 1
+    # products in single precision are accurate enough for so small a change, and cheap enough
+    may_take_product = len(model.pairs.single_panels) > 0 and control.pays_to_pass_on(clock)
+    limit = control.PASSED_ON * allowed
+    h, n_products = _change_others(model, expansion, order, h, limit, may_take_product)
     for k in (order, order - 1):  # two, since one can vanish by parity, as in `expand`
         tail = k * abs(series[k, i]) * h ** (k - 1)
         if tail > allowed:
