@@ -35,13 +35,13 @@ def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArra
     """
     *several, n, _ = matrix.shape
     found, whole = zeros((*several, -(-n // height), n, height), dtype), n // height
-    rows = matrix[..., : whole * height, :].reshape(*several, whole, height, n)
-    with np.errstate(over="ignore"):
-        found[..., :whole, :, :] = rows.swapaxes(-1, -2)
-        if n % height:
-            found[..., whole, :, : n % height] = matrix[..., whole * height :, :].swapaxes(-1, -2)
     if dtype == np.float32:  # infinity times zero would be NaN
-        np.clip(found, -_SINGLE_MAX, _SINGLE_MAX, out=found)
+        matrix = np.clip(matrix, -_SINGLE_MAX, _SINGLE_MAX)
+    if whole:
+        rows = matrix[..., : whole * height, :].reshape(*several, whole, height, n)
+        found[..., :whole, :, :] = rows.swapaxes(-1, -2)
+    if n % height:
+        found[..., whole, :, : n % height] = matrix[..., whole * height :, :].swapaxes(-1, -2)
     return found
 
 

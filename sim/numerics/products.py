@@ -34,11 +34,13 @@ class Pairs(NamedTuple):
     def of(cls, matrices: Sequence[Any], row_sums: Floats) -> list[Pairs]:
         """The pairs of several dense K, shape (n, n), or of one K, from row sums of |K|; they share the workspace."""
         n, is_dense = matrices[0].shape[0], isinstance(matrices[0], np.ndarray)
-        none = np.empty((len(matrices), 0, 0))
-        dense = none if not is_dense else np.array(matrices) if len(matrices) > 1 else matrices[0][np.newaxis]
-        double = panels(dense, PAIR_HEIGHT, np.float64)
         is_single = [is_dense and _may_be_single(sums) for sums in row_sums]
-        single = panels(dense if any(is_single) else none, SINGLE_PAIR_HEIGHT, np.float32)
+        double = np.empty((len(matrices), 0, n, PAIR_HEIGHT))
+        single = np.empty((len(matrices), 0, n, SINGLE_PAIR_HEIGHT), np.float32)
+        if is_dense:
+            dense = np.array(matrices) if len(matrices) > 1 else matrices[0][np.newaxis]
+            double = panels(dense, PAIR_HEIGHT, np.float64)
+            single = panels(dense, SINGLE_PAIR_HEIGHT, np.float32) if any(is_single) else single
         padded = -(-n // SINGLE_PAIR_HEIGHT) * SINGLE_PAIR_HEIGHT
         product, columns = np.zeros((2, padded)), np.zeros(n, np.int64)
         room = np.zeros((2, n), np.float32), np.zeros((2, padded), np.float32), columns
