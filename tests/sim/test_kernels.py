@@ -1,9 +1,12 @@
-"""What the engines share: roots of polynomials that were planted."""
+"""What the engines share: roots of polynomials that were planted, polynomials about another origin, arrays."""
 
 import numba
 import numpy as np
 import pytest
 
+from stickslip.sim.kernels.compile import kernel
+from stickslip.sim.numerics.arithmetic import zeros
+from stickslip.sim.numerics.horner import shift_rows, values_and_slopes
 from stickslip.sim.numerics.roots import roots
 
 
@@ -31,3 +34,56 @@ def test_no_root_is_lost_or_made_up_where_rounding_decides_on_which_side_of_a_bo
         found = found_in(coefficients, 8)
         assert len(found) == len(inside), planted
         np.testing.assert_allclose(found, inside, rtol=0, atol=1e-10)
+
+
+@kernel
+def shifted(rows, first, last, order, steps):
+    shift_rows(rows, first, last, order, steps)
+
+
+@kernel
+def evaluated(rows, order, steps, values):
+    values_and_slopes(rows, order, steps, values)
+
+
+@pytest.mark.parametrize("n", [1, 3, 4, 7, 16, 21, 37, 64])
+def test_polynomials_about_another_origin_are_those_of_numpy(n, rng):
+    for order in rng.integers(2, 33, 6):
+        first, last = np.sort(rng.integers(0, n + 1, 2))
+        steps, rows = rng.uniform(-1.5, 1.5, n), rng.normal(size=(int(order) + 3, n))  # rows beyond do not count
+        polynomials = [np.polynomial.Polynomial(rows[: order + 1, i]) for i in range(n)]
+        values = np.empty((2, n))
+        evaluated(rows, order, steps, values)
+        sizes = [np.polynomial.Polynomial(np.abs(one.coef)) for one in polynomials]
+        for i, (one, size) in enumerate(zip(polynomials, sizes, strict=True)):
+            at = abs(steps[i])
+            assert abs(values[0, i] - one(steps[i])) <= 1e-14 * size(at)
+            assert abs(values[1, i] - one.deriv()(steps[i])) <= 1e-14 * order * size.deriv()(at)
+        before = rows.copy()
+        shifted(rows, first, last, order, steps)
+        for i, (one, size) in enumerate(zip(polynomials, sizes, strict=True)):
+            if first <= i < last:
+                there, most = (
+                    p(np.polynomial.Polynomial([x, 1.0])).coef for p, x in ((one, steps[i]), (size, abs(steps[i])))
+                )
+                assert (np.abs(rows[: order + 1, i] - there) <= 1e-14 * order * most).all()
+                assert (rows[order + 1 :, i] == before[order + 1 :, i]).all()
+            else:
+                assert (rows[:, i] == before[:, i]).all()
+
+
+def test_a_shift_of_one_block_is_the_same_to_the_byte_in_any_company(rng):
+    rows, steps = rng.normal(size=(14, 37)), rng.uniform(-1.0, 1.0, 37)
+    alone = rows.copy()
+    shifted(rows, 0, 37, 13, steps)
+    for i in range(37):
+        shifted(alone, i, i + 1, 13, steps)
+    assert (alone == rows).all()
+
+
+@pytest.mark.parametrize("shape", [(1,), (3, 0, 5), (2, 7, 16)])
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_arrays_begin_with_a_line_of_the_cache(shape, dtype):
+    kept = [zeros(shape, dtype) for _ in range(20)]
+    assert all(one.ctypes.data % 64 == 0 for one in kept if one.size)
+    assert all(one.shape == shape and one.dtype == dtype and not one.any() for one in kept)
