@@ -15,7 +15,7 @@ from numba.extending import intrinsic
 
 from stickslip.sim.kernels.compile import inner
 
-#: How many levels share a pass, and how many blocks: sums for them fill the registers.
+#: How many levels share a pass, and how many blocks; what is left of these goes by the next width.
 _LEVELS, _WIDTHS = 4, (16, 4, 1)
 
 
@@ -82,24 +82,52 @@ def _pass(n_levels: int, width: int, in_place: bool) -> Any:
     return apply
 
 
-def _for_columns(width: int) -> tuple[Any, Any]:
-    """For `width` blocks from i on: all levels, and two."""
-    several, single, values = _pass(_LEVELS, width, True), _pass(1, width, True), _pass(2, width, False)
+def _all_levels(width: int) -> Any:
+    """``f(rows, target, i, order, steps)``: the whole scheme, in place, for `width` blocks from i on."""
+    several, single = _pass(_LEVELS, width, True), _pass(1, width, True)
 
     @inner
-    def shift(rows, i, order, steps):  # type: ignore[no-untyped-def]
+    def apply(rows, target, i, order, steps):  # type: ignore[no-untyped-def]
         k = 0
         while k + _LEVELS <= order:
-            several(rows, rows, i, k, order, steps)
+            several(rows, target, i, k, order, steps)
             k += _LEVELS
         while k < order:
-            single(rows, rows, i, k, order, steps)
+            single(rows, target, i, k, order, steps)
             k += 1
 
-    return shift, values
+    return apply
 
 
-(_shift_16, _values_16), (_shift_4, _values_4), (_shift_1, _values_1) = map(_for_columns, _WIDTHS)
+def _two_levels(width: int) -> Any:
+    """As `_all_levels`, of two levels, into two rows of `target`."""
+    two = _pass(2, width, False)
+
+    @inner
+    def apply(rows, target, i, order, steps):  # type: ignore[no-untyped-def]
+        two(rows, target, i, 0, order, steps)
+
+    return apply
+
+
+def _over_columns(parts: list[Any]) -> Any:
+    """``f(rows, target, first, last, order, steps)``: blocks `first` to `last` - 1, by the parts of `_WIDTHS`."""
+    (wide, narrow, _), (of_wide, of_narrow, of_one) = _WIDTHS, parts
+
+    @inner
+    def apply(rows, target, first, last, order, steps):  # type: ignore[no-untyped-def]
+        by_wide, by_narrow = last - (last - first) % wide, last - (last - first) % narrow
+        for i in range(first, by_wide, wide):
+            of_wide(rows, target, i, order, steps)
+        for i in range(by_wide, by_narrow, narrow):
+            of_narrow(rows, target, i, order, steps)
+        for i in range(by_narrow, last):
+            of_one(rows, target, i, order, steps)
+
+    return apply
+
+
+_shift, _values = _over_columns([*map(_all_levels, _WIDTHS)]), _over_columns([*map(_two_levels, _WIDTHS)])
 
 
 @inner
@@ -108,24 +136,10 @@ def shift_rows(rows, first, last, order, steps):  # type: ignore[no-untyped-def]
 
     c_k <- sum_m C(m, k) c_m step^(m - k), m up to `order`.
     """
-    by_16 = last - (last - first) % 16
-    by_4 = last - (last - first) % 4
-    for i in range(first, by_16, 16):
-        _shift_16(rows, i, order, steps)
-    for i in range(by_16, by_4, 4):
-        _shift_4(rows, i, order, steps)
-    for i in range(by_4, last):
-        _shift_1(rows, i, order, steps)
+    _shift(rows, rows, first, last, order, steps)
 
 
 @inner
 def values_and_slopes(rows, order, steps, values):  # type: ignore[no-untyped-def]
     """Value and slope of the series of every block, of this order, at least 2, a step from its origin, by rows."""
-    n = rows.shape[1]
-    by_16, by_4 = n - n % 16, n - n % 4
-    for i in range(0, by_16, 16):
-        _values_16(rows, values, i, 0, order, steps)
-    for i in range(by_16, by_4, 4):
-        _values_4(rows, values, i, 0, order, steps)
-    for i in range(by_4, n):
-        _values_1(rows, values, i, 0, order, steps)
+    _values(rows, values, 0, rows.shape[1], order, steps)

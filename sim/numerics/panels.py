@@ -15,7 +15,7 @@ from numba.extending import intrinsic
 from numpy.typing import DTypeLike, NDArray
 
 from stickslip.sim.kernels.compile import inner
-from stickslip.sim.numerics.arithmetic import zeros
+from stickslip.sim.numerics.arithmetic import aligned_zeros
 
 #: Rows of a panel: sums of 8 float64 or 16 float32 fill two registers of AVX2 a vector.
 HEIGHT, SINGLE_HEIGHT = 8, 16
@@ -34,7 +34,7 @@ def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArra
     Rows of zeros are added to fill the last panel. Shape (..., number of panels, n, height).
     """
     *several, n, _ = matrix.shape
-    found, whole = zeros((*several, -(-n // height), n, height), dtype), n // height
+    found, whole = aligned_zeros((*several, -(-n // height), n, height), dtype), n // height
     if dtype == np.float32:  # infinity times zero would be NaN
         matrix = np.clip(matrix, -_SINGLE_MAX, _SINGLE_MAX)
     if whole:

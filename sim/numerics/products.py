@@ -28,7 +28,7 @@ class Pairs(NamedTuple):
     single_panels: NDArray[np.float32]
     single: NDArray[np.float32]
     single_product: NDArray[np.float32]
-    columns: NDArray[np.int64]
+    columns: NDArray[np.int64]  #: a list of blocks, for the next products; see `list_moving`
 
     @classmethod
     def of(cls, matrices: Sequence[Any], row_sums: Floats) -> list[Pairs]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from stickslip.sim.kernels.compile import kernel
-from stickslip.sim.numerics.arithmetic import zeros
+from stickslip.sim.numerics.arithmetic import aligned_zeros
 from stickslip.sim.numerics.horner import shift_rows, values_and_slopes
 from stickslip.sim.numerics.roots import roots
 
@@ -84,6 +84,6 @@ def test_a_shift_of_one_block_is_the_same_to_the_byte_in_any_company(rng):
 @pytest.mark.parametrize("shape", [(1,), (3, 0, 5), (2, 7, 16)])
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_arrays_begin_with_a_line_of_the_cache(shape, dtype):
-    kept = [zeros(shape, dtype) for _ in range(20)]
+    kept = [aligned_zeros(shape, dtype) for _ in range(20)]
     assert all(one.ctypes.data % 64 == 0 for one in kept if one.size)
     assert all(one.shape == shape and one.dtype == dtype and not one.any() for one in kept)

@@ -61,9 +61,9 @@ WORTH = 0.1
 #: about as far below it. PASSED_ON = 0.0005 took up to 9% more products; 0.01 took up to 9% fewer, with errors up to
 #: 3 times as large.
 PASSED_ON = 0.002
-#: With at most this many events in a window, K times what others pass on is taken at each where it makes the window
-#: longer. Without it (-1), 200 blocks to t = 1000 took 8% longer at 1e-7 and 9% at 1e-10, 400 to t = 25 22%, and 100
-#: no longer. 1.5 and 6 changed times by less than they scatter.
+#: With at most this many events carried over, for each window that is cut short, K times what others pass on is taken
+#: at each where it makes the window longer. Without it (-1), 200 blocks to t = 1000 took 8% longer at 1e-7 and 9% at
+#: 1e-10, 400 to t = 25 22%, and 100 no longer. 1.5 and 6 changed times by less than they scatter.
 FEW_CARRIED = 3.0
 #: An event is decided by its series if the force is this many times its error away from another decision. With 3
 #: and 30 products changed by 0.1% at most.

@@ -38,7 +38,7 @@ class Local(NamedTuple):
     place: NDArray[np.int64]  #: of a block among the members; -1: it is none
     members: NDArray[np.int64]  #: the blocks near the event, its own first
     series: Floats  #: of the members, about the event
-    pulls: Floats  #: the coefficients of the change of F by those of the others
+    pulls: Floats  #: the coefficients of the change of F
     changes: Floats  #: of the coefficients of z, by the event
     step: Floats
     reach: Floats
@@ -166,7 +166,6 @@ def _pass_on(model, local, order, start, count, pull, was_stuck):  # type: ignor
     """
     columns, members, place, ends = model.columns, local.members, local.place, local.ends
     series, pulls, changes, slips, damping = local.series, local.pulls, local.changes, local.slips, local.damping
-    before = model.belt_speed[members[0]]  # the coefficient k + 1 of the event's own block
     changes[1, :count] = 0.0
     for k in range(order - 1):
         for a in range(count):
@@ -180,10 +179,9 @@ def _pass_on(model, local, order, start, count, pull, was_stuck):  # type: ignor
                         pulls[k, b] += columns.data[p] * changes[k, a]
         factor = -1.0 / ((k + 2) * (k + 1))
         pull[k] += pulls[k, 0]
-        known = 0.0 if was_stuck else series[k + 2, 0]
-        before = slips[0] * factor * (damping[0] * (k + 1) * before + pull[k]) if k > 0 else start
-        changes[k + 2, 0] = before - known
-        series[k + 2, 0] = before
+        old = 0.0 if was_stuck else series[k + 2, 0]
+        c = slips[0] * factor * (damping[0] * (k + 1) * series[k + 1, 0] + pull[k]) if k > 0 else start
+        series[k + 2, 0], changes[k + 2, 0] = c, c - old
         for a in range(1, count):
             changes[k + 2, a] = slips[a] * factor * (damping[a] * (k + 1) * changes[k + 1, a] + pulls[k, a])
             series[k, a] += (1.0 - slips[a]) * pulls[k, a]

@@ -14,8 +14,8 @@ decided its motion is the same in either mode, so simultaneous events, folds, cu
 no special cases.
 
 An event changes the equation of one block. That block's own series changes from the second order on, those of the
-others from the fourth, by a column of K: `taylor.correct` carries most events over in O(n), without a product, and
-one expansion serves a window of several events.
+others from the fourth, by a column of K: `taylor.correct` carries most events over in O(n) an order, and one
+expansion serves a window of several events.
 
 The series are explicit: R h is about 5 at most. Blocks with far larger R are followed on their slow motion, once they
 have reached it: `stickslip.sim.engines.coulomb.overdamped`.
@@ -131,10 +131,8 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
                 return loop.ALL_SLIP, n_recorded
             if n_recorded > 0:
                 return loop.PAUSED, n_recorded
-            n_left, is_open = (
-                loop.STEPS_A_SLICE,
-                False,
-            )  # as at the start of a slice: the result does not depend on the slicing
+            # as at the start of a slice: the result does not depend on the slicing
+            n_left, is_open = loop.STEPS_A_SLICE, False
             continue
 
         step, block = _first_event(model, expansion, search, order, h)
@@ -148,16 +146,15 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
         t_next, lacking = loop.later(t, clock[loop.LACKING], step, t_end)
         sample(expansion, v, None, order, t, t_next, state)
         left = h - step
-        is_inside = (
-            block >= 0 and left > 0.0 and model.weakening is None and not is_slow
-        )  # else the event ends the window
+        # else the event ends the window
+        is_inside = block >= 0 and left > 0.0 and model.weakening is None and not is_slow
         if is_inside:
             shift(expansion, order, step, v)
             for i in range(n):
                 sticks = mode[i] == 0
                 z[i], w[i] = (expansion.held[i], v[i]) if sticks else (series[0, i], series[1, i])
             h, z_max = 0.0, largest(z)
-            if _on_the_edge(model, expansion, near, z_max, w, block, is_inside) == 1:
+            if _on_the_edge(model, expansion, near, z_max, w, block, True) == 1:
                 window = Window(order, span, allowed, z_max)
                 h, n_products = correct(model, expansion, block, window, left, rate, clock)
                 counters[loop.N_PRODUCTS] += n_products
@@ -167,7 +164,7 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
             clock[control.CARRIED] += 1.0 if is_open else 0.0
         else:
             evaluate(expansion, v, None, order, step, z, w)
-            _on_the_edge(model, expansion, near, 0.0, w, block, is_inside)
+            _on_the_edge(model, expansion, near, 0.0, w, block, False)
             is_open = False
             is_cut = is_cut or block >= 0
         clock[loop.TIME], clock[loop.LACKING] = t_next, lacking

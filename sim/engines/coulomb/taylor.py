@@ -57,10 +57,8 @@ class Shape(NamedTuple):
 class Expansion(NamedTuple):
     """The series of n blocks about the present instant, which of them stick from then on, and workspace."""
 
-    series: (
-        Floats  #: by rows, c_k of a block that slips; once expanded, the coefficients of F - R v of one that sticks
-    )
-    forces: Floats  #: while it is expanded: K c_k, less the coefficients of external forces
+    series: Floats  #: by rows: c_k of a block that slips, and, once all are expanded, F - R v of one that sticks
+    forces: Floats  #: while they are expanded: K c_k, less the coefficients of external forces
     held: Floats  #: z of a block that sticks
     mode: NDArray[np.int8]
     slips: Floats  #: 1 where a block slips, else 0
@@ -68,15 +66,16 @@ class Expansion(NamedTuple):
     leaves: NDArray[np.int8]  #: the side to which a block that could stick leaves, if that is known, else 0
     zeros: NDArray[
         np.int64
-    ]  #: how many leading coefficients of its event function vanish; of a sticking block that on this `side`
+    ]  #: how many leading coefficients of its event function vanish; if it sticks, on its `side`
     side: NDArray[np.int64]  #: of the interval |F| < m at which F is; 0: at neither
     column: Floats
     last: Floats
+    more: Floats
     pull: Floats  #: the coefficients of F - R v of one block
     change: Floats
     passed: Floats  #: of what others pass on: their first two coefficients, and K times these
     sizes: Floats
-    steps: Floats  #: how far a block is from the origin of its series, and workspace
+    steps: Floats  #: how far a block is from the origin of its series
     values: Floats  #: value and slope of its series there
     shape: Shape | None  #: None if friction does not fall with speed
 
@@ -89,7 +88,7 @@ class Expansion(NamedTuple):
         n, orders = mode.shape[-1], control.ORDER_MAX + 1
         # NaN: a coefficient used before it was computed would show
         series, forces = np.full((2, orders, n), np.nan)
-        held, slips, column, last, steps = np.zeros((5, n))
+        held, slips, column, last, more, steps = np.zeros((6, n))
         zeros, side = np.zeros((2, n), np.int64)
         pull, change = np.zeros((2, orders))
         return cls(
@@ -104,6 +103,7 @@ class Expansion(NamedTuple):
             side=side,
             column=column,
             last=last,
+            more=more,
             pull=pull,
             change=change,
             passed=np.zeros((2, 2, n)),
@@ -120,7 +120,7 @@ def expansion_of(expansions, k):  # type: ignore[no-untyped-def]
     one = expansions
     return Expansion(
         one.series, one.forces, one.held, one.mode[k], one.slips, one.touching[k], one.leaves[k], one.zeros, one.side,
-        one.column, one.last, one.pull, one.change, one.passed, one.sizes, one.steps,
+        one.column, one.last, one.more, one.pull, one.change, one.passed, one.sizes, one.steps,
         one.values, one.shape,
     )  # fmt: skip
 
@@ -226,8 +226,13 @@ def _may_be_single(model, k, sizes, h, allowed):  # type: ignore[no-untyped-def]
         return False
     power = SINGLE_ERROR * h**k * max(1.0 / h, largest(model.row_sums) * h)
     low, high = sizes[0], h * sizes[1]
-    fits = (low == 0.0 or low > control.TINY) and (high == 0.0 or high > control.TINY)
-    return fits and power * max(low, high) <= control.ROUNDED_OFF * allowed
+    return _are_in_range(low, high) and power * max(low, high) <= control.ROUNDED_OFF * allowed
+
+
+@inner
+def _are_in_range(low, high):  # type: ignore[no-untyped-def]
+    """Whether vectors of these sizes can be scaled for products in single precision."""
+    return (low == 0.0 or low > control.TINY) and (high == 0.0 or high > control.TINY)
 
 
 @inner
@@ -344,7 +349,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
 
 @inner
 def hold(expansion, order):  # type: ignore[no-untyped-def]
-    """Know the blocks that stick by the force on them from here on."""
+    """Know blocks that stick by the force on them from here on, of two orders less than z: the last two are zero."""
     series, forces, mode = expansion.series, expansion.forces, expansion.mode
     for i in range(len(mode)):
         if mode[i] == 0:
@@ -382,7 +387,9 @@ def decide(model, i, was_stuck, force, slope, window, rate):  # type: ignore[no-
     most, row_sum = model.static[i], model.row_sums[i]
     rate_error = max(row_sum, rate * rate) * allowed if acts(model.forcing) else row_sum * allowed
     drag, noise = model.damping[i] * model.belt_speed[i], known(model.forcing, 0, i)
-    doubt = control.DOUBT * (rate_error * span + force_rounding(drag, row_sum * z_max, most, noise))
+    # the last: a series that was shifted lacks a term of R w
+    error = rate_error * span + force_rounding(drag, row_sum * z_max, most, noise) + model.damping[i] * allowed
+    doubt = control.DOUBT * error
     new = -1 if force > 0.0 else 1
     if was_stuck:
         if abs(abs(force) - most) > doubt or -slope * new <= control.DOUBT * rate_error:
@@ -411,19 +418,18 @@ def _change_own(model, expansion, i, new, order, own):  # type: ignore[no-untype
     series, held, pull, change = expansion.series, expansion.held, expansion.pull, expansion.change
     damping, mu, most, v = model.damping[i], model.friction[i], model.static[i], model.belt_speed[i]
     was_stuck = expansion.mode[i] == 0
-    z, before = held[i] if was_stuck else series[0, i], v  # the coefficient k + 1
+    z = held[i] if was_stuck else series[0, i]
     for k in range(order - 1):
-        known = 0.0 if was_stuck else series[k + 2, i]
+        old = 0.0 if was_stuck else series[k + 2, i]
         if new == 0:
             c = 0.0
         elif k == 0:
             c = 0.5 * ((most - mu) * new if was_stuck else -(damping * v + pull[0] + mu * new))
         else:
-            c = -(damping * (k + 1) * before + pull[k]) / ((k + 2) * (k + 1))
-        before, change[k + 2] = c, c - known
+            c = -(damping * (k + 1) * series[k + 1, i] + pull[k]) / ((k + 2) * (k + 1))
+        series[k + 2, i], change[k + 2] = c, c - old
         if k + 2 <= order - 2:
             pull[k + 2] += own * change[k + 2]
-        series[k + 2, i] = c
     series[0, i], series[1, i] = z, v
     if new == 0:
         held[i] = z
@@ -440,16 +446,18 @@ def _change_others(model, expansion, order, h, limit, may_take_product):  # type
     Returns the time until what is left out makes an error of w at the limit, at most h, and the number of products.
     """
     series, slips, damping, last = expansion.series, expansion.slips, model.damping, expansion.last
-    column, change, more = expansion.column, expansion.change, expansion.steps
+    column, change, more = expansion.column, expansion.change, expansion.more
     passed, sizes, n = expansion.passed, expansion.sizes, len(last)
     last[:] = 0.0
-    pull, passed_on, power, left_out, n_products = largest(model.row_sums), 0.0, h**5, 5.0, 0
+    row_sum, passed_on, power, degree, n_products = largest(model.row_sums), 0.0, h**5, 5.0, 0
     for k in range(2, order - 1):
-        if k == 4 and may_take_product and pull * passed_on > left_out * limit:
+        error = row_sum * passed_on / degree  # grows like h^degree
+        if k == 4 and may_take_product and limit < error < limit / SINGLE_ERROR:
             sizes[0], sizes[1] = largest(passed[0, 0]), largest(passed[0, 1])
-            m = list_moving(passed[0, 0], passed[0, 1], model.pairs.columns)
-            two_single_products(model.pairs, m, passed[0], sizes, passed[1])
-            passed_on, left_out, n_products = 0.0, 7.0, 2
+            if _are_in_range(sizes[0], sizes[1]):
+                m = list_moving(passed[0, 0], passed[0, 1], model.pairs.columns)
+                two_single_products(model.pairs, m, passed[0], sizes, passed[1])
+                passed_on, degree, n_products = 0.0, 7.0, 2
         for j in range(n):
             more[j] = column[j] * change[k]
         if n_products > 0 and k < 6:
@@ -464,13 +472,13 @@ def _change_others(model, expansion, order, h, limit, may_take_product):  # type
             copy(last, passed[0, k - 2])
         passed_on += largest(last) * power
         power *= h
-    error = pull * passed_on / left_out
-    return h if error <= limit else h * (limit / error) ** (1.0 / left_out), n_products
+    error = row_sum * passed_on / degree
+    return h if error <= limit else h * (limit / error) ** (1.0 / degree), n_products
 
 
 @inner
 def correct(model, expansion, block, window, h, rate, clock):  # type: ignore[no-untyped-def]
-    """Carry the series over an event of one block, in O(n order) instead of the products of a new expansion.
+    """Carry the series over an event of one block, without a new expansion.
 
     From the event on, block i moves by its new equation, z_i + delta, where delta starts at second order. The others
     feel K_ji delta, from fourth order on. What they pass on in turn is left out and bounded: its effect on w grows
@@ -496,7 +504,7 @@ def correct(model, expansion, block, window, h, rate, clock):  # type: ignore[no
     expansion.side[:] = 0
     if new != 0:
         expansion.zeros[i] = 2 if was_stuck and model.static[i] == model.friction[i] else 1
-    # products in single precision are accurate enough for so small a change, and cheap enough
+    # in double precision, for few blocks, they gained nothing
     may_take_product = len(model.pairs.single_panels) > 0 and control.pays_to_pass_on(clock)
     limit = control.PASSED_ON * allowed
     h, n_products = _change_others(model, expansion, order, h, limit, may_take_product)
