@@ -395,6 +395,9 @@ class Recorded(Mapping[str, _Value]):
     def __len__(self) -> int:
         return len(self._place)
 
+    def __bool__(self) -> bool:
+        return any(self._shard(k).member_ids for k in range(len(self._fragments)))  # it need not read them all
+
     def items(self) -> ItemsView[str, _Value]:
         return _Items(self)
 
