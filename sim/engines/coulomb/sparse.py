@@ -19,7 +19,7 @@ from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.sticking import force_rounding, push
-from stickslip.sim.engines.coulomb.taylor import UNDECIDED, Window, decide, expand, pull_of
+from stickslip.sim.engines.coulomb.taylor import UNDECIDED, Window, curvature, decide, expand, pull_of
 from stickslip.sim.engines.coulomb.windows import evaluate, instant, record, sample, stalls
 from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.numerics.arguments import Floats
@@ -241,17 +241,12 @@ def _carry(model, goal, expansion, search, local, window, block, span):  # type:
     members[0] = block
     _bring(model, expansion, local, order, s, 0, 1)
     was_stuck = local.mode[0] == 0
-    friction, static = model.friction[block], model.static[block]
     pull_of(model, block, local.mode[0], series, 0, order, pull)
     force = model.damping[block] * v + pull[0]
     new = decide(model, block, was_stuck, force, pull[1], window, goal.rate)
     if new == UNDECIDED or left <= 0.0:
         return -1.0
-    start = 0.0
-    if was_stuck:
-        start = 0.5 * (static - friction) * new
-    elif new != 0:
-        start = -0.5 * (force + friction * new)
+    start = curvature(model, block, was_stuck, new, force)
     jump, power = 2.0 * abs(start if was_stuck else start - series[2, 0]), left
     for k in range(1, order - 1):
         jump += power * abs(pull[k])
@@ -283,7 +278,7 @@ def _carry(model, goal, expansion, search, local, window, block, span):  # type:
         return -1.0
     expansion.mode[block] = new
     expansion.slips[block] = local.slips[0]
-    n_zeros = 2 if was_stuck and static == friction else 1
+    n_zeros = 2 if was_stuck and model.static[block] == model.friction[block] else 1
     _put_back(model, expansion, search, local, order, (s, left), count, n_zeros)
     expansion.held[block] = z
     return s + left

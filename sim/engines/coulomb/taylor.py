@@ -402,6 +402,16 @@ def decide(model, i, was_stuck, force, slope, window, rate):  # type: ignore[no-
 
 
 @inner
+def curvature(model, i, was_stuck, new, force):  # type: ignore[no-untyped-def]
+    """c_2 of block i from its event on, in its new mode, under this F; one that has stuck leaves with F at m."""
+    if new == 0:
+        return 0.0
+    if was_stuck:
+        return 0.5 * (model.static[i] - model.friction[i]) * new
+    return -0.5 * (force + model.friction[i] * new)
+
+
+@inner
 def _copy_column(columns, i, column):  # type: ignore[no-untyped-def]
     """Column i of K, dense or sparse."""
     if len(columns.dense) > 0:
@@ -416,15 +426,14 @@ def _copy_column(columns, i, column):  # type: ignore[no-untyped-def]
 def _change_own(model, expansion, i, new, order, own):  # type: ignore[no-untyped-def]
     """The series of block i from its event on, at the belt's speed, and how it changes z; `own` is K_ii."""
     series, held, pull, change = expansion.series, expansion.held, expansion.pull, expansion.change
-    damping, mu, most, v = model.damping[i], model.friction[i], model.static[i], model.belt_speed[i]
-    was_stuck = expansion.mode[i] == 0
+    damping, v, was_stuck = model.damping[i], model.belt_speed[i], expansion.mode[i] == 0
     z = held[i] if was_stuck else series[0, i]
     for k in range(order - 1):
         old = 0.0 if was_stuck else series[k + 2, i]
-        if new == 0:
+        if k == 0:
+            c = curvature(model, i, was_stuck, new, damping * v + pull[0])
+        elif new == 0:
             c = 0.0
-        elif k == 0:
-            c = 0.5 * ((most - mu) * new if was_stuck else -(damping * v + pull[0] + mu * new))
         else:
             c = -(damping * (k + 1) * series[k + 1, i] + pull[k]) / ((k + 2) * (k + 1))
         series[k + 2, i], change[k + 2] = c, c - old
