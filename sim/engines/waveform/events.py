@@ -107,7 +107,7 @@ def _marks(poly, bernstein, bound, marks, n_marks, found):  # type: ignore[no-un
     at_start = poly[0]
     poly[0] -= bound
     if changes == 1 and bernstein[0] != bound and bernstein[STAGES] != bound:
-        n_marks = insert(refine(poly, STAGES, 0.0, 1.0, bernstein[0] < bound), marks, n_marks)
+        n_marks = insert(refine(poly, STAGES, 0.0, 1.0, bernstein[0] < bound, 0.5), marks, n_marks)
     else:
         n_marks = insert_roots(poly, STAGES, marks, n_marks, found)
     poly[0] = at_start

@@ -27,13 +27,12 @@ from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arithmetic import copy, room
 from stickslip.sim.numerics.lanes import ALL, WIDTH
 from stickslip.sim.numerics.radau import ALL_TO_POWERS, PROJECT, STAGES
-from stickslip.sim.numerics.roots import horner, roots
+from stickslip.sim.numerics.roots import BINOMIALS, horner, roots
 
 #: Terms of a series below this share of the largest are left out.
 _LEAST = 1e-17
-#: Gauss's nodes and weights on [0, 1]: exact for the moments of z to degree nine of u, and to rounding beyond.
-_GAUSS = np.polynomial.legendre.leggauss(7)
-_PLACES, _WEIGHTS = (_GAUSS[0] + 1.0) / 2.0, _GAUSS[1] / 2.0
+#: The integral over [0, 1] of the power k times the power q, 1 / (k + q + 1).
+_MOMENTS = 1.0 / np.add.outer(np.arange(ORDER + 2), np.arange(1.0, STAGES + 1.0))
 #: What a piece ends with.
 _NOTHING, _EXIT, _STOP = range(3)
 _NEVER = 2.0
@@ -90,7 +89,7 @@ def _move_on(force, x):  # type: ignore[no-untyped-def]
             force[j] += x * force[j + 1]
 
 
-@inner
+@inner(inlined=True)
 def _until_exit(force, static, left, poly, found):  # type: ignore[no-untyped-def]
     """The place at which a block that sticks is let go, over what is left of the step, or `_NEVER`."""
     first = _NEVER
@@ -104,15 +103,16 @@ def _until_exit(force, static, left, poly, found):  # type: ignore[no-untyped-de
     return first
 
 
-@inner
+@inner(inlined=True)
 def _series_of_u(force, h, drag, push, u, length, series):  # type: ignore[no-untyped-def]
     """The powers of u over a length h, scaled to it: (k + 1) u_k+1 = -R h u_k - h F_k - h mu s, the last for k = 0.
 
     `drag` is R h and `push` is h (F + mu s) at the start: a block that is let go at |F| = mu has none, to the last
     bit.
-    `force` is in powers of x, and `length` over the macro step.
+    `force` is in powers of x, and `length` over the macro step. Returns the order beyond which terms, which then fall
+    like those of an exponential, are rounding.
     """
-    series[0] = u
+    series[0], most = u, abs(u)
     power = length
     for k in range(ORDER):
         pull = drag * series[k]
@@ -120,47 +120,43 @@ def _series_of_u(force, h, drag, push, u, length, series):  # type: ignore[no-un
             pull += push
         elif k <= STAGES:
             pull += h * force[k] * power
-        series[k + 1] = -pull / (k + 1)
+        series[k + 1] = -pull * _MOMENTS[k, 0]
+        most = max(most, abs(series[k + 1]))
+        if k >= STAGES and abs(series[k + 1]) <= _LEAST * most:
+            return k
         power *= length
+    return ORDER
 
 
-@inner
-def _order_of(series):  # type: ignore[no-untyped-def]
-    """The order beyond which terms of a series are rounding."""
-    most = 0.0
-    for k in range(ORDER + 1):
-        most = max(most, abs(series[k]))
-    order = ORDER
-    while order > STAGES and abs(series[order]) <= _LEAST * most:
-        order -= 1
-    return order
+@inner(inlined=True)
+def _gather(moments, local, moved, x, length, h, belt, series, order, share):  # type: ignore[no-untyped-def]
+    """Add a piece, which begins `moved` from the start of the macro step, to the moments of z.
 
-
-@inner
-def _gather(moments, moved, x, length, h, belt):  # type: ignore[no-untyped-def]
-    """Add a piece without slip, which begins `moved` from the start of the macro step, to the moments of z."""
-    for m in range(len(_PLACES)):
-        at = length * _PLACES[m]
-        place, weight = x + at, length * _WEIGHTS[m] * (moved + h * at * belt)
-        for p in range(STAGES):
-            moments[p] += weight
-            weight *= place
-
-
-@inner
-def _gather_slip(moments, series, order, share, x, length, h):  # type: ignore[no-untyped-def]
-    """Add the slip of a piece to the moments of z, and turn its series into that of its integral."""
+    Returns how far the block moves on it. Its slip is a share of a series; one that sticks has none, of order -1.
+    `local` is workspace.
+    """
+    by_belt = h * length * belt
+    for q in range(STAGES):
+        local[q] = moved * _MOMENTS[0, q] + by_belt * _MOMENTS[1, q]
+    slip, power = 0.0, h * length
     for k in range(order + 1):
-        series[k] /= k + 1
-    for m in range(len(_PLACES)):
-        at = length * _PLACES[m]
-        place, weight = x + at, length * _WEIGHTS[m] * h * at * horner(series, order, share * _PLACES[m])
-        for p in range(STAGES):
-            moments[p] += weight
-            weight *= place
+        term = power * series[k] * _MOMENTS[k, 0]
+        slip += term
+        for q in range(STAGES):
+            local[q] += term * _MOMENTS[k + 1, q]
+        power *= share
+    # from powers of the place in the piece to those of the place in the macro step
+    before = length
+    for q in range(STAGES):
+        weight = before * local[q]
+        for p in range(q, STAGES):
+            moments[p] += BINOMIALS[p, q] * weight
+            weight *= x
+        before *= length
+    return by_belt + slip
 
 
-@inner
+@inner(inlined=True)
 def _keep(pieces, changes, place, piece, series, order):  # type: ignore[no-untyped-def]
     """Store a piece as a substep, and its series."""
     i, x, length, share, z = piece
@@ -170,7 +166,7 @@ def _keep(pieces, changes, place, piece, series, order):  # type: ignore[no-unty
         changes.series[place, k] = series[k]
 
 
-@inner
+@inner(inlined=True)
 def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
     """Solve block i on the macro step; returns the number of pieces so far, of all blocks, or -1 - i if it fails."""
     block, pieces, changes, scratch = blocks(work.table), work.substeps, work.changes, room(5, 24)
@@ -194,8 +190,7 @@ def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
             if abs(damping) * h * left > control.LONGEST_SERIES:
                 left = control.LONGEST_SERIES / (abs(damping) * h)
             push = 0.0 if is_let_go and static == mu else h * left * (force[0] + mu * mode)
-            _series_of_u(force, h, h * left * damping, push, u, left, series)
-            order = _order_of(series)
+            order = _series_of_u(force, h, h * left * damping, push, u, left, series)
             for k in range(order + 1):
                 poly[k] = mode * series[k]
             first = _first_fall(poly, order, control.AT_BELT * abs(belt), found)
@@ -207,12 +202,9 @@ def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
                 return -1 - i
             _keep(pieces, changes, n_pieces, (i, x, length, share, z), series, order)
             n_pieces += 1
-            _gather(moments, z - z0, x, length, h, belt)
-            z += h * length * belt
             if mode != 0.0:
                 u = horner(series, order, share)
-                _gather_slip(moments, series, order, share, x, length, h)
-                z += h * length * horner(series, order, share)
+            z += _gather(moments, poly, z - z0, x, length, h, belt, series, order if mode != 0.0 else -1, share)
             x += length
             _move_on(force, length)
         is_let_go = event == _EXIT
