@@ -270,19 +270,39 @@ class Smoothed:
     def __init__(
         self, speed: float, delta: Floats, hidden: Floats | None = None, band: float = 0.0, widest: float = 0.0
     ) -> None:
+        self.speed, self.band, self.widest, self._given = speed, band, max(band, widest), (delta, hidden)
+
+    @cached_property
+    def _laws(self) -> tuple[Floats, Floats]:
+        """delta and c, shape (1,) if all blocks have one law."""
+        delta, hidden = self._given
         c = np.zeros_like(delta) if hidden is None else hidden
-        self.is_one = bool((delta == delta[0]).all() and (c == c[0]).all())
-        if self.is_one:
-            delta, c = delta[:1], c[:1]
-        self.speed, self.band, self.widest, self._delta, self._hidden = speed, band, max(band, widest), delta, c
-        lam, self._rise = np.tanh(speed / delta), _rise(speed / delta)
-        self.at_rest = lam + c * lam * self._rise
-        self.slope = self._rise * (1.0 + c * (3.0 * self._rise - 2.0)) / delta
+        is_one = (delta == delta[0]).all() and (c == c[0]).all()
+        return (delta[:1], c[:1]) if is_one else (delta, c)
+
+    @property
+    def is_one(self) -> bool:
+        return len(self._laws[0]) == 1
+
+    @cached_property
+    def _rise(self) -> Floats:
+        return _rise(self.speed / self._laws[0])
+
+    @cached_property
+    def at_rest(self) -> Floats:
+        delta, c = self._laws
+        lam = np.tanh(self.speed / delta)
+        return np.asarray(lam + c * lam * self._rise)
+
+    @cached_property
+    def slope(self) -> Floats:
+        delta, c = self._laws
+        return np.asarray(self._rise * (1.0 + c * (3.0 * self._rise - 2.0)) / delta)
 
     @cached_property
     def bends(self) -> list[tuple[Floats, Floats]]:
         """Bounds r of |w|, shape (m,), below `band`, and below `widest`, with rho(r) / mu by rows of all bounds."""
-        delta, c = self._delta[:, np.newaxis], self._hidden[:, np.newaxis]
+        delta, c = (one[:, np.newaxis] for one in self._laws)
         rise, steepness = self._rise[:, np.newaxis], np.abs(1.0 - 2.0 * c)
         slope = (steepness * rise + 3.0 * c * rise**2) / delta
 

@@ -16,8 +16,8 @@ _MAX_DEGREE = 40
 _LOW, _WIDTH = _MAX_DEGREE + 1, _MAX_DEGREE + 2
 _ROWS, _COLUMNS = _MAX_DEPTH + 2, _MAX_DEGREE + 3
 _NARROWEST = 0.5**_MAX_DEPTH
-#: How far inside an interval Newton's method begins, and where it ends.
-_INSIDE, _ROUNDING = 1e-3, 2.2e-16
+#: Where Newton's method begins in an interval, and its last step, as shares of it; its error, as a share of the root.
+_INSIDE, _SMALL, _ROUNDING = 1e-3, 1e-6, 2.2e-16
 
 
 #: Pascal's triangle; exact in float64 up to row 56
@@ -68,14 +68,14 @@ def _sign_changes(bernstein, degree):  # type: ignore[no-untyped-def]
 
 
 @inner
-def crossing(bernstein, degree):  # type: ignore[no-untyped-def]
+def _crossing(bernstein, degree):  # type: ignore[no-untyped-def]
     """Where the polygon of Bernstein coefficients, of which one is on the other side of zero, first passes zero."""
     j = 0
     while j < degree - 1 and (bernstein[j + 1] < 0.0) == (bernstein[0] < 0.0):
         j += 1
     fall = bernstein[j] - bernstein[j + 1]
     x = (j + (bernstein[j] / fall if fall != 0.0 else 0.5)) / degree
-    return min(max(x, _INSIDE), 1.0 - _INSIDE)
+    return min(x, 1.0 - _INSIDE) if x > _INSIDE else _INSIDE
 
 
 @inner
@@ -83,14 +83,14 @@ def refine(coefficients, degree, low, high, rises, x):  # type: ignore[no-untype
     """The one root in (low, high), to rounding: Newton's method from x, kept inside a shrinking bracket.
 
     The caller says whether the polynomial rises through it: at an end that is a root itself, its value does not tell.
-    The step after two of Newton's is about the cube of the last one over the square of the one before: it is left
-    out where that is below rounding.
+    A step leaves an error of its square times the curvature over the slope, if it is so small that higher powers do
+    not matter: the last one is not checked by another.
     """
-    before = 0.0
+    small = _SMALL * (high - low)
     for _ in range(100):
-        value = coefficients[degree]
-        slope = 0.0
+        value, slope, curvature = coefficients[degree], 0.0, 0.0
         for k in range(degree - 1, -1, -1):
+            curvature = curvature * x + slope
             slope = slope * x + value
             value = value * x + coefficients[k]
         if value == 0.0:
@@ -100,14 +100,14 @@ def refine(coefficients, degree, low, high, rises, x):  # type: ignore[no-untype
         else:
             high = x
         new = x - value / slope if slope != 0.0 else low
-        step = abs(new - x)
+        step, rounding = new - x, _ROUNDING * abs(x)
         if not (low < new < high):
-            new, step = 0.5 * (low + high), 0.0
+            new = 0.5 * (low + high)
             if new in (low, high):
                 return new
-        elif step <= _ROUNDING * abs(x) or step * step * step <= _ROUNDING * abs(x) * before * before:
+        elif abs(step) <= rounding or (abs(step) <= small and abs(curvature) * step * step <= rounding * abs(slope)):
             return new
-        x, before = new, step
+        x = new
     return x
 
 
@@ -137,7 +137,7 @@ def roots(coefficients, degree, found):  # type: ignore[no-untyped-def]
             root = low + width
         elif changes == 1 and stack[top, 0] != 0.0 and stack[top, degree] != 0.0:
             top -= 1
-            start = low + width * crossing(stack[top + 1], degree)
+            start = low + width * _crossing(stack[top + 1], degree)
             root = refine(coefficients, degree, low, low + width, stack[top + 1, 0] < 0.0, start)
         elif width <= _NARROWEST:
             top -= 1

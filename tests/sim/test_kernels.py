@@ -3,11 +3,12 @@
 import numba
 import numpy as np
 import pytest
+from scipy.interpolate import BPoly, PPoly
 
 from stickslip.sim.kernels.compile import kernel
 from stickslip.sim.numerics.arithmetic import aligned_zeros
 from stickslip.sim.numerics.horner import shift_rows, values_and_slopes
-from stickslip.sim.numerics.roots import roots
+from stickslip.sim.numerics.roots import roots, to_bernstein
 
 
 @numba.njit
@@ -16,9 +17,13 @@ def found_in(coefficients, room):
     return found[: roots(coefficients, len(coefficients) - 1, found)]
 
 
-@pytest.mark.parametrize("planted", [[1.0], [0.5, 1.0], [0.25, 0.5, 0.75], [0.5, 0.5 + 2.0**-30], [1.25], []])
+@pytest.mark.parametrize(
+    "planted",
+    [[1.0], [0.5, 1.0], [0.25, 0.5, 0.75], [0.5, 0.5 + 2.0**-30], [1.25], [], [0.4375, 0.875, 1.125]],
+)
 def test_planted_roots_are_found_in_order(planted):
-    """Those at 0.5 and the like lie on the border of two halves, and count once."""
+    """Those at 0.5 and the like lie on the border of two halves, and count once; the last has no curvature where the
+    search of its second root begins."""
     inside = [root for root in planted if root <= 1]
     coefficients = np.polynomial.polynomial.polyfromroots(planted)
     np.testing.assert_allclose(found_in(coefficients, 8), inside, rtol=1e-12)
@@ -34,6 +39,41 @@ def test_no_root_is_lost_or_made_up_where_rounding_decides_on_which_side_of_a_bo
         found = found_in(coefficients, 8)
         assert len(found) == len(inside), planted
         np.testing.assert_allclose(found, inside, rtol=0, atol=1e-10)
+
+
+@kernel
+def bernstein_of(coefficients, bernstein):
+    to_bernstein(coefficients, len(coefficients) - 1, bernstein)
+
+
+def test_roots_of_random_polynomials_are_exact_to_rounding_and_none_is_missed(rng):
+    """Values in extended precision; the unit is the change of a root by rounding of the terms, and its own."""
+    n_found = 0
+    for _ in range(3000):
+        degree = int(rng.integers(1, 24))
+        coefficients = rng.normal(size=degree + 1) * np.exp(-rng.uniform(0, 2) * np.arange(degree + 1))
+        found, exact = found_in(coefficients, 24), coefficients.astype(np.longdouble)
+        value = np.polynomial.Polynomial(exact)
+        slope, size = value.deriv(), np.polynomial.Polynomial(np.abs(coefficients))
+        for x in found[found < 1]:
+            unit = 2.0**-52 * (size(x) + x * abs(slope(x)))
+            assert abs(value(np.longdouble(x))) <= 2 * unit, (coefficients, x)
+        grid = np.linspace(0, 1, 1025)
+        signs = np.where(np.abs(value(grid)) > 1e-12 * size(grid), np.sign(value(grid)), 0).astype(int)
+        has_root = signs[:-1] * signs[1:] < 0
+        counts = np.histogram(found, grid)[0]
+        assert (counts[has_root] % 2 == 1).all(), coefficients
+        n_found += len(found)
+    assert n_found > 300
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4, 7, 16, 25, 40])
+def test_bernstein_coefficients_are_those_of_scipy(degree, rng):
+    coefficients = rng.normal(size=degree + 1)
+    found = np.empty(degree + 1)
+    bernstein_of(coefficients, found)
+    of_scipy = BPoly.from_power_basis(PPoly(coefficients[::-1, np.newaxis], [0.0, 1.0])).c[:, 0]
+    np.testing.assert_allclose(found, of_scipy, rtol=0, atol=1e-13 * np.abs(coefficients).sum())
 
 
 @kernel

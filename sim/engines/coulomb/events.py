@@ -47,16 +47,16 @@ def excluded(face, first, bounds, h, reach):  # type: ignore[no-untyped-def]
 
 
 @inner
-def root(model, i, series, at, face, horizon, room):  # type: ignore[no-untyped-def]
-    """Time to the first root of block i's event functions within h, and whether there is one; see `excluded` first.
+def root(face, series, at, bounds, horizon, room):  # type: ignore[no-untyped-def]
+    """Time to the first root of a block's event functions within h, and whether there is one; see `excluded` first.
 
-    Its series are the columns `at`; `face` has its mode, zeros and side, `horizon` the order and h; `room` is
-    workspace.
+    Its series is the column `at`; `horizon` has the order and h; `room` is workspace.
     """
     mode, zeros, side = face
+    v, drag, static, closed = bounds
     order, h = horizon
     poly, found = room
-    v, static, closed, is_found = model.belt_speed[i], model.static[i], model.closed[i], False
+    is_found = False
     if mode != 0:
         degree = order - 1 - zeros
         power = 1.0
@@ -71,7 +71,7 @@ def root(model, i, series, at, face, horizon, room):  # type: ignore[no-untyped-
             h *= found[0]
             is_found = True
         return h, is_found
-    force = model.damping[i] * v + series[0, at]
+    force = drag + series[0, at]
     first = h
     for sigma in (-1, 1):  # both within h, so that a mirror image has the same bytes
         if sigma == closed:

@@ -50,11 +50,11 @@ class Slow(NamedTuple):
     @classmethod
     def of(cls, system: System, fastest: float) -> Slow | None:
         """None if there are no such blocks; `fastest` is the largest frequency of a force."""
-        damping, pull, all_move = system.damping, system.row_sums, np.ones(system.n, dtype=np.bool_)
-        decays = np.zeros(system.n, dtype=np.bool_)
-        most = float(damping.max())
+        damping, pull = system.damping, system.row_sums
         if not is_heavy(damping, pull, fastest).any():
             return None
+        all_move, decays = np.ones(system.n, dtype=np.bool_), np.zeros(system.n, dtype=np.bool_)
+        most = float(damping.max())
         slow = cls(damping.copy(), pull.copy(), fastest, most, 0.0, all_move, decays, np.array([0, 1]))
         _, rate = _pace_of(slow)
         return slow._replace(rate=rate)

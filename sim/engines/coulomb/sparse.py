@@ -100,9 +100,10 @@ def _open(model, expansion, search, local, order, h):  # type: ignore[no-untyped
     for i in range(n):
         due[size + i] = _NEVER
         face, first = (mode[i], zeros[i], side[i]), (series[0, i], series[1, i], series[2, i])
-        if excluded(face, first, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[i]):
+        bounds = v[i], damping[i] * v[i], static[i], closed[i]
+        if excluded(face, first, bounds, h, reach[i]):
             continue
-        time, is_found = root(model, i, series, i, face, (order, h), room)
+        time, is_found = root(face, series, i, bounds, (order, h), room)
         due[size + i] = time if is_found else _NEVER
     for k in range(size - 1, 0, -1):
         due[k] = min(due[2 * k], due[2 * k + 1])
@@ -222,8 +223,9 @@ def _put_back(model, expansion, search, local, order, span, count, n_zeros):  # 
         local.origin[i] = s
         due = _NEVER
         face, first = (mode[a], zeros, 0), (series[0, a], series[1, a], series[2, a])
-        if not excluded(face, first, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[a]):
-            time, is_found = root(model, i, series, a, face, (order, h), room)
+        bounds = v[i], damping[i] * v[i], static[i], closed[i]
+        if not excluded(face, first, bounds, h, reach[a]):
+            time, is_found = root(face, series, a, bounds, (order, h), room)
             due = s + time if is_found else _NEVER
         _schedule(local.due, i, due)
 

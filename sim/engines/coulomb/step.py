@@ -52,9 +52,10 @@ def _first_event(model, expansion, search, order, h):  # type: ignore[no-untyped
     block = -1
     for i in range(len(mode)):
         face, first = (mode[i], zeros[i], side[i]), (series[0, i], series[1, i], series[2, i])
-        if excluded(face, first, (v[i], damping[i] * v[i], static[i], closed[i]), h, reach[i]):
+        bounds = v[i], damping[i] * v[i], static[i], closed[i]
+        if excluded(face, first, bounds, h, reach[i]):
             continue
-        h, is_found = root(model, i, series, i, face, (order, h), room)
+        h, is_found = root(face, series, i, bounds, (order, h), room)
         block = i if is_found else block
     return h, block
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -141,12 +141,11 @@ class _Runs(Several):
         self.models = Model(layer.law, None, *_matrices(systems), forcing, bands, borne, by_force)
         self.bounds = np.empty(len(tasks))
         self.ends, self.single_rates = np.array(lengths), limits.single_rate(1.0) * block.row_sum.max(axis=1)
-        smoothed = cache(partial(_smoothed, layer))
+        of_law = [(task.system.fastest_belt, wide) for task, wide in zip(tasks, widest, strict=True)]
+        smoothed = {one: _smoothed(layer, *one) for one in of_law}
         self.collapse = [
-            certificates.Collapse(
-                task.system, allowed, smoothed(task.system.fastest_belt, wide), limits.certificate(task)
-            )
-            for task, allowed, wide in zip(tasks, allowed_of_all.tolist(), widest, strict=True)
+            certificates.Collapse(task.system, allowed, smoothed[one], limits.certificate(task))
+            for task, allowed, one in zip(tasks, allowed_of_all.tolist(), of_law, strict=True)
         ]
         self.slips = np.array([one.precheck.slip for one in self.collapse])
 

@@ -146,13 +146,13 @@ def _gather(moments, local, moved, x, length, h, belt, series, order, share):  #
             local[q] += term * _MOMENTS[k + 1, q]
         power *= share
     # from powers of the place in the piece to those of the place in the macro step
-    before = length
+    power = length
     for q in range(STAGES):
-        weight = before * local[q]
+        weight = power * local[q]
         for p in range(q, STAGES):
             moments[p] += BINOMIALS[p, q] * weight
             weight *= x
-        before *= length
+        power *= length
     return by_belt + slip
 
 
