@@ -16,8 +16,9 @@ _MAX_DEGREE = 40
 _LOW, _WIDTH = _MAX_DEGREE + 1, _MAX_DEGREE + 2
 _ROWS, _COLUMNS = _MAX_DEPTH + 2, _MAX_DEGREE + 3
 _NARROWEST = 0.5**_MAX_DEPTH
-#: Where Newton's method begins in an interval, and its last step, as shares of it; its error, as a share of the root.
-_INSIDE, _SMALL, _ROUNDING = 1e-3, 1e-6, 2.2e-16
+#: As shares of an interval: how near to an end Newton's method begins, and its last step, at most.
+_INSIDE, _SMALL = 1e-3, 1e-6
+_ROUNDING, _MOST_STEPS = 2.2e-16, 1000
 
 
 #: Pascal's triangle; exact in float64 up to row 56
@@ -69,12 +70,12 @@ def _sign_changes(bernstein, degree):  # type: ignore[no-untyped-def]
 
 @inner
 def _crossing(bernstein, degree):  # type: ignore[no-untyped-def]
-    """Where the polygon of Bernstein coefficients, of which one is on the other side of zero, first passes zero."""
+    """Where the polygon of Bernstein coefficients, which change their sign once and not at an end, passes zero."""
+    side = 1.0 if bernstein[0] > 0.0 else -1.0
     j = 0
-    while j < degree - 1 and (bernstein[j + 1] < 0.0) == (bernstein[0] < 0.0):
+    while j < degree - 1 and side * bernstein[j + 1] > 0.0:
         j += 1
-    fall = bernstein[j] - bernstein[j + 1]
-    x = (j + (bernstein[j] / fall if fall != 0.0 else 0.5)) / degree
+    x = (j + bernstein[j] / (bernstein[j] - bernstein[j + 1])) / degree
     return min(x, 1.0 - _INSIDE) if x > _INSIDE else _INSIDE
 
 
@@ -83,11 +84,12 @@ def refine(coefficients, degree, low, high, rises, x):  # type: ignore[no-untype
     """The one root in (low, high), to rounding: Newton's method from x, kept inside a shrinking bracket.
 
     The caller says whether the polynomial rises through it: at an end that is a root itself, its value does not tell.
-    A step leaves an error of its square times the curvature over the slope, if it is so small that higher powers do
-    not matter: the last one is not checked by another.
+    Every eighth step is a bisection, as it may come nearer by a small share at a time. A step leaves an error of its
+    square times the curvature over the slope, if it is so small that higher powers do not matter: the last one is not
+    checked by another.
     """
     small = _SMALL * (high - low)
-    for _ in range(100):
+    for n_steps in range(_MOST_STEPS):
         value, slope, curvature = coefficients[degree], 0.0, 0.0
         for k in range(degree - 1, -1, -1):
             curvature = curvature * x + slope
@@ -100,13 +102,15 @@ def refine(coefficients, degree, low, high, rises, x):  # type: ignore[no-untype
         else:
             high = x
         new = x - value / slope if slope != 0.0 else low
-        step, rounding = new - x, _ROUNDING * abs(x)
-        if not (low < new < high):
+        if n_steps % 8 == 7 or not (low < new < high):
             new = 0.5 * (low + high)
             if new in (low, high):
                 return new
-        elif abs(step) <= rounding or (abs(step) <= small and abs(curvature) * step * step <= rounding * abs(slope)):
-            return new
+        else:
+            step, rounding = abs(new - x), _ROUNDING * abs(new)
+            is_last = step <= min(small, abs(new)) and abs(curvature) * step * step <= rounding * abs(slope)
+            if is_last or step <= rounding:
+                return new
         x = new
     return x
 

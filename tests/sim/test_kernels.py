@@ -52,7 +52,9 @@ def test_roots_of_random_polynomials_are_exact_to_rounding_and_none_is_missed(rn
     for _ in range(3000):
         degree = int(rng.integers(1, 24))
         coefficients = rng.normal(size=degree + 1) * np.exp(-rng.uniform(0, 2) * np.arange(degree + 1))
+        coefficients[0] *= 10.0 ** -rng.choice([0, 0, 3, 12, 30])  # roots near zero are as exact
         found, exact = found_in(coefficients, 24), coefficients.astype(np.longdouble)
+        assert found_in(-coefficients, 24).tobytes() == found.tobytes()
         value = np.polynomial.Polynomial(exact)
         slope, size = value.deriv(), np.polynomial.Polynomial(np.abs(coefficients))
         for x in found[found < 1]:
@@ -65,6 +67,21 @@ def test_roots_of_random_polynomials_are_exact_to_rounding_and_none_is_missed(rn
         assert (counts[has_root] % 2 == 1).all(), coefficients
         n_found += len(found)
     assert n_found > 300
+
+
+@pytest.mark.parametrize("degree", [2, 8, 16, 40])
+@pytest.mark.parametrize("least", [1e-3, 1e-20, 1e-44])
+def test_roots_of_powers_to_which_steps_of_newtons_method_hardly_come(degree, least):
+    for sign in (-1.0, 1.0):
+        coefficients = sign * np.array([-least, *np.zeros(degree - 1), 1.0])
+        np.testing.assert_allclose(found_in(coefficients, 8), [least ** (1 / degree)], rtol=1e-14)
+
+
+def test_roots_of_polynomials_of_whole_numbers_are_those_of_their_mirror_images(rng):
+    """Many coefficients of theirs are exactly zero, in the one basis or the other."""
+    for coefficients in rng.integers(-3, 4, (20_000, 5)).astype(float):
+        if coefficients[0] != 0.0:
+            assert found_in(-coefficients, 8).tobytes() == found_in(coefficients, 8).tobytes(), coefficients
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4, 7, 16, 25, 40])

@@ -50,7 +50,8 @@ def excluded(face, first, bounds, h, reach):  # type: ignore[no-untyped-def]
 def root(face, series, at, bounds, horizon, room):  # type: ignore[no-untyped-def]
     """Time to the first root of a block's event functions within h, and whether there is one; see `excluded` first.
 
-    Its series is the column `at`; `horizon` has the order and h; `room` is workspace.
+    That says what `face` and `bounds` are. Its series is the column `at`; `horizon` has the order and h; `room` is
+    workspace.
     """
     mode, zeros, side = face
     v, drag, static, closed = bounds

@@ -142,7 +142,7 @@ class _Runs(Several):
         self.bounds = np.empty(len(tasks))
         self.ends, self.single_rates = np.array(lengths), limits.single_rate(1.0) * block.row_sum.max(axis=1)
         of_law = [(task.system.fastest_belt, wide) for task, wide in zip(tasks, widest, strict=True)]
-        smoothed = {one: _smoothed(layer, *one) for one in of_law}
+        smoothed = {one: _smoothed(layer, *one) for one in set(of_law)}
         self.collapse = [
             certificates.Collapse(task.system, allowed, smoothed[one], limits.certificate(task))
             for task, allowed, one in zip(tasks, allowed_of_all.tolist(), of_law, strict=True)

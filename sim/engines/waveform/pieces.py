@@ -129,19 +129,20 @@ def _series_of_u(force, h, drag, push, u, length, series):  # type: ignore[no-un
 
 
 @inner(inlined=True)
-def _gather(moments, local, moved, x, length, h, belt, series, order, share):  # type: ignore[no-untyped-def]
+def _gather(moments, local, moved, piece, belt, slip):  # type: ignore[no-untyped-def]
     """Add a piece, which begins `moved` from the start of the macro step, to the moments of z.
 
-    Returns how far the block moves on it. Its slip is a share of a series; one that sticks has none, of order -1.
-    `local` is workspace.
+    Returns how far the block moves on it. Its `slip` is a share of a series; where it sticks the order is -1. `local`
+    is workspace.
     """
+    (x, length, h), (series, order, share) = piece, slip
     by_belt = h * length * belt
     for q in range(STAGES):
         local[q] = moved * _MOMENTS[0, q] + by_belt * _MOMENTS[1, q]
-    slip, power = 0.0, h * length
+    by_slip, power = 0.0, h * length
     for k in range(order + 1):
         term = power * series[k] * _MOMENTS[k, 0]
-        slip += term
+        by_slip += term
         for q in range(STAGES):
             local[q] += term * _MOMENTS[k + 1, q]
         power *= share
@@ -153,7 +154,7 @@ def _gather(moments, local, moved, x, length, h, belt, series, order, share):  #
             moments[p] += BINOMIALS[p, q] * weight
             weight *= x
         power *= length
-    return by_belt + slip
+    return by_belt + by_slip
 
 
 @inner(inlined=True)
@@ -204,7 +205,8 @@ def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
             n_pieces += 1
             if mode != 0.0:
                 u = horner(series, order, share)
-            z += _gather(moments, poly, z - z0, x, length, h, belt, series, order if mode != 0.0 else -1, share)
+            slip = series, order if mode != 0.0 else -1, share
+            z += _gather(moments, poly, z - z0, (x, length, h), belt, slip)
             x += length
             _move_on(force, length)
         is_let_go = event == _EXIT
