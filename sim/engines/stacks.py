@@ -136,7 +136,7 @@ class Several(ABC):
             is_crowded = (found[:, 0] == loop.BUFFER_FULL) | (found[:, 1] + self.events_a_step > of_one)
             found[is_crowded, 0] = _ANEW
         whole = (found[:, 0] == loop.DONE) & (n_definitions == 1)
-        _, ends, stuck_ends = found.cumsum(axis=0).T.tolist()
+        ends, stuck_ends = found[:, 1:].cumsum(axis=0).T.tolist()
         s, block, mode, (stuck_s, total) = buffers.first(ends[-1], stuck_ends[-1])
         starts, stops = np.array([(task.t_start, task.t_end) for task in self.tasks]).T
 

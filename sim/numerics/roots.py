@@ -18,6 +18,7 @@ _ROWS, _COLUMNS = _MAX_DEPTH + 2, _MAX_DEGREE + 3
 _NARROWEST = 0.5**_MAX_DEPTH
 #: As shares of an interval: how near to an end Newton's method begins, and its last step, at most.
 _INSIDE, _SMALL = 1e-3, 1e-6
+#: The error of a root that it ends with, over the root, and its most steps.
 _ROUNDING, _MOST_STEPS = 2.2e-16, 1000
 
 

@@ -89,7 +89,7 @@ def _move_on(force, x):  # type: ignore[no-untyped-def]
             force[j] += x * force[j + 1]
 
 
-@inner(inlined=True)
+@inner
 def _until_exit(force, static, left, poly, found):  # type: ignore[no-untyped-def]
     """The place at which a block that sticks is let go, over what is left of the step, or `_NEVER`."""
     first = _NEVER
@@ -103,7 +103,7 @@ def _until_exit(force, static, left, poly, found):  # type: ignore[no-untyped-de
     return first
 
 
-@inner(inlined=True)
+@inner
 def _series_of_u(force, h, drag, push, u, length, series):  # type: ignore[no-untyped-def]
     """The powers of u over a length h, scaled to it: (k + 1) u_k+1 = -R h u_k - h F_k - h mu s, the last for k = 0.
 
@@ -128,7 +128,7 @@ def _series_of_u(force, h, drag, push, u, length, series):  # type: ignore[no-un
     return ORDER
 
 
-@inner(inlined=True)
+@inner
 def _gather(moments, local, moved, piece, belt, slip):  # type: ignore[no-untyped-def]
     """Add a piece, which begins `moved` from the start of the macro step, to the moments of z.
 
@@ -159,7 +159,7 @@ def _gather(moments, local, moved, piece, belt, slip):  # type: ignore[no-untype
 
 @inner(inlined=True)
 def _keep(pieces, changes, place, piece, series, order):  # type: ignore[no-untyped-def]
-    """Store a piece as a substep, and its series."""
+    """Store a piece as a substep, and its series; where it sticks the order is -1."""
     i, x, length, share, z = piece
     pieces.block[place], pieces.start[place], pieces.length[place], pieces.z[place] = i, x, length, z
     changes.share[place], changes.order[place] = share, order
@@ -182,11 +182,10 @@ def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
         left = 1.0 - x
         if left <= control.NOTHING_LEFT:
             break
-        event, order = _NOTHING, 0
+        event, order = _NOTHING, -1
         if mode == 0.0:
             first = _until_exit(force, static, left, poly, found)
             event = _EXIT if first < _NEVER else _NOTHING
-            series[0] = 0.0
         else:
             if abs(damping) * h * left > control.LONGEST_SERIES:
                 left = control.LONGEST_SERIES / (abs(damping) * h)
@@ -205,8 +204,7 @@ def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
             n_pieces += 1
             if mode != 0.0:
                 u = horner(series, order, share)
-            slip = series, order if mode != 0.0 else -1, share
-            z += _gather(moments, poly, z - z0, (x, length, h), belt, slip)
+            z += _gather(moments, poly, z - z0, (x, length, h), belt, (series, order, share))
             x += length
             _move_on(force, length)
         is_let_go = event == _EXIT
