@@ -1,7 +1,6 @@
 """Estimators against closed forms, and, marked long, the planted studies: bias, and coverage of 95% intervals."""
 
 import itertools
-import secrets
 
 import numpy as np
 import pytest
@@ -274,33 +273,30 @@ FEWER = {"rhythm": 20, "definitions": 100, "methods": 250, "counting": 150}
 @pytest.mark.parametrize(
     "name", [name for name in studies.STUDIES if name not in ("effective", "goodness", *FALSE_ALARMS)]
 )
-def test_intervals_cover_what_was_planted(name):
-    seed = secrets.randbits(32)
-    rows = studies.study(name, seed, FEWER.get(name, 300))
+def test_intervals_cover_what_was_planted(name, random_seed):
+    rows = studies.study(name, random_seed, FEWER.get(name, 300))
     # an interval without ends, where there can be no other, holds all, and so may one for whatever censored the times
     most = 1.0 if name in ("components", "parting") else 0.97
     missed = [row for row in rows if not row.is_covered(high=most)]
-    assert not missed, f"seed {seed}: {missed}"
+    assert not missed, f"seed {random_seed}: {missed}"
     if name in ("gamma", "dispersion", "growth"):  # each ensemble drawn anew, the answer known exactly
         biased = [row for row in rows if not row.is_unbiased()]
-        assert not biased, f"seed {seed}: {biased}"
+        assert not biased, f"seed {random_seed}: {biased}"
 
 
 @pytest.mark.long
-def test_tau_is_not_too_small_where_the_window_can_tell():
-    seed = secrets.randbits(32)
-    rows = studies.study("effective", seed, 250)
+def test_tau_is_not_too_small_where_the_window_can_tell(random_seed):
+    rows = studies.study("effective", random_seed, 250)
     for (name, (_, can_tell)), tau in zip(studies.WANDERS.items(), rows, strict=True):
         if can_tell:
-            assert tau.bias > -0.05 * tau.answer, f"seed {seed}: {name}"
-            assert tau.is_covered(high=1.0), f"seed {seed}: {name}"
+            assert tau.bias > -0.05 * tau.answer, f"seed {random_seed}: {name}"
+            assert tau.is_covered(high=1.0), f"seed {random_seed}: {name}"
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", FALSE_ALARMS)
-def test_false_alarms_are_as_rare_as_promised(name):
-    seed = secrets.randbits(32)
-    for row in studies.study(name, seed, FEWER.get(name, 1200)):
+def test_false_alarms_are_as_rare_as_promised(name, random_seed):
+    for row in studies.study(name, random_seed, FEWER.get(name, 1200)):
         if row.study == "methods: power":
             continue
-        assert row.is_covered(low=0.94, high=1.0), f"seed {seed}: {row}"
+        assert row.is_covered(low=0.94, high=1.0), f"seed {random_seed}: {row}"

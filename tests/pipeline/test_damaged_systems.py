@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import io
-import secrets
 from collections import Counter
 
 import numpy as np
@@ -21,9 +20,7 @@ N_KINDS = len(DAMAGE | NO_FILES)
 
 
 @pytest.mark.parametrize("n_files", [3 * N_KINDS, pytest.param(250, marks=pytest.mark.long)])
-def test_a_damaged_file_is_read_right_or_refused_in_a_line(n_files, tmp_path):
-    seed = secrets.randbits(32)
-    print("seed", seed)
+def test_a_damaged_file_is_read_right_or_refused_in_a_line(n_files, random_seed, tmp_path):
     kinds = [*DAMAGE, *NO_FILES]
     counts = {kind: Counter() for kind in kinds}
     with Child(judge, shows_errors=True) as child:
@@ -31,7 +28,7 @@ def test_a_damaged_file_is_read_right_or_refused_in_a_line(n_files, tmp_path):
             folder = tmp_path / str(number)
             folder.mkdir()
             print("case", number, kinds[number % N_KINDS])
-            counts[kinds[number % N_KINDS]][child((seed, number, str(folder)))] += 1
+            counts[kinds[number % N_KINDS]][child((random_seed, number, str(folder)))] += 1
     for kind, count in counts.items():
         print(f"{kind:20}", dict(count))
     assert sum(count["refused"] for count in counts.values()) > n_files / 3

@@ -1,7 +1,5 @@
 """Energy as columns of a dataset: the balance closes."""
 
-import secrets
-
 import numpy as np
 import pytest
 
@@ -51,9 +49,7 @@ STORED = ("kinetic_energy", "elastic_energy")
 GIVEN, TAKEN = ("belt_work", "force_work", "coupling_work"), ("damping_loss", "friction_loss")
 
 
-def scene(terms, source=SOURCE):
-    seed = secrets.randbits(32)
-    print(f"seed = {seed}")
+def scene(terms, seed, source=SOURCE):
     source = source.replace("TERMS", TERMS[terms]).replace("SEED", str(seed))
     if terms in ("driven", "weakening"):
         source = source.replace(MOREAU, "")
@@ -63,8 +59,8 @@ def scene(terms, source=SOURCE):
 
 
 @pytest.mark.parametrize("terms", TERMS)
-def test_the_balance_closes(terms, tmp_path):
-    ensemble = scene(terms)
+def test_the_balance_closes(terms, tmp_path, random_seed):
+    ensemble = scene(terms, random_seed)
     run_ensemble(ensemble, tmp_path / "out", workers=0)
     assert verify(tmp_path / "out") == []
     table = query.members(tmp_path / "out")
@@ -79,8 +75,8 @@ def test_the_balance_closes(terms, tmp_path):
     assert others[[f"{name}_end" for name in STORED] + [*GIVEN, *TAKEN]].isna().all(axis=None)
 
 
-def test_an_episode_has_what_is_lost_in_it(tmp_path):
-    ensemble = scene("dry")
+def test_an_episode_has_what_is_lost_in_it(tmp_path, random_seed):
+    ensemble = scene("dry", random_seed)
     run_ensemble(ensemble, tmp_path / "out", workers=0)
     table = Dataset(tmp_path / "out").episodes
     assert table.energy.isna().any()  # of time stepping
@@ -99,8 +95,8 @@ def test_an_episode_has_what_is_lost_in_it(tmp_path):
     )
 
 
-def test_it_changes_nothing_else_and_costs_nothing_where_it_is_not_asked(tmp_path):
-    ensemble = scene("dry")
+def test_it_changes_nothing_else_and_costs_nothing_where_it_is_not_asked(tmp_path, random_seed):
+    ensemble = scene("dry", random_seed)
     plain = ensemble.changed(record={"energy": False, "episodes": True})
     assert "energy" not in plain.data_keys()["record"]
     for name, one in (("with", ensemble), ("without", plain)):
@@ -110,9 +106,9 @@ def test_it_changes_nothing_else_and_costs_nothing_where_it_is_not_asked(tmp_pat
     assert [one.member_id for one in expand(plain)] == [one.member_id for one in expand(ensemble)]
 
 
-def test_a_run_that_diverged_has_no_energy_and_keeps_all_else(tmp_path):
+def test_a_run_that_diverged_has_no_energy_and_keeps_all_else(tmp_path, random_seed):
     source = SOURCE.replace('"chain"', '"antisymmetric"').replace("kappa = 2.0\nleaf = 1.0", "kappa = 5.0")
-    run_ensemble(scene("dry", source), tmp_path / "out", workers=0)
+    run_ensemble(scene("dry", random_seed, source), tmp_path / "out", workers=0)
     table = query.members(tmp_path / "out")
     exact = table[table.engine == "coulomb"]
     assert (exact.outcome == "diverged").all()
@@ -121,9 +117,9 @@ def test_a_run_that_diverged_has_no_energy_and_keeps_all_else(tmp_path):
     assert query.episodes(tmp_path / "out").energy.isna().all()
 
 
-def test_a_run_too_long_to_sum_keeps_all_else(tmp_path, monkeypatch):
+def test_a_run_too_long_to_sum_keeps_all_else(tmp_path, monkeypatch, random_seed):
     monkeypatch.setattr("stickslip.sim.energy._MOST", 10)
-    run_ensemble(scene("dry"), tmp_path / "out", workers=0)
+    run_ensemble(scene("dry", random_seed), tmp_path / "out", workers=0)
     assert verify(tmp_path / "out") == []
     table = Dataset(tmp_path / "out").members
     assert (table.outcome != "failed").all()
@@ -134,8 +130,8 @@ def test_a_run_too_long_to_sum_keeps_all_else(tmp_path, monkeypatch):
     assert found.energy.isna().all()
 
 
-def test_without_an_engine_of_the_exact_law_it_is_refused():
+def test_without_an_engine_of_the_exact_law_it_is_refused(random_seed):
     with pytest.raises(
         SceneError, match=r"record.energy: expected an engine of the exact law, got 'moreau' alone; add"
     ):
-        scene("dry", SOURCE.replace('name = "coulomb"\ntol = 1e-13\n[[engine]]\n', ""))
+        scene("dry", random_seed, SOURCE.replace('name = "coulomb"\ntol = 1e-13\n[[engine]]\n', ""))

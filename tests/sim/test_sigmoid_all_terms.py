@@ -135,10 +135,8 @@ def study(n_systems, seed, tolerances):
     raise AssertionError(f"{len(rows)} rows of {10 * n_systems} systems")
 
 
-def test_all_terms_at_once():
-    seed = secrets.randbits(32)
-    print(f"seed {seed}")
-    rows = study(2, seed, (1e-5, 1e-7))
+def test_all_terms_at_once(random_seed):
+    rows = study(2, random_seed, (1e-5, 1e-7))
     print(*rows, sep="\n")
     beyond = {row[0] for row in rows if row[-1] >= BOUND}
     assert agrees(len(beyond), 2, 0.0, 0.01)

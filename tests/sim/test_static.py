@@ -1,7 +1,5 @@
 """Static friction above the kinetic: the system, and what both engines make of it."""
 
-import secrets
-
 import numpy as np
 import pytest
 from scipy.sparse import csr_array
@@ -318,11 +316,9 @@ def test_static_friction_without_kinetic():
     np.testing.assert_allclose(events.t, other.t, rtol=0, atol=1e-11)
 
 
-def test_cases_of_the_fuzz():
-    seed = secrets.randbits(32)
-    print("seed", seed)
+def test_cases_of_the_fuzz(random_seed):
     for number in (1, 3, 4, 8, 10, 14):
-        verdict = judge(draw(seed, number, terms=["static"]))
+        verdict = judge(draw(random_seed, number, terms=["static"]))
         assert verdict.failures == []
 
 
