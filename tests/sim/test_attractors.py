@@ -765,21 +765,26 @@ def chaotic(unit=1.0, speed=0.0):
     return System(pair / unit**2, 0.0, friction / unit**2, belt / unit, static=static / unit**2)
 
 
-@pytest.mark.parametrize("unit", [1e5, 1e-6])
+@pytest.mark.parametrize("unit", [2.0**17, 2.0**-20])
 def test_chaos_does_not_depend_on_the_unit_of_time(rng, unit):
+    """In units that are powers of two all arithmetic is the same to the bit, so that two chaotic runs stay together."""
     for _ in range(3):
         start = [*rng.uniform(-0.3, 0.3, 2), 0.0]
-        found = settled(chaotic(unit), start, "belt", 800.0 * unit, 100.0 * unit)
-        assert found.kind == "irregular", (start, found.reason)
-        assert found.growth_rate * unit == pytest.approx(0.057, rel=0.4)
+        expected, scaled = (settled(chaotic(u), start, "belt", 800.0 * u, 100.0 * u) for u in (1.0, unit))
+        assert expected.kind == scaled.kind == "irregular", (start, expected.reason)
+        assert scaled.growth_rate * unit == expected.growth_rate
 
 
-@pytest.mark.parametrize("speed", [1.0, 100.0, 1e4])
+@pytest.mark.parametrize("speed", [0.0, 1.0, 100.0, 1e4])
 def test_chaos_is_found_on_a_carrier_that_moves(rng, speed):
-    start = [*rng.uniform(-0.3, 0.3, 2), 0.0]
-    found = settled(chaotic(speed=speed), start, "belt", 1000.0, 100.0)
-    assert found.kind == "irregular", (start, found.reason)
-    assert found.growth_rate == pytest.approx(0.057, rel=0.4)
+    """Of 300 starts the rate to t = 800 had the mean 0.0585 and the deviation 0.0047; a mean of eight is off by 7 errors."""
+    rates = []
+    for _ in range(8):
+        start = [*rng.uniform(-0.3, 0.3, 2), 0.0]
+        run = settled(chaotic(speed=speed), start, "belt", 800.0, 100.0)
+        assert run.kind == "irregular", (start, run.reason)
+        rates.append(run.growth_rate)
+    assert np.mean(rates) == pytest.approx(0.0585, abs=7 * 0.0047 / 8**0.5)
 
 
 def test_what_follows_two_forces_is_no_chaos_and_its_deviations_decay(rng):
