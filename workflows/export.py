@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
+import stat
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,15 +13,19 @@ from typing import BinaryIO, Literal
 
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
 
+from stickslip.analysis.report import AS_TEXT, FORMULA
 from stickslip.pipeline import QueryError
 from stickslip.pipeline.dataset.opened import frame
 from stickslip.pipeline.errors import printable
-from stickslip.pipeline.places.directory import Directory, remove_left, replacing
+from stickslip.pipeline.places import plain
+from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
+from stickslip.sim.kernels.cache import is_ours
 from stickslip.workflows import NO_FOLDER
 
 Form = Literal["table", "csv", "parquet"]
@@ -29,6 +36,8 @@ _SHOWN = 1000
 
 #: What a table shows where there is no value.
 _NULL = "NULL"
+
+_MOST_LINKS = 40  # as Linux follows them
 
 #: Form by the ending of a file's name.
 _ENDINGS: dict[str, Form] = {".csv": "csv", ".parquet": "parquet", ".txt": "table", "": "table"}
@@ -80,7 +89,7 @@ def _write(batches: pa.RecordBatchReader, form: Form, stream: BinaryIO) -> None:
         elif form == "csv":
             with pa.csv.CSVWriter(stream, batches.schema) as writer:
                 for batch in batches:
-                    writer.write_batch(batch)
+                    writer.write_batch(_as_texts(batch))
         else:
             with pq.ParquetWriter(stream, batches.schema, compression="zstd", write_page_checksum=True) as file:
                 for batch in batches:
@@ -90,6 +99,17 @@ def _write(batches: pa.RecordBatchReader, form: Form, stream: BinaryIO) -> None:
             f"--format: expected columns that {form} can hold ({error}); cast them in the query"
         ) from error
     stream.flush()
+
+
+def _as_texts(batch: pa.RecordBatch) -> pa.RecordBatch:
+    """The rows with texts that no spreadsheet takes for formulas, whoever wrote them."""
+    columns = [
+        pc.replace_substring_regex(column, FORMULA, AS_TEXT)
+        if pa.types.is_string(column.type) or pa.types.is_large_string(column.type)
+        else column
+        for column in batch.columns
+    ]
+    return pa.RecordBatch.from_arrays(columns, schema=batch.schema)
 
 
 def _table(batches: pa.RecordBatchReader) -> str:
@@ -131,14 +151,54 @@ def whole(out: Path, dataset: Where, option: str = "--out") -> Iterator[BinaryIO
         raise QueryError(f"{option}: expected a file outside the dataset {dataset}, got {out}; choose another")
     if out.is_dir():
         raise QueryError(f"{option}: expected a file, got the directory {out}; name a file in it")
-    out = out.resolve()
     try:
-        is_device = out.exists() and not out.is_file()
-        if not is_device:
-            remove_left(out.parent, out.name)
-        with open(out, "wb") if is_device else replacing(out) as stream:
+        out = _end_of_links(out, option)
+        found = out.lstat() if os.path.lexists(out) else None
+        if found is not None and not stat.S_ISREG(found.st_mode):
+            with _device(out, option) as stream:
+                yield stream
+            return
+        with plain.folder(out.parent) as directory:
+            plain.remove_left(directory, out.name)
+        with plain.replacing(out) as stream:
             yield stream
     except FileNotFoundError as error:
         raise QueryError(f"{option}: {out}: {NO_FOLDER}") from error
     except OSError as error:
         raise QueryError(f"{option}: {out} cannot be written ({error.strerror}); choose another file") from error
+
+
+def _end_of_links(out: Path, option: str) -> Path:
+    """Where a file's links lead, if they are this user's: another's may lead to what its owner cannot write."""
+    for _ in range(_MOST_LINKS):
+        out = out.parent.resolve() / out.name
+        if not out.is_symlink():
+            return out
+        found = out.lstat()
+        _check_owner(found, f"{option}: expected a file, got the link {out}")
+        target = out.readlink()
+        if not _is_same(found, out.lstat()):
+            raise OSError(errno.ELOOP, "a link that changes")
+        out = out.parent / target
+    raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+
+
+def _is_same(found: os.stat_result, now: os.stat_result) -> bool:
+    return os.path.samestat(found, now) and found.st_ctime_ns == now.st_ctime_ns
+
+
+def _check_owner(found: os.stat_result, expected: str) -> None:
+    if not is_ours(found):
+        raise QueryError(f"{expected} of the user with the id {found.st_uid}; choose another file")
+
+
+def _device(out: Path, option: str) -> BinaryIO:
+    """A stream to what is no file, which does not wait for a pipe that nobody reads."""
+    descriptor = os.open(out, os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY)
+    try:
+        _check_owner(os.fstat(descriptor), f"{option}: expected a file, got {out}, a pipe or a device")
+        os.set_blocking(descriptor, True)
+        return open(descriptor, "wb")
+    except BaseException:
+        os.close(descriptor)
+        raise

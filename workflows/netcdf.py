@@ -52,12 +52,10 @@ def write(path: Where, out: Path) -> None:
     lists = [name for name in _SAMPLES if name in source.schema.names]
     with whole(out, opened.place, "--netcdf") as stream:
         try:
-            with netCDF4.Dataset(stream.name, "w") as file:
+            with netCDF4.Dataset(f"/dev/fd/{stream.fileno()}", "w") as file:
                 _fill(file, opened, source, lists)
         except StoreError:
             raise
-        except UnicodeEncodeError:
-            raise QueryError(f"--netcdf: expected a name in UTF-8, got {str(out)!a}; choose another") from None
         except (OSError, RuntimeError) as error:  # HDF5 does not say why, or wrongly; of a full disk the system does
             stream.seek(0, os.SEEK_END)
             stream.write(bytes(_ROOM))

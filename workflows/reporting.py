@@ -18,7 +18,7 @@ from stickslip.analysis.report.page import Answered
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
 from stickslip.pipeline.errors import printable
-from stickslip.pipeline.places.directory import Directory, remove_left
+from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.query import (
@@ -229,10 +229,8 @@ def write(built: Report, where: Where) -> str:
     """
     place = place_of(where)
     if isinstance(place, Directory):
-        figures = place.path / "report" / "figures"
-        figures.mkdir(parents=True, exist_ok=True)
-        for folder in (figures, figures.parent, place.path):
-            remove_left(folder)
+        place.make()
+        place.remove_left()
     files, (listed,) = built.files(), place.read_each([LIST])
     earlier = built.gone() if listed is None else listed.decode(errors="replace").splitlines()
     place.replace(LIST, _lines([UNFINISHED, *earlier, *files]))

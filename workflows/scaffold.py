@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import tomllib
@@ -74,8 +75,8 @@ def new_scene(file: Path) -> list[str]:
             f"FILE: expected a name that is free, got {str(file)!r}, which exists; choose another, or remove it"
         ) from None
     beside, run = file.with_name(SCHEMA), command("run", str(file))
-    if not beside.exists():
-        beside.write_text(schema_text(None), encoding="utf-8")
+    with contextlib.suppress(FileExistsError), beside.open("x", encoding="utf-8") as stream:
+        stream.write(schema_text(None))
     return [
         f"scene   {file}",
         f"schema  {beside}: editors with a TOML language server complete and check the scene by it",

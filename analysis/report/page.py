@@ -23,7 +23,7 @@ from stickslip.analysis.answer import LONG, F, I, Long, Recipe, S, Table, frame,
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.questions import QUESTIONS, is_own, question, refuse_unknown
-from stickslip.analysis.report import OF_OWN, PAGE
+from stickslip.analysis.report import AS_TEXT, FORMULA, OF_OWN, PAGE
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.style import pdf, svg
@@ -192,7 +192,8 @@ def _parquet(table: Table) -> bytes:
 
 
 def _csv(table: pd.DataFrame) -> bytes:
-    return str(table.to_csv(index=False)).encode()
+    plain = table.astype(dict.fromkeys(table.select_dtypes("category"), object))
+    return str(plain.replace(FORMULA, AS_TEXT, regex=True).to_csv(index=False)).encode()
 
 
 def _json(tables: Mapping[str, Table]) -> bytes:

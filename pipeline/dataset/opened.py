@@ -126,7 +126,7 @@ class Opened:
 
         new = [name for name in files if not is_checked(name)]
         with reading(place):
-            for name, content in zip(new, place.read_each([files[name] for name in new]), strict=True):
+            for name, (content, mark) in zip(new, place.read_marked([files[name] for name in new]), strict=True):
                 problem = known[name].damage(content) if name in known else "not in the manifest any more"
                 if problem and name in known and read_manifest(place).shards.get(name) != known[name]:
                     raise StoreError(
@@ -135,7 +135,7 @@ class Opened:
                     )
                 if problem:
                     raise StoreError(f"{place.named(files[name])}: {problem}; rerun the scene to rebuild it")
-                _checked[place.named(files[name])] = (known[name].sha256, marks[name])
+                _checked[place.named(files[name])] = (known[name].sha256, mark)
 
     def again(self) -> Opened:
         """The dataset as it is now; its scene is read again only if it is another.

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_failed
 from stickslip.pipeline.ensemble.pack import Task, number_of
-from stickslip.pipeline.places.directory import is_alive
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import Shard
 from stickslip.pipeline.places.place import LOCK, Lock, Where
+from stickslip.pipeline.places.plain import is_alive
 from stickslip.pipeline.scene.scene import parse_scene
 
 

@@ -154,6 +154,7 @@ class Store:
 
     def _check(self) -> Manifest:
         """The manifest found here, or a new one if nothing is here; else a refusal."""
+        self.place.check_parts()
         names = self.place.names()
         if MANIFEST not in names:
             # a crash before the first manifest leaves no more than these

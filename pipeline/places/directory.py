@@ -1,4 +1,7 @@
-"""A dataset in a directory: files are written, synced and renamed over the old ones; the lock is the kernel's."""
+"""A dataset in a directory: files are written, synced and renamed over the old ones; the lock is the kernel's.
+
+Its parts are plain files and folders: see `pipeline.places.plain`. The directory itself may be reached through links.
+"""
 
 from __future__ import annotations
 
@@ -6,209 +9,239 @@ import contextlib
 import errno
 import fcntl
 import os
-import re
-import socket
+import stat
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any
 
-from stickslip.pipeline.errors import StoreError
-from stickslip.pipeline.places.place import DATA, LOCK, TEMPORARY, Hold, Mark, Place, part, this_process
+from stickslip.pipeline.errors import StoreError, printable
+from stickslip.pipeline.places import plain
+from stickslip.pipeline.places.place import (
+    DATA,
+    LOCK,
+    MANIFEST,
+    SCENE,
+    TIMINGS,
+    Hold,
+    Mark,
+    Place,
+    part,
+    this_process,
+)
 
-
-@contextlib.contextmanager
-def replacing(file: Path) -> Iterator[BinaryIO]:
-    """A stream for the new content of a file, which replaces the old in one step if the with-block succeeds."""
-    temporary = _temporary(file)
-    try:
-        with _synced(temporary) as stream:
-            yield stream
-        os.replace(temporary, file)
-    except BaseException:
-        _remove(temporary)
-        raise
-    _sync(file.parent)
-
-
-def _temporary(file: Path) -> Path:
-    return file.with_name(f"{_begun(file)}{os.getpid()}")
-
-
-@contextlib.contextmanager
-def _synced(file: Path) -> Iterator[BinaryIO]:
-    """A stream for a file whose content is on the disk after the with-block."""
-    with open(file, "wb") as stream:
-        yield stream
-        stream.flush()
-        os.fsync(stream.fileno())
-
-
-def _remove(*temporary: Path) -> None:
-    for file in temporary:
-        with contextlib.suppress(OSError):
-            file.unlink(missing_ok=True)
-
-
-def _sync(folder: Path) -> None:
-    """Have the names in a folder on the disk."""
-    directory = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)
-
-
-def _begun(file: Path) -> str:
-    """Prefix of the temporary copies of a file that this machine's processes write; the process id follows."""
-    return f"{TEMPORARY}{file.name}-{socket.gethostname()}-"
-
-
-def remove_left(folder: Path, name: str = "") -> None:
-    """Remove the unfinished copies that killed processes of this machine left in a folder, of one file or of all."""
-    of = re.escape(name) if name else ".*"
-    left = re.compile(rf"{re.escape(TEMPORARY)}{of}-{re.escape(socket.gethostname())}-(\d{{1,9}})")
-    for one in folder.iterdir():
-        if (found := left.fullmatch(one.name)) and not is_alive(int(found[1])):
-            with contextlib.suppress(OSError):  # another user's file stays
-                one.unlink()
-
-
-def is_alive(pid: int) -> bool:
-    """Whether this machine has a process of that number."""
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except (PermissionError, OverflowError):  # somebody else's, or of another system
-        pass
-    return True
+#: What a dataset has, and of which kind it is.
+_PARTS = {
+    **dict.fromkeys((SCENE, MANIFEST, TIMINGS, LOCK, "report.html"), stat.S_IFREG),
+    **dict.fromkeys((DATA, "report", "compared"), stat.S_IFDIR),
+}
 
 
 class Directory(Place):
-    """A directory of the local file system, or of one that is mounted."""
+    """A directory of the local file system, or of one that is mounted.
 
-    arrow = None
+    Parameters
+    ----------
+    path : Path
+    inner : tuple of str
+        Folders below it, in which the files are.
+    """
+
     remedy = "check its permissions"
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.address = path, str(path)
+    def __init__(self, path: Path, inner: tuple[str, ...] = ()) -> None:
+        self._root, self._inner = path, inner
+        self.path = path.joinpath(*inner)
+        self.address = str(self.path)
+        self._owned: os.stat_result | None = None  # the directory that is written, while it is
 
     @property
     def from_anywhere(self) -> Directory:
-        return Directory(self.path.absolute())
+        return Directory(self._root.absolute(), self._inner)
+
+    def below(self, name: str) -> Directory:
+        return Directory(self._root, (*self._inner, *name.split("/")))
 
     def named(self, name: str) -> str:
         return str(self.path / name)
 
     key = named
 
+    @property
+    def arrow(self) -> Any:
+        from stickslip.pipeline.places.arrow import file_system
+
+        return file_system(self)
+
+    @contextlib.contextmanager
+    def _folder(self, inner: Sequence[str] = (), is_made: bool = False) -> Iterator[int]:
+        """Descriptor of the directory, or of a folder in it."""
+        with plain.folder(self._root, (*self._inner, *inner), is_made, self._owned) as directory:
+            yield directory
+
+    @contextlib.contextmanager
+    def _holding(self, name: str, is_made: bool = False) -> Iterator[tuple[str, int]]:
+        """A file's last name, and a descriptor of the folder that it is in."""
+        *inner, last = name.split("/")
+        with self._folder(inner, is_made) as directory:
+            yield last, directory
+
+    def opened(self, name: str) -> int:
+        """Descriptor of a plain file, to read."""
+        with self._holding(name) as (last, directory):
+            return plain.opened(last, directory, self.path / name)
+
     def read(self, name: str) -> bytes:
-        return (self.path / name).read_bytes()
+        return self._read(name)[0]
+
+    def _read(self, name: str) -> tuple[bytes, Mark]:
+        with open(self.opened(name), "rb") as stream, plain.filename(self.path / name):
+            mark = _mark(os.fstat(stream.fileno()))
+            try:
+                return stream.read(), mark
+            except MemoryError:
+                raise OSError(errno.EFBIG, os.strerror(errno.EFBIG)) from None
+
+    def read_marked(self, names: Sequence[str]) -> Iterator[tuple[bytes | None, Mark | None]]:
+        """Each mark is of the very file that was read."""
+        for name in names:
+            try:
+                yield self._read(name)
+            except FileNotFoundError:
+                yield None, None
 
     def marks(self, names: Sequence[str]) -> list[Mark | None]:
         return [self._mark(name) for name in names]
 
     def _mark(self, name: str) -> Mark | None:
-        with contextlib.suppress(OSError):
-            found = (self.path / name).stat()
-            return Mark(found.st_size, (found.st_ino, found.st_mtime_ns, found.st_ctime_ns))
+        with contextlib.suppress(OSError), self._holding(name) as (last, directory):
+            found = plain.status(last, directory)
+            if found is not None:
+                plain.check(found, self.path / name)
+                return _mark(found)
         return None
 
     def replace(self, name: str, content: bytes) -> None:
-        file = self.path / name
-        file.parent.mkdir(exist_ok=True)
-        with replacing(file) as stream:
-            stream.write(content)
+        self.replace_all({name: lambda: content})
 
     def replace_all(self, files: Mapping[str, Callable[[], bytes]]) -> None:
         """All are written before the first old one is replaced: a disk that is full leaves these."""
-        begun = {self.path / name: _temporary(self.path / name) for name in files}
-        try:
-            for content, (file, temporary) in zip(files.values(), begun.items(), strict=True):
-                file.parent.mkdir(exist_ok=True)
-                with _synced(temporary) as stream:
-                    stream.write(content())
-            for folder, some in groupby(begun, lambda file: file.parent):
-                for file in some:
-                    os.replace(begun[file], file)
-                _sync(folder)
-        except BaseException:
-            _remove(*begun.values())
-            raise
+        begun: list[plain.Replacement] = []
+        with contextlib.ExitStack() as held:
+            inner = dict.fromkeys(tuple(name.split("/")[:-1]) for name in files)
+            folders = {names: held.enter_context(self._folder(names, is_made=True)) for names in inner}
+            try:
+                for name, content in files.items():
+                    *above, last = name.split("/")
+                    begun.append(plain.Replacement(last, folders[tuple(above)], self.path / name))
+                    begun[-1].write(content())
+                for directory, some in groupby(begun, lambda new: new.directory):
+                    for new in some:
+                        new.put()
+                    os.fsync(directory)
+            except BaseException:
+                for new in begun:
+                    new.give_up()
+                raise
 
     def remove(self, name: str) -> None:
-        (self.path / name).unlink(missing_ok=True)
+        with contextlib.suppress(FileNotFoundError), self._holding(name) as (last, directory):
+            os.unlink(last, dir_fd=directory)
+
+    def make(self) -> None:
+        """Create the directory, and those above it, if it is not there."""
+        self._root.mkdir(parents=True, exist_ok=True)
+
+    def remove_left(self) -> None:
+        """Remove what killed processes of this machine left unfinished here and where reports are."""
+        for inner in ((), ("report",), ("report", "figures")):
+            with contextlib.suppress(FileNotFoundError), self._folder(inner) as directory:
+                plain.remove_left(directory)
 
     def names(self) -> list[str]:
         if not self.path.exists():
             return []
         if not self.path.is_dir():
             raise StoreError(f"{self.path}: expected a directory, got a file; choose another directory")
-        data = self.path / DATA
-        files = [*self.path.iterdir(), *(data.iterdir() if data.is_dir() else ())]
-        return sorted(file.relative_to(self.path).as_posix() for file in files)
+        found = self._listed()
+        return sorted([*found, *(f"{DATA}/{name}" for name in (self._listed(DATA) if DATA in found else ()))])
+
+    def _listed(self, *inner: str) -> list[str]:
+        with self._folder(inner) as directory:
+            return os.listdir(directory)
+
+    def check_parts(self) -> None:
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError), self._folder() as directory:
+            for name, kind in _PARTS.items():
+                found = plain.status(name, directory)
+                if found is not None:
+                    plain.check(found, self.path / name, kind)
 
     @contextlib.contextmanager
     def own(self) -> Iterator[Hold]:
-        self.path.mkdir(parents=True, exist_ok=True)
-        file = self.path / LOCK
-        descriptor = _acquire(file)
-        lock = _Locked(file)
-        try:
-            yield lock
-        finally:
-            # removed while held: a process that has opened it meanwhile sees that the name is gone, and retries
-            lock.give_back()
-            os.close(descriptor)
+        self.make()
+        with self._folder() as directory:
+            lock = _Locked(_acquire(directory, self.path), directory)
+            self._owned = os.fstat(directory)
+            try:
+                yield lock
+            finally:
+                # removed while held: a process that has opened it meanwhile sees that the name is gone, and retries
+                lock.give_back()
+                self._owned = None
+                os.close(lock.descriptor)
 
     @contextlib.contextmanager
     def record(self, name: str) -> Iterator[Callable[[bytes], None]]:
-        file = self.path / part(name, max(len(self._parts(name)) - 1, 0))
-        if file.exists():
-            whole = file.read_bytes().rpartition(b"\n")
-            os.truncate(file, len(whole[0]) + len(whole[1]))
-        descriptor = os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o666)
-        try:
+        name = part(name, max(len(self._parts(name)) - 1, 0))
+        with self._holding(name) as (last, directory):
+            descriptor = plain.opened(last, directory, self.path / name, os.O_RDWR | os.O_APPEND | os.O_CREAT)
+        with open(descriptor, "rb+", buffering=0) as stream:
+            with plain.filename(self.path / name):
+                whole = stream.read().rpartition(b"\n")
+                stream.truncate(len(whole[0]) + len(whole[1]))
             yield lambda line: _append(descriptor, line)
-        finally:
-            os.close(descriptor)
+
+
+def _mark(found: os.stat_result) -> Mark:
+    return Mark(found.st_size, (found.st_ino, found.st_mtime_ns, found.st_ctime_ns))
 
 
 @dataclass
 class _Locked(Hold):
-    file: Path
+    descriptor: int
+    directory: int
 
     def note(self, line: str) -> None:
-        with contextlib.suppress(OSError), open(self.file, "a", encoding="utf-8") as lock:
-            lock.write(line + "\n")
+        with contextlib.suppress(OSError):
+            os.write(self.descriptor, f"{line}\n".encode())
 
     def check(self) -> None:
         pass  # the kernel's lock is not lost
 
     def give_back(self) -> None:
         with contextlib.suppress(OSError):
-            self.file.unlink(missing_ok=True)
+            os.unlink(LOCK, dir_fd=self.directory)
 
 
-def _acquire(file: Path) -> int:
-    """An exclusive lock on a file, as a descriptor that holds it until it is closed."""
+def _acquire(directory: int, path: Path) -> int:
+    """An exclusive lock on the lock file in an open directory, as a descriptor that holds it until it is closed."""
     while True:
-        descriptor = os.open(file, os.O_RDWR | os.O_CREAT, 0o666)
+        descriptor = plain.opened(LOCK, directory, path / LOCK, os.O_RDWR | os.O_CREAT)
         if not is_locked(descriptor):
             owner = os.read(descriptor, 200).decode(errors="replace").partition("\n")[0]
             os.close(descriptor)
             raise StoreError(
-                f"{file.parent}: expected to be its only writer, got a lock held by "
-                f"{owner or 'another process'}; wait for it to end, or choose another directory"
+                f"{path}: expected to be its only writer, got a lock held by "
+                f"{printable(owner) or 'another process'}; wait for it to end, or choose another directory"
             )
-        with contextlib.suppress(FileNotFoundError):
-            if os.path.samestat(os.fstat(descriptor), os.stat(file)):
-                os.truncate(descriptor, 0)
-                with contextlib.suppress(OSError):  # a full disk: the lock then does not name its owner
-                    os.write(descriptor, f"{this_process()}\n".encode())
-                return descriptor
+        found = plain.status(LOCK, directory)
+        if found is not None and os.path.samestat(os.fstat(descriptor), found):
+            os.truncate(descriptor, 0)
+            with contextlib.suppress(OSError):  # a full disk: the lock then does not name its owner
+                os.write(descriptor, f"{this_process()}\n".encode())
+            return descriptor
         os.close(descriptor)  # its last owner removed it between our opening and our locking
 
 

@@ -215,6 +215,7 @@ def read_manifest(path: Where, is_forgiving: bool = False) -> Manifest:
 def _manifest(place: Place) -> Manifest:
     """The manifest as it is stored."""
     file = place.named(MANIFEST)
+    place.check_parts()
     try:
         content = place.read(MANIFEST)
     except (FileNotFoundError, NotADirectoryError):

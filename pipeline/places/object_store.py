@@ -68,6 +68,12 @@ class Prefix(Place):
     def __init__(self, address: str, system: Any, root: str) -> None:
         self.address, self.system, self.root = address, system, root
 
+    def below(self, name: str) -> Prefix:
+        return Prefix(self.named(name), self.system, self.key(name))
+
+    def check_parts(self) -> None:
+        """An object is nothing but its bytes."""
+
     def named(self, name: str) -> str:
         return f"{self.address}/{name}"
 

@@ -93,6 +93,10 @@ class Place(ABC):
         """The file `name` as messages show it."""
 
     @abstractmethod
+    def below(self, name: str) -> Place:
+        """A place in this one, whose parts are parts of it."""
+
+    @abstractmethod
     def read(self, name: str) -> bytes:
         """The content of a file."""
 
@@ -103,6 +107,21 @@ class Place(ABC):
     def read_each(self, names: Sequence[str]) -> Iterator[bytes | None]:
         """The content of each file, in order; None for one that is not there."""
         yield from map(self._read_if_there, names)
+
+    def read_marked(self, names: Sequence[str]) -> Iterator[tuple[bytes | None, Mark | None]]:
+        """As `read_each`, with the mark of each file."""
+        marks = self.marks(names)
+        return zip(self.read_each(names), marks, strict=True)
+
+    @abstractmethod
+    def check_parts(self) -> None:
+        """Refuse a dataset of which a part is no plain file or folder, without opening any.
+
+        Raises
+        ------
+        StoreError
+            If one is something else, as a link, which leads out of it.
+        """
 
     def _read_if_there(self, name: str) -> bytes | None:
         try:

@@ -11,7 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.faults import crashes, damage, disks, objects, order  # noqa: F401  they list their faults
+from tests.faults import crashes, damage, disks, objects, order, others  # noqa: F401  they list their faults
 from tests.faults.registry import FAULTS
 from tests.faults.world import ROOT, Unshown, World
 

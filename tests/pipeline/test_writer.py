@@ -168,7 +168,7 @@ def test_content_is_on_the_disk_before_its_name_and_the_name_before_we_go_on(tmp
 
     replace = os.replace
     monkeypatch.setattr(os, "fsync", fsync)
-    monkeypatch.setattr(os, "replace", lambda old, new: (calls.append(("name", Path(new).name)), replace(old, new)))
+    monkeypatch.setattr(os, "replace", lambda old, new, **at: (calls.append(("name", new)), replace(old, new, **at)))
     Directory(tmp_path).replace("file", b"x" * 100_000)
     assert calls == [("sync", 100_000), ("name", "file"), ("sync", "directory")]
 

@@ -6,6 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from stickslip.pipeline.errors import printable
 from stickslip.pipeline.machine.signals import Interrupted
 from stickslip.workflows.commands.command import DONE, Command
 
@@ -64,5 +65,5 @@ class Export(Command):
         from stickslip.workflows.netcdf import write
 
         write(arguments.directory, arguments.netcdf)
-        print(f"data    {arguments.netcdf}")
+        print(printable(f"data    {arguments.netcdf}"))
         return DONE

@@ -129,7 +129,7 @@ def _write_comparison(first: Where, second: Where, out: Where | None) -> None:
     from stickslip.workflows.fresh import name_of
     from stickslip.workflows.reporting import compared
 
-    place = place_of(f"{str(place_of(first)).rstrip('/')}/compared/{name_of(second)}" if out is None else out)
+    place = place_of(first).below(f"compared/{name_of(second)}") if out is None else place_of(out)
     check_no_ensemble(place)
     try:
         built = compared(first, second)

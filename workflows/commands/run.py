@@ -240,7 +240,7 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     check_no_ensemble(out)
     try:
         if isinstance(out, Directory):
-            out.path.mkdir(parents=True, exist_ok=True)  # before the minutes of measuring
+            out.make()  # before the minutes of measuring
         measured = scene.measure(lambda line: print(line, file=sys.stderr, flush=True))
         from stickslip.workflows.gallery.charts.runner import report
 

@@ -1,0 +1,227 @@
+"""Plain files and folders, opened so that nothing else can stand in for one.
+
+What lies in a dataset, or beside it, may be of others: a link leads out of it, and a pipe lets a reader wait. So each
+part of a path is opened relative to the folder before it and never followed, and what is open is looked at once more
+before it is used: nobody can exchange it in between. New content gets a name that nobody can guess.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import secrets
+import socket
+import stat
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import BinaryIO
+
+from stickslip.pipeline.errors import StoreError
+from stickslip.pipeline.places.place import TEMPORARY
+
+_KINDS = {
+    stat.S_IFREG: "a file",
+    stat.S_IFDIR: "a directory",
+    stat.S_IFLNK: "a link",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+#: Neither follows, nor waits, nor takes a terminal.
+_SAFELY = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY
+
+
+def check(found: os.stat_result, shown: Path, kind: int = stat.S_IFREG) -> None:
+    """Refuse what is no plain file, or no folder.
+
+    Parameters
+    ----------
+    found : os.stat_result
+        What is there, links not followed.
+    shown : Path
+        What the error calls it.
+    kind : int
+        `stat.S_IFREG` or `stat.S_IFDIR`.
+
+    Raises
+    ------
+    StoreError
+        If it is another kind.
+    """
+    if stat.S_IFMT(found.st_mode) != kind:
+        what = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
+        raise StoreError(f"{shown}: expected {_KINDS[kind]}, got {what}; remove it, or choose another directory")
+
+
+def status(name: str, directory: int) -> os.stat_result | None:
+    """What a name in an open folder stands for, links not followed; None if it is free."""
+    try:
+        return os.stat(name, dir_fd=directory, follow_symlinks=False)
+    except FileNotFoundError:
+        return None
+
+
+def opened(name: str, directory: int, shown: Path, flags: int = os.O_RDONLY, kind: int = stat.S_IFREG) -> int:
+    """Descriptor of a plain file, or a folder, in an open folder.
+
+    Raises
+    ------
+    StoreError
+        If it is something else; or, where it would be written, has a second name, which may be another's.
+    OSError
+        If it cannot be opened.
+    """
+    found = status(name, directory)
+    if found is not None:
+        check(found, shown, kind)
+    with filename(shown):
+        descriptor = os.open(name, flags | _SAFELY, 0o666, dir_fd=directory)
+    try:
+        found = os.fstat(descriptor)
+        check(found, shown, kind)
+        if flags & (os.O_WRONLY | os.O_RDWR) and found.st_nlink > 1:
+            raise StoreError(
+                f"{shown}: expected a file with one name, got one of {found.st_nlink} (hard links), which would"
+                " change under all; put a copy in its place"
+            )
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+@contextlib.contextmanager
+def folder(
+    root: Path, inner: Sequence[str] = (), is_made: bool = False, known: os.stat_result | None = None
+) -> Iterator[int]:
+    """Descriptor of a folder: `root` may be reached through links, the folders `inner` below it may not.
+
+    What has taken the place of a root that was `known` counts as none.
+
+    Raises
+    ------
+    StoreError
+        If an inner one is something else.
+    OSError
+        If it cannot be opened; with `is_made`, inner ones that are missing are created.
+    """
+    descriptor = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        if known is not None and not os.path.samestat(os.fstat(descriptor), known):
+            raise FileNotFoundError(errno.ENOENT, "another directory is in its place", str(root))
+        for name in inner:
+            root /= name
+            if is_made:
+                with contextlib.suppress(FileExistsError), filename(root):
+                    os.mkdir(name, dir_fd=descriptor)
+            below = opened(name, descriptor, root, os.O_RDONLY | os.O_DIRECTORY, stat.S_IFDIR)
+            os.close(descriptor)
+            descriptor = below
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def filename(shown: Path) -> Iterator[None]:
+    """Have errors of the system name a file by its path, not by its name in an open folder."""
+    try:
+        yield
+    except OSError as error:
+        error.filename, error.filename2 = str(shown), None
+        raise
+
+
+class Replacement:
+    """The new content of a file, under a name of its own until it takes the file's place.
+
+    Attributes
+    ----------
+    stream : BinaryIO
+        For the content.
+    directory : int
+        Descriptor of the folder, which has to stay open.
+    """
+
+    def __init__(self, name: str, directory: int, shown: Path) -> None:
+        found = status(name, directory)
+        if found is not None:
+            check(found, shown)
+        self._name, self.directory, self._shown = name, directory, shown
+        self._temporary = f"{_begun(name)}{os.getpid()}-{secrets.token_hex(8)}"
+        with filename(shown):
+            how = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+            descriptor = os.open(self._temporary, how, 0o666, dir_fd=directory)
+        self.stream: BinaryIO = open(descriptor, "w+b")  # noqa: SIM115  until it is in place or given up
+
+    def write(self, content: bytes) -> None:
+        """Have the content on the disk, all of it."""
+        with filename(self._shown):
+            self.stream.write(content)
+        self.keep()
+
+    def keep(self) -> None:
+        """Have on the disk what is in the stream."""
+        with filename(self._shown), self.stream:
+            self.stream.flush()
+            os.fsync(self.stream.fileno())
+
+    def put(self) -> None:
+        """Take the file's place in one step."""
+        with filename(self._shown):
+            os.replace(self._temporary, self._name, src_dir_fd=self.directory, dst_dir_fd=self.directory)
+
+    def give_up(self) -> None:
+        """Remove the content."""
+        with contextlib.suppress(OSError):  # of closing: what was written last finds no room
+            self.stream.close()
+        with contextlib.suppress(OSError):
+            os.unlink(self._temporary, dir_fd=self.directory)
+
+
+@contextlib.contextmanager
+def replacing(file: Path) -> Iterator[BinaryIO]:
+    """A stream for the new content of a file, which replaces the old in one step if the with-block succeeds."""
+    with folder(file.parent) as directory:
+        new = Replacement(file.name, directory, file)
+        try:
+            yield new.stream
+            new.keep()
+            new.put()
+        except BaseException:
+            new.give_up()
+            raise
+        os.fsync(directory)
+
+
+def _begun(name: str) -> str:
+    """What the names of unfinished copies of a file begin with on this machine; process and chance follow."""
+    return f"{TEMPORARY}{name}-{socket.gethostname()}-"
+
+
+def remove_left(directory: int, name: str = "") -> None:
+    """Remove the unfinished copies that killed processes of this user left in a folder, of one file or of all."""
+    of = re.escape(name) if name else ".*"
+    left = re.compile(rf"{re.escape(TEMPORARY)}{of}-{re.escape(socket.gethostname())}-(\d{{1,9}})-[0-9a-f]{{16}}")
+    for one in os.listdir(directory):
+        match = left.fullmatch(one)
+        if match is None or is_alive(int(match[1])):
+            continue
+        found = status(one, directory)
+        if found is not None and stat.S_ISREG(found.st_mode) and found.st_uid == os.geteuid():
+            with contextlib.suppress(OSError):
+                os.unlink(one, dir_fd=directory)
+
+
+def is_alive(pid: int) -> bool:
+    """Whether this machine has a process of that number."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):  # somebody else's, or of another system
+        pass
+    return True
