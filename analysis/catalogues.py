@@ -15,14 +15,17 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.models.episodes import (
+    ATOM,
+    B_VALUE,
     FITTED,
     QUANTITIES,
     QUIET,
+    REST,
     SLOW_DRIVE,
     BValue,
     Catalogue,
+    atom,
     b_values,
-    completeness,
     drift,
     follows,
     in_classes,
@@ -33,8 +36,10 @@ from stickslip.analysis.stats.compare import UNKNOWN, Words, against
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, over_matrices
 from stickslip.analysis.stats.families import Fit, maximise, parameter
 
+ONE_MOMENT = "most episodes have one moment"  # why there is no b
 MARGIN = 0.1  # relative margin of every statistic, and of Poisson's CV: about twenty systems can exclude it
 REGULAR, CLUSTERED, AS_POISSON = "more regular", "less regular", "as Poisson"
+_READ = ["start", "end", "size", "moment", "first_block", "z_sum"]
 _ENGINES = ("coulomb", "sigmoid", "moreau")  # the exact one first: the others are compared with it
 
 
@@ -48,8 +53,8 @@ class Catalogues:
     runs : dict of int to list of Catalogue
         By unit.
     least : float
-        Magnitude from which laws are fitted: the completeness of the first group of the same systems that has
-        episodes (`complete_from`), so that they compare. Filled by `read`.
+        Magnitude from which laws are fitted: the least of the first group of the same systems that has episodes, so
+        that they compare. A model's catalogue is complete, so none is left out. Filled by `read`.
     sample : Sample
         Sums of each quantity by unit, for contrasts; filled by `summarise`.
     row : dict
@@ -79,15 +84,10 @@ class Catalogues:
         """Magnitudes of all episodes, run by run."""
         return np.concatenate([one.magnitude for one in self.each()] or [np.zeros(0)])
 
-    def complete_from(self) -> float:
-        """Completeness of the magnitudes of episodes that do not take all blocks; of all where every episode does.
-
-        Episodes of all blocks have moments of their own, the characteristic events of a fault. Where they are many,
-        the fullest class is theirs, and says nothing about which small episodes are missing.
-        """
+    def atom(self, magnitude: float) -> float:
+        """`models.episodes.atom` of the episodes of at least that magnitude."""
         magnitudes = self.magnitudes()
-        is_part = np.concatenate([one.size for one in self.each()]) < self.group.key["n"]
-        return completeness(magnitudes[is_part] if is_part.any() else magnitudes)
+        return atom(magnitudes[magnitudes >= magnitude])
 
     def n_from(self, magnitude: float) -> int:
         """Number of episodes of at least that magnitude."""
@@ -116,7 +116,7 @@ def read(study: Study, episodes: pd.DataFrame) -> list[Catalogues]:
     found = [Catalogues(group, _by_unit(study, group, of_member)) for group in groups]
     found = [one for one in found if one.runs]
     for some in systems(found):
-        least = next((one.complete_from() for one in some if any(len(run.start) for run in one.each())), 0.0)
+        least = next((float(one.magnitudes().min()) for one in some if len(one.magnitudes())), 0.0)
         for one in some:
             one.least = least
     return found
@@ -136,15 +136,16 @@ def _by_unit(study: Study, group: Group, of_member: Mapping[str, pd.DataFrame]) 
     finished = group.finished
     table = (finished[name] for name in ("unit", "member_id", "t_end"))
     for unit, member_id, t_end in zip(*table, strict=True):
-        columns = np.zeros((5, 0))
+        columns = np.zeros((len(_READ), 0))
         if member_id in of_member:
-            columns = of_member[member_id][["start", "end", "size", "moment", "first_block"]].to_numpy(np.float64).T
+            columns = of_member[member_id].reindex(columns=_READ).to_numpy(np.float64, na_value=np.nan).T
             columns = columns[:, (columns[0] >= t_start) & (columns[3] != 0)]
-        start, end, size, moment, first_block = columns
+        start, end, size, moment, first_block, z_sum = columns
         slip = np.nan if not v else n * abs(float(v)) * (float(t_end) - t_start)
         whole = (size.astype(np.int64), moment, slip, first_block.astype(np.int64))
         moving = _moving(*study.runs.points(member_id), n, t_start, float(t_end))
-        one = Catalogue(t_start, float(t_end), start, end - start, *whole, moving)
+        carried = np.sign(float(v)) * z_sum if v else None
+        one = Catalogue(t_start, float(t_end), start, end - start, *whole, moving, carried)
         found.setdefault(int(unit), []).append(one)
     return found
 
@@ -165,11 +166,11 @@ def systems(found: Sequence[Catalogues]) -> list[list[Catalogues]]:
 
 def summarise(one: Catalogues, level: float) -> None:
     """Fill in the statistics of a group, each with its interval over units."""
-    quantities = {**QUANTITIES, **SLOW_DRIVE}
-    units = [unit for unit, runs in one.runs.items() for _ in runs]
+    quantities = {**QUANTITIES, **REST, **SLOW_DRIVE}
+    units, share = [unit for unit, runs in one.runs.items() for _ in runs], one.atom(one.least)
     for name, quantity in quantities.items():
         rows = np.array([quantity.sums(run, one.least) for run in one.each()], dtype=np.float64)
-        known = np.isfinite(rows).all(axis=1)
+        known = np.isfinite(rows).all(axis=1) & (name != B_VALUE or share <= ATOM)
         one.sample.sums[name] = UnitSums.of(np.array(units)[known], rows[known])
     basis = one.basis(level)
     n_episodes = basis.n_cascades
@@ -180,6 +181,7 @@ def summarise(one: Catalogues, level: float) -> None:
         "basis": basis.code, "n_matrices": len(one.runs), "n_cascades": n_episodes, **named("drift", basis.drift),
         "largest": float(one.magnitudes().max()) if n_episodes else None,
         "whole": float(np.mean(sizes == one.group.key["n"])) if n_episodes else None,
+        "atom": share, "b_reason": ONE_MOMENT if share > ATOM else None,
     }  # fmt: skip
     one.row["of"] = {
         name: over_matrices(quantity.of, one.sample.of(name).rows, level) for name, quantity in quantities.items()
@@ -217,10 +219,10 @@ def classes(one: Catalogues) -> np.ndarray:
 
 
 def fits_of(one: Catalogues, n_laws: int = 3) -> list[Fit]:
-    """The fit of the first of `laws_of_moments` to a group; empty where a likelihood has no maximum."""
+    """The fit of the first of `laws_of_moments` to a group; empty with an `ATOM`, or without a largest likelihood."""
     magnitudes = one.magnitudes()
     above = magnitudes[magnitudes >= one.least]
-    if not len(above):
+    if not len(above) or one.atom(one.least) > ATOM:
         return []
     counts = classes(one).sum(axis=0)
     laws = laws_of_moments(one.least, float(np.mean(10.0**above)))[:n_laws]
@@ -231,7 +233,7 @@ def fits_of(one: Catalogues, n_laws: int = 3) -> list[Fit]:
 
 
 def values_of_b(one: Catalogues, level: float) -> list[BValue]:
-    """Aki's b of a group from its completeness on, and from higher magnitudes."""
+    """Aki's b of a group from its least magnitude on, and from higher ones."""
     fits = fits_of(one, 1)
     return b_values([*one.runs.values()], fits[0], one.least, enough.LEAST_CASCADES, level) if fits else []
 

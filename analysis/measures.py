@@ -16,12 +16,12 @@ from functools import partial
 import numpy as np
 
 from stickslip.analysis import contrast
-from stickslip.analysis.catalogues import MARGIN, Catalogues, has_b, read
+from stickslip.analysis.catalogues import MARGIN, ONE_MOMENT, Catalogues, has_b, read
 from stickslip.analysis.contrast import Statistic
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
-from stickslip.analysis.models.episodes import B_VALUE, QUANTITIES, RATE, SIZE
+from stickslip.analysis.models.episodes import ATOM, B_VALUE, QUANTITIES, RATE, SIZE
 from stickslip.analysis.models.fates import FAILED
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import UnitSums, ratio
@@ -114,9 +114,9 @@ def measures(study: Study, beside: Study | None = None) -> list[Measure]:
 def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
     """Rate, mean size and b of episodes.
 
-    b is taken from the largest completeness of the groups that have enough episodes from their own on, or, where that
-    leaves one of them too few, from each group's own. A group has a b only where its law holds from its own
-    completeness on, as on the page of episodes.
+    b is taken from the largest of the least magnitudes of the groups that have enough episodes, or, where that leaves
+    one of them too few, from each group's own. A group has a b only where its law holds for all its episodes, as on
+    the page of episodes.
     """
     if study.data.episodes is None or (beside is not None and beside.data.episodes is None):
         return
@@ -127,7 +127,7 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
     if least is not None and any(one.n_from(least) < enough.LEAST_CASCADES for one in full):
         least = None
     by_label = {one.label: one for one in found}
-    beyond = "from each point's own completeness on" if least is None else f"from M = {least:.3g} on"
+    beyond = "from each point's own least magnitude on" if least is None else f"from M = {least:.3g} on"
     for name, quantity, key, subject, words, axis in (
         (RATE, RATE, "episode_rate", f"the {RATE}", "per unit of time", RATE),
         (MEAN_SIZE, SIZE, "episode_size", f"the {MEAN_SIZE}", "in blocks that slip", MEAN_SIZE),
@@ -151,6 +151,8 @@ def _episodes(
     least = found.least if common is None else common
     if name == B_VALUE and found.n_from(least) < enough.LEAST_CASCADES:
         return Values(missing=missing, withheld=f"fewer than {enough.LEAST_CASCADES} episodes {beyond}")
+    if name == B_VALUE and found.atom(least) > ATOM:
+        return Values(missing=missing, withheld=ONE_MOMENT)
     if name == B_VALUE and found.basis(level).code == enough.DRIFTS:
         return Values(missing=missing, withheld="the rate of episodes drifts")
     if name == B_VALUE and not has_b(found, level):

@@ -123,7 +123,7 @@ def _apart(study: Study, first: Catalogues, second: Catalogues, name: str, law: 
         for unit in both
     ]
     row: Row = {"margin": law.margin, "verdict": UNKNOWN, "reason": None}
-    row |= dict.fromkeys(("at", "below", "p_equivalent", "p_different"))
+    row |= dict.fromkeys(("at", "below", "p_equivalent", "p_different", "p_floor"))
     try:
         found = law.difference(
             pairs, law.margin, study.settings.confidence, study.generator(f"{name} {second.label}")
@@ -132,7 +132,7 @@ def _apart(study: Study, first: Catalogues, second: Catalogues, name: str, law: 
         return row | named("size", Estimate()) | {"reason": str(why)}
     return row | named("size", found.size) | {
         "at": found.at, "below": found.below, "relative": found.size.value, "p_equivalent": found.p_equivalent,
-        "p_different": found.p_different,
+        "p_different": found.p_different, "p_floor": found.p_floor,
     }  # fmt: skip
 
 

@@ -34,6 +34,9 @@ class Episodes:
         sign.
     first_block : int32, shape (m,)
         The block that left first; of several at one instant the one with the lowest number.
+    z_sum : float64, shape (m,)
+        Sum of z over the blocks when it begins. From the begin of one episode to that of another the belts' travel is
+        the change of this sum, the moments, and creep: what blocks slip while all count as stuck.
     """
 
     start: Floats
@@ -41,6 +44,7 @@ class Episodes:
     size: NDArray[np.int32]
     moment: Floats
     first_block: NDArray[np.int32]
+    z_sum: Floats
 
     @property
     def duration(self) -> Floats:
@@ -88,7 +92,7 @@ def episodes(run: Run, belt_speed: ArrayLike | Piecewise) -> Episodes:
     slips = np.flatnonzero(series.mode != 0)
     leaves = slips[np.searchsorted(series.t[slips], start)]
     moment = np.where(moved > 0, -slip, slip)
-    return Episodes(start, end, _sizes(series, start, end), moment, series.block[leaves])
+    return Episodes(start, end, _sizes(series, start, end), moment, series.block[leaves], stills.total[before])
 
 
 def _travel(belt_speed: float | Floats | Piecewise, n: int, since: Floats, until: Floats) -> Floats:

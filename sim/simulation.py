@@ -39,7 +39,7 @@ def simulate(
     z0 : float or array_like, shape (n,)
         Displacements at `t_start`.
     w0 : float or array_like, shape (n,), or "belt"
-        Velocities at `t_start`; "belt": each block has that of its belt then.
+        Velocities at `t_start`; "belt": each block has that of its belt then, and 0 if it has no friction.
     t_end, t_start : float
     t_eval : array_like, shape (m,)
         Times in [t_start, t_end], not decreasing, at which to keep the state: see `Run.samples`.
@@ -103,7 +103,7 @@ def as_task(
     if isinstance(w0, str):
         if w0 != "belt":
             raise ValueError(f'w0: expected a number, {system.n} numbers or "belt", got {w0!r}; write w0="belt"')
-        w0 = system.belt_speed_at(t_start)
+        w0 = system.at_rest(t_start)
     z, w = per_block("z0", z0, system.n), per_block("w0", w0, system.n)
     times = floats("t_eval", t_eval, "an array of times")
     is_within = times.shape == (0,) or (

@@ -18,6 +18,7 @@ from stickslip.analysis.stats.student import half_width
 
 B_STEP = 0.5  # between the least magnitudes from which b is shown
 CLASS = 0.1  # width of a class of magnitudes, as catalogues round them
+ATOM = 0.5  # share of `atom` above which magnitudes have no slope: a b would describe the next ones at most
 #: Width of the classes in which laws are fitted. The moment at the middle stands for the class, and the error of that
 #: grows with the square of the width: in classes of 0.1 the exponent of 4e5 exponential moments is off by 0.04, with
 #: a standard error of 0.03.
@@ -42,6 +43,9 @@ class Catalogue:
         The block that left first.
     moving : float
         The time in which some block slips, also in episodes that begin before t_start, or do not end.
+    carried : ndarray, shape (m,), optional
+        How far the belt has carried the blocks when each episode begins, summed over the blocks: their z along its
+        motion. Unless given it is not known.
     """
 
     t_start: float
@@ -53,6 +57,24 @@ class Catalogue:
     slip: float
     first_block: np.ndarray
     moving: float = np.nan
+    carried: np.ndarray | None = None
+
+    @property
+    def travel(self) -> float:
+        """The part of `slip` between the begins of the first and the last episode; 0 if these are one, or none."""
+        return self.slip * float(np.ptp(self.start)) / (self.t_stop - self.t_start) if len(self.start) else 0.0
+
+    @property
+    def slipped(self) -> float:
+        """The moments of the episodes but the last, which are the slip in episodes in that time."""
+        return float(self.moment[:-1].sum())
+
+    @property
+    def stored(self) -> float:
+        """What the belt carried the blocks on in that time, which is strain of the springs; NaN if not known."""
+        if self.carried is None:
+            return np.nan
+        return float(self.carried[-1] - self.carried[0]) if len(self.carried) else 0.0
 
     @property
     def magnitude(self) -> np.ndarray:
@@ -86,23 +108,13 @@ class Catalogue:
         return np.bincount(self.is_late() * n + self.first_block, minlength=2 * n).reshape(2, n)
 
 
-def completeness(magnitudes: np.ndarray) -> float:
-    """Magnitude of completeness: the upper edge of the fullest class of magnitudes, from which laws are fitted.
-
-    By maximum curvature: S. Wiemer and M. Wyss, Bull. Seismol. Soc. Am. 90 (2000) 859-869. The fullest class may
-    itself be incomplete if the least moments lie in it, so laws begin one class higher: J. Woessner and S. Wiemer,
-    Bull. Seismol. Soc. Am. 95 (2005) 684-698, doi:10.1785/0120040007. Magnitudes should be those without a hump of
-    characteristic events, such as of episodes that take all blocks, which may be fuller.
-
-    Raises
-    ------
-    Undefined
-        If there are no magnitudes.
-    """
+def atom(magnitudes: np.ndarray) -> float:
+    """The largest share of magnitudes that lie within the width of a fitted class of each other; 0 of none."""
     if not len(magnitudes):
-        raise Undefined("no episode")
-    classes, counts = np.unique(np.floor(magnitudes / CLASS), return_counts=True)
-    return float((classes[counts.argmax()] + 1) * CLASS)
+        return 0.0
+    in_order = np.sort(magnitudes)
+    n_near = np.searchsorted(in_order, in_order + FITTED, side="right") - np.arange(len(in_order))
+    return float(n_near.max() / len(in_order))
 
 
 def in_classes(magnitudes: np.ndarray, least: float, n_classes: int) -> np.ndarray:
@@ -147,7 +159,7 @@ def laws_of_moments(least: float, mean: float) -> tuple[Family, Family, Family]:
 
 @dataclass(frozen=True)
 class Quantity:
-    """A statistic of episodes: two sums of a run, from its catalogue and the `completeness`, and their statistic."""
+    """A statistic of episodes: two sums of a run, from its catalogue and a least magnitude, and their statistic."""
 
     sums: Callable[[Catalogue, float], tuple[float, float]]
     of: Statistic = ratio
@@ -177,6 +189,7 @@ def _counts(found: Catalogue, _: float) -> tuple[float, float]:
 
 
 RATE, SLIP, B_VALUE, QUIET = "rate of episodes", "share of slip in episodes", "b by Aki", "CV of quiet times"
+STORED, CREEP = "share of stored strain", "share of creep"
 SIZE, OCCUPANCY, BY_WAY, FANO = "mean size", "share of time in episodes", "episodes by block and way", "Fano factor"
 WINDOWS = 20  # into which a run's quiet time is divided to count episodes
 
@@ -198,7 +211,13 @@ QUANTITIES: Mapping[str, Quantity] = {
     "mean duration": Quantity(lambda one, _: (float(one.duration.sum()), float(len(one.start)))),
     B_VALUE: Quantity(_b_value),
     QUIET: Quantity(_spread, lambda sums: np.sqrt(ratio(sums))),
-    SLIP: Quantity(lambda one, _: (float(one.moment.sum()), one.slip)),
+    SLIP: Quantity(lambda one, _: (one.slipped, one.travel)),
+}
+#: Where the rest of the belt's travel went, which with `SLIP` is all of it: the belt carried the blocks on, which is
+#: strain of the springs, or they crept while all counted as stuck, as they cannot by the exact law.
+REST: Mapping[str, Quantity] = {
+    STORED: Quantity(lambda one, _: (one.stored, one.travel)),
+    CREEP: Quantity(lambda one, _: (one.travel - one.slipped - one.stored, one.travel)),
 }
 #: Quantities that show whether the drive is slow for the chain: episodes then fill little of the time, and their
 #: number is proportional to the belt's travel. `FANO` is the variance of counts over their mean: 1 for a Poisson
@@ -213,7 +232,7 @@ SLOW_DRIVE: Mapping[str, Quantity] = {
 def b_values(
     runs: Sequence[Sequence[Catalogue]], law: Fit, least: float, fewest: int, confidence: float
 ) -> list[BValue]:
-    """Aki's b from `least` on, and from each higher multiple of half a magnitude with at least `fewest` episodes.
+    """Aki's b from `least` on, and from every half a magnitude above it with at least `fewest` episodes.
 
     Parameters
     ----------
@@ -227,7 +246,7 @@ def b_values(
     """
     of, shares = QUANTITIES[B_VALUE], law.shares()
     found: list[BValue] = []
-    for edge in itertools.chain([least], itertools.count(np.ceil(least / B_STEP + 0.5) * B_STEP, B_STEP)):
+    for edge in itertools.count(least, B_STEP):
         sums = np.array([np.sum([of.sums(run, edge) for run in some], axis=0) for some in runs])
         n_above = round(float(sums[:, 0].sum()) / _LOG10_E)
         above = shares[round((edge - least) / FITTED) :]

@@ -17,11 +17,10 @@ import numpy as np
 import pandas as pd
 from scipy import special
 
-from stickslip.analysis.stats import student
+from stickslip.analysis.stats import flips, student
 from stickslip.analysis.stats.enough import FEW_MATRICES
 from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife, ratio
 
-SWAPS = 9999  # an error of 0.2 points on a p-value of 0.05
 POINTS = 200  # quantiles at which distribution functions are compared
 Pairs = Sequence[tuple[np.ndarray, np.ndarray]]
 
@@ -36,6 +35,8 @@ class Difference:
         Of a gap, `low` is zero where no difference is shown.
     p_equivalent, p_different : float
         p-values of the test of equivalence within the margin, and of the test of no difference.
+    p_floor : float
+        The least p-value of no difference that so many systems can have.
     at, below : float, optional
         For distribution functions: the value at which their gap is largest, and F' - F there.
     """
@@ -43,6 +44,7 @@ class Difference:
     size: Estimate
     p_equivalent: float
     p_different: float
+    p_floor: float
     at: float | None = None
     below: float | None = None
 
@@ -82,9 +84,9 @@ def largest_gap(pairs: Pairs, margin: float, confidence: float, rng: np.random.G
     parts = weights * gaps
     seen = parts.sum(axis=0)
     off = np.sqrt(n / (n - 1)) * weights * (gaps - seen)
-    signs = _signs(n, rng)
+    signs, p_floor = flips.patterns(n, rng), flips.floor(n)
     swapped = np.abs(signs @ parts).max(axis=1)
-    p_different, gap = _share(swapped), float(swapped[0])
+    p_different, gap = flips.p_value(swapped, p_floor), float(swapped[0])
     error = np.sqrt((off**2).sum(axis=0))
     high = float(np.max(np.abs(seen) + student.quantile(confidence, n - 1) * error))
     low = 0.0
@@ -92,7 +94,8 @@ def largest_gap(pairs: Pairs, margin: float, confidence: float, rng: np.random.G
         low = max(gap - float(np.quantile(np.abs(signs[1:] @ off).max(axis=1), confidence)), 0.0)
     outside = (np.abs(seen) - margin) / np.where(error > 0, error, np.finfo(float).tiny)
     k, p_equivalent = int(np.abs(seen).argmax()), float(special.stdtr(n - 1, outside.max()))
-    return Difference(Estimate(gap, low, min(high, 1.0)), p_equivalent, p_different, float(at[k]), float(seen[k]))
+    size = Estimate(gap, low, min(high, 1.0))
+    return Difference(size, p_equivalent, p_different, p_floor, float(at[k]), float(seen[k]))
 
 
 def distance_of_shares(pairs: Pairs, margin: float, confidence: float, rng: np.random.Generator) -> Difference:
@@ -126,7 +129,9 @@ def distance_of_shares(pairs: Pairs, margin: float, confidence: float, rng: np.r
     value, dof = max(value, 0.0), len(known) - 1
     half = student.half_width(confidence, dof) * error
     size = Estimate(*np.sqrt(np.maximum([value, value - half, value + half], 0.0)).tolist())
-    return Difference(size, _t_below(value - margin**2, error, dof), _share(_signs(len(known), rng) @ apart))
+    p_floor = flips.floor(len(known), 1)  # the product has a sign
+    p_different = flips.p_value(flips.patterns(len(known), rng) @ apart, p_floor)
+    return Difference(size, _t_below(value - margin**2, error, dof), p_different, p_floor)
 
 
 def difference_of_order(pairs: Pairs, margin: float, confidence: float, rng: np.random.Generator) -> Difference:
@@ -149,28 +154,17 @@ def difference_of_order(pairs: Pairs, margin: float, confidence: float, rng: np.
     n, mean = len(apart), float(apart.mean())
     error = float(apart.std(ddof=1) / np.sqrt(n))
     half = student.half_width(confidence, n - 1) * error
-    p_different = _share(np.abs(_signs(n, rng) @ apart))
+    p_floor = flips.floor(n)
+    p_different = flips.p_value(np.abs(flips.patterns(n, rng) @ apart), p_floor)
     return Difference(
-        Estimate(mean, mean - half, mean + half), _t_below(abs(mean) - margin, error, n - 1), p_different
+        Estimate(mean, mean - half, mean + half), _t_below(abs(mean) - margin, error, n - 1), p_different, p_floor
     )
 
 
 def _check(n: int, confidence: float) -> None:
-    """Refuse so few systems that the least possible p-value, 2 of 2^n patterns of signs, could show nothing."""
-    if n < 1 + int(np.ceil(-np.log2(1.0 - confidence))):
+    """Refuse so few systems that a test by signs could show nothing."""
+    if not flips.suffice(n, confidence):
         raise Undefined(FEW_MATRICES)
-
-
-def _signs(n: int, rng: np.random.Generator) -> np.ndarray:
-    """Signs of n systems, one row a swap; the first row is as observed."""
-    signs = rng.choice([-1.0, 1.0], (SWAPS + 1, n))
-    signs[0] = 1.0
-    return signs
-
-
-def _share(found: np.ndarray) -> float:
-    """Share of the values that are as large as the first, up to rounding."""
-    return float(np.mean(found >= found[0] - 1e-12 * abs(found[0])))
 
 
 def _t_below(x: float, error: float, dof: float) -> float:

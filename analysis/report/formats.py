@@ -64,8 +64,10 @@ def within(verdict: str | None, margin: float) -> str | None:
     return f"{WITHIN} {100 * margin:g}%" if verdict == WITHIN else verdict
 
 
-def p_text(p: float) -> str:
-    """A p-value with two digits, or "< 0.001"."""
+def p_text(p: float, floor: float = 0.0) -> str:
+    """A p-value with two digits, or "< 0.001"; at the floor of its test, the least it can be, "≤" and the floor."""
+    if p <= floor:
+        return f"\u2264 {floor:.2g}"
     return "< 0.001" if p < 0.001 else f"{p:.2g}"
 
 
@@ -151,7 +153,8 @@ Show = Callable[[Any], str]
 #: How the values of a column are shown: the number of significant digits of its median, a key of `_SHOWN`, a format
 #: such as "%.1e", or a function; None for words, which are aligned to the left.
 How = int | str | Show | None
-#: A column of a table: its heading; its key in the rows, or two keys for "low to high"; and how its values are shown.
+#: A column of a table: its heading; its key in the rows, or two, of "low to high" or of a p-value and its floor; and
+#: how its values are shown.
 Column = tuple[str, str | tuple[str, str], How]
 _SHOWN: Mapping[str, Callable[..., str]] = {
     "%": percent, "+": signed, "+%": signed_percent, "p": p_text, "n": lambda value: f"{value:,}",
@@ -244,6 +247,8 @@ def _cells(rows: Sequence[Any], column: Column, beside: Sequence[str]) -> list[s
         return ["" if some == [None] else _joined(some, lambda value: value) for some in values]
     if isinstance(how, str) and (known := re.fullmatch(r"(%\+?\.)(\d)f", how)):
         how = f"{known[1]}{_apart([*values, *others], int(known[2]), fixed)}f"
+    if how == "p" and len(keys) == 2:
+        return [DASH if None in some else p_text(*some) for some in values]
     if how in ("%", "+", "+%", "#") and 2 in (len(keys), len(beside)):
         show = _SHOWN[how]
         first = int(signature(show).parameters["digits"].default)

@@ -11,12 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from stickslip.analysis.stats import student
+from stickslip.analysis.stats import flips, student
 from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.families import EXPONENTIAL, Family, Fit, maximise
 
-FLIPS = 9999  # random signs: an error of 0.2 points on a p-value of 0.05
 #: A size is judged if so many cascades are expected above it. The data do not say where to cut the tail, so the test
 #: is repeated at each of these; p_value is that of the second.
 CUTS = (200, 60, 20)
@@ -58,6 +57,8 @@ class Goodness:
         The size where it is.
     p_values : tuple of float
         p-values with the tail cut at each of `CUTS`; empty if there are none.
+    p_floor : float or None
+        The least p-value that so many matrices can have.
     reason : str
         Why something is missing.
     """
@@ -65,6 +66,7 @@ class Goodness:
     gap: float | None = None
     at: int | None = None
     p_values: tuple[float, ...] = ()
+    p_floor: float | None = None
     reason: str = ""
 
     @property
@@ -121,17 +123,15 @@ def goodness(
     gaps = parts.sum(axis=0)
     worst = int(np.abs(gaps).argmax())
     gap, at = float(abs(gaps[worst])), int(sizes[judged[worst]])
-    # 2 of the 2^n patterns of signs give a gap as large as n parts of the same sign: the least possible p-value
-    if n < 1 + int(np.ceil(-np.log2(1.0 - confidence))):
+    if not flips.suffice(n, confidence):
         return Goodness(gap, at, reason="few matrices")
-    signs = rng.choice([-1.0, 1.0], (FLIPS + 1, n))
-    signs[0] = 1.0  # as observed
-    flipped = np.abs(signs @ parts / np.sqrt((parts**2).sum(axis=0)))
+    flipped = np.abs(flips.patterns(n, rng) @ parts / np.sqrt((parts**2).sum(axis=0)))
+    p_floor = flips.floor(n)
     p_values = []
     for cut in CUTS:
         largest = flipped[:, : max(2, np.count_nonzero(above >= cut))].max(axis=1)
-        p_values.append(float(np.mean(largest >= largest[0] * (1 - 1e-12))))
-    return Goodness(gap, at, tuple(p_values))
+        p_values.append(flips.p_value(largest, p_floor))
+    return Goodness(gap, at, tuple(p_values), p_floor)
 
 
 def quotients(sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[dict[str, Any]]:

@@ -182,7 +182,7 @@ def _extension(opened: Opened) -> ExtensionTally | None:
     if found is None:
         return None
     records = parse_scene(found.scene.encode(), "extension").records
-    names = tuple(one.name for one in records if one not in opened.scene.records)
+    names = tuple(one.name for one in records if one.words and one not in opened.scene.records)
     return ExtensionTally(names, len(found.packing), len(found.shards))
 
 

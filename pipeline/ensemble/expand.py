@@ -12,7 +12,7 @@ from typing import Any, overload
 
 from stickslip.pipeline.ensemble.member import Change, Member, Method, Source, Start
 from stickslip.pipeline.records.record import Sharing
-from stickslip.pipeline.scene.quantity import BELT, END, FILE, Ratio, Value, short, word
+from stickslip.pipeline.scene.quantity import BELT, END, FILE, Distribution, Ratio, Value, short, word
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.pipeline.scene.system_table import QUANTITIES, ForceTable
 from stickslip.pipeline.scene.systems import SystemFile, SystemFunction
@@ -252,7 +252,7 @@ class _Ensemble(_Numbered):
         point = self.points[number]
         given = point.at | _of_file(origin)
         z0, w0, seed = given.pop("z"), given.pop("w"), given.pop("seed")
-        if w0 == BELT and isinstance(given["belt_speed"], float):
+        if w0 == BELT and isinstance(given["belt_speed"], float) and _all_rub(given["friction"]):
             w0 = given["belt_speed"]
         given = {name: _multiplied(value, given) for name, value in given.items()}
         parameters = tuple((name, given.pop(name)) for name in scene.system.parameters or ())
@@ -266,6 +266,11 @@ class _Ensemble(_Numbered):
         of = Source(n, scene.system.coupling, 0, seed, origin, parameters)
         kind = Member("", of, terms, chosen.change, begin, chosen.method, scene.run.t_end)
         return replace(kind, shared_cost=sum(record.cost(kind, chosen.sharing) for record in scene.records))
+
+
+def _all_rub(friction: Value | None) -> bool:
+    """Whether each block has friction, as far as the scene says; a file or a function may give some blocks none."""
+    return isinstance(friction, Distribution) or (isinstance(friction, float) and friction > 0.0)
 
 
 def _multiplied(value: Any, given: Mapping[str, Any]) -> Any:

@@ -189,7 +189,7 @@ class Member:
             return value
         if value == BELT:
             system = self.system()
-            return system.belt_speed if system.has_one_belt else system.belt_speed_at(0.0)
+            return system.at_rest(0.0)
         assert isinstance(self.source.origin, SystemFile)
         return np.asarray(read(self.source.origin)[_ARRAYS[purpose]], dtype=np.float64)
 

@@ -251,7 +251,8 @@ def episodes(path: Where | Opened) -> pd.DataFrame:
     DataFrame
         `member_id`; `start`, when the first block leaves after a time in which all stick, and `end`, when all stick
         again; `size`, the number of blocks that slipped; `moment`, the sum over the blocks of what each slipped on
-        the belt, counted against the belt's motion; `first_block`, which left first.
+        the belt, counted against the belt's motion; `first_block`, which left first; `z_sum`, the sum of z over the
+        blocks when it begins. NA in a column that data of an earlier version lack.
 
     Raises
     ------
@@ -268,7 +269,12 @@ def episodes(path: Where | Opened) -> pd.DataFrame:
     with reading(opened.place):
         found = source.to_table(["member_id", *names], filter=pc.field(names[0]).is_valid()).combine_chunks()
     of = pc.list_parent_indices(found[names[0]].combine_chunks()) if len(found) else pa.array([], pa.int64())
-    columns = {name.removeprefix("episode_"): pc.list_flatten(found[name]) for name in names}
+    columns = {
+        name.removeprefix("episode_"): pc.list_flatten(found[name])
+        if found[name].null_count < len(found)
+        else pa.nulls(len(of), found[name].type.value_type)
+        for name in names
+    }
     return frame(pa.table({"member_id": found["member_id"].take(of), **columns}))
 
 

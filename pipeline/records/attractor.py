@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from stickslip.pipeline.records.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Sharing, WindowRecord
 from stickslip.sim.engines.coulomb.settings import Coulomb
+from stickslip.sim.systems.system import System
 
 _NO_CYCLE = "on no cycle, or undecided"
+if TYPE_CHECKING:  # it loads numba, which who reads a dataset does not need
+    from stickslip.sim.attractors.result import Attractor
+
 #: Values of z at exits that are kept, the last.
 _MOST = 64
 
@@ -44,7 +48,7 @@ class AttractorRecord(WindowRecord):
         Column(
             "count",
             "events_per_period",
-            "entries, exits and crossings in a period; null if not periodic",
+            "entries, exits and crossings in a period, of blocks with friction; null if not periodic",
             least=0.0,
             absent=_NO_CYCLE,
         ),
@@ -111,8 +115,7 @@ class AttractorRecord(WindowRecord):
             "attractor": found.kind,
             "attractor_reason": found.reason or None,
             "period": found.period,
-            "exits_per_period": found.n_exits,
-            "events_per_period": found.n_events,
+            **_per_period(found, made.system),
             "multiplier": found.multiplier,
             "deviation_rate": found.growth_rate,
             **{
@@ -125,3 +128,11 @@ class AttractorRecord(WindowRecord):
         if found.busiest is not None:
             kept["exits_block"], kept["exits_z"] = found.busiest, found.at_exits()[-_MOST:]
         return kept
+
+
+def _per_period(found: Attractor, system: System) -> dict[str, int]:
+    """Exits and events in a period of blocks with friction: others only pass the speeds of their belts."""
+    if found.kind != "periodic" or found.events is None:
+        return {}
+    events = found.events.of_blocks(system.has_friction)
+    return {"exits_per_period": events.counts()["n_exits"], "events_per_period": len(events)}

@@ -20,6 +20,7 @@ from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run, Samples
+from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.systems.system import System
 
 _NONE = np.empty(0)
@@ -72,6 +73,11 @@ class Made:
     start: tuple[Any, Any]
     again: Callable[[Any, tuple[float, ...]], Samples]
     found: dict[str, Any]
+
+    @property
+    def contact_events(self) -> EventSeries:
+        """The run's events of the blocks that have friction."""
+        return self.run.events.of_blocks(self.system.has_friction)
 
     def samples(self, times: Floats) -> Samples:
         """The run's state at times that a record asked for, as far as the run goes."""

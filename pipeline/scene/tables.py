@@ -71,7 +71,9 @@ class StartTable(StrictTable):
 
     model_config = ConfigDict(json_schema_extra=_either_a_dataset)
     z: Displacement = Field(description="displacement at t = 0", examples=[-0.7])
-    w: Velocity = Field(description='velocity at t = 0; "belt": that of the belt', examples=[-0.4])
+    w: Velocity = Field(
+        description='velocity at t = 0; "belt": that of the belt, 0 of a block without friction', examples=[-0.4]
+    )
     draws: Count | None = Field(
         default=None,
         description="number of starts drawn for each system, where z or w is a distribution; 1 if left out",

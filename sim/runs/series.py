@@ -143,6 +143,25 @@ class EventSeries:
             )
         return array
 
+    def of_blocks(self, chosen: NDArray[np.bool_]) -> EventSeries:
+        """The series of some blocks alone, numbered from 0 in their order.
+
+        Parameters
+        ----------
+        chosen : ndarray of bool, shape (n,)
+        """
+        if chosen.all():
+            return self
+        events, number = chosen[self.block], np.cumsum(chosen, dtype=np.int32) - 1
+        return EventSeries(
+            self.t[events],
+            number[self.block[events]],
+            self.mode[events],
+            self.initial_mode[chosen],
+            self.t_start,
+            self.t_end,
+        )
+
     def plot(self, kind: str = "space_time", ax: Axes | None = None, **options: Any) -> Axes:
         """Draw "space_time", "n_stick" or the "spectrum" of n_stick; arguments and errors as of `Run.plot`."""
         return pictures.plot(self, None, kind, ax, options)

@@ -264,6 +264,15 @@ class System:
         moving = isinstance(self.belt_speed, Piecewise)
         return np.broadcast_to(self.belt_speed.at(times) if moving else self.belt_speed, (*np.shape(times), self.n))
 
+    @property
+    def has_friction(self) -> NDArray[np.bool_]:
+        """Whether each block has friction, shape (n,): a block without is in no contact with its belt."""
+        return self.static > 0
+
+    def at_rest(self, t: float) -> Floats:
+        """Velocities at a time, shape (n,), of blocks that ride their belts: 0 of a block without friction."""
+        return np.where(self.has_friction, self.belt_speed_at(t), 0.0)
+
     @cached_property
     def fastest_belt(self) -> float:
         """The largest |v| at any time, of blocks with friction; of all if none has.
@@ -273,7 +282,7 @@ class System:
         if self.has_one_belt:
             return abs(self.belt_speed)
         speeds = self.belt_speed.values if isinstance(self.belt_speed, Piecewise) else self.belt_speed
-        rubs = self.static > 0
+        rubs = self.has_friction
         return float(np.abs(speeds[..., rubs] if rubs.any() else speeds).max())
 
     @cached_property

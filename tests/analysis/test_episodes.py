@@ -13,17 +13,21 @@ from stickslip.analysis.catalogues import Catalogues
 from stickslip.analysis.groups import Group
 from stickslip.analysis.models.episodes import (
     BY_WAY,
+    CREEP,
     FANO,
     FITTED,
     OCCUPANCY,
     QUANTITIES,
     QUIET,
     RATE,
+    REST,
     SIZE,
+    SLIP,
     SLOW_DRIVE,
+    STORED,
     Catalogue,
+    atom,
     b_values,
-    completeness,
     follows,
     in_classes,
     laws_of_moments,
@@ -125,7 +129,7 @@ def test_rate_and_exponent_are_found(planted_episodes, strict):
     assert lead[f"{RATE}_low"] < 0.52
     assert lead[f"{RATE}_high"] > 0.48
     assert lead["b by Aki"] == pytest.approx(1.0, abs=0.1)
-    assert facts["least"] == pytest.approx(0.1)
+    assert facts["least"] == pytest.approx(0.0, abs=0.01)
     assert facts["moments"]["exponent"].value == pytest.approx(1.0, abs=0.15)
     assert facts["moments"]["law"] in (episodes.POWER, episodes.UNKNOWN)
 
@@ -164,13 +168,13 @@ def test_intervals_cover(rng):
     assert all(agrees(n_held, 300, 0.93, 0.97) for n_held in held.values())
 
 
-def test_intervals_cover_wherever_the_least_moment_lies_in_its_class(rng):
+def test_intervals_cover_from_the_least_moment_on(rng):
     """Of 150 ensembles of 20 systems, 2000 episodes each: Aki's b, and that of the power law with a cut-off."""
     of_aki, b, held = QUANTITIES["b by Aki"], 2.0, np.zeros(2, int)
     for _ in range(150):
         moments = 10 ** rng.uniform(-3, -2) * power_law(b)(rng, 40_000).reshape(20, 2000)
         magnitudes, start = np.log10(moments), np.arange(2000.0)
-        least = completeness(magnitudes.ravel())
+        least = float(magnitudes.min())
         one = start.astype(int)
         runs = [Catalogue(0.0, 2000.0, start, start, one, row, 2000.0, one) for row in moments]
         aki = over_matrices(of_aki.of, np.array([of_aki.sums(run, least) for run in runs]), 0.95)
@@ -276,9 +280,9 @@ def test_each_size_of_a_chain_has_its_own_least_magnitude(planted_episodes, stri
     moments = table["moment"] * np.where(is_large, 10.0, 1.0)
     found = episodes.answer(Study(replace(data, episodes=table.assign(moment=moments)), strict))
     assert found.tables["episodes"].set_index("method")["least"].to_dict() == pytest.approx(
-        {"n\u00a0=\u00a0100": 0.1, "n\u00a0=\u00a0200": 1.1}
+        {"n\u00a0=\u00a0100": 0.0, "n\u00a0=\u00a0200": 1.0}, abs=0.01
     )
-    assert found.facts["least"] == pytest.approx(1.1)
+    assert found.facts["least"] == pytest.approx(1.0, abs=0.01)
 
 
 def test_every_size_of_a_chain_has_its_law_and_each_sentence_names_it(planted_episodes, strict, rng):
@@ -402,19 +406,24 @@ def test_every_b_of_a_sweep_is_said_with_its_interval(planted_episodes, strict):
     assert "; the same holds for belt_speed" in said
 
 
-def test_laws_begin_above_the_fullest_class_of_episodes_that_leave_some_blocks_out(planted_episodes, settings):
-    """Half of the episodes take all 200 blocks, at M = 3.02, and fill one class; the others have a power law."""
+@pytest.mark.parametrize("share", [0.45, 0.7])
+def test_no_b_where_most_episodes_have_one_moment(planted_episodes, settings, rng, share):
+    """As single blocks of a chain that share their friction; the others have a power law."""
     data = planted_episodes(EXACT, rate=2.0)
-    is_whole = np.arange(len(data.episodes)) % 2 == 0
-    table = data.episodes.assign(size=np.where(is_whole, 200, np.minimum(data.episodes["size"], 199)))
-    table["moment"] = table["moment"].where(~is_whole, 1050.0)
+    is_single = rng.uniform(size=len(data.episodes)) < share
+    table = data.episodes.assign(moment=data.episodes["moment"].where(~is_single, 1.0))
     answer = episodes.answer(Study(replace(data, episodes=table), settings))
-    assert answer.facts["least"] == pytest.approx(0.1)
-    counted = table[(table["start"] >= 200.0) & (table["moment"] >= 10**0.1)]
-    assert set(answer.tables["episode_laws"]["n_episodes"]) == {len(counted)}
-    every = replace(data, episodes=data.episodes.assign(size=200))
-    (found,) = catalogues.read(Study(every, settings), every.episodes)
-    assert found.least == pytest.approx(0.1), "as of one block: there are no others"
+    (row,) = answer.tables["episodes"].to_dict("records")
+    assert row["least"] == 0.0
+    assert row["atom"] == pytest.approx(share + (1 - share) * (1 - 10**-FITTED), abs=0.05)
+    assert row["n_episodes"] == np.count_nonzero(table["start"] >= 200.0), "each counts"
+    if share > 0.5:
+        assert row["b_reason"] == catalogues.ONE_MOMENT
+        assert answer.tables["episodes"][["b", "b by Aki"]].isna().all(axis=None)
+        assert answer.tables["episode_laws"].empty
+    else:
+        assert row["b_reason"] is None
+        assert set(answer.tables["episode_laws"]["n_episodes"]) == {row["n_episodes"]}
 
 
 def test_how_much_slower_the_belt_has_to_be():
@@ -512,12 +521,13 @@ def test_a_law_may_differ_where_its_mean_does_not(planted_episodes, planted, set
 
 
 def test_where_all_moments_are_alike_no_law_is_named(planted_episodes, settings):
-    """As of one block: none lies above the fullest class, yet how often they come is known."""
+    """As of one block: they are one atom, yet how often they come is known."""
     data = planted_episodes(EXACT, moments=lambda rng, m: np.full(m, 1.05))
     answer = episodes.answer(Study(data, settings))
     assert answer.facts["lead"]["b by Aki"] is None
     assert answer.facts["moments"]["law"] == episodes.UNKNOWN
-    assert answer.tables["episode_rates"]["magnitude"].tolist() == pytest.approx([0.0])
+    assert answer.tables["episodes"]["b_reason"].tolist() == [catalogues.ONE_MOMENT]
+    assert answer.tables["episode_rates"]["magnitude"].tolist() == pytest.approx([np.log10(1.05)])
     assert "cannot be told" in build(data, replace(settings, question=("episodes",)), "A chain", "", {}).html
 
 
@@ -716,8 +726,30 @@ def test_few_systems_few_episodes_and_a_drift_are_refused(planted_episodes, sett
         assert one.tables["episodes"]["basis"].tolist() == [one.lack]
 
 
-def test_completeness_is_one_class_above_the_fullest():
-    assert completeness(np.array([0.31, 0.42, 0.44, 0.47, 0.55, 1.2])) == pytest.approx(0.5)
+def test_an_atom_is_found_wherever_its_moment_lies():
+    assert atom(np.array([0.31, 0.4199, 0.42, 0.4201, 0.55, 1.2])) == 0.5
+    assert atom(np.arange(10.0)) == 0.1
+    assert atom(np.zeros(0)) == 0.0
+
+
+@pytest.mark.parametrize("carried", [0.3, -0.1])
+def test_slip_stored_strain_and_creep_are_all_of_the_travel(rng, carried):
+    """Between the begins of the first and the last episode, of a planted share that creeps."""
+    n_episodes, creep, rate = 40, 0.2, 2.5
+    start = np.sort(rng.uniform(10.0, 90.0, n_episodes))
+    travel = rate * (start[-1] - start[0])
+    moment = rng.exponential(size=n_episodes)
+    moment[:-1] *= (1 - creep - carried) * travel / moment[:-1].sum()
+    at = 7.0 + carried * travel * np.append(np.sort(rng.uniform(size=n_episodes - 1)), 1.0)
+    at[0] = 7.0
+    size = np.ones(n_episodes, int)
+    run = Catalogue(0.0, 100.0, start, np.zeros(n_episodes), size, moment, 100 * rate, size, 0.0, at)
+    found = {name: np.divide(*one.sums(run, 0.0)) for name, one in {**QUANTITIES, **REST}.items()}
+    expected = {SLIP: 1 - creep - carried, STORED: carried, CREEP: creep}
+    assert {name: found[name] for name in expected} == pytest.approx(expected)
+    unknown = replace(run, carried=None)
+    assert np.isnan(REST[CREEP].sums(unknown, 0.0)[0])
+    assert QUANTITIES[SLIP].sums(unknown, 0.0) == QUANTITIES[SLIP].sums(run, 0.0)
 
 
 @pytest.mark.drawn

@@ -45,7 +45,7 @@ def scene():
 def test_a_row_an_episode_of_every_member(scene, tmp_path):
     run_ensemble(scene, tmp_path / "out", workers=0)
     table = Dataset(tmp_path / "out").episodes
-    assert list(table) == ["member_id", "start", "end", "size", "moment", "first_block"]
+    assert list(table) == ["member_id", "start", "end", "size", "moment", "first_block", "z_sum"]
     for member in expand(scene):
         own = table[table.member_id == member.member_id]
         found = episodes(member.simulate(), member.term("belt_speed"))
@@ -53,8 +53,29 @@ def test_a_row_an_episode_of_every_member(scene, tmp_path):
             np.testing.assert_array_equal(own[name], getattr(found, name))
         assert len(own) == 0 or member.term("static") == 1.4  # without it all come to slip
     assert {"coulomb", "sigmoid"} <= {name.split("-")[4] for name in table.member_id}
-    found = query.sql(tmp_path / "out", 'SELECT member_id, start, "end", size, moment, first_block FROM episodes')
+    found = query.sql(
+        tmp_path / "out", 'SELECT member_id, start, "end", size, moment, first_block, z_sum FROM episodes'
+    )
     assert found.equals(table)
+
+
+def test_slip_and_strain_are_the_whole_travel_by_the_exact_law(scene):
+    """No block creeps by the exact law; smoothed, all that is stuck does, by what the samples say it does."""
+    for member in expand(scene.changed(run={"t_end": 400.0})):
+        if member.term("static") != 1.4:
+            continue
+        run = member.simulate()
+        found = episodes(run, -0.05)
+        travel = 5 * 0.05 * (found.start[-1] - found.start[0])
+        rest = travel - found.moment[:-1].sum() + found.z_sum[-1] - found.z_sum[0]
+        if member.engine == "coulomb":
+            assert abs(rest) < 1e-9 * travel
+        else:
+            times = np.column_stack([found.end[:-1], found.start[1:]]).ravel()
+            total = member.simulate(times).samples.z.sum(axis=1).reshape(-1, 2)
+            crept = np.diff(total, axis=1)[:, 0] + 5 * 0.05 * (found.start[1:] - found.end[:-1])
+            assert rest == pytest.approx(crept.sum(), rel=0.02)
+            assert rest > 0
 
 
 def test_stopped_and_resumed_is_as_never_stopped(scene, content, tmp_path):

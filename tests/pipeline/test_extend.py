@@ -431,7 +431,8 @@ def test_a_scene_that_asks_for_more_is_told_how_to_get_it(out):
     for matrices in (2, 3):
         scene = parse_scene(source("waiting = true", "t_burn = 2.0", matrices=matrices))
         words = (
-            rf"waiting_cv, which these data lack; add these with `stickslip extend {out} --record waiting t_burn=2"
+            rf"waiting_cv, n_contacts, which these data lack; add these with `stickslip extend {out} --record waiting"
+            " t_burn=2"
         )
         with pytest.raises(StoreError, match=words):
             run_ensemble(scene, out, workers=0)

@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from stickslip import Dataset
-from stickslip.pipeline import SceneError, parse_scene, run_ensemble
+from stickslip.pipeline import SceneError, load_scene, parse_scene, run_ensemble
 from stickslip.pipeline.ensemble.expand import expand
 from stickslip.pipeline.records.motion.amplitude import Amplitude
 
@@ -154,3 +154,63 @@ def test_t_burn_of_the_analysis_counts_where_a_record_takes_it():
     assert one.changed(analysis={"t_burn": 1.0}).hash != one.hash
     none = scene_of(("first_exit",), **words, **{"dt = DT\n": ""})
     assert none.changed(analysis={"t_burn": 1.0}).hash == none.hash
+
+
+def bit(tmp_path, **keys):
+    """A column of blocks without friction above one that sticks and slips, driven from above by their springs."""
+    tmp_path.joinpath("strings.py").write_text(
+        "import numpy as np\n"
+        "from stickslip import System\n\n\n"
+        "def bit(n, rng):\n"
+        "    K = np.eye(n)\n"
+        "    friction, static = np.zeros(n), np.zeros(n)\n"
+        "    friction[-1], static[-1] = 1.0, 1.5\n"
+        "    belts = np.full(n, 50.0)\n"
+        "    belts[-1] = 0.2\n"
+        "    return System(K, 0.0, friction, belts, static)\n"
+    )
+    asked = "".join(f"{name} = true\n" for name in (*ASKED, "attractor", "end"))
+    text = f"""start = "rest"
+[system]
+coupling = "strings:bit"
+n = {keys["n"]}
+[run]
+t_end = 100.0
+matrices = 1
+[[engine]]
+name = "coulomb"
+tol = 1e-10
+[record]
+dt = 0.01
+t_burn = 50.0
+{asked}
+[analysis]
+t_burn = 0.0
+dt = 0.5
+"""
+    file = tmp_path / f"bit{keys['n']}.toml"
+    file.write_text(text)
+    run_ensemble(load_scene(file), tmp_path / f"out{keys['n']}", workers=0)
+    return Dataset(tmp_path / f"out{keys['n']}").members.iloc[0]
+
+
+def test_blocks_without_friction_are_no_contacts(tmp_path):
+    """Beside four of them, which pull nothing, one block has the numbers that it has alone."""
+    alone, beside = (bit(tmp_path, n=n) for n in (1, 5))
+    assert (alone["n_contacts"], beside["n_contacts"]) == (1, 1)
+    names = ["stick_share", "never_slipped", "slip_speed", "slip_speed_rms", "friction_power", "first_exit", "period"]
+    for name in (*names, "waiting_count", "waiting_mean", "exits_per_period", "events_per_period"):
+        assert beside[name] == pytest.approx(alone[name], rel=1e-9), name
+    assert 0 < alone["stick_share"] < 1
+    assert beside["amplitude_mean"] == pytest.approx(alone["amplitude_mean"] / 5, rel=1e-6)  # the four stay at rest
+
+
+def test_without_any_contact_its_numbers_are_null(tmp_path):
+    scene = scene_of(
+        ("stick_share", "slip_speed", "waiting"),
+        BLOCKS=2, STATIC="0.0\nfriction = 0.0", SPEED=0.1, START=0.5, END=20.0, BURN=5.0, DT=0.1, SEED=0,
+    )  # fmt: skip
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    row = Dataset(tmp_path / "out").members.iloc[0]
+    assert (row["n_contacts"], row["waiting_count"], row["w0"]) == (0, 0, 0.0)
+    assert row[["stick_share", "never_slipped", "slip_speed", "slip_speed_rms"]].isna().all()

@@ -38,6 +38,7 @@ from stickslip.analysis.models.episodes import (
     FITTED,
     OCCUPANCY,
     QUANTITIES,
+    REST,
     SIZE,
     SLOW_DRIVE,
     WINDOWS,
@@ -67,15 +68,15 @@ _STEP = 2  # classes between points of the figures
 MOST_OVER = 2.5  # largest rate in a figure, over the reference's
 _GROUPS: Mapping[str, str] = {
     "group": S, "method": S, "n_systems": I, "n_episodes": I, "least": F, "largest": F, "whole": F,
-    **{f"{name}{end}": F for name in (*QUANTITIES, *SLOW_DRIVE) for end in ("", "_low", "_high")},
+    **{f"{name}{end}": F for name in (*QUANTITIES, *REST, *SLOW_DRIVE) for end in ("", "_low", "_high")},
     "drift": F, "drift_low": F, "drift_high": F, "stuck_below": F, "has_b": B, "b": F, "b_low": F, "b_high": F,
-    "basis": S,
+    "atom": F, "b_reason": S, "basis": S,
 }  # fmt: skip
 _CONTRASTS: Mapping[str, str] = {"setting": S, "reference": S, **SCHEMA}
 _METHODS: Mapping[str, str] = {
     "setting": S, "reference": S, "law": S, "size": F, "size_low": F, "size_high": F, "at": F, "below": F,
     "margin": F, "p_equivalent": F,
-    "p_different": F, "p_equivalent_holm": F, "p_different_holm": F, "verdict": S, "reason": S,
+    "p_different": F, "p_floor": F, "p_equivalent_holm": F, "p_different_holm": F, "verdict": S, "reason": S,
 }  # fmt: skip
 _B_VALUES: Mapping[str, str] = {
     "group": S, "magnitude": F, "n_episodes": I, "b": F, "b_low": F, "b_high": F,
@@ -86,7 +87,7 @@ _SIZES: Mapping[str, str] = {
 }  # fmt: skip
 _LAWS: Mapping[str, str] = {
     "group": S, "law": S, "least": F, "n_episodes": I, "b": F, "b_low": F, "b_high": F, "parameters": S, "gain": F,
-    "gap": F, "p_value": F, "fit": S, "reason": S,
+    "gap": F, "p_value": F, "p_floor": F, "fit": S, "reason": S,
 }  # fmt: skip
 _RATES: Mapping[str, str] = {
     "group": S, "magnitude": F, "n_episodes": I, "rate": F, "rate_low": F, "rate_high": F, "over": F, "over_low": F,
@@ -138,7 +139,7 @@ def answer(study: Study) -> Answer | None:
     facts = warned | {
         "lead": lead.row, "laws": [row for rows in laws for row in rows],
         "moments": moments[0], "others": moments[1:], "least": lead.least,
-        "class": CLASS, "fitted": FITTED, "windows": WINDOWS, "margin": MARGIN,
+        "fitted": FITTED, "windows": WINDOWS, "margin": MARGIN,
         "window": (float(lead.group.key["t_end"]) - study.settings.t_burn) * (1 - lead.row[OCCUPANCY]) / WINDOWS,
         "n_blocks": lead.group.key["n"],
         "without_law": [first.row["method"] for first, *_ in by_system
@@ -179,7 +180,7 @@ def _lead(judged: Sequence[Catalogues]) -> Catalogues:
 def _drawn_from(lead: Catalogues, leaders: Sequence[Catalogues]) -> float:
     """The edge of a class from which rates are drawn: no law is asked of a rate, so nearly all episodes count."""
     first = min(float(np.quantile(one.magnitudes(), LEFT_OUT)) for one in leaders)
-    return lead.least - CLASS * max(int(np.ceil((lead.least - first) / CLASS)), 1)
+    return lead.least - CLASS * max(int(np.ceil((lead.least - first) / CLASS)), 0)
 
 
 def _figures(
@@ -270,7 +271,7 @@ def _laws(study: Study, one: Catalogues, b: Sequence[BValue]) -> tuple[list[Row]
     of_b = {"has_b": has_b, "single": "one" if has_b else "none" if len(b) > 1 else "open"}
     fits = fits_of(one)
     if not fits:
-        unknown = {"law": UNKNOWN, "says": UNKNOWN, "untested": None}
+        unknown = {"law": UNKNOWN, "says": UNKNOWN, "untested": one.row["b_reason"]}
         return [], own | of_b | unknown | {"exponent": Estimate(), "b": Estimate()}
     base, with_cut_off, _ = fits
     exponent, cut_off = (parameter(with_cut_off, which, counts, level) for which in (0, 1))
@@ -283,7 +284,8 @@ def _laws(study: Study, one: Catalogues, b: Sequence[BValue]) -> tuple[list[Row]
             "law": name, **named("b", b_of),
             "parameters": ", ".join(f"{key} = {value:.3g}" for key, value in others.items()) or None,
             "gain": None if fit is base else (fit.log_likelihood - base.log_likelihood) / counts.sum(),
-            "gap": good.gap, "p_value": good.p_value, "fit": good.verdict(1 - level), "reason": good.reason or None,
+            "gap": good.gap, "p_value": good.p_value, "p_floor": good.p_floor,
+            "fit": good.verdict(1 - level), "reason": good.reason or None,
         })  # fmt: skip
     law = _verdict(rows[1]["fit"], exponent, cut_off)
     says = f"{law} {of_b['single']}" if law in (POWER, CUT_OFF) or has_b else law

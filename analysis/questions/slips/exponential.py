@@ -31,7 +31,7 @@ _EXPONENTIAL: Mapping[str, str] = {
     "group": S, "smallest": I, "n_cascades": I, "n_matrices": I, "variance": F, "variance_low": F, "variance_high": F,
     "verdict": S, "pool": F, "over_pool": F, "over_pool_low": F, "over_pool_high": F, "rotation": F,
     "over_rotation": F, "over_rotation_low": F, "over_rotation_high": F, "gamma": F, "gap": F, "gap_at": I,
-    "p_value": F, "fit": S, "reason": S,
+    "p_value": F, "p_floor": F, "fit": S, "reason": S,
 }  # fmt: skip
 _QUOTIENTS: Mapping[str, str] = {
     "group": S, "size": I, "n_cascades": I, "share": F, "fit": F, "value": F, "low": F, "high": F, "pool": F,
@@ -89,7 +89,7 @@ def _row(study: Study, group: Group, sizes: np.ndarray, counts: np.ndarray) -> R
         "variance": None, "variance_low": None, "variance_high": None, "verdict": None,
         **_pool(group, sizes, counts, level), **_rotation(study, group, sizes, counts),
         "gamma": gamma_up_to(sizes, counts.sum(axis=0)), "gap": fit.gap, "gap_at": fit.at,
-        "p_value": fit.p_value, "fit": fit.verdict(1 - level),
+        "p_value": fit.p_value, "p_floor": fit.p_floor, "fit": fit.verdict(1 - level),
         "reason": over.reason or fit.reason or None,
     }  # fmt: skip
     if over.value is None or over.low is None or over.high is None:

@@ -45,7 +45,7 @@ LARGER, SMALLER = "larger", "smaller"  # verdicts between engines, along which n
 ENGINE = "engine"  # changes are also compared between engines
 _ORDER = (OSCILLATES, SLOW, NONE, SHORT)  # the first verdict found leads
 _RHYTHM: Mapping[str, str] = {
-    "group": S, "verdict": S, "p_value": F, "cycle": F, "n_windows": F, "span": F, "needed": F,
+    "group": S, "verdict": S, "p_value": F, "p_floor": F, "cycle": F, "n_windows": F, "span": F, "needed": F,
     **{f"{name}{end}": F for name in NUMBERS for end in ("", "_low", "_high")}, "reason": S,
 }  # fmt: skip
 _SPECTRUM: Mapping[str, str] = {"group": S, "above": F, "upto": F, "ratio": F, "low": F, "high": F, "model": F}
@@ -165,10 +165,15 @@ def _row(one: _Measured, t_burn: float) -> Row:
         "n_windows": float(one.data.n_runs.sum()),
     }
     if found is None:
-        row |= {"verdict": SHORT, "p_value": None, "needed": t_burn + LEAST_HARMONICS * CYCLES * one.cycle}
+        row |= {
+            "verdict": SHORT,
+            "p_value": None,
+            "p_floor": None,
+            "needed": t_burn + LEAST_HARMONICS * CYCLES * one.cycle,
+        }
     else:
         needed = None if found.verdict != SHORT else t_burn + 2 * LEAST_PERIODS * (found.period or span)
-        row |= {"verdict": found.verdict, "p_value": found.p, "needed": needed}
+        row |= {"verdict": found.verdict, "p_value": found.p, "p_floor": rhythm.P_FLOOR, "needed": needed}
     estimates = {} if found is None else found.found
     for name in NUMBERS:
         row |= named(name, estimates.get(name, Estimate()))

@@ -24,19 +24,23 @@ class SlipSpeed(StateRecord):
         Column(
             "number",
             "slip_speed",
-            "mean of |w - v| over blocks and time after t_burn, 0 while they stick; null if the run ended before",
+            "mean of |w - v| over blocks with friction and time after t_burn, 0 while they stick; null if the run"
+            " ended before, or no block has friction",
             least=0.0,
         ),
         Column(
             "number",
             "slip_speed_rms",
-            "root mean square of |w - v| over blocks and time after t_burn",
+            "root mean square of |w - v| over blocks with friction and time after t_burn",
             least=0.0,
             title="root mean square of the slip speed",
         ),
     )
 
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:
-        slip = np.abs(samples.w - system.belt_speed_at(samples.t))
+        rubs = system.has_friction
+        if not rubs.any():
+            return {}
+        slip = np.abs(samples.w - system.belt_speed_at(samples.t))[:, rubs]
         mean, square = (mean_in_time(one.mean(1), samples) for one in (slip, slip**2))
         return {"slip_speed": mean, "slip_speed_rms": np.sqrt(square)}

@@ -24,23 +24,24 @@ class StickShare(WindowRecord):
         Column(
             "number",
             "stick_share",
-            "share of the time after t_burn that a block sticks, mean over the blocks; null if the run ended before",
+            "share of the time after t_burn that a block sticks, mean over the blocks with friction; null if the run"
+            " ended before, or no block has friction",
             least=0.0,
             title="share of time that a block sticks",
         ),
         Column(
             "number",
             "never_slipped",
-            "share of the blocks that stick from t_burn to the end",
+            "share of the blocks with friction that stick from t_burn to the end",
             least=0.0,
             title="share of blocks that never slip",
         ),
     )
-    needs = frozenset({"events"})
+    needs = frozenset({"events", "system"})
 
     def of(self, made: Made) -> dict[str, Any]:
-        events, end = made.run.events, made.run.t_end
-        if end <= self.t_burn:
+        events, end = made.contact_events, made.run.t_end
+        if end <= self.t_burn or not events.n:
             return {}
         t, n_stick = events.change_points()
         edges = np.clip(np.append(t, end), self.t_burn, end)

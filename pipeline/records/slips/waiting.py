@@ -13,7 +13,7 @@ from stickslip.pipeline.records.record import Made, WindowRecord
 
 @dataclass(frozen=True)
 class Waiting(WindowRecord):
-    """The times between successive exits of the same block, over all blocks."""
+    """The times between successive exits of the same block, over all blocks with friction."""
 
     name = "waiting"
     words = "whether to keep the mean and the scatter of times between exits of the same block after t_burn"
@@ -45,10 +45,10 @@ class Waiting(WindowRecord):
             title="coefficient of variation of waiting times",
         ),
     )
-    needs = frozenset({"events"})
+    needs = frozenset({"events", "system"})
 
     def of(self, made: Made) -> dict[str, Any]:
-        events = made.run.events
+        events = made.contact_events
         exits = np.flatnonzero(events.is_exit & (events.t >= self.t_burn))
         order = exits[np.argsort(events.block[exits], kind="stable")]  # in time within a block
         gaps = np.diff(events.t[order])[np.diff(events.block[order]) == 0]
