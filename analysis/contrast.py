@@ -9,25 +9,27 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from stickslip.analysis.answer import F, I, Row, S, named
 from stickslip.analysis.groups import Group
 from stickslip.analysis.models.fates import DIVERGED, FAILED, is_all_slip
-from stickslip.analysis.stats import estimates, student
+from stickslip.analysis.models.times import Times, median_difference
+from stickslip.analysis.stats import estimates
 from stickslip.analysis.stats.compare import (
     ALIKE,
     UNKNOWN,
     Compared,
+    Inverted,
     Words,
     equivalence_test,
     mean_difference,
     relative_difference,
     share_difference,
+    share_over_matrices,
     verdict,
-    wilson,
 )
 from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, at_least, over_matrices, ratio
@@ -56,8 +58,59 @@ class Statistic:
     name: str
     of: estimates.Statistic
     margin: float
-    is_share: bool = False
     least: float | None = None
+    is_share: ClassVar[bool] = False
+
+    def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
+        """Its value on some units, with an interval over these."""
+        return at_least(over_matrices(self.of, sums.rows, confidence), self.least)
+
+    def difference(self, first: UnitSums, second: UnitSums, paired: bool) -> Compared | Inverted:
+        """By how much it is larger on the second; raises `Undefined` with a reason."""
+        return equivalence_test(*mean_difference(self.of, first.rows, second.rows, paired), self.margin)
+
+    def relative(self, first: UnitSums, second: UnitSums, paired: bool) -> Compared | Inverted:
+        """That, in units of the size of the first; raises `Undefined` with a reason."""
+        return equivalence_test(*relative_difference(self.of, first.rows, second.rows, paired), self.margin)
+
+
+@dataclass(frozen=True)
+class Share(Statistic):
+    """A share of runs, by its runs and all runs of each unit; its differences are in points, relative ones too."""
+
+    name: str
+    of: estimates.Statistic = ratio
+    margin: float = SHARE_MARGIN
+    is_share: ClassVar[bool] = True
+
+    def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
+        if not len(sums):
+            return super().estimate(sums, confidence)
+        return Estimate(*share_over_matrices(sums.rows, confidence)[:3])
+
+    def difference(self, first: UnitSums, second: UnitSums, paired: bool) -> Inverted:
+        return share_difference(first.rows, second.rows, paired, self.margin)
+
+    relative = difference
+
+
+@dataclass(frozen=True)
+class Median(Statistic):
+    """The median of a time that the end of a run may cut off; its sums are `models.times.Times`."""
+
+    def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
+        return sums.median(confidence) if isinstance(sums, Times) else super().estimate(sums, confidence)
+
+    def difference(self, first: UnitSums, second: UnitSums, paired: bool) -> Compared:
+        return self._difference(first, second, paired, is_relative=False)
+
+    def relative(self, first: UnitSums, second: UnitSums, paired: bool) -> Compared:
+        return self._difference(first, second, paired, is_relative=True)
+
+    def _difference(self, first: UnitSums, second: UnitSums, paired: bool, is_relative: bool) -> Compared:
+        assert isinstance(first, Times)
+        assert isinstance(second, Times)
+        return equivalence_test(*median_difference(first, second, paired, is_relative), self.margin)
 
 
 @dataclass(frozen=True)
@@ -92,7 +145,7 @@ def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(QUANTIT
 
 def shares() -> list[Statistic]:
     """Shares of runs by how they ended."""
-    return [Statistic(name, ratio, SHARE_MARGIN, is_share=True) for name in (ALL_SLIP, RUN_AWAY)]
+    return [Share(name) for name in (ALL_SLIP, RUN_AWAY)]
 
 
 def sample(group: Group, of: Collection[str] | None = None) -> Sample:
@@ -123,49 +176,40 @@ def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confid
     mine, theirs = first.of(one.name), second.of(one.name)
     if paired:
         mine, theirs = mine.within(theirs), theirs.within(mine)
-    a, b = mine.rows, theirs.rows
     row: Row = dict.fromkeys((*SCHEMA, "narrow_low", "narrow_high", "p_absolute")) | {
-        "quantity": one.name, "n_first": len(a), "n_second": len(b), "margin": one.margin, "is_share": one.is_share,
-        "verdict": UNKNOWN,
+        "quantity": one.name, "n_first": len(mine), "n_second": len(theirs), "margin": one.margin,
+        "is_share": one.is_share, "verdict": UNKNOWN,
     }  # fmt: skip
     is_unjudged = one.name in first.unjudged | second.unjudged
-    if is_unjudged and not (paired and np.array_equal(a, b)):  # the same numbers are the same, whatever they mean
+    if is_unjudged and not (
+        paired and np.array_equal(mine.rows, theirs.rows)
+    ):  # the same numbers are the same, whatever they mean
         return row | {"reason": SHORT_WINDOW}
-    if min(len(a), len(b)) < LEAST_MATRICES:
+    if min(len(mine), len(theirs)) < LEAST_MATRICES:
         return row | {"reason": FEW_MATRICES}
-    if one.is_share:
-        a, b = a / a[:, 1:], b / b[:, 1:]
-    estimate = _share if one.is_share else over_matrices
-    before, after = (estimate(one.of, rows, confidence) for rows in (a, b))
-    row |= named("first", at_least(before, one.least)) | named("second", at_least(after, one.least))
+    before, after = (one.estimate(sums, confidence) for sums in (mine, theirs))
+    row |= named("first", before) | named("second", after)
     if before.value is None or after.value is None:
         return row | {"reason": before.reason or after.reason}
-    of = share_difference(a[:, 0], b[:, 0], paired) if one.is_share else None
-    seen = after.value - before.value  # of shares, whose test adds runs: its centre is not their difference
-
-    def shown(test: Compared) -> Estimate:
-        low, high = test.interval(confidence)
-        return Estimate(seen, max(low, -1.0), min(high, 1.0)) if of else Estimate(test.difference, low, high)
-
     try:
-        absolute = equivalence_test(*(of or mean_difference(one.of, a, b, paired)), one.margin)
-        row |= named("difference", shown(absolute))
+        absolute = one.difference(mine, theirs, paired)
+        row |= named("difference", _interval(absolute, confidence))
         row["p_absolute"] = absolute.p_different
-        test = equivalence_test(*(of or relative_difference(one.of, a, b, paired)), one.margin)
+        test = one.relative(mine, theirs, paired)
     except Undefined as why:
         return row | {"reason": str(why)}
-    half = student.quantile(confidence, test.dof) * test.error  # within the margins just when equivalence is shown
+    narrow = _interval(test, 2 * confidence - 1)
     return (
         row
-        | named("relative", shown(test))
-        | {"narrow_low": test.difference - half, "narrow_high": test.difference + half}
+        | named("relative", _interval(test, confidence))
+        # within the margins just when equivalence is shown
+        | {"narrow_low": narrow.low, "narrow_high": narrow.high}
         | {"p_equivalent": test.p_equivalent, "p_different": test.p_different}
     )
 
 
-def _share(_: estimates.Statistic, rows: np.ndarray, confidence: float) -> Estimate:
-    low, high = wilson(float(rows[:, 0].sum()), float(len(rows)), confidence)
-    return Estimate(float(rows[:, 0].mean()), low, high)
+def _interval(test: Compared | Inverted, confidence: float) -> Estimate:
+    return Estimate(test.difference, *test.interval(confidence))
 
 
 def judge(rows: Sequence[Row], alpha: float, words: Words = ALIKE) -> None:

@@ -13,7 +13,9 @@ import pandas as pd
 
 from stickslip.analysis.groups import Group, fill, groups
 from stickslip.analysis.members import Members
+from stickslip.analysis.models.fates import DIVERGED, ENDS, FAILED
 from stickslip.analysis.models.motion import Motion, joined, motion
+from stickslip.analysis.models.times import Times
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.runs import Ended, Events, Given, Put, Run, Runs, Series, generator, named_window
 from stickslip.analysis.series.windows import ChangePoints
@@ -62,6 +64,21 @@ def _as_number(value: float | None) -> float:
     return np.nan if value is None or pd.isna(value) else float(value)
 
 
+class Until(NamedTuple):
+    """A time until something happens, which the end of a run may cut off: a run without one was followed to its end.
+
+    Attributes
+    ----------
+    since : float
+        The time of the run from which on it counts.
+    needs_stick : bool
+        Whether it never happens once it is certain that no block sticks any more.
+    """
+
+    since: float = 0.0
+    needs_stick: bool = False
+
+
 class Recorded(NamedTuple):
     """A number that a record keeps of every run.
 
@@ -81,9 +98,12 @@ class Recorded(NamedTuple):
         What it is called in a sentence; empty: by its column.
     says_it : bool
         Whether that says what it is, without `words`.
-    since : float, optional
-        If it is of times that have to lie between this one and the end of a run, so that the mean is too small unless
-        that is much longer.
+    is_share : bool
+        Whether it is a yes or a no, of which shares are taken.
+    until : Until, optional
+        If it is a time until something happens, which the end of a run may cut off.
+    of_gaps : "mean" or "scatter", optional
+        If it is of the times between exits of the same block that lie within a window, which cuts off the long ones.
     """
 
     words: str
@@ -93,7 +113,9 @@ class Recorded(NamedTuple):
     problems: Mapping[str, str] = {}
     called: str = ""
     says_it: bool = False
-    since: float | None = None
+    is_share: bool = False
+    until: Until | None = None
+    of_gaps: str = ""
 
 
 @dataclass(frozen=True)
@@ -334,26 +356,109 @@ class Study:
         -------
         Estimate
             By `stats.estimates.over_matrices`; without an interval, and with the reason, for fewer than two units;
-            without a value for none.
+            without a value for none. Of a column of truths it is their share, as `share`.
 
         Raises
         ------
         ValueError
-            If no record keeps such a number.
+            If no record keeps such a number, or it is a time that the ends of runs may cut off.
         """
         if isinstance(numbers, str):
-            recorded = self.data.recorded
-            if numbers not in recorded:
+            recorded = self._recorded("numbers", numbers)
+            if recorded.until is not None:
                 raise ValueError(
-                    f"numbers: expected a number that a record keeps ({', '.join(recorded) or 'there is none'}), got "
-                    f"{numbers!r}{did_you_mean(numbers, [*recorded])}; ask for its record under [record]"
+                    f"numbers: expected a number of which means are taken, got {numbers}, a time that the end of a"
+                    f" run may cut off; ask for study.median(group, {numbers!r}) or study.restricted_mean(group,"
+                    f" {numbers!r})"
                 )
-            least = recorded[numbers].least
+            if recorded.is_share:
+                return self.share(group, recorded.values)
+            least = recorded.least
             column = self.number(numbers)
         else:
             column = Numbers.of(self.data.table, numbers).column
         sums = group.sums_of(column)
         return at_least(over_matrices(ratio, sums.rows, self.settings.confidence), least)
+
+    def _recorded(self, argument: str, name: str) -> Recorded:
+        recorded = self.data.recorded
+        if name not in recorded:
+            raise ValueError(
+                f"{argument}: expected a number that a record keeps ({', '.join(recorded) or 'there is none'}), got "
+                f"{name!r}{did_you_mean(name, [*recorded])}; ask for its record under [record]"
+            )
+        return recorded[name]
+
+    def times(self, group: Group, name: str) -> tuple[Times, np.ndarray]:
+        """A time that the end of a run may cut off: of the runs of a group that were measured; and which these are.
+
+        Returns
+        -------
+        times : Times
+        is_known : ndarray of bool, shape (R,)
+
+        Raises
+        ------
+        ValueError
+            If no record keeps such a time.
+        """
+        recorded = self._recorded("name", name)
+        if recorded.until is None:
+            raise ValueError(
+                f"name: expected a time that the end of a run may cut off, got {name!r}; ask for study.mean, or"
+                ' declare it with {"since": 0} if it is one'
+            )
+        times, outcomes = self.number(name)[group.rows], group.column("outcome").to_numpy(object)
+        ended = np.isfinite(times)
+        is_short = outcomes == DIVERGED if recorded.until.needs_stick else np.isin(outcomes, ENDS)
+        t_stop = group.column("t_stop").to_numpy(np.float64, na_value=np.nan)
+        followed = np.where(is_short, t_stop, float(group.key["t_end"])) - recorded.until.since
+        is_lost = (outcomes == FAILED) | group.column("member_id").isin([*recorded.problems]).to_numpy()
+        known = ended | (~is_lost & (followed > 0.0))
+        units = group.column("unit").to_numpy()
+        return Times.of_runs(units[known], np.where(ended, times, followed)[known], ended[known]), known
+
+    def limit(self, name: str) -> float:
+        """The longest time that all groups are followed to, for means of a time up to it (`Times.restricted`)."""
+        until = self.data.recorded[name].until
+        return min(float(group.key["t_end"]) for group in self.groups) - (until.since if until else 0.0)
+
+    def median(self, group: Group, name: str) -> Estimate:
+        """The median of a time that the end of a run may cut off, by Kaplan and Meier, with its interval over units.
+
+        Parameters
+        ----------
+        group : Group
+        name : str
+            A column of ``data.recorded`` that is such a time.
+
+        Returns
+        -------
+        Estimate
+            Without a value, and with the reason, if fewer than half of the runs have it.
+
+        Raises
+        ------
+        ValueError
+            If no record keeps such a time.
+        """
+        return self.times(group, name)[0].median(self.settings.confidence)
+
+    def restricted_mean(self, group: Group, name: str, limit: float | None = None) -> Estimate:
+        """The mean of such a time up to a limit, the area under the curve of Kaplan and Meier; raises as `median`.
+
+        Parameters
+        ----------
+        group, name
+            As in `median`.
+        limit : float, optional
+            Longer times count as this; by default the longest time that all groups are followed to.
+        """
+        times, _ = self.times(group, name)
+        if not len(times):
+            return Estimate(reason="no matrix has data")
+        rows = times.restricted(self.limit(name) if limit is None else limit).rows
+        return at_least(over_matrices(ratio, rows, self.settings.confidence), 0.0)
 
     def number(self, name: str) -> np.ndarray:
         """A number that a record keeps, of each member by its row, shape (R,); NaN where a run has none."""
@@ -361,7 +466,7 @@ class Study:
         assert isinstance(values, Numbers)
         return values.column
 
-    def share(self, group: Group, has: Mapping[str, bool | None]) -> Estimate:
+    def share(self, group: Group, has: Mapping[str, bool | float | None]) -> Estimate:
         """The share of a group's runs that have a property, with Wilson's interval for as many effective runs.
 
         Parameters

@@ -15,7 +15,7 @@ from stickslip.analysis.groups import FIXED, Group, Order, Value, by_value, labe
 from stickslip.analysis.measures import GAMMA, MEAN, Measure, Values, of_gamma, of_mean
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
-from stickslip.analysis.stats.estimates import Estimate, UnitSums, at_least, over_matrices
+from stickslip.analysis.stats.estimates import Estimate, UnitSums
 
 IN_MOTION = "share in motion"
 MOST_SETTINGS = 3  # that have pictures of their own
@@ -135,11 +135,11 @@ def point_of(study: Study, group: Group, axes: Sequence[Axis], of: Iterable[Meas
 def estimate(of: Statistic, points: Iterable[Point], confidence: float) -> Estimate:
     """A statistic over some points of a grid, taken together."""
     some = list(points)
-    rows = UnitSums.together(point.sample.of(of.name) for point in some).rows
-    if of.is_share and len(rows):
-        at_most = UnitSums.together(point.sample.of(AT_MOST) for point in some).rows[:, 0]
+    sums = UnitSums.together(point.sample.of(of.name) for point in some)
+    if of.name == IN_MOTION and len(sums):
+        rows, at_most = sums.rows, UnitSums.together(point.sample.of(AT_MOST) for point in some).rows[:, 0]
         return bounded_share(np.column_stack([rows[:, 0], at_most - rows[:, 0], rows[:, 1]]), confidence)
-    return at_least(over_matrices(of.of, rows, confidence), of.least)
+    return of.estimate(sums, confidence)
 
 
 def points_at(points: Iterable[Point], axis: Axis, value: tuple[Value, ...]) -> list[Point]:

@@ -10,21 +10,22 @@ and differences are those of `analysis.contrast`. A run without a value is in no
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from stickslip.analysis import contrast
 from stickslip.analysis.catalogues import MARGIN, ONE_MOMENT, Catalogues, has_b, read
-from stickslip.analysis.contrast import Statistic
-from stickslip.analysis.ensemble import Study
+from stickslip.analysis.contrast import Median, Share, Statistic
+from stickslip.analysis.ensemble import Recorded, Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
 from stickslip.analysis.models.episodes import ATOM, B_VALUE, QUANTITIES, RATE, SIZE
 from stickslip.analysis.models.fates import FAILED
+from stickslip.analysis.models.times import Times
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.estimates import UnitSums, ratio
+from stickslip.analysis.stats.estimates import Undefined, UnitSums, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES as OF_N_STICK
 
 MEAN, GAMMA = OF_N_STICK["mean"].label, OF_N_STICK["gamma"].label
@@ -32,7 +33,11 @@ MEAN_SIZE, B = "mean size of episodes", "b of episodes"
 #: Names under which margins are declared, and of axes.
 KEYS = {MEAN: "mean", GAMMA: "gamma"}
 AXES = {MEAN: "mean $n_{stick}$", GAMMA: r"$\gamma$"}
-NO_VALUE, NO_EPISODE = "its record gives none", "no episode"  # reasons, beside the outcomes of runs
+#: Reasons, beside the outcomes of runs.
+NO_VALUE, NO_EPISODE, STILL = "its record gives none", "no episode", "not in motion"
+NOT_REACHED = "fewer than half of the runs have it"
+LEAST_GAPS = 50  # per block: the scatter of random times that lie in a window of as many is 2% too small
+CONTACTS = "n_contacts"  # the column of the number of blocks with friction
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,8 @@ class Values:
     sums : UnitSums
     missing : dict of str to str
         Why a run has no value, by member_id: its outcome, or a reason.
+    n_censored : int
+        Of a time, runs that ended without it; they are no missing ones.
     withheld : str
         Why the group has no value although its runs have; empty if it has one.
     """
@@ -51,6 +58,7 @@ class Values:
     sums: UnitSums = field(default_factory=UnitSums)
     missing: dict[str, str] = field(default_factory=dict)
     withheld: str = ""
+    n_censored: int = 0
 
 
 @dataclass(frozen=True)
@@ -78,9 +86,6 @@ class Measure:
         measured, and otherwise they are left out, unless the scene asks for cascades.
     says_it : bool
         Whether the subject says what it is, without `words`.
-    since : float, optional
-        If it is of times that have to lie between this one and the end of a run, so that the mean is too small unless
-        that is much longer.
     """
 
     statistic: Statistic
@@ -92,7 +97,6 @@ class Measure:
     absent: str = ""
     is_recorded: bool = True
     says_it: bool = False
-    since: float | None = None
 
     @property
     def name(self) -> str:
@@ -178,7 +182,10 @@ def _unfinished(group: Group) -> dict[str, str]:
 
 
 def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
-    """The mean over runs of every numeric column of a record.
+    """Of every column of a record that holds numbers, the mean over runs, or what has to stand in its place.
+
+    Of truths that is their share, of a time that the end of a run may cut off its median and its mean up to a limit,
+    and of times between exits of a block their mean from the number of exits.
 
     A column that the analysis takes for itself, the growth rate, is measured too, but not as what the scene is about,
     and of the exact law alone, which it is of.
@@ -192,16 +199,24 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
             numbers = np.where(is_smoothed[table.own["setting"]], np.nan, numbers)
         if (beside is not None and name not in beside.data.recorded) or (is_own and np.isnan(numbers).all()):
             continue
+        if column.until is not None:
+            yield from _of_times(study, beside, name, column)
+            continue
         words = column.words.partition(";")[0]
+        statistic: Statistic = Statistic(f"mean {name}", ratio, MARGIN, least=column.least)
+        subject, absent = f"mean {column.called or name}", column.absent
+        of: Callable[[Group], Values] = partial(_column, numbers, column.problems, column.absent or NO_VALUE)
+        if column.is_share:
+            statistic, subject = Share(f"share {name}"), f"the share of runs with {column.called or name}"
+            of = partial(_share, numbers, column.problems, column.absent or NO_VALUE)
+        elif column.of_gaps == "mean":
+            statistic, absent = Statistic(f"mean {name}", per_exit, MARGIN, least=0.0), STILL
+            words, of = f"{words}, as the time of blocks per exit, which nothing cuts off", _per_exit
+        elif column.of_gaps:
+            of = partial(_of_gaps, numbers, column.problems, column.absent or NO_VALUE, study.settings.t_burn)
         yield Measure(
-            Statistic(f"mean {name}", ratio, MARGIN, least=column.least),
-            name, f"mean {column.called or name}", words, name,
-            partial(_column, numbers, column.problems, column.absent or NO_VALUE),
-            column.absent,
-            is_recorded=not is_own,
-            says_it=column.says_it,
-            since=column.since,
-        )  # fmt: skip
+            statistic, name, subject, words, name, of, absent, is_recorded=not is_own, says_it=column.says_it
+        )
 
 
 def _column(numbers: np.ndarray, problems: Mapping[str, str], reason: str, group: Group) -> Values:
@@ -211,6 +226,105 @@ def _column(numbers: np.ndarray, problems: Mapping[str, str], reason: str, group
         for member_id, outcome in zip(group.column("member_id")[lacks], group.column("outcome")[lacks], strict=True)
     }
     return Values(group.sums_of(numbers), missing)
+
+
+def _share(numbers: np.ndarray, problems: Mapping[str, str], reason: str, group: Group) -> Values:
+    """Runs of each unit that have a property, and those of which that is known."""
+    has = numbers[group.rows]
+    known = np.isfinite(has)
+    sums = UnitSums.of(group.column("unit").to_numpy()[known], np.column_stack([has, known])[known])
+    return replace(_column(numbers, problems, reason, group), sums=sums)
+
+
+def per_exit(sums: np.ndarray) -> np.ndarray:
+    """The time of blocks per exit, from the rate of exits per block; see `_per_exit`."""
+    if (sums[:, 0] <= 0).any():
+        raise Undefined("no exit")
+    return sums[:, 1] / sums[:, 0]
+
+
+def _per_exit(group: Group) -> Values:
+    """Exits per block and unit of time of a unit's runs in motion, and 1.
+
+    The mean time between exits of a block is one over it, however short the windows are. The mean of the times that
+    lie in a window whole is too small, as long ones are cut off.
+    """
+    rates = group.by_unit("rate") / _n_contacts(group)
+    ended = group.members[~group.is_moving]
+    missing = {
+        str(member_id): outcome if outcome == FAILED else STILL
+        for member_id, outcome in zip(ended["member_id"], ended["outcome"], strict=True)
+    }
+    return Values(UnitSums(group.units, np.column_stack([rates, np.ones(len(rates))])), missing)
+
+
+def _n_contacts(group: Group) -> np.ndarray:
+    """Blocks with friction in each unit in motion, which alone can exit, shape (G, 1)."""
+    if CONTACTS not in group.table.own:
+        return np.full((len(group.units), 1), float(group.key["n"]))
+    moving = group.moving
+    by_unit = UnitSums.of(moving["unit"], np.column_stack([moving[CONTACTS], np.ones(len(moving))]))
+    return by_unit.rows[:, :1] / by_unit.rows[:, 1:]
+
+
+def _of_gaps(numbers: np.ndarray, problems: Mapping[str, str], reason: str, t_burn: float, group: Group) -> Values:
+    """As `_column`, but withheld in short windows: the scatter of the times that lie in them whole is too small."""
+    values, rates = _column(numbers, problems, reason, group), _per_exit(group).sums.rows[:, 0]
+    n_exits = (float(group.key["t_end"]) - t_burn) * float(rates.mean()) if len(rates) else 0.0
+    if len(values.sums) and n_exits < LEAST_GAPS:
+        return Values(
+            missing=values.missing, withheld=f"fewer than {LEAST_GAPS} exits per block: long times are cut off"
+        )
+    return values
+
+
+def _of_times(study: Study, beside: Study | None, name: str, column: Recorded) -> Iterator[Measure]:
+    """The median of a time that the end of a run may cut off, and its mean up to the longest time that all follow.
+
+    The median leads if it is known wherever the time is, with its interval.
+    """
+    studies = [study] if beside is None else [study, beside]
+    limit = min(some.limit(name) for some in studies)
+    called, words = column.called or name, column.words.partition(";")[0]
+    by_median = Measure(
+        Median(f"median {name}", ratio, MARGIN), f"{name}_median", f"the median {called}",
+        f"{words}, by Kaplan and Meier", f"median {name}", partial(_median, study, name), says_it=column.says_it,
+    )  # fmt: skip
+    by_mean = Measure(
+        Statistic(f"restricted mean {name}", ratio, MARGIN, least=0.0), name,
+        f"the restricted mean of the {called} up to {limit:g}",
+        f"{words}; the area up to {limit:g} under the curve of Kaplan and Meier", f"restricted mean {name}",
+        partial(_restricted, study, name, limit), says_it=column.says_it,
+    )  # fmt: skip
+    medians = [study.median(group, name) for group in study.groups]
+    is_known = all(None not in (median.value, median.low, median.high) for median in medians)
+    yield from (by_median, by_mean) if is_known else (by_mean, by_median)
+
+
+def _median(study: Study, name: str, group: Group) -> Values:
+    times, missing = _times(study, name, group)
+    is_reached = times.median(study.settings.confidence).value is not None
+    return Values(times, missing, "" if is_reached or not len(times) else NOT_REACHED, times.n_censored)
+
+
+def _restricted(study: Study, name: str, limit: float, group: Group) -> Values:
+    times, missing = _times(study, name, group)
+    if not len(times):
+        return Values(missing=missing)
+    if not times.reaches(limit):
+        return Values(missing=missing, withheld=f"no run was followed to {limit:g}", n_censored=times.n_censored)
+    return Values(times.restricted(limit), missing, n_censored=times.n_censored)
+
+
+def _times(study: Study, name: str, group: Group) -> tuple[Times, dict[str, str]]:
+    """A time of the runs of a group, and why others have none: that it did not happen is no reason."""
+    times, is_known = study.times(group, name)
+    lost, problems = group.members[~is_known], study.data.recorded[name].problems
+    missing = {
+        str(member_id): outcome if outcome == FAILED else problems.get(str(member_id), NO_VALUE)
+        for member_id, outcome in zip(lost["member_id"], lost["outcome"], strict=True)
+    }
+    return times, missing
 
 
 # ------------------------------------------------------------------------------------------------- n_stick

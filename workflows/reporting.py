@@ -10,7 +10,7 @@ import pandas as pd
 import pyarrow as pa
 
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
-from stickslip.analysis.ensemble import Numbers, Recorded
+from stickslip.analysis.ensemble import Numbers, Recorded, Until
 from stickslip.analysis.members import READ, Members
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
@@ -82,7 +82,9 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             problems.get(one.name, {}),
             one.called,
             bool(one.title),
-            scene.record_t_burn if one.is_cut else None,
+            one.kind == "yes or no",
+            one.until and Until(one.until.start(scene.record_t_burn), one.until.needs_stick),
+            one.of_gaps,
         )
         for one in kept
     }

@@ -159,14 +159,14 @@ def half_ended(
         return found
     # runs of a unit are not independent: from when, and until when, the interval of the share holds one half
     t, _, low, high = survival(fates, t_last, t_stop, t_end, confidence, units)
+    return Estimate(found.value, *half_between(t, low, high), found.reason)
+
+
+def half_between(t: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float | None, float | None]:
+    """From when on, and until when, the interval of a share that falls holds one half; None if to no end."""
     first, last = np.flatnonzero(low <= 0.5), np.flatnonzero(high > 0.5)
     until = int(last[-1]) + 1 if len(last) else 0
-    return Estimate(
-        found.value,
-        float(t[first[0]]) if len(first) else None,
-        float(t[until]) if until < len(t) else None,
-        found.reason,
-    )
+    return float(t[first[0]]) if len(first) else None, float(t[until]) if until < len(t) else None
 
 
 def _ends(

@@ -13,15 +13,18 @@ the margin means the same everywhere. Only the words differ (`Words`).
 
 from __future__ import annotations
 
+import reprlib
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
+from numpy.typing import ArrayLike
 
-from stickslip.analysis.stats import student
+from stickslip.analysis.stats import arguments, student
 from stickslip.analysis.stats.estimates import Statistic, Undefined, jackknife, paired_difference
 
 AGREE, DIFFER, UNKNOWN = "agree", "differ", "cannot be told"
+MOST_ERRORS = 8.0  # of the intervals that tests invert: p-values below 1e-15 are not told apart
 WITHIN = "within"  # pages add the margin: "within 1%"
 
 
@@ -66,7 +69,7 @@ class Compared:
 
     def interval(self, level: float) -> tuple[float, float]:
         """Ends of the interval difference +- t error at a level of confidence."""
-        half = student.half_width(level, self.dof) * self.error
+        half = student.quantile(0.5 + level / 2, self.dof) * self.error
         return self.difference - half, self.difference + half
 
     def verdict(self, level: float, words: Words = ALIKE) -> str:
@@ -138,25 +141,6 @@ def _welch(error_a: float, error_b: float, n_a: int, n_b: int) -> tuple[float, f
     return float(np.sqrt(parts.sum())), float(parts.sum() ** 2 / (parts**2 / [n_a - 1, n_b - 1]).sum())
 
 
-def share_difference(first: np.ndarray, second: np.ndarray, paired: bool) -> tuple[float, float, float]:
-    """Share of ones in `second` minus that in `first`, its adjusted Wald error, and infinite degrees of freedom.
-
-    Each group is given two more runs, one of each outcome: Agresti and Min (2005, Stat. Med. 24, 729) if paired,
-    Agresti and Caffo (2000, Am. Stat. 54, 280) if independent. If paired, an entry may be the share of several runs.
-
-    Parameters
-    ----------
-    first, second : ndarray of 0 and 1, shape (G,) and (H,)
-    """
-    n_a, n_b = len(first), len(second)
-    if paired:
-        n, change = n_a + 2.0, second - first
-        moved = change.sum() / n
-        return float(moved), float(np.sqrt((np.sum(change**2) + 1.0) / n - moved**2) / np.sqrt(n)), np.inf
-    p, q = (first.sum() + 1) / (n_a + 2), (second.sum() + 1) / (n_b + 2)
-    return float(q - p), float(np.sqrt(p * (1 - p) / (n_a + 2) + q * (1 - q) / (n_b + 2))), np.inf
-
-
 def verdict(
     p_equivalent: float, p_different: float, alpha: float, difference: float, margin: float, words: Words = ALIKE
 ) -> str:
@@ -195,17 +179,23 @@ def wilson(successes: float, trials: float, confidence: float) -> tuple[float, f
     Raises
     ------
     ValueError
-        If there are no trials, or the successes are not between 0 and the trials.
+        If there are no trials, the successes are not between 0 and the trials, or the confidence is none.
     """
-    if not (trials > 0 and 0 <= successes <= trials):
-        raise ValueError(f"successes, trials: expected 0 <= successes <= trials > 0, got {successes} of {trials}")
+    if not (0 < trials < np.inf and 0 <= successes <= trials):
+        raise ValueError(
+            f"successes, trials: expected 0 <= successes <= trials > 0, got {successes} of {trials}; give how many "
+            "have the property, and how many there are"
+        )
     low, high = wilsons(np.array([successes / trials]), np.array([trials]), confidence)
     return float(low[0]), float(high[0])
 
 
 def wilsons(shares: np.ndarray, trials: np.ndarray, confidence: float) -> tuple[np.ndarray, np.ndarray]:
     """`wilson` of many shares, shape (m,) as all arrays here."""
-    z = float(special.ndtri(0.5 + confidence / 2))
+    return _wilsons(shares, trials, student.half_width(confidence, np.inf))
+
+
+def _wilsons(shares: np.ndarray, trials: np.ndarray, z: float) -> tuple[np.ndarray, np.ndarray]:
     z2 = z * z / trials
     centre = (shares + z2 / 2) / (1 + z2)
     half = z / (1 + z2) * np.sqrt(shares * (1 - shares) / trials + z2 / (4 * trials))
@@ -214,7 +204,7 @@ def wilsons(shares: np.ndarray, trials: np.ndarray, confidence: float) -> tuple[
     return np.maximum(low, 0.0), np.minimum(high, 1.0)
 
 
-def share_over_matrices(counts: np.ndarray, confidence: float) -> tuple[float, float, float, float]:
+def share_over_matrices(counts: ArrayLike, confidence: float) -> tuple[float, float, float, float]:
     """Share of runs with a property, with Wilson's interval for an effective number of trials.
 
     Runs of one matrix are not independent. The trials are p (1 - p) / (variance of p over matrices), but at least the
@@ -222,20 +212,121 @@ def share_over_matrices(counts: np.ndarray, confidence: float) -> tuple[float, f
 
     Parameters
     ----------
-    counts : ndarray, shape (G, 2)
+    counts : array_like, shape (G, 2)
         One row a matrix: runs with the property, and runs.
+    confidence : float
+        Between 0 and 1.
 
     Returns
     -------
     share, low, high, trials : float
+
+    Raises
+    ------
+    ValueError
+        If `counts` are no such rows, there is no run, or the confidence is none.
     """
-    counts = np.asarray(counts, dtype=np.float64)
-    n_matrices, n_runs = len(counts), float(counts[:, 1].sum())
-    share = float(counts[:, 0].sum()) / n_runs
-    trials = float(n_matrices)
-    if 0 < share < 1 and n_matrices > 1:
-        residual = counts[:, 0] - share * counts[:, 1]
-        variance = n_matrices / (n_matrices - 1) * float(np.sum(residual**2)) / n_runs**2
-        trials = float(np.clip(share * (1 - share) / variance, n_matrices, n_runs)) if variance > 0 else n_runs
+    rows = arguments.sums(counts, 2)
+    if not rows[:, 1].sum() or (rows[:, 0] < 0).any() or (rows[:, 0] > rows[:, 1]).any():
+        raise ValueError(
+            "counts: expected 0 <= runs with the property <= runs in each row, and a run at least, got"
+            f" {reprlib.repr(rows.tolist())}; give a row for each matrix"
+        )
+    share, trials, _ = _effective(rows)
     low, high = wilson(share * trials, trials, confidence)
     return share, low, high, trials
+
+
+def _effective(counts: np.ndarray) -> tuple[float, float, np.ndarray]:
+    """A share, its effective number of trials, and by how much each matrix moves it, shape (G,)."""
+    n_matrices, n_runs = len(counts), float(counts[:, 1].sum())
+    share = float(counts[:, 0].sum()) / n_runs
+    moved = (counts[:, 0] - share * counts[:, 1]) / n_runs
+    trials = float(n_matrices)
+    if 0 < share < 1 and n_matrices > 1:
+        variance = n_matrices / (n_matrices - 1) * float(np.sum(moved**2))
+        trials = float(np.clip(share * (1 - share) / variance, n_matrices, n_runs)) if variance > 0 else n_runs
+    return share, trials, moved
+
+
+@dataclass(frozen=True)
+class Inverted:
+    """A difference with an interval that is not symmetric; its tests invert the interval.
+
+    Attributes
+    ----------
+    difference, margin : float
+    ends : callable
+        The ends of the interval at a normal quantile, 1.96 for 95%; the interval widens with it.
+    """
+
+    difference: float
+    margin: float
+    ends: Callable[[float], tuple[float, float]]
+
+    def interval(self, level: float) -> tuple[float, float]:
+        """Ends of the interval at a level of confidence."""
+        return self.ends(student.quantile(0.5 + level / 2, np.inf))
+
+    @property
+    def p_different(self) -> float:
+        """p-value of the two-sided test of no difference: it excludes zero at all levels below 1 - p."""
+        return 2.0 * self._p(lambda low, high: low > 0.0 or high < 0.0)
+
+    @property
+    def p_equivalent(self) -> float:
+        """The larger p-value of the two one-sided tests against the margins: within them below the level 1 - 2 p."""
+        return self._p(lambda low, high: -self.margin < low and high < self.margin)
+
+    def _p(self, holds: Callable[[float, float], bool]) -> float:
+        """The upper tail beyond the largest quantile at which something holds of the interval; 1/2 if at none."""
+        low, high = 0.0, MOST_ERRORS
+        for _ in range(60):
+            middle = (low + high) / 2
+            low, high = (middle, high) if holds(*self.ends(middle)) else (low, middle)
+        return student.below(-low, np.inf)
+
+
+def from_both(first: np.ndarray, second: np.ndarray, correlation: float) -> tuple[float, float]:
+    """Ends of the interval of the second minus the first, from the interval of each: low, value and high, shape (3,).
+
+    The distance from the difference to each end is that of the two estimates to the ends that count there, added as
+    errors are (Newcombe 1998; Zou and Donner 2008, Stat. Med. 27, 1693, with a correlation).
+    """
+
+    def distance(a: float, b: float) -> float:
+        return float(np.sqrt(max(a * a - 2.0 * correlation * a * b + b * b, 0.0)))
+
+    difference = float(second[1] - first[1])
+    low = distance(second[1] - second[0], first[2] - first[1])
+    return difference - low, difference + distance(second[2] - second[1], first[1] - first[0])
+
+
+def correlation(first: np.ndarray, second: np.ndarray) -> float:
+    """Correlation of the parts by which units move two estimates, shape (G,); 0 where one does not vary."""
+    size = float(np.sqrt(np.sum(first**2) * np.sum(second**2)))
+    return float(np.sum(first * second)) / size if size else 0.0
+
+
+def share_difference(first: np.ndarray, second: np.ndarray, paired: bool, margin: float) -> Inverted:
+    """Share of runs in `second` minus that in `first`, with Newcombe's interval from the two of Wilson.
+
+    The interval is that of method 10 in Newcombe (1998), Stat. Med. 17, 873 and 2635. Runs of one matrix count as
+    their effective number, as in `share_over_matrices`. If paired, phi is the correlation over matrices of what moves
+    the two shares, less Newcombe's correction, half a trial of their covariance.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (G, 2) and (H, 2)
+        Runs with the property, and runs, one row a matrix; G = H where paired.
+    """
+    (p, trials_p, moved_p), (q, trials_q, moved_q) = _effective(first), _effective(second)
+    phi = correlation(moved_p, moved_q) if paired else 0.0
+    if phi > 0.0:
+        phi = max(phi - 0.5 / np.sqrt(trials_p * trials_q * p * (1.0 - p) * q * (1.0 - q)), 0.0)
+
+    def ends(z: float) -> tuple[float, float]:
+        low, high = _wilsons(np.array([p, q]), np.array([trials_p, trials_q]), z)
+        return from_both(np.array([low[0], p, high[0]]), np.array([low[1], q, high[1]]), phi)
+
+    return Inverted(q - p, margin, ends)

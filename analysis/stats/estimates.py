@@ -7,14 +7,15 @@ at a time; resampling cascades or time samples would give intervals far too shor
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stickslip.analysis.stats import student
+from stickslip.analysis.stats import arguments, student
 
+_ROUNDING = 1e-9  # of totals that are means over surrogates
 _TOGETHER = 1 << 16  # rows that are left out in turn at once, so that few copies of them are in memory
 LN2 = float(np.log(2.0))  # gamma of P(k) = 2^-k: exits and entries equally likely and independent
 
@@ -31,6 +32,11 @@ class Estimate:
     low: float | None = None
     high: float | None = None
     reason: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("value", "low", "high"):
+            if (number := getattr(self, name)) is not None and np.isnan(number):
+                raise ValueError(f"{name}: expected a number or None, got nan; give None, and the reason")
 
     def __repr__(self) -> str:
         value = "no value" if self.value is None else f"{self.value:.6g}"
@@ -69,11 +75,18 @@ class UnitSums:
         columns = np.asarray(rows, dtype=np.float64).reshape(-1, 2).T
         return cls(numbers, np.column_stack([np.bincount(place, one, len(numbers)) for one in columns]))
 
-    @classmethod
-    def together(cls, some: Iterable[UnitSums]) -> UnitSums:
-        """Several added up by unit."""
-        parts = [cls(), *some]
-        return cls.of(np.concatenate([one.units for one in parts]), np.concatenate([one.rows for one in parts]))
+    @staticmethod
+    def together(some: Iterable[UnitSums]) -> UnitSums:
+        """Several of one kind added up by unit."""
+        parts = list(some)
+        return parts[0].joined(parts[1:]) if parts else UnitSums()
+
+    def joined(self, others: Sequence[UnitSums]) -> UnitSums:
+        """These and others of their kind, added up by unit."""
+        parts = [self, *others]
+        return UnitSums.of(
+            np.concatenate([part.units for part in parts]), np.concatenate([part.rows for part in parts])
+        )
 
     def __len__(self) -> int:
         return len(self.units)
@@ -95,7 +108,16 @@ Statistic = Callable[[np.ndarray], np.ndarray]  # sums, shape (m, c) -> values, 
 
 
 def ratio(sums: np.ndarray) -> np.ndarray:
-    """First column over the second, which is a mean if the second is a count."""
+    """First column over the second, which is a mean if the second is a count.
+
+    Raises
+    ------
+    ValueError
+        If `sums` are not of shape (m, 2), finite, and the second >= 0.
+    Undefined
+        If a second is 0.
+    """
+    sums = arguments.sums(sums, 2)
     if (sums[:, 1] == 0).any():
         raise Undefined("nothing was counted")
     return sums[:, 0] / sums[:, 1]
@@ -113,10 +135,18 @@ def gamma(sums: np.ndarray) -> np.ndarray:
 
     Raises
     ------
+    ValueError
+        If `sums` are no such sums: sizes themselves, say, or fewer blocks than cascades.
     Undefined
         If there are no cascades, or all sizes are 1 (the likelihood then increases with gamma without bound).
     """
-    total, count = sums[:, 0], sums[:, 1]
+    total, count = arguments.sums(sums, 2).T
+    if (total < count * (1.0 - _ROUNDING)).any():
+        row = int(np.flatnonzero(total < count * (1.0 - _ROUNDING))[0])
+        raise ValueError(
+            f"sums: expected sizes >= 1, whose total is at least their number, got a total of {total[row]:g} for "
+            f"{count[row]:g} in row {row}; the columns are the total of the sizes and their number"
+        )
     if (count == 0).any():
         raise Undefined("no complete cascade")
     if (total <= count).any():
@@ -166,12 +196,19 @@ def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> 
     sums : ndarray, shape (G, c)
         One row a matrix; the statistic is that of their sum.
     confidence : float
+        Between 0 and 1.
 
     Returns
     -------
     Estimate
         With a reason instead of an interval for a single matrix.
+
+    Raises
+    ------
+    ValueError
+        If `sums` are no such rows, or not finite, or the confidence is none.
     """
+    sums, confidence = arguments.sums(sums), arguments.level(confidence)
     if len(sums) == 0:
         return Estimate(reason="no matrix has data")
     try:

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from scipy import special
 
+from stickslip.analysis.stats.arguments import level
+
 
 def half_width(confidence: float, dof: float) -> float:
     """Half-width of the two-sided interval, in standard errors."""
-    return quantile(0.5 + confidence / 2, dof)
+    return quantile(0.5 + level(confidence) / 2, dof)
 
 
 def quantile(share: float, dof: float) -> float:

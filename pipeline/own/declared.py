@@ -82,9 +82,9 @@ def _column(where: str, field: str, hint: Any) -> dict[str, Any]:
 def _meaning(where: str, field: str, column: Mapping[str, Any], notes: Sequence[Mapping[Any, Any]]) -> dict[str, Any]:
     """What a field says of its values besides its words: below what they never are, and why a run may have none."""
     given = {key: value for note in notes for key, value in note.items()}
-    odd = next((key for key in given if key not in ("least", "absent")), None)
+    odd = next((key for key in given if key not in ("least", "absent", "since")), None)
     if odd is not None:
-        raise SceneError(f"{where}: expected 'least' or 'absent' for {field}, got {odd!r:.80}; remove it")
+        raise SceneError(f"{where}: expected 'least', 'absent' or 'since' for {field}, got {odd!r:.80}; remove it")
     found: dict[str, Any] = {}
     if "least" in given:
         least: Any = given["least"]
@@ -106,4 +106,17 @@ def _meaning(where: str, field: str, column: Mapping[str, Any], notes: Sequence[
                 f"{where}: expected words as 'absent' of {field}, whose type has `| None`, got {got}; change it"
             )
         found["absent"] = " ".join(absent.split())
+    if "since" in given:
+        since: Any = given["since"]
+        is_time = column["type"] == "float" and column["is_optional"]
+        is_start = since == "t_burn" or (
+            isinstance(since, numbers.Real) and not isinstance(since, bool) and 0 <= cast("float", since) <= _MOST
+        )
+        if not (is_time and is_start):
+            got = f"{since!r:.80}" if is_time else "another type"
+            raise SceneError(
+                f"{where}: expected a time >= 0, or \"t_burn\", as 'since' of {field}, of type float | None, got"
+                f" {got}; change it"
+            )
+        found |= {"since": since if since == "t_burn" else float(since), "least": found.get("least", 0.0)}
     return found

@@ -11,6 +11,25 @@ Kind = Literal[
 ]
 
 
+class Until(NamedTuple):
+    """What is known of a time until something happens.
+
+    Attributes
+    ----------
+    since : float, or "t_burn"
+        The time of the run from which on it counts.
+    needs_stick : bool
+        Whether it takes a block that sticks: once it is certain that none does any more, it never happens.
+    """
+
+    since: float | Literal["t_burn"] = 0.0
+    needs_stick: bool = False
+
+    def start(self, t_burn: float) -> float:
+        """The time of the run from which on it counts."""
+        return t_burn if self.since == "t_burn" else self.since
+
+
 class Column(NamedTuple):
     """A column: a value a member, or a list of values.
 
@@ -34,9 +53,12 @@ class Column(NamedTuple):
         run without one lacks it.
     title : str
         What a number is called in a sentence; empty: its name, with spaces.
-    is_cut : bool
-        Whether it is of times that have to lie between t_burn and the end of a run: the long ones are cut, so that
-        their mean is too small unless the run is much longer.
+    until : Until, optional
+        If it is a time until something happens, which the end of a run may cut off: a run without one was followed to
+        its end.
+    of_gaps : "mean" or "scatter", optional
+        If it is of the times between exits of the same block that lie between t_burn and the end of a run: the long
+        ones are cut off, so that it is too small unless the run is much longer.
     """
 
     kind: Kind
@@ -49,7 +71,8 @@ class Column(NamedTuple):
     least: float | None = None
     absent: str = ""
     title: str = ""
-    is_cut: bool = False
+    until: Until | None = None
+    of_gaps: Literal["", "mean", "scatter"] = ""
 
     @property
     def called(self) -> str:

@@ -17,7 +17,7 @@ from stickslip.pipeline.errors import SceneError, foreign
 from stickslip.pipeline.own.declared import SAMPLES, declared
 from stickslip.pipeline.own.function import PATTERN, LateError, OwnFunction, resolve, use
 from stickslip.pipeline.own.trial import Trial, tried_once
-from stickslip.pipeline.records.column import Column, Kind
+from stickslip.pipeline.records.column import Column, Kind, Until
 from stickslip.pipeline.records.record import Facts, Made, Member, Memory, NotKeptError, WindowRecord, sampling, steps
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Samples
@@ -140,7 +140,7 @@ class OwnRecord(WindowRecord):
         run = read_only(replace(run, events=replace(run.events), samples=samples))
         system, given = read_only(made.system), {SAMPLES: run.samples} if own.is_sampled else {}
         try:
-            return _checked(own, use(own.function, lambda measure: measure(run, system, window, **given)))
+            return _checked(own, use(own.function, lambda measure: measure(run, system, window, **given)), window)
         except LateError as error:
             return Measured({}, str(error), True)
         except (SceneError, NotKeptError):
@@ -174,8 +174,8 @@ def read_only(value: _T) -> _T:
 # ---------------------------------------------------------------------------------------------- what it returned
 
 
-def _checked(own: Own, returned: object) -> Measured:
-    """The values that a function returned, as its columns hold them."""
+def _checked(own: Own, returned: object, window: tuple[float, float]) -> Measured:
+    """The values that a function returned of a run, as its columns hold them."""
     names = tuple(column.name for column in own.columns)
     fields = getattr(returned, "_fields", names)
     if not isinstance(returned, tuple) or len(returned) != len(names) or fields != names:
@@ -183,6 +183,7 @@ def _checked(own: Own, returned: object) -> Measured:
         return Measured({}, f"expected ({', '.join(names)}), got {got}", True)
     values: dict[str, Any] = {}
     problems: list[str] = []
+    t_burn, t_end = window
     is_wrong = False
     for column, value in zip(own.columns, returned, strict=True):
         if value is None and column.name in own.optional:
@@ -192,6 +193,11 @@ def _checked(own: Own, returned: object) -> Measured:
             problems.append(f"expected a finite number for {column.name}, got {plain}")
         elif column.least is not None and plain is not None and plain < column.least:
             problems.append(f"expected at least {column.least:g} for {column.name}, got {plain:g}")
+        elif plain is not None and column.until is not None and plain > t_end - column.until.start(t_burn):
+            problems.append(
+                f"expected at most {t_end - column.until.start(t_burn):g} for {column.name}, a time since"
+                f" {column.until.since}, got {plain:g}"
+            )
         elif plain is None:
             is_wrong = True
             problems.append(f"expected {_EXPECTED[column.kind]} for {column.name}, got {type(value).__name__}")
@@ -240,7 +246,14 @@ def _own(
     return Own(
         OwnFunction(KEY, name, sha256, at, tuple(sorted(beside.items()))),
         tuple(
-            Column(_KINDS[one["type"]], key, one["words"], least=one["least"], absent=one["absent"])
+            Column(
+                _KINDS[one["type"]],
+                key,
+                one["words"],
+                least=one["least"],
+                absent=one["absent"],
+                until=None if one["since"] is None else Until(one["since"]),
+            )
             for key, one in columns.items()
         ),
         tuple(key for key, one in columns.items() if one["is_optional"]),

@@ -165,6 +165,7 @@ class ColumnTable(StrictTable):
     is_optional: bool
     least: float | None = None
     absent: str = ""
+    since: Annotated[float, Field(ge=0.0)] | Literal["t_burn"] | None = None
 
 
 class FunctionTable(StrictTable):

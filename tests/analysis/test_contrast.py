@@ -9,6 +9,7 @@ from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.contrast import (
     SHORT_WINDOW,
     Sample,
+    Share,
     Statistic,
     contrast,
     judge,
@@ -18,12 +19,12 @@ from stickslip.analysis.contrast import (
     told,
 )
 from stickslip.analysis.report.formats import environment
-from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
+from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN, share_difference
 from stickslip.analysis.stats.enough import FEW_MATRICES
 from stickslip.analysis.stats.estimates import UnitSums, gamma, ratio
 
 MEAN = Statistic("mean", ratio, 0.1)
-SHARE = Statistic("share", ratio, 0.2, is_share=True)
+SHARE = Share("share")
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0)
 MARGINS = {"mean": 0.1, "variance": 0.25, "rate": 0.1, "correlation_time": 0.5, "gamma": 0.05, "band": 0.5}
 
@@ -69,15 +70,45 @@ def test_only_shared_matrices_are_pairs():
     assert (apart["n_first"], apart["reason"], apart["relative"]) == (0, FEW_MATRICES, None)
 
 
+def test_shares_differ_by_newcombes_interval():
+    """Independent: method 10 of Newcombe (1998), Table II (a), 56 of 70 and 48 of 80: 0.0524 to 0.3339.
+
+    Paired: of 20 with 2, 5, 1 and 12 of each kind, by the formula with phi = (ad - bc - n / 2) / sqrt(...).
+    """
+    many, few = (of(np.arange(n) < k, "share", first=first) for k, n, first in ((56, 70, 100), (48, 80, 0)))
+    found = contrast(SHARE, few, many, False, 0.95)
+    assert found["difference"] == pytest.approx(0.2)
+    assert (found["difference_low"], found["difference_high"]) == pytest.approx((0.0524, 0.3339), abs=5e-5)
+    first, second = np.repeat([[1, 1, 0, 0], [1, 0, 1, 0]], (2, 5, 1, 12), axis=1)
+    paired = contrast(SHARE, of(first, "share"), of(second, "share"), True, 0.95)
+    (p, low_p, high_p), (q, low_q, high_q) = (
+        (k / 20, *stats.binomtest(k, 20).proportion_ci(0.95, method="wilson")) for k in (7, 3)
+    )
+    phi = (2 * 12 - 5 * 1 - 20 / 2) / np.sqrt(7 * 13 * 3 * 17)
+    low = np.sqrt((q - low_q) ** 2 - 2 * phi * (q - low_q) * (high_p - p) + (high_p - p) ** 2)
+    high = np.sqrt((high_q - q) ** 2 - 2 * phi * (high_q - q) * (p - low_p) + (p - low_p) ** 2)
+    assert (paired["difference_low"], paired["difference_high"]) == pytest.approx((q - p - low, q - p + high))
+    assert (paired["first_low"], paired["first_high"]) == pytest.approx((low_p, high_p))
+
+
+def test_tests_of_shares_invert_their_interval():
+    """At the level 1 - p an end of the interval is zero; at 1 - 2 p, the nearer margin."""
+    first, second = np.arange(40) < 20, np.arange(40) % 4 == 0
+    counts = [np.column_stack([has, np.ones(40)]).astype(float) for has in (first, second)]
+    for paired in (True, False):
+        test = share_difference(*counts, paired, 0.4)
+        assert test.interval(1 - test.p_different)[1] == pytest.approx(0.0, abs=1e-9)
+        assert test.interval(1 - 2 * test.p_equivalent)[0] == pytest.approx(-0.4, abs=1e-9)
+
+
 def test_shares_of_none_and_none_are_not_exactly_known():
-    # Agresti and Caffo: one success and one failure more in each, so 1/22 and 1/22
     none = of(np.zeros(20), "share")
-    found = contrast(SHARE, none, none, False, 0.95)
-    half = stats.norm.ppf(0.975) * np.sqrt(2 * (1 / 22) * (21 / 22) / 22)
-    assert (found["difference_low"], found["difference_high"]) == pytest.approx((-half, half))
-    paired = contrast(SHARE, none, none, True, 0.95)  # Agresti and Min: half a pair more in each cell
-    assert paired["difference_high"] == pytest.approx(stats.norm.ppf(0.975) * np.sqrt(1 / 22 / 22))
-    assert not told([found, paired])
+    high = stats.binomtest(0, 20).proportion_ci(0.95, method="wilson").high
+    for paired in (False, True):
+        found = contrast(SHARE, none, none, paired, 0.95)
+        assert (found["difference_low"], found["difference_high"]) == pytest.approx((-high, high))
+        assert found["first_high"] == pytest.approx(high)
+        assert not told([found])
 
 
 @pytest.mark.parametrize("paired", [True, False])

@@ -20,7 +20,7 @@ from matplotlib.ticker import FixedLocator, MaxNLocator
 
 from stickslip.analysis import contrast
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
-from stickslip.analysis.contrast import SHARE_MARGIN, Sample, Statistic
+from stickslip.analysis.contrast import Sample, Share, Statistic
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.grid import (
     AT_MOST,
@@ -35,13 +35,13 @@ from stickslip.analysis.grid import (
     points_at,
     settings,
 )
-from stickslip.analysis.groups import Group, Value
+from stickslip.analysis.groups import Value
 from stickslip.analysis.measures import AXES, GAMMA, KEYS, MEAN, Measure, measures
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
 from stickslip.analysis.questions.runs.fates import FATES, shares
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words
-from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, UnitSums, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
 
@@ -49,8 +49,6 @@ from stickslip.analysis.style import EXACT, GREY, panel
 RELATIVE, ROUNDING = ("tol", "rtol"), 1e-12
 RISES, FALLS, SAME = "rises", "falls", "the same in all"
 MOST_LINES = 6  # in one figure
-COUNT = "waiting_count"  # of the times between exits of the same block
-SHORT = 0.02  # of the window: the mean of random times of this length that lie in it whole is 2% too small
 MOST_COLUMNS = 5  # of measures in the table of values
 MOST_FIGURES = 8  # of statistics along a key
 MOST_DECADES = 4.0  # of an axis: what lies further below the largest value is below the axis
@@ -64,7 +62,7 @@ _VALUES: Mapping[str, str] = {
 }  # fmt: skip
 _MEASURES: Mapping[str, str] = {
     "setting": S, "group": S, "measure": S, "words": S, "estimate": F, "estimate_low": F, "estimate_high": F,
-    "n_units": I, "n_runs": I, "n_without": I, "reason": S,
+    "n_units": I, "n_runs": I, "n_censored": I, "n_without": I, "reason": S,
 }  # fmt: skip
 _MISSING: Mapping[str, str] = {"setting": S, "measure": S, "member_id": S, "reason": S}
 _CONTRASTS: Mapping[str, str] = {"setting": S, "key": S, "first_value": S, "second_value": S, **contrast.SCHEMA}
@@ -125,7 +123,6 @@ def answer(study: Study) -> Answer | None:
         "unjudged": [row for row in rows if row["basis"] not in enough.JUDGED],
         "t_burn": study.settings.t_burn,
         **(_facts(points, asked) if recorded else {"measures": [], "gaps": [], "withheld": []}),
-        "cut": [found for k, one in enumerate(asked) for found in _cut(one, _cell(k), rows, points, study)],
     }
     if not own:
         few = max(rows, key=lambda row: row["n_units"])
@@ -183,7 +180,7 @@ def _contrasts(
     level, recorded = study.settings.confidence, {one.name for one in asked} - {*KEYS}
     # a change below it, in units of the largest value of a unit, is of the size of the runs' own errors
     noise = max([ROUNDING, *(point.group.key[name] or 0.0 for point in points for name in RELATIVE)])
-    statistics = [*(one.statistic for one in asked), Statistic(IN_MOTION, ratio, SHARE_MARGIN, is_share=True)]
+    statistics = [*(one.statistic for one in asked), Share(IN_MOTION)]
     largest = {one.name: _largest(one.name, points) for one in statistics}
     for axis, one in product(axes, statistics):
         n_units = {value: _n_units(one.name, points, axis, value) for value in axis.values}
@@ -195,11 +192,12 @@ def _contrasts(
                 for point in points
                 if point.at[axis] == value and (before := tuple((point.at | {axis: base}).values())) in by_place
             ]
-            first, second, n_pairs = _in_common((IN_MOTION, AT_MOST) if one.is_share else (one.name,), pairs)
-            if one.is_share and not _differ(first, second, one.name):
+            is_bounded = one.name == IN_MOTION
+            first, second, n_pairs = _in_common((IN_MOTION, AT_MOST) if is_bounded else (one.name,), pairs)
+            if is_bounded and not _differ(first, second, one.name):
                 continue
             row = contrast.contrast(one, first, second, paired=True, confidence=level)
-            if one.is_share:
+            if is_bounded:
                 row |= _either_way(row, one, first, second, level)
             if one.name in recorded and row["reason"] == enough.FEW_MATRICES:
                 row |= _of_few(one, first, second, level)
@@ -250,7 +248,7 @@ def _either_way(row: Row, one: Statistic, first: Sample, second: Sample, confide
 
 def _of_few(one: Statistic, first: Sample, second: Sample, confidence: float) -> Row:
     """Values for a contrast of too few units, which has no test; nothing where there is no unit at all."""
-    before, after = (over_matrices(one.of, some.of(one.name).rows, confidence) for some in (first, second))
+    before, after = (one.estimate(some.of(one.name), confidence) for some in (first, second))
     if before.value is None or after.value is None:
         return {}
     return (
@@ -405,6 +403,7 @@ def _value_row(point: Point, setting: str, axes: Sequence[Axis], asked: Sequence
         "basis": point.group.basis(confidence).code,
         **ChainMap(*(named(_cell(k), estimate(one.statistic, [point], confidence)) for k, one in enumerate(asked))),
         **{f"{_cell(k)}_runs": len(point.group) - len(point.values[one.name].missing) for k, one in enumerate(asked)},
+        **{f"{_cell(k)}_censored": point.values[one.name].n_censored for k, one in enumerate(asked)},
         "values": [point.values[one.name] for one in asked],
     }  # fmt: skip
 
@@ -420,7 +419,7 @@ def _measured(rows: Sequence[Row], asked: Sequence[Measure]) -> Iterator[Row]:
         for k, (one, values) in enumerate(zip(asked, row["values"], strict=True)):
             yield row | {f"estimate{end}": row[f"{_cell(k)}{end}"] for end in ("", "_low", "_high")} | {
                 "measure": one.name, "words": one.words or None, "n_units": len(values.sums),
-                "n_without": len(values.missing), "reason": values.withheld or None,
+                "n_censored": values.n_censored, "n_without": len(values.missing), "reason": values.withheld or None,
             }  # fmt: skip
 
 
@@ -443,9 +442,10 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
         gaps.setdefault(missing, []).append(one.axis)
     known = [(k, one) for k, one in enumerate(asked) if any(len(point.values[one.name].sums) for point in every)]
     shown = [
-        (one.name, _cell(k), any(point.values[one.name].missing for point in every))
+        (one.name, _cell(k), any(point.values[one.name].n_censored for point in every),
+         any(point.values[one.name].missing for point in every))
         for k, one in known[:MOST_COLUMNS]
-    ]
+    ]  # fmt: skip
     return {
         "measures": [
             {"subject": one.subject, "words": "" if one.says_it else one.words, "definition": one.words,
@@ -460,49 +460,11 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
             for one in asked
             for why, some in _withheld(one, every).items()
         ],
-        "cells": [cell for name, key, lacks in shown
+        "cells": [cell for name, key, is_cut, lacks in shown
                   for cell in ((name, key, "#"), ("interval", (f"{key}_low", f"{key}_high"), "#"),
-                               ("of runs", f"{key}_runs", "n"))[: 2 + lacks]],
+                               *[("cut off", f"{key}_censored", "n")] * is_cut,
+                               *[("of runs", f"{key}_runs", "n")] * lacks)],
     }  # fmt: skip
-
-
-def _cut(
-    one: Measure, cell: str, rows: Sequence[Row], points: Mapping[str, Sequence[Point]], study: Study
-) -> list[Row]:
-    """Where the mean of times that have to lie in the window is too small by most, and its window; none if nowhere.
-
-    That is told by the number of exits, or else taken to be so where it is more than `SHORT` of the window.
-    """
-    if one.since is None:
-        return []
-    groups = {point.group.label: point.group for some in points.values() for point in some}
-    found: list[Row] = []
-    for row in rows:
-        group, mean = groups[row["group"]], row[cell]
-        window = float(group.key["t_end"]) - one.since
-        if mean is not None and mean > SHORT * window:
-            by_exits = _by_exits(study, group, window) if one.since == study.settings.t_burn else None
-            found.append({"subject": one.subject, "mean": mean, "window": window, "by_exits": by_exits})
-    found = [row for row in found if row["by_exits"] is None or row["by_exits"] > (1.0 + SHORT) * row["mean"]]
-    return sorted(found, key=lambda row: (row["by_exits"] or row["mean"]) / row["mean"])[-1:]
-
-
-def _by_exits(study: Study, group: Group, window: float) -> float | None:
-    """The mean time between exits of a block from their number, of blocks that exit: they have one more than times.
-
-    Over the units whose runs in motion are those that have such times; None if there is none, or no count of times.
-    """
-    if COUNT not in study.data.table.own:
-        return None
-    n_times = group.column(COUNT).to_numpy(np.float64, na_value=0.0)
-    has, units = n_times > 0, group.column("unit").to_numpy()
-    times = UnitSums.of(units[has], np.column_stack([n_times, has])[has])
-    exits = UnitSums(group.units, group.of("rate", "runs")).within(times)
-    times = times.within(exits)
-    alike = times.rows[:, 1] == exits.rows[:, 1]
-    n_exits = window * float(exits.rows[alike, 0].sum())
-    n_blocks = n_exits - float(times.rows[alike, 0].sum())
-    return n_blocks * window / n_exits if n_exits else None
 
 
 def _withheld(one: Measure, points: Sequence[Point]) -> dict[str, list[Point]]:
@@ -517,7 +479,7 @@ def _withheld(one: Measure, points: Sequence[Point]) -> dict[str, list[Point]]:
 _OF = {
     "mean": Statistic(MEAN, ratio, 0.0, least=0.0),
     "gamma": Statistic(GAMMA, QUANTITIES["gamma"].of, 0.0, least=0.0),
-    "moving": Statistic(IN_MOTION, ratio, 0.0, is_share=True),
+    "moving": Share(IN_MOTION),
 }
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.records.column import Column, Until
 from stickslip.pipeline.records.record import Made, Record
 
 
@@ -24,6 +24,7 @@ class FirstExit(Record):
             least=0.0,
             absent="no exit",
             title="time of the first exit",
+            until=Until(needs_stick=True),
         ),
         Column("whole", "first_exit_block", "the block that lets go first", is_averaged=False),
     )

@@ -34,7 +34,7 @@ class Waiting(WindowRecord):
             least=0.0,
             absent="no block left twice",
             title="waiting time",
-            is_cut=True,
+            of_gaps="mean",
         ),
         Column(
             "number",
@@ -43,6 +43,7 @@ class Waiting(WindowRecord):
             least=0.0,
             absent="fewer than two times",
             title="coefficient of variation of waiting times",
+            of_gaps="scatter",
         ),
     )
     needs = frozenset({"events", "system"})

@@ -1,0 +1,61 @@
+"""Arguments of public statistics, checked: whatever has no meaning is refused, by its name."""
+
+from __future__ import annotations
+
+import math
+import reprlib
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+_MAKE_SUMS = "make a row for each matrix, np.array([[sizes.sum(), len(sizes)]]) for one list of sizes"
+
+
+def level(confidence: float) -> float:
+    """A level of confidence, between 0 and 1.
+
+    Raises
+    ------
+    ValueError
+        If it is none, as 95 in place of 0.95.
+    """
+    is_number = isinstance(confidence, int | float | np.integer | np.floating)
+    if not is_number or not 0.0 < confidence < 1.0:
+        in_percent = is_number and 1.0 < confidence < 100.0
+        raise ValueError(
+            f"confidence: expected a number between 0 and 1, got {confidence!r}; "
+            f"write {confidence / 100 if in_percent else 0.95:g}"
+        )
+    return float(confidence)
+
+
+def sums(values: ArrayLike, n_columns: int | None = None) -> np.ndarray:
+    """Rows of sums, one a matrix, float64, shape (m, c).
+
+    Parameters
+    ----------
+    values : array_like
+    n_columns : int, optional
+        c, where it is known: with 2, the second is a count.
+
+    Raises
+    ------
+    ValueError
+        If they are no such rows, a number is not finite, or a count is negative.
+    """
+    try:
+        rows = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"sums: expected numbers, got {reprlib.repr(values)}; {_MAKE_SUMS}") from None
+    if rows.ndim != 2 or n_columns not in (None, rows.shape[1]):
+        raise ValueError(f"sums: expected shape (matrices, {n_columns or 'columns'}), got {rows.shape}; {_MAKE_SUMS}")
+    if not math.isfinite(rows.sum()) and not np.isfinite(rows).all():
+        row, column = (int(k) for k in np.argwhere(~np.isfinite(rows))[0])
+        raise ValueError(
+            f"sums: expected finite numbers, got {rows[row, column]} in row {row}, column {column}; leave out "
+            "matrices that have none"
+        )
+    if n_columns == 2 and (rows[:, 1] < 0).any():
+        row = int(np.flatnonzero(rows[:, 1] < 0)[0])
+        raise ValueError(f"sums: expected counts >= 0 in column 1, got {rows[row, 1]:g} in row {row}; count again")
+    return rows
