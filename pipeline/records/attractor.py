@@ -71,10 +71,10 @@ class AttractorRecord(WindowRecord):
             "section_z",
             "displacement of each block at one event of the cycle, the same for all starts that end in it; at rest or"
             " steady sliding, there",
-            along="block",
+            along="section_block",
             repeats=False,
         ),
-        Column("numbers", "section_w", "velocity of each block then", along="block", repeats=False),
+        Column("numbers", "section_w", "velocity of each block then", along="section_block", repeats=False),
         Column(
             "whole", "exits_block", "the block with most exits in a period, or in an irregular run", is_averaged=False
         ),
@@ -85,8 +85,10 @@ class AttractorRecord(WindowRecord):
             along="exit",
             repeats=False,
         ),
-        Column("numbers", "start_z", "displacement of each block at t = 0, for pictures of basins", along="block"),
-        Column("numbers", "start_w", "velocity of each block then", along="block"),
+        Column(
+            "numbers", "start_z", "displacement of each block at t = 0, for pictures of basins", along="start_block"
+        ),
+        Column("numbers", "start_w", "velocity of each block then", along="start_block"),
     )
     is_of_paths = True
     needs = frozenset({"events", "end", "system"})

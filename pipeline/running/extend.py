@@ -100,12 +100,28 @@ def addition(path: Where | Opened, record: Mapping[str, Any], accept_version: bo
         As `extend`.
     """
     opened = open_dataset(path)
+    scene = with_records(opened.scene, _keys(opened, record), opened.folder)
+    return Addition(opened, scene, Extending(opened, scene, accept_version).look()[1])
+
+
+def is_there(opened: Opened, record: Mapping[str, Any]) -> bool:
+    """Whether a dataset has records already, with the functions of a user's own as they are now.
+
+    Raises
+    ------
+    SceneError
+        If a function of the user's own is gone.
+    """
+    return has_records(opened.scene, record) and has_records(opened.scene, _keys(opened, record))
+
+
+def _keys(opened: Opened, record: Mapping[str, Any]) -> dict[str, Any]:
+    """Keys under [record], with the digests of functions that they name."""
     keys = dict(record)
     if names := named_functions(keys.get(OwnRecord.name)):
         folder = folder_with(names[0].partition(":")[0], opened.folder)
         keys |= {OwnRecord.name: names, "functions": look_at_functions(names, folder)}
-    scene = with_records(opened.scene, keys, opened.folder)
-    return Addition(opened, scene, Extending(opened, scene, accept_version).look()[1])
+    return keys
 
 
 def extend(
@@ -118,6 +134,8 @@ def extend(
     dashboard: bool = False,
 ) -> Status:
     """Add records to a finished dataset, or what is missing of an extension that was interrupted.
+
+    A dataset that has them already stays as it is.
 
     What is kept of the runs, as their events, is not computed again: a record that needs no more is computed from it,
     and for others members are run again. In the end the dataset has the bytes of a run with these records from the
@@ -134,7 +152,7 @@ def extend(
     Raises
     ------
     SceneError
-        If a key is unknown or does not apply, or the data have that record already; or as `run_ensemble`.
+        If a key is unknown or does not apply, or the data have some of the records already; or as `run_ensemble`.
     StoreError
         If the dataset is not finished, damaged, or cannot be written; if an extension by other records was begun; or
         if a member that is run again does not run as it did.
@@ -143,11 +161,9 @@ def extend(
     """
     check_caller(workers)
     start = time.monotonic()
-    opened = open_dataset(path)
-    if opened.manifest.scene is not None:
-        opened = ended(opened)
-        if has_records(opened.scene, record):
-            return counted(opened, opened.tasks)
+    opened = ended(open_dataset(path))
+    if is_there(opened, record):
+        return counted(opened, opened.tasks)
     found = addition(opened, record, accept_version)
     if isinstance(scheduler, str):
         check_address(scheduler)

@@ -62,17 +62,21 @@ def with_records(scene: Scene, keys: Mapping[str, Any], folder: Path = Path()) -
 def _joined(before: Any, value: Any) -> Any:
     """The value of a key that gets more: lists and tables are joined."""
     if isinstance(value, list):
-        return [*([before] if isinstance(before, str) else before or []), *value]
+        return [*dict.fromkeys([*([before] if isinstance(before, str) else before or []), *value])]
     return {**(before or {}), **value} if isinstance(value, dict) else value
 
 
 def has_records(scene: Scene, keys: Mapping[str, Any]) -> bool:
     """Whether a scene has these keys under [record]."""
     there = parse_toml(scene.source, "scene").get("record", {})
-    return all(
-        set(value) <= set(there.get(key, [])) if isinstance(value, list) else there.get(key) == value
-        for key, value in plain(keys).items()
-    )
+    return all(_holds(there.get(key), value) for key, value in plain(keys).items())
+
+
+def _holds(before: Any, value: Any) -> bool:
+    """Whether the value of a key is there already: lists and tables, in what is there."""
+    if isinstance(before, list) or isinstance(value, list):
+        return set(_joined(value, [])) <= set(_joined(before, []))
+    return value.items() <= (before or {}).items() if isinstance(value, dict) else before == value
 
 
 def lines_between(before: Scene, wanted: Scene) -> list[str]:

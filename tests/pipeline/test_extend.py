@@ -138,6 +138,22 @@ def test_a_function_of_ones_own_is_added_from_what_is_kept_or_by_running_again(h
 OTHERS = {"manifest.json", "scene.toml"}
 
 
+def test_what_is_there_is_not_added_again_unless_its_function_has_changed(tmp_path, content):
+    (tmp_path / "mine.py").write_text(OWN)
+    (tmp_path / "part.toml").write_bytes(source())
+    out = tmp_path / "part"
+    run_ensemble(load_scene(tmp_path / "part.toml"), out, workers=0)
+    for keys in ({"own": ["mine:measured"], "t_burn": 3.0, "end": True}, {"end": True}, {"own": "mine:measured"}):
+        assert extend(out, keys, workers=0).is_complete
+        before = content(out)
+        assert extend(out, keys, workers=0).is_complete
+        assert content(out) == before
+    (tmp_path / "mine.py").write_text(OWN.replace("max", "min"))
+    with pytest.raises(SceneError, match=r"record\.own: expected a record that the data lack"):
+        extend(out, {"own": ["mine:measured"]}, workers=0)
+    assert content(out) == before
+
+
 def test_a_grown_dataset_is_extended_and_an_extended_one_grows(tmp_path, content):
     """Members of one shard come from several then; and members that are added have the new columns."""
     path, anew, grown = (tmp_path / name for name in ("path", "anew", "grown"))
@@ -240,7 +256,7 @@ def test_a_kill_at_any_moment_leaves_the_old_dataset_or_the_new_and_can_be_gone_
     assert first > 2 * len(end)
     ending = [k for k in range(first, len(found)) if read_manifest(tmp_path / str(k)).scene is not None]
     assert len(ending) > 3
-    for k in {0, *rng.choice(first, 6, replace=False).tolist(), first - 1, *ending}:
+    for k in {0, *rng.choice(first, 6, replace=False).tolist(), first - 1, *ending, len(found) - 1}:
         assert extend(tmp_path / str(k), KEYS, workers=0).is_complete
         assert content(tmp_path / str(k)) == end, k
         assert verify(tmp_path / str(k)) == []
@@ -315,7 +331,7 @@ def content_of(place):
     [
         ({"waitings": True}, r"record\.waitings: unknown key of \[record\].*did you mean 'waiting'"),
         (
-            {"events": True},
+            {"events": True, "waiting": True},
             r"record\.events: expected a record that the data lack, got one that they have; leave",
         ),
         ({"waiting": True, "dt": 0.1}, r"record\.dt: expected only with some of"),

@@ -5,12 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pytest
 import xarray
 
 from stickslip.pipeline import parse_scene, query, run_ensemble
-from stickslip.pipeline.ensemble import pack
+from stickslip.pipeline.ensemble import member, pack
 from stickslip.pipeline.scene.columns import COLUMNS
 from stickslip.workflows.commands import main
 from stickslip.workflows.netcdf import _SAMPLES
@@ -90,3 +91,65 @@ def test_a_file_in_the_dataset_is_refused(out, kept, tmp_path, monkeypatch, caps
     assert main(["export", str(kept), "--netcdf", out.format(kept=kept, link=tmp_path / "link")]) == 2
     assert "outside the dataset" in capsys.readouterr().err
     assert not (kept / "out.nc").exists()
+
+
+MIXED = """
+[system]
+coupling = "chain"
+n = 2
+damping = [0.1, 0.2]
+belt_speed = -0.1
+[system.weakening]
+law = "rational"
+rate = 2.0
+[start]
+z = {uniform = [-1.0, 1.0]}
+w = "belt"
+draws = 1
+[run]
+t_end = 300.0
+matrices = 3
+[twins]
+sizes = 0.1
+[[engine]]
+name = "coulomb"
+[[engine]]
+name = "sigmoid"
+[record]
+separation = 2.0
+events = true
+episodes = true
+end = true
+energy = true
+attractor = true
+[analysis]
+t_burn = 20.0
+dt = 0.5
+"""
+
+
+def test_each_list_has_its_own_lengths_in_netcdf(tmp_path, monkeypatch):
+    """Runs on a cycle and on none, by engines that have it and that have not, with a twin and without, and failed."""
+    task = member.Member.task
+
+    def fragile(member, *arguments):
+        if member.row()["matrix"] == 2:
+            raise ZeroDivisionError("planted")
+        return task(member, *arguments)
+
+    monkeypatch.setattr(member.Member, "task", fragile)
+    monkeypatch.setattr(pack, "TARGET_COST", 0.1)
+    out, file = tmp_path / "out", tmp_path / "out.nc"
+    run_ensemble(parse_scene(MIXED.encode()), out, workers=0)
+    assert len(list((out / "data").iterdir())) > 1
+    lists = query.table(out, ["attractor", *_SAMPLES]).to_pydict()
+    assert {"periodic", None} < set(lists.pop("attractor"))
+    assert all(any(lengths := [len(one or ()) for one in lists[name]]) and 0 in lengths for name in lists)
+    assert main(["export", str(out), "--netcdf", str(file)]) == 0
+    with netCDF4.Dataset(file) as found:
+        counts = {name.removesuffix("_row_size"): found[name][:] for name in found.variables if "_row_size" in name}
+        for name, values in lists.items():
+            (along,) = found[name].dimensions
+            parts = np.split(found[name][:].filled(np.nan), np.cumsum(counts[along])[:-1])
+            for part, value in zip(parts, values, strict=True):
+                np.testing.assert_array_equal(part, np.array(value or [], dtype=float))

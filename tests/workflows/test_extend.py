@@ -58,7 +58,11 @@ def test_a_dry_run_says_what_runs_again_would_take_and_writes_nothing(out, monke
     ("words", "code", "said"),
     [
         (["waitings"], 2, "record.waitings: unknown key of [record]; did you mean 'waiting'?"),
-        (["events"], 2, "record.events: expected a record that the data lack, got one that they have; leave it out"),
+        (
+            ["events", "waiting"],
+            2,
+            "record.events: expected a record that the data lack, got one that they have; leave it out",
+        ),
         (
             ["waiting", "t_burn=soon"],
             2,
@@ -71,6 +75,21 @@ def test_what_cannot_be_added_is_refused_in_a_line(words, code, said, out, capsy
     before = listing(out)
     assert main(["extend", str(out), "--record", *words]) == code
     assert said in capsys.readouterr().err
+    assert listing(out) == before
+
+
+def test_what_is_there_is_done_already(out, capsys):
+    """Again after the end, or after a kill at the very end: the script that goes on is right to do so."""
+    command = ["extend", str(out), "--record", "waiting", "stick_share", "t_burn=5", "--workers", "1"]
+    assert main(command) == 0
+    before = listing(out)
+    capsys.readouterr()
+    for more in ([], ["--dry-run"]):
+        assert main([*command, *more]) == 0
+        assert "to run  nothing: the dataset has these records\n" in capsys.readouterr().out
+    assert main(["extend", str(out), "--record", "events", "--workers", "1"]) == 0
+    assert main(["extend", str(out), "--give-up"]) == 0
+    assert "nothing to give up" in capsys.readouterr().out
     assert listing(out) == before
 
 

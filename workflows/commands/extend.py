@@ -63,7 +63,7 @@ def _extend(arguments: argparse.Namespace, keys: dict[str, Any]) -> int:
         from stickslip.pipeline.dataset.opened import open_dataset
         from stickslip.pipeline.machine.signals import last_act
         from stickslip.pipeline.places.place import DATA, SCENE
-        from stickslip.pipeline.running.extend import addition, extend
+        from stickslip.pipeline.running.extend import addition, extend, is_there
         from stickslip.workflows import own_questions
         from stickslip.workflows.progress import Watch, clock
 
@@ -76,7 +76,9 @@ def _extend(arguments: argparse.Namespace, keys: dict[str, Any]) -> int:
               file=sys.stderr)  # fmt: skip
 
     try:
-        if opened.manifest.scene is None:
+        if is_there(opened, keys):
+            print("to run  nothing: the dataset has these records", flush=True)
+        elif opened.manifest.scene is None:
             _say(addition(opened, keys, arguments.accept_version), arguments.workers)
         if arguments.dry_run:
             return DONE
@@ -105,6 +107,9 @@ def _give_up(directory: str) -> int:
     from stickslip.pipeline.dataset.opened import open_dataset
 
     opened = open_dataset(directory)
+    if opened.manifest.extension is None:
+        print(printable(f"nothing to give up; no extension of {opened.place} is under way"))
+        return DONE
     give_up(opened)
     print(printable(f"given up; {opened.place} is as it was before the extension was begun"))
     return DONE
