@@ -14,12 +14,11 @@ from stickslip.pipeline.machine.processes import Child, ChildDied, n_cores
 from stickslip.workflows import own_questions
 
 if TYPE_CHECKING:
-    from distributed import Client
-
     from stickslip.analysis.ensemble import Study
     from stickslip.analysis.report.page import Answered
     from stickslip.analysis.series.runs import Put
     from stickslip.pipeline.dataset.opened import Opened
+    from stickslip.pipeline.running.cluster import Scheduling
     from stickslip.workflows.parts import Asked
 
 MOST_PROCESSES = 4  # there are few questions, and the longest one takes its time
@@ -42,8 +41,8 @@ class Asking:
     workers : int, optional
         Local processes of dask that what questions ask of each run is computed by; instead of processes that answer
         questions.
-    scheduler : str or distributed.Client, optional
-        Address of a running dask cluster to be used instead, or a client of one.
+    scheduler : str, distributed.Client or callable, optional
+        Address of a running dask cluster to be used instead, or as of `pipeline.run_ensemble`.
     """
 
     def __init__(
@@ -51,7 +50,7 @@ class Asking:
         own: Path | None = None,
         with_pdf: bool = False,
         workers: int | None = None,
-        scheduler: str | Client | None = None,
+        scheduler: Scheduling = None,
     ) -> None:
         self.own, self.with_pdf, self._workers, self._scheduler = own, with_pdf, workers, scheduler
         self._stack = ExitStack()
@@ -133,7 +132,7 @@ class Asking:
 
 
 @contextmanager
-def _spread(opened: Opened, study: Study, workers: int, scheduler: str | Client | None) -> Iterator[Put]:
+def _spread(opened: Opened, study: Study, workers: int, scheduler: Scheduling) -> Iterator[Put]:
     """Puts functions to runs on workers of dask, which are there as long as the with-block."""
     from stickslip.pipeline.running.cluster import check_address, connect
     from stickslip.workflows.on_workers import OnWorkers

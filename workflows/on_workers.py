@@ -13,6 +13,7 @@ from stickslip.analysis.series.runs import Ended
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.pipeline import ScheduleError
 from stickslip.pipeline.dataset.opened import Opened
+from stickslip.pipeline.running.cluster import Scheduling
 from stickslip.pipeline.running.submit import ATTEMPTS, LOST, in_flight, lost_scheduler, submit
 from stickslip.workflows.fresh import program
 from stickslip.workflows.parts import Asked, Parts
@@ -31,13 +32,11 @@ class OnWorkers:
     opened : Opened
     settings : AnalysisSettings
     client : Client
-    scheduler : str, Client or None
+    scheduler : str, Client, callable or None
         As of `pipeline.running.cluster.connect`, which made the client.
     """
 
-    def __init__(
-        self, opened: Opened, settings: AnalysisSettings, client: Client, scheduler: str | Client | None
-    ) -> None:
+    def __init__(self, opened: Opened, settings: AnalysisSettings, client: Client, scheduler: Scheduling) -> None:
         there = replace(opened, place=opened.place.from_anywhere)
         self._parts, self._client, self._scheduler = Parts(there, settings), client, scheduler
 

@@ -72,7 +72,7 @@ def _status_lines(found: Status) -> list[str]:
         go_on = "" if found.running is not None else ": rerun `stickslip extend` with the same keys to go on"
         lines.append(f"extend  {', '.join(extension.records)}, {done}{go_on}")
     if found.running is not None:
-        elapsed = clock(time.time() - found.running.began.at)
+        elapsed = clock(time.time() - found.running.began)
         # a store's lock is a lease, which its owner renews
         is_seen = "://" in found.path or found.running.owner.endswith(f" on {socket.gethostname()}")
         said = "" if is_seen else ", as its lock says: only there it can be seen to live"
@@ -118,8 +118,6 @@ class Watch:
     def __call__(self, progress: Progress) -> None:
         if self._last is None and progress.n_done and progress.n_done < progress.n_members:
             self._print(f"{progress.n_done} of {progress.n_members} members are there already")
-        if self._last is None and progress.compiling:
-            self._print(f"compiling {' and '.join(progress.compiling)}, once: some ten seconds")
         if self._last is not None and progress.dashboard is not None and self._last.dashboard is None:
             self._print(f"dask    {progress.dashboard}")
         if self._last is not None and progress.last_shard is not None and progress.n_failed > self._last.n_failed:
@@ -129,12 +127,13 @@ class Watch:
             failed = rows_that_failed(self._opened, shards) if shards else []
             for reason, count in Counter(reason for _, reason in failed).most_common():
                 self._print(f"failed  {count}: {reason}")
+        is_news = self._last is None or progress.waiting != self._last.waiting
         self._last = progress
         if self._has_bar:
             # measured in cost: members of different size make even progress
             self._draw(progress.cost_done, progress.cost, self._words(progress))
-        else:
-            self._line(progress)
+        elif is_news or progress.waiting is None:  # a queue may take hours
+            self._line(progress, at_once=is_news)
 
     def answered(self, n: int, n_all: int) -> None:
         """Show how many of a report's questions are answered; the bar is removed at the end."""
@@ -159,7 +158,8 @@ class Watch:
     def _words(self, progress: Progress) -> str:
         failed = f", {progress.n_failed} failed" if progress.n_failed else ""
         shards = f"{progress.n_shards_done}/{progress.n_shards} shards"
-        elapsed = f"{clock(progress.elapsed)}{_pace(progress.rate, progress.eta)}"
+        waiting = f", waiting for {progress.waiting}" if progress.waiting is not None else ""
+        elapsed = f"{clock(progress.elapsed)}{_pace(progress.rate, progress.eta)}{waiting}"
         return f"{progress.n_done}/{progress.n_members} members, {shards}{failed}, {elapsed}"
 
     def _print(self, line: str) -> None:
@@ -172,8 +172,8 @@ class Watch:
         self._bar.set_postfix_str(words)
         return self._bar
 
-    def _line(self, progress: Progress) -> None:
+    def _line(self, progress: Progress, at_once: bool) -> None:
         now = time.monotonic()
-        if self._said is None or now - self._said >= _EVERY or progress.n_done == progress.n_members:
+        if at_once or self._said is None or now - self._said >= _EVERY or progress.is_complete:
             self._said = now
             print(self._words(progress), file=self._stream, flush=True)

@@ -8,6 +8,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_failed
 from stickslip.pipeline.ensemble.pack import Task, number_of
@@ -62,26 +63,40 @@ class Tally:
         """Whether every member has its row, whatever its outcome."""
         return self.n_done == self.n_members
 
-    def pace(self, n_before: int, cost_before: float, elapsed: float) -> tuple[float | None, float | None]:
-        """Members a second since an earlier state, and seconds to go; None as long as nothing was added."""
-        n_new, new = self.n_done - n_before, self.cost_done - cost_before
-        if elapsed <= 0 or n_new <= 0 or new <= 0:
+    def pace(self, since: Pace | None, now: float) -> tuple[float | None, float | None]:
+        """Members a second since an earlier state, and seconds to go; None as long as it cannot be known.
+
+        Which is until each worker has had time for two shards: of the first ones, most are still in work.
+        """
+        if since is None:
             return None, None
+        n_new, new = self.n_done - since.n_members, self.cost_done - since.cost
+        is_early = self.n_shards_done - since.n_shards < 2 * since.n_workers and not self.is_complete
+        if is_early or now <= since.at or n_new <= 0 or new <= 0:
+            return None, None
+        elapsed = now - since.at
         return n_new / elapsed, max(0.0, elapsed * (self.cost - self.cost_done) / new)
 
 
-@dataclass(frozen=True)
-class Began:
-    """When a run began, in seconds since 1970, and how many members, of what cost, were there then."""
+class Pace(NamedTuple):
+    """What the pace of a run is measured from: the state at which workers began, or at which there were more."""
 
-    at: float
+    at: float  #: in seconds since 1970
     n_members: int
     cost: float
+    n_shards: int
+    n_workers: int
 
     @property
     def line(self) -> str:
         """The line of the lock file that says so."""
-        return f"began {self.at:.3f} {self.n_members} {self.cost!r}"
+        return f"pace {self.at:.3f} {self.n_members} {self.cost!r} {self.n_shards} {self.n_workers}"
+
+    @classmethod
+    def parse(cls, words: str) -> Pace:
+        """Read what the line says; ValueError if it cannot be read."""
+        at, n_members, cost, n_shards, n_workers = words.split()
+        return cls(float(at), int(n_members), float(cost), int(n_shards), int(n_workers))
 
 
 @dataclass(frozen=True)
@@ -89,8 +104,9 @@ class Running:
     """The process that writes a dataset, as the lock file names it."""
 
     owner: str
-    began: Began
+    began: float  #: in seconds since 1970
     dashboard: str | None
+    pace: Pace | None
 
 
 @dataclass(frozen=True)
@@ -161,8 +177,7 @@ def counted(opened: Opened, tasks: Sequence[Task]) -> Status:
     current = running(place)
     rate = eta = None
     if current is not None:
-        began = current.began
-        rate, eta = tally.pace(began.n_members, began.cost, time.time() - began.at)
+        rate, eta = tally.pace(current.pace, time.time())
     return Status(
         **vars(tally),
         path=str(place),
@@ -197,7 +212,7 @@ def running(path: Where) -> Running | None:
     if here is None or (here[2] == socket.gethostname() and not is_alive(int(here[1]))) or not lock.is_held:
         return None
     try:
-        at, n_members, cost = lock.notes["began"].split()
-        return Running(lock.owner, Began(float(at), int(n_members), float(cost)), lock.notes.get("dashboard"))
+        pace = Pace.parse(lock.notes["pace"]) if "pace" in lock.notes else None
+        return Running(lock.owner, float(lock.notes["began"].split()[0]), lock.notes.get("dashboard"), pace)
     except (KeyError, ValueError):  # it has only just begun
         return None

@@ -2,8 +2,9 @@
 
 A put replaces an object whole or not at all; there is no renaming. The lock is an object that is created only where
 there is none, renewed while its owner lives, and void `LEASE` seconds after the last renewal, so a crash releases it.
-Amazon's, Google's and Azure's stores can create so. Some servers, and old packages, overwrite instead: the owner of
-the lock tries it (`_Lease.probe`) and refuses these.
+Amazon's, Google's and Azure's stores can create so, and S3 servers that answer such a put with the status 412, in
+whatever words. Some servers, and old packages, overwrite instead: the owner of the lock tries it (`_Lease.probe`) and
+refuses these.
 
 A lease is weaker than a lock of the kernel, and needs clocks that agree within some seconds. A driver that was
 stopped for longer than its lease may find another at work; it notices before its next commit, and ends. If two
@@ -22,6 +23,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
+from http import HTTPStatus
 from typing import Any, TypeVar
 
 from stickslip.pipeline.errors import StoreError
@@ -142,7 +144,16 @@ class Prefix(Place):
 
     def create(self, name: str, content: bytes) -> None:
         """Put an object where there is none, if the store can tell."""
-        self._patiently(name, lambda: self.system.pipe_file(self.key(name), content, mode="create"))
+
+        def put() -> None:
+            try:
+                self.system.pipe_file(self.key(name), content, mode="create")
+            except OSError as error:
+                if _status(error) == HTTPStatus.PRECONDITION_FAILED:  # s3fs asks for Amazon's words too
+                    raise FileExistsError(errno.EEXIST, str(error)) from error
+                raise
+
+        self._patiently(name, put)
 
     def _patiently(self, name: str, request: Callable[[], _T]) -> _T:
         for pause in (*PAUSES, None):
@@ -155,6 +166,16 @@ class Prefix(Place):
                     raise _refused(error, self.named(name)) from error
                 time.sleep(pause)
         raise AssertionError("unreachable")
+
+
+def _status(error: BaseException | None) -> int | None:
+    """The HTTP status of an error of botocore's, or of one that was raised from it."""
+    while error is not None:
+        response = getattr(error, "response", None)
+        if isinstance(response, dict):
+            return response.get("ResponseMetadata", {}).get("HTTPStatusCode")
+        error = error.__cause__ or error.__context__
+    return None
 
 
 def _refused(error: Exception, file: str) -> OSError:
@@ -223,8 +244,8 @@ class _Lease(Hold):
         self.check()  # whoever took over while this process was stopped has removed the object too
         raise StoreError(
             f"{self.place}: expected a store that refuses to create an object where one is, got one that overwrites "
-            f"it, so that two drivers could write at once; update the store or its package (s3fs: 2024.12 or newer), "
-            f"or choose a directory"
+            f"it: it ignores the request's condition (If-None-Match in S3), so that two drivers could write at once; "
+            f"update the store or its package (s3fs: 2024.12 or newer), or choose a directory"
         )
 
     def _refusal(self, found: Lock | None) -> StoreError:

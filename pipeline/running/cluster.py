@@ -14,7 +14,7 @@ import resource
 import signal
 import socket
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -39,6 +39,10 @@ if TYPE_CHECKING:  # workers load this module first
     from stickslip.pipeline.scene.scene import Scene
 
 log = logging.getLogger(__name__)
+
+#: Where tasks are computed: by the workers of a scheduler at an address, by those of a client, or of one that a
+#: function gives once there is something to compute; or by workers of this machine (None).
+Scheduling = str | Client | Callable[[], Client] | None
 
 #: Seconds to wait for a scheduler at a given address.
 CONNECT_TIMEOUT = 5.0
@@ -120,8 +124,10 @@ async def _who_is_at(address: str) -> dict[str, Any]:
 
 
 @contextlib.contextmanager
-def connect(workers: int, scheduler: str | Client | None, dashboard: bool = False) -> Iterator[Client]:
+def connect(workers: int, scheduler: Scheduling, dashboard: bool = False) -> Iterator[Client]:
     """A client of a running cluster, or of local workers that live as long as the with-block."""
+    if callable(scheduler):
+        scheduler = scheduler()
     if scheduler is None:
         with local(workers, dashboard) as client:
             yield client
@@ -266,6 +272,10 @@ class _NoDiagnosis(GCDiagnosis):
 
 class _Quiet(Server):
     """A server of dask without its web server, which shows workers and logs to anybody who asks."""
+
+    def __init__(self, *arguments: Any, **settings: Any) -> None:
+        # where bokeh is installed, a scheduler would hang its pages into the server that is not there
+        super().__init__(*arguments, **settings | {"dashboard": False})  # type: ignore[no-untyped-call]
 
     def start_http_server(self, *_: Any, **__: Any) -> None:
         """Open nothing."""

@@ -7,6 +7,7 @@ import logging
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import current_process
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from distributed import Client, fire_and_forget
 
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.dataset.result import Result
-from stickslip.pipeline.dataset.status import Began, Status, Tally, counted
+from stickslip.pipeline.dataset.status import Pace, Status, Tally, counted
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.ensemble.expand import expand
 from stickslip.pipeline.ensemble.member import Member
@@ -23,12 +24,12 @@ from stickslip.pipeline.errors import ScheduleError
 from stickslip.pipeline.own.function import OwnFunction
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.running import ends
-from stickslip.pipeline.running.cluster import check_address, check_memory, connect
+from stickslip.pipeline.running.cluster import Scheduling, check_address, check_memory, connect
 from stickslip.pipeline.running.isolation import compute_alone_packed
 from stickslip.pipeline.running.kept import Kept
 from stickslip.pipeline.running.submit import ATTEMPTS, LOST, in_flight, lost_scheduler, submit
 from stickslip.pipeline.running.trials import check_functions
-from stickslip.pipeline.running.worker import compute, compute_packed, is_cold, load_kernels, row
+from stickslip.pipeline.running.worker import cold_engines, compute, compute_packed, load_kernels, row
 from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene
@@ -43,29 +44,19 @@ _AGAIN = "rerun the scene: finished shards are kept"
 class Progress(Tally):
     """How far a run is."""
 
-    n_resumed: int  #: members that were there at the start, and their part of `cost_done`
-    cost_resumed: float
     elapsed: float  #: seconds since the start
     last_shard: str | None
     dashboard: str | None = None  #: address of dask's, if there is one
-    compiling: tuple[str, ...] = ()  #: engines whose kernels are compiled first, on this machine
-
-    @property
-    def rate(self) -> float | None:
-        """Members a second; None before the first batch of this run."""
-        return self.pace(self.n_resumed, self.cost_resumed, self.elapsed)[0]
-
-    @property
-    def eta(self) -> float | None:
-        """Seconds to go, at the rate so far; None before the first batch of this run."""
-        return self.pace(self.n_resumed, self.cost_resumed, self.elapsed)[1]
+    rate: float | None = None  #: members a second; None as long as it cannot be known
+    eta: float | None = None  #: seconds to go, at the rate so far
+    waiting: str | None = None  #: what the run waits for, until its first shard, or when it has lost all workers
 
 
 def run_ensemble(
     scene: Scene,
     out: Where,
     workers: int = 2,
-    scheduler: str | Client | None = None,
+    scheduler: Scheduling = None,
     on_progress: Callable[[Progress], None] | None = None,
     retry_failed: bool = False,
     accept_version: bool = False,
@@ -85,11 +76,12 @@ def run_ensemble(
         which is resumed, or of a part of it, which is extended.
     workers : int
         Local processes of one thread each; 0 runs in this process, for debugging and small scenes.
-    scheduler : str or distributed.Client, optional
-        Address of a running dask cluster, or a client of one, used instead of local workers. Its workers need this
-        package and should have one thread each.
+    scheduler : str, distributed.Client or callable, optional
+        Address of a running dask cluster, or a client of one, or a function that returns it and is called once there
+        is something to compute; used instead of local workers. Its workers need this package and should have one
+        thread each.
     on_progress : callable, optional
-        Called with a `Progress` at the start and after each commit.
+        Called with a `Progress` at the start, each second until the first shard, and after each commit.
     retry_failed : bool
         Whether to run shards with failed members again.
     accept_version : bool
@@ -170,8 +162,13 @@ class Workers(NamedTuple):
     """Where to compute; see `run_ensemble`."""
 
     n: int
-    scheduler: str | Client | None
+    scheduler: Scheduling
     has_dashboard: bool
+
+    @property
+    def is_here(self) -> bool:
+        """Whether it is in this process."""
+        return self.n == 0 and self.scheduler is None
 
 
 def fill(
@@ -203,10 +200,28 @@ def fill(
         As `run_ensemble`.
     """
     todo = {batch.name: batch.cost for batch, _ in store.todo}
-    tally = before = Tally.of(store.tasks, {name: done for name, done in store.done.items() if name not in todo})
+    tally = Tally.of(store.tasks, {name: done for name, done in store.done.items() if name not in todo})
     by_engine = {member.engine: member for member in reversed(firsts)}
-    cold = {engine: one for engine, one in by_engine.items() if at.scheduler is None and is_cold(engine)}
+    cold = cold_engines(tuple(by_engine)) if at.scheduler is None else ()
     link: str | None = None
+    pace: Pace | None = None
+    n_workers = int(at.is_here)
+    is_waiting = bool(todo)
+
+    def words() -> str | None:
+        if todo and not n_workers:
+            return "workers"
+        if not is_waiting:
+            return None
+        return f"{' and '.join(cold)} to be compiled, once: some ten seconds" if cold else "the first shard"
+
+    def report(last_shard: str | None = None) -> None:
+        if on_progress is not None:
+            rate, eta = tally.pace(pace, time.time())
+            on_progress(
+                Progress(**vars(tally), elapsed=time.monotonic() - start, last_shard=last_shard, dashboard=link,
+                         rate=rate, eta=eta, waiting=words())
+            )  # fmt: skip
 
     def connected(client: Client) -> None:
         nonlocal link
@@ -215,24 +230,18 @@ def fill(
         if link is not None:
             store.note(f"dashboard {link}")
 
-    def report(last_shard: str | None = None) -> None:
-        if on_progress is not None:
-            on_progress(
-                Progress(
-                    **vars(tally),
-                    n_resumed=before.n_done,
-                    cost_resumed=before.cost_done,
-                    elapsed=time.monotonic() - start,
-                    last_shard=last_shard,
-                    dashboard=link,
-                    compiling=tuple(cold),
-                )
-            )
+    def staffed(client: Client, count: int) -> None:
+        nonlocal n_workers, cold
+        if count and not n_workers and at.scheduler is not None and is_waiting:
+            cold = _cold_there(client, tuple(by_engine)) or cold
+        n_workers = count
+        if is_waiting or not count:
+            report()
 
     report()
-    store.note(Began(time.time(), before.n_done, before.cost_done).line)
+    store.note(f"began {time.time():.3f}")
     # closed at once if a commit fails or the user interrupts, and the workers with it
-    with contextlib.closing(_results(store.todo, order, cold, at, connected)) as results:
+    with contextlib.closing(_results(store.todo, order, by_engine, cold, at, connected, staffed)) as results:
         for some in results:
             for result in some:
                 if result.program != program():
@@ -240,9 +249,23 @@ def fill(
                         f"expected workers with this version of the program ({program()}), got {result.program} on "
                         f"{result.host}; install the same there, then rerun the scene"
                     )
+            if pace is None or n_workers > pace.n_workers:
+                begun = time.time() - (max(result.seconds for result in some) if pace is None else 0.0)
+                pace = Pace(begun, tally.n_done, tally.cost_done, tally.n_shards_done, n_workers)
+                store.note(pace.line)
+            is_waiting = False
             for result, shard in zip(some, store.commit(*some), strict=True):
                 tally = tally.plus(shard, todo[result.name])
                 report(result.name)
+
+
+def _cold_there(client: Client, engines: tuple[str, ...]) -> tuple[str, ...]:
+    """Engines whose kernels a worker would have to compile, by what the first one says."""
+    with contextlib.suppress(*LOST):
+        for address in [*client.nthreads()][:1]:
+            answers = client.run(cold_engines, engines, workers=[address], on_error="ignore")
+            return tuple((answers or {}).get(address, ()))
+    return ()
 
 
 def run_member(scene: Scene, member_id: str) -> dict[str, object]:
@@ -269,29 +292,35 @@ def run_member(scene: Scene, member_id: str) -> dict[str, object]:
 def _results(
     todo: list[Task],
     order: Callable[[Task], Order],
-    cold: Mapping[str, Member],
+    by_engine: Mapping[str, Member],
+    cold: Sequence[str],
     at: Workers,
     connected: Callable[[Client], None],
+    staffed: Callable[[Client, int], None],
 ) -> Generator[Sequence[Result]]:
     """The batches' results in the order they come in, those that are there together.
 
-    `connected` is told the client, once there is one. `cold` has a member of each engine that is to be compiled.
+    `connected` is told the client, once there is one, and `staffed` again and again how many threads it has.
+    `by_engine` has a member of each engine; `cold` are those that are to be compiled on this machine.
     """
     if not todo:
         return
     workers, scheduler, dashboard = at
-    if workers == 0 and scheduler is None:
+    if at.is_here:
         for task in todo:
             yield [compute(*order(task))]
         return
     n_workers = max(1, min(workers, max(len(todo), len(cold))))  # at an address it may be asked for none here
     with connect(n_workers, scheduler, dashboard) as client:
         # side by side: one batch alone would compile them one after the other
-        for member in cold.values():
-            fire_and_forget(client.submit(load_kernels, [member], pure=False))
+        for engine in cold:
+            fire_and_forget(client.submit(load_kernels, [by_engine[engine]], pure=False))
         connected(client)
         try:
-            lost = yield from submit(client, map(order, todo), compute_packed, in_flight(client), scheduler, _AGAIN)
+            lost = yield from submit(
+                client, map(order, todo), compute_packed, in_flight(client), scheduler, _AGAIN,
+                partial(staffed, client),
+            )  # fmt: skip
             # dask blames a worker's death on all tasks that waited there: in processes of their own most pass
             for _ in range(ATTEMPTS):
                 lost = yield from submit(client, lost, compute_alone_packed, lambda: n_workers, scheduler, _AGAIN)

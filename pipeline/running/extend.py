@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-from distributed import Client
-
 from stickslip.pipeline import query
 from stickslip.pipeline.dataset.extending import Extending, ended
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
@@ -21,7 +19,7 @@ from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.records.own import OwnRecord, look_at_functions, named_functions
 from stickslip.pipeline.records.record import Record
 from stickslip.pipeline.running import ends
-from stickslip.pipeline.running.cluster import check_address, check_memory
+from stickslip.pipeline.running.cluster import Scheduling, check_address, check_memory
 from stickslip.pipeline.running.driver import Order, Progress, Workers, check_caller, fill, look_at_origins
 from stickslip.pipeline.running.estimate import Estimate, estimate
 from stickslip.pipeline.running.kept import Kept, added, held_by, must_run, reads_more
@@ -128,7 +126,7 @@ def extend(
     path: Where | Opened,
     record: Mapping[str, Any],
     workers: int = 2,
-    scheduler: str | Client | None = None,
+    scheduler: Scheduling = None,
     on_progress: Callable[[Progress], None] | None = None,
     accept_version: bool = False,
     dashboard: bool = False,

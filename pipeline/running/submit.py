@@ -18,6 +18,8 @@ from distributed.comm import CommClosedError
 
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.errors import ScheduleError
+from stickslip.pipeline.running.cluster import Scheduling
+from stickslip.pipeline.running.slurm import Jobs
 
 log = logging.getLogger(__name__)
 
@@ -70,8 +72,9 @@ def submit(
     todo: Iterable[T],
     work: Callable[[bytes], R],
     window: Callable[[], int],
-    scheduler: str | Client | None,
+    scheduler: Scheduling,
     again: str,
+    on_workers: Callable[[int], None] = lambda n: None,
 ) -> Generator[list[R], None, list[T]]:
     """Yield results as they come in, those that are there together, with `window()` tasks in flight.
 
@@ -85,10 +88,12 @@ def submit(
     work : callable
         Takes a pickled task.
     window : callable
-    scheduler : str, Client or None
+    scheduler : str, Client, callable or None
         As of `connect`.
     again : str
         What errors say to do once their reason is gone.
+    on_workers : callable, optional
+        Called about once a second with how many threads there are to compute.
 
     Raises
     ------
@@ -101,6 +106,7 @@ def submit(
     running = as_completed(loop=client.loop)
     task_of: dict[Future[Any], T] = {}
     lost: list[T] = []
+    patience = _Patience(client, scheduler, again, on_workers)
     while True:
         # measured each time, as clusters grow and shrink
         for task in itertools.islice(waiting, max(0, window() - running.count())):
@@ -110,7 +116,7 @@ def submit(
             running.add(future)
         if running.is_empty():
             return lost
-        patience = _Patience(client, scheduler, again)
+        patience.look()
         _until(running.has_ready, patience)
         results: list[R] = []
         try:
@@ -133,11 +139,17 @@ def submit(
 
 
 class _Patience:
-    """Ends a wait after `LOST_TIMEOUT` without a scheduler or, on this machine, without a worker."""
+    """Ends a wait after `LOST_TIMEOUT` without a scheduler or, on this machine, without a worker.
 
-    def __init__(self, client: Client, scheduler: str | Client | None, again: str) -> None:
-        self._client, self._scheduler, self._again = client, scheduler, again
-        self._looked = self._connected = self._staffed = time.monotonic()
+    And at once where Slurm takes no job at all, as it will take no other.
+    """
+
+    def __init__(
+        self, client: Client, scheduler: Scheduling, again: str, on_workers: Callable[[int], None] = lambda n: None
+    ) -> None:
+        self._client, self._scheduler, self._again, self._on_workers = client, scheduler, again, on_workers
+        self._connected = self._staffed = time.monotonic()
+        self._looked, self._n_workers = -math.inf, 0
 
     def look(self) -> None:
         """Raise if it is time to give up; a cluster at an address may be without workers for any time."""
@@ -145,11 +157,16 @@ class _Patience:
         if now - self._looked < 1.0:
             return
         self._looked = now
+        cluster = self._client.cluster
+        if isinstance(cluster, Jobs) and cluster.refused and not cluster.n_accepted:
+            raise ScheduleError(f"expected Slurm to take jobs, got none in: {cluster.refused}; change --job")
         if self._client.status == "running":
             self._connected = now
             with contextlib.suppress(*LOST):  # it may be lost just now, which is seen at the next look
-                if self._client.nthreads():
-                    self._staffed = now
+                n_workers = sum(self._client.nthreads().values())
+                self._staffed = now if n_workers else self._staffed
+                self._n_workers = n_workers
+        self._on_workers(self._n_workers)
         if now - self._connected > LOST_TIMEOUT:
             raise CommClosedError
         if self._connected == now and now - self._staffed > LOST_TIMEOUT:

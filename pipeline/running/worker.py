@@ -222,6 +222,11 @@ def is_cold(engine: str) -> bool:
     return bool(kernels) and not has_kernel(kernels)
 
 
+def cold_engines(engines: Iterable[str]) -> tuple[str, ...]:
+    """Those that are cold here."""
+    return tuple(engine for engine in engines if is_cold(engine))
+
+
 def load_kernels(members: Iterable[Member]) -> None:
     """Load the kernels that members need, or compile them."""
     for member in members:

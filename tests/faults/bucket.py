@@ -6,6 +6,7 @@ python -m tests.faults.bucket: serves until its standard input ends; the first l
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import random
 import subprocess
@@ -26,12 +27,14 @@ class Unsteady:
     """A WSGI application in front of another.
 
     PUT /_share/SEED/P/STATUS makes it answer a share P of all other requests with an error, one half of these after
-    they took effect; its answer says how often it did so since it was last told.
+    they took effect; its answer says how often it did so since it was last told. PUT /_conditions/HOW says how it
+    takes conditions: as the standard has it, where 412 says it all ("standard"), or not at all ("ignored"); else as
+    Amazon does.
     """
 
     def __init__(self, app: App) -> None:
         self._app, self._share, self._random, self._error = app, 0.0, random.Random(), _ERRORS["503"]
-        self.n_failed = 0
+        self.n_failed, self._conditions = 0, ""
 
     def __call__(self, environ: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
         path = environ["PATH_INFO"]
@@ -42,6 +45,12 @@ class Unsteady:
             start("200 OK", [])
             failed, self.n_failed = self.n_failed, 0
             return [str(failed).encode()]
+        if path.startswith("/_conditions/"):
+            self._conditions = path.split("/")[2].replace("amazon", "")
+            start("200 OK", [])
+            return [b""]
+        if self._conditions and environ.pop("HTTP_IF_NONE_MATCH", None):
+            return self._conditional_put(environ, start)
         chance = self._random.random()
         if chance >= self._share:
             return self._app(environ, start)
@@ -53,6 +62,16 @@ class Unsteady:
         status, code, words = self._error
         start(status, [("Content-Type", "text/xml")])
         return [f"<Error><Code>{code}</Code><Message>{words}</Message></Error>".encode()]
+
+    def _conditional_put(self, environ: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
+        look = {**environ, "REQUEST_METHOD": "HEAD", "CONTENT_LENGTH": "0", "wsgi.input": io.BytesIO()}
+        statuses: list[str] = []
+        b"".join(self._app(look, lambda status, *_: statuses.append(status)))
+        if self._conditions == "ignored" or not statuses[0].startswith("200"):
+            return self._app(environ, start)
+        environ["wsgi.input"].read(int(environ.get("CONTENT_LENGTH") or 0))
+        start("412 Precondition Failed", [("Content-Type", "text/xml")])
+        return [b"<Error><Code>PreconditionFailed</Code><Message>it is there</Message></Error>"]
 
 
 def serve() -> None:

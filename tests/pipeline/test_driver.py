@@ -7,12 +7,15 @@ import pickle
 import signal
 import subprocess
 import sys
+import time
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 from distributed.comm import CommClosedError
 
 from stickslip.pipeline import Progress, ScheduleError, expand, run_ensemble, status, verify
+from stickslip.pipeline.dataset.status import Pace, Tally
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.machine.processes import ONE_THREAD
 from stickslip.pipeline.running import cluster, driver, submit, worker
@@ -29,7 +32,12 @@ def test_workers_give_the_bytes_of_this_process(scene, source, finished, content
     assert dict(os.environ) == environment
     assert result.is_complete
     assert (seen[0].n_done, seen[0].eta, seen[0].last_shard) == (0, None, None)
-    assert [progress.n_done for progress in seen] == sorted({progress.n_done for progress in seen})
+    counts = [progress.n_done for progress in seen if progress.waiting is None]
+    assert counts == sorted({*counts})
+    assert seen[0].waiting == "workers"
+    first = next(k for k, progress in enumerate(seen) if progress.n_done)
+    assert {progress.waiting for progress in seen[1:first]} <= {"workers", "the first shard"}
+    assert {progress.waiting for progress in seen[first:]} == {None}
     assert seen[-1].n_done == seen[-1].n_members == scene.n_members
     assert seen[-1].cost_done == pytest.approx(sum(member.cost for member in expand(scene)))
     assert seen[-1].eta == pytest.approx(0, abs=1e-9)
@@ -191,7 +199,7 @@ def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
         return future
 
     monkeypatch.setattr(submit, "as_completed", lambda loop: Running())
-    client = SimpleNamespace(loop=None, submit=send)
+    client = SimpleNamespace(loop=None, submit=send, cluster=None, status="running", nthreads=dict)
     found = submit.submit(client, list(range(10)), None, lambda: 3, None, "go on")
     assert [one for some in found for one in some] == list(range(10))
     assert max(most) == 3
@@ -213,7 +221,13 @@ def test_what_came_in_is_kept_though_the_scheduler_is_lost(monkeypatch):
             pass
 
     monkeypatch.setattr(submit, "as_completed", lambda loop: Running())
-    client = SimpleNamespace(loop=None, submit=lambda work, task, pure: Done(pickle.loads(task)))
+    client = SimpleNamespace(
+        loop=None,
+        submit=lambda work, task, pure: Done(pickle.loads(task)),
+        cluster=None,
+        status="running",
+        nthreads=dict,
+    )
     found = submit.submit(client, range(3), None, lambda: 3, None, "go on")
     assert next(found) == [0, 1]
     with pytest.raises(CommClosedError):
@@ -230,6 +244,44 @@ def test_workers_are_counted_once_a_second(monkeypatch):
     for clock[0] in (5.0, 5.5, 5.9, 6.1, 7.0, 7.2):
         found.append(window() // submit.WINDOW)
     assert (looks, found) == ([5.0, 6.1, 7.2], [1, 1, 1, 2, 2, 3])
+
+
+def test_the_pace_is_that_of_the_work_since_workers_came():
+    """Sixteen workers of 10 s a shard came after an hour's wait: 1,600 shards are done 1000 s after that."""
+    tally = Tally(1600, 0, {}, 1600, 0, 1, 1600.0, 0.0)
+    start = Pace(3600.0, 0, 0.0, 0, 16)
+
+    def at(n_done):
+        return replace(tally, n_done=n_done, n_shards_done=n_done, cost_done=float(n_done))
+
+    assert at(0).pace(None, 3600.0) == (None, None)
+    assert at(1).pace(start, 3610.0) == (None, None)  # one in 10 s would make 16,000 s of it
+    assert at(31).pace(start, 3620.0) == (None, None)
+    assert at(32).pace(start, 3620.0) == (pytest.approx(1.6), pytest.approx(1568 / 1.6))
+    more = Pace(3620.0, 32, 32.0, 32, 32)  # workers have doubled
+    assert at(64).pace(more, 3630.0) == (None, None)
+    assert at(96).pace(more, 3640.0) == (pytest.approx(3.2), pytest.approx(1504 / 3.2))
+    assert at(1600).pace(start, 4600.0)[1] == 0.0
+    assert Pace.parse(more.line.removeprefix("pace ")) == more
+
+
+def test_a_run_says_what_it_waits_for_and_asks_a_worker_what_is_to_be_compiled(scene, tmp_path, monkeypatch):
+    """Workers come after a while; kernels that the first has not are said to be compiled."""
+    seen = []
+
+    def compute(task):
+        time.sleep(2.5)
+        raise ZeroDivisionError
+
+    with cluster.local(1) as client:
+        client.run(exec, f"import os; os.environ['NUMBA_CACHE_DIR'] = {str(tmp_path / 'kernels')!r}")
+        monkeypatch.setattr(driver, "compute_packed", compute)
+        with pytest.raises(ZeroDivisionError):
+            run_ensemble(scene, tmp_path / "out", scheduler=lambda: client, on_progress=seen.append)
+    waiting = [progress.waiting for progress in seen]
+    assert waiting[0] == "workers"
+    assert waiting[-1] == "coulomb and sigmoid to be compiled, once: some ten seconds"
+    assert [progress.eta for progress in seen] == [None] * len(seen)
 
 
 def test_cold_engines_are_those_whose_kernels_are_missing(finished, tmp_path, monkeypatch):

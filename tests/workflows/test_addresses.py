@@ -61,3 +61,29 @@ def test_what_the_store_refuses_is_one_line(here, server, tmp_path, capsys):
         assert err.count("\n") == 1
     finally:
         ask(f"{server}/_share/0/0/403", "PUT")
+
+
+@pytest.mark.parametrize("how", ["standard", "ignored"])
+def test_a_condition_is_taken_by_its_status_and_a_store_that_ignores_it_is_refused(
+    how, here, server, tmp_path, capsys
+):
+    """Another server than Amazon's answers 412 in words of its own; some answer 200, and overwrite."""
+    scene, out = tmp_path / "scene.toml", f"s3://bucket/{how}"
+    scene.write_text(SOURCE)
+    ask(f"{server}/_conditions/{how}", "PUT")
+    try:
+        code = main(["run", str(scene), "--out", out, "--workers", "1", "--no-report"])
+        said = capsys.readouterr()
+        if how == "standard":
+            assert code == 0, said.err
+            assert main(["verify", out]) == 0
+            return
+        assert code == 1
+        assert said.err.startswith(
+            f"stickslip: {out}: expected a store that refuses to create an object where one is"
+        )
+        assert "it ignores the request's condition (If-None-Match in S3)" in said.err
+        assert said.err.count("\n") == 1
+        assert b"<Key>" not in ask(f"{server}/bucket?list-type=2&prefix={how}/")
+    finally:
+        ask(f"{server}/_conditions/amazon", "PUT")

@@ -28,7 +28,7 @@ from stickslip.analysis import Report
 from stickslip.pipeline import Progress, load_scene, query
 from stickslip.pipeline.dataset import opened
 from stickslip.pipeline.dataset.opened import open_dataset
-from stickslip.pipeline.dataset.status import Began, Follower, Tally
+from stickslip.pipeline.dataset.status import Follower, Pace, Tally
 from stickslip.pipeline.running import estimate
 from stickslip.pipeline.scene import scene as scene_module
 from stickslip.workflows import export
@@ -481,7 +481,7 @@ def test_a_wrong_address_is_refused_before_anything_is_done(address, dataset, sm
     assert list(tmp_path.iterdir()) == []
     assert {file: file.stat().st_mtime_ns for file in dataset.rglob("*")} == before
     for more in (["--dry-run"], ["--only", "n12-m000-coulomb-1e-10"]):
-        refused([*argv, *more], ["--scheduler: expected none with", "leave it out"], capsys)
+        refused([*argv, *more], ["--scheduler, --slurm: expected none with", "leave it out"], capsys)
 
 
 def test_a_run_without_a_report(here, small_scene, dataset, tmp_path, monkeypatch, capsys):
@@ -499,13 +499,20 @@ def test_the_status_of_a_run_that_goes_on(dataset, tmp_path, capsys):
     """A lock file as a driver leaves it: this process."""
     copy = shutil.copytree(dataset, tmp_path / "copy")
     cost = sum(batch.cost for batch, _ in open_dataset(copy).tasks)
-    began = Began(time.time() - 10.0, 2, cost / 3)
-    lines = [f"process {os.getpid()} on {socket.gethostname()}", began.line, "dashboard http://there:1/status", ""]
+    pace = Pace(time.time() - 10.0, 2, cost / 3, 0, 1)
+    began = f"began {time.time() - 15.0}"
+    lines = [
+        f"process {os.getpid()} on {socket.gethostname()}",
+        began,
+        pace.line,
+        "dashboard http://there:1/status",
+        "",
+    ]
     (copy / ".lock").write_text("\n".join(lines))
     assert main(["status", str(copy)]) == 0
     said = capsys.readouterr().out
     assert re.search(
-        rf"^running process {os.getpid()} on .*, 00:1\d, 0.\d+ members/s, 00:00 to go$", said, re.MULTILINE
+        rf"^running process {os.getpid()} on .*, 00:1[5-9], 0.\d+ members/s, 00:00 to go$", said, re.MULTILINE
     )
     assert "dask    http://there:1/status\n" in said
     lines[0] = f"process 4194304 on {socket.gethostname()}"  # no process has this number
@@ -523,8 +530,8 @@ def test_the_time_to_go_is_that_of_the_work_left_at_the_pace_since_the_beginning
     follower = Follower(copy)
     # of four parts one is done, half of it before
     follower._tasks += [(SimpleNamespace(name="one more", cost=3.0 * cost, members=()), None)]
-    began = Began(1000.0, 2, 0.5 * cost)
-    (copy / ".lock").write_text(f"process {os.getpid()} on {socket.gethostname()}\n{began.line}\n")
+    pace = Pace(1000.0, 2, 0.5 * cost, -2, 1)  # -2: two shards ago
+    (copy / ".lock").write_text(f"process {os.getpid()} on {socket.gethostname()}\nbegan 990.0\n{pace.line}\n")
     found = follower.look()
     assert (found.eta, found.rate) == (pytest.approx(10.0 * 3 / 0.5), pytest.approx(4 / 10.0))
 
@@ -594,10 +601,14 @@ def test_progress_in_words(dataset, tmp_path):
     with Watch(tmp_path, stream) as watch:
         for n_done, shards in ((4, 1), (10, 2)):
             tally = Tally(10, n_done, {"finished": n_done}, 2, shards, 1000, 5.0, n_done / 2)
-            watch(Progress(**vars(tally), n_resumed=4, cost_resumed=2.0, elapsed=3.0 * (n_done > 4), last_shard=None))
+            for waiting in ("workers", "workers", "the first shard") if n_done == 4 else (None,):
+                rate, eta = (2.0, 0.0) if waiting is None else (None, None)
+                watch(Progress(**vars(tally), elapsed=3.0 * (n_done > 4), last_shard=None, rate=rate, eta=eta,
+                               waiting=waiting))  # fmt: skip
     assert stream.getvalue().splitlines() == [
         "4 of 10 members are there already",
-        "4/10 members, 1/2 shards, 00:00",
+        "4/10 members, 1/2 shards, 00:00, waiting for workers",
+        "4/10 members, 1/2 shards, 00:00, waiting for the first shard",
         "10/10 members, 2/2 shards, 00:03, 2 members/s, 00:00 to go",
     ]
 
@@ -610,7 +621,7 @@ def test_one_bar_shows_the_run_and_then_its_report(tmp_path):
     stream = Terminal()
     tally = Tally(10, 10, {"finished": 10}, 2, 2, 1000, 5.0, 5.0)
     with Watch(tmp_path, stream) as watch:
-        watch(Progress(**vars(tally), n_resumed=0, cost_resumed=0.0, elapsed=3.0, last_shard=None))
+        watch(Progress(**vars(tally), elapsed=3.0, last_shard=None))
         watch.answered(3, 8)
         watch.close()
         assert stream.getvalue().endswith("\r")  # what follows begins a line

@@ -12,7 +12,7 @@ from stickslip.pipeline.errors import AddressError, QueryError, SceneError, Sche
 from stickslip.pipeline.machine.processes import frugal
 from stickslip.pipeline.machine.signals import Interrupted, interruptible
 from stickslip.workflows import NO_FOLDER
-from stickslip.workflows.commands.command import UNFINISHED, WRONG, Wrong, listed
+from stickslip.workflows.commands.command import UNFINISHED, WRONG, Wrong, listed, scheduler
 from stickslip.workflows.commands.completion import Completion
 from stickslip.workflows.commands.extend import Extend
 from stickslip.workflows.commands.plot import Plot
@@ -83,7 +83,11 @@ def main(argv: list[str] | None = None) -> int:
     whole = parser()
     arguments = whole.parse_args(argv, argparse.Namespace(is_program=argv is None, parser=whole))
     try:
-        with interruptible(), frugal():  # a report's products are small, and a member's digits are a worker's
+        with (
+            interruptible(),
+            frugal(),
+            scheduler(arguments),
+        ):  # a report's products are small, and a member's digits are a worker's
             return COMMANDS[arguments.command](arguments)
     except Interrupted as interrupt:
         print("\ninterrupted", file=sys.stderr)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import ClassVar
 
 #: Exit codes, as the help of the whole command explains them.
@@ -44,12 +46,43 @@ def add_places(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     # a default in text: argparse takes a value that is the default itself for one that was not given
     where.add_argument("--workers", type=count, default="2", metavar="N", help="local processes (default: 2)")
-    where.add_argument("--scheduler", metavar="ADDRESS", help="address of a running dask cluster, tcp:// or tls://")
+    add_clusters(where, parser)
     parser.add_argument(
         "--dashboard",
         action="store_true",
         help="serve dask's dashboard at 127.0.0.1, open to every user of this machine (needs bokeh)",
     )
+
+
+def add_clusters(where: argparse._MutuallyExclusiveGroup, parser: argparse.ArgumentParser) -> None:
+    """The options for a cluster; `scheduler` reads them."""
+    where.add_argument("--scheduler", metavar="ADDRESS", help="address of a running dask cluster, tcp:// or tls://")
+    where.add_argument("--slurm", type=count, metavar="N", help="N processes in jobs of Slurm")
+    parser.add_argument(
+        "--job",
+        nargs="+",
+        default=[],
+        metavar="OPTION[=VALUE]",
+        help="with --slurm: sbatch's options for each job (default: cpus-per-task=16 time=120 mem-per-cpu=2G)",
+    )
+
+
+@contextmanager
+def scheduler(arguments: argparse.Namespace) -> Iterator[None]:
+    """Within: jobs of Slurm, if they are asked for, are what `arguments.scheduler` stands for."""
+    if getattr(arguments, "slurm", None) is None:
+        if getattr(arguments, "job", []):
+            raise Wrong("--job: expected with --slurm, whose jobs it is about; leave it out, or add --slurm N")
+        yield
+        return
+    from stickslip.pipeline.running.slurm import job_settings, jobs
+
+    try:
+        settings = job_settings(arguments.slurm, arguments.job)
+    except ValueError as error:
+        raise Wrong(f"--job: {error}") from None
+    with jobs(arguments.slurm, settings) as arguments.scheduler:
+        yield
 
 
 def count(text: str) -> int:

@@ -8,7 +8,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.errors import command, printable
-from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong, count
+from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wrong, add_clusters, count
 
 if TYPE_CHECKING:
     from stickslip.analysis import Report as Built
@@ -44,9 +44,7 @@ class Report(Command):
         parser.add_argument("--pdf", action="store_true", help="draw the figures as PDF too")
         where = parser.add_mutually_exclusive_group()
         where.add_argument("--workers", type=count, metavar="N", help="dask's local processes that look at the runs")
-        where.add_argument(
-            "--scheduler", metavar="ADDRESS", help="a running dask cluster that does, tcp:// or tls://"
-        )
+        add_clusters(where, parser)
 
     def __call__(self, arguments: argparse.Namespace) -> int:
         if arguments.compare is None:
@@ -59,7 +57,8 @@ class Report(Command):
             return DONE if is_done else UNFINISHED
         if arguments.workers is not None or arguments.scheduler is not None:
             raise Wrong(
-                "--workers, --scheduler: expected without --compare, which looks at the runs here; leave them out"
+                "--workers, --scheduler, --slurm: expected without --compare, which looks at the runs here; leave "
+                "them out"
             )
         if arguments.own:
             raise Wrong("--own: expected without --compare, which runs no code of the scene's; leave it out")

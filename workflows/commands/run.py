@@ -84,7 +84,8 @@ class Run(Command):
         is_chart = chart_of(file) is not None
         if arguments.scheduler is not None and (is_chart or arguments.dry_run or arguments.only is not None):
             raise Wrong(
-                "--scheduler: expected none with a chart, --dry-run or --only, which use this machine; leave it out"
+                "--scheduler, --slurm: expected none with a chart, --dry-run or --only, which use this machine; "
+                "leave it out"
             )
         if is_chart and (arguments.only is not None or arguments.retry_failed):
             raise Wrong("--only, --retry-failed: expected none with a chart, which has no members; leave it out")
@@ -94,11 +95,13 @@ class Run(Command):
             return _say_estimate(arguments, file, out)
         if arguments.only is not None:
             return _run_member(file, arguments.only)
+        # the jobs of Slurm are there: whoever started them may be on a machine that is not to compute
+        where = arguments.scheduler if arguments.slurm is not None else None
         # before all else: what these load, and what is loaded here, takes a second or two each
         are_forked = arguments.is_program and arguments.workers > 0 and arguments.scheduler is None
         with (
             forked_workers() if are_forked else nullcontext(),
-            nullcontext() if arguments.no_report else Asking(file.parent) as asking,
+            nullcontext() if arguments.no_report else Asking(file.parent, scheduler=where) as asking,
         ):
             return _run_ensemble(arguments, file, out, asking)
 
@@ -252,7 +255,12 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
 
 
 def _again(arguments: argparse.Namespace, out: Place) -> str:
-    where = ["--scheduler", arguments.scheduler] if arguments.scheduler else ["--workers", str(arguments.workers)]
+    if arguments.slurm is not None:
+        where = ["--slurm", str(arguments.slurm), *(["--job", *arguments.job] if arguments.job else [])]
+    elif arguments.scheduler is not None:
+        where = ["--scheduler", arguments.scheduler]
+    else:
+        where = ["--workers", str(arguments.workers)]
     known = ("--retry-failed", "--no-report", "--yes")
     flags = [flag for flag in known if getattr(arguments, flag[2:].replace("-", "_"))]
     return command("run", arguments.scene, "--out", str(out), *where, *flags)

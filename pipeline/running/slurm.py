@@ -1,0 +1,221 @@
+"""Workers as jobs of Slurm: asked for once there is work, replaced when their time is over, and cancelled at the end.
+
+The scheduler is in this process. It and the workers obey only a certificate that is made for the one run, and open no
+page. Workers find the certificate in files that only their owner can read, in the directory in which the run was
+started, where jobs begin.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import logging
+import os
+import re
+import shlex
+import signal
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import dask
+from dask.utils import parse_timedelta
+from distributed import Client, Security, SpecCluster
+from distributed.core import Status
+
+from stickslip.pipeline.errors import ScheduleError
+from stickslip.pipeline.machine.processes import ONE_THREAD
+from stickslip.pipeline.machine.signals import unbroken
+from stickslip.pipeline.running.cluster import QuietScheduler, QuietWorker
+
+log = logging.getLogger(__name__)
+
+#: Options of a job that are not given: sixteen processes at most, two hours, 2 GiB for each process.
+PROCESSES, TIME, MEMORY = 16, "120", "2G"
+
+#: Seconds that a worker leaves before its job ends, to hand over what it holds, and by how much more or less some do:
+#: workers that started together are not all replaced at once. In short jobs, at most these parts of their time.
+MARGIN, STAGGER = (300, 1 / 4), (240, 1 / 8)
+
+#: Seconds until a job that was refused is submitted again.
+RETRY = 60.0
+
+#: Where the unit of Slurm's memory is left out, it is M; all are powers of 1024.
+_MEMORY = re.compile(r"(\d+)([KMGT])?B?", re.IGNORECASE)
+#: Slurm's forms of a time: minutes, minutes:seconds, hours:minutes:seconds, days-hours, and so on.
+_TIME = re.compile(r"(?:(\d+)-)?(\d+)(?::(\d+))?(?::(\d+))?")
+
+
+@contextlib.contextmanager
+def jobs(workers: int, settings: dict[str, Any]) -> Iterator[Callable[[], Client]]:
+    """Jobs of Slurm for the time of a with-block: a function that submits them, and returns their workers' client.
+
+    Called again, it returns the same client; if it is not called, no job is submitted. It raises `ScheduleError` if
+    dask-jobqueue is not installed.
+
+    Parameters
+    ----------
+    workers : int
+        Processes in all, of one thread each.
+    settings : dict
+        As of `job_settings`.
+    """
+    with contextlib.ExitStack() as opened:
+        yield functools.cache(lambda: _start(settings, -(-workers // settings["processes"]), opened))
+
+
+def job_settings(workers: int, options: Sequence[str]) -> dict[str, Any]:
+    """Settings of dask-jobqueue: jobs of single-threaded processes that leave before their time is over.
+
+    Parameters
+    ----------
+    workers : int
+        Processes in all.
+    options : sequence of str
+        Options of `sbatch` for each job, as ``partition=long`` or ``exclusive``. Those that are not given are
+        `PROCESSES` (cpus-per-task, one process each), `TIME` (time) and `MEMORY` (mem-per-cpu).
+
+    Raises
+    ------
+    ValueError
+        If an option cannot be read.
+    """
+    asked = {"cpus-per-task": str(min(PROCESSES, workers)), "time": TIME, "mem-per-cpu": MEMORY}
+    for option in options:
+        name, is_valued, value = option.lstrip("-").partition("=")
+        if not re.fullmatch(r"[a-z][a-z0-9-]*", name) or not value.isprintable() or (is_valued and not value):
+            raise ValueError(f"expected a long option of sbatch, such as partition=long, got {option!r}")
+        asked[name] = value
+        if name == "mem":
+            asked.pop("mem-per-cpu", None)
+    processes = asked["cpus-per-task"]
+    if not processes.isdecimal() or int(processes) < 1:
+        raise ValueError(f"cpus-per-task: expected the number of processes of a job, got {processes!r}")
+    n_processes = int(processes)
+    memory = _bytes(asked["mem"]) if "mem" in asked else n_processes * _bytes(asked["mem-per-cpu"])
+    seconds = _seconds(asked["time"])
+    margin, stagger = (min(most, int(part * seconds)) for most, part in (MARGIN, STAGGER))
+    how_long = ["--lifetime", f"{seconds - margin - stagger}s", "--lifetime-stagger", f"{stagger}s"]
+    no_pages = ["--no-dashboard", "--worker-class", f"{QuietWorker.__module__}.{QuietWorker.__qualname__}"]
+    prologue = [f"export {name}={value}" for name, value in ONE_THREAD.items()]
+    # of its own: workers look for modules there, and the shared one belongs to whoever came first
+    prologue += ["export DASK_TEMPORARY_DIRECTORY=$(mktemp -d)", "trap 'rm -rf \"$DASK_TEMPORARY_DIRECTORY\"' EXIT"]
+    return {
+        "job_name": "stickslip",
+        "cores": n_processes,
+        "processes": n_processes,
+        "memory": str(memory),
+        # the last of two options of a name holds, but for the memory, of which there are two names
+        "job_directives_skip": ["--mem=", "--cpus-per-task=", "-t "],
+        "job_extra_directives": [
+            f"--{name}={shlex.quote(value)}" if value else f"--{name}" for name, value in asked.items()
+        ],
+        "job_script_prologue": prologue,
+        "worker_extra_args": [*how_long, *no_pages],
+        "security": Security.temporary(),
+        "shared_temp_directory": os.getcwd(),
+        "scheduler_cls": QuietScheduler,
+    }
+
+
+def _bytes(memory: str) -> int:
+    found = _MEMORY.fullmatch(memory)
+    if found is None:
+        raise ValueError(f"mem, mem-per-cpu: expected a size such as 2G, got {memory!r}")
+    return int(found[1]) * 1024 ** ("KMGT".index((found[2] or "M").upper()) + 1)
+
+
+def _seconds(time: str) -> int:
+    found = _TIME.fullmatch(time)
+    if found is None or not any(map(int, filter(None, found.groups()))):
+        raise ValueError(f"time: expected a limit such as 120, in minutes, 2:00:00 or 1-12, got {time!r}")
+    days, *parts = (int(part or 0) for part in found.groups())
+    if found[1] is None and found[4] is None:  # minutes come first
+        parts = [0, *parts[:2]]
+    return sum(unit * part for unit, part in zip((86_400, 3600, 60, 1), (days, *parts), strict=True))
+
+
+def _start(settings: dict[str, Any], n_jobs: int, opened: contextlib.ExitStack) -> Client:
+    kind = _cluster()
+    # of its own, as above: this process, which has the scheduler, looks for modules there too
+    own = opened.enter_context(tempfile.TemporaryDirectory(prefix="stickslip-", ignore_cleanup_errors=True))
+    opened.enter_context(dask.config.set({"temporary-directory": own}))
+    with unbroken():  # a cluster that is half built, or half closed, would leave its jobs behind
+        cluster = kind(**settings)
+        opened.callback(_close, cluster)
+    # not `scale`: what is adapted is also replaced, when a job's time is over or its node fails
+    cluster.adapt(minimum_jobs=n_jobs, maximum_jobs=n_jobs)
+    return opened.enter_context(Client(cluster, set_as_default=False))
+
+
+def _cluster() -> type[Any]:
+    answer = signal.getsignal(signal.SIGINT)
+    try:
+        from dask_jobqueue.slurm import SLURMCluster  # it sets a handler of SIGINT
+    except ImportError as error:
+        raise ScheduleError(
+            'expected the package dask-jobqueue for jobs of Slurm, got none; run: pip install "stickslip[cluster]"'
+        ) from error
+    with contextlib.suppress(ValueError):  # not in the main thread, where it could not set one either
+        signal.signal(signal.SIGINT, answer)
+    return type("JobsOfSlurm", (Jobs, SLURMCluster), {})
+
+
+class Jobs(SpecCluster):
+    """A cluster of jobs that submits another once the last worker of one has left.
+
+    Dask's own looks for a job by the name of the worker. Where jobs have several, each has a name of its own, as
+    SLURMCluster-1-0 of SLURMCluster-1, and no job would ever be missed.
+    """
+
+    #: what Slurm said last of a job that it refused, and how many it has taken
+    refused, n_accepted = "", 0
+    _next: asyncio.TimerHandle | None = None
+
+    async def _correct_state_internal(self) -> None:
+        """As dask does; but a job that is refused is submitted again later, whereas dask counts it as running."""
+        before = {*self.workers}
+        try:
+            await super()._correct_state_internal()
+        except (RuntimeError, OSError) as error:  # of sbatch, or there is none
+            self._again(error)
+        self.n_accepted += len({*self.workers} - before)
+
+    def _again(self, error: Exception) -> None:
+        for name, job in [*self.workers.items()]:
+            if job.job_id is None:
+                job.status = Status.failed
+                del self.workers[name]
+        words = str(error)
+        self.refused = " ".join((words.partition("stderr:")[2] or words).split())
+        is_due = self._next is None or self._next.when() <= asyncio.get_running_loop().time()
+        if is_due and (self.n_accepted or self.workers):
+            log.warning("a job was refused and is submitted again in %g s: %s", RETRY, self.refused)
+            self._next = asyncio.get_running_loop().call_later(RETRY, self._correct_state)
+
+    def _update_worker_status(self, op: str, message: Any) -> None:
+        if op != "remove":
+            super()._update_worker_status(op, message)  # type: ignore[no-untyped-call]
+            return
+        left = self.scheduler_info["workers"].pop(message, None)
+        if left is not None:  # else it left before it was seen to come
+            delay = parse_timedelta(dask.config.get("distributed.deploy.lost-worker-timeout"))
+            asyncio.get_running_loop().call_later(delay, self._forget, self._job_of(left))
+
+    def _forget(self, job: str) -> None:
+        """Give up a job without workers: one is then missing, and is submitted."""
+        if job in self.workers and job not in map(self._job_of, self.scheduler_info["workers"].values()):
+            self._futures.add(asyncio.ensure_future(self.workers.pop(job).close()))
+
+    def _job_of(self, worker: dict[str, Any]) -> str:
+        name = str(worker["name"])
+        return name if name in self.workers else name.rpartition("-")[0]
+
+
+def _close(cluster: SpecCluster) -> None:
+    try:
+        with unbroken():
+            cluster.close()
+    except Exception as error:  # noqa: BLE001  dask's; what was run stands
+        log.warning("closing the cluster failed (%r); see with squeue that no job is left", error)
