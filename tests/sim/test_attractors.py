@@ -767,7 +767,7 @@ def chaotic(unit=1.0, speed=0.0):
 
 @pytest.mark.parametrize("unit", [2.0**17, 2.0**-20])
 def test_chaos_does_not_depend_on_the_unit_of_time(rng, unit):
-    """In units that are powers of two all arithmetic is the same to the bit, so that two chaotic runs stay together."""
+    """In units that are powers of two all arithmetic is the same to the bit, so chaotic runs stay together."""
     for _ in range(3):
         start = [*rng.uniform(-0.3, 0.3, 2), 0.0]
         expected, scaled = (settled(chaotic(u), start, "belt", 800.0 * u, 100.0 * u) for u in (1.0, unit))
@@ -777,7 +777,7 @@ def test_chaos_does_not_depend_on_the_unit_of_time(rng, unit):
 
 @pytest.mark.parametrize("speed", [0.0, 1.0, 100.0, 1e4])
 def test_chaos_is_found_on_a_carrier_that_moves(rng, speed):
-    """Of 300 starts the rate to t = 800 had the mean 0.0585 and the deviation 0.0047; a mean of eight is off by 7 errors."""
+    """Of 300 starts the rate had the mean 0.0585 and the deviation 0.0047: a mean of eight is off by 7 errors."""
     rates = []
     for _ in range(8):
         start = [*rng.uniform(-0.3, 0.3, 2), 0.0]
