@@ -34,6 +34,10 @@ class Column(NamedTuple):
         run without one lacks it.
     title : str
         What a number is called in a sentence; empty: its name, with spaces.
+    is_time : bool
+        Whether it is times of a run, from 0 to t_end; of a list, in order.
+    is_index : bool
+        Whether it says which block, counted from 0.
     is_cut : bool
         Whether it is of times that have to lie between t_burn and the end of a run: the long ones are cut, so that
         their mean is too small unless the run is much longer.
@@ -49,6 +53,8 @@ class Column(NamedTuple):
     least: float | None = None
     absent: str = ""
     title: str = ""
+    is_time: bool = False
+    is_index: bool = False
     is_cut: bool = False
 
     @property

@@ -25,7 +25,7 @@ class FirstExit(Record):
             absent="no exit",
             title="time of the first exit",
         ),
-        Column("whole", "first_exit_block", "the block that lets go first", is_averaged=False),
+        Column("whole", "first_exit_block", "the block that lets go first", is_averaged=False, is_index=True),
     )
     needs = frozenset({"events"})
 
