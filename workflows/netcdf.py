@@ -76,7 +76,7 @@ def _fill(file: Any, opened: Opened, source: Any, lists: list[str]) -> None:
     file.createDimension("member", sum(shard.rows for shard in opened.manifest.shards.values()))
     for name in scalars(source.schema):
         with reading(opened.place):
-            values = source.to_table(columns=[name])[name]
+            values = opened.checked(source.to_table(columns=[name]))[name]
         _scalar(file, source.schema.field(name), values)
     for dimension in dict.fromkeys(_SAMPLES[name] for name in lists):
         _along(file, opened, source, dimension, [name for name in lists if _SAMPLES[name] == dimension])
@@ -117,7 +117,7 @@ def _along(file: Any, opened: Opened, source: Any, dimension: str, names: list[s
     row = written = 0
     for fragment in source.get_fragments():
         with reading(opened.place):
-            shard = fragment.to_table(columns=names)
+            shard = opened.checked(fragment.to_table(columns=["n", *names]))
         sizes = pc.fill_null(pc.list_value_length(shard[names[0]]), 0).to_numpy()
         more = int(sizes.sum())
         counts[row : row + len(sizes)] = sizes

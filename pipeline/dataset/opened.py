@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from stickslip.pipeline.dataset.schema import schema_of
+from stickslip.pipeline.dataset.sound import Sound, fault_of_file, fault_of_members
 from stickslip.pipeline.ensemble.pack import PlanError, Task, tasks
-from stickslip.pipeline.errors import QueryError, SceneError, StoreError
+from stickslip.pipeline.errors import QueryError, SceneError, StoreError, command, printable
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import DamagedManifest, Manifest, read_manifest
@@ -135,7 +136,47 @@ class Opened:
                     )
                 if problem:
                     raise StoreError(f"{place.named(files[name])}: {problem}; rerun the scene to rebuild it")
+                assert content is not None  # that would be a problem
+                problem = fault_of_file(content, schema_of(self.scene.recording), known[name].rows)
+                if problem:
+                    raise StoreError(f"{place.named(files[name])}: {problem}; {NOT_OURS}")
                 _checked[place.named(files[name])] = (known[name].sha256, mark)
+
+    @cached_property
+    def sound(self) -> Sound:
+        """What its values can be."""
+        return Sound(self.scene)
+
+    def checked(self, table: pa.Table) -> pa.Table:
+        """Columns of some rows, once they are found to be what the scene can give.
+
+        Raises
+        ------
+        StoreError
+            If they are not.
+        """
+        problem = self.sound.fault(table)
+        if problem:
+            which = command("verify", str(self.place))
+            raise StoreError(f"{self.place}: {printable(problem)}; `{which}` names the shard: {NOT_OURS}")
+        return table
+
+    def check_members(self, table: pa.Table, shards: Sequence[str]) -> None:
+        """See that rows of some shards, all of them, are of the members that the scene gives these.
+
+        Raises
+        ------
+        StoreError
+            If they are not.
+        """
+        batches = {batch.name: batch for batch, _ in self.tasks}
+        first = 0
+        for name in shards:
+            members = batches[name].members
+            problem = fault_of_members(table.slice(first, len(members)), members)
+            first += len(members)
+            if problem:
+                raise StoreError(f"{self.place.named(f'{DATA}/{name}')}: {printable(problem)}; {NOT_OURS}")
 
     def again(self) -> Opened:
         """The dataset as it is now; its scene is read again only if it is another.
@@ -149,6 +190,9 @@ class Opened:
         same = manifest.scene_hash == self.manifest.scene_hash
         return replace(self, manifest=manifest) if same else open_dataset(self.place)
 
+
+#: What to do about a shard that its manifest knows and that cannot be.
+NOT_OURS = "this program did not write it so: remove it, and rerun the scene to rebuild it"
 
 #: Files whose content this process has checked: the sha256 that it has, and how the file was marked then.
 _checked: dict[str, tuple[str, object]] = {}

@@ -10,13 +10,20 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from stickslip.pipeline.dataset.opened import Opened, open_dataset, reading
+from stickslip.pipeline.dataset.opened import NOT_OURS, Opened, open_dataset, reading
 from stickslip.pipeline.dataset.schema import schema_of
-from stickslip.pipeline.errors import SceneError
+from stickslip.pipeline.dataset.sound import (
+    fault_of_counts,
+    fault_of_file,
+    fault_of_members,
+    fault_of_statistics,
+    wrong_columns,
+)
+from stickslip.pipeline.ensemble.expand import Members
+from stickslip.pipeline.errors import SceneError, printable, shortened
 from stickslip.pipeline.own.files import ChangedError
 from stickslip.pipeline.own.function import look_again
 from stickslip.pipeline.places.directory import Directory
-from stickslip.pipeline.places.manifest import SCHEMA_VERSION
 from stickslip.pipeline.places.place import DATA, TEMPORARY, Where
 
 
@@ -56,30 +63,35 @@ def verify(path: Where | Opened) -> list[str]:
                 entry = (shard.rows, shard.first, shard.last)
                 if entry != (len(ids), ids[0], ids[-1]):
                     problem = f"expected {len(ids)} rows, {ids[0]} to {ids[-1]}, in the manifest, got {entry}"
-                problem = problem or _content(content or b"", schema_of(recording), ids, shard.outcomes)
+                problem = problem or _content(
+                    found, content or b"", schema_of(recording), batch.members, shard.outcomes
+                )
             if problem:
-                problems.append(f"{place.named(f'{DATA}/{name}')}: {problem}")
+                problems.append(printable(f"{place.named(f'{DATA}/{name}')}: {problem}"))
     known = {f"{DATA}/{name}" for name in found.manifest.known}
     strays = [name for name in files if name.startswith((f"{DATA}/", TEMPORARY)) and name not in known]
     return problems + [
-        f"{place.named(name)}: stray file, not in the manifest: nothing reads it; delete it" for name in strays
+        printable(f"{place.named(name)}: stray file, not in the manifest: nothing reads it; delete it")
+        for name in strays
     ]
 
 
-def _content(content: bytes, schema: pa.Schema, ids: list[str], outcomes: Mapping[str, int]) -> str:
+def _content(opened: Opened, content: bytes, schema: pa.Schema, members: Members, outcomes: Mapping[str, int]) -> str:
     """What is wrong inside a shard whose bytes are as they were written; "" if nothing is."""
+    problem = fault_of_file(content, schema, len(members))
+    if problem:
+        return f"{problem}; {NOT_OURS}"
     try:
         # a thread of Arrow's may outlive its library, and end the process
-        table = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read(use_threads=False)
+        file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
+        table = file.read(use_threads=False)
     except (OSError, pa.ArrowException) as error:
-        return f"cannot be read ({error}); rerun the scene to rebuild it"
+        return f"cannot be read ({shortened(str(error), 200)}); rerun the scene to rebuild it"
     if not table.schema.equals(schema, check_metadata=True):
-        return f"expected the columns of schema version {SCHEMA_VERSION} and this scene, got others"
-    if table.num_rows != len(ids):
-        return f"expected {len(ids)} rows, got {table.num_rows}"
-    found = table["member_id"].to_pylist()
-    wrong = [(a, b) for a, b in zip(ids, found, strict=True) if a != b]
-    if wrong:
-        return f"expected member {wrong[0][0]}, got {wrong[0][1]}"
+        return wrong_columns(table.schema, schema)
+    problem = opened.sound.fault(table) or fault_of_members(table, members) or fault_of_counts(table)
     counted = dict(Counter(table["outcome"].to_pylist()))
-    return "" if counted == outcomes else f"expected the outcomes {outcomes}, got {counted}"
+    if not problem and counted != outcomes:
+        problem = f"expected the outcomes {outcomes}, got {counted}"
+    problem = problem or fault_of_statistics(table, file.metadata)
+    return f"{problem}; {NOT_OURS}" if problem else ""

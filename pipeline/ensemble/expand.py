@@ -82,6 +82,10 @@ class Members(Sequence[Member]):
         """The `cost` of each."""
         return self._ensemble.costs(self._places)
 
+    def rows(self) -> Iterator[tuple[dict[str, Any], str, int, int | None]]:
+        """The `row` of each, as one of its kind has it, and what is its own: name, matrix and draw of the start."""
+        return self._ensemble.rows(self._places)
+
     def firsts(self) -> list[Member]:
         """The first member of each pair of an origin of systems and an engine."""
         firsts: dict[Hashable, Member] = {}
@@ -169,6 +173,18 @@ class _Numbered:
                 if variant not in of_variant:
                     of_variant[variant] = self.kind(source, 0, variant).cost
                 yield of_variant[variant]
+
+    def rows(self, numbers: Sequence[int]) -> Iterator[tuple[dict[str, Any], str, int, int | None]]:
+        """The `row` of the kind of each, with its name, its matrix and the draw of its start."""
+        kinds: dict[tuple[int, int, int], dict[str, Any]] = {}
+        for k, name in zip(numbers, self.ids(numbers), strict=True):
+            source, matrix, place, variant = self._split(k)
+            point, draw = self.at(place)
+            if (source, point, variant) not in kinds:
+                kinds[source, point, variant] = self.kind(source, point, variant).row()
+            origin = self.sources[source][1]
+            number = matrix if origin is None else origin.matrix(matrix)
+            yield kinds[source, point, variant], name, number, draw
 
     def by_variant(self, numbers: Sequence[int]) -> Iterator[Sequence[int]]:
         """The numbers of those with one source and one variant together, without going through all of a range."""

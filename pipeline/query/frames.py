@@ -121,7 +121,9 @@ def members_in_parts(path: Where | Opened, columns: Sequence[str]) -> Iterator[p
     """
     opened = open_dataset(path)
     for part in opened.in_parts(_ROWS):
-        yield frame(_chosen(opened, opened.shards(part), list(columns), None))
+        table = _chosen(opened, opened.shards(part), list(columns), None)
+        opened.check_members(table, part)
+        yield frame(table)
 
 
 def dask_members(
@@ -190,9 +192,10 @@ def _condition(filters: Filters | None) -> pc.Expression | None:
 def _chosen(opened: Opened, source: ds.Dataset, names: list[str], filters: Filters | None) -> pa.Table:
     try:
         with reading(opened.place):
-            return source.to_table(columns=names, filter=_condition(filters))
+            table = source.to_table(columns=names, filter=_condition(filters))
     except (pa.ArrowException, ValueError) as error:
         raise _misfit(filters, error) from error
+    return opened.checked(table)
 
 
 def _misfit(filters: Filters | None, error: Exception) -> QueryError:
@@ -267,7 +270,8 @@ def episodes(path: Where | Opened) -> pd.DataFrame:
     if not names:
         raise not_recorded("episodes")
     with reading(opened.place):
-        found = source.to_table(["member_id", *names], filter=pc.field(names[0]).is_valid()).combine_chunks()
+        found = source.to_table(["member_id", *names], filter=pc.field(names[0]).is_valid())
+        found = opened.checked(found).combine_chunks()
     of = pc.list_parent_indices(found[names[0]].combine_chunks()) if len(found) else pa.array([], pa.int64())
     columns = {
         name.removeprefix("episode_"): pc.list_flatten(found[name])
@@ -282,7 +286,7 @@ def _member_row(opened: Opened, source: ds.Dataset, member_id: str, columns: lis
     if not isinstance(member_id, str):
         raise QueryError(f"member_id: expected the name of a member, got {member_id!r}; `members` lists them")
     with reading(opened.place):
-        rows = source.to_table([*columns, "reason"], filter=pc.field("member_id") == member_id)
+        rows = opened.checked(source.to_table([*columns, "reason"], filter=pc.field("member_id") == member_id))
         known = [] if rows.num_rows else source.to_table(["member_id"])["member_id"].to_pylist()
     if rows.num_rows == 0:
         raise QueryError(f"member_id: expected a member that is done, got {member_id!r}{near(member_id, known)}")
@@ -363,9 +367,11 @@ class Recorded(Mapping[str, _Value]):
 
     def _shard(self, k: int) -> _Shard:
         if k not in self._kept:
-            names = ["member_id", *self._columns]
+            known = ["member_id", "n", "outcome"]
             with reading(self._opened.place):
-                table = self._fragments[k].to_table(columns=names, filter=pc.field(self._recorded).is_valid())
+                table = self._fragments[k].to_table(columns=[*known, *self._columns])
+            table = self._opened.checked(table).drop_columns(known[1:])
+            table = table.filter(pc.is_valid(table[self._recorded]))
             while len(self._kept) >= _SHARDS_KEPT and self._n_bytes() + table.nbytes > _KEPT:
                 del self._kept[next(iter(self._kept))]
             self._kept[k] = _Shard(table)

@@ -76,7 +76,11 @@ class AttractorRecord(WindowRecord):
         ),
         Column("numbers", "section_w", "velocity of each block then", along="section_block", repeats=False),
         Column(
-            "whole", "exits_block", "the block with most exits in a period, or in an irregular run", is_averaged=False
+            "whole",
+            "exits_block",
+            "the block with most exits in a period, or in an irregular run",
+            is_averaged=False,
+            is_index=True,
         ),
         Column(
             "numbers",

@@ -60,6 +60,10 @@ class Column(NamedTuple):
     of_gaps : "mean" or "scatter", optional
         If it is of the times between exits of the same block that lie between t_burn and the end of a run: the long
         ones are cut off, so that it is too small unless the run is much longer.
+    is_time : bool
+        Whether it is times of a run, from 0 to t_end; of a list, in order.
+    is_index : bool
+        Whether it says which block, counted from 0.
     """
 
     kind: Kind
@@ -74,6 +78,8 @@ class Column(NamedTuple):
     title: str = ""
     until: Until | None = None
     of_gaps: Literal["", "mean", "scatter"] = ""
+    is_time: bool = False
+    is_index: bool = False
 
     @property
     def called(self) -> str:

@@ -316,7 +316,7 @@ def test_wrong_rows_and_wrong_members_are_found_behind_a_right_sha256(copy):
     forge(copy, fifth.name, outcomes={"failed": 1})
     rows, members, entry, columns, outcomes = verify(copy)
     assert f"got {pq.read_table(first).num_rows}" in rows
-    assert f"expected member {ids[1]}, got {ids[2]}" in members
+    assert f"member_id of {ids[1]}: expected {ids[1]}, got {ids[2]}" in members
     assert "99" in entry
     assert "expected the columns of schema version 3" in columns
     assert "expected the outcomes {'failed': 1}, got" in outcomes

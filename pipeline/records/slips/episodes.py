@@ -21,16 +21,24 @@ class EpisodesRecord(Record):
     asked_by = "`episodes = true` under [record]"
     columns = (
         _of_each(
-            "numbers", "episode_start", "when the first block leaves, after a time when all stick", repeats=False
+            "numbers",
+            "episode_start",
+            "when the first block leaves, after a time when all stick",
+            repeats=False,
+            is_time=True,
         ),
         _of_each(
-            "numbers", "episode_end", "when all stick again; what is cut off by an end is no episode", repeats=False
+            "numbers",
+            "episode_end",
+            "when all stick again; what is cut off by an end is no episode",
+            repeats=False,
+            is_time=True,
         ),
         _of_each("wholes", "episode_size", "number of blocks that slipped in each episode"),
         _of_each(
             "numbers", "episode_moment", "sum of their slips on the belt, against the belt's motion", repeats=False
         ),
-        _of_each("wholes", "episode_first_block", "the block that left first"),
+        _of_each("wholes", "episode_first_block", "the block that left first", is_index=True),
         _of_each("numbers", "episode_z_sum", "sum of z over the blocks when each episode begins", repeats=False),
     )
 

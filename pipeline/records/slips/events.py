@@ -16,8 +16,10 @@ class Events(Record):
     example = None
     asked_by = "`events = true` under [record]"
     columns = (
-        Column("numbers", "event_t", "times of the events, never decreasing", along="event", repeats=False),
-        Column("wholes", "event_block", "block of each event", along="event"),
+        Column(
+            "numbers", "event_t", "times of the events, never decreasing", along="event", repeats=False, is_time=True
+        ),
+        Column("wholes", "event_block", "block of each event", along="event", is_index=True),
         Column("modes", "event_mode", "the block's mode from the event on: -1 or +1 slips, 0 sticks", along="event"),
         Column("modes", "initial_mode", "mode of each block at t = 0", along="block"),
     )

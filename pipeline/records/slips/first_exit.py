@@ -26,7 +26,7 @@ class FirstExit(Record):
             title="time of the first exit",
             until=Until(needs_stick=True),
         ),
-        Column("whole", "first_exit_block", "the block that lets go first", is_averaged=False),
+        Column("whole", "first_exit_block", "the block that lets go first", is_averaged=False, is_index=True),
     )
     needs = frozenset({"events"})
 

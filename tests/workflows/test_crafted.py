@@ -1,0 +1,188 @@
+"""Shards that somebody else wrote, under a manifest that fits: `verify` finds them, and readers refuse them."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+
+from stickslip.pipeline.dataset import sound
+from stickslip.pipeline.places.manifest import read_manifest
+from stickslip.workflows.commands import main
+
+
+def forge(place, name):
+    """Have the manifest say of a shard what is there, but for its rows."""
+    manifest, content = read_manifest(place), (place / "data" / name).read_bytes()
+    sha256 = hashlib.sha256(content).hexdigest()
+    manifest.shards[name] = manifest.shards[name].model_copy(update={"sha256": sha256, "bytes": len(content)})
+    (place / "manifest.json").write_bytes(manifest.to_bytes())
+
+
+def column(table, name, values):
+    """The table with another column of a name, of the type that it has."""
+    at = table.schema.get_field_index(name)
+    return table.set_column(at, table.schema.field(at), pa.array(values, table.schema.field(at).type))
+
+
+def first(table, name, change):
+    """The table with another value in the first row."""
+    values = table[name].to_pylist()
+    values[0] = change(values[0])
+    return column(table, name, values)
+
+
+def of_type(table, name, kind):
+    at = table.schema.get_field_index(name)
+    return table.set_column(at, pa.field(name, kind, nullable=False), table[name].cast(kind))
+
+
+def nullable(table, name):
+    at = table.schema.get_field_index(name)
+    values = [None, *table[name].to_pylist()[1:]]
+    return table.set_column(at, pa.field(name, table.schema.field(at).type, True), pa.array(values))
+
+
+CRAFTS = {
+    "a column of another type": lambda table: of_type(table, "n", pa.int64()),
+    "a column less": lambda table: table.drop_columns(["kappa"]),
+    "a column more": lambda table: table.append_column("more", table["n"]),
+    "null where there is none": lambda table: nullable(table, "kappa"),
+    "NaN": lambda table: first(table, "t_stop", lambda _: np.nan),
+    "infinite times": lambda table: first(table, "t", lambda t: [*t[:-1], np.inf]),
+    "lists of unequal lengths": lambda table: first(table, "n_stick", lambda values: values[:-1]),
+    "events of unequal lengths": lambda table: first(table, "event_mode", lambda values: [*values, 1]),
+    "times out of order": lambda table: first(table, "event_t", lambda t: t[::-1]),
+    "times before the start": lambda table: first(table, "event_t", lambda t: [-1.0, *t[1:]]),
+    "times after the end": lambda table: first(table, "event_t", lambda t: [*t[:-1], 1e9]),
+    "no start": lambda table: first(table, "t", lambda t: [0.1, *t[1:]]),
+    "an empty series": lambda table: first(first(table, "t", lambda t: []), "n_stick", lambda values: []),
+    "a run without a series": lambda table: first(first(table, "t", lambda t: None), "n_stick", lambda values: None),
+    "a block that is none": lambda table: first(table, "event_block", lambda values: [99, *values[1:]]),
+    "a block below none": lambda table: first(table, "event_block", lambda values: [-1, *values[1:]]),
+    "a mode that is none": lambda table: first(table, "event_mode", lambda values: [7, *values[1:]]),
+    "modes of too many blocks": lambda table: first(table, "initial_mode", lambda values: [*values, 0]),
+    "a negative number of sticking blocks": lambda table: first(table, "n_stick", lambda values: [-5, *values[1:]]),
+    "too many sticking blocks": lambda table: first(table, "n_stick", lambda values: [10**6, *values[1:]]),
+    "a negative count": lambda table: first(table, "n_steps", lambda _: -1),
+    "an outcome that is none": lambda table: first(table, "outcome", lambda _: "won"),
+    "another member's name": lambda table: first(table, "member_id", lambda name: f"{name}x"),
+    "a name that is a command to a terminal": lambda table: first(table, "member_id", lambda name: "\x1b[31m"),
+    "a row twice": lambda table: pa.concat_tables([table.slice(0, 1), table.slice(0, len(table) - 1)]),
+    "another seed": lambda table: first(table, "seed", lambda seed: seed + 1),
+    "another system": lambda table: first(table, "matrix", lambda _: -1),
+    "another size": lambda table: first(table, "n", lambda n: n + 1),
+    "another end": lambda table: first(table, "t_end", lambda t_end: t_end / 2),
+    "another engine": lambda table: first(table, "engine", lambda _: "magic"),
+    "counts that do not add up": lambda table: first(table, "n_events", lambda count: count + 1),
+    "another last state": lambda table: first(table, "n_stick_end", lambda count: (count + 1) % 3),
+    "no UTF-8": lambda table: table.set_column(
+        table.schema.get_field_index("coupling"),
+        table.schema.field("coupling"),
+        pa.Array.from_buffers(pa.string(), len(table), [
+            None,
+            pa.array(np.arange(len(table) + 1, dtype=np.int32)).buffers()[1],
+            pa.py_buffer(b"\xff" * len(table)),
+        ]),
+    ),
+}  # fmt: skip
+#: What a reader that does not look at these columns cannot see.
+AUDITED = ("a negative count", "counts that do not add up", "another last state")
+
+
+@pytest.fixture
+def place(dataset, tmp_path):
+    copy = shutil.copytree(dataset, tmp_path / "d")
+    shutil.rmtree(copy / "report")
+    (copy / "report.html").unlink()
+    return copy
+
+
+def crafted(place, craft):
+    """Put a crafted shard in the place of the first."""
+    shard = min((place / "data").iterdir())
+    table = craft(pq.read_table(shard))
+    pq.write_table(table, shard, compression="zstd", write_page_checksum=True)
+    forge(place, shard.name)
+    return shard
+
+
+@pytest.mark.parametrize("name", CRAFTS)
+def test_a_crafted_shard_is_found(name, place, tmp_path, capsys):
+    shard = crafted(place, CRAFTS[name])
+    assert main(["verify", str(place)]) == 1
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if str(shard) in line]
+    assert line.isprintable()
+    code = main(["report", str(place)])
+    said = capsys.readouterr()
+    assert code == (0 if name in AUDITED else 1), said
+    assert said.err.count("\n") == (name not in AUDITED)
+    for words in (
+        ["query", str(place), "SELECT * FROM shards", "--out", str(tmp_path / "a.parquet")],
+        ["query", str(place), "SELECT * FROM n_stick"],
+        ["export", str(place), "--netcdf", str(tmp_path / "a.nc")],
+    ):
+        code = main(words)
+        assert code in (0, 1, 2)
+        assert capsys.readouterr().err.count("\n") == (code != 0)
+    # what is removed is computed again
+    shard.unlink()
+
+
+#: The command, and the most memory that it took.
+MEASURED = """
+import re, sys
+from pathlib import Path
+from stickslip.workflows.commands import main
+code = main(sys.argv[1:])
+print(re.search("VmHWM:(.*)kB", Path("/proc/self/status").read_text())[1])
+sys.exit(code)
+"""
+
+
+def of_length(table, name, length):
+    """The table with a first list of so many zeros, and no others."""
+    field = table.schema.field(name)
+    offsets = pa.array(np.array([0, *[length] * len(table)], np.int32))
+    values = pa.array(np.zeros(length, field.type.value_type.to_pandas_dtype()))
+    lists = pa.ListArray.from_arrays(offsets, values).cast(field.type)
+    return table.set_column(table.schema.get_field_index(name), field, lists)
+
+
+LARGE = {
+    "lists": lambda table: of_length(of_length(table, "t", 20_000_000), "n_stick", 20_000_000),
+    "texts": lambda table: column(table, "coupling", ["x" * 50_000_000] * len(table)),
+}
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@pytest.mark.parametrize("name", LARGE)
+def test_a_shard_that_would_fill_the_memory_is_not_read(name, place):
+    """Small files: runs of one value, and one long text in each row."""
+    assert crafted(place, LARGE[name]).stat().st_size < 200_000
+    for words in (["verify"], ["query", "SELECT count(*) FROM n_stick"]):
+        done = subprocess.run(
+            [sys.executable, "-c", MEASURED, words[0], str(place), *words[1:]], capture_output=True, text=True
+        )
+        assert done.returncode == 1
+        assert "MB" in done.stdout + done.stderr
+        assert done.stderr.count("\n") == 1
+        assert int(done.stdout.split()[-1]) < 600_000
+
+
+def test_statistics_by_which_rows_are_skipped_are_looked_at(place):
+    shard = min((place / "data").iterdir())
+    table = pq.read_table(shard)
+    head = pq.ParquetFile(shard).metadata
+    assert sound.fault_of_statistics(table, head) == ""
+    other = table.set_column(
+        table.schema.get_field_index("n"), table.schema.field("n"), pc.add(table["n"], 1).cast(pa.int32())
+    )
+    assert sound.fault_of_statistics(other, head).startswith("n: expected statistics from")
