@@ -184,7 +184,8 @@ def forked_workers() -> Iterator[None]:
     server: Any = forkserver._forkserver
     settings: dict[str, Any] = current_process()._config  # type: ignore[attr-defined]
     with scratch() as own, ErrorStream() as errors, environment_kept():
-        os.environ |= _environment() | {"PYTHONSAFEPATH": "1"}  # nothing is loaded from the working directory
+        # nothing is loaded from the working directory; what a killed worker leaves goes with the others'
+        os.environ |= _environment() | {"PYTHONSAFEPATH": "1", "TMPDIR": own.path}
         settings["tempdir"] = f"/proc/self/fd/{own.descriptor}"  # however long its path, a socket's has 107 bytes
         server.set_forkserver_preload(["stickslip.pipeline.running.preload"])
         with blocked(), errors.instead():

@@ -20,7 +20,7 @@ _OF_GROUPS = (signal.SIGINT, signal.SIGTERM)
 _SIGNALS = (*_OF_GROUPS, signal.SIGHUP)
 
 #: Seconds that a program has to end in order.
-_GRACE = 3.0
+_GRACE = 2.5
 
 
 class Interrupted(KeyboardInterrupt):
