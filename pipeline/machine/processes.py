@@ -12,9 +12,11 @@ import signal
 import subprocess
 import sys
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from stickslip.pipeline.machine.scratch import scratch
 from stickslip.pipeline.machine.signals import blocked
 
 # One thread each: threaded products in several processes fight for the cores, and threads that share a sum round
@@ -60,13 +62,110 @@ def frugal() -> Iterator[None]:
         yield
 
 
+def open_streams() -> None:
+    """Open those of the three standard streams that this process was started without, as by ``2>&-``, on nothing.
+
+    Otherwise a file or a connection gets the number, and what is printed.
+    """
+    while (opened := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(opened, True)
+    os.close(opened)
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115  for good
+
+
 def n_cores() -> int:
     """The cores that this process may use, where the system says so; else those of the machine."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-#: How `multiprocessing` is to start local workers.
-start_method = "spawn"
+class ErrorStream:
+    """What processes write to their standard error: held back as they start, then passed on to this one's.
+
+    A context manager; what is still held at its end is dropped.
+    """
+
+    def __init__(self) -> None:
+        reading, self._writing = os.pipe()
+        self._error = os.dup(2)
+        self._held: deque[bytes] | None = deque(maxlen=_MOST_HELD)
+        self._turn = threading.Lock()
+        self._copying = threading.Thread(target=self._copy, args=(reading,), daemon=True)
+        self._copying.start()
+
+    def __enter__(self) -> ErrorStream:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+        with self._turn:  # who goes on copying, copies to nobody
+            self._held = deque(maxlen=0)
+            os.close(self._error)
+
+    @contextlib.contextmanager
+    def instead(self) -> Iterator[None]:
+        """Within: processes that are started have it as their standard error."""
+        os.dup2(self._writing, 2)
+        try:
+            yield
+        finally:
+            os.dup2(self._error, 2)
+
+    def pass_on(self) -> None:
+        """Pass on what was held, and from now on all that comes."""
+        with self._turn:
+            held, self._held = self._held, None
+            for part in held or ():
+                self._pass(part)
+
+    def last_lines(self) -> list[str]:
+        """The last lines of what was held, once the processes have ended; of a traceback, its end."""
+        self._end()
+        lines = b"".join(self._held or ()).decode(errors="replace").splitlines()
+        return [line for line in lines if line.strip() and not line.startswith("Traceback ")][-_LAST_LINES:]
+
+    def _end(self) -> None:
+        if self._writing >= 0:
+            os.close(self._writing)
+            self._writing = -1
+            self._copying.join(_ENDING)  # a process that goes on writing is not waited for
+
+    def _copy(self, reading: int) -> None:
+        with open(reading, "rb", buffering=0) as stream:
+            while part := stream.read(_PART):
+                with self._turn:
+                    if self._held is None:
+                        self._pass(part)
+                    else:
+                        self._held.append(part)
+
+    def _pass(self, part: bytes) -> None:
+        with contextlib.suppress(OSError):  # nobody reads it any more
+            os.write(self._error, part)
+
+
+#: Of an `ErrorStream`: bytes that are read at once, parts that are held, lines that are shown, seconds to its end.
+_PART, _MOST_HELD, _LAST_LINES, _ENDING = 2**16, 64, 5, 1.0
+
+
+class Forks:
+    """The process that local workers are forked from."""
+
+    def __init__(self, pid: int, errors: ErrorStream) -> None:
+        self._pid, self.errors = pid, errors
+
+    @property
+    def has_died(self) -> bool:
+        """Whether it has ended: it is not waited for, for that is the business of `multiprocessing`."""
+        try:
+            return os.waitid(os.P_PID, self._pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+        except ChildProcessError:  # `multiprocessing` has seen its end
+            return True
+
+
+#: What local workers are forked from; None: each is started anew.
+forks: Forks | None = None
 
 
 @contextlib.contextmanager
@@ -79,20 +178,27 @@ def forked_workers() -> Iterator[None]:
     if sys.platform != "linux":
         yield
         return
-    from multiprocessing import forkserver
+    from multiprocessing import current_process, forkserver
 
-    global start_method
+    global forks
     server: Any = forkserver._forkserver
-    with environment_kept(), blocked():
-        os.environ |= _environment() | {"PYTHONSAFEPATH": "1"}  # nothing is loaded from the working directory
+    settings: dict[str, Any] = current_process()._config  # type: ignore[attr-defined]
+    with scratch() as own, ErrorStream() as errors, environment_kept():
+        # nothing is loaded from the working directory; what a killed worker leaves goes with the others'
+        os.environ |= _environment() | {"PYTHONSAFEPATH": "1", "TMPDIR": own.path}
+        settings["tempdir"] = f"/proc/self/fd/{own.descriptor}"  # however long its path, a socket's has 107 bytes
         server.set_forkserver_preload(["stickslip.pipeline.running.preload"])
-        server.ensure_running()
-    start_method = "forkserver"
-    try:
-        yield
-    finally:
-        start_method = "spawn"
-        os.kill(server._forkserver_pid, signal.SIGKILL)
+        with blocked(), errors.instead():
+            server.ensure_running()
+        forks = Forks(server._forkserver_pid, errors)
+        try:
+            yield
+        finally:
+            forks = None
+            del settings["tempdir"]
+            if server._forkserver_pid is not None:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(server._forkserver_pid, signal.SIGKILL)
 
 
 # ---------------------------------------------------------------------------------------------- a child

@@ -1,4 +1,8 @@
-"""How a run ends when it is told to: the first SIGINT or SIGTERM ends it between two commits, the second at once."""
+"""How a program ends when it is told to.
+
+The first SIGINT, SIGTERM or SIGHUP ends it in order, between two commits, if that takes no longer than a grace; the
+second ends it at once.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +10,17 @@ import contextlib
 import os
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from types import FrameType
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+#: Those that may reach every process of a group, and those that end a program.
+_OF_GROUPS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = (*_OF_GROUPS, signal.SIGHUP)
+
+#: Seconds that a program has to end in order.
+_GRACE = 2.5
 
 
 class Interrupted(KeyboardInterrupt):
@@ -33,22 +43,57 @@ _last_acts: list[Callable[[], None]] = []
 
 
 @contextlib.contextmanager
-def interruptible() -> Iterator[None]:
-    """Within: the first SIGINT or SIGTERM raises `Interrupted`; the second does the last acts and ends the process.
+def interruptible(is_program: bool = False) -> Iterator[None]:
+    """Within: the first signal raises `Interrupted`; the second does the last acts and ends the process.
 
-    To be entered once, by the program's main thread; elsewhere it does nothing.
+    To be entered once, by the main thread; elsewhere it does nothing. SIGHUP stays ignored in a process that was
+    started so, as by nohup.
+
+    Parameters
+    ----------
+    is_program : bool
+        Whether the process is to end: it then does so a grace after the first signal, whatever it is at.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     _state.asked, _state.raised, _state.held = None, False, 0
-    previous = {number: signal.signal(number, _answer) for number in _SIGNALS}
+    is_ignored = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    previous = {n: signal.signal(n, _answer) for n in _SIGNALS if not (n == signal.SIGHUP and is_ignored)}
+    unwatch = _watch() if is_program else None
     try:
         yield
     finally:
         if _state.asked is None:  # else the program is ending, and a second signal may still come
             for number, handler in previous.items():
                 signal.signal(number, handler)
+            if unwatch is not None:
+                unwatch()
+
+
+def _watch() -> Callable[[], None]:
+    """Have a thread end the process a grace after a signal; what is returned ends the thread.
+
+    The system tells it of the signal. Python's handler waits for the main thread, which may be in compiled code.
+    """
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    threading.Thread(target=_end_after_grace, args=(reading,), daemon=True).start()
+
+    def unwatch() -> None:
+        signal.set_wakeup_fd(before)
+        os.close(writing)
+
+    return unwatch
+
+
+def _end_after_grace(reading: int) -> None:
+    with open(reading, "rb", buffering=0) as told:
+        while number := told.read(1):
+            if number[0] in _SIGNALS:
+                time.sleep(_GRACE)
+                end_at_once(number[0])
 
 
 def _answer(number: int, frame: FrameType | None) -> None:
@@ -94,7 +139,7 @@ def blocked() -> Iterator[None]:
     from multiprocessing import resource_tracker  # here, and so in `processes`, so that --help is quick
 
     resource_tracker.ensure_running()  # started later, it would unblock the signals
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_GROUPS)
     try:
         yield
     finally:

@@ -14,7 +14,9 @@ import resource
 import signal
 import socket
 import tempfile
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -22,7 +24,7 @@ import dask
 import distributed
 from distributed import Client, Nanny, Scheduler, Security, SpecCluster, Worker
 from distributed.comm import get_address_host_port
-from distributed.core import Server, rpc
+from distributed.core import Server, Status, rpc
 from distributed.gc import GCDiagnosis
 from distributed.system import MEMORY_LIMIT
 from distributed.utils import LoopRunner, silence_logging_cmgr
@@ -30,7 +32,8 @@ from distributed.utils import LoopRunner, silence_logging_cmgr
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.errors import AddressError, SceneError, ScheduleError
 from stickslip.pipeline.machine import processes
-from stickslip.pipeline.machine.processes import ONE_THREAD, environment_kept
+from stickslip.pipeline.machine.processes import ONE_THREAD, ErrorStream, environment_kept
+from stickslip.pipeline.machine.scratch import scratch
 from stickslip.pipeline.machine.signals import blocked, unbroken
 from stickslip.pipeline.records.record import Memory
 from stickslip.sim.kernels.cache import is_ours, others_write
@@ -46,6 +49,12 @@ Scheduling = str | Client | Callable[[], Client] | None
 
 #: Seconds to wait for a scheduler at a given address.
 CONNECT_TIMEOUT = 5.0
+
+#: Seconds that workers of this machine have to start, together and each.
+_START_TIMEOUT, _START_EACH = 60.0, 3.0
+
+#: Seconds between two looks at workers that start.
+_LOOK = 0.05
 
 #: Files that a driver of local workers may open, where the system lets it.
 _MOST_FILES = 65_536
@@ -149,16 +158,22 @@ def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
     """
     # around all of it: a cluster in the middle of closing still has connections to complain of
     with silence_logging_cmgr(logging.CRITICAL), environment_kept(), contextlib.ExitStack() as opened:
-        with unbroken():  # dask leaves a cluster that is half built, or half closed, to itself
+        errors = processes.forks.errors if processes.forks is not None else opened.enter_context(ErrorStream())
+        with unbroken():
             loop = LoopRunner()
             with blocked():
                 loop.start()
             opened.callback(loop.stop)
             opened.enter_context(_files_for(workers))
-            cluster = _local_cluster(workers, dashboard, loop, opened)
+            cluster = _begun(workers, dashboard, loop, opened)
+            starting = asyncio.run_coroutine_threadsafe(_started(cluster), loop.loop.asyncio_loop)
+            opened.callback(_abandon, cluster, starting)
+        with errors.instead():
+            _wait_for(starting, workers, errors)
+        errors.pass_on()
+        with unbroken():
             client = Client(cluster, set_as_default=False)
             opened.callback(_close, client, cluster)
-            opened.callback(_kill, cluster)
         yield client
 
 
@@ -246,16 +261,64 @@ def _setup(dask_worker: Worker) -> _Setup:
     return _Setup(threads, str(at.parent) if is_shared else "")
 
 
+def _wait_for(starting: Future[None], workers: int, errors: ErrorStream) -> None:
+    """Wait until workers have started, as long as that may take.
+
+    Raises
+    ------
+    ScheduleError
+        If one cannot, with the last that it said.
+    """
+    limit = _START_TIMEOUT + _START_EACH * workers
+    end = time.monotonic() + limit
+    why = ""
+    while not why:
+        if starting in wait([starting], _LOOK).done:
+            error = starting.exception()
+            if error is None:
+                return
+            why = str(error) or repr(error)
+        elif processes.forks is not None and processes.forks.has_died:
+            why = "the process that they are forked from has died"
+        elif time.monotonic() > end:
+            why = f"they did not within {limit:.0f} s"
+    raise _no_start(workers, why, errors.last_lines())
+
+
+def _no_start(workers: int, why: str, said: Sequence[str]) -> ScheduleError:
+    is_script = processes.forks is None
+    lines = [
+        f"expected {workers} workers on this machine, could not start them ({why})",
+        *(f"    {line}" for line in said),
+        "remove what ends them, then rerun the scene"
+        + '; in a script, which every worker loads, run it under if __name__ == "__main__":' * is_script,
+    ]
+    return ScheduleError("\n".join(lines) if said else "; ".join(lines))
+
+
 def _close(client: Client, cluster: SpecCluster) -> None:
-    with unbroken():
+    with unbroken():  # dask leaves a cluster that is half closed to itself
+        _kill(cluster)
         client.close()
         cluster.close()
 
 
+def _abandon(cluster: SpecCluster, starting: Future[None]) -> None:
+    """Wait no longer for a cluster to start."""
+    if cluster.status != Status.closed:
+        cluster.shutdown_on_close = False  # dask would wait for it as this process ends
+        starting.cancel()
+        _kill(cluster)
+        if cluster.scheduler is not None and cluster.scheduler._workdir is not None:
+            cluster.scheduler._workdir.release()  # at the end of the process dask would complain that it is gone
+
+
 def _kill(cluster: SpecCluster) -> None:
     """Kill the workers, whatever they are doing: an orderly end takes seconds."""
-    for nanny in cluster.workers.values():
-        nanny.auto_restart = False
+    for nanny in cluster._created:
+        if nanny.status in (Status.closing, Status.closed):
+            continue
+        nanny.close_gracefully()  # it is not to start another
         with contextlib.suppress(ProcessLookupError, TypeError):  # TypeError: it has no process just now
             os.kill(nanny.pid, signal.SIGKILL)
 
@@ -295,40 +358,48 @@ class QuietWorker(_Quiet, Worker):
     """A worker that opens no page."""
 
 
-def _local_cluster(workers: int, dashboard: bool, loop: LoopRunner, opened: contextlib.ExitStack) -> SpecCluster:
+async def _started(cluster: SpecCluster) -> None:
+    await cluster
+
+
+def _begun(workers: int, dashboard: bool, loop: LoopRunner, opened: contextlib.ExitStack) -> SpecCluster:
+    """A cluster of this machine that is yet to be started, in the loop."""
     where = dask.config.get("temporary-directory") or tempfile.gettempdir()
     # if workers are forked: `forked_workers` has said from what, and dask would load pandas here too
     distributed.utils._forkserver_preload_set = True
     try:
         # dask imports from its directory, and uses one that exists already, even another user's
-        own = tempfile.TemporaryDirectory(prefix="stickslip-", dir=where, ignore_cleanup_errors=True)
-        settings = {**_LOCAL_CLUSTER, "temporary-directory": opened.enter_context(own)}
-        settings["distributed.worker.multiprocessing-method"] = processes.start_method
-        opened.enter_context(dask.config.set(settings))  # it sets variables here too, for workers to inherit
-        here = {"host": "127.0.0.1", "port": 0, "protocol": "tls://", "security": Security.temporary()}
-        here |= {"dashboard": False}
-        pages = {"dashboard": True, "dashboard_address": "127.0.0.1:0"} if dashboard else {}
-        worker = {
-            "cls": Nanny,
-            "options": {
-                **here,
-                "worker_class": QuietWorker,
-                "nthreads": 1,
-                "memory_limit": 1.0 / workers,
-                "silence_logs": logging.CRITICAL,  # what matters reaches the caller as an error
-            },
-        }
+        own = opened.enter_context(scratch(where))
+    except OSError as error:
+        raise ScheduleError(
+            f"expected a directory in which workers can write, got {where} ({error}); make room there, or set TMPDIR"
+        ) from error
+    settings = {**_LOCAL_CLUSTER, "temporary-directory": own.path}
+    settings["distributed.worker.multiprocessing-method"] = "spawn" if processes.forks is None else "forkserver"
+    opened.enter_context(dask.config.set(settings))  # it sets variables here too, for workers to inherit
+    here = {"host": "127.0.0.1", "port": 0, "protocol": "tls://", "security": Security.temporary()}
+    here |= {"dashboard": False}
+    pages = {"dashboard": True, "dashboard_address": "127.0.0.1:0"} if dashboard else {}
+    worker = {
+        "cls": Nanny,
+        "options": {
+            **here,
+            "worker_class": QuietWorker,
+            "nthreads": 1,
+            "memory_limit": 1.0 / workers,
+            "silence_logs": logging.CRITICAL,  # what matters reaches the caller as an error
+        },
+    }
+
+    async def begin() -> SpecCluster:
         return SpecCluster(
             scheduler={"cls": Scheduler if dashboard else QuietScheduler, "options": here | pages},
             workers=dict.fromkeys(range(workers), worker),
             worker=worker,
+            asynchronous=True,
             loop=loop.loop,
             security=here["security"],
             silence_logs=logging.CRITICAL,
         )
-    except (OSError, RuntimeError) as error:
-        raise ScheduleError(
-            f"expected {workers} workers on this machine, could not start them ({error}); see that {where} can be "
-            f"written, then rerun the scene; in a script, which every worker loads, run it under "
-            f'if __name__ == "__main__":'
-        ) from error
+
+    return asyncio.run_coroutine_threadsafe(begin(), loop.loop.asyncio_loop).result()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -33,6 +34,7 @@ from stickslip.pipeline.running.worker import cold_engines, compute, compute_pac
 from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene
+from stickslip.sim.kernels.cache import check_compiler
 
 log = logging.getLogger(__name__)
 
@@ -95,6 +97,8 @@ def run_ensemble(
     ------
     ValueError
         If `workers` is negative.
+    KernelError
+        If no kernel can be run on this machine.
     StoreError
         If the directory cannot be used or written.
     SceneError
@@ -106,7 +110,7 @@ def run_ensemble(
     ScheduleError
         If the scheduler is lost, workers do not come up, or run another version.
     """
-    check_caller(workers)
+    check_caller(workers, scheduler)
     start = time.monotonic()
     scene.check_size(yes)
     if isinstance(scheduler, str):
@@ -137,12 +141,12 @@ def look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction] =
             systems.look_again(origin)
 
 
-def check_caller(workers: int) -> None:
-    """Refuse a number of workers that is none, and a worker that loads the script which starts it.
+def check_caller(workers: int, scheduler: str | Client | None) -> None:
+    """Refuse a number of workers that is none, a worker that loads the caller's script, and kernels not compiled.
 
     Raises
     ------
-    ValueError, ScheduleError
+    ValueError, KernelError, ScheduleError
         As `run_ensemble`.
     """
     if workers < 0:
@@ -152,6 +156,8 @@ def check_caller(workers: int) -> None:
             'expected a scene to be run under if __name__ == "__main__":, got a script that runs it wherever it is '
             "loaded, and every worker loads it; write that line above the call"
         )
+    if scheduler is None:
+        check_compiler(os.environ.get("NUMBA_DISABLE_JIT"))
 
 
 #: A shard to be computed, with the rows that there are already, if there are any.

@@ -157,7 +157,7 @@ def extend(
     ValueError, AddressError, ScheduleError
         As `run_ensemble`.
     """
-    check_caller(workers)
+    check_caller(workers, scheduler)
     start = time.monotonic()
     opened = ended(open_dataset(path))
     if is_there(opened, record):

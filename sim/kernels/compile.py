@@ -31,6 +31,7 @@ from typing import Any
 
 import numba
 from numba._dynfunc import make_function
+from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
@@ -40,7 +41,9 @@ from numba.core.targetconfig import ConfigStack
 from numba.core.types import Integer, Type, unliteral
 from numba.core.types.functions import BaseFunction
 
-from stickslip.sim.kernels.cache import CacheFiles, cache_directory
+from stickslip.sim.kernels.cache import CacheFiles, cache_directory, check_compiler
+
+check_compiler(vars(config)["DISABLE_JIT"])
 
 _jit: Any = numba.njit
 _POLICY: dict[str, Any] = {"nogil": True, "error_model": "numpy"}

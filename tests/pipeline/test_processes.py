@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import json
 import math
 import os
@@ -16,7 +18,8 @@ import pytest
 from stickslip.pipeline import expand
 from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.machine import processes
-from stickslip.pipeline.machine.processes import Child, ChildDied, environment_kept
+from stickslip.pipeline.machine.processes import Child, ChildDied, ErrorStream, environment_kept
+from stickslip.pipeline.machine.scratch import scratch
 from stickslip.pipeline.running.isolation import compute_alone
 from stickslip.pipeline.running.worker import compute
 from tests.processes import is_running, until
@@ -94,6 +97,8 @@ def test_workers_of_a_program_are_forked_from_what_has_loaded_all_and_goes_with_
     for name in ("sim", "numba", "queue", "stickslip"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit(3)\n")
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    (room := tmp_path / ("t" * 120)).mkdir()  # longer than a socket's path may be
+    monkeypatch.setenv("TMPDIR", str(room))
     command = [sys.executable, "-c", FORKING]
     done = subprocess.run(command, cwd=tmp_path, env=processes._environment(), capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
@@ -105,6 +110,7 @@ def test_workers_of_a_program_are_forked_from_what_has_loaded_all_and_goes_with_
         assert environment["OMP_NUM_THREADS"] == "1"
         assert signals == sorted([signal.SIGINT, signal.SIGTERM])
     assert not is_running(server)
+    assert not any(room.iterdir())
 
 
 def test_the_environment_is_as_it_was(monkeypatch):
@@ -121,3 +127,144 @@ def test_the_path_holds_the_working_directory_by_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", ["", "/else"])
     assert processes._environment()["PYTHONPATH"] == f"{tmp_path}{os.pathsep}/else"
+
+
+# ------------------------------------------------------------------------------------------ directories
+
+
+def scratch_of_a_process(parent, how):
+    """In a child: hold a directory with files in it, and end without a word."""
+    with scratch(str(parent)) as own:
+        (Path(own.path) / "folder").mkdir()
+        (Path(own.path) / "folder" / "file").write_text("left")
+        print(own.path, flush=True)
+        how()
+
+
+def beside(parent, how):
+    code = (
+        "import os, signal, sys, time; from pathlib import Path;"
+        " from tests.pipeline.test_processes import scratch_of_a_process;"
+        f" scratch_of_a_process({str(parent)!r}, lambda: {how})"
+    )
+    return subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        env=processes._environment(),
+    )  # fmt: skip
+
+
+def test_what_killed_processes_left_is_swept_and_nothing_else(tmp_path):
+    with beside(tmp_path, "os.kill(os.getpid(), signal.SIGKILL)") as killed:
+        left = Path(killed.stdout.readline().strip())
+    outside = tmp_path / "outside"
+    (outside / "folder").mkdir(parents=True)
+    link = tmp_path / f"{left.name}link"
+    link.symlink_to(outside)
+    (left / "folder" / "link").symlink_to(outside)
+    file = tmp_path / f"{left.name}file"
+    file.write_text("no directory")
+    with beside(tmp_path, "input()") as living:
+        its = Path(living.stdout.readline().strip())
+        assert not left.exists()
+        with scratch(str(tmp_path)) as own:
+            assert Path(own.path).stat().st_mode & 0o777 == 0o700
+            assert set(tmp_path.iterdir()) == {outside, link, file, its, Path(own.path)}
+        living.communicate("\n")
+    assert set(tmp_path.iterdir()) == {outside, link, file}
+    assert (outside / "folder").is_dir()
+
+
+def test_a_directory_that_cannot_be_locked_is_no_hindrance(tmp_path, monkeypatch):
+    def refused(*_):
+        raise OSError(errno.ENOLCK, "no locks")
+
+    monkeypatch.setattr(fcntl, "flock", refused)
+    with scratch(str(tmp_path)) as own, scratch(str(tmp_path)) as other:
+        assert own.path != other.path
+        assert len(list(tmp_path.iterdir())) == 2
+    assert not any(tmp_path.iterdir())
+
+
+# ------------------------------------------------------------------------------------------ standard streams
+
+PRINTS = "import sys; [print(f'line {k}', file=sys.stderr) for k in range(100_000)]"
+
+
+def test_what_processes_say_as_they_start_is_held_and_then_passed_on(capfd):
+    with ErrorStream() as errors:
+        with errors.instead():
+            subprocess.run([sys.executable, "-c", "import sys; print('first', file=sys.stderr)"], check=True)
+        print("not from there", file=sys.stderr)
+        until(lambda: bool(errors._held))
+        assert capfd.readouterr().err == "not from there\n"
+        errors.pass_on()
+        with errors.instead():
+            subprocess.run([sys.executable, "-c", "import sys; print('then', file=sys.stderr)"], check=True)
+    assert capfd.readouterr().err == "first\nthen\n"
+
+
+def test_of_what_processes_said_as_they_died_the_last_lines_are_told(capfd):
+    with ErrorStream() as errors:
+        with errors.instead():
+            subprocess.run([sys.executable, "-c", PRINTS + "; raise SystemExit('the last')"], check=False)
+        assert errors.last_lines() == [*(f"line {k}" for k in range(99_996, 100_000)), "the last"]
+    assert capfd.readouterr().err == ""
+
+
+STREAMS = """
+import os, sys
+from stickslip.pipeline.machine.processes import open_streams
+open_streams()
+print("out", flush=True)
+print("err", file=sys.stderr)
+opened = os.open(os.devnull, os.O_RDONLY)
+os._exit(0 if opened > 2 and sys.stdin.read() == "" and all(map(os.get_inheritable, range(3))) else 1)
+"""
+
+
+@pytest.mark.parametrize("closed", ["", "0<&-", "1>&-", "2>&-", "1>&- 2>&-", "0<&- 1>&- 2>&-"])
+def test_no_file_gets_the_number_of_a_stream_that_is_closed(closed):
+    done = subprocess.run(
+        ["sh", "-c", f'exec "$0" -c "$1" {closed}', sys.executable, STREAMS],
+        env=processes._environment(), stdin=subprocess.DEVNULL, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 0
+    assert done.stdout == "out\n" * ("1" not in closed)
+    assert done.stderr == "err\n" * ("2>" not in closed)
+
+
+# ------------------------------------------------------------------------------------------ signals
+
+BUSY = """
+import hashlib, time
+from stickslip.pipeline.machine import signals
+with signals.interruptible(is_program=True), signals.last_act(lambda: print("last", flush=True)):
+    print("busy", flush=True)
+    try:
+        time.sleep(999)
+    except signals.Interrupted:  # somebody swallows it, and goes on for a quarter of an hour in compiled code
+        hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_first_signal_ends_a_program_whatever_it_is_at(number):
+    with subprocess.Popen(
+        [sys.executable, "-c", BUSY], env=processes._environment(), stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "busy\n"
+        process.send_signal(number)
+        said, _ = process.communicate(timeout=60)
+    assert (process.returncode, said) == (128 + number, "last\n")
+
+
+def test_a_hangup_that_is_ignored_stays_so():
+    code = BUSY.replace("time.sleep(999)", "input()")
+    with subprocess.Popen(
+        ["nohup", sys.executable, "-c", code],
+        env=processes._environment(), stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+    ) as process:  # fmt: skip
+        assert process.stdout.readline() == "busy\n"
+        process.send_signal(signal.SIGHUP)
+        process.communicate("\n", timeout=60)
+    assert process.returncode == 0

@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import Any
 
 from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
-from stickslip.pipeline.machine.processes import frugal
+from stickslip.pipeline.machine.processes import frugal, open_streams
 from stickslip.pipeline.machine.signals import Interrupted, interruptible
 from stickslip.workflows import NO_FOLDER
 from stickslip.workflows.commands.command import UNFINISHED, WRONG, Wrong, listed, scheduler
@@ -44,6 +44,7 @@ _CODES = """exit codes:
   1    failed or incomplete: members or a question of your own failed, data are missing or damaged, a directory
        holds something else; the message says what to do, and finished work is kept
   2    wrong option, scene or query; nothing was done
+  129  its terminal was closed (SIGHUP)
   130  interrupted by Ctrl-C (SIGINT)
   143  ended by SIGTERM
 """
@@ -80,14 +81,13 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: list[str] | None = None) -> int:
     """Run the command with `argv` (the process's own by default); returns the exit code."""
+    if argv is None:
+        open_streams()
     whole = parser()
     arguments = whole.parse_args(argv, argparse.Namespace(is_program=argv is None, parser=whole))
     try:
-        with (
-            interruptible(),
-            frugal(),
-            scheduler(arguments),
-        ):  # a report's products are small, and a member's digits are a worker's
+        # one thread: a report's products are small, and a member's digits are a worker's
+        with interruptible(arguments.is_program), frugal(), scheduler(arguments):
             return COMMANDS[arguments.command](arguments)
     except Interrupted as interrupt:
         print("\ninterrupted", file=sys.stderr)
@@ -105,6 +105,6 @@ def main(argv: list[str] | None = None) -> int:
         remedy = "make room or choose another place, then rerun the command"
         print(f"stickslip: {error}; {NO_FOLDER if isinstance(error, FileNotFoundError) else remedy}", file=sys.stderr)
         return UNFINISHED
-    except import_module("stickslip.sim.kernels.cache").CacheError as error:  # loaded only if it is none of the above
+    except import_module("stickslip.sim.kernels.cache").KernelError as error:  # loaded if it is none of the above
         print(f"stickslip: {error}", file=sys.stderr)
         return WRONG

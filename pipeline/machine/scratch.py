@@ -1,0 +1,103 @@
+"""Directories for files that nobody needs once a process has ended."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import shutil
+import socket
+import tempfile
+from collections.abc import Iterator
+from functools import partial
+from typing import NamedTuple
+
+from stickslip.pipeline.machine.signals import last_act
+
+#: Names are this machine's: a lock may not be seen by others that mount the same file system.
+_PREFIX = f"stickslip-scratch-{socket.gethostname()}-"
+_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW
+
+
+class Scratch(NamedTuple):
+    """A directory, and a descriptor of it."""
+
+    path: str
+    descriptor: int
+
+
+@contextlib.contextmanager
+def scratch(parent: str | None = None) -> Iterator[Scratch]:
+    """A directory of this process alone, which goes with the with-block; those that killed processes left go first.
+
+    A process holds a lock on its directory, which lasts no longer than the process.
+
+    Parameters
+    ----------
+    parent : str, optional
+        Where it lies: the system's directory for temporary files if left out.
+
+    Raises
+    ------
+    OSError
+        If it cannot be created.
+    """
+    parent = parent or tempfile.gettempdir()
+    _sweep(parent)
+    made = _locked(parent)
+    try:
+        with last_act(partial(shutil.rmtree, made.path, ignore_errors=True)):
+            yield made
+    finally:
+        shutil.rmtree(made.path, ignore_errors=True)
+        os.close(made.descriptor)
+
+
+def _locked(parent: str) -> Scratch:
+    while True:
+        path = tempfile.mkdtemp(prefix=_PREFIX, dir=parent)
+        # another process may sweep it before it is locked: then the next
+        with contextlib.suppress(FileNotFoundError), contextlib.ExitStack() as opened:
+            descriptor = os.open(path, _FOLDER)
+            opened.callback(os.close, descriptor)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                continue
+            except OSError:  # where a directory cannot be locked, nobody takes it for left either
+                pass
+            if os.path.samestat(os.fstat(descriptor), os.stat(path)):
+                opened.pop_all()
+                return Scratch(path, descriptor)
+
+
+def _sweep(parent: str) -> None:
+    """Remove this user's directories whose processes are gone; of what cannot be removed, nothing is said."""
+    with contextlib.suppress(OSError):
+        folder = os.open(parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            for name in os.listdir(folder):
+                if name.startswith(_PREFIX):
+                    _remove_left(folder, name)
+        finally:
+            os.close(folder)
+
+
+def _remove_left(folder: int, name: str) -> None:
+    with contextlib.suppress(OSError):
+        left = os.open(name, _FOLDER, dir_fd=folder)
+        try:
+            if os.fstat(left).st_uid == os.geteuid():
+                fcntl.flock(left, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _clear(left)  # by its descriptor: whatever has its name by now is not followed
+                os.rmdir(name, dir_fd=folder)
+        finally:
+            os.close(left)
+
+
+def _clear(folder: int) -> None:
+    for name in os.listdir(folder):
+        try:
+            os.unlink(name, dir_fd=folder)
+        except (IsADirectoryError, PermissionError):  # as Linux and macOS say of a directory
+            shutil.rmtree(name, dir_fd=folder)
