@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import signal
+import socket
 import stat
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from distributed import Client
 from stickslip.pipeline import parse_scene, run_ensemble, status, verify
 from stickslip.pipeline.running import slurm
 from stickslip.workflows.commands import main
-from tests.processes import dask_by_hand, until
+from tests.processes import dask_by_hand, listening, until
 from tests.scenes import COULOMB, ensemble
 
 GUIDE = Path(__file__).parents[2] / "workflows" / "guide" / "cluster.md"
@@ -271,3 +272,73 @@ def test_a_scheduler_and_workers_by_hand(worker, warned, tmp_path, monkeypatch, 
     said = "\n".join(record.getMessage() for record in caplog.records)
     assert [words for words in warned if words not in said] == []
     assert bool(said) == bool(warned)
+
+
+@contextlib.contextmanager
+def started(lines, environment, log):
+    """A shell that runs some lines of the guide, in a group of its own."""
+    with (
+        open(log, "wb") as out,
+        subprocess.Popen(
+            ["bash", "-euc", lines],
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            stdout=out,
+            stderr=out,
+            start_new_session=True,
+        ) as process,
+    ):
+        try:
+            yield process
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+
+
+def in_group(group):
+    """Numbers of the processes of a group."""
+    for entry in Path("/proc").iterdir():
+        with contextlib.suppress(OSError):
+            if entry.name.isdecimal() and os.getpgid(int(entry.name)) == group:
+                yield int(entry.name)
+
+
+@pytest.mark.long
+def test_the_commands_of_the_guide_run_a_scene_by_hand_and_nobody_else_is_answered(tmp_path, scene_file, reference):
+    """As they stand, on this machine alone: with TLS, and with no port open to other machines."""
+    section = GUIDE.read_text().partition("## By hand\n")[2].partition("\n## ")[0]
+    certificate, scheduler, workers, run = re.findall(r"^```sh\n(.*?)^```", section, re.MULTILINE | re.DOTALL)
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = str(free.getsockname()[1])
+    names = {"HEAD": "127.0.0.1", "8786": port, "--nworkers 16": "--nworkers 2", "my-scene.toml": str(scene_file)}
+    for name, here in names.items():
+        scheduler, workers, run = (lines.replace(name, here) for lines in (scheduler, workers, run))
+    (home := tmp_path / "home").mkdir()
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    environment |= {
+        "HOME": str(home), "TMPDIR": str(tmp_path),
+        "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}",
+        "NUMBA_CACHE_DIR": os.environ.get("NUMBA_CACHE_DIR", str(Path.home() / ".cache")),
+    }  # fmt: skip
+    subprocess.run(["bash", "-euc", certificate], env=environment, check=True, capture_output=True)
+    key = home / ".config" / "dask" / "tls" / "key.pem"
+    assert (stat.S_IMODE(key.stat().st_mode), stat.S_IMODE(key.parent.stat().st_mode)) == (0o600, 0o700)
+    ask = {"cwd": tmp_path, "env": environment, "capture_output": True, "text": True}
+    stranger = ask | {"env": environment | {"HOME": str(tmp_path)}}
+    with started(scheduler, environment, tmp_path / "scheduler.log") as head:
+        until(lambda: ("127.0.0.1", int(port)) in listening(in_group(head.pid)))
+        with started(workers, environment, tmp_path / "workers.log") as hands:
+            refused = subprocess.run(["bash", "-c", run.replace("run ", "run --out foreign ", 1)], **stranger)
+            assert refused.returncode == 2, refused.stderr
+            assert "certificates in dask's configuration" in refused.stderr
+            done = subprocess.run(["bash", "-c", run.replace("run ", "run --out out --no-report ", 1)], **ask)
+            assert done.returncode == 0, done.stderr
+            opened = {*listening(in_group(head.pid)), *listening(in_group(hands.pid))}
+            report = subprocess.run(["bash", "-c", f"stickslip report out {run[run.index('--scheduler') :]}"], **ask)
+            assert report.returncode == 0, report.stderr
+    obey_the_certificate = re.findall(r"Start worker at: +tls://\S+:(\d+)", (tmp_path / "workers.log").read_text())
+    assert {str(place) for host, place in opened if host != "127.0.0.1"} == {*obey_the_certificate}
+    assert len(obey_the_certificate) == 2
+    assert "expected workers" not in done.stderr  # warnings
+    assert shards(tmp_path / "out") == reference
+    assert not (tmp_path / "foreign").exists()
