@@ -5,10 +5,12 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
+import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import pytest
@@ -36,6 +38,26 @@ def seconds_of(pid: int) -> float:
     """Time of a processor that a process has had: it goes slower on a busy machine, as the process does."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def listening(pids: Iterable[int]) -> set[tuple[str, int]]:
+    """The addresses at which processes listen, as the kernel's tables of TCP have them."""
+    inodes = set()
+    for pid in pids:
+        for entry in Path(f"/proc/{pid}/fd").iterdir():
+            with contextlib.suppress(FileNotFoundError):  # closed since, as the listing of the directory is
+                if found := re.fullmatch(r"socket:\[(\d+)\]", os.readlink(entry)):
+                    inodes.add(found[1])
+    places = set()
+    for table, family in (("tcp", socket.AF_INET), ("tcp6", socket.AF_INET6)):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == "0A" and fields[9] in inodes:
+                host, port = fields[1].split(":")
+                words = bytes.fromhex(host)
+                network = b"".join(words[k : k + 4][::-1] for k in range(0, len(words), 4))
+                places.add((socket.inet_ntop(family, network), int(port, 16)))
+    return places
 
 
 def computed_here(patch: pytest.MonkeyPatch) -> None:

@@ -64,14 +64,14 @@ class Tally:
         return self.n_done == self.n_members
 
     def pace(self, since: Pace | None, now: float) -> tuple[float | None, float | None]:
-        """Members a second since an earlier state, and seconds to go; None as long as it cannot be known.
+        """Members a second since an earlier state, and seconds to go.
 
-        Which is until each worker has had time for two shards: of the first ones, most are still in work.
+        None until as many shards have come since as there are workers: before that, most of the work is in theirs.
         """
         if since is None:
             return None, None
         n_new, new = self.n_done - since.n_members, self.cost_done - since.cost
-        is_early = self.n_shards_done - since.n_shards < 2 * since.n_workers and not self.is_complete
+        is_early = self.n_shards_done - since.n_shards < since.n_workers and not self.is_complete
         if is_early or now <= since.at or n_new <= 0 or new <= 0:
             return None, None
         elapsed = now - since.at
@@ -79,7 +79,7 @@ class Tally:
 
 
 class Pace(NamedTuple):
-    """What the pace of a run is measured from: the state at which workers began, or at which there were more."""
+    """What the pace of a run is measured from: the state at which each worker, when they were most, had a shard."""
 
     at: float  #: in seconds since 1970
     n_members: int

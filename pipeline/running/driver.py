@@ -212,6 +212,7 @@ def fill(
     link: str | None = None
     pace: Pace | None = None
     n_workers = int(at.is_here)
+    most_workers = n_shards_before = 0
     is_waiting = bool(todo)
 
     def words() -> str | None:
@@ -255,14 +256,17 @@ def fill(
                         f"expected workers with this version of the program ({program()}), got {result.program} on "
                         f"{result.host}; install the same there, then rerun the scene"
                     )
-            if pace is None or n_workers > pace.n_workers:
-                begun = time.time() - (max(result.seconds for result in some) if pace is None else 0.0)
-                pace = Pace(begun, tally.n_done, tally.cost_done, tally.n_shards_done, n_workers)
-                store.note(pace.line)
             is_waiting = False
+            if n_workers > most_workers:
+                most_workers, n_shards_before = n_workers, tally.n_shards_done
             for result, shard in zip(some, store.commit(*some), strict=True):
                 tally = tally.plus(shard, todo[result.name])
                 report(result.name)
+            # a worker's first shard takes as long as starting it and compiling do
+            is_new = pace is None or pace.n_workers < most_workers
+            if is_new and tally.n_shards_done - n_shards_before >= most_workers:
+                pace = Pace(time.time(), tally.n_done, tally.cost_done, tally.n_shards_done, most_workers)
+                store.note(pace.line)
 
 
 def _cold_there(client: Client, engines: tuple[str, ...]) -> tuple[str, ...]:

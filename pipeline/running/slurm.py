@@ -84,7 +84,7 @@ def job_settings(workers: int, options: Sequence[str]) -> dict[str, Any]:
     asked = {"cpus-per-task": str(min(PROCESSES, workers)), "time": TIME, "mem-per-cpu": MEMORY}
     for option in options:
         name, is_valued, value = option.lstrip("-").partition("=")
-        if not re.fullmatch(r"[a-z][a-z0-9-]*", name) or not value.isprintable() or (is_valued and not value):
+        if not re.fullmatch(r"[a-z][a-z0-9-]+", name) or not value.isprintable() or (is_valued and not value):
             raise ValueError(f"expected a long option of sbatch, such as partition=long, got {option!r}")
         asked[name] = value
         if name == "mem":

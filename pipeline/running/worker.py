@@ -223,8 +223,8 @@ def is_cold(engine: str) -> bool:
 
 
 def cold_engines(engines: Iterable[str]) -> tuple[str, ...]:
-    """Those that are cold here."""
-    return tuple(engine for engine in engines if is_cold(engine))
+    """Those that are cold here, by name."""
+    return tuple(engine for engine in sorted(engines) if is_cold(engine))
 
 
 def load_kernels(members: Iterable[Member]) -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import os
-import re
 import resource
 import socket
 import stat
@@ -21,27 +19,7 @@ from distributed.utils import LoopRunner
 
 from stickslip.pipeline import AddressError, ScheduleError, run_ensemble, status
 from stickslip.pipeline.running import cluster
-from tests.processes import dask_by_hand
-
-
-def listening(pids):
-    """The addresses at which processes listen, as the kernel's tables of TCP have them."""
-    inodes = set()
-    for pid in pids:
-        for entry in Path(f"/proc/{pid}/fd").iterdir():
-            with contextlib.suppress(FileNotFoundError):  # closed since, as the listing of the directory is
-                if found := re.fullmatch(r"socket:\[(\d+)\]", os.readlink(entry)):
-                    inodes.add(found[1])
-    places = set()
-    for table, family in (("tcp", socket.AF_INET), ("tcp6", socket.AF_INET6)):
-        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
-            fields = line.split()
-            if fields[3] == "0A" and fields[9] in inodes:
-                host, port = fields[1].split(":")
-                words = bytes.fromhex(host)
-                network = b"".join(words[k : k + 4][::-1] for k in range(0, len(words), 4))
-                places.add((socket.inet_ntop(family, network), int(port, 16)))
-    return places
+from tests.processes import dask_by_hand, listening
 
 
 def processes_of(client):

@@ -249,20 +249,30 @@ def test_workers_are_counted_once_a_second(monkeypatch):
 def test_the_pace_is_that_of_the_work_since_workers_came():
     """Sixteen workers of 10 s a shard came after an hour's wait: 1,600 shards are done 1000 s after that."""
     tally = Tally(1600, 0, {}, 1600, 0, 1, 1600.0, 0.0)
-    start = Pace(3600.0, 0, 0.0, 0, 16)
 
     def at(n_done):
         return replace(tally, n_done=n_done, n_shards_done=n_done, cost_done=float(n_done))
 
-    assert at(0).pace(None, 3600.0) == (None, None)
-    assert at(1).pace(start, 3610.0) == (None, None)  # one in 10 s would make 16,000 s of it
-    assert at(31).pace(start, 3620.0) == (None, None)
-    assert at(32).pace(start, 3620.0) == (pytest.approx(1.6), pytest.approx(1568 / 1.6))
-    more = Pace(3620.0, 32, 32.0, 32, 32)  # workers have doubled
-    assert at(64).pace(more, 3630.0) == (None, None)
+    assert at(1).pace(None, 3610.0) == (None, None)
+    first_round = Pace(3610.0, 16, 16.0, 16, 16)
+    assert at(31).pace(first_round, 3620.0) == (None, None)
+    assert at(32).pace(first_round, 3620.0) == (pytest.approx(1.6), pytest.approx(1568 / 1.6))
+    more = Pace(3630.0, 64, 64.0, 64, 32)  # workers have doubled
+    assert at(95).pace(more, 3640.0) == (None, None)
     assert at(96).pace(more, 3640.0) == (pytest.approx(3.2), pytest.approx(1504 / 3.2))
-    assert at(1600).pace(start, 4600.0)[1] == 0.0
+    assert at(1600).pace(first_round, 4600.0)[1] == 0.0
     assert Pace.parse(more.line.removeprefix("pace ")) == more
+
+
+def test_the_pace_begins_once_each_worker_has_had_a_shard(scene, tmp_path, monkeypatch):
+    """The first ones take as long as starting and compiling do; here this process is the one worker."""
+    seen, noted = [], []
+    monkeypatch.setattr("stickslip.pipeline.ensemble.pack.TARGET_COST", 1e-9)
+    monkeypatch.setattr(Store, "note", lambda self, line: noted.append(line.split()))
+    run_ensemble(scene, tmp_path / "out", workers=0, on_progress=seen.append)
+    (pace,) = (words for words in noted if words[0] == "pace")
+    assert pace[2] == pace[4] == "1"
+    assert [progress.eta is None for progress in seen[:4]] == [True, True, False, False]
 
 
 def test_a_run_says_what_it_waits_for_and_asks_a_worker_what_is_to_be_compiled(scene, tmp_path, monkeypatch):

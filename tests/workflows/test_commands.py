@@ -530,7 +530,7 @@ def test_the_time_to_go_is_that_of_the_work_left_at_the_pace_since_the_beginning
     follower = Follower(copy)
     # of four parts one is done, half of it before
     follower._tasks += [(SimpleNamespace(name="one more", cost=3.0 * cost, members=()), None)]
-    pace = Pace(1000.0, 2, 0.5 * cost, -2, 1)  # -2: two shards ago
+    pace = Pace(1000.0, 2, 0.5 * cost, -1, 1)  # -1: a shard ago
     (copy / ".lock").write_text(f"process {os.getpid()} on {socket.gethostname()}\nbegan 990.0\n{pace.line}\n")
     found = follower.look()
     assert (found.eta, found.rate) == (pytest.approx(10.0 * 3 / 0.5), pytest.approx(4 / 10.0))
