@@ -32,6 +32,7 @@ from stickslip.pipeline.running.worker import compute, compute_packed, is_cold, 
 from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene
+from stickslip.sim.numerics.session import numpy_defaults
 
 log = logging.getLogger(__name__)
 
@@ -61,6 +62,7 @@ class Progress(Tally):
         return self.pace(self.n_resumed, self.cost_resumed, self.elapsed)[1]
 
 
+@numpy_defaults()
 def run_ensemble(
     scene: Scene,
     out: Where,

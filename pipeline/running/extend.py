@@ -28,6 +28,7 @@ from stickslip.pipeline.running.kept import Kept, added, held_by, must_run, read
 from stickslip.pipeline.running.trials import check_functions
 from stickslip.pipeline.scene.adding import has_records, with_only, with_records
 from stickslip.pipeline.scene.scene import Scene
+from stickslip.sim.numerics.session import numpy_defaults
 
 #: Bytes of shards up to which nothing is gained by sending rows to other processes, if none is run.
 _HERE = 100_000_000
@@ -108,6 +109,7 @@ def addition(path: Where | Opened, record: Mapping[str, Any], accept_version: bo
     return Addition(opened, scene, Extending(opened, scene, accept_version).look()[1])
 
 
+@numpy_defaults()
 def extend(
     path: Where | Opened,
     record: Mapping[str, Any],
