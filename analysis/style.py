@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from functools import wraps
+from types import MappingProxyType
 from typing import Any, Concatenate, ParamSpec
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -21,6 +22,7 @@ from stickslip.sim.runs.pictures import GREEN as GREEN
 from stickslip.sim.runs.pictures import GREY as GREY
 from stickslip.sim.runs.pictures import ORANGE as ORANGE
 from stickslip.sim.runs.pictures import PURPLE as PURPLE
+from stickslip.sim.runs.pictures import by_defaults
 
 STYLE: Any = {
     "font.size": 9,
@@ -36,13 +38,20 @@ STYLE: Any = {
     "lines.linewidth": 1.2,
     "svg.hashsalt": "stickslip",  # fixed ids: the same figure is the same bytes
 }
+
+
+def styled(changes: Mapping[str, Any] = MappingProxyType({})) -> AbstractContextManager[None]:
+    """A context in which matplotlib draws in this style with some changes, whatever the session has set."""
+    return by_defaults(STYLE | changes)
+
+
 WIDTH = 7.2  # inches: the text width of the report
 
 
 def svg(figure: Figure) -> str:
     """A figure as SVG text, which depends on the figure alone: it holds no date."""
     buffer = io.StringIO()
-    with matplotlib.rc_context(STYLE):
+    with styled():
         FigureCanvasSVG(figure)
         layout = figure.get_layout_engine()
         if layout is not None:  # if left in place, the figure would be drawn twice
@@ -57,7 +66,7 @@ def pdf(figure: Figure) -> bytes:
     from matplotlib.backends.backend_pdf import FigureCanvasPdf  # takes a tenth of a second to load
 
     buffer = io.BytesIO()
-    with matplotlib.rc_context(STYLE):
+    with styled():
         FigureCanvasPdf(figure)
         figure.savefig(buffer, format="pdf", metadata={"CreationDate": None})
     return buffer.getvalue()
@@ -66,7 +75,7 @@ def pdf(figure: Figure) -> bytes:
 def png(figure: Figure) -> bytes:
     """A figure as PNG, for slides and pages that take no other."""
     buffer = io.BytesIO()
-    with matplotlib.rc_context(STYLE):
+    with styled():
         FigureCanvasAgg(figure)
         figure.savefig(buffer, format="png", dpi=200, metadata={"Software": None})
     return buffer.getvalue()
@@ -118,7 +127,7 @@ def panel(
     def of(draw: Callable[Concatenate[Any, P], None]) -> Callable[P, Figure]:
         @wraps(draw)
         def made(*args: P.args, **kwargs: P.kwargs) -> Figure:
-            with matplotlib.rc_context(STYLE):
+            with styled():
                 figure = Figure(figsize=(PANEL[0], height), layout="constrained")
                 draw(figure.subplots(**axes), *args, **kwargs)
             return figure

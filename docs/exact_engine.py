@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from stickslip.analysis.style import BLUE, GREEN, GREY, ORANGE, PURPLE, STYLE, blank, svg
+from stickslip.analysis.style import BLUE, GREEN, GREY, ORANGE, PURPLE, blank, styled, svg
 from stickslip.sim import System, simulate
 from stickslip.sim.theory.folds import sticking_lambda, two_blocks
 
@@ -24,7 +24,7 @@ def exact_engine() -> Figure:
     t = np.linspace(0.0, _T_END, 2001)
     run = simulate(system, 0.0, -1.0, _T_END, t_eval=t, tol=1e-13, stop_early=False)
     modes = np.array([run.events.mode_at(time) for time in t])
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figure = blank(4.2)
         grid = figure.add_gridspec(2, 2, width_ratios=(3, 2))
         speeds = figure.add_subplot(grid[0, 0])

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
 from stickslip import Rational, draw_system, simulate
-from stickslip.analysis.style import STYLE, subplots, svg
+from stickslip.analysis.style import styled, subplots, svg
 
 
 def pictures() -> Figure:
@@ -19,7 +18,7 @@ def pictures() -> Figure:
     )
     start = np.random.default_rng(0).uniform(-0.3, 0.3, chain.n)
     run = simulate(chain, start, -0.02, 300.0, t_eval=np.linspace(0.0, 300.0, 6001))
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figure, ((whole, times), (phase, spectrum)) = subplots(2, 2, 5.2)
         run.plot("space_time", whole)
         run.plot("time", times, of="w", blocks=[20, 21], span=(90.0, 120.0))

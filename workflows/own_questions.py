@@ -149,6 +149,7 @@ def _asked(task: Task, function: own.OwnFunction, template: Path | None) -> Spok
     from stickslip.analysis.report.formats import environment
     from stickslip.analysis.report.own import spoken
     from stickslip.analysis.report.page import Spoken
+    from stickslip.sim.runs.pictures import by_defaults
     from stickslip.workflows.reporting import study_of
 
     if task.opened is None:
@@ -162,7 +163,8 @@ def _asked(task: Task, function: own.OwnFunction, template: Path | None) -> Spok
         told = partial(_told, function=function, template=template)
         return spoken(study, task.name, found(study), found.__doc__ or "", template, told, task.with_pdf)
 
-    asked: Spoken = own.use(function, ask, is_trial=True)  # with its figures and words, which may load modules too
+    with by_defaults():
+        asked: Spoken = own.use(function, ask, is_trial=True)  # its figures and words may load modules too
     return asked
 
 

@@ -32,6 +32,7 @@ from stickslip.pipeline.query import (
     series,
 )
 from stickslip.pipeline.scene.quantity import short
+from stickslip.sim.numerics.session import numpy_defaults
 from stickslip.version import __version__
 from stickslip.workflows.fresh import LIST, UNFINISHED, made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
@@ -137,6 +138,7 @@ def _drawable(text: str) -> str:
     return printable(text).replace("$", r"\$")
 
 
+@numpy_defaults()
 def report(
     path: Where | Opened, asking: Asking | None = None, on_answer: Callable[[int, int], None] = lambda *_: None
 ) -> Report:
@@ -158,6 +160,7 @@ def report(
     return built
 
 
+@numpy_defaults()
 def compared(path: Where, other: Where) -> Report:
     """Set the statistics of two datasets side by side, under the settings and margins of the first one's scene.
 
@@ -218,6 +221,7 @@ def _provenance(opened: Opened) -> dict[str, str]:
     }
 
 
+@numpy_defaults()
 def write(built: Report, where: Where) -> str:
     """Write a report into a directory or to an address; return the name of the page.
 

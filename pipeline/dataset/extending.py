@@ -74,7 +74,7 @@ class Extending(Store):
                 f" {len(self.before.tasks)} shards; rerun its scene first"
             )
         self.before.check()
-        found, source = manifest.extension, self.scene.source.decode()
+        found, source = manifest.extension, self.scene.source
         if found is not None and found.scene != source:
             raise begun(self.place, manifest)
         if found is None:
@@ -106,7 +106,7 @@ class Extending(Store):
             scene=extension.scene,
         )
         self.place.replace(MANIFEST, self._manifest.to_bytes())
-        self.place.replace(SCENE, self.scene.source)
+        self.place.replace(SCENE, self.scene.source.encode())
         self._remove_leftovers(self._manifest)
         self._manifest.scene = None
         self.place.replace(MANIFEST, self._manifest.to_bytes())

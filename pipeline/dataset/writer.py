@@ -213,7 +213,7 @@ class Store:
         return Manifest(
             scene_hash=self.scene.hash,
             programs=manifest.programs,
-            earlier=[*manifest.earlier, stored.source.decode()],
+            earlier=[*manifest.earlier, stored.source],
             packing=[*manifest.packing, list(pack(self.scene, stored))],
             shards=manifest.shards,
             extension=manifest.extension,
@@ -321,7 +321,7 @@ class Store:
             manifest.scene = None
 
     def _keep_scene(self) -> None:
-        self.place.replace(SCENE, self.scene.source)
+        self.place.replace(SCENE, self.scene.source.encode())
 
     @property
     def _shards(self) -> dict[str, Shard]:

@@ -35,6 +35,7 @@ from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.sim.kernels.cache import check_compiler
+from stickslip.sim.numerics.session import numpy_defaults
 
 log = logging.getLogger(__name__)
 
@@ -54,6 +55,7 @@ class Progress(Tally):
     waiting: str | None = None  #: what the run waits for, until its first shard, or when it has lost all workers
 
 
+@numpy_defaults()
 def run_ensemble(
     scene: Scene,
     out: Where,

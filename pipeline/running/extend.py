@@ -26,6 +26,7 @@ from stickslip.pipeline.running.kept import Kept, added, held_by, must_run, read
 from stickslip.pipeline.running.trials import check_functions
 from stickslip.pipeline.scene.adding import has_records, with_only, with_records
 from stickslip.pipeline.scene.scene import Scene
+from stickslip.sim.numerics.session import numpy_defaults
 
 #: Bytes of shards up to which nothing is gained by sending rows to other processes, if none is run.
 _HERE = 100_000_000
@@ -122,6 +123,7 @@ def _keys(opened: Opened, record: Mapping[str, Any]) -> dict[str, Any]:
     return keys
 
 
+@numpy_defaults()
 def extend(
     path: Where | Opened,
     record: Mapping[str, Any],

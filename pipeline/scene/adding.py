@@ -112,14 +112,14 @@ def _line(key: str, value: Any) -> str:
 
 def _parsed(scene: Scene, tables: Mapping[str, Any], folder: Path) -> Scene:
     """The scene of some tables: with the words of its file, where these can be kept, else written anew."""
-    found = parse_scene(written(tables).encode(), "with these records", folder)
-    text = _edited(scene.source.decode(), tables)
-    return found if text is None else parse_scene(text.encode(), "with these records", folder)
+    found = parse_scene(written(tables), "with these records", folder)
+    text = _edited(scene.source, tables)
+    return found if text is None else parse_scene(text, "with these records", folder)
 
 
 def _edited(text: str, tables: Mapping[str, Any]) -> str | None:
     """A scene's file with lines added under [record] and [run], if that makes it one of `tables`; else None."""
-    before = parse_toml(text.encode(), "scene")
+    before = parse_toml(text, "scene")
     for name in ("run", "record"):
         lines = [_line(key, value) for key, value in tables[name].items() if key not in before.get(name, {})]
         added = "".join(f"{line}\n" for line in lines)
@@ -132,7 +132,7 @@ def _edited(text: str, tables: Mapping[str, Any]) -> str | None:
         else:
             text = f"{text[: table.end()]}\n{added}{text[table.end() :].removeprefix(chr(10))}"
     try:
-        return text if parse_toml(text.encode(), "scene") == tables else None
+        return text if parse_toml(text, "scene") == tables else None
     except SceneError:  # a table within a line
         return None
 

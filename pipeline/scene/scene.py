@@ -91,7 +91,7 @@ class Scene(StrictTable):
     twins: TwinsTable | None = None
     record: RecordTable = RecordTable()
     analysis: AnalysisTable
-    _source: bytes | None = PrivateAttr(default=None)
+    _source: str | None = PrivateAttr(default=None)
     _folder: Path = PrivateAttr(default=Path())
     _members: Any = PrivateAttr(default=None)  # as `pipeline.ensemble.expand` gives them
 
@@ -137,11 +137,11 @@ class Scene(StrictTable):
         return parse_scene, (self.source, "scene", self._folder)
 
     @property
-    def source(self) -> bytes:
-        """The scene as a file: the one that it was read from, or one written from what it was made of."""
+    def source(self) -> str:
+        """The text of the scene as a file: the one that it was read from, or one written from what it was made of."""
         if self._source is not None:
             return self._source
-        return written(self.model_dump(mode="json", by_alias=True, exclude_unset=True)).encode()
+        return written(self.model_dump(mode="json", by_alias=True, exclude_unset=True))
 
     @property
     def from_source(self) -> Scene:
@@ -562,7 +562,7 @@ def load_scene(path: str | Path) -> Scene:
         if not seen:
             raise
         # to a table within a line nothing can be added
-        scene = parse_scene(written(_merged(tables, seen)).encode(), name, path.parent)
+        scene = parse_scene(written(_merged(tables, seen)), name, path.parent)
     return scene
 
 
@@ -602,8 +602,10 @@ def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict
     return {"module": seen | tried_function(function, n, own)}
 
 
-def parse_scene(source: bytes, name: str = "scene", folder: Path = Path()) -> Scene:
-    """A scene from the bytes of a scene file; `name` is what errors call it, `folder` where files that it names lie.
+def parse_scene(source: bytes | str, name: str = "scene", folder: Path = Path()) -> Scene:
+    """A scene from the bytes or the text of a scene file.
+
+    `name` is what errors call it, `folder` where files that it names lie.
 
     Raises
     ------
@@ -611,5 +613,6 @@ def parse_scene(source: bytes, name: str = "scene", folder: Path = Path()) -> Sc
         If it is not TOML, or not a scene.
     """
     scene = as_scene(Scene, parse_toml(source, name), name)
-    scene._source, scene._folder = source, folder
+    scene._source = source if isinstance(source, str) else source.decode()
+    scene._folder = folder
     return scene

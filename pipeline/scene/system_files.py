@@ -11,16 +11,24 @@ import math
 import re
 import warnings
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as npy
 
+from stickslip.pipeline.scene.other_files import OtherKind, kind_of
 from stickslip.pipeline.scene.toml import MAX_BLOCKS
 
-#: The parts of a sparse matrix as `scipy.sparse.save_npz` names them, and what kind of numbers each holds.
-_SPARSE = {"data": "iuf", "indices": "i", "indptr": "i", "shape": "i", "format": "S"}
+#: What `scipy.sparse.save_npz` writes of every sparse matrix.
+_SPARSE = {"data", "shape", "format"}
+#: What it writes besides, by the format: where the entries stand.
+_PLACES = {
+    "csc": ("indices", "indptr"),
+    "csr": ("indices", "indptr"),
+    "coo": ("row", "col"),
+    "dia": ("offsets",),
+}
 
 #: Longest header that Python's parser is given; that of an array of numbers is shorter.
 _MAX_HEADER = 1000
@@ -47,12 +55,17 @@ def arrays_of(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
 
     Raises
     ------
+    OtherKind
+        If it is a file of another kind that K can be read from.
     ValueError
         If it is no such file, or does not hold what it claims.
     Exception
         If it is damaged.
     """
     readers = {b"PK": _npz, b"\x93NUMPY": _npy_alone, b"%%MatrixMarket": _matrix_market}
+    other = kind_of(content)
+    if other is not None:
+        raise OtherKind(other)
     for magic, reader in readers.items():
         if content.startswith(magic):
             return reader(content, beside)
@@ -109,12 +122,11 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
             with archive.open(members[key]) as stream:
                 return _npy(key, stream, size, kinds)
 
-        is_sparse = members.keys() >= _SPARSE.keys()
-        if not is_sparse and {"data", "shape", "format"} <= members.keys():  # SciPy's other formats
-            _format(read("format", "S", True))
         if len(members) == 1:
             return {"stiffness": read(next(iter(members)))}
-        names = members.keys() - ({*_SPARSE, "_is_array"} if is_sparse else {"stiffness"})
+        form = _format(read("format", "S", True)) if members.keys() >= _SPARSE else ""
+        is_sparse = members.keys() >= {*_PLACES[form]} if form else False
+        names = members.keys() - ({*_SPARSE, *_PLACES[form], "_is_array"} if is_sparse else {"stiffness"})
         if not names <= {*beside} or not (is_sparse or "stiffness" in members):
             raise ValueError(
                 f"expected an array `stiffness`, or a sparse K as scipy.sparse.save_npz writes it, and of "
@@ -125,31 +137,48 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
             for name in sorted(names)  # that may be a matrix
         }
         if is_sparse:
-            parts = {key: read(key, kinds, key not in ("data", "indices")) for key, kinds in _SPARSE.items()}
-            return arrays | {"stiffness": _compressed(parts)}
+            n = _square(read("shape", "i", True).tolist())
+            places = {key: read(key, "i", key in ("indptr", "offsets")) for key in _PLACES[form]}
+            return arrays | {"stiffness": _sparse(form, read("data"), places, n)}
         return arrays | {"stiffness": read("stiffness")}
 
 
 def _format(part: np.ndarray) -> str:
     """The format that a sparse matrix was saved in."""
-    found = part.item().decode("ascii", "replace")
-    if found not in ("csc", "csr"):
-        raise ValueError(f"format: expected csc or csr, got {found}; save K.tocsc()")
+    found: str = part.item().decode("ascii", "replace")
+    if found not in _PLACES:
+        raise ValueError(f"format: expected one of {', '.join(_PLACES)}, got {found}; save K.tocsc()")
     return found
 
 
-def _compressed(parts: dict[str, np.ndarray]) -> Any:
+def _sparse(form: str, data: np.ndarray, places: Mapping[str, np.ndarray], n: int) -> Any:
     """A sparse matrix from its parts; that indices are in range is for `System` to see, wherever a K comes from."""
     from scipy import sparse  # takes a tenth of a second to load
 
-    kind = {"csc": sparse.csc_array, "csr": sparse.csr_array}[_format(parts["format"])]
-    n, entries = _square(parts["shape"].tolist()), parts["data"].size
-    for key, expected in (("data", (entries,)), ("indices", (entries,)), ("indptr", (n + 1,))):
-        if parts[key].shape != expected:
-            raise ValueError(f"{key}: expected the shape {expected}, got {parts[key].shape}")
-    if parts["indptr"][-1] != entries:
-        raise ValueError(f"indptr: expected {entries} at its end, the number of entries, got {parts['indptr'][-1]}")
-    return kind((parts["data"], parts["indices"], parts["indptr"]), (n, n))
+    if form == "dia":
+        return _by_diagonals(data, places["offsets"], n)
+    for key, part in (("data", data), *places.items()):
+        expected = (n + 1,) if key == "indptr" else (data.size,)
+        if part.shape != expected:
+            raise ValueError(f"{key}: expected the shape {expected}, got {part.shape}")
+    if form == "coo":
+        row, column = (place.astype(np.int64) + 1 for place in places.values())
+        return _of_entries(row, column, data, n, None, "entry {}".format)
+    indices, indptr = places.values()
+    if indptr[-1] != data.size:
+        raise ValueError(f"indptr: expected {data.size} at its end, the number of entries, got {indptr[-1]}")
+    return {"csc": sparse.csc_array, "csr": sparse.csr_array}[form]((data, indices, indptr), (n, n))
+
+
+def _by_diagonals(data: np.ndarray, offsets: np.ndarray, n: int) -> Any:
+    """A sparse matrix from its diagonals, whose entries lie under their column."""
+    from scipy import sparse  # as above
+
+    if data.ndim != 2 or offsets.shape != data.shape[:1]:
+        raise ValueError(f"offsets: expected one for each row of data, shape {data.shape}, got {offsets.shape}")
+    if len(np.unique(offsets)) != len(offsets):
+        raise ValueError("offsets: expected each diagonal once, got one twice")
+    return sparse.dia_array((data, offsets), (n, n)).tocsc()
 
 
 def _square(shape: Sequence[int]) -> int:
@@ -184,9 +213,7 @@ def _matrix_market(content: bytes, _: Sequence[str]) -> dict[str, Any]:
         entries = n * n if sign is None else (n - below) * (n + 1 - below) // 2
     columns = ("row", "column") if layout == "coordinate" else ()
     kind = np.dtype([*((name, "i8") for name in columns), ("value", _FIELDS[field])])
-    body = lines.read()
-    if not content.endswith(b"\n"):  # a number that is cut short is a number
-        raise ValueError("expected its last line to be whole, got one without an end")
+    begin, body = lines.tell(), lines.read()
     table = np.empty(0, kind)
     if body.strip():
         with warnings.catch_warnings(action="error"):  # of a number that NumPy would round
@@ -195,7 +222,13 @@ def _matrix_market(content: bytes, _: Sequence[str]) -> dict[str, Any]:
         raise ValueError(f"expected {entries} entries, as its line of sizes says, got {table.size}")
     values = table["value"].astype(np.float64)
     if layout == "coordinate":
-        return {"stiffness": _of_entries(table["row"], table["column"], values, n, sign)}
+
+        def line(entry: int) -> str:
+            filled = [k for k, text in enumerate(body.splitlines()) if text.strip()]
+            above = len(content[:begin].splitlines())
+            return f"line {above + 1 + filled[entry]}"
+
+        return {"stiffness": _of_entries(table["row"], table["column"], values, n, sign, line)}
     _fits("stiffness", _BYTES_OF_ENTRY * n * n)
     if sign is None:
         return {"stiffness": values.reshape((n, n), order="F")}
@@ -205,19 +238,34 @@ def _matrix_market(content: bytes, _: Sequence[str]) -> dict[str, Any]:
     return {"stiffness": stiffness}
 
 
-def _of_entries(row: np.ndarray, column: np.ndarray, values: np.ndarray, n: int, sign: int | None) -> Any:
-    """A sparse matrix from its entries, whose rows and columns count from one."""
+def _of_entries(
+    row: np.ndarray,
+    column: np.ndarray,
+    values: np.ndarray,
+    n: int,
+    sign: int | None,
+    where: Callable[[int], str],
+) -> Any:
+    """A sparse matrix from its entries, whose rows and columns count from one; `where` says where an entry stands."""
     from scipy import sparse  # as above
 
     outside = (np.minimum(row, column) < 1) | (np.maximum(row, column) > n)
     if outside.any():
         k = int(np.argmax(outside))
-        raise ValueError(f"expected rows and columns from 1 to {n}, got ({row[k]}, {column[k]}) at entry {k + 1}")
+        raise ValueError(f"expected rows and columns from 1 to {n}, got ({row[k]}, {column[k]}) at {where(k)}")
     row, column = row - 1, column - 1
     if sign is not None:
         across = row != column
         if sign == -1 and not across.all():
-            raise ValueError("expected no entry on the diagonal of a skew-symmetric matrix, got one")
+            k = int(np.argmin(across))
+            raise ValueError(f"expected no entry on the diagonal of a skew-symmetric matrix, got one at {where(k)}")
+        mirrored = np.isin(row * n + column, column[across] * n + row[across])
+        if mirrored.any():
+            k = int(np.flatnonzero(mirrored)[-1])
+            raise ValueError(
+                f"expected one triangle of a symmetric matrix, got ({row[k] + 1}, {column[k] + 1}) at {where(k)} and"
+                f" ({column[k] + 1}, {row[k] + 1}) too; leave out one triangle, or write general in its first line"
+            )
         row, column = np.concatenate([row, column[across]]), np.concatenate([column, row[across]])
         values = np.concatenate([values, sign * values[across]])
     return sparse.coo_array((values, (row, column)), (n, n))

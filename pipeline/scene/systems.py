@@ -19,6 +19,7 @@ from stickslip.pipeline.own import function as own
 from stickslip.pipeline.own.files import content_of, digest
 from stickslip.pipeline.own.function import OwnFunction
 from stickslip.pipeline.own.trial import Trial, tried
+from stickslip.pipeline.scene.other_files import OtherKind
 from stickslip.pipeline.scene.system_files import arrays_of
 from stickslip.sim.numerics.arguments import per_block
 from stickslip.sim.systems.system import System
@@ -125,10 +126,15 @@ def look_again(origin: SystemFile | OwnFunction) -> None:
 def _arrays(name: str, content: bytes) -> dict[str, Any]:
     try:
         return arrays_of(content, BY_BLOCK)
+    except OtherKind as error:
+        raise SceneError(
+            f"system.path: {name}: expected an .npz, .npy or Matrix Market file of K, got {error}; convert it in"
+            f" Python, and name what that writes: {error.line(name)}"
+        ) from None
     except Exception as error:  # readers raise a dozen kinds of errors for damaged files, which no list names
         raise SceneError(
             f"system.path: {name}: expected a whole .npz, .npy or Matrix Market file of K ({_line(error)}); "
-            f"write it again, or correct the path"
+            f'write it again, as numpy.savez("K.npz", stiffness=K) does, or correct the path'
         ) from error
 
 

@@ -121,7 +121,7 @@ def read_source(path: str | Path) -> bytes:
         raise SceneError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
 
 
-def parse_toml(source: bytes, name: str) -> dict[str, Any]:
+def parse_toml(source: bytes | str, name: str) -> dict[str, Any]:
     """The tables that a scene file holds, as they are written; `name` is what errors call it.
 
     Raises
@@ -129,19 +129,23 @@ def parse_toml(source: bytes, name: str) -> dict[str, Any]:
     SceneError
         If it is not TOML.
     """
+    text = source if isinstance(source, str) else _decoded(source, name)
+    try:
+        return tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # ValueError: also an integer of absurd length
+        raise SceneError(f"{name}: expected TOML, got: {error}; correct that line") from None
+
+
+def _decoded(source: bytes, name: str) -> str:
     if source.startswith(codecs.BOM_UTF8):
         raise SceneError(f"{name}: expected plain UTF-8, got a byte order mark; save the file as UTF-8 without it")
     try:
-        text = source.decode()
+        return source.decode()
     except UnicodeDecodeError as error:
         line = source.count(b"\n", 0, error.start) + 1
         raise SceneError(
             f"{name}: line {line}: expected UTF-8 text, got byte 0x{source[error.start]:02x}; save the file as UTF-8"
         ) from None
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError: also an integer of absurd length
-        raise SceneError(f"{name}: expected TOML, got: {error}; correct that line") from None
 
 
 def as_scene(kind: type[Table], tables: dict[str, Any], name: str) -> Table:
@@ -165,15 +169,37 @@ def explained(kind: type[BaseModel], head: str) -> Iterator[None]:
         raise SceneError("\n".join(f"{head}{line}" for line in _problems(error, kind))) from None
 
 
-def plain(value: Any) -> Any:
-    """Tables from Python as a file has them: lists and numbers of NumPy, and tables that are objects, written out."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
+def plain(value: Any, path: str = "") -> Any:
+    """Tables from Python as a file has them: arrays, ranges, and tables that are objects, written out.
+
+    Raises
+    ------
+    SceneError
+        If a text at `path`, or below it, cannot be written.
+    """
+    if isinstance(value, str):
+        return _text(value, path)
+    if hasattr(value, "__array__"):  # NumPy's arrays and numbers, series of pandas
+        return plain(np.asarray(value).tolist(), path)
     if isinstance(value, BaseModel):
-        return plain(value.model_dump(mode="json", by_alias=True, exclude_unset=True))
+        return plain(value.model_dump(mode="json", by_alias=True, exclude_unset=True), path)
     if isinstance(value, Mapping):
-        return {str(key): plain(one) for key, one in value.items() if one is not None}
-    return [plain(one) for one in value] if isinstance(value, list | tuple) else value
+        below = {_text(str(key), path or "a key"): one for key, one in value.items() if one is not None}
+        return {key: plain(one, f"{path}.{key}" if path else key) for key, one in below.items()}
+    if isinstance(value, list | tuple | range):
+        return [plain(one, f"{path}[{k}]") for k, one in enumerate(value)]
+    return value
+
+
+def _text(text: str, path: str) -> str:
+    """A text that UTF-8 can hold; the name of a file in another encoding, as Python gives it, is none."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        raise SceneError(
+            f"{path}: expected text, got {text!a}, which holds half of a character; write it without"
+        ) from None
+    return text
 
 
 def written(tables: Mapping[str, Any], above: str = "") -> str:

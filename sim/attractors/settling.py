@@ -24,6 +24,7 @@ from stickslip.sim.attractors.rounds import Round, in_order, rounds_of, symbols_
 from stickslip.sim.engines.certificates import steady_sliding
 from stickslip.sim.engines.coulomb.settings import Coulomb
 from stickslip.sim.numerics.arguments import Floats, number
+from stickslip.sim.numerics.session import numpy_defaults
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries, by_block
 from stickslip.sim.simulation import simulate
@@ -63,6 +64,7 @@ _WORK = 2e9
 _WORK_NEAR = 1e8
 
 
+@numpy_defaults()
 def attractor(
     run: Run, system: System, t_burn: float = 0.0, *, engine: str = "coulomb", **settings: Any
 ) -> Attractor:

@@ -8,13 +8,16 @@ from __future__ import annotations
 import inspect
 import io
 from base64 import b64encode
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.numerics.arguments import Floats, did_you_mean, floats, integer
+from stickslip.sim.numerics.session import numpy_defaults
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
@@ -52,10 +55,25 @@ _MEANS, _WINDOW = 8192, 4
 _TIME = "time t (dimensionless)"
 
 
+@contextmanager
+def by_defaults(style: Mapping[str, Any] = MappingProxyType({})) -> Iterator[None]:
+    """A context in which matplotlib draws by its own defaults and a style alone, and NumPy has its own rules.
+
+    Whatever a file `matplotlibrc` or the session has set is left out, but for the backend, and restored at the end.
+    """
+    from matplotlib import style as styles
+
+    with numpy_defaults(), styles.context(["default", dict(style)]):
+        yield
+
+
+@numpy_defaults()
 def plot(
     events: EventSeries, samples: Samples | None, kind: str, ax: Axes | None, options: Mapping[str, Any]
 ) -> Axes:
     """Draw one of `KINDS` on the axes given, or on a new pyplot figure, which a notebook shows; returns the axes.
+
+    Axes that are given have the style of whoever made them; a new figure has matplotlib's own.
 
     Raises
     ------
@@ -72,12 +90,13 @@ def plot(
         return draw(ax, events, samples, **options)
     import matplotlib.pyplot as plt
 
-    figure, ax = plt.subplots(layout="constrained")
-    try:
-        return draw(ax, events, samples, **options)
-    except BaseException:
-        plt.close(figure)  # else a notebook would show it, empty
-        raise
+    with by_defaults():
+        figure, ax = plt.subplots(layout="constrained")
+        try:
+            return draw(ax, events, samples, **options)
+        except BaseException:
+            plt.close(figure)  # else a notebook would show it, empty
+            raise
 
 
 def n_stick(
@@ -276,13 +295,14 @@ def html(events: EventSeries) -> str:
     """n_stick(t) above the space-time diagram, as an HTML image."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(8.0, 4.5), layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True)
-    n_stick(above, events, None)
-    space_time(below, events)
-    above.set_xlabel("")
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=100)
+    with by_defaults():
+        figure = Figure(figsize=(8.0, 4.5), layout="constrained")
+        above, below = figure.subplots(2, 1, sharex=True)
+        n_stick(above, events, None)
+        space_time(below, events)
+        above.set_xlabel("")
+        figure.savefig(stream, format="png", dpi=100)
     return f'<img alt="n_stick and modes" src="data:image/png;base64,{b64encode(stream.getvalue()).decode()}"/>'
 
 

@@ -147,7 +147,8 @@ class Run:
             "time", "phase" and the spectrum of a block need samples, ``simulate(..., t_eval=times)``, that of a block
             at equal distances.
         ax : matplotlib Axes, optional
-            Where to draw; default: a new pyplot figure.
+            Where to draw; default: a new pyplot figure in matplotlib's own style, whatever the session has set. Axes
+            of your own have yours.
         **options
             Those of the kind, and ``span``, two times between which to draw, such as the start and end of an episode.
             Other names are properties of the lines, such as ``color``.

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -22,7 +24,7 @@ VALUES = st.recursive(PLAIN, lambda inner: st.lists(inner) | st.dictionaries(st.
 @pytest.mark.parametrize("name", ENSEMBLES)
 def test_a_scene_that_is_written_is_read_back(name):
     read = parse_scene(ENSEMBLES[name].read_bytes())
-    assert read.source == ENSEMBLES[name].read_bytes()
+    assert read.source.encode() == ENSEMBLES[name].read_bytes()
     built = Scene(**tomllib.loads(ENSEMBLES[name].read_text()))
     again = parse_scene(built.source)
     assert again.model_dump() == built.model_dump() == read.model_dump()
@@ -55,6 +57,34 @@ def test_a_scene_is_built_in_python_and_copied_with_changes():
     assert scene.changed().hash == scene.hash
     again = Scene(**TABLES | {"system": scene.system, "run": scene.run})
     assert again.hash == scene.hash
+
+
+@pytest.mark.parametrize("several", [pd.Series, pd.Index, range, lambda *_: pd.array([0, 1, 2], dtype="Int64")])
+def test_series_and_ranges_are_lists(several):
+    run = {"t_end": 5.0, "matrices": 2, "seed": several(range(3)) if several is not range else range(3)}
+    assert Scene(**TABLES | {"run": run}).hash == Scene(**TABLES | {"run": run | {"seed": [0, 1, 2]}}).hash
+
+
+@pytest.mark.parametrize(
+    ("tables", "key"),
+    [
+        ({"title": "bad\ud800"}, "title"),
+        ({"run": {"t_end": 5.0, "matrices": 2, "bad\udcff": 1}}, "run"),
+        ({"engine": [{"name": "coulomb\udcff"}]}, "engine[0].name"),
+        ({"system": {"coupling": "file", "path": "K\udcff.npz"}}, "system.path"),
+    ],
+)
+def test_a_text_that_no_file_can_hold_is_refused_by_its_key(tables, key):
+    with pytest.raises(SceneError, match=rf"^{re.escape(key)}: expected text, got '.*\\ud"):
+        Scene(**TABLES | tables)
+    with pytest.raises(SceneError, match=rf"^{re.escape(key)}: expected text"):
+        Scene(**TABLES).changed(**tables)
+
+
+def test_the_source_is_text():
+    assert isinstance(Scene(**TABLES).source, str)
+    text = "# Ümlaut\r\n" + Scene(**TABLES).source.replace("\n", "\r\n")
+    assert parse_scene(text.encode()).source == text  # to the byte
 
 
 @pytest.mark.parametrize(

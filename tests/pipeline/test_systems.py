@@ -78,7 +78,7 @@ def test_a_scene_of_files_may_leave_n_out(tmp_path, arrays):
     left = load_scene(written(tmp_path, arrays, SCENE.replace("n = 4\n", "")))
     assert left.system.n == (4,)
     assert left.hash == said.hash == left.from_source.hash
-    assert b"n = 4" not in left.source.partition(b"[system.files")[0]
+    assert "n = 4" not in left.source.partition("[system.files")[0]
     np.savez(tmp_path / "L.npz", stiffness=np.eye(3), z0=np.zeros(3))
     both = left.changed(system={"path": "[KL].npz"})
     assert [member.n for member in expand(both)[::8]] == [3, 4]
@@ -231,7 +231,7 @@ def test_a_packed_text_and_a_name_that_no_scene_can_hold_are_refused(tmp_path, a
     scipy.io.mmwrite(stream, arrays["stiffness"])
     (tmp_path / "K.mtx.gz").write_bytes(gzip.compress(stream.getvalue()))
     (tmp_path / "mine.toml").write_text(SCENE.replace("K.npz", "K.mtx.gz"))
-    with pytest.raises(SceneError, match=r"K\.mtx\.gz: expected a whole \.npz, \.npy or Matrix Market file"):
+    with pytest.raises(SceneError, match=r"K\.mtx\.gz: expected .* got a file compressed by gzip"):
         load_scene(tmp_path / "mine.toml")
     Path(os.fsdecode(os.fsencode(tmp_path) + b"/K\xff.npz")).write_bytes(b"PK")
     (tmp_path / "mine.toml").write_text(SCENE.replace("K.npz", "K?.npz"))
@@ -273,14 +273,6 @@ def test_a_file_that_is_none_is_refused_in_a_line(case, tmp_path, arrays, capsys
     (line,) = capsys.readouterr().err.splitlines()
     assert all(word in line for word in words), line
     assert sorted(one.name for one in tmp_path.iterdir()) == ["K.npz", "mine.toml"]
-
-
-@pytest.mark.parametrize("form", ["coo", "dia", "bsr"])
-def test_a_sparse_format_that_is_not_read_is_named(form, tmp_path, arrays):
-    file = written(tmp_path, arrays)
-    scipy.sparse.save_npz(tmp_path / "K.npz", scipy.sparse.eye_array(4, format=form))
-    with pytest.raises(SceneError, match=rf"expected csc or csr, got {form}; save K\.tocsc\(\)"):
-        load_scene(file)
 
 
 BAD_SCENES = {
@@ -338,7 +330,7 @@ def test_files_are_not_compared_two_by_two(rng, monkeypatch):
 def test_a_dataset_of_before_is_read_with_its_own_numbers(tmp_path, arrays):
     file = written(tmp_path, arrays)
     new = load_scene(file)
-    text = new.source.decode()
+    text = new.source
     assert text.count(", version = 2") == 1
     (tmp_path / "old.toml").write_text(text.replace(", version = 2", ""))  # as it was written then
     old = load_scene(tmp_path / "old.toml")

@@ -52,9 +52,7 @@ class Plot(Command):
 
 def _picture(arguments: argparse.Namespace) -> bytes:
     """The contents of the file that was asked for."""
-    import matplotlib
-
-    from stickslip.analysis.style import FORMS, STYLE, blank
+    from stickslip.analysis.style import FORMS, blank, styled
     from stickslip.pipeline.dataset.opened import open_dataset
     from stickslip.pipeline.query import events
 
@@ -69,7 +67,7 @@ def _picture(arguments: argparse.Namespace) -> bytes:
         if arguments.kind == "slip" and not width:
             raise Wrong("--kind: 'slip' is a map of a grid, and these blocks form none; draw space_time")
         options |= width
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figure = blank(_HEIGHT)
         try:
             series.plot(arguments.kind, figure.subplots(), **options)

@@ -16,14 +16,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
 
-import matplotlib
 import numpy as np
 import scipy.sparse
 from matplotlib.figure import Figure
 from pydantic import Field
 
 from stickslip import sim
-from stickslip.analysis.style import CYCLE, STYLE, legend, subplots
+from stickslip.analysis.style import CYCLE, legend, styled, subplots
 from stickslip.pipeline import Scene, run_ensemble
 from stickslip.pipeline.ensemble.member import MATRIX
 from stickslip.pipeline.running.cluster import local
@@ -268,7 +267,7 @@ def cost_against_size(groups: Mapping[str, Sequence[Cost]]) -> Figure:
         ("time per unit of time (ms)", "unit", 1e-3),
         ("share that is not products", "rest", 1.0),
     )
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figure, axes = subplots(1, len(panels), 3.1)
         for ax, (title, quantity, unit) in zip(axes[0], panels, strict=True):
             ax.set(title=title, xscale="log", xlabel="number of blocks n")

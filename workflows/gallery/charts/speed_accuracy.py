@@ -11,13 +11,12 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any, Literal
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from pydantic import Field
 
-from stickslip.analysis.style import CYCLE, GREEN, GREY, PURPLE, STYLE, legend, subplots
+from stickslip.analysis.style import CYCLE, GREEN, GREY, PURPLE, legend, styled, subplots
 from stickslip.pipeline.scene.toml import BlockNumbers, Count, Positive
 from stickslip.workflows.gallery.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.gallery.charts.cost import Product
@@ -238,7 +237,7 @@ def error_against_cost(panels: Sequence[Panel]) -> Figure:
         style[name] = look | {"linewidth": 0.9, "markersize": 4}
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figure, axes = subplots(rows, columns, 0.9 + 2.7 * rows, sharex=True, sharey=True)
         for ax in axes.flat[len(panels) :]:
             ax.set_axis_off()

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Annotated, Any, Literal
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -27,7 +26,7 @@ from matplotlib.patches import Patch, Rectangle
 from pydantic import Field
 
 from stickslip import sim
-from stickslip.analysis.style import GREY, STYLE, subplots
+from stickslip.analysis.style import GREY, styled, subplots
 from stickslip.pipeline.scene.toml import Blocks, Positive
 from stickslip.workflows.gallery.charts import ChartScene, Say, Several, Shown, slope
 from stickslip.workflows.gallery.charts.peers import METHODS, Model, Problem, methods_of, random_problem
@@ -242,7 +241,7 @@ _OUTCOMES = {
 def maps_of(maps: Sequence[Map], columns: int = 4) -> Figure:
     """Result of each method over stiffness and tolerance or step; each cell has the power of ten of the error."""
     rows = -(-len(maps) // columns)
-    with matplotlib.rc_context(STYLE | {"xtick.labelsize": 7, "ytick.labelsize": 7}):
+    with styled({"xtick.labelsize": 7, "ytick.labelsize": 7}):
         figure, axes = subplots(rows, columns, 0.75 + 1.75 * rows)
         for ax in axes.flat[len(maps) :]:
             ax.set_axis_off()

@@ -11,7 +11,6 @@ from functools import partial
 from itertools import product
 from typing import Annotated, Any, Literal
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -19,7 +18,7 @@ from pydantic import Field
 from scipy import optimize
 
 from stickslip import sim
-from stickslip.analysis.style import CYCLE, GREY, STYLE, subplots
+from stickslip.analysis.style import CYCLE, GREY, styled, subplots
 from stickslip.pipeline.scene.toml import Count
 from stickslip.workflows.gallery.charts import ChartScene, Say, Shown
 from stickslip.workflows.gallery.charts.claims import Claim, every, share, table, told, verdict_of
@@ -366,7 +365,7 @@ _CLAIMS = (free_period, damped_period, amplitude, boundary, stable, continuum, s
 
 def draw(scene: OneBlockScene, measured: Measured) -> Figure:
     """Stops a cycle over frequency and friction, and the basin of steady sliding."""
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figure, axes = subplots(1, 2, 3.4)
         _draw_stops(axes[0][0], scene, measured)
         _draw_basin(axes[0][1], measured.basin)

@@ -14,7 +14,6 @@ from functools import cached_property, partial
 from itertools import islice
 from typing import Annotated, Any, Literal, NamedTuple
 
-import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 from pydantic import Field
@@ -22,7 +21,7 @@ from pydantic import Field
 from stickslip import sim
 from stickslip.analysis.series import cycles
 from stickslip.analysis.stats.estimates import over_matrices, ratio
-from stickslip.analysis.style import CYCLE, GREY, STYLE, legend, subplots
+from stickslip.analysis.style import CYCLE, GREY, legend, styled, subplots
 from stickslip.pipeline.scene.toml import Count, Positive, PositiveNumbers
 from stickslip.sim.episodes import spans
 from stickslip.workflows.gallery.charts import ChartScene, Say, Shown
@@ -353,7 +352,7 @@ def kinds(measured: Measured) -> list[dict[str, Any]]:
 
 def draw(scene: TwoBlocksScene, measured: Measured) -> Figure:
     """The multiplier of the homogeneous cycle over the coupling, and where each start ends."""
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figure, axes = subplots(1, 2, 3.2)
         left, right = axes[0]
         low, high = scene.coupling

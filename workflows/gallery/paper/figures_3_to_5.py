@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -18,7 +17,7 @@ from stickslip.analysis.models import fates
 from stickslip.analysis.questions.slips.cascades import PAPER_GAMMA
 from stickslip.analysis.series import cascades
 from stickslip.analysis.stats import dispersion, estimates
-from stickslip.analysis.style import CYCLE, EXACT, GREY, PANEL, SMOOTHED, STYLE, panel, size_axis
+from stickslip.analysis.style import CYCLE, EXACT, GREY, PANEL, SMOOTHED, panel, size_axis, styled
 from stickslip.workflows.gallery.charts.claims import CONFIDENCE, Claim
 from stickslip.workflows.gallery.paper.runs import Exits, Path
 
@@ -280,7 +279,7 @@ def n_stick_panel(title: str, curves: Sequence[Trace]) -> Figure:
     The first curve is thick and grey if more than two are drawn, as what the others are held against.
     """
     apart = curves[0].figure == 5
-    with matplotlib.rc_context(STYLE):
+    with styled():
         figure = Figure(figsize=PANEL, layout="constrained")
         axes = figure.subplots(len(curves) if apart else 1, 1, sharex=True, squeeze=False)[:, 0]
         if apart:
