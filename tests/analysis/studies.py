@@ -14,7 +14,7 @@ from itertools import pairwise, product
 import numpy as np
 from scipy import fft, linalg, signal, special, stats
 
-from stickslip.analysis.measures import per_exit
+from stickslip.analysis.contrast import PerEvent
 from stickslip.analysis.models import clustering, counting, fates, growth, laws, pool, rhythm, times
 from stickslip.analysis.models.episodes import OCCUPANCY, SLOW_DRIVE, Catalogue
 from stickslip.analysis.questions.runs.robustness import BOUND
@@ -23,7 +23,16 @@ from stickslip.analysis.series.cascades import laws as cascade_laws
 from stickslip.analysis.series.nulls import DRAWS, BlockSteps, rotations
 from stickslip.analysis.stats import compare, components, dispersion, effective, enough, multiplicity
 from stickslip.analysis.stats.effects import over_null
-from stickslip.analysis.stats.estimates import LN2, Estimate, Undefined, gamma, over_matrices, ratio
+from stickslip.analysis.stats.estimates import (
+    LN2,
+    Estimate,
+    Undefined,
+    UnitSums,
+    gamma,
+    over_matrices,
+    per_event,
+    ratio,
+)
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness
 from tests.chance import ERRORS, agrees
@@ -736,7 +745,7 @@ def waiting_study(rng, ensembles):
         for _ in range(ensembles):
             counts = np.array([len(run) for run in renewals(rng, MATRICES, 8, 19.2, span)], dtype=float)
             rates = np.column_stack([counts / (8 * span), np.ones(MATRICES)])
-            found.append(over_matrices(per_exit, rates, CONFIDENCE))
+            found.append(PerEvent("", per_event, 0.1).estimate(UnitSums(np.arange(MATRICES), rates), CONFIDENCE))
         yield judged("waiting", f"19.2, 8 blocks, windows of {span:g}", 19.2, found)
 
 
