@@ -709,9 +709,11 @@ def times_study(rng, ensembles):
             ]
             one = both[0].median(CONFIDENCE)
             found["median"].append(Estimate(one.value or limit, one.low or 0.0, one.high or np.inf))
-            areas = [part.restricted(limit).rows for part in both]
-            found["restricted mean"].append(over_matrices(ratio, areas[0], CONFIDENCE))
-            tests = {"restricted mean: difference": compare.mean_difference(ratio, *areas, True)}
+            tests = {}
+            if all(part.reaches(limit) for part in both):
+                areas = [part.restricted(limit).rows for part in both]
+                found["restricted mean"].append(over_matrices(ratio, areas[0], CONFIDENCE))
+                tests["restricted mean: difference"] = compare.mean_difference(ratio, *areas, True)
             with suppress(Undefined):  # where fewer than half have it, or the interval has no end
                 tests["median: difference"] = times.median_difference(*both, True)
             for name, test in tests.items():
