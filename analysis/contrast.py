@@ -95,6 +95,21 @@ class Share(Statistic):
 
 
 @dataclass(frozen=True)
+class PerEvent(Statistic):
+    """Time per event, by the events per unit of time of each unit, and 1.
+
+    Its interval is the inverse of that of the rate, both on a logarithmic scale: few events leave it positive.
+    """
+
+    def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
+        found = over_matrices(lambda rows: np.log(self.of(rows)), sums.rows, confidence)
+        value, low, high = (
+            end if end is None else float(np.exp(end)) for end in (found.value, found.low, found.high)
+        )
+        return Estimate(value, low, high, found.reason)
+
+
+@dataclass(frozen=True)
 class Median(Statistic):
     """The median of a time that the end of a run may cut off; its sums are `models.times.Times`."""
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from stickslip.analysis import contrast
 from stickslip.analysis.catalogues import MARGIN, ONE_MOMENT, Catalogues, has_b, read
-from stickslip.analysis.contrast import Median, Share, Statistic
+from stickslip.analysis.contrast import Median, PerEvent, Share, Statistic
 from stickslip.analysis.ensemble import Recorded, Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
@@ -25,7 +25,7 @@ from stickslip.analysis.models.episodes import ATOM, B_VALUE, QUANTITIES, RATE, 
 from stickslip.analysis.models.fates import FAILED
 from stickslip.analysis.models.times import Times
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.estimates import Undefined, UnitSums, ratio
+from stickslip.analysis.stats.estimates import UnitSums, per_event, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES as OF_N_STICK
 
 MEAN, GAMMA = OF_N_STICK["mean"].label, OF_N_STICK["gamma"].label
@@ -210,7 +210,7 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
             statistic, subject = Share(f"share {name}"), f"the share of runs with {column.called or name}"
             of = partial(_share, numbers, column.problems, column.absent or NO_VALUE)
         elif column.of_gaps == "mean":
-            statistic, absent = Statistic(f"mean {name}", per_exit, MARGIN, least=0.0), STILL
+            statistic, absent = PerEvent(f"mean {name}", per_event, MARGIN), STILL
             words, of = f"{words}, as the time of blocks per exit, which nothing cuts off", _per_exit
         elif column.of_gaps:
             of = partial(_of_gaps, numbers, column.problems, column.absent or NO_VALUE, study.settings.t_burn)
@@ -234,13 +234,6 @@ def _share(numbers: np.ndarray, problems: Mapping[str, str], reason: str, group:
     known = np.isfinite(has)
     sums = UnitSums.of(group.column("unit").to_numpy()[known], np.column_stack([has, known])[known])
     return replace(_column(numbers, problems, reason, group), sums=sums)
-
-
-def per_exit(sums: np.ndarray) -> np.ndarray:
-    """The time of blocks per exit, from the rate of exits per block; see `_per_exit`."""
-    if (sums[:, 0] <= 0).any():
-        raise Undefined("no exit")
-    return sums[:, 1] / sums[:, 0]
 
 
 def _per_exit(group: Group) -> Values:

@@ -159,8 +159,8 @@ def median_difference(
     """The median of `second` minus that of `first`, or relative to it, its standard error and degrees of freedom.
 
     The error of a median is the width of its 95% interval in normal quantiles, which needs no density (Bonett and
-    Price 2002, Psychol. Methods 7, 370). That interval is of the times at which the share left is one half, within its
-    error over units. If paired, both have the same units, over which the two shares are correlated.
+    Price 2002, Psychol. Methods 7, 370). That interval is of the times at which the share left is one half, within
+    its error over units. If paired, both have the same units, over which the two shares are correlated.
 
     Raises
     ------

@@ -39,10 +39,20 @@ DEFINITIONS = ("events", *SAMPLED)
 
 @dataclass(frozen=True, order=True)
 class Law:
-    """Names a law of sizes: the definition of size and, for those of `SAMPLED`, the sampling step."""
+    """Names a law of sizes: the definition of size and, for those of `SAMPLED`, the sampling step.
+
+    Raises
+    ------
+    ValueError
+        If the step is not a finite number > 0.
+    """
 
     definition: str
     dt: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.dt is not None and not 0.0 < self.dt < np.inf:
+            raise ValueError(f"dt: expected a finite number > 0, got {self.dt!r}; give a sampling step, as 0.5")
 
     def __str__(self) -> str:
         return self.definition if self.dt is None else f"{self.definition}, dt = {self.dt:g}"
@@ -158,8 +168,11 @@ def window(t: np.ndarray, n_stick: np.ndarray, t_start: float, t_stop: float) ->
     Raises
     ------
     ValueError
-        If shapes differ, values are not integers, times decrease, or the window is empty or starts before the series.
+        If shapes differ, values are not integers, times decrease, or the window is empty, has no end, or starts
+        before the series.
     """
+    if t_stop == np.inf:
+        raise ValueError(f"t_stop: expected a finite time, got {t_stop}; give the end of the run")
     found = windows(Stack.of([(np.asarray(t), np.asarray(n_stick))]), float(t_start), [float(t_stop)])
     return Window(float(t_start), float(t_stop), int(found.level[0]), found.t[1:], found.step[1:])
 
@@ -170,11 +183,13 @@ def sample(t: np.ndarray, n_stick: np.ndarray, grid: np.ndarray) -> np.ndarray:
     Raises
     ------
     ValueError
-        If a grid time lies before the first change point.
+        If there is no change point, or a grid time lies before the first, or is not finite.
     """
+    if not np.size(t):
+        raise ValueError("t: expected a change point or more, got none; the first is the start of the run")
     index = np.searchsorted(t, grid, side="right") - 1
-    if (index < 0).any():
-        raise ValueError(f"grid: expected times >= t[0] = {t[0]!r}, got {np.min(grid)!r}")
+    if (index < 0).any() or not np.isfinite(grid).all():
+        raise ValueError(f"grid: expected finite times >= t[0] = {t[0]!r}, got {np.min(grid)!r}; leave out others")
     return np.asarray(n_stick)[index]
 
 

@@ -27,7 +27,7 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
     Raises
     ------
     TypeError, ValueError
-        If `episodes` is not a DataFrame, or lacks one of the columns.
+        If `episodes` is not a DataFrame, lacks one of the columns, or a start or a moment is not finite.
     """
     if not isinstance(episodes, pd.DataFrame):
         raise TypeError(
@@ -39,6 +39,10 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
             f"episodes: expected the columns {', '.join(_NEEDED)}, found no {', '.join(lacking)} in"
             f" {', '.join(map(str, episodes))}; `Dataset(...).episodes` has them"
         )
+    for name in ("start", "moment"):
+        if not (is_known := np.isfinite(episodes[name].to_numpy(np.float64, na_value=np.nan))).all():
+            row = episodes.index[np.flatnonzero(~is_known)[0]]
+            raise ValueError(f"episodes: expected a finite {name} in each row, got none in row {row}; leave it out")
     some = episodes[episodes["moment"] != 0]
     member = some["member_id"] if "member_id" in some else pd.Series("run", index=some.index)
     number = some.groupby(member, sort=False).cumcount()

@@ -8,8 +8,6 @@ import reprlib
 import numpy as np
 from numpy.typing import ArrayLike
 
-_MAKE_SUMS = "make a row for each matrix, np.array([[sizes.sum(), len(sizes)]]) for one list of sizes"
-
 
 def level(confidence: float) -> float:
     """A level of confidence, between 0 and 1.
@@ -29,7 +27,7 @@ def level(confidence: float) -> float:
     return float(confidence)
 
 
-def sums(values: ArrayLike, n_columns: int | None = None) -> np.ndarray:
+def sums(values: ArrayLike, n_columns: int | None = None, name: str = "sums") -> np.ndarray:
     """Rows of sums, one a matrix, float64, shape (m, c).
 
     Parameters
@@ -37,6 +35,8 @@ def sums(values: ArrayLike, n_columns: int | None = None) -> np.ndarray:
     values : array_like
     n_columns : int, optional
         c, where it is known: with 2, the second is a count.
+    name : str
+        Of the argument.
 
     Raises
     ------
@@ -46,16 +46,37 @@ def sums(values: ArrayLike, n_columns: int | None = None) -> np.ndarray:
     try:
         rows = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise ValueError(f"sums: expected numbers, got {reprlib.repr(values)}; {_MAKE_SUMS}") from None
+        rows = np.empty(0)
     if rows.ndim != 2 or n_columns not in (None, rows.shape[1]):
-        raise ValueError(f"sums: expected shape (matrices, {n_columns or 'columns'}), got {rows.shape}; {_MAKE_SUMS}")
+        shape = f"(matrices, {n_columns or 'columns'})"
+        raise ValueError(
+            f"{name}: expected numbers of shape {shape}, got {reprlib.repr(values)}; make a row for each matrix,"
+            " np.array([[sizes.sum(), len(sizes)]]) for the sizes of one"
+        )
     if not math.isfinite(rows.sum()) and not np.isfinite(rows).all():
         row, column = (int(k) for k in np.argwhere(~np.isfinite(rows))[0])
         raise ValueError(
-            f"sums: expected finite numbers, got {rows[row, column]} in row {row}, column {column}; leave out "
+            f"{name}: expected finite numbers, got {rows[row, column]} in row {row}, column {column}; leave out "
             "matrices that have none"
         )
     if n_columns == 2 and (rows[:, 1] < 0).any():
         row = int(np.flatnonzero(rows[:, 1] < 0)[0])
-        raise ValueError(f"sums: expected counts >= 0 in column 1, got {rows[row, 1]:g} in row {row}; count again")
+        raise ValueError(
+            f"{name}: expected counts >= 0 in column 1, got {rows[row, 1]:g} in row {row}; give how many"
+        )
     return rows
+
+
+def counts(name: str, values: ArrayLike) -> np.ndarray:
+    """Numbers of things, an array of any shape.
+
+    Raises
+    ------
+    ValueError
+        If one is negative or not finite.
+    """
+    numbers = np.asarray(values)
+    is_wrong = ~np.isfinite(numbers) | (numbers < 0)
+    if is_wrong.any():
+        raise ValueError(f"{name}: expected finite numbers >= 0, got {numbers[is_wrong][0]:g}; give how many")
+    return numbers

@@ -226,7 +226,7 @@ def share_over_matrices(counts: ArrayLike, confidence: float) -> tuple[float, fl
     ValueError
         If `counts` are no such rows, there is no run, or the confidence is none.
     """
-    rows = arguments.sums(counts, 2)
+    rows = arguments.sums(counts, 2, "counts")
     if not rows[:, 1].sum() or (rows[:, 0] < 0).any() or (rows[:, 0] > rows[:, 1]).any():
         raise ValueError(
             "counts: expected 0 <= runs with the property <= runs in each row, and a run at least, got"

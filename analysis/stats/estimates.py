@@ -123,6 +123,13 @@ def ratio(sums: np.ndarray) -> np.ndarray:
     return sums[:, 0] / sums[:, 1]
 
 
+def per_event(sums: np.ndarray) -> np.ndarray:
+    """Second column over the first: the time per event, of events and times; raises as `ratio`."""
+    if (sums[:, 0] <= 0).any():
+        raise Undefined("no event")
+    return 1.0 / ratio(sums)
+
+
 def gamma(sums: np.ndarray) -> np.ndarray:
     """Maximum-likelihood rate of the discrete exponential P(k) = (1 - q) q^(k-1), k >= 1, q = exp(-gamma).
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stickslip.analysis.stats import student
+from stickslip.analysis.stats import arguments, student
 from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife_error
 
 MOST_STEPS, EPS = 100, 1e-13  # steps of Newton's method, which takes about ten; its tolerance in nats a cascade
@@ -131,11 +131,11 @@ def truncate(histogram: np.ndarray, k_min: int, k_max: int) -> tuple[np.ndarray,
     Raises
     ------
     ValueError
-        If the cut-off is out of range, or a size is larger than k_max.
+        If the cut-off is out of range, a size is larger than k_max, or a number of cascades is not finite or < 0.
     """
     if not 1 <= k_min < k_max:
         raise ValueError(f"k_min: expected 1 <= k_min < k_max = {k_max}, got {k_min}")
-    counts = np.asarray(histogram)
+    counts = arguments.counts("histogram", histogram)
     if counts[..., k_max + 1 :].any():
         largest = int(np.flatnonzero(counts.reshape(-1, counts.shape[-1]).any(axis=0))[-1])
         raise ValueError(f"k_max: expected at least the largest size, {largest}, got {k_max}")
@@ -156,9 +156,17 @@ def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
 
     Raises
     ------
+    ValueError
+        If a number of cascades is negative or not finite, or there are not as many as sizes.
     Undefined
         If there are no more different sizes than parameters, so that the likelihood has no maximum.
     """
+    counts = arguments.counts("counts", counts)
+    if counts.shape != np.shape(sizes):
+        raise ValueError(
+            f"counts: expected one for each of the {len(sizes)} sizes, got shape {counts.shape}; give both as"
+            " `truncate` does, summed over matrices"
+        )
     total, n_different = counts.sum(), np.count_nonzero(counts)
     n_parameters = family.terms(sizes).shape[1]
     if n_different <= n_parameters:

@@ -194,9 +194,9 @@ def _checked(own: Own, returned: object, window: tuple[float, float]) -> Measure
         elif column.least is not None and plain is not None and plain < column.least:
             problems.append(f"expected at least {column.least:g} for {column.name}, got {plain:g}")
         elif plain is not None and column.until is not None and plain > t_end - column.until.start(t_burn):
+            start = column.until.start(t_burn)
             problems.append(
-                f"expected at most {t_end - column.until.start(t_burn):g} for {column.name}, a time since"
-                f" {column.until.since}, got {plain:g}"
+                f"expected at most {t_end - start:g} for {column.name}, a time since t = {start:g}, got {plain:g}"
             )
         elif plain is None:
             is_wrong = True

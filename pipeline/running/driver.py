@@ -143,7 +143,7 @@ def look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction] =
             systems.look_again(origin)
 
 
-def check_caller(workers: int, scheduler: str | Client | None) -> None:
+def check_caller(workers: int, scheduler: Scheduling) -> None:
     """Refuse a number of workers that is none, a worker that loads the caller's script, and kernels not compiled.
 
     Raises

@@ -7,13 +7,15 @@ python -m tests.analysis.studies --seed 1 --ensembles 500
 
 import argparse
 import secrets
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise, product
 
 import numpy as np
 from scipy import fft, linalg, signal, special, stats
 
-from stickslip.analysis.models import clustering, counting, fates, growth, laws, pool, rhythm
+from stickslip.analysis.contrast import PerEvent
+from stickslip.analysis.models import clustering, counting, fates, growth, laws, pool, rhythm, times
 from stickslip.analysis.models.episodes import OCCUPANCY, SLOW_DRIVE, Catalogue
 from stickslip.analysis.questions.runs.robustness import BOUND
 from stickslip.analysis.series.cascades import Law, Window, sizes, sums, window
@@ -21,7 +23,16 @@ from stickslip.analysis.series.cascades import laws as cascade_laws
 from stickslip.analysis.series.nulls import DRAWS, BlockSteps, rotations
 from stickslip.analysis.stats import compare, components, dispersion, effective, enough, multiplicity
 from stickslip.analysis.stats.effects import over_null
-from stickslip.analysis.stats.estimates import LN2, Estimate, gamma, over_matrices, ratio
+from stickslip.analysis.stats.estimates import (
+    LN2,
+    Estimate,
+    Undefined,
+    UnitSums,
+    gamma,
+    over_matrices,
+    per_event,
+    ratio,
+)
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness
 from tests.chance import ERRORS, agrees
@@ -638,6 +649,108 @@ def share_study(rng, ensembles):
         yield judged("share of runs", f"{share:g}", share, found)
 
 
+def latent(rng, n_systems, n_runs, correlation, n_settings):
+    """Uniform numbers, shape (settings, systems, runs), alike within a system by a normal score of its own."""
+    own = rng.standard_normal((n_systems, 1))
+    each = rng.standard_normal((n_settings, n_systems, n_runs))
+    return special.ndtr(np.sqrt(correlation) * own + np.sqrt(1 - correlation) * each)
+
+
+#: Systems, runs of each, and how alike their scores are.
+ENSEMBLES = ((20, 1, 0.5), (60, 1, 0.5), (20, 5, 0.3))
+
+
+def truth_study(rng, ensembles):
+    """Shares of runs with a property, from 0.1 to 0.9 anew each time, and differences between two settings of these.
+
+    Of one share coverage goes up and down with it, as runs are whole; hence many.
+    """
+    for g, k, correlation in ENSEMBLES:
+        found = {"share": [], "difference, paired": [], "difference, independent": []}
+        for p, q in rng.uniform(0.1, 0.9, (ensembles, 2)):
+            first, second = latent(rng, g, k, correlation, 2)
+            (other,) = latent(rng, g, k, correlation, 1)
+            a, b, c = (
+                np.column_stack([(some < share).sum(axis=1), np.full(g, k)]).astype(float)
+                for some, share in ((first, p), (second, q), (other, q))
+            )
+            share, *ends, _ = compare.share_over_matrices(a, CONFIDENCE)
+            found["share"].append((share - p, *(np.array(ends) - p)))
+            for name, paired, rows in (("paired", True, b), ("independent", False, c)):
+                test = compare.share_difference(a, rows, paired, 0.2)
+                shown = (test.difference, *test.interval(CONFIDENCE))
+                found[f"difference, {name}"].append(tuple(end - (q - p) for end in shown))
+        for name, errors in found.items():
+            yield judged(f"truths: {name}", f"{g} systems, {k} runs", 0.0, [Estimate(*one) for one in errors])
+
+
+def times_study(rng, ensembles):
+    """Times that the end of a run may cut off: Weibull's law at two settings; all seen, to 20, or each to 8 to 40.
+
+    The exponent is 1.5, the scales 10 and 14: medians 7.83 and 10.97. Restricted means are up to 16.
+    """
+    ends = {"all seen": (np.inf, np.inf), "to 20": (20.0, 20.0), "to 8 to 40": (8.0, 40.0)}
+    scales, limit = np.array([10.0, 14.0]), 16.0
+    medians = scales * np.log(2) ** (1 / 1.5)
+    area = special.gamma(1 / 1.5) * special.gammainc(1 / 1.5, (limit / scales) ** 1.5) * scales / 1.5
+    for (g, k, correlation), watched in product((*ENSEMBLES, (200, 1, 0.5)), ends):
+        names = ("median", "median: difference", "restricted mean", "restricted mean: difference")
+        found = {name: list[Estimate]() for name in names}
+        units = np.repeat(np.arange(g), k)
+        for _ in range(ensembles):
+            drawn = [
+                scale * (-np.log(u.ravel())) ** (1 / 1.5)
+                for scale, u in zip(scales, latent(rng, g, k, correlation, 2), strict=True)
+            ]
+            least, most = ends[watched]
+            cut = [np.full(g * k, least) if least == most else rng.uniform(least, most, g * k) for _ in drawn]
+            both = [
+                times.Times.of_runs(units, np.minimum(t, end), t <= end) for t, end in zip(drawn, cut, strict=True)
+            ]
+            one = both[0].median(CONFIDENCE)
+            found["median"].append(Estimate(one.value or limit, one.low or 0.0, one.high or np.inf))
+            tests = {}
+            if all(part.reaches(limit) for part in both):
+                areas = [part.restricted(limit).rows for part in both]
+                found["restricted mean"].append(over_matrices(ratio, areas[0], CONFIDENCE))
+                tests["restricted mean: difference"] = compare.mean_difference(ratio, *areas, True)
+            with suppress(Undefined):  # where fewer than half have it, or the interval has no end
+                tests["median: difference"] = times.median_difference(*both, True)
+            for name, test in tests.items():
+                one = compare.equivalence_test(*test, 0.1)
+                found[name].append(Estimate(one.difference, *one.interval(CONFIDENCE)))
+        answers = (medians[0], medians[1] - medians[0], area[0], area[1] - area[0])
+        for name, answer in zip(names, answers, strict=True):
+            share = len(found[name]) / ensembles
+            if share > 0.9:  # else what is left is a choice among ensembles
+                planted = f"{answer:.3g}, {g} systems, {k} runs, {watched}"
+                given = "" if share == 1 else f", given in {share:.2f}"
+                yield judged(f"times: {name}", planted + given, answer, found[name])
+
+
+def renewals(rng, n_runs, n_blocks, mean, span):
+    """Times of exits of blocks in a window, ascending, by run.
+
+    Exits of a block are a renewal process from long before the window on, with gamma-distributed times between them
+    of a coefficient of variation of 0.7.
+    """
+    shape, before = 1 / 0.7**2, 10 * mean
+    gaps = rng.gamma(shape, mean / shape, (n_runs, n_blocks, int(3 * (before + span) / mean) + 20))
+    exits = np.cumsum(gaps, axis=2) - before
+    return [np.sort(run[(run >= 0.0) & (run < span)]) for run in exits.reshape(n_runs, -1)]
+
+
+def waiting_study(rng, ensembles):
+    """Mean time between exits of a block from their number, in windows of 10, 50 and 300; it is 19.2."""
+    for span in (10.0, 50.0, 300.0):
+        found = []
+        for _ in range(ensembles):
+            counts = np.array([len(run) for run in renewals(rng, MATRICES, 8, 19.2, span)], dtype=float)
+            rates = np.column_stack([counts / (8 * span), np.ones(MATRICES)])
+            found.append(PerEvent("", per_event, 0.1).estimate(UnitSums(np.arange(MATRICES), rates), CONFIDENCE))
+        yield judged("waiting", f"19.2, 8 blocks, windows of {span:g}", 19.2, found)
+
+
 def parting_study(rng, ensembles):
     """Median time of parting, 20 and 60 pairs; some runs end before, some are never seen to part."""
     for g in (MATRICES, 60):
@@ -884,6 +997,9 @@ STUDIES = {
     "methods": methods_study,
     "occupancy": occupancy_study,
     "counting": counting_study,
+    "truth": truth_study,
+    "times": times_study,
+    "waiting": waiting_study,
 }
 
 

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from stickslip.analysis import correlation_time, gamma, over_matrices, window
-from stickslip.analysis.stats import student
-from stickslip.analysis.stats.estimates import LN2, Undefined, jackknife, paired_difference, ratio
+from stickslip.analysis import correlation_time, gamma, over_matrices, share_over_matrices, wilson, window
+from stickslip.analysis.series import cascades
+from stickslip.analysis.stats import families, student
+from stickslip.analysis.stats.estimates import LN2, Estimate, Undefined, jackknife, paired_difference, ratio
 
 
 @pytest.mark.parametrize("planted", [0.2, LN2, 0.74, 3.0])
@@ -129,3 +130,66 @@ def test_degrees_of_freedom_are_positive(dof):
 def test_infinite_degrees_of_freedom_are_the_normal_distribution():
     assert student.half_width(0.95, math.inf) == pytest.approx(1.959963984540054)
     assert student.two_sided(1.959963984540054, math.inf) == pytest.approx(0.05)
+
+
+ROWS = np.array([[50.0, 25.0], [30.0, 20.0], [40.0, 22.0]])
+
+
+@pytest.mark.parametrize("level", [95, 0, 1.0, -0.5, np.nan, "95%"])
+def test_a_confidence_that_is_none_is_refused(level):
+    for ask in (
+        lambda: wilson(3, 10, level),
+        lambda: over_matrices(gamma, ROWS, level),
+        lambda: over_matrices(gamma, ROWS[:1], level),  # which needs none
+        lambda: share_over_matrices([[1, 2], [2, 2]], level),
+    ):
+        with pytest.raises(ValueError, match=r"^confidence: expected a number between 0 and 1, got .*; write 0\.95$"):
+            ask()
+
+
+@pytest.mark.parametrize(
+    ("sums", "why"),
+    [
+        ([3, 1, 2, 5], r"expected numbers of shape \(matrices, 2\), got \[3, 1, 2, 5\]; make a row for each matrix"),
+        (
+            np.array([[3.0, 1, 2, 5]]),
+            r"expected numbers of shape \(matrices, 2\), got array\(\[\[3., 1., 2., 5.\]\]\)",
+        ),
+        ([[np.nan, 3.0]], "expected finite numbers, got nan in row 0, column 0"),
+        ([[9.0, 3.0], [3.0, np.inf]], "expected finite numbers, got inf in row 1, column 1"),
+        ([[3.0, -3.0]], "expected counts >= 0 in column 1, got -3 in row 0"),
+        ([[3.0, 5.0]], "expected sizes >= 1, whose total is at least their number, got a total of 3 for 5"),
+        ("abc", r"expected numbers of shape \(matrices, 2\), got 'abc'"),
+    ],
+)
+def test_what_is_no_sums_of_sizes_is_refused(sums, why):
+    with pytest.raises(ValueError, match=f"^sums: {why}"):
+        gamma(sums)
+
+
+@pytest.mark.parametrize(
+    ("ask", "name"),
+    [
+        (lambda: wilson(np.nan, 10, 0.95), "successes, trials"),
+        (lambda: wilson(1, np.inf, 0.95), "successes, trials"),
+        (lambda: wilson(-1, 10, 0.95), "successes, trials"),
+        (lambda: wilson(0, 0, 0.95), "successes, trials"),
+        (lambda: share_over_matrices([[3, 2]], 0.95), "counts"),
+        (lambda: share_over_matrices(np.zeros((0, 2)), 0.95), "counts"),
+        (lambda: share_over_matrices([[np.nan, 2]], 0.95), "counts"),
+        (lambda: over_matrices(ratio, [[1.0, np.inf]], 0.95), "sums"),
+        (lambda: over_matrices(ratio, [1.0, 2.0], 0.95), "sums"),
+        (lambda: Estimate(0.8, np.nan, 0.9), "low"),
+        (lambda: cascades.laws([0.0]), "dt"),
+        (lambda: cascades.Law("drop", np.nan), "dt"),
+        (lambda: cascades.sample(np.array([0.0]), np.array([1]), np.array([np.nan])), "grid"),
+        (lambda: cascades.sample(np.zeros(0), np.zeros(0, int), np.array([1.0])), "t"),
+        (lambda: cascades.window([0, 1], [1, 2], 0, np.inf), "t_stop"),
+        (lambda: families.truncate(np.array([0, 5, -1]), 1, 2), "histogram"),
+        (lambda: families.maximise(families.EXPONENTIAL, np.arange(1.0, 4.0), np.array([5, np.nan, 1])), "counts"),
+        (lambda: families.maximise(families.EXPONENTIAL, np.arange(1.0, 4.0), np.array([5, 1])), "counts"),
+    ],
+)
+def test_statistics_refuse_what_they_cannot_mean(ask, name):
+    with pytest.raises(ValueError, match=f"^{name}: expected .*, got .*; "):
+        ask()

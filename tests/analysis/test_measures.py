@@ -6,13 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import special
 
 from stickslip.analysis import Data, Study, build, measures
-from stickslip.analysis.ensemble import Recorded
+from stickslip.analysis.ensemble import Recorded, Until
 from stickslip.analysis.questions.runs import sweep
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.formats import environment
-from stickslip.analysis.stats.compare import UNKNOWN
+from stickslip.analysis.stats.compare import UNKNOWN, wilson
+from tests.analysis.studies import renewals
 from tests.chance import SURE, agrees
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -393,33 +395,165 @@ def test_a_change_over_some_values_of_another_key_says_over_how_many(recorded, s
     assert "values of kappa" not in sentence(sweep.answer(Study(whole, settings)))
 
 
-def test_times_that_windows_cut_are_set_beside_what_the_number_of_exits_says(recorded, settings):
-    """Of 200 blocks 150 exit; mean times are 20% too small. Exits less the times between are the blocks that exit."""
-    n_blocks, window = 150, 900.0
+def test_the_first_time_is_right_however_short_the_runs_are(recorded, settings, rng):
+    """The same draws to t = 10, 50 and 300: Weibull's law with the exponent 1.5, of means 7.65 and 19.2.
 
-    def cut_of(too_small, since=settings.t_burn, still=()):
-        data = recorded({"waiting_mean": lambda *_: 1.0})
-        runs = Study(data, settings).runs
-        exits = {name: round(float(runs.window(name, 1000.0).alone.exits[0])) for name in data.series}
-        known = {name: n for name, n in exits.items() if not name.startswith(still)}
-        exact = n_blocks * window * len(known) / sum(known.values())
-        mean = data.recorded["waiting_mean"]._replace(
-            values=dict.fromkeys(known, exact / too_small), since=since, called="waiting time"
+    To 10 most runs of the second have none: the mean of those that have is far too small, the mean up to 10 is not.
+    """
+    settings = replace(settings, confidence=SURE)
+    scales = np.array([7.65, 19.2]) / special.gamma(1 + 1 / 1.5)
+    medians, n = scales * np.log(2) ** (1 / 1.5), 200
+    drawn = scales * rng.weibull(1.5, (n, 2))
+    axes = {"belt_speed": [-0.2, -0.1]}
+    for t_end in (10.0, 50.0, 300.0):
+        times = np.where(drawn <= t_end, drawn, np.nan)
+        data = recorded({"first": lambda _, matrix, v, t=times: t[matrix, int(v > -0.15)]}, n, axes)
+        first = data.recorded["first"]._replace(until=Until(0.0), called="time of the first exit", says_it=True)
+        study = Study(
+            Data(data.members.assign(t_end=t_end, t_stop=t_end), data.series, recorded={"first": first}),
+            replace(settings, t_burn=5.0),
         )
-        members = data.members
-        members = members.assign(waiting_count=(members["member_id"].map(known) - n_blocks).fillna(0.0))
-        return exact, sweep.answer(Study(Data(members, data.series, recorded={"waiting_mean": mean}), settings))
+        table = sweep.answer(study).tables["sweep_measures"].set_index(["measure", "belt_speed"])
+        changes = rows_of(sweep.answer(study), "restricted mean first").loc["-0.1"]
+        area = special.gamma(1 / 1.5) * special.gammainc(1 / 1.5, (t_end / scales) ** 1.5) * scales / 1.5
+        for k, v in enumerate((-0.2, -0.1)):
+            row = table.loc["restricted mean first", v]
+            assert row["estimate_low"] < area[k] < row["estimate_high"]
+            assert row[["n_units", "n_censored", "n_without"]].tolist() == [n, np.isnan(times[:, k]).sum(), 0]
+            row = table.loc["median first", v]
+            if pd.isna(row["estimate"]):
+                assert row["reason"] == measures.NOT_REACHED
+                assert (t_end, v) == (10.0, -0.1)
+            else:
+                assert row["estimate_low"] < medians[k] < row["estimate_high"]
+        assert changes["difference_low"] < area[1] - area[0] < changes["difference_high"]
+        said = sentence(sweep.answer(study))
+        if t_end == 10.0:
+            seen = times[:, 1][np.isfinite(times[:, 1])]
+            assert seen.mean() + 5 * seen.std() / np.sqrt(len(seen)) < 19.2
+            assert said.startswith("The restricted mean of the time of the first exit up to 10 rises from")
+            assert "is not given at one of 2 points" in sentence(sweep.answer(study), "alerts").replace(
+                "1 of", "one of"
+            )
+        else:
+            change = rows_of(sweep.answer(study), "median first").loc["-0.1"]
+            assert change["difference_low"] < medians[1] - medians[0] < change["difference_high"]
+            assert said.startswith("The median time of the first exit rises from")
 
-    exact, answer = cut_of(1.2)
-    (row,) = answer.facts["cut"]
-    assert row["by_exits"] == pytest.approx(exact, rel=1e-9)
-    assert "From the number of exits, none of which is left out, it would be some" in sentence(answer, "alerts")
-    assert not cut_of(1.0)[1].facts["cut"], "none is cut"
-    exact, answer = cut_of(1.2, still=("m0-", "m3-"))  # of which no block exits twice
-    assert [row["by_exits"] for row in answer.facts["cut"]] == [pytest.approx(exact, rel=1e-9)]
-    other = cut_of(1.2, since=50.0)[1]
-    assert [row["by_exits"] for row in other.facts["cut"]] == [None], "exits are counted from another time on"
-    assert "the smaller the less regular they are" in sentence(other, "alerts")
+
+def test_a_run_that_ended_early_was_followed_until_then(recorded, settings):
+    """What ran away or failed, and what is certain never to stick again, where that counts."""
+    changes = {
+        "m0-0": {"outcome": "diverged", "t_stop": 200.0},
+        "m1-0": {"outcome": "failed", "t_stop": None},
+        "m2-0": {"outcome": "collapsed", "t_stop": 300.0},
+    }
+    data = recorded({"first": lambda _, matrix, v: None if matrix < 5 else 50.0}, changes=changes)
+    for needs_stick, of_collapsed in ((False, 290.0), (True, 990.0)):
+        first = data.recorded["first"]._replace(
+            until=Until(10.0, needs_stick), problems={"m3-0": "mine:first: KeyError: 'a'"}
+        )
+        study = Study(replace(data, recorded={"first": first}), settings)
+        group = study.groups[0]
+        times, is_known = study.times(group, "first")
+        assert is_known.tolist() == [True, False, True, False, True, True, True, True]
+        assert times.of_unit.tolist() == [0, 2, 4, 5, 6, 7]
+        assert times.times.tolist() == [190.0, of_collapsed, 990.0, 50.0, 50.0, 50.0]
+        assert study.limit("first") == 990.0
+        missing = sweep.answer(study).tables["sweep_missing"].set_index("member_id")["reason"].to_dict()
+        assert missing == {"m1-0": "failed", "m3-0": "mine:first: KeyError: 'a'"}
+        assert study.median(group, "first").value == 50.0
+        assert study.restricted_mean(group, "first", 100.0).value == pytest.approx(75.0)
+        with pytest.raises(
+            ValueError, match=r"numbers: expected a number of which means .* study\.median\(group, 'f"
+        ):
+            study.mean(group, "first")
+    with pytest.raises(ValueError, match="name: expected a time that the end of a run may cut off, got 'work'"):
+        Study(recorded({"work": lambda *_: 1.0}), settings).median(group, "work")
+
+
+def test_waiting_times_are_right_however_short_the_windows_are(planted, settings, rng):
+    """The same draws, 100 units and then 10, 50 and 300: eight blocks whose exits are 19.2 apart on average.
+
+    The mean of the times that lie in a window of 10 whole is below 10.
+    """
+    settings, axes = replace(settings, confidence=SURE), (-0.2, -0.1)
+    exits = {(k, v): run for v in axes for k, run in enumerate(renewals(rng, 20, 8, 19.2, 400.0))}
+    for window in (10.0, 50.0, 300.0):
+        rows, series = [], {}
+        for (k, v), t in exits.items():
+            name = f"m{k}-{v}"
+            t = t[t < 100.0 + window]
+            rows.append(planted.member(name, k, belt_speed=v, n=8, t_end=100.0 + window, t_stop=100.0 + window))
+            steps = np.concatenate([t, t + 1e-6])  # each comes to rest at once
+            order = np.argsort(steps)
+            levels = 8 + np.cumsum(np.repeat([-1, 1], len(t))[order])
+            series[name] = np.append(0.0, steps[order]), np.append(8, levels)
+        short = dict.fromkeys(series, window / 3)
+        own = {
+            "waiting_mean": Recorded(WORDS, short, of_gaps="mean"),
+            "waiting_cv": Recorded(WORDS, dict.fromkeys(series, 0.3), of_gaps="scatter"),
+        }
+        table = sweep.answer(Study(Data(pd.DataFrame(rows), series, recorded=own), settings)).tables["sweep_measures"]
+        means = table[table["measure"] == "mean waiting_mean"]
+        assert ((means["estimate_low"] < 19.2) & (means["estimate_high"] > 19.2)).all()
+        scatter = table[table["measure"] == "mean waiting_cv"]
+        assert scatter["estimate"].isna().all()
+        assert set(scatter["reason"]) == {"fewer than 50 exits per block: long times are cut off"}
+
+
+def test_waiting_times_are_of_blocks_with_friction(planted, settings, rng):
+    rows = [planted.member(f"m{k}-{v}", k, belt_speed=v, n_contacts=50) for k in range(6) for v in (-0.2, -0.1)]
+    series = {row["member_id"]: planted.runs(rng, 400, 0.7) for row in rows}
+    own = {"waiting_mean": Recorded(WORDS, dict.fromkeys(series, 1.0), of_gaps="mean")}
+    means = []
+    for members in (pd.DataFrame(rows), pd.DataFrame(rows).drop(columns="n_contacts")):
+        table = sweep.answer(Study(Data(members, series, recorded=own), settings)).tables["sweep_measures"]
+        means.append(table["estimate"].to_numpy(float))
+    np.testing.assert_allclose(means[1], 4.0 * means[0])  # of 200
+
+
+def test_a_share_has_one_interval_everywhere(recorded, settings):
+    """None of 20, and half of the systems in all three of their runs: as many trials as systems."""
+    data = recorded({"lifts": lambda _, matrix, v: float(v > -0.15 and matrix % 2)}, 20, {"belt_speed": [-0.2, -0.1]})
+    data = replace(data, recorded={"lifts": data.recorded["lifts"]._replace(is_share=True)})
+    known = dict(data.recorded["lifts"].values)
+    study = Study(data, settings)
+    answer = sweep.answer(study)
+    table = answer.tables["sweep_measures"].set_index("belt_speed")
+    row = rows_of(answer, "share lifts").loc["-0.1"]
+    for k, (name, v) in enumerate((("first", -0.2), ("second", -0.1))):
+        (group,) = (one for one in study.groups if one.key["belt_speed"] == v)
+        share = study.mean(group, "lifts")
+        assert share == study.share(group, {name: None if x is None else bool(x) for name, x in known.items()})
+        ends = (share.low, share.high)
+        assert ends == pytest.approx(wilson(10 * k, 20, 0.95))
+        assert ends == tuple(table.loc[v, ["estimate_low", "estimate_high"]])
+        assert ends == tuple(row[[f"{name}_low", f"{name}_high"]])
+    assert row["verdict"] == sweep.RISES
+    assert 0.2 < row["difference_low"] < row["difference"] == 0.5
+    several = Study(
+        Data(
+            pd.concat([data.members.assign(member_id=data.members["member_id"] + f"-{k}") for k in range(3)]),
+            {f"{name}-{k}": one for name, one in data.series.items() for k in range(3)},
+            recorded={"lifts": Recorded(WORDS, {
+                f"{name}-{k}": x for name, x in known.items() for k in range(3)
+            }, is_share=True)},
+        ),
+        settings,
+    )  # fmt: skip
+    again = sweep.answer(several)
+    assert rows_of(again, "share lifts").loc["-0.1"].to_dict() == row.to_dict()
+    assert again.tables["sweep_measures"]["estimate_high"].tolist() == table["estimate_high"].tolist()
+    first, second = (
+        Ensemble(name, replace(data, table=data.members.assign(seed=seed)), 100.0, {}, {})
+        for name, seed in (("a", 0), ("b", 0))
+    )
+    other = {name: 1.0 - x if name.endswith("-0") else x for name, x in known.items()}
+    lifted = replace(second.data, recorded={"lifts": data.recorded["lifts"]._replace(values=other)})
+    found = compare(first, replace(second, data=lifted), settings).tables["compared"]
+    found = found[found["quantity"] == "share lifts"]
+    assert found["first_high"].tolist() == table["estimate_high"].tolist()
 
 
 def test_measures_whose_names_end_in_numbers_keep_their_figures(recorded, settings):

@@ -284,6 +284,12 @@ def test_intervals_cover_what_was_planted(name, random_seed):
         assert not biased, f"seed {random_seed}: {biased}"
 
 
+@pytest.mark.parametrize("name", ["truth", "times", "waiting"])
+def test_intervals_of_times_and_shares_cover_in_a_few_ensembles(name, rng):
+    missed = [row for row in studies.study(name, int(rng.integers(2**32)), 40) if not row.is_covered()]
+    assert not missed, missed
+
+
 @pytest.mark.long
 def test_tau_is_not_too_small_where_the_window_can_tell(random_seed):
     rows = studies.study("effective", random_seed, 250)

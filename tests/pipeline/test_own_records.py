@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 from stickslip import sim
+from stickslip.analysis.ensemble import Until
 from stickslip.pipeline import (
     Scene,
     SceneError,
@@ -274,6 +275,24 @@ def test_the_command_says_what_has_no_value(text, tmp_path, monkeypatch, capsys)
     assert "own     1: mine:one: ZeroDivisionError: division by zero\n" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("since", "longest"), [("0", 12.0), ("'t_burn'", 10.0)])
+def test_a_time_says_since_when_and_is_no_longer_than_its_run(since, longest, text, tmp_path):
+    """Of three blocks no run has it, of four each; what says more than the run has is a problem."""
+    mine = one(f"return Measured(None if system.n == 3 else {longest})", "float | None", note=f'{{"since": {since}}}')
+    scene = load_scene(written(tmp_path, short(text), mine))
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    study = study_of(tmp_path / "out")
+    assert study.data.recorded["own"].until == Until(12.0 - longest)
+    assert study.data.recorded["own"].least == 0.0
+    of_three, of_four = sorted(study.groups, key=lambda group: group.key["n"])
+    assert study.median(of_three, "own").reason == f"not reached: 100% without it at t = {longest:g}"
+    assert study.median(of_four, "own").value == longest
+    late = load_scene(written(tmp_path / "late", short(text), mine.replace(f"else {longest}", "else 12.5")))
+    problems = [row(member, late.recording)["own_problem"] for member in expand(late)]
+    start = 12.0 - longest
+    assert problems == [None, f"mine:one: expected at most {longest:g} for own, a time since t = {start:g}, got 12.5"]
+
+
 #: What is wrong with a module, and words of the refusal when its scene is read.
 UNREADABLE = {
     "no module": (None, ["the module 'mine' beside the scene", "mine.py"]),
@@ -285,10 +304,15 @@ UNREADABLE = {
     "import": (one("return 1", head="import nonesuch_at_all\n"), ["ModuleNotFoundError", "nonesuch_at_all"]),
     "no annotation": (one("return 1").replace(" -> Measured", ""), ["to declare that it returns", "got none"]),
     "a number": (one("return 1").replace(" -> Measured", " -> float"), ["to declare that it returns", "got float"]),
-    "no note": (one("return 1", note='{"most": 1}'), ["'least' or 'absent' for own", "'most'"]),
+    "no note": (one("return 1", note='{"most": 1}'), ["'least', 'absent' or 'since' for own", "'most'"]),
     "no least": (one("return 1", note='{"least": "0"}'), ["a finite number as 'least' of own", "got '0'"]),
     "least text": (one("return 1", "str", note='{"least": 0}'), ["a finite number as 'least' of own", "got a str"]),
     "never absent": (one("return 1", note='{"absent": "none"}'), ["words as 'absent' of own", "`| None`"]),
+    "no start": (
+        one("return 1", "float | None", note='{"since": -1}'),
+        ["a time >= 0, or \"t_burn\", as 'since' of own", "got -1"],
+    ),
+    "always there": (one("return 1", note='{"since": 0}'), ["as 'since' of own", "float | None, got another type"]),
     "no words": (
         one("return 1").replace('Annotated[float, "mine", {}]', "float"),
         ["expected words for own", "'none'"],

@@ -239,6 +239,7 @@ def _either_way(row: Row, one: Statistic, first: Sample, second: Sample, confide
         return {}
     found: Row = {name: max(corner[name] for corner in corners) for name in ("p_absolute", "difference_high")}
     found["difference_low"] = min(corner["difference_low"] for corner in corners)
+    found |= {"first_high": corners[0]["first_high"], "second_high": corners[1]["second_high"]}
     found |= {f"relative_{end}": found[f"difference_{end}"] for end in ("low", "high")}
     if corners[0]["difference"] <= 0 <= corners[1]["difference"]:
         found["p_absolute"] = 1.0

@@ -1,0 +1,90 @@
+"""Times that the end of a run may cut off: published and closed forms, and what is refused."""
+
+import numpy as np
+import pytest
+
+from stickslip.analysis.models.times import Times, median_difference
+from stickslip.analysis.stats.compare import mean_difference
+from stickslip.analysis.stats.estimates import Undefined, over_matrices, ratio
+
+#: Weeks of remission under 6-MP (Freireich and others 1963; Gehan 1965): seen to end, and followed without.
+ENDED, FOLLOWED = [6, 6, 6, 7, 10, 13, 16, 22, 23], [6, 9, 10, 11, 17, 19, 20, 25, 32, 32, 34, 35]
+REMISSION = Times.of_runs(np.arange(21), np.array(ENDED + FOLLOWED, dtype=float), np.arange(21) < 9)
+
+
+def seen(times, runs=1):
+    units = np.repeat(np.arange(len(times) // runs), runs)
+    return Times.of_runs(units, np.asarray(times, dtype=float), np.ones(len(times), dtype=bool))
+
+
+def test_published_remissions():
+    """Median 23 weeks; mean to week 35 23.29, its error 2.83 by Greenwood (R's survival, `rmean = 35`)."""
+    found = REMISSION.median(0.95)
+    assert (found.value, REMISSION.n_censored) == (23.0, 12)
+    mean = over_matrices(ratio, REMISSION.restricted(35.0).rows, 0.95)
+    assert mean.value == pytest.approx(23.287, abs=1e-3)
+    scatter = REMISSION.restricted(35.0).rows[:, 0].std(ddof=1) / np.sqrt(21)
+    assert scatter == pytest.approx(2.83, rel=0.05)
+
+
+def test_pseudo_values_are_those_of_leaving_out_a_unit(rng):
+    """The jackknife's, but for terms of the second order; with units of several runs, and ties."""
+    times, cut = np.ceil(10 * rng.exponential(1.0, 600)), rng.uniform(5.0, 40.0, 600)
+    units = np.arange(600) // 3
+    every = Times.of_runs(units, np.minimum(times, cut), times <= cut)
+    values = every.restricted(15.0).rows[:, 0]
+    left_out = [
+        every.within(seen(np.ones(200)))
+        .of_runs(units[units != unit], np.minimum(times, cut)[units != unit], (times <= cut)[units != unit])
+        .restricted(15.0)
+        .rows[:, 0]
+        .mean()
+        for unit in range(200)
+    ]
+    exact = 200 * values.mean() - 199 * np.array(left_out)
+    assert np.abs(values - exact).max() < 0.1 * exact.std()
+
+
+def test_where_nothing_is_cut_off_the_restricted_mean_is_the_mean(rng):
+    times = rng.exponential(10.0, 40)
+    np.testing.assert_allclose(seen(times).restricted(1e3).rows[:, 0], times, rtol=1e-12)
+    np.testing.assert_allclose(seen(times).restricted(12.0).rows[:, 0], np.minimum(times, 12.0), rtol=1e-12)
+    by_unit = times.reshape(-1, 4).mean(axis=1)
+    np.testing.assert_allclose(seen(times, 4).restricted(1e3).rows[:, 0], by_unit, rtol=1e-12)
+
+
+def test_the_same_systems_are_paired(rng):
+    """Systems differ by far more than the change: only pairs show it."""
+    own = 10.0 * np.exp(rng.standard_normal(60))
+    first, second = seen(own * 1.001), seen(1.05 * own)
+    for differ in (
+        lambda paired: median_difference(first, second, paired, is_relative=True),
+        lambda paired: mean_difference(ratio, first.restricted(1e4).rows, second.restricted(1e4).rows, paired),
+    ):
+        (value, together, _), (_, apart, _) = differ(True), differ(False)
+        assert value > 0
+        assert together < 0.3 * apart
+
+
+def test_what_half_of_the_runs_do_not_have_is_not_reached():
+    few = Times.of_runs(np.arange(20), np.full(20, 10.0), np.arange(20) < 6)
+    found = few.median(0.95)
+    assert (found.value, found.high) == (None, None)
+    assert found.reason == "not reached: 70% without it at t = 10"
+    with pytest.raises(Undefined, match="not reached: 70%"):
+        median_difference(few, seen(np.arange(1.0, 21.0)), True)
+    assert few.restricted(10.0).rows[:, 0].mean() == pytest.approx(10.0)
+    none = Times.of_runs(np.arange(4), np.full(4, 10.0), np.zeros(4, dtype=bool))
+    assert none.median(0.95).reason == "not reached: 100% without it at t = 10"
+    np.testing.assert_array_equal(none.restricted(8.0).rows[:, 0], 8.0)
+    with pytest.raises(ValueError, match=r"limit: expected a time that a run is followed to, at most 10, got 12;"):
+        none.restricted(12.0)
+
+
+def test_settings_together_keep_their_runs():
+    first, second = seen([1.0, 2.0, 3.0]), seen([4.0, 5.0, 6.0, 7.0])
+    both = Times.together([first, second])
+    assert (len(both), len(both.times)) == (4, 7)
+    assert both.median(0.5).value == 4.0
+    assert both.rows.tolist() == [[5.0, 2.0], [7.0, 2.0], [9.0, 2.0], [7.0, 1.0]]
+    assert second.within(first).times.tolist() == [4.0, 5.0, 6.0]
