@@ -96,7 +96,7 @@ def motion(runs: Runs, some: Ended, is_brief: bool = False) -> Motion:
         places = ran[done : done + len(stack)]
         own = some.take(places)
         last[places] = np.column_stack(stack.last)
-        fates_of[places] = fates(own.outcome, *stack.last, own.t_end, own.growth_rate)
+        fates_of[places] = fates(own.outcome, *stack.last, own.t_end, own.growth_rate, own.n)
         moves = np.flatnonzero(np.isin(fates_of[places], MOVING))
         if len(moves):
             try:
