@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
+from stickslip.analysis import burn_in
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, columns, frame, long, named
 from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.ensemble import Study
@@ -104,8 +105,14 @@ def answer(study: Study) -> Answer:
     followed = runs[runs["fate"] != FAILED] if len(failed) else runs
     drawn = _of_draws(study.groups, DRAWN, followed, members["unit"])
     shifts = _shifts(study.groups, level)
+    in_motion = sorted((group for group in study.groups if group.n_runs), key=lambda group: -int(group.key["n"]))
+    by_t_burn = burn_in.estimates(study, in_motion)
+    tested = burn_in.with_enough(burn_in.geweke(study, in_motion), by_t_burn, 1 - level)
+    short = [row for row in tested if row["is_short"]]
     facts: dict[str, Any] = {
         "shifts": shifts,
+        "short": short,
+        "tested": tested,
         "systems": systems,
         "groups": groups,
         "moving": moving,
@@ -141,8 +148,15 @@ def answer(study: Study) -> Answer:
         "survival_curves": pd.concat([frame(_CURVE, []), *(_curve_table(*one) for one in curves.items())]),
         "runs": long(len(runs), partial(_listed, study.groups, runs)),
         "last_events": frame(_SHIFT, shifts),
+        "burn_in": frame(burn_in.TESTS, tested),
+        "by_t_burn": frame(burn_in.ESTIMATES, by_t_burn),
     }
-    return Answer(facts, tables=tables, figures=_figures(study, facts, runs, curves))
+    figures = _figures(study, facts, runs, curves)
+    if by_t_burn:
+        label = (short or by_t_burn)[0]["group"]
+        rows = [row for row in by_t_burn if row["group"] == label]
+        figures["by_t_burn"] = partial(burn_in.by_t_burn, rows, study.settings.t_burn)
+    return Answer(facts, tables=tables, figures=figures)
 
 
 def _figures(
