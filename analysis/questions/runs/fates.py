@@ -112,7 +112,10 @@ def answer(study: Study) -> Answer:
     facts: dict[str, Any] = {
         "shifts": shifts,
         "short": short,
-        "tested": tested,
+        "along_t_burn": next(
+            (row["group"] for row in (*short, *by_t_burn) if row.get("is_short") or row["value_low"] is not None),
+            None,
+        ),
         "systems": systems,
         "groups": groups,
         "moving": moving,
@@ -152,9 +155,8 @@ def answer(study: Study) -> Answer:
         "by_t_burn": frame(burn_in.ESTIMATES, by_t_burn),
     }
     figures = _figures(study, facts, runs, curves)
-    if by_t_burn:
-        label = (short or by_t_burn)[0]["group"]
-        rows = [row for row in by_t_burn if row["group"] == label]
+    if facts["along_t_burn"]:
+        rows = [row for row in by_t_burn if row["group"] == facts["along_t_burn"]]
         figures["by_t_burn"] = partial(burn_in.by_t_burn, rows, study.settings.t_burn)
     return Answer(facts, tables=tables, figures=figures)
 
