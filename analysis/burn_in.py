@@ -181,6 +181,7 @@ def by_t_burn(ax: Axes, rows: Sequence[Row], t_burn: float) -> None:
             [[row[key] for key in ("t_burn", "value", "value_low", "value_high")] for row in own]
         ).T
         ends = np.array([value - low, high - value]) / chosen
+        t = t + 0.01 * k * np.ptp(t)  # beside each other
         ax.errorbar(t, value / chosen, yerr=ends, fmt="o-", color=CYCLE[k], markersize=3, linewidth=0.8, label=name)
     ax.set(xlabel="$t_{burn}$", ylabel="estimate / that with the chosen $t_{burn}$")
-    ax.legend(fontsize=7)
+    ax.figure.legend(loc="outside upper center", ncols=3, fontsize=7)
