@@ -221,7 +221,8 @@ class Study:
         t_end = some.of_each("t_end").astype(np.float64)
         names, outcomes = (column.to_numpy(object) for column in (some.own["member_id"], some.known_outcomes))
         t_stop, rates = (some.own[name].to_numpy(np.float64, na_value=np.nan) for name in ("t_stop", "growth_rate"))
-        return Ended(rows, names, some.own["unit"].to_numpy(), outcomes, t_end, t_stop, rates)
+        n = some.of_each("n").astype(np.int64)
+        return Ended(rows, names, some.own["unit"].to_numpy(), outcomes, t_end, t_stop, rates, n)
 
     @cached_property
     def motion(self) -> Motion:

@@ -131,7 +131,7 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
     if least is not None and any(one.n_from(least) < enough.LEAST_CASCADES for one in full):
         least = None
     by_label = {one.label: one for one in found}
-    beyond = "from each point's own least magnitude on" if least is None else f"from M = {least:.3g} on"
+    beyond = "from each point's own least magnitude on" if least is None else f"from M = {least:.2f} on"
     for name, quantity, key, subject, words, axis in (
         (RATE, RATE, "episode_rate", f"the {RATE}", "per unit of time", RATE),
         (MEAN_SIZE, SIZE, "episode_size", f"the {MEAN_SIZE}", "in blocks that slip", MEAN_SIZE),

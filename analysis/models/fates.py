@@ -4,10 +4,12 @@ Only two ends are certain: a collapse is certified, and a runaway left every bou
 over the last quarter need not have ended, since such runs have stuck again after thousands of units. If the linear
 growth rate of the state in which all blocks slip is positive, that state does not last: the run is in a lull, which
 is part of its motion. If the rate is not positive or not known, the run is quiet: whether a block sticks again cannot
-be told.
+be told. A run in which all blocks stick from its start to its end has not moved, and is in no motion.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -17,13 +19,13 @@ from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import share_over_matrices, wilson, wilsons
 from stickslip.analysis.stats.estimates import Estimate
 
-COLLAPSED, DIVERGED, SUSTAINED, LULL, QUIET, FAILED = (
-    "collapsed", "diverged", "sustained", "lull", "quiet", "failed",
+COLLAPSED, DIVERGED, SUSTAINED, LULL, QUIET, UNMOVED, FAILED = (
+    "collapsed", "diverged", "sustained", "lull", "quiet", "unmoved", "failed",
 )  # fmt: skip
 ENDS = (COLLAPSED, DIVERGED)
 MOVING = (SUSTAINED, LULL)
 SETTLED = (COLLAPSED, QUIET)  # no block sticks at the end, either for good or as far as is known
-WATCHED = (*ENDS, QUIET, *MOVING)  # the fates of runs that did not fail
+WATCHED = (*ENDS, QUIET, *MOVING, UNMOVED)  # the fates of runs that did not fail
 _CERTAIN = {"collapsed": COLLAPSED, "diverged": DIVERGED}  # by outcome
 LAST_SHARE = 0.25  # last part of a run: lull or quiet if no block sticks in it, held if all stick throughout
 #: A growth rate above this counts as positive: rounding moves a double eigenvalue of a matrix of order one by as
@@ -116,7 +118,8 @@ def survival(
 ) -> Curve:
     """Share of runs that have not ended by a time: `kaplan_meier` of the results of `ends_at`.
 
-    The lower end of the interval takes quiet runs as ended at their last events, the upper end as not ended.
+    Quiet runs count as ended at their last events: those that lack a certificate are no random part of all, and
+    to censor them would be to say that they go on. The upper end of the interval takes them as not ended.
 
     Parameters
     ----------
@@ -128,15 +131,15 @@ def survival(
         As in `kaplan_meier`.
     """
     times, ended, earliest = _ends(fates, t_last, t_stop, t_end)
-    curve = kaplan_meier(times, ended, confidence, units)
     is_quiet = fates == QUIET
+    curve = kaplan_meier(earliest, ended | is_quiet, confidence, units)
     if not is_quiet.any():
         return curve
-    least = kaplan_meier(earliest, ended | is_quiet, confidence, units)
-    t = np.union1d(curve[0], least[0])
-    (share, high), (low,) = (
+    most = kaplan_meier(times, ended, confidence, units)
+    t = np.union1d(curve[0], most[0])
+    (share, low), (high,) = (
         [one[np.searchsorted(of[0], t, side="right") - 1] for one in some]
-        for of, some in ((curve, (curve[1], curve[3])), (least, (least[2],)))
+        for of, some in ((curve, (curve[1], curve[2])), (most, (most[3],)))
     )
     return t, share, low, high
 
@@ -151,10 +154,11 @@ def half_ended(
 ) -> Estimate:
     """Time by which half of the runs have ended: `median` of the runs of `survival`, with the same parameters.
 
-    The lower end of the interval takes quiet runs as ended at their last events, the upper end as not ended.
+    Quiet runs count as ended at their last events; the upper end of the interval takes them as not ended.
     """
     times, ended, earliest = _ends(fates, t_last, t_stop, t_end)
-    found = median(times, ended, confidence, earliest)
+    found = median(earliest, ended | (fates == QUIET), confidence)
+    found = replace(found, high=median(times, ended, confidence).high)
     if units is None or not _are_shared(units):
         return found
     # runs of a unit are not independent: from when, and until when, the interval of the share holds one half
@@ -177,7 +181,7 @@ def _ends(
     return times, ended, np.where(fates == QUIET, t_last, times)
 
 
-def median(times: np.ndarray, ended: np.ndarray, confidence: float, earliest: np.ndarray | None = None) -> Estimate:
+def median(times: np.ndarray, ended: np.ndarray, confidence: float) -> Estimate:
     """Time by which half have ended, by Kaplan and Meier; None if fewer than half are seen to end.
 
     Of an even number it is the lower of the two middle times. The interval is one of order statistics, the k-th
@@ -190,8 +194,6 @@ def median(times: np.ndarray, ended: np.ndarray, confidence: float, earliest: np
     ----------
     times, ended, confidence
         As in `kaplan_meier`.
-    earliest : ndarray, shape (m,), optional
-        When each may have ended at the earliest, for the lower end; `times` unless given.
     """
     if not len(times):
         return Estimate(reason="nothing was followed")
@@ -199,7 +201,7 @@ def median(times: np.ndarray, ended: np.ndarray, confidence: float, earliest: np
     is_reached = (share <= 0.5 + SHARE_ROUNDING) & (share < 1)  # before the first end nothing counts
     value = float(t[np.argmax(is_reached)]) if is_reached.any() else None
     k = int(np.sum(special.bdtr(np.arange(len(times)), len(times), 0.5) <= (1 - confidence) / 2))
-    low = float(np.sort(times if earliest is None else earliest)[k - 1]) if k else None
+    low = float(np.sort(times)[k - 1]) if k else None
     high = float(np.sort(np.where(ended, times, np.inf))[-k]) if k else np.inf
     reason = "fewer than half have ended" if value is None else ""
     return Estimate(value, low, high if np.isfinite(high) else None, reason)
@@ -211,7 +213,12 @@ def is_unstable(growth_rate: Many) -> np.ndarray | bool:
 
 
 def fates(
-    outcomes: np.ndarray, t_last: np.ndarray, n_last: np.ndarray, t_end: np.ndarray, growth_rate: np.ndarray
+    outcomes: np.ndarray,
+    t_last: np.ndarray,
+    n_last: np.ndarray,
+    t_end: np.ndarray,
+    growth_rate: np.ndarray,
+    n: np.ndarray,
 ) -> np.ndarray:
     """Fates of runs, each one of `WATCHED` or `FAILED`, shape (m,), of objects.
 
@@ -224,26 +231,36 @@ def fates(
     t_end : ndarray, shape (m,)
     growth_rate : ndarray, shape (m,)
         The linear growth rate of the state in which all blocks slip; NaN if it is not known.
+    n : ndarray, shape (m,)
+        Number of blocks; NaN if it is not known.
     """
     found = np.full(len(outcomes), FAILED, dtype=object)  # a mask is given one word, which is then held once
     for outcome, how in _CERTAIN.items():
         found[outcomes == outcome] = how
     is_finished, slips, is_lull = outcomes == "finished", is_all_slip(t_last, n_last, t_end), is_unstable(growth_rate)
     found[is_finished & ~slips] = SUSTAINED
+    found[is_finished & (n_last == n) & (t_last <= 0)] = UNMOVED
     found[is_finished & slips & is_lull] = LULL
     found[is_finished & slips & ~is_lull] = QUIET
     return found
 
 
 def fate(
-    outcome: str, series: tuple[np.ndarray, np.ndarray] | None, t_end: float, growth_rate: float | None = None
+    outcome: str,
+    series: tuple[np.ndarray, np.ndarray] | None,
+    t_end: float,
+    growth_rate: float | None = None,
+    n: int | None = None,
 ) -> str:
-    """Fate of one run, as `fates`, from its change points, t and n_stick; None if it failed."""
+    """Fate of one run, as `fates`, from its change points, t and n_stick; None if it failed.
+
+    Without the number of blocks n a run that has not moved is taken for one in motion.
+    """
     if series is None:
         return FAILED
     t, n_stick = series
-    rate = np.nan if growth_rate is None else growth_rate
-    one = (np.array([each]) for each in (outcome, t[-1], n_stick[-1], t_end, rate))
+    rate, blocks = (np.nan if each is None else each for each in (growth_rate, n))
+    one = (np.array([each]) for each in (outcome, t[-1], n_stick[-1], t_end, rate, blocks))
     return str(fates(*one)[0])
 
 

@@ -15,15 +15,16 @@ from stickslip.analysis.stats import effective, enough
 from stickslip.analysis.stats.quantities import SUMS
 
 #: Change points and runs that are worked on at once.
-_POINTS, _RUNS = 1 << 19, 1 << 13
+POINTS, RUNS = 1 << 19, 1 << 13
 #: Columns of `effective.rows` after the variance.
 EFFECTIVE = ("tens", "twenties", "sokal")
-#: Columns of `Motion.sums` by name: those of `quantities.SUMS`; n_stick in the two halves of the window; its integral
-#: and the time without lulls; `EFFECTIVE`; and whether the window is too short for a correlation time or has none.
+#: Columns of `Motion.sums` by name: those of `quantities.SUMS`; n_stick in the two halves of the window, and
+#: `early_and_late`; its integral and the time without lulls; `EFFECTIVE`; and whether the window is too short for a
+#: correlation time or has none.
 COLUMNS: Mapping[str, int] = {
     name: k for k, name in enumerate((
         *(name for names in SUMS for name in names),
-        "first_half", "second_half", "stuck", "active", *EFFECTIVE, "short",
+        "first_half", "second_half", "early", "late", "stuck", "active", *EFFECTIVE, "short",
     ))
 }  # fmt: skip
 
@@ -92,11 +93,11 @@ def motion(runs: Runs, some: Ended, is_brief: bool = False) -> Motion:
     sizes = [np.zeros((0, 3), dtype=np.int64)]
     ran = np.flatnonzero(some.outcome != FAILED)
     done = 0
-    for stack in in_parts(runs.stacks(some.member_id[ran].tolist()), _RUNS, _POINTS):
+    for stack in in_parts(runs.stacks(some.member_id[ran].tolist()), RUNS, POINTS):
         places = ran[done : done + len(stack)]
         own = some.take(places)
         last[places] = np.column_stack(stack.last)
-        fates_of[places] = fates(own.outcome, *stack.last, own.t_end, own.growth_rate)
+        fates_of[places] = fates(own.outcome, *stack.last, own.t_end, own.growth_rate, own.n)
         moves = np.flatnonzero(np.isin(fates_of[places], MOVING))
         if len(moves):
             try:
@@ -118,6 +119,12 @@ def _sizes(runs: Windows, names: np.ndarray) -> np.ndarray:
     return np.column_stack([names[found // width], found % width, n_times[found]])
 
 
+def early_and_late(runs: Windows) -> np.ndarray:
+    """Time means of n_stick in the first tenth and in the last half of each window, shape (R, 2)."""
+    tenths = runs.means(10)
+    return np.column_stack([tenths[:, 0], tenths[:, 5:].mean(axis=1)])
+
+
 def _sums(runs: Windows, is_brief: bool) -> np.ndarray:
     """`COLUMNS` of each run, shape (R, C)."""
     found = np.zeros((len(runs), len(COLUMNS)))
@@ -132,6 +139,7 @@ def _sums(runs: Windows, is_brief: bool) -> np.ndarray:
     put(("first_half", "second_half"), halves)
     if is_brief:
         return found
+    put(("early", "late"), early_and_late(runs))
     tau = found[:, COLUMNS["tau"]]
     put(("stuck", "active"), np.column_stack([halves.mean(axis=1) * runs.span, runs.span - runs.total(lulls(runs))]))
     put(EFFECTIVE, effective.rows(runs, tau)[:, 1:])

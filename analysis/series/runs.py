@@ -34,6 +34,8 @@ class Ended:
         Until when it was to be followed, and was; NaN where it failed.
     growth_rate : ndarray, float64
         NaN where it is not known.
+    n : ndarray of int
+        Number of blocks.
     """
 
     row: np.ndarray
@@ -43,6 +45,7 @@ class Ended:
     t_end: np.ndarray
     t_stop: np.ndarray
     growth_rate: np.ndarray
+    n: np.ndarray
 
     def __len__(self) -> int:
         return len(self.row)

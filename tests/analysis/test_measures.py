@@ -307,7 +307,10 @@ def test_b_is_from_one_magnitude_where_that_leaves_every_point_enough_episodes(r
     table = planted_episodes(rng, data.members, rates, dict.fromkeys(rates, 1.5))
     is_fast = table["member_id"].isin(data.members["member_id"][data.members["belt_speed"] == -0.3])
     shifted = table.assign(moment=table["moment"] * np.where(is_fast, 100.0, 1.0))
-    for one, words in ((table, "by Aki from M = 0.1 on"), (shifted, "by Aki from each point's own completeness on")):
+    for one, words in (
+        (table, "by Aki from M = 0.00 on"),
+        (shifted, "by Aki from each point's own least magnitude on"),
+    ):
         study = Study(replace(data, episodes=one), replace(settings, confidence=SURE))
         (b,) = (each for each in measures.measures(study) if each.name == "b of episodes")
         assert b.words == words

@@ -382,3 +382,22 @@ def test_a_force_has_its_phase_at_any_time(rng):
         assert one.at(t) == pytest.approx(exact, abs=1e-14)
         assert one.at([[t, 0.0]]).shape == (1, 2)
         assert each.at([t, t])[1, 0] == pytest.approx(exact, abs=1e-14)
+
+
+def test_a_block_without_friction_starts_at_rest_and_not_on_its_belt():
+    """z'' = -z from z = 1, w = 0, whatever its belt does; the block beside it rides its own."""
+    system = System(np.eye(2), 0.0, friction=[0.0, 1.0], belt_speed=[50.0, 0.1])
+    run = simulate(system, [1.0, 0.0], "belt", 3.0, tol=1e-12)
+    np.testing.assert_allclose((run.z[0], run.w[0]), (np.cos(3.0), -np.sin(3.0)), atol=1e-9)
+    np.testing.assert_allclose((run.z[1], run.w[1]), (0.3, 0.1), atol=1e-12)
+
+
+def test_the_series_of_some_blocks(rng):
+    """Their modes at any time are those that they have among all."""
+    run = simulate(draw_system("antisymmetric", n=12, seed=int(rng.integers(2**31))), -0.7, -0.4, 60.0)
+    chosen = rng.uniform(size=12) < 0.5
+    some, times = run.events.of_blocks(chosen), np.linspace(0.0, 60.0, 200)
+    np.testing.assert_array_equal(some.modes_at(times), run.events.modes_at(times)[:, chosen])
+    assert len(some) == np.count_nonzero(chosen[run.events.block])
+    assert run.events.of_blocks(np.full(12, True)) is run.events
+    assert run.events.of_blocks(np.full(12, False)).n == 0

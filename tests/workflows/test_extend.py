@@ -32,7 +32,7 @@ def test_it_says_what_it_adds_and_where_to_go_from_there(out, capsys):
     assert main(["extend", str(out), "--record", "waiting", "stick_share", "t_burn=5", "--workers", "1"]) == 0
     said = capsys.readouterr().out.splitlines()
     assert said[:2] == [
-        "columns stick_share, never_slipped, waiting_count, waiting_mean, waiting_cv",
+        "columns stick_share, never_slipped, waiting_count, waiting_mean, waiting_cv, n_contacts",
         f"to run  nothing: computed from what is kept of {len(members)} members",
     ]
     assert said[3].startswith(f"scene   {out / 'scene.toml'} has the new keys")

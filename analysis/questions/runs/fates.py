@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple
@@ -17,10 +18,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 
+from stickslip.analysis import burn_in
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, columns, frame, long, named
+from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group, apart
-from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SPEED_DEPENDENT, joined
+from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SPEED_DEPENDENT, SYSTEM_KEYS, joined
 from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
@@ -32,6 +35,7 @@ from stickslip.analysis.models.fates import (
     QUIET,
     SETTLED,
     SUSTAINED,
+    UNMOVED,
     WATCHED,
     Curve,
     bounded_share,
@@ -39,6 +43,7 @@ from stickslip.analysis.models.fates import (
     half_ended,
     is_held,
     is_unstable,
+    median,
     survival,
 )
 from stickslip.analysis.series.cascades import Window
@@ -57,18 +62,22 @@ BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all
 FATES = {
     COLLAPSED: ("slips for good", BLUE, "s"), QUIET: ("quiet", "#56B4E9", "D"),
     SUSTAINED: ("in motion", GREEN, "o"), LULL: ("in a lull", PURPLE, "v"), DIVERGED: ("ran away", ORANGE, "^"),
+    UNMOVED: ("not moved", GREY, "x"),
 }  # fmt: skip
 #: What runs from different starts do at the end: the fates that belong to each kind, its colour and its mark.
 KINDS = {
     "no late stick": (SETTLED, BLUE, "s"), "sticks and slips": (MOVING, "#E69F00", "o"),
-    "ran away": ((DIVERGED,), GREY, "^"),
+    "ran away": ((DIVERGED,), GREY, "^"), "does not move": ((UNMOVED,), "#000000", "x"),
 }  # fmt: skip
 FROM_ZERO = 0.8  # least over largest n_stick up to which its axis begins at 0
 _COUNTS = (*(f"n_{name}" for name in (*WATCHED, FAILED)), "n_moving")
 _GROUP: Mapping[str, str] = {
     "group": S, "n": I, "kappa_n": F, "engine": S, "n_runs": I, **dict.fromkeys(_COUNTS, I), "n_held": I, "t_end": F,
     **{name + end: F for name in ("moving", "settled", "median", "mean", "drift") for end in ("", "_low", "_high")},
-    "median_least": F, "last_end": F, "last_quiet": F, "effective_samples": F, "basis": S,
+    "median_most": F, "last_end": F, "last_quiet": F, "effective_samples": F, "basis": S,
+}  # fmt: skip
+_SHIFT: Mapping[str, str] = {
+    "setting": S, "reference": S, "n_systems": I, "n_open": I, "shift": F, "shift_low": F, "shift_high": F,
 }  # fmt: skip
 _CURVE = {"group": S, "t": F, "survival": F, "low": F, "high": F}
 _RUN = {
@@ -95,7 +104,18 @@ def answer(study: Study) -> Answer:
     failed = members[members["outcome"] == FAILED]
     followed = runs[runs["fate"] != FAILED] if len(failed) else runs
     drawn = _of_draws(study.groups, DRAWN, followed, members["unit"])
+    shifts = _shifts(study.groups, level)
+    in_motion = sorted((group for group in study.groups if group.n_runs), key=lambda group: -int(group.key["n"]))
+    by_t_burn = burn_in.estimates(study, in_motion)
+    tested = burn_in.with_enough(burn_in.geweke(study, in_motion), by_t_burn, 1 - level)
+    short = [row for row in tested if row["is_short"]]
     facts: dict[str, Any] = {
+        "shifts": shifts,
+        "short": short,
+        "along_t_burn": next(
+            (row["group"] for row in (*short, *by_t_burn) if row.get("is_short") or row["value_low"] is not None),
+            None,
+        ),
         "systems": systems,
         "groups": groups,
         "moving": moving,
@@ -130,8 +150,15 @@ def answer(study: Study) -> Answer:
         "fates": frame(_GROUP, groups),
         "survival_curves": pd.concat([frame(_CURVE, []), *(_curve_table(*one) for one in curves.items())]),
         "runs": long(len(runs), partial(_listed, study.groups, runs)),
+        "last_events": frame(_SHIFT, shifts),
+        "burn_in": frame(burn_in.TESTS, tested),
+        "by_t_burn": frame(burn_in.ESTIMATES, by_t_burn),
     }
-    return Answer(facts, tables=tables, figures=_figures(study, facts, runs, curves))
+    figures = _figures(study, facts, runs, curves)
+    if facts["along_t_burn"]:
+        rows = [row for row in by_t_burn if row["group"] == facts["along_t_burn"]]
+        figures["by_t_burn"] = partial(burn_in.by_t_burn, rows, study.settings.t_burn)
+    return Answer(facts, tables=tables, figures=figures)
 
 
 def _figures(
@@ -294,9 +321,9 @@ def _group_row(study: Study, group: Group, ran: _Ran) -> Row:
     mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
     memory = tau(group.effective)
     fates, t_last, t_stop, ends, unit = ran
-    half, least = (
+    half, most = (
         half_ended(some, t_last, t_stop, ends, level, unit) if len(fates) else Estimate()
-        for some in (fates, np.where(fates == QUIET, COLLAPSED, fates))
+        for some in (fates, np.where(fates == QUIET, SUSTAINED, fates))
     )
     t, _ = ends_at(fates, t_last, t_stop, ends)
     n_last = group.last[group.fates != FAILED, 1]
@@ -308,12 +335,44 @@ def _group_row(study: Study, group: Group, ran: _Ran) -> Row:
         "engine": group.key["engine"], "n_runs": len(fates), "t_end": t_end,
         **_counts(group.fates), **named("moving", share), **named("settled", settled),
         "n_held": n_held, "is_rated": bool(group.column("growth_rate").notna().any()),
-        "half": half, **named("median", half), "median_least": least.value,
+        "half": half, **named("median", half), "median_most": most.value,
         "last_end": _latest(t[np.isin(fates, ENDS)]), "last_quiet": _latest(t_last[fates == QUIET]),
         **named("mean", mean), "drifts": drift, **named("drift", drift),
         "effective_samples": memory and len(group.units) * (t_end - study.settings.t_burn) / (2 * memory),
         "basis": basis.code, "is_drifting": _is_drifting(drift, basis),
     }  # fmt: skip
+
+
+def _shifts(groups: Sequence[Group], level: float) -> list[Row]:
+    """Rows of the table `last_events`: how much later the last event of a system comes under another method.
+
+    Whether a certificate came in time makes no difference to an event, and systems are compared with themselves.
+    """
+    of_system: dict[tuple[Any, ...], list[Group]] = {}
+    for group in sorted(groups, key=fineness):
+        of_system.setdefault(tuple(group.key[name] for name in SYSTEM_KEYS), []).append(group)
+    found: list[Row] = []
+    for reference, *others in of_system.values():
+        before = _last_events(reference)
+        for other in others:
+            both = pd.concat([before, _last_events(other)], axis=1, join="inner").to_numpy()
+            known = both[~np.isnan(both).any(axis=1)]
+            shifts = known[:, 1] - known[:, 0]
+            shift = median(shifts, np.full(len(shifts), True), level)
+            if len(shifts):
+                shift = replace(shift, value=float(np.median(shifts)))
+            found.append({
+                "setting": other.label, "reference": reference.label, "n_systems": len(known),
+                "n_open": len(both) - len(known), **named("shift", shift),
+            })  # fmt: skip
+    return found
+
+
+def _last_events(group: Group) -> pd.Series:
+    """The mean time of the last events of each unit's runs; NaN if one of them goes on, or failed."""
+    has_ended = np.isin(group.fates, (*ENDS, QUIET))
+    times = pd.Series(np.where(has_ended, group.last[:, 0], np.nan), index=group.column("unit").to_numpy())
+    return times.groupby(level=0).agg(lambda some: some.mean(skipna=False))
 
 
 def _latest(times: np.ndarray) -> float | None:

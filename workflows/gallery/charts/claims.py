@@ -2,8 +2,7 @@
 
 One rule (`told`): a claim says that a number lies in a region. It is reproduced if the whole 95% interval does, not
 reproduced if none of it does, and else cannot be told. It is corrected if it is not reproduced, but is after a change
-that is named. What is said to make no difference (`alike`) is judged as everywhere: it is reproduced if a difference
-beyond a margin is excluded, not reproduced if a difference is shown and its estimate is beyond the margin.
+that is named. So is what is said to make no difference (`alike`): the region is the margin to both sides of none.
 """
 
 from __future__ import annotations
@@ -50,8 +49,6 @@ def told(
 
 def alike(found: Estimate, margin: float) -> str:
     """Whether a difference is none, to within a margin."""
-    if found.value is not None and abs(found.value) > margin:
-        return CONTRADICTED if told(found.low, found.high, 0.0, 0.0) == CONTRADICTED else UNTOLD
     return told(found.low, found.high, -margin, margin)
 
 

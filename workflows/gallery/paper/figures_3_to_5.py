@@ -126,7 +126,7 @@ def rows(paths: Sequence[Path], t_burn: float) -> list[Row]:
     for path in paths:
         ask = path.ask
         base = bases[ask.matrix] if ask.study == "lasting" and ask.setting != "unchanged" and apart > 0 else None
-        fate = fates.fate(path.outcome, (path.t, path.n_stick), ask.t_end, path.growth_rate)
+        fate = fates.fate(path.outcome, (path.t, path.n_stick), ask.t_end, path.growth_rate, ask.n)
         mean = None
         if fate != fates.DIVERGED and path.t_stop > t_burn:
             mean = cascades.window(path.t, path.n_stick, t_burn, path.t_stop).time_mean()

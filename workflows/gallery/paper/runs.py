@@ -148,7 +148,7 @@ def run(ask: Ask, seed: int, eps: float) -> Path:
     z0: Floats | float = _generator(ask, seed).uniform(-1.0, 1.0, ask.n) if ask.detail == "start" else Z0
     picked = TOLERANCES["statistics"]
     if ask.law == "coulomb":
-        found = sim.simulate(one, z0, W0, ask.t_end, tol=picked["tol"])
+        found = sim.simulate(one, z0, W0, ask.t_end, tol=picked["tol"], stop_early="always")
     else:
         ratio = random_ratios(seed, ask.n, ask.draw) if ask.detail == "r" else 1.0
         rtol, atol = picked["rtol"], picked["atol"]

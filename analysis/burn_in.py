@@ -1,0 +1,187 @@
+"""Whether t_burn is long enough, and what estimates are with others.
+
+The start still shows if n_stick differs between the first tenth of the window and its last half: J. Geweke, in
+Bayesian Statistics 4 (1992) 169-193. There the error comes from the spectrum of one series; here it is known from
+systems, which are independent, by Student's t.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from stickslip.analysis.answer import B, F, I, Row, S, named
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.groups import Group
+from stickslip.analysis.models.motion import POINTS, RUNS, early_and_late
+from stickslip.analysis.series.runs import Ended, Runs
+from stickslip.analysis.series.windows import in_parts, windows
+from stickslip.analysis.stats.compare import against
+from stickslip.analysis.stats.enough import LEAST_MATRICES
+from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, UnitSums, over_matrices, ratio
+from stickslip.analysis.stats.multiplicity import holm
+from stickslip.analysis.stats.quantities import QUANTITIES
+from stickslip.analysis.style import CYCLE, GREY, panel
+
+#: Other values of t_burn that estimates are made with: shares of the chosen one, and of the time after it.
+BEFORE, AFTER = (0.0, 0.5), (0.125, 0.25, 0.5)
+MOST_GROUPS, MOST_RUNS = 8, 200  # of which estimates are made again
+EPISODES = "rate of episodes"
+_OF_N_STICK = ("mean", "rate", "gamma")
+TESTS: Mapping[str, str] = {
+    "group": S, "t_burn": F, "n_systems": I, "early": F, "early_low": F, "early_high": F, "p_value": F,
+    "p_adjusted": F, "is_short": B, "t_enough": F, "reason": S,
+}  # fmt: skip
+ESTIMATES: Mapping[str, str] = {
+    "group": S, "t_burn": F, "is_chosen": B, "quantity": S, "n_systems": I, "value": F, "value_low": F,
+    "value_high": F, "p_value": F,
+}  # fmt: skip
+
+
+def geweke(study: Study, groups: Sequence[Group]) -> list[Row]:
+    """Rows of the table `burn_in`: by group the first tenth of the window less its last half, and whether that shows.
+
+    p-values are adjusted for the number of groups by Holm's rule. `t_enough` is left open: see `estimates`.
+    """
+    level, rows = study.settings.confidence, list[Row]()
+    for group in groups:
+        sums = group.by_unit("early", "late", "runs")
+        rows.append(
+            {"group": group.label, "t_burn": study.settings.t_burn, "n_systems": len(sums), "is_short": False}
+            | _early(sums, level)
+        )
+    known = [row for row in rows if row["p_value"] is not None]
+    for row, p in zip(known, holm([row["p_value"] for row in known]), strict=True):
+        row |= {"p_adjusted": float(p), "is_short": bool(p < 1 - level)}
+    return rows
+
+
+def estimates(study: Study, groups: Sequence[Group]) -> list[Row]:
+    """Rows of the table `by_t_burn`: estimates of the first groups' first runs in motion with several t_burn.
+
+    The quantities are those of n_stick, or the rate of episodes where these are recorded. p_value is that of `geweke`
+    for n_stick with each t_burn.
+    """
+    return [row for group in groups[:MOST_GROUPS] for row in _of_group(study, group)]
+
+
+def _of_group(study: Study, group: Group) -> list[Row]:
+    level, t_end = study.settings.confidence, float(group.key["t_end"])
+    members = np.sort(group.rows[group.is_moving])[:MOST_RUNS]
+    times = _times(study.settings.t_burn, t_end)
+    found = study.each(partial(_of_runs, times), members).reshape(len(members), len(times), -1)
+    units = study.data.table.own["unit"].to_numpy()[members]
+    rows: list[Row] = []
+    for k, t_burn in enumerate(times):
+        mean, rate, slipped, cascades, early, late = found[:, k].T
+        ones = np.ones(len(members))
+        quantities: dict[str, tuple[np.ndarray, np.ndarray, Statistic]] = {
+            "mean": (mean, ones, ratio), "rate": (rate, ones, ratio),
+            "gamma": (slipped, cascades, QUANTITIES["gamma"].of),
+        }  # fmt: skip
+        if study.data.episodes is not None:
+            n_episodes = _episodes(study, members, t_burn)
+            quantities = {EPISODES: (n_episodes, ones * (t_end - t_burn), ratio)}
+        test = _early(_by_unit(units, early, late, ones), level)
+        for name, (first, second, of) in quantities.items():
+            sums = UnitSums.of(units, np.column_stack([first, second]))
+            rows.append({
+                "group": group.label, "t_burn": t_burn, "is_chosen": t_burn == study.settings.t_burn,
+                "quantity": name, "n_systems": len(sums.units),
+                **named("value", over_matrices(of, sums.rows, level)), "p_value": test["p_value"],
+            })  # fmt: skip
+    return rows
+
+
+def with_enough(rows: Sequence[Row], by_t_burn: Sequence[Row], alpha: float) -> list[Row]:
+    """Rows of `geweke` with `t_enough` where t_burn is too short: the first later one with which nothing is shown."""
+    return [
+        row
+        | {
+            "t_enough": next(
+                (
+                    one["t_burn"]
+                    for one in by_t_burn
+                    if row["is_short"]
+                    and one["group"] == row["group"]
+                    and one["t_burn"] > row["t_burn"]
+                    and one["p_value"] is not None
+                    and one["p_value"] >= alpha
+                ),
+                None,
+            )
+        }
+        for row in rows
+    ]
+
+
+def _times(t_burn: float, t_end: float) -> tuple[float, ...]:
+    """The chosen t_burn and others, ascending."""
+    later = (t_burn + share * (t_end - t_burn) for share in AFTER)
+    return tuple(sorted({*(share * t_burn for share in BEFORE), t_burn, *later}))
+
+
+def _early(sums: np.ndarray, level: float) -> Row:
+    """The difference of the first tenth from the last half with its test, from sums over units, shape (G, 3)."""
+    row: Row = named("early", Estimate()) | {"p_value": None, "reason": None}
+    if len(sums) < LEAST_MATRICES:
+        return row | {"reason": "few matrices"}
+    try:
+        test = against(_difference, sums, 0.0)
+    except Undefined as why:
+        return row | {"reason": str(why)}
+    return row | named("early", Estimate(test.difference, *test.interval(level))) | {"p_value": test.p_different}
+
+
+def _difference(sums: np.ndarray) -> np.ndarray:
+    return np.asarray((sums[:, 0] - sums[:, 1]) / sums[:, 2])
+
+
+def _by_unit(units: np.ndarray, *columns: np.ndarray) -> np.ndarray:
+    """Columns averaged over the runs of each unit, shape (G, number of columns)."""
+    place = np.unique(units, return_inverse=True)[1]
+    return np.column_stack([np.bincount(place, column) for column in columns]) / np.bincount(place)[:, np.newaxis]
+
+
+def _of_runs(t_burns: Sequence[float], runs: Runs, some: Ended) -> np.ndarray:
+    """Of each run with each t_burn the sums of `_OF_N_STICK` and the means of the first tenth and the last half."""
+    found, done = np.zeros((len(some), len(t_burns), 6)), 0
+    for stack in in_parts(runs.stacks(some.member_id.tolist()), RUNS, POINTS):
+        places = slice(done, done + len(stack))
+        for k, t_burn in enumerate(t_burns):
+            own = windows(stack, t_burn, some.t_end[places])
+            mean, rate, gamma = (QUANTITIES[name].sums(own) for name in _OF_N_STICK)
+            found[places, k] = np.column_stack([mean[:, 0], rate[:, 0], gamma, early_and_late(own)])
+        done += len(stack)
+    return found.reshape(len(some), -1)
+
+
+def _episodes(study: Study, members: np.ndarray, t_burn: float) -> np.ndarray:
+    """Number of episodes of some members that begin at t_burn or later."""
+    episodes = study.data.episodes
+    assert episodes is not None
+    late = episodes.loc[episodes["start"] >= t_burn, "member_id"].value_counts()
+    return late.reindex(study.data.table.own["member_id"].iloc[members], fill_value=0).to_numpy(np.float64)
+
+
+@panel()
+def by_t_burn(ax: Axes, rows: Sequence[Row], t_burn: float) -> None:
+    """Estimates of one group against t_burn, over those with the chosen one, with their intervals."""
+    ax.axhline(1.0, color=GREY, linewidth=0.8)
+    ax.axvline(t_burn, color=GREY, linewidth=0.8, linestyle="--")
+    for k, name in enumerate(dict.fromkeys(row["quantity"] for row in rows)):
+        own = [row for row in rows if row["quantity"] == name and row["value_low"] is not None]
+        chosen = next((row["value"] for row in own if row["is_chosen"]), None)
+        if not chosen:
+            continue
+        t, value, low, high = np.array(
+            [[row[key] for key in ("t_burn", "value", "value_low", "value_high")] for row in own]
+        ).T
+        ends = np.array([value - low, high - value]) / chosen
+        t = t + 0.01 * k * np.ptp(t)  # beside each other
+        ax.errorbar(t, value / chosen, yerr=ends, fmt="o-", color=CYCLE[k], markersize=3, linewidth=0.8, label=name)
+    ax.set(xlabel="$t_{burn}$", ylabel="estimate / that with the chosen $t_{burn}$")
+    ax.figure.legend(loc="outside upper center", ncols=3, fontsize=7)

@@ -1,0 +1,105 @@
+"""Whether t_burn is long enough: planted transients are found, and steady series at the nominal rate."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip.analysis import Data, Study
+from stickslip.analysis.burn_in import estimates, geweke, with_enough
+from stickslip.analysis.questions.runs import fates
+from stickslip.analysis.report.formats import environment
+from tests.chance import SURE, agrees
+
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+N, T_END, T_BURN, DECAY = 200, 1000.0, 100.0, 80.0
+WORDS = environment().get_template("fates.html").module
+
+
+def series(rng, excess):
+    """n_stick of one system about its own level, plus what is left of a transient, shape (1000,), t = 0 to 999."""
+    noise = np.repeat(rng.normal(scale=6.0, size=50), 20)  # it remembers 20 units of time
+    level = 60 + rng.normal(scale=5.0) + excess * np.exp(-np.arange(T_END) / DECAY)
+    return np.arange(T_END), np.clip(np.rint(level + noise + rng.normal(size=1000)), 0, N).astype(int)
+
+
+def ensemble(planted, rng, excess, n_systems=20, **changes):
+    rows = [planted.member(f"m{k}", k, n=N, t_end=T_END, t_stop=T_END, **changes) for k in range(n_systems)]
+    return Data(pd.DataFrame(rows), {row["member_id"]: series(rng, excess) for row in rows})
+
+
+@pytest.fixture
+def settings(settings):
+    return replace(settings, t_burn=T_BURN)
+
+
+def of_groups(data, settings):
+    study = Study(data, settings)
+    return geweke(study, study.groups)
+
+
+def test_steady_series_are_called_too_short_at_the_nominal_rate(planted, settings, rng):
+    hits = sum(of_groups(ensemble(planted, rng, 0.0), settings)[0]["is_short"] for _ in range(200))
+    assert agrees(hits, 200, 0.05, 0.05)
+
+
+def test_a_transient_is_found_and_its_size(planted, settings, rng):
+    """100 exp(-t / 80) from t = 100 on: 100 * 80 / 90 (exp(-100 / 80) - exp(-190 / 80)) in the first tenth."""
+    (row,) = of_groups(ensemble(planted, rng, 100.0), replace(settings, confidence=SURE))
+    planted_early = 100.0 * DECAY / 90.0 * (np.exp(-100 / DECAY) - np.exp(-190 / DECAY))
+    assert row["is_short"]
+    assert row["early_low"] < planted_early < row["early_high"]
+    late = replace(settings, t_burn=600.0, confidence=SURE)
+    assert not of_groups(ensemble(planted, rng, 100.0), late)[0]["is_short"]
+
+
+def test_several_groups_are_tested_together(planted, settings, rng):
+    """Holm's rule: of nine steady groups and one with a transient, that alone."""
+    parts = [ensemble(planted, rng, 100.0 * (k == 3), kappa=0.1 * (k + 1)) for k in range(10)]
+    rows = pd.concat([part.members.assign(member_id=f"k{k}-" + part.members["member_id"])
+                      for k, part in enumerate(parts)])  # fmt: skip
+    data = Data(rows, {f"k{k}-{name}": one for k, part in enumerate(parts) for name, one in part.series.items()})
+    found = of_groups(data, replace(settings, confidence=SURE))
+    assert [row["is_short"] for row in found] == [k == 3 for k in range(10)]
+    assert all(row["p_adjusted"] >= row["p_value"] for row in found)
+
+
+def test_estimates_for_other_values_of_t_burn_and_the_first_that_is_enough(planted, settings, rng):
+    data, sure = ensemble(planted, rng, 100.0), replace(settings, confidence=SURE)
+    study = Study(data, sure)
+    rows = estimates(study, study.groups)
+    mean = {row["t_burn"]: row for row in rows if row["quantity"] == "mean"}
+    assert [*mean] == [0.0, 50.0, 100.0, 212.5, 325.0, 550.0]
+    for t_burn, row in mean.items():
+        by_hand = []
+        for t, n_stick in data.series.values():
+            lasts = np.diff(np.append(t, T_END)) - np.clip(t_burn - t, 0.0, 1.0)
+            by_hand.append(np.average(n_stick, weights=np.where(t + 1.0 > t_burn, lasts, 0.0)))
+        assert row["value"] == pytest.approx(np.mean(by_hand))
+        assert row["is_chosen"] == (t_burn == T_BURN)
+    (group,) = study.groups
+    assert mean[T_BURN]["value"] == pytest.approx(group.mean(SURE).value)
+    gammas = {row["t_burn"]: row["value"] for row in rows if row["quantity"] == "gamma"}
+    assert gammas[T_BURN] == pytest.approx(gamma_of(group))
+    (row,) = with_enough(geweke(study, study.groups), rows, 1 - SURE)
+    assert row["t_enough"] in (212.5, 325.0, 550.0)
+
+
+def gamma_of(group):
+    slipped, cascades = group.sums("gamma").rows.sum(axis=0)
+    return float(np.log(slipped / (slipped - cascades)))
+
+
+def test_the_page_says_that_t_burn_is_too_short_and_by_how_much(planted, settings, rng):
+    found = fates.answer(Study(ensemble(planted, rng, 100.0), settings))
+    said = WORDS.alerts(found.facts)
+    assert "t_burn = 100 is too short: in the first tenth of the time after it" in said
+    assert "by_t_burn" in found.figures
+    assert found.tables["burn_in"]["is_short"].tolist() == [True]
+
+
+def test_three_systems_tell_nothing(planted, settings, rng):
+    (row,) = of_groups(ensemble(planted, rng, 100.0, n_systems=3), settings)
+    assert (row["is_short"], row["p_value"], row["reason"]) == (False, None, "few matrices")
