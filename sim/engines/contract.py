@@ -53,6 +53,11 @@ class Task(NamedTuple):
     certify: bool  #: whether it is tested for collapse whenever all blocks slip, and not only where that pays
     modes: NDArray[np.int8] | None = None  #: at the start; None: what the state says
 
+    @property
+    def length(self) -> float:
+        """The time that it takes."""
+        return self.t_end - self.t_start
+
 
 @dataclass(frozen=True, kw_only=True)
 class Setting(ABC):

@@ -20,7 +20,7 @@ from stickslip.sim.engines.precheck import too_far
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import largest
-from stickslip.sim.runs.run import IntegrationError, Outcome, Run, Stats, Stills
+from stickslip.sim.runs.run import IntegrationError, Outcome, Run, StalledError, Stats, Stills
 from stickslip.sim.runs.series import EventSeries, without_returns
 
 #: Why a kernel returned.
@@ -35,8 +35,8 @@ N_PRODUCTS_THEN, N_COUNTERS = 8, 9
 #: Clocks that every engine keeps, float64, from the start of the present piece: the time, and the times after which a
 #: collapse may next be certified, with all blocks slipping left and (the next clock) right. An engine may keep more
 #: behind them. After, not at: a run takes a step between two requests, or would make them for ever. Then the time of
-#: the last event, and what the time lacks by rounding.
-TIME, CHECK, _CHECK_RIGHT, _LAST_EVENT, LACKING, N_CLOCKS = range(6)
+#: the last event, what the time lacks by rounding, and, of the exact law, an estimate of the error of w.
+TIME, CHECK, _CHECK_RIGHT, _LAST_EVENT, LACKING, ERROR, N_CLOCKS = range(7)
 
 #: All blocks are to slip, before a collapse is certified, as long as takes this share of what that costs.
 _SEEN = 0.1
@@ -48,17 +48,19 @@ class Events(NamedTuple):
     t: Floats  #: from the start of the piece
     block: NDArray[np.int32]
     mode: NDArray[np.int8]
+    error: Floats  #: of w - v then, over |v|; only where `Plan.shortest` is given
     all_stuck: Floats
 
     @classmethod
     def blank(cls, capacity: int, several: int = 1) -> Events:
         """Buffers for so many events; each of them, and each start, can begin or end an all-stuck interval."""
-        t, all_stuck = np.empty(capacity), np.empty((2, capacity + several))
-        return cls(t, np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8), all_stuck)
+        (t, error), all_stuck = np.zeros((2, capacity)), np.empty((2, capacity + several))
+        return cls(t, np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8), error, all_stuck)
 
     def part(self, first: int, last: int) -> Events:
         """The buffers of some of the events, and those of all all-stuck intervals."""
-        return Events(self.t[first:last], self.block[first:last], self.mode[first:last], self.all_stuck)
+        t, block, mode, error, all_stuck = self
+        return Events(t[first:last], block[first:last], mode[first:last], error[first:last], all_stuck)
 
     def first(self, n: int, n_all_stuck: int) -> Events:
         """The first events, with the all-stuck intervals in an array of their own."""
@@ -96,7 +98,9 @@ class State(NamedTuple):
         """
         may_collapse = [one.stop_early and one.system.has_one_belt and not one.system.changes for one in tasks]
         checks = [-np.inf if may else np.inf for may in may_collapse]
-        clock = np.array([[0.0, check, check, 0.0, 0.0, *own] for check, own in zip(checks, clocks, strict=True)])
+        clock = np.array(
+            [[0.0, check, check, 0.0, 0.0, 0.0, *own] for check, own in zip(checks, clocks, strict=True)]
+        )
         z, w = np.array([task.z0 for task in tasks]), np.array([task.w0 for task in tasks])
         samples = stack([Buffers(np.full(len(one.t), np.inf), one.z, one.w) for one in (t.samples for t in tasks)])
         return cls(z, w, mode, clock, np.zeros((len(tasks), N_COUNTERS), dtype=np.int64), samples)
@@ -152,6 +156,12 @@ def later(t, lacking, step, t_end):  # type: ignore[no-untyped-def]
 
 
 @inner
+def relative_error(error, v, scale):  # type: ignore[no-untyped-def]
+    """An error of w - v over the speed of the block's belt, or, if that rests, over the scale of speeds."""
+    return error / (abs(v) if v != 0.0 else max(scale, error, 1e-300))
+
+
+@inner
 def note_event(clock, counters):  # type: ignore[no-untyped-def]
     """Note that a block's mode has changed just now."""
     clock[_LAST_EVENT], counters[N_PRODUCTS_THEN] = clock[TIME], counters[N_PRODUCTS]
@@ -194,7 +204,7 @@ def note_all_stuck_at(is_all_stuck, t, z, events, counters):  # type: ignore[no-
         total = 0.0
         for i in range(len(z)):
             total += z[i]
-        _, _, _, all_stuck = events
+        _, _, _, _, all_stuck = events
         all_stuck[0, counters[N_ALL_STUCK]], all_stuck[1, counters[N_ALL_STUCK]] = t, total
         counters[N_ALL_STUCK] += 1
 
@@ -211,8 +221,8 @@ class Plan(NamedTuple):
     Events by definition d carry block + d n."""
     thresholds: tuple[float, ...] = ()
     shortest: Floats | None = None
-    """Shape (n,): how long a change of each block's mode must last to be an event, where only belts of constant
-    speed act on the blocks; see `without_returns`."""
+    """Shape (n,): how long a change of each block's mode must last to be an event, over the root of `Events.error`,
+    where only belts of constant speed act on the blocks; see `without_returns`."""
     touch: float = 0.0  #: the same, in units of the time in which a block reverses its slip
     method: str = ""  #: where an engine has several
     go_on: Callable[[], None] = lambda: None
@@ -375,7 +385,7 @@ def complete(
                 outcome, reason = "diverged", why
                 break
         elif status == STALLED:
-            raise IntegrationError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {plan.stalled}")
+            raise StalledError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {plan.stalled}")
     z, w = drive.of_user(t, z, w)
     _to_user(drive, task, state, n_placed)
     events = recorded.all()
@@ -406,11 +416,14 @@ def _series(
     for d, modes in enumerate(plan.initial_modes):
         of = block // n == d if plan.thresholds else slice(None)
         series.append(EventSeries(t[of], block[of] - d * n, mode[of], modes, task.t_start, t_end))
+    if plan.shortest is None:
+        return series
+    error = np.sqrt(events.error[order])
     # else no two events are that close, of whichever block
-    if plan.shortest is not None and (s[1:] - s[:-1] <= plan.shortest.max()).any():
-        lasting, turns = plan.shortest[block], drive.turns(of_piece)[order]
+    if (s[1:] - s[:-1] <= plan.shortest.max() * error[1:]).any():
+        lasting, turns = plan.shortest[block] * error, drive.turns(of_piece)[order]
         if turns.any():  # ramps reverse the slip in less time than the block's own motion
-            lasting /= np.hypot(1.0, turns * lasting / plan.touch)
+            lasting /= np.hypot(1.0, turns * plan.shortest[block] / plan.touch)
         piece = np.arange(len(of_piece)).repeat(of_piece)[order]
         series[0] = without_returns(series[0], piece, s, lasting)
     return series

@@ -34,8 +34,10 @@ def rest_of(events, found, k):  # type: ignore[no-untyped-def]
     for j in range(k):
         n_recorded += found[j, 1]
         n_all_stuck += found[j, 2]
-    t, block, mode, all_stuck = events
-    return Events(t[n_recorded:], block[n_recorded:], mode[n_recorded:], all_stuck[:, n_all_stuck:])
+    t, block, mode, error, all_stuck = events
+    return Events(
+        t[n_recorded:], block[n_recorded:], mode[n_recorded:], error[n_recorded:], all_stuck[:, n_all_stuck:]
+    )
 
 
 @inner
@@ -137,7 +139,7 @@ class Several(ABC):
             found[is_crowded, 0] = _ANEW
         whole = (found[:, 0] == loop.DONE) & (n_definitions == 1)
         ends, stuck_ends = found[:, 1:].cumsum(axis=0).T.tolist()
-        s, block, mode, (stuck_s, total) = buffers.first(ends[-1], stuck_ends[-1])
+        s, block, mode, error, (stuck_s, total) = buffers.first(ends[-1], stuck_ends[-1])
         starts, stops = np.array([(task.t_start, task.t_end) for task in self.tasks]).T
 
         def on_clock(s: Floats, counts: NDArray[np.int64]) -> tuple[NDArray[np.intp], Floats]:
@@ -148,17 +150,20 @@ class Several(ABC):
         if len(s):
             of_event, t = on_clock(s, found[:, 1])
             order = np.lexsort((block, t, of_event))  # as in `loop.complete`
-            of_event, t, s, block, mode = of_event[order], t[order], s[order], block[order], mode[order]
+            of_event, t, s, block = of_event[order], t[order], s[order], block[order]
+            mode, error = mode[order], error[order]
             if self.shortest is not None:
-                whole[of_event[_may_be_touches(of_event * n + block, s, self.shortest.ravel())]] = False
+                of_block = of_event * n + block
+                lasting = self.shortest.ravel()[of_block] * np.sqrt(error)
+                whole[of_event[_may_be_touches(of_block, s, lasting)]] = False
             s = np.where(whole[of_event], t, s)
         else:  # no view, which would keep the buffers
-            s, block, mode = s.copy(), block.copy(), mode.copy()
+            s, block, mode, error = s.copy(), block.copy(), mode.copy(), error.copy()
         if len(stuck_s):
             of_stuck, stuck_t = on_clock(stuck_s, found[:, 2])
             stuck_s = np.where(whole[of_stuck], stuck_t, stuck_s)
         all_stuck = np.array([stuck_s, total])
-        events = Events(s, block, mode, all_stuck)
+        events = Events(s, block, mode, error, all_stuck)
         return [
             Begun(
                 status,
@@ -172,7 +177,7 @@ class Several(ABC):
 
     def _ended(self, k: int, begun: Begun) -> Run:
         """Run k, whose first slice was all of it, as `loop.complete` would give it."""
-        task, (t, block, mode, all_stuck) = self.tasks[k], begun.events
+        task, (t, block, mode, _, all_stuck) = self.tasks[k], begun.events
         return Run(
             z=self.states.z[k],
             w=self.states.w[k],
@@ -187,8 +192,8 @@ class Several(ABC):
 
 
 def _may_be_touches(of_block: NDArray[np.intp], t: Floats, shortest: Floats) -> NDArray[np.intp]:
-    """The events that follow on one of the same block within `shortest`, which has one number a block."""
+    """The events that follow on one of the same block within `shortest`, which has one number an event."""
     order = np.argsort(of_block, kind="stable")
     block, at = of_block[order], t[order]
-    is_close = (block[1:] == block[:-1]) & (at[1:] - at[:-1] <= shortest[block[1:]])
+    is_close = (block[1:] == block[:-1]) & (at[1:] - at[:-1] <= shortest[order][1:])
     return order[1:][is_close]

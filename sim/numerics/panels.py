@@ -35,7 +35,7 @@ def panels(matrix: NDArray[np.float64], height: int, dtype: DTypeLike) -> NDArra
     """
     *several, n, _ = matrix.shape
     found, whole = aligned_zeros((*several, -(-n // height), n, height), dtype), n // height
-    if dtype == np.float32:  # infinity times zero would be NaN
+    if dtype == np.float32:  # what is beyond its range is not used, but infinity would be warned of
         matrix = np.clip(matrix, -_SINGLE_MAX, _SINGLE_MAX)
     if whole:
         rows = matrix[..., : whole * height, :].reshape(*several, whole, height, n)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -23,11 +23,16 @@ class IntegrationError(RuntimeError):
     """An engine could not go on; the message names the time, the block and what to try."""
 
 
+class StalledError(IntegrationError):
+    """No step that is not lost in the rounding of time leads on."""
+
+
 @dataclass(frozen=True)
 class Stats:
     """The cost of a run: steps, rejected steps, products of K (and of N, see `System`) with a vector, events.
 
-    `method` is that of the engine, if it has several.
+    `method` is that of the engine, if it has several, and `n_restarts` says how often another one came to a stop, and
+    the run was begun anew. The cost of that is included.
     """
 
     n_steps: int
@@ -35,6 +40,17 @@ class Stats:
     n_products: int
     n_events: int
     method: str = ""
+    n_restarts: int = 0
+
+    def after(self, stopped: Stats) -> Stats:
+        """Of a run that was begun anew, from those of its first attempt."""
+        return replace(
+            self,
+            n_steps=self.n_steps + stopped.n_steps,
+            n_rejected=self.n_rejected + stopped.n_rejected,
+            n_products=self.n_products + stopped.n_products,
+            n_restarts=self.n_restarts + 1,
+        )
 
 
 @dataclass(frozen=True, eq=False)

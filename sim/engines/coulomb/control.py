@@ -25,15 +25,19 @@ ORDER_MAX, SPAN = 32, 5.0
 ORDER_MIN = 4
 #: The least error that is allowed: a motion that has decayed to nothing would allow none, and no step would do.
 LEAST_ALLOWED = 1e-300
-#: The loosest tolerance; a looser one counts as this. It would leave events undecided, which end windows: up to twice
-#: the cost.
-LOOSEST = 1e-3
 #: A coefficient of this size, and those behind it, are not used: they would leave float64.
 HUGE = 1e250
+#: Nor is one that would be below this with one order more: those behind it vanish by underflow, and not because the
+#: motion is a polynomial.
+FAINT = 1e-300
+#: How far a polynomial is followed at once: by this change of its first coefficient.
+FAR = 1e290
 #: The error of products in single precision, over the error allowed. With 0.01 and 0.2 products
 #: were the same, errors within 4%, times within the noise. A vector whose size is below TINY is out of range.
 #: TINY was chosen.
 ROUNDED_OFF, TINY = 0.05, 1e-200
+#: The error of a product in single precision, where the terms of its sums have random signs, over its bound.
+LIKELY = 0.05
 
 # ------------------------------------------------------------------------------------------------------- weakening
 

@@ -10,6 +10,9 @@ from stickslip.sim.engines.coulomb.sticking import UNDECIDED_BOTH, push
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.roots import roots
 
+#: The largest power of a time: a coefficient that is zero is also zero at any distance.
+_MOST = 1e300
+
 
 @inner
 def enclose(series, slips, order, h, reach, n):  # type: ignore[no-untyped-def]
@@ -17,14 +20,14 @@ def enclose(series, slips, order, h, reach, n):  # type: ignore[no-untyped-def]
 
     F has two orders less than z: it is needed to the accuracy of w', not of w.
     """
-    power = h * h
+    power = min(h * h, _MOST)
     for i in range(n):
         reach[i] = (1.0 - slips[i]) * power * abs(series[2, i])
     for k in range(3, order + 1):
-        of_slip, of_stick = k * power, power * h
+        of_slip, of_stick = k * power, min(power * h, _MOST)
         for i in range(n):
             reach[i] += (slips[i] * of_slip + (1.0 - slips[i]) * of_stick) * abs(series[k, i])
-        power *= h
+        power = of_stick
 
 
 @inner
@@ -67,7 +70,7 @@ def root(face, series, at, bounds, horizon, room):  # type: ignore[no-untyped-de
             if j == 0:
                 c -= v
             poly[k] = mode * c * power
-            power *= h
+            power = min(power * h, _MOST)
         if roots(poly, degree, found) > 0:
             h *= found[0]
             is_found = True
@@ -88,7 +91,7 @@ def root(face, series, at, bounds, horizon, room):  # type: ignore[no-untyped-de
         power = h
         for k in range(1, degree + 1):
             poly[k] = sigma * series[k + skip, at] * power
-            power *= h
+            power = min(power * h, _MOST)
         if poly[0] != 0.0 and roots(poly, degree, found) > 0:
             first = min(first, h * found[0])
             is_found = True

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -31,14 +30,16 @@ from stickslip.sim.systems.system import System
 if TYPE_CHECKING:
     from stickslip.sim.engines.coulomb.settings import Coulomb
 
-#: A touch w - v = a s^2 / 2 with an error of the tolerance becomes two events 2 (2 tol |v| / a)^(1/2) apart, where a
-#: is about |v| rate^2, or none: events closer than this many tol^(1/2) / rate are a touch.
+#: A touch w - v = a s^2 / 2 with an error e becomes two events 2 (2 e / a)^(1/2) apart, where a is about |v| rate^2,
+#: or none: events closer than this many (e / |v|)^(1/2) / rate are a touch. So e may be off by a factor of two.
 _TOUCH = 4.0
 #: More steps than this are warned of.
 _MANY = 1e8
 #: The motion after a collapse is summed from the eigenmodes if a bound of their rounding, some hundred times the
 #: actual one, is below the tolerance, or below this.
 _FOLLOWED = 1e-10
+#: The slowest motion whose series do not leave float64.
+_SLOWEST = 1e-40
 #: The error of F at an event at which a run was cut, in tolerances of its terms.
 _AT_EVENTS = 100.0
 
@@ -49,45 +50,53 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
     Raises
     ------
     ValueError
-        Of a run: if the system has cross damping, or a block starts ahead of its belt without back slip.
+        Of a run: if the system has cross damping or is too slow for float64, or a block starts ahead of its belt
+        without back slip.
     IntegrationError
         Of a run: if events accumulate at one instant.
     """
-    tol = min(engine.tol, control.LOOSEST)
 
     def together(some: list[Task]) -> _Runs | None:
-        return _Runs(some, tol) if _may_begin_together([task.system for task in some], engine) else None
+        return _Runs(some, engine) if _may_begin_together(some, engine) else None
 
-    return stacks.runs(tasks, together, partial(_alone, engine, tol))
+    return stacks.runs(tasks, together, partial(_alone, engine))
 
 
-def _may_begin_together(systems: Sequence[System], engine: Coulomb) -> bool:
-    """Whether all are run by series, with products of one kind, and none has heavily damped blocks."""
+def _may_begin_together(tasks: Sequence[Task], engine: Coulomb) -> bool:
+    """Whether all are run by series, with products of one kind, and none is too slow or has heavily damped blocks."""
+    systems = [task.system for task in tasks]
     damping, pull = np.array([one.damping for one in systems]), np.array([one.row_sums for one in systems])
     is_any_heavy = is_heavy(damping, pull, 0.0).any()
-    return not is_any_heavy and products.are_of_one_kind(pull) and not any(map(engine.is_by_waves, systems))
+    is_any_by_waves = any(engine.is_by_waves(task.system, task.length) for task in tasks)
+    is_any_alone = is_any_heavy or is_any_by_waves or any(map(_is_too_slow, tasks))
+    return not is_any_alone and products.are_of_one_kind(pull)
 
 
-def _alone(engine: Coulomb, tol: float, task: Task) -> Run:
+def _alone(engine: Coulomb, task: Task) -> Run:
     """The run of a task, by the method that it takes."""
-    if not engine.is_by_waves(task.system):
-        return _by_series(task, tol)
-    system = task.system
-    shortest, touch = _shortest(system.rates, system.static, system.friction, tol), _TOUCH * math.sqrt(tol)
-    return waves.run(task, tol, _followed(system, tol), shortest, touch, lambda: _by_series(task, tol))
+    if not engine.is_by_waves(task.system, task.length):
+        return _by_series(task, engine)
+    system, tol = task.system, engine.tol_of_waves(task.system, task.length)
+    shortest = _shortest(system.rates, system.static, system.friction)
+    return waves.run(task, tol, _followed(system, tol), shortest, _TOUCH, lambda: _by_series(task, engine))
 
 
-def _by_series(task: Task, tol: float) -> Run:
-    return _Runs([task], tol).go_on(0, None)
+def _by_series(task: Task, engine: Coulomb) -> Run:
+    if _is_too_slow(task):
+        raise ValueError(
+            f"system: expected rates of at least {_SLOWEST:g}, got {task.system.rates.max():.3g}: the coefficients of"
+            " series in time leave float64; take a longer unit of time, as System.from_physical does"
+        )
+    return _Runs([task], engine).go_on(0, None)
 
 
-def _shortest(rates: Floats, static: Floats, near: Floats, tol: float) -> Floats:
-    """How long a change of each block's mode must last to be an event: with a static friction above the kinetic, any.
+def _shortest(rates: Floats, static: Floats, near: Floats) -> Floats:
+    """As of `loop.Plan`: with a static friction above the kinetic, a change of mode may last any time.
 
     A touch sticks there, until F has gone from the kinetic to the static.
     """
     is_touch = (rates > 0) & (static == near)
-    return np.divide(_TOUCH * math.sqrt(tol), rates, out=np.zeros_like(rates), where=is_touch)
+    return np.divide(_TOUCH, rates, out=np.zeros_like(rates), where=is_touch)
 
 
 def _followed(system: System, tol: float) -> float:
@@ -101,8 +110,9 @@ class _Runs(Several):
     shortest: Floats
     method = "Taylor series"
 
-    def __init__(self, tasks: Sequence[Task], tol: float) -> None:
-        self.tasks, self.tol = tasks, tol
+    def __init__(self, tasks: Sequence[Task], engine: Coulomb) -> None:
+        self.tasks, self.engine = tasks, engine
+        self.tols = np.array([engine.tol_of_series(task.system, task.length) for task in tasks])
         systems = self.systems = [task.system for task in tasks]
         self.drives = [Drive(one.system, one.t_start, one.t_end, control.ORDER_MAX + 1) for one in tasks]
         # arrays from here on are by task and block
@@ -115,7 +125,7 @@ class _Runs(Several):
         pairs = Pairs.of([one.stiffness for one in systems], row_sums)
         models = [Model.of(*parts) for parts in zip(systems, pairs, self.drives, strict=True)]
         self.models: Model = loop.stack(models)
-        self.rates, self.shortest = rates.max(axis=1), _shortest(rates, static, near, tol)
+        self.rates, self.shortest = rates.max(axis=1), _shortest(rates, static, near)
         u = np.array([task.w0 for task in tasks]) - self.models.belt_speed
         mode, weakening, n_shapes = np.sign(u).astype(np.int8), systems[0].weakening, 0
         if weakening is not None:
@@ -123,7 +133,7 @@ class _Runs(Several):
             n_shapes = weakening.n_series
         if not systems[0].back_slip:
             closed = systems[0].closed
-            _refuse_closed(closed * u[0], tol * systems[0].fastest_belt)
+            _refuse_closed(closed * u[0], float(self.tols[0]) * systems[0].fastest_belt)
             mode[mode * closed > 0] = 0
         exposures = [
             (1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0), 1.0, 0.0)
@@ -134,9 +144,11 @@ class _Runs(Several):
         self.expansions = Expansion.blank(mode, n_shapes)
         if tasks[0].modes is not None:
             self.expansions.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
+        self.decays = np.array([0.5 * max(0.0, one.damping.min()) for one in systems]) * (weakening is None)
         self.bounds, self.lengths = np.empty(len(tasks)), np.array([drive.length for drive in self.drives])
         self.collapse = [
-            Collapse(task.system, _followed(task.system, tol), cost=control.certificate(task)) for task in tasks
+            Collapse(task.system, _followed(task.system, tol), cost=control.certificate(task))
+            for task, tol in zip(tasks, self.tols.tolist(), strict=True)
         ]
         self.slips = np.array([one.precheck.slip for one in self.collapse])
         # only one alone may have heavily damped blocks, or a sparse K
@@ -150,7 +162,7 @@ class _Runs(Several):
         if self.locally is not None:
             found[0, :2] = self.locally(events)
             return
-        goals = Goal(self.lengths, drive.is_last, self.tol, self.rates, self.bounds)
+        goals = Goal(self.lengths, drive.is_last, self.tols, self.rates, self.decays, self.bounds)
         stack = step.Stack(self.models, goals, self.states, self.expansions, self.searches, self.slips)
         step.advance(stack, self.slow, events, self.collapse[first].precheck, first, found)
 
@@ -162,7 +174,8 @@ class _Runs(Several):
         room = sparse.Local.of(self.systems[0].n, float(self.systems[0].row_sums.max()))
 
         def advance(events: Events) -> tuple[int, int]:
-            goal = Goal(drive.length, drive.is_last, self.tol, float(self.rates[0]), float(self.bounds[0]))
+            tol, rate, decay, bound = (float(each[0]) for each in (self.tols, self.rates, self.decays, self.bounds))
+            goal = Goal(drive.length, drive.is_last, tol, rate, decay, bound)
             found: tuple[int, int] = sparse.advance(
                 model, goal, state, expansion, search, room, events, self.collapse[0].precheck
             )
@@ -171,7 +184,7 @@ class _Runs(Several):
         return advance
 
     def alone(self, k: int) -> Run:
-        return _by_series(self.tasks[k], self.tol)
+        return _by_series(self.tasks[k], self.engine)
 
     def go_on(self, k: int, begun: Begun | None) -> Run:
         # `expand` itself limits a step to where the series of a force holds
@@ -181,7 +194,7 @@ class _Runs(Several):
         def advance(events: Events, bound: float) -> tuple[int, int]:
             found = self.slice(k, events, bound)
             if task.modes is not None:
-                _require_modes(task, task.modes, initial_mode, self.tol)
+                _require_modes(task, task.modes, initial_mode, float(self.tols[k]))
             return found
 
         plan = loop.Plan(
@@ -191,10 +204,16 @@ class _Runs(Several):
             events_a_step=self.events_a_step,
             initial_modes=self.initial_modes[k],
             shortest=self.shortest[k],
-            touch=_TOUCH * math.sqrt(self.tol),
+            touch=_TOUCH,
             method=self.method,
         )
         return loop.complete(task, loop.of_run(self.states, k), self.drives[k], self.collapse[k], plan, begun)
+
+
+def _is_too_slow(task: Task) -> bool:
+    """Whether the coefficients of series in time leave float64, of a run in which they matter."""
+    rate = float(task.system.rates.max())
+    return rate < _SLOWEST and rate * task.length > _FOLLOWED
 
 
 def _warn_of_short_steps(task: Task, rate: float) -> None:

@@ -19,7 +19,7 @@ from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.sticking import force_rounding, push
-from stickslip.sim.engines.coulomb.taylor import UNDECIDED, Window, curvature, decide, expand, pull_of
+from stickslip.sim.engines.coulomb.taylor import UNDECIDED, Window, curvature, decide, error_after, expand, pull_of
 from stickslip.sim.engines.coulomb.windows import evaluate, instant, record, sample, stalls
 from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.numerics.arguments import Floats
@@ -332,7 +332,8 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
             copy(mode, search.initial_mode)
             copy(mode, search.known_mode)
         before = n_recorded
-        n_recorded, same = record(t, mode, search.known_mode, events, n_recorded)
+        v, scale = model.belt_speed, allowed / goal.tol
+        n_recorded, same = record(clock, mode, v, scale, search.known_mode, events, n_recorded)
         if n_recorded > before:
             loop.note_event(clock, counters)
         loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)
@@ -347,7 +348,8 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
         n_slip = 0
         for i in range(n):
             n_slip += abs(mode[i])
-        window = Window(order, h, allowed, largest(z) + h * allowed / goal.tol)
+        window = Window(order, h, allowed, largest(z) + h * scale)
+        error = error_after(model, expansion, goal, window, h, clock[loop.ERROR])
         s, end, block = 0.0, h, -1
         while True:
             counters[loop.N_STEPS] += 1
@@ -379,6 +381,7 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
             events.t[n_recorded] = now
             events.block[n_recorded] = block
             events.mode[n_recorded] = mode[block]
+            events.error[n_recorded] = loop.relative_error(error, v[block], scale)
             search.known_mode[block] = mode[block]
             n_recorded += 1
             loop.note_event(clock, counters)
@@ -386,6 +389,7 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
             is_asked = n_slip == n and loop.is_check_due(state, mode, precheck, remaining - s)
             if n_slip == 0 or is_asked or n_recorded + n > len(events.t) or counters[loop.N_STEPS] >= n_last:
                 break
+        clock[loop.ERROR] = error_after(model, expansion, goal, window, s, clock[loop.ERROR])
         _close(model, state, expansion, search, local.origin, window, s, block)
         clock[control.EXPOSURE] += min(s, target)
         control.note_window(clock, s < target)

@@ -34,7 +34,7 @@ from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.model import Model, model_of
 from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
-from stickslip.sim.engines.coulomb.taylor import Expansion, Window, correct, expand, expansion_of, shift
+from stickslip.sim.engines.coulomb.taylor import Expansion, Window, correct, error_after, expand, expansion_of, shift
 from stickslip.sim.engines.coulomb.windows import Goal, Search, evaluate, goal_of, record, sample, search_of, stalls
 from stickslip.sim.engines.precheck import precheck_of
 from stickslip.sim.engines.stacks import note_found, rest_of
@@ -120,7 +120,7 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
             copy(mode, search.initial_mode)
             copy(mode, search.known_mode)
         before = n_recorded
-        n_recorded, same = record(t, mode, search.known_mode, events, n_recorded)
+        n_recorded, same = record(clock, mode, v, allowed / goal.tol, search.known_mode, events, n_recorded)
         if n_recorded > before:
             loop.note_event(clock, counters)
         loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)
@@ -146,6 +146,9 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
             near[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * h) + search.reach[i])
         t_next, lacking = loop.later(t, clock[loop.LACKING], step, t_end)
         sample(expansion, v, None, order, t, t_next, state)
+        clock[loop.ERROR] = error_after(
+            model, expansion, goal, Window(order, h, allowed, 0.0), step, clock[loop.ERROR]
+        )
         left = h - step
         # else the event ends the window
         is_inside = block >= 0 and left > 0.0 and model.weakening is None and not is_slow

@@ -319,6 +319,9 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
         if order > control.ORDER_MIN and not size < control.HUGE:  # the terms before it determine the step
             order -= 1
             break
+        if order > control.ORDER_MIN and 0.0 < size * min(1.0, rate * rate) < control.FAINT:
+            before, last = last, max(size, control.FAINT)
+            break
         if pushed > 0.0:  # the truncated series of a force counts where it moves a block, and where friction holds it
             size = max(size, pushed * max(1.0 / (order * (order - 1)), 1.0 / (order * (rate * target) ** 2)))
         n_products = k + 1 + (k + 1) % 2
@@ -326,7 +329,9 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
         if size == 0.0 and last == 0.0 and order >= control.ORDER_MIN:
             # a polynomial, exact at any distance
             is_exact = not is_single and (weakening is None or largest(slips) == 0.0)
-            return order, goal.t_end - t if is_exact else target, allowed, n_products
+            speed = max(largest(forces[1]), largest(series[2]))
+            far = goal.t_end - t if speed == 0.0 else min(goal.t_end - t, control.FAR / speed)
+            return order, far if is_exact else target, allowed, n_products
         if order * size * target ** (order - 1) <= allowed:
             n_small += 1
             # below order = rate * target the terms of a small state may still rise
@@ -345,6 +350,27 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
     while h > 0.0 and not _weakens_less(weakening, model, expansion, order, h, allowed):
         h *= control.SHRINK
     return order, h, allowed, n_products
+
+
+@inner
+def error_after(model, expansion, goal, window, step, error):  # type: ignore[no-untyped-def]
+    """The error of w a step on, from that before: what the series leave out by then, and rounding.
+
+    The terms left out first follow from the last two. What an event that was carried over leaves out, and the
+    rounding of products in single precision, grow like the fifth power of the time, at least.
+    """
+    series, damping, order = expansion.series, model.damping, window.order
+    left_out, coupled = 0.0, (goal.rate * step) ** 2 / (order * (order - 1))
+    power = step ** (order - 2)
+    for i in range(len(damping)):
+        low, high = abs(series[order - 1, i]), abs(series[order, i])
+        if low + high > 0.0:
+            low, high = (order - 1) * power * low, order * power * step * high
+            left_out = max(left_out, abs(damping[i]) * step / order * high + coupled * (low + high))
+    share = control.PASSED_ON + (control.LIKELY * control.ROUNDED_OFF if len(model.pairs.single_panels) > 0 else 0.0)
+    carried = share * window.allowed * min(1.0, step / window.span) ** 5
+    rounding = ROUNDING * window.allowed / goal.tol
+    return error / (1.0 + goal.decay * step) + left_out + carried + rounding
 
 
 @inner

@@ -8,6 +8,7 @@ as polynomials of degree five follow F; and its error is about the tolerance, wh
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from stickslip.sim.engines.waveform.step import take_steps
 from stickslip.sim.kernels.compile import kernel
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.radau import NODES
-from stickslip.sim.runs.run import IntegrationError, Run
+from stickslip.sim.runs.run import Run, StalledError
 
 #: Over static friction: a start at which |F| is so near to it is left to series, which decide it order by order.
 _EDGE = 1e-9
@@ -39,12 +40,13 @@ def advance(model, work, control, state, events, bound, precheck):  # type: igno
 
 
 def run(task: Task, tol: float, followed: float, shortest: Floats, touch: float, otherwise: Callable[[], Run]) -> Run:
-    """Run a task, or `otherwise`: if the start is on the edge between two modes, or a step falls to rounding.
+    """Run a task, or `otherwise`: if the start is on the edge between two modes, or, a restart, if it stalls.
 
     Parameters
     ----------
     task : Task
     tol : float
+        Of a step.
     followed : float
         The error allowed in the motion after a collapse.
     shortest, touch : float64, shape (n,), and float
@@ -69,11 +71,10 @@ def run(task: Task, tol: float, followed: float, shortest: Floats, touch: float,
     block.drag, block.force0, block.row_sum = drag, pull, system.row_sums
     # as if there had been a step of length 1: F goes on along its tangent, or a block let go at once would leave late
     block.kept_f, block.kept_u = pull + np.outer(NODES - 1.0, system.stiffness @ w), (w - v)[np.newaxis]
-    allowed = limits.EXACT_CALIBRATION * tol
-    exact = Exact(allowed, system.fastest_belt)
+    exact = Exact(limits.EXACT_CALIBRATION * tol, tol, system.fastest_belt)
     scale = max(system.fastest_belt, float(np.abs(w).max()))
     changes = np.abs(np.array([w, system.damping * (w - v) + pull, system.friction]))
-    step = min(drive.length, limits.LONGEST_FIRST, scale * first_step(allowed, float(changes.max())))
+    step = min(drive.length, limits.LONGEST_FIRST, scale * first_step(exact.tol, float(changes.max())))
     state = loop.of_run(loop.State.at_start([task], modes, [(step, 1.0, 0.0, 0.0)]), 0)
     state.counters[loop.N_PRODUCTS] = 2
     work = Workspace.of(tables, modes, False, _PIECES * n + _MORE, is_exact=True)
@@ -98,5 +99,6 @@ def run(task: Task, tol: float, followed: float, shortest: Floats, touch: float,
     )
     try:
         return loop.complete(task, state, drive, collapse, plan)
-    except IntegrationError:
-        return otherwise()
+    except StalledError:
+        run = otherwise()
+        return replace(run, stats=run.stats.after(loop.stats_of(state.counters, 0, plan.method)))

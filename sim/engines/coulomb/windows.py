@@ -20,8 +20,9 @@ class Goal(NamedTuple):
 
     t_end: float | Floats  #: from the start of the piece
     is_last: bool
-    tol: float
+    tol: float | Floats
     rate: float | Floats  #: bounds |eigenvalues|
+    decay: float | Floats  #: the rate at which errors fade, at least
     bound: float | Floats  #: of |z_i| and |w_i|; beyond it Python decides whether the run diverges
 
 
@@ -45,7 +46,7 @@ class Search(NamedTuple):
 @inner
 def goal_of(goals, k):  # type: ignore[no-untyped-def]
     """The goal of run k of a stack."""
-    return Goal(goals.t_end[k], goals.is_last, goals.tol, goals.rate[k], goals.bound[k])
+    return Goal(goals.t_end[k], goals.is_last, goals.tol[k], goals.rate[k], goals.decay[k], goals.bound[k])
 
 
 @inner
@@ -81,14 +82,18 @@ def sample(expansion, v, origin, order, t, t_next, state):  # type: ignore[no-un
 
 
 @inner
-def record(t, mode, known_mode, events, n_recorded):  # type: ignore[no-untyped-def]
-    """Record the modes that have changed; returns how many events are recorded, and whether all modes agree."""
-    same = True
+def record(clock, mode, v, scale, known_mode, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Record the modes that have changed; returns how many events are recorded, and whether all modes agree.
+
+    `scale` is that of speeds; see `loop.relative_error`.
+    """
+    t, error, same = clock[loop.TIME], clock[loop.ERROR], True
     for i in range(len(mode)):
         if mode[i] != known_mode[i]:
             events.t[n_recorded] = t
             events.block[n_recorded] = i
             events.mode[n_recorded] = mode[i]
+            events.error[n_recorded] = loop.relative_error(error, v[i], scale)
             known_mode[i] = mode[i]
             n_recorded += 1
         same = same and mode[i] == mode[0]

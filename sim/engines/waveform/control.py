@@ -7,6 +7,7 @@ figures are in `docs/guide/sigmoid-engine.md`).
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from stickslip.sim.engines import loop
@@ -25,6 +26,8 @@ CALIBRATION = 5.0
 SUBSTEP, POWER = 3.0, 0.85
 #: The error of w allowed for K in single precision, over tolerance.
 SINGLE_SHARE = 0.05
+#: The sizes of numbers, at least and at most, whose products in single precision neither underflow nor overflow.
+SINGLE_LEAST, SINGLE_MOST = 1e-30, 1e30
 #: The rounding of F, over F and the sum of the magnitudes of the terms of K z: eight units in the last place.
 ROUNDING = 8.0 * 2.0**-52
 
@@ -183,6 +186,13 @@ def single_limit(control, atol, h):  # type: ignore[no-untyped-def]
 
 
 @inner
+def is_in_single_range(control, size):  # type: ignore[no-untyped-def]
+    """Whether a change of this size, and its product with K, are within single precision."""
+    product = size * control.single_rate / SINGLE_ERROR
+    return size == 0.0 or (min(size, product) > SINGLE_LEAST and max(size, product) < SINGLE_MOST)
+
+
+@inner
 def shrink(clock, h, tail):  # type: ignore[no-untyped-def]
     """Set the step to try after one that failed; the tail of F scales with h^3 there."""
     factor = max(SAFETY * (TAIL / tail) ** (1.0 / 3.0), SHRINK) if tail > TAIL else HALVE
@@ -199,8 +209,11 @@ def grow(clock, h, found, may_grow):  # type: ignore[no-untyped-def]
 
 
 def single_rate(pull: float) -> float:
-    """The error of K z in single precision, over the change of z, from the largest row sum of |K|."""
-    return SINGLE_ERROR * pull
+    """The error of K z in single precision, over the change of z, from the largest row sum of |K|.
+
+    It is infinite if K leaves the range of single precision.
+    """
+    return SINGLE_ERROR * pull if SINGLE_LEAST < pull < SINGLE_MOST else math.inf
 
 
 def certificate(task: Task) -> float:

@@ -119,6 +119,7 @@ class Exact(NamedTuple):
     """The set-valued law's own numbers."""
 
     tol: float  #: the error of w allowed in a step, over its scale
+    error: float  #: of w - v at events, over |v|
     fastest_belt: float
 
 

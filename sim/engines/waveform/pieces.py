@@ -262,13 +262,14 @@ def slip_at(changes, place, inside):  # type: ignore[no-untyped-def]
 
 
 @inner
-def record_changes(work, span, events, n_recorded):  # type: ignore[no-untyped-def]
+def record_changes(exact, work, span, events, n_recorded):  # type: ignore[no-untyped-def]
     """Record the changes of mode on a macro step; returns how many there are."""
     changes, mode = work.changes, work.modes[0]
     copy(mode, work.modes_before)
     for k in range(changes.n[0]):
         events.t[n_recorded] = min(span.start + span.length * changes.x[k], span.end)
         events.block[n_recorded], events.mode[n_recorded] = changes.block[k], changes.mode[k]
+        events.error[n_recorded] = exact.error
         mode[changes.block[k]] = changes.mode[k]
         n_recorded += 1
     return n_recorded

@@ -15,7 +15,7 @@ from stickslip.sim.engines import loop
 from stickslip.sim.engines.forcing import value_at
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.collocation import force, force_changed, predict
-from stickslip.sim.engines.waveform.control import Found, grow, next_step, shrink, single_limit
+from stickslip.sim.engines.waveform.control import Found, grow, is_in_single_range, next_step, shrink, single_limit
 from stickslip.sim.engines.waveform.events import PASSES, Span, note_all_stuck, sample, step_events, until
 from stickslip.sim.engines.waveform.layout import blocks, shared
 from stickslip.sim.engines.waveform.pieces import record_changes, solve_exactly
@@ -82,8 +82,8 @@ def _times(matrix, x, y):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _product_of_change(model, work, limit):  # type: ignore[no-untyped-def]
-    """K times the change of z in single precision; False, with no result, if the change is not below the limit."""
+def _product_of_change(model, work, control, limit):  # type: ignore[no-untyped-def]
+    """K times the change of z in single precision; False, with no result, if it would not be accurate enough."""
     block, single, single_product = blocks(work.table), work.single, work.single_product
     n, product = len(work.is_split), block.product
     for k in range(STAGES):
@@ -92,7 +92,7 @@ def _product_of_change(model, work, limit):  # type: ignore[no-untyped-def]
     most = 0.0
     for k in range(STAGES):
         most = max(most, largest(product[k, :n]))
-    if not most < limit:
+    if not (most < limit and is_in_single_range(control, most)):
         return False
     for k in range(STAGES):
         for i in range(n):
@@ -118,11 +118,11 @@ def _add_cross(model, work):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _couple(model, work, is_first, limit):  # type: ignore[no-untyped-def]
+def _couple(model, work, control, is_first, limit):  # type: ignore[no-untyped-def]
     """F from z (and u) at the nodes. Returns the changes of w by that of F and by its tail, over tolerance."""
     block, n = blocks(work.table), len(work.is_split)
     may_add = not is_first and len(model.stiffness.single_panels) > 0 and not model.has_cross
-    is_change = may_add and _product_of_change(model, work, limit)
+    is_change = may_add and _product_of_change(model, work, control, limit)
     if not is_change:
         _times(model.stiffness, block.z, block.product)
     if model.has_cross:
@@ -167,7 +167,7 @@ def _step_events(model, exact, work, n_substeps, span, events, n_recorded):  # t
     if exact is None:
         return step_events(model, work, n_substeps, span, events, n_recorded)
     else:
-        return record_changes(work, span, events, n_recorded)
+        return record_changes(exact, work, span, events, n_recorded)
 
 
 @inner
@@ -197,7 +197,8 @@ def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[n
         if is_last and n_split == n_split_before:
             converged = True
             break
-        moved, tail = _couple(model, work, iteration == 0, single_limit(control, shared(work.shared).atol[0], h))
+        limit = single_limit(control, shared(work.shared).atol[0], h)
+        moved, tail = _couple(model, work, control, iteration == 0, limit)
         counters[loop.N_PRODUCTS] += STAGES * (2 if model.has_cross else 1)
         moved, tail = moved * control.safety, tail * control.safety
         if not tail < limits.TAIL:
