@@ -32,7 +32,7 @@ from stickslip.pipeline.places.place import DATA, LOCK, MANIFEST, SCENE, TEMPORA
 from stickslip.pipeline.records import End
 from stickslip.pipeline.scene.adding import lines_between
 from stickslip.pipeline.scene.scene import Scene, parse_scene
-from stickslip.pipeline.scene.toml import parse_toml
+from stickslip.pipeline.scene.source import parse_toml
 
 log = logging.getLogger(__name__)
 

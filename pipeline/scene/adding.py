@@ -12,8 +12,9 @@ from stickslip.pipeline.records import RECORDS
 from stickslip.pipeline.records.own import OwnRecord
 from stickslip.pipeline.records.record import Record, WindowRecord
 from stickslip.pipeline.scene.scene import Scene, parse_scene
+from stickslip.pipeline.scene.source import parse_toml
 from stickslip.pipeline.scene.tables import RecordTable, RunTable
-from stickslip.pipeline.scene.toml import parse_toml, plain, written
+from stickslip.pipeline.scene.toml import plain, written
 
 #: The keys that each ask for a record.
 _NAMES = frozenset(record.name for record in RECORDS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from stickslip.pipeline.errors import SceneError, StoreError
+from stickslip.pipeline.errors import SceneError, StoreError, foreign
 from stickslip.pipeline.places.manifest import read_manifest
 
 
@@ -43,3 +43,5 @@ def look_at_dataset(name: str, folder: Path) -> str:
         return read_manifest(place_beside(name, folder)).digest
     except StoreError as error:
         raise SceneError(f"start.dataset: {error}") from None
+    except (OSError, ValueError) as error:  # a name that no path can have
+        raise SceneError(f"start.dataset: expected a path, got {foreign(error, 100)}; correct it") from None

@@ -40,6 +40,7 @@ from stickslip.pipeline.scene.quantity import (
     size,
     values,
 )
+from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.system_table import OF_FILE, SystemTable, is_function
 from stickslip.pipeline.scene.systems import KEY, SystemFile, SystemFunction, located, look_at_files, tried_function
 from stickslip.pipeline.scene.tables import AnalysisTable, PerturbationTable, RecordTable, RunTable, Start, TwinsTable
@@ -48,9 +49,7 @@ from stickslip.pipeline.scene.toml import (
     StrictTable,
     as_scene,
     explained,
-    parse_toml,
     plain,
-    read_source,
     shown,
     written,
 )

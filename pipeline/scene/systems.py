@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import glob
 import hashlib
 import os
@@ -9,6 +10,7 @@ import pickle
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +22,18 @@ from stickslip.pipeline.own.files import content_of, digest
 from stickslip.pipeline.own.function import OwnFunction
 from stickslip.pipeline.own.trial import Trial, tried
 from stickslip.pipeline.scene.other_files import OtherKind
+from stickslip.pipeline.scene.source import MAX_FILES
 from stickslip.pipeline.scene.system_files import arrays_of
+from stickslip.pipeline.scene.toml import shown
 from stickslip.sim.numerics.arguments import per_block
 from stickslip.sim.systems.system import System
 from stickslip.sim.systems.terms import OF_BLOCKS
 
 #: What a file may hold in addition to `stiffness`, each with a number a block.
 BY_BLOCK = (*OF_BLOCKS, "z0", "w0")
+
+#: Entries of directories at most that are looked at for a pattern.
+_MAX_ENTRIES = 100_000
 
 #: What errors call the file, and the function.
 _PATH, KEY = "system.path", "system.coupling"
@@ -178,8 +185,10 @@ def look_at_files(pattern: str, folder: Path) -> dict[str, dict[str, Any]]:
     if not found and os.path.isdir(folder / pattern):
         raise SceneError(f"system.path: expected a file, got the directory {pattern!r}; name a file in it")
     if not found:
-        raise SceneError(f"system.path: expected a file, or several by a pattern such as K*.npz, got {pattern!r}, "
-                         f"which names none in {folder.resolve()}; correct the path")  # fmt: skip
+        raise SceneError(
+            f"system.path: expected a file, or several by a pattern such as K*.npz, got {shown(pattern)}, which names"
+            f" none in {folder.resolve()}; correct the path"
+        )
     is_beside = not Path(pattern).is_absolute()
     names = [file.relative_to(folder).as_posix() if is_beside else file.as_posix() for file in found]
     odd = next((name for name in names if not name.isprintable()), None)
@@ -189,8 +198,43 @@ def look_at_files(pattern: str, folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def _glob(folder: Path, pattern: str) -> list[Path]:
-    found = (folder / name for name in glob.glob(pattern, root_dir=folder, recursive=True))
-    return sorted(file for file in found if os.path.isfile(file))
+    """The files that a pattern names, as Python's glob finds them, of a bounded number of entries of directories."""
+    found: set[Path] = set()
+    left, places = _MAX_ENTRIES, [(folder, Path(pattern).parts)]
+    while places and left >= 0 and len(found) <= MAX_FILES:
+        place, parts = places.pop()
+        if not parts:
+            found.update([place] if os.path.isfile(place) else [])
+            continue
+        first, rest = parts[0], parts[1:]
+        if not glob.has_magic(first):
+            places.append((place / first, rest))
+            continue
+        entries = _entries(place, left + 1)
+        left -= len(entries)
+        is_folder = {name: is_folder for name, is_folder in entries.items() if name[0] != "." or first[0] == "."}
+        if first == "**":
+            places.append((place, rest))
+            places += [
+                (place / name, parts if is_folder[name] else ()) for name in is_folder if is_folder[name] or not rest
+            ]
+        else:
+            places += [(place / name, rest) for name in fnmatch.filter(is_folder, first)]
+    if left < 0 or len(found) > MAX_FILES:
+        what = f"more than {MAX_FILES}" if left >= 0 else f"for which more than {_MAX_ENTRIES} would be looked at"
+        raise SceneError(
+            f"system.path: expected at most {MAX_FILES} files, got {what}, by {shown(pattern)}; narrow it"
+        )
+    return sorted(found)
+
+
+def _entries(place: Path, most: int) -> dict[str, bool]:
+    """Names in a directory, at most so many, and whether each is a directory itself; none if it cannot be read."""
+    try:
+        with os.scandir(place) as entries:
+            return {entry.name: entry.is_dir() for entry in islice(entries, most)}
+    except OSError:
+        return {}
 
 
 # ---------------------------------------------------------------------------------------------- functions

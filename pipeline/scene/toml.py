@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import codecs
 import contextlib
 import json
 import math
 import re
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args
 
 import numpy as np
@@ -100,52 +97,6 @@ def listed(one: dict[str, Any]) -> WithJsonSchema:
 
 
 # ---------------------------------------------------------------------------------------------- reading
-
-
-def read_source(path: str | Path) -> bytes:
-    """The bytes of a scene file.
-
-    Raises
-    ------
-    SceneError
-        If it cannot be read.
-    """
-    path = Path(path)
-    try:
-        return path.read_bytes()
-    except IsADirectoryError:
-        raise SceneError(f"{path}: expected a scene file, got a directory; name the .toml file in it") from None
-    except FileNotFoundError:
-        raise SceneError(f"{path}: expected a scene file, found nothing there; check the path") from None
-    except OSError as error:
-        raise SceneError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
-
-
-def parse_toml(source: bytes | str, name: str) -> dict[str, Any]:
-    """The tables that a scene file holds, as they are written; `name` is what errors call it.
-
-    Raises
-    ------
-    SceneError
-        If it is not TOML.
-    """
-    text = source if isinstance(source, str) else _decoded(source, name)
-    try:
-        return tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError: also an integer of absurd length
-        raise SceneError(f"{name}: expected TOML, got: {error}; correct that line") from None
-
-
-def _decoded(source: bytes, name: str) -> str:
-    if source.startswith(codecs.BOM_UTF8):
-        raise SceneError(f"{name}: expected plain UTF-8, got a byte order mark; save the file as UTF-8 without it")
-    try:
-        return source.decode()
-    except UnicodeDecodeError as error:
-        line = source.count(b"\n", 0, error.start) + 1
-        raise SceneError(
-            f"{name}: line {line}: expected UTF-8 text, got byte 0x{source[error.start]:02x}; save the file as UTF-8"
-        ) from None
 
 
 def as_scene(kind: type[Table], tables: dict[str, Any], name: str) -> Table:

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stickslip.pipeline.errors import SceneError
-from stickslip.pipeline.scene.toml import as_scene, parse_toml, read_source
+from stickslip.pipeline.scene.source import parse_toml, read_source
+from stickslip.pipeline.scene.toml import as_scene
 
 if TYPE_CHECKING:
     from stickslip.workflows.gallery.charts import ChartScene

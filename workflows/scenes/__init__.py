@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,8 +51,11 @@ def with_known_questions(scene: Scene, name: str) -> Scene:
 
 def chart_of(file: Path) -> str | None:
     """The chart that a scene file asks for in its key `chart`; None for an ensemble, or no scene at all."""
+    from stickslip.pipeline.errors import SceneError
+    from stickslip.pipeline.scene.source import parse_toml, read_source
+
     try:
-        chart = tomllib.loads(file.read_text(encoding="utf-8")).get("chart")
-    except (OSError, ValueError, RecursionError):  # whoever loads it as a scene says what is wrong with it
+        chart = parse_toml(read_source(file), str(file)).get("chart")
+    except SceneError:  # whoever loads it as a scene says what is wrong with it
         return None
     return None if chart is None else str(chart)
