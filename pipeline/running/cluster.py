@@ -280,7 +280,9 @@ def _wait_for(starting: Future[None], workers: int, errors: ErrorStream) -> None
 
 
 def _no_start(workers: int, why: str, said: Sequence[str]) -> ScheduleError:
-    is_script = processes.forks is None
+    is_script, most = processes.forks is None, resource.getrlimit(resource.RLIMIT_AS)[0]
+    if most != resource.RLIM_INFINITY:
+        why += f"; each process may have {most / 1e9:.2g} GB, `ulimit -v`"
     lines = [
         f"expected {workers} workers on this machine, could not start them ({why})",
         *(f"    {line}" for line in said),

@@ -18,7 +18,6 @@ from distributed.comm import CommClosedError
 
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.errors import ScheduleError
-from stickslip.sim.kernels.cache import KernelError
 
 log = logging.getLogger(__name__)
 
@@ -95,8 +94,6 @@ def submit(
     ------
     ScheduleError
         If workers do not come up, or run another version.
-    KernelError
-        If a worker can run no kernel.
     Exception
         One of `LOST` if the scheduler is lost, and whatever `work` raises.
     """
@@ -124,8 +121,6 @@ def submit(
                     results.append(_fetch(future, patience))
                 except KilledWorker:
                     lost.append(task)
-                except KernelError:
-                    raise
                 except (ImportError, AttributeError) as error:
                     raise ScheduleError(
                         f"expected workers with this version of the program ({program()}), got one that cannot run "
