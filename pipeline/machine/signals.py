@@ -139,7 +139,7 @@ def blocked() -> Iterator[None]:
     from multiprocessing import resource_tracker  # here, and so in `processes`, so that --help is quick
 
     before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGHUP,))
-    resource_tracker.ensure_running()  # it is to outlive a closed terminal; started later, it would unblock the others
+    resource_tracker.ensure_running()  # it outlives a closed terminal; started later, it would unblock the others
     signal.pthread_sigmask(signal.SIG_SETMASK, {*before, *_OF_GROUPS})
     try:
         yield
