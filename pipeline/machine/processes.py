@@ -8,6 +8,7 @@ import importlib
 import os
 import pickle
 import queue
+import select
 import signal
 import subprocess
 import sys
@@ -204,8 +205,8 @@ def forked_workers() -> Iterator[None]:
 # ---------------------------------------------------------------------------------------------- a child
 
 
-#: Seconds that a child takes to end once it has closed its pipe.
-_LAST_SECONDS = 10.0
+#: Seconds that a child has to start, and takes to end once it has closed its pipe.
+_FIRST_SECONDS, _LAST_SECONDS = 60.0, 10.0
 
 
 class ChildDied(RuntimeError):
@@ -237,6 +238,7 @@ class Child:
             start_new_session=True,
         )
         self.pid = self._process.pid
+        self._has_started = False
 
     def __enter__(self) -> Child:
         return self
@@ -254,11 +256,17 @@ class Child:
         Raises
         ------
         ChildDied
-            If the process ends first, as it does when the function raises.
+            If the process ends first, as it does when the function raises, or does not start.
         """
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         try:
+            if not self._has_started:
+                starting = select.poll()
+                starting.register(self._process.stdout)
+                if not starting.poll(1000.0 * _FIRST_SECONDS):
+                    self.kill()
+                self._has_started = pickle.load(self._process.stdout)
             pickle.dump(argument, self._process.stdin)
             self._process.stdin.flush()
             return pickle.load(self._process.stdout)
@@ -303,6 +311,8 @@ def serve(module: str, name: str) -> None:
             os._exit(1)
 
     threading.Thread(target=listen, daemon=True).start()
+    answer: Any = True  # it has started
     while True:
-        pickle.dump(function(asked.get()), answers)
+        pickle.dump(answer, answers)
         answers.flush()
+        answer = function(asked.get())

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
-from stickslip.pipeline.machine.signals import last_act
+from stickslip.pipeline.machine.signals import last_act, unbroken
 
 #: Names are this machine's: a lock may not be seen by others that mount the same file system.
 _PREFIX = f"stickslip-scratch-{socket.gethostname()}-"
@@ -44,13 +44,14 @@ def scratch(parent: str | None = None) -> Iterator[Scratch]:
     """
     parent = parent or tempfile.gettempdir()
     _sweep(parent)
-    made = _locked(parent)
-    try:
-        with last_act(partial(shutil.rmtree, made.path, ignore_errors=True)):
-            yield made
-    finally:
-        shutil.rmtree(made.path, ignore_errors=True)
-        os.close(made.descriptor)
+    with contextlib.ExitStack() as opened:
+        with unbroken():  # a signal waits until it is known what is to be removed
+            made = _locked(parent)
+            remove = partial(shutil.rmtree, made.path, ignore_errors=True)
+            opened.callback(os.close, made.descriptor)
+            opened.callback(remove)
+            opened.enter_context(last_act(remove))
+        yield made
 
 
 def _locked(parent: str) -> Scratch:

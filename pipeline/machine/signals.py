@@ -138,8 +138,9 @@ def blocked() -> Iterator[None]:
     """
     from multiprocessing import resource_tracker  # here, and so in `processes`, so that --help is quick
 
-    resource_tracker.ensure_running()  # started later, it would unblock the signals
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _OF_GROUPS)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGHUP,))
+    resource_tracker.ensure_running()  # it outlives a closed terminal; started later, it would unblock the others
+    signal.pthread_sigmask(signal.SIG_SETMASK, {*before, *_OF_GROUPS})
     try:
         yield
     finally:

@@ -165,11 +165,11 @@ def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
                 loop.start()
             opened.callback(loop.stop)
             opened.enter_context(_files_for(workers))
-            cluster = _begun(workers, dashboard, loop, opened)
-            starting = asyncio.run_coroutine_threadsafe(_started(cluster), loop.loop.asyncio_loop)
-            opened.callback(_abandon, cluster, starting)
+            begun: list[SpecCluster] = []
+            starting = _start(workers, dashboard, loop, opened, begun)
+            opened.callback(_abandon, begun, starting)
         with errors.instead():
-            _wait_for(starting, workers, errors)
+            cluster = _wait_for(starting, loop, workers, errors)
         errors.pass_on()
         with unbroken():
             client = Client(cluster, set_as_default=False)
@@ -261,8 +261,8 @@ def _setup(dask_worker: Worker) -> _Setup:
     return _Setup(threads, str(at.parent) if is_shared else "")
 
 
-def _wait_for(starting: Future[None], workers: int, errors: ErrorStream) -> None:
-    """Wait until workers have started, as long as that may take.
+def _wait_for(starting: Future[SpecCluster], loop: LoopRunner, workers: int, errors: ErrorStream) -> SpecCluster:
+    """The cluster, once its workers have started, which may take no longer than a limit.
 
     Raises
     ------
@@ -276,17 +276,21 @@ def _wait_for(starting: Future[None], workers: int, errors: ErrorStream) -> None
         if starting in wait([starting], _LOOK).done:
             error = starting.exception()
             if error is None:
-                return
+                return starting.result()
             why = str(error) or repr(error)
         elif processes.forks is not None and processes.forks.has_died:
             why = "the process that they are forked from has died"
+        elif not loop.loop.asyncio_loop.is_running():
+            why = "dask's loop has ended"
         elif time.monotonic() > end:
             why = f"they did not within {limit:.0f} s"
     raise _no_start(workers, why, errors.last_lines())
 
 
 def _no_start(workers: int, why: str, said: Sequence[str]) -> ScheduleError:
-    is_script = processes.forks is None
+    is_script, most = processes.forks is None, resource.getrlimit(resource.RLIMIT_AS)[0]
+    if most != resource.RLIM_INFINITY:
+        why += f"; each process may have {most / 1e9:.2g} GB, `ulimit -v`"
     lines = [
         f"expected {workers} workers on this machine, could not start them ({why})",
         *(f"    {line}" for line in said),
@@ -303,11 +307,13 @@ def _close(client: Client, cluster: SpecCluster) -> None:
         cluster.close()
 
 
-def _abandon(cluster: SpecCluster, starting: Future[None]) -> None:
+def _abandon(begun: list[SpecCluster], starting: Future[SpecCluster]) -> None:
     """Wait no longer for a cluster to start."""
-    if cluster.status != Status.closed:
+    starting.cancel()
+    for cluster in begun:
+        if cluster.status == Status.closed:
+            continue
         cluster.shutdown_on_close = False  # dask would wait for it as this process ends
-        starting.cancel()
         _kill(cluster)
         if cluster.scheduler is not None and cluster.scheduler._workdir is not None:
             cluster.scheduler._workdir.release()  # at the end of the process dask would complain that it is gone
@@ -358,12 +364,10 @@ class QuietWorker(_Quiet, Worker):
     """A worker that opens no page."""
 
 
-async def _started(cluster: SpecCluster) -> None:
-    await cluster
-
-
-def _begun(workers: int, dashboard: bool, loop: LoopRunner, opened: contextlib.ExitStack) -> SpecCluster:
-    """A cluster of this machine that is yet to be started, in the loop."""
+def _start(
+    workers: int, dashboard: bool, loop: LoopRunner, opened: contextlib.ExitStack, begun: list[SpecCluster]
+) -> Future[SpecCluster]:
+    """Have the loop start a cluster of this machine, which is in `begun` from its beginning on."""
     where = dask.config.get("temporary-directory") or tempfile.gettempdir()
     # if workers are forked: `forked_workers` has said from what, and dask would load pandas here too
     distributed.utils._forkserver_preload_set = True
@@ -391,8 +395,8 @@ def _begun(workers: int, dashboard: bool, loop: LoopRunner, opened: contextlib.E
         },
     }
 
-    async def begin() -> SpecCluster:
-        return SpecCluster(
+    async def start() -> SpecCluster:
+        cluster = SpecCluster(
             scheduler={"cls": Scheduler if dashboard else QuietScheduler, "options": here | pages},
             workers=dict.fromkeys(range(workers), worker),
             worker=worker,
@@ -402,4 +406,7 @@ def _begun(workers: int, dashboard: bool, loop: LoopRunner, opened: contextlib.E
             silence_logs=logging.CRITICAL,
         )
 
-    return asyncio.run_coroutine_threadsafe(begin(), loop.loop.asyncio_loop).result()
+        begun.append(cluster)
+        return await cluster
+
+    return asyncio.run_coroutine_threadsafe(start(), loop.loop.asyncio_loop)

@@ -20,7 +20,6 @@ from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.errors import ScheduleError
 from stickslip.pipeline.running.cluster import Scheduling
 from stickslip.pipeline.running.slurm import Jobs
-from stickslip.sim.kernels.cache import KernelError
 
 log = logging.getLogger(__name__)
 
@@ -100,8 +99,6 @@ def submit(
     ------
     ScheduleError
         If workers do not come up, or run another version.
-    KernelError
-        If a worker can run no kernel.
     Exception
         One of `LOST` if the scheduler is lost, and whatever `work` raises.
     """
@@ -130,8 +127,6 @@ def submit(
                     results.append(_fetch(future, patience))
                 except KilledWorker:
                     lost.append(task)
-                except KernelError:
-                    raise
                 except (ImportError, AttributeError) as error:
                     raise ScheduleError(
                         f"expected workers with this version of the program ({program()}), got one that cannot run "

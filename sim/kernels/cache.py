@@ -41,7 +41,7 @@ class CacheError(KernelError):
     """Others could write the kernel cache. The message says which directory or file it is, and what to do."""
 
 
-class CompilerError(KernelError, ImportError):
+class CompilerError(KernelError):
     """numba is told not to compile."""
 
 

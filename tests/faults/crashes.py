@@ -368,3 +368,52 @@ def interrupted_twice(world: World, count: int) -> int:
 def terminated(world: World, count: int) -> int:
     """SIGTERM, as SIGINT."""
     return _signalled(world, count, signal.SIGTERM, 1)
+
+
+@fault(quick=1, full=10, timeout=400)
+def hung_up(world: World, count: int) -> int:
+    """SIGHUP, as SIGINT: the terminal is closed."""
+    return _signalled(world, count, signal.SIGHUP, 1)
+
+
+@fault(quick=3, full=30, timeout=600)
+def signalled_as_it_starts(world: World, count: int) -> int:
+    """A first signal, at any moment until the first shard is there: it ends, and leaves nothing in TMPDIR."""
+    room = world.directory / "room"
+    room.mkdir()
+    for k in range(count):
+        out = world.directory / f"out{k}"
+        number = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP][k % 3]
+        process = world.command(
+            "run", str(world.scene_file), "--out", str(out), "--workers", "2",
+            environment={"TMPDIR": str(room)}, sleep=0.3,
+        )  # fmt: skip
+        until(lambda: any(room.iterdir()))  # before, Python loads what this package injects
+        time.sleep(world.random.uniform(0.0, 5.0))
+        process.send_signal(number)
+        code, _, err = end_of(process, 60)
+        assert code == 128 + number, err
+        assert not any(room.iterdir()), [*room.rglob("*")]
+        world.resume(out)
+    return count
+
+
+@fault(quick=1, full=5, timeout=400)
+def driver_killed_leaves_room(world: World, count: int) -> int:
+    """What a killed driver left in TMPDIR goes with the next."""
+    room = world.directory / "room"
+    room.mkdir()
+    for k in range(count):
+        out = world.directory / f"out{k}"
+        arguments = ("run", str(world.scene_file), "--out", str(out), "--workers", "2")
+        killed = world.command(*arguments, environment={"TMPDIR": str(room)}, sleep=0.3)
+        until(lambda out=out: (out / "manifest.json").exists())
+        time.sleep(world.random.uniform(0.0, 3.0))
+        killed.kill()
+        end_of(killed)
+        assert any(room.iterdir())
+        code, _, err = end_of(world.command(*arguments, environment={"TMPDIR": str(room)}), 120)
+        assert code == 0, err
+        assert not any(room.iterdir())
+        world.check(out)
+    return count

@@ -21,6 +21,7 @@ from stickslip.pipeline.machine.processes import ONE_THREAD
 from stickslip.pipeline.running import cluster, driver, submit, worker
 from stickslip.sim.engines import ENGINES
 from tests.pipeline.conftest import SOURCE
+from tests.processes import is_running, until
 
 
 def test_workers_give_the_bytes_of_this_process(scene, source, finished, content, tmp_path):
@@ -325,3 +326,94 @@ print(any("advance" in str(e.data["dispatcher"]) for _, e in compiled.buffer), w
     said = [process.communicate(timeout=120)[0].split() for process in running]
     assert sorted(said) == [["False", "False"], ["True", "False"]]
     assert len(list(tmp_path.rglob("*.nbc"))) == 1
+
+
+# ------------------------------------------------------------------------------------------ workers that cannot start
+
+#: What a process that is to become a worker, or the one that workers are forked from, does before all else.
+ENDS = {
+    "dies": "print('its last words', file=sys.stderr, flush=True); os._exit(5)",
+    "is killed": "print('its last words', file=sys.stderr, flush=True); os.kill(os.getpid(), 9)",
+    "hangs": "open(os.environ['STARTED'], 'w').write(str(os.getpid())); time.sleep(999)",
+}
+
+
+@pytest.fixture
+def no_start(tmp_path, monkeypatch):
+    """Have processes of `multiprocessing` end in a way of `ENDS`."""
+
+    def ends(how):
+        (site := tmp_path / "site").mkdir()
+        (site / "sitecustomize.py").write_text(
+            "import os, sys, time\n"
+            "if any('import forkserver' in one or 'import spawn_main' in one or 'forkserver import main' in one"
+            f" for one in sys.orig_argv):\n    {ENDS[how]}\n"
+        )
+        monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(site), *filter(None, sys.path)]))
+        monkeypatch.setattr(sys, "path", [str(site), *sys.path])
+        monkeypatch.setenv("STARTED", str(tmp_path / "started"))
+        return tmp_path / "started"
+
+    return ends
+
+
+def run_command(out, source):
+    """The command itself, whose workers are forked."""
+    out.parent.joinpath("small.toml").write_bytes(source)
+    return subprocess.Popen(
+        [sys.executable, "-m", "stickslip", "run", "small.toml", "--out", str(out), "--workers", "2", "--no-report"],
+        cwd=out.parent, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("how", ["dies", "is killed"])
+def test_workers_that_die_as_they_start_end_the_run_with_their_last_words(how, no_start, scene, tmp_path):
+    no_start(how)
+    with pytest.raises(ScheduleError, match=r"on this machine, could not start them \(.*\)\n    its last words"):
+        run_ensemble(scene, tmp_path / "out", workers=2)
+    assert status(tmp_path / "out").n_done == 0
+
+
+def test_workers_have_some_time_to_start(no_start, scene, tmp_path, monkeypatch):
+    file = no_start("hangs")
+    monkeypatch.setattr(cluster, "_START_TIMEOUT", 0.0)
+    with pytest.raises(ScheduleError, match=r"could not start them \(they did not within 3 s\)"), cluster.local(1):
+        pass
+    if file.exists():  # else it was killed before
+        until(lambda: not is_running(int(file.read_text() or 0)))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="workers are forked on Linux")
+@pytest.mark.parametrize("how", ["dies", "is killed"])
+def test_a_server_of_workers_that_dies_ends_the_command_with_its_last_words(how, no_start, source, tmp_path):
+    no_start(how)
+    _, err = (process := run_command(tmp_path / "out", source)).communicate(timeout=100)
+    assert process.returncode == 1, err
+    assert "could not start them (the process that they are forked from has died)\n    its last words" in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_the_first_signal_ends_a_command_whose_workers_never_start(number, no_start, source, tmp_path):
+    file = no_start("hangs")
+    process = run_command(tmp_path / "out", source)
+    until(lambda: (tmp_path / "out" / "manifest.json").exists() and file.exists() and file.read_text() != "")
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 128 + number, err
+    assert "Resume with:" in err
+    until(lambda: not is_running(int(file.read_text())))
+
+
+@pytest.mark.parametrize("to", ["environment", "file"])
+def test_kernels_that_numba_is_told_not_to_compile_are_refused_in_a_line(to, source, tmp_path, monkeypatch):
+    if to == "environment":
+        monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    else:
+        (tmp_path / ".numba_config.yaml").write_text("disable_jit: 1\n")
+    _, err = (process := run_command(tmp_path / "out", source)).communicate(timeout=100)
+    assert process.returncode == (2 if to == "environment" else 1)
+    assert "kernels: expected numba to compile them, got NUMBA_DISABLE_JIT=1; unset it" in err
+    assert "Traceback" not in err
+    assert to == "file" or not (tmp_path / "out").exists()

@@ -71,6 +71,14 @@ def test_it_answers_one_question_after_the_other_and_says_how_it_died():
     assert not is_running(child.pid)
 
 
+def test_it_has_some_time_to_start(tmp_path, monkeypatch):
+    (tmp_path / "sitecustomize.py").write_text("import time; time.sleep(999)\n")
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    monkeypatch.setattr(processes, "_FIRST_SECONDS", 1.0)
+    with Child(math.factorial) as child, pytest.raises(ChildDied, match="signal SIGKILL"):
+        child(3)
+
+
 FORKING = """
 import json, os, signal, sys
 sys.path.remove("")  # as in a program that is installed
@@ -239,8 +247,8 @@ BUSY = """
 import hashlib, time
 from stickslip.pipeline.machine import signals
 with signals.interruptible(is_program=True), signals.last_act(lambda: print("last", flush=True)):
-    print("busy", flush=True)
     try:
+        print("busy", flush=True)
         time.sleep(999)
     except signals.Interrupted:  # somebody swallows it, and goes on for a quarter of an hour in compiled code
         hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from importlib import import_module
 from typing import Any
@@ -50,6 +51,10 @@ _CODES = """exit codes:
 """
 
 
+#: As the system says of a library for which there is no room, or of a thread.
+_NO_MEMORY = re.compile("failed to map segment|cannot allocate|can't start new thread", re.IGNORECASE)
+
+
 class _Version(argparse.Action):
     """Looks the version up when it is asked for; argparse's own action wants it before."""
 
@@ -79,6 +84,13 @@ def parser() -> argparse.ArgumentParser:
     return whole
 
 
+def _lacks_memory(error: BaseException | None) -> bool:
+    """Whether it is for want of memory, of which a library that cannot be loaded says no more than the system."""
+    if error is None or isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
+        return error is not None
+    return _lacks_memory(error.__cause__ or error.__context__)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run the command with `argv` (the process's own by default); returns the exit code."""
     if argv is None:
@@ -104,6 +116,13 @@ def main(argv: list[str] | None = None) -> int:
     except OSError as error:  # a scene, a report or an answer that cannot be written
         remedy = "make room or choose another place, then rerun the command"
         print(f"stickslip: {error}; {NO_FOLDER if isinstance(error, FileNotFoundError) else remedy}", file=sys.stderr)
+        return UNFINISHED
+    except (MemoryError, ImportError) as error:
+        if not _lacks_memory(error):
+            raise
+        why = " ".join(str(error).split()) or "out of memory"
+        print(f"stickslip: expected memory for what is computed, got none left ({why}); raise `ulimit -v`, close"
+              " other programs, or take a larger machine", file=sys.stderr)  # fmt: skip
         return UNFINISHED
     except import_module("stickslip.sim.kernels.cache").KernelError as error:  # loaded if it is none of the above
         print(f"stickslip: {error}", file=sys.stderr)

@@ -6,7 +6,7 @@ import argparse
 import sys
 import unicodedata
 from collections.abc import Sized
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
 from threading import Thread
@@ -127,8 +127,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
     try:
         with Watch(out) as watch, last_act(how_to_go_on):
             if asking is not None:
-                # while workers compute
-                Thread(target=import_module, args=("stickslip.workflows.reporting",), daemon=True).start()
+                Thread(target=_load_report, daemon=True).start()  # while workers compute
             status = run_ensemble(
                 scene,
                 out,
@@ -159,6 +158,11 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
         print(f"report  not written; write it with: {command('report', str(out))}")
     print(f"time    {clock(watch.elapsed)}, not counting the report")
     return UNFINISHED if status.failures or not is_answered else DONE
+
+
+def _load_report() -> None:
+    with suppress(Exception):  # it is raised again where the report is needed
+        import_module("stickslip.workflows.reporting")
 
 
 def _say_problems(out: Place) -> None:
