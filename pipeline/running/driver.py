@@ -85,7 +85,7 @@ def run_ensemble(
         is something to compute; used instead of local workers. Its workers need this package and should have one
         thread each.
     on_progress : callable, optional
-        Called with a `Progress` at the start, each second until the first shard, and after each commit.
+        Called with a `Progress` at the start, each second while the run waits, and after each commit.
     retry_failed : bool
         Whether to run shards with failed members again.
     accept_version : bool
@@ -259,8 +259,8 @@ def fill(
                         f"{result.host}; install the same there, then rerun the scene"
                     )
             is_waiting = False
-            if n_workers > most_workers:
-                most_workers, n_shards_before = n_workers, tally.n_shards_done
+            if max(n_workers, 1) > most_workers:
+                most_workers, n_shards_before = max(n_workers, 1), tally.n_shards_done
             for result, shard in zip(some, store.commit(*some), strict=True):
                 tally = tally.plus(shard, todo[result.name])
                 report(result.name)

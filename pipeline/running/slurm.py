@@ -51,8 +51,7 @@ _TIME = re.compile(r"(?:(\d+)-)?(\d+)(?::(\d+))?(?::(\d+))?")
 def jobs(workers: int, settings: dict[str, Any]) -> Iterator[Callable[[], Client]]:
     """Jobs of Slurm for the time of a with-block: a function that submits them, and returns their workers' client.
 
-    Called again, it returns the same client; if it is not called, no job is submitted. It raises `ScheduleError` if
-    dask-jobqueue is not installed.
+    Called again, it returns the same client; if it is not called, no job is submitted.
 
     Parameters
     ----------
@@ -60,9 +59,15 @@ def jobs(workers: int, settings: dict[str, Any]) -> Iterator[Callable[[], Client
         Processes in all, of one thread each.
     settings : dict
         As of `job_settings`.
+
+    Raises
+    ------
+    ScheduleError
+        If dask-jobqueue is not installed.
     """
+    kind, n_jobs = cluster_of_jobs(), -(-workers // settings["processes"])
     with contextlib.ExitStack() as opened:
-        yield functools.cache(lambda: _start(settings, -(-workers // settings["processes"]), opened))
+        yield functools.cache(lambda: _start(kind, settings, n_jobs, opened))
 
 
 def job_settings(workers: int, options: Sequence[str]) -> dict[str, Any]:
@@ -106,7 +111,7 @@ def job_settings(workers: int, options: Sequence[str]) -> dict[str, Any]:
         "cores": n_processes,
         "processes": n_processes,
         "memory": str(memory),
-        # the last of two options of a name holds, but for the memory, of which there are two names
+        # each is said below, with the others
         "job_directives_skip": ["--mem=", "--cpus-per-task=", "-t "],
         "job_extra_directives": [
             f"--{name}={shlex.quote(value)}" if value else f"--{name}" for name, value in asked.items()
@@ -136,8 +141,7 @@ def _seconds(time: str) -> int:
     return sum(unit * part for unit, part in zip((86_400, 3600, 60, 1), (days, *parts), strict=True))
 
 
-def _start(settings: dict[str, Any], n_jobs: int, opened: contextlib.ExitStack) -> Client:
-    kind = _cluster()
+def _start(kind: type[Any], settings: dict[str, Any], n_jobs: int, opened: contextlib.ExitStack) -> Client:
     # of its own, as above: this process, which has the scheduler, looks for modules there too
     own = opened.enter_context(tempfile.TemporaryDirectory(prefix="stickslip-", ignore_cleanup_errors=True))
     opened.enter_context(dask.config.set({"temporary-directory": own}))
@@ -149,7 +153,8 @@ def _start(settings: dict[str, Any], n_jobs: int, opened: contextlib.ExitStack) 
     return opened.enter_context(Client(cluster, set_as_default=False))
 
 
-def _cluster() -> type[Any]:
+def cluster_of_jobs() -> type[Any]:
+    """dask-jobqueue's cluster for Slurm, as `Jobs`."""
     answer = signal.getsignal(signal.SIGINT)
     try:
         from dask_jobqueue.slurm import SLURMCluster  # it sets a handler of SIGINT

@@ -54,7 +54,7 @@ def test_what_slurm_is_told(tmp_path, monkeypatch):
     before = signal.getsignal(signal.SIGINT)
     options = ["cpus-per-task=8", "mem-per-cpu=3G", "time=90", "partition=long", "--account=blocks", "exclusive"]
     settings = slurm.job_settings(64, [*options, "comment=two words"])
-    with slurm._cluster()(**settings) as cluster:
+    with slurm.cluster_of_jobs()(**settings) as cluster:
         script = cluster.job_script()
         assert cluster.scheduler_address.startswith("tls://")
         assert cluster.scheduler.services == {}  # no web server
@@ -230,7 +230,15 @@ def test_a_run_in_jobs_ends_by_sigterm_with_its_jobs_and_goes_on(scene_file, ref
     assert shards(out) == reference
 
 
+def test_without_the_extra_nothing_is_begun(scene_file, tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "dask_jobqueue.slurm", None)
+    assert main(["run", str(scene_file), "--out", str(tmp_path / "out"), "--slurm", "4"]) == 1
+    assert 'got none; run: pip install "stickslip[cluster]"\n' in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_what_is_complete_needs_no_job(scene_file, reference, tmp_path, monkeypatch):
+    pytest.importorskip("dask_jobqueue")
     run_ensemble(parse_scene(SOURCE), tmp_path / "out", workers=0)
     monkeypatch.setattr(slurm, "_start", lambda *_: pytest.fail("a job was asked for"))
     run = ["run", str(scene_file), "--out", str(tmp_path / "out"), "--no-report"]
