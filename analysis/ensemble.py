@@ -23,7 +23,7 @@ from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, at_least, over_matrices, ratio
-from stickslip.sim.numerics.arguments import did_you_mean
+from stickslip.sim.numerics.arguments import apart, did_you_mean
 
 T = TypeVar("T")
 _TOGETHER = 100_000  # members that are asked about at once
@@ -508,6 +508,5 @@ def check(members: Members, settings: AnalysisSettings) -> None:
         raise ValueError(f"members: member_id {names[names.duplicated()].iloc[0]!r} occurs more than once")
     t_end = min(one["t_end"] for one in members.settings)
     if settings.t_burn >= t_end:
-        raise ValueError(
-            f"t_burn: expected less than t_end = {t_end:g}, got {settings.t_burn:g}; no time is left for statistics"
-        )
+        end, burn = apart(t_end, settings.t_burn)
+        raise ValueError(f"t_burn: expected less than t_end = {end}, got {burn}; no time is left for statistics")

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Task
-from stickslip.sim.numerics.arguments import did_you_mean, floats, number, per_block
+from stickslip.sim.numerics.arguments import Floats, apart, did_you_mean, floats, number, per_block
 from stickslip.sim.numerics.session import numpy_defaults
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.systems.system import System, require_within
@@ -108,14 +108,7 @@ def as_task(
         w0 = system.at_rest(t_start)
     z, w = per_block("z0", z0, system.n), per_block("w0", w0, system.n)
     times = floats("t_eval", t_eval, "an array of times")
-    is_within = times.shape == (0,) or (
-        times.ndim == 1 and times.min() >= t_start and times.max() <= t_end and (np.diff(times) >= 0).all()
-    )
-    if not is_within:
-        raise ValueError(
-            f"t_eval: expected times in [{t_start:g}, {t_end:g}] in rising order, got {t_eval!r}; sort them,"
-            " and leave out what lies outside"
-        )
+    _check_times(times, t_start, t_end)
     if modes is not None and not engine.is_exact:
         raise ValueError(f"modes: expected None with engine={engine.name!r}, where the state alone says who sticks")
     samples = Samples.blank(times, system.n)
@@ -124,6 +117,23 @@ def as_task(
         raise TypeError(f'stop_early: expected True, False or "always", got {stop_early!r}')
     at_start = _modes(modes, system.n)
     return Task(system.of_unit_mass, z, w, t_start, t_end, samples, bool(stop_early), certify, at_start)
+
+
+def _check_times(times: Floats, t_start: float, t_end: float) -> None:
+    """ValueError unless times are from `t_start` to `t_end` and do not decrease."""
+    is_outside = ~((times >= t_start) & (times <= t_end))
+    if times.ndim != 1:
+        bounds, got = [*apart(t_start, t_end)], f"an array of shape {times.shape}; give it the shape (m,)"
+    elif is_outside.any():
+        *bounds, time = apart(t_start, t_end, times[is_outside][0])
+        got = f"{time}; leave out what lies outside"
+    elif (np.diff(times) < 0).any():
+        k = int(np.argmax(np.diff(times) < 0))
+        *bounds, before, after = apart(t_start, t_end, times[k], times[k + 1])
+        got = f"{after} after {before}; sort them"
+    else:
+        return
+    raise ValueError(f"t_eval: expected times in [{bounds[0]}, {bounds[1]}] in rising order, got {got}")
 
 
 def _modes(modes: ArrayLike | None, n: int) -> NDArray[np.int8] | None:

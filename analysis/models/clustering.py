@@ -21,6 +21,7 @@ from scipy import fft
 
 from stickslip.analysis.series.nulls import BlockSteps, in_order
 from stickslip.analysis.stats.estimates import Undefined
+from stickslip.sim.numerics.arguments import apart
 
 POWER, VARIANCE, FANO, PAIRS = "power", "variance", "fano", "pairs"
 SAMPLES = 4096  # of a window: periods above a thousandth of it are free of aliasing
@@ -70,7 +71,8 @@ def measure(steps: BlockSteps, parts: Sequence[Part]) -> np.ndarray:
         raise Undefined("fewer than two exits")
     reach = max((part.upto or 0.0 for part in parts if part.kind in (FANO, PAIRS)), default=0.0)
     if 2 * reach > steps.span:
-        raise ValueError(f"parts: expected gaps and windows of at most {steps.span / 2:g}, got {reach:g}")
+        most, got = apart(steps.span / 2, reach)
+        raise ValueError(f"parts: expected gaps and windows of at most {most}, got {got}")
     own = own_gaps(
         t, block, steps.span, min(1.5 * reach, steps.span / 2)
     )  # room for windows that are stretched to tile the span

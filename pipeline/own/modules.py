@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import importlib.abc
 import importlib.machinery
@@ -12,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
 
-from stickslip.pipeline.own.files import content_of, name_beside
+from stickslip.pipeline.own.files import content_of, is_installed, name_beside
 
 #: Prefix of the names under which modules of functions are loaded.
 _OWN = "_own_"
@@ -131,6 +132,44 @@ def own_modules(root: Path, beside: tuple[tuple[str, str], ...], is_trial: bool 
             sys.modules.pop(name, None)
         own.update((name, sys.modules.pop(name)) for name in names & set(sys.modules))
         sys.modules.update(aside)
+
+
+def hiding(root: Path, files: Iterable[str]) -> str:
+    """The module beside a scene that hides one that is installed, or Python's, and that is imported; "" if none does.
+
+    Which of the two an import gets depends on what a process has loaded before. `files` are read there.
+    """
+    loaded = set(_loaded_beside(set(sys.modules), root))
+    for name in sorted(loaded.union(*(_imported(root / file) for file in files if file.endswith(".py")))):
+        top = name.partition(".")[0]
+        beside = (Path(f"{top}.py"), Path(top, "__init__.py"))
+        file = next((file for file in beside if (root / file).is_file()), None)
+        if file is not None and _is_elsewhere(top, root):
+            return file.as_posix()
+    return ""
+
+
+def _imported(file: Path) -> set[str]:
+    """The names of the modules that the text of a module imports."""
+    names: set[str] = set()
+    try:
+        tree = ast.parse(file.read_bytes())
+    except (SyntaxError, ValueError):  # it was read, and not as a module
+        return names
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module)
+    return names
+
+
+def _is_elsewhere(top: str, root: Path) -> bool:
+    """Whether a module is Python's, or of an installed package."""
+    if top in sys.stdlib_module_names:
+        return True
+    spec = importlib.machinery.PathFinder.find_spec(top, [at for at in sys.path if Path(at).resolve() != root])
+    return spec is not None and spec.origin is not None and is_installed(Path(spec.origin).resolve())
 
 
 def _loaded_beside(names: Iterable[str], root: Path) -> dict[str, str]:

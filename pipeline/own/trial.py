@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 from stickslip.pipeline.errors import SceneError, foreign
 from stickslip.pipeline.machine.processes import Child, ChildDied
 from stickslip.pipeline.own.files import content_of, digest, name_beside
+from stickslip.pipeline.own.modules import hiding
 
 #: Seconds that a child has for its calls of a function.
 LONGEST_TRIAL = 40.0
@@ -107,16 +108,25 @@ def _try(task: tuple[Trial, int]) -> tuple[str, dict[str, Any]]:
         return "", {}
     audit = _Audit()
     sys.addaudithook(audit)
+    found, problem = [], ""
     try:
         found = [trial.attempt() for _ in range(times)]
     except SceneError as error:
-        return str(error), {}
+        problem = str(error)
     except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
-        return f"expected {trial.expected}, got {foreign(error)}", {}
+        problem = f"expected {trial.expected}, got {foreign(error)}"
+    beside = _beside(trial, audit)
+    if hides := hiding(Path(trial.at), beside):  # which may be why it went wrong
+        problem = (
+            f"{trial.key}: expected no file beside the scene with the name of an installed module that is imported,"
+            f" got {hides}; rename it"
+        )
+    if problem:
+        return problem, {}
     digests = {digest(given) for given, _ in found}
     if len(digests) > 1:
         return trial.differs, {}
-    return "", {**found[0][1], "beside": _beside(trial, audit), "digest": digests.pop()}
+    return "", {**found[0][1], "beside": beside, "digest": digests.pop()}
 
 
 class _Audit:

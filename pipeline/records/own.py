@@ -19,7 +19,7 @@ from stickslip.pipeline.own.function import PATTERN, LateError, OwnFunction, res
 from stickslip.pipeline.own.trial import Trial, tried_once
 from stickslip.pipeline.records.column import Column, Kind, Until
 from stickslip.pipeline.records.record import Facts, Made, Member, Memory, NotKeptError, WindowRecord, sampling, steps
-from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arguments import Floats, apart
 from stickslip.sim.runs.run import Samples
 from stickslip.sim.systems.system import is_sparse
 
@@ -192,12 +192,12 @@ def _checked(own: Own, returned: object, window: tuple[float, float]) -> Measure
         if isinstance(plain, float) and not math.isfinite(plain):
             problems.append(f"expected a finite number for {column.name}, got {plain}")
         elif column.least is not None and plain is not None and plain < column.least:
-            problems.append(f"expected at least {column.least:g} for {column.name}, got {plain:g}")
+            least, got = apart(column.least, plain)
+            problems.append(f"expected at least {least} for {column.name}, got {got}")
         elif plain is not None and column.until is not None and plain > t_end - column.until.start(t_burn):
             start = column.until.start(t_burn)
-            problems.append(
-                f"expected at most {t_end - start:g} for {column.name}, a time since t = {start:g}, got {plain:g}"
-            )
+            most, got = apart(t_end - start, plain)
+            problems.append(f"expected at most {most} for {column.name}, a time since t = {start:g}, got {got}")
         elif plain is None:
             is_wrong = True
             problems.append(f"expected {_EXPECTED[column.kind]} for {column.name}, got {type(value).__name__}")

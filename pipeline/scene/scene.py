@@ -54,6 +54,7 @@ from stickslip.pipeline.scene.toml import (
     written,
 )
 from stickslip.sim.engines.contract import Purpose
+from stickslip.sim.numerics.arguments import apart
 from stickslip.sim.systems.couplings import Reading
 from stickslip.sim.systems.system import BEYOND
 from stickslip.sim.systems.terms import TERMS
@@ -409,7 +410,8 @@ class Scene(StrictTable):
             ("analysis.map_dt", self.analysis.map_dt, step, steps),
         ):
             if known and known[0] < least:
-                raise ValueError(f"{key}: expected at least {least:.2g}, {why}, got {known[0]}; enlarge it")
+                bound, smallest = apart(least, known[0], digits=2)
+                raise ValueError(f"{key}: expected at least {bound}, {why}, got {smallest}; enlarge it")
 
     @property
     def n_members(self) -> int:

@@ -23,7 +23,7 @@ from stickslip.sim.attractors.result import Attractor
 from stickslip.sim.attractors.rounds import Round, in_order, rounds_of, symbols_of
 from stickslip.sim.engines.certificates import steady_sliding
 from stickslip.sim.engines.coulomb.settings import Coulomb
-from stickslip.sim.numerics.arguments import Floats, number
+from stickslip.sim.numerics.arguments import Floats, apart, number
 from stickslip.sim.numerics.session import numpy_defaults
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries, by_block
@@ -103,7 +103,8 @@ def attractor(
     if run.outcome == "diverged":
         return Attractor("escaping", run.reason)
     if not series.t_start <= t_burn <= run.t_end:
-        raise ValueError(f"t_burn: expected a time in [{series.t_start:g}, {run.t_end:g}], got {t_burn:g}")
+        low, high, time = apart(series.t_start, run.t_end, t_burn)
+        raise ValueError(f"t_burn: expected a time in [{low}, {high}], got {time}")
     bends = [float(x.times[-1]) for x in (*system.force, system.belt_speed) if isinstance(x, Piecewise)]
     if max(bends, default=-math.inf) > run.t_end:
         return Attractor("undecided", f"a force or a belt changes until t = {max(bends):g}; lengthen the run")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import numbers
 import reprlib
 from collections.abc import Iterable
 from typing import Any, TypeAlias
@@ -12,6 +13,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats: TypeAlias = NDArray[np.float64]
+
+
+def apart(*values: float, digits: int = 6) -> tuple[str, ...]:
+    """Texts of numbers that a message compares: with so many digits, or as many as tell apart those that differ."""
+    for n in range(digits, 17):
+        texts = tuple(f"{value:.{n}g}" for value in values)
+        if len(set(texts)) == len({*values}):
+            return texts
+    return tuple(repr(float(value)) for value in values)
 
 
 def floats(name: str, value: ArrayLike, expected: str) -> Floats:
@@ -24,12 +34,24 @@ def floats(name: str, value: ArrayLike, expected: str) -> Floats:
     try:
         array = np.asarray(value)
         kind = array.dtype
-        if kind != np.float64 and (kind == np.bool_ or not np.can_cast(kind, np.float64, casting="same_kind")):
+        if kind == np.object_:
+            array = _numbers(array)
+        elif kind != np.float64 and (kind == np.bool_ or not np.can_cast(kind, np.float64, casting="same_kind")):
             raise TypeError(f"numbers of type {kind}")
         with np.errstate(all="ignore"):  # what float64 does not hold is told in our own words
             return np.array(array, dtype=np.float64, order="C")  # sums round by the order of entries
     except (TypeError, ValueError) as error:
-        raise TypeError(f"{name}: expected {expected}, got {reprlib.repr(value)} ({error})") from error
+        got = " ".join(reprlib.repr(value).split())
+        raise TypeError(f"{name}: expected {expected}, got {got} ({error})") from error
+
+
+def _numbers(array: NDArray[np.object_]) -> Floats:
+    """Floats from objects, as NumPy makes of tables with nullable types; TypeError names what is no number."""
+    for place, entry in np.ndenumerate(array):
+        if not isinstance(entry, numbers.Real) or isinstance(entry, bool | np.bool_):
+            where = f" at {place[0] if len(place) == 1 else place}" if place else ""
+            raise TypeError(f"{' '.join(reprlib.repr(entry).split())}{where}")
+    return array.astype(np.float64)
 
 
 def per_block(name: str, value: ArrayLike, n: int, bound: str = "") -> Floats:
@@ -61,9 +83,11 @@ def number(name: str, value: Any, above: float = -np.inf, below: float = np.inf)
     """One finite number in the open interval (above, below)."""
     if type(value) is float and above < value < below:
         return value  # at once, as most are: small systems run in a fraction of a millisecond
-    expected = "a finite number" if above == -np.inf else f"a number in ({above:g}, {below:g})"
-    array = floats(name, value, expected)
+    is_bounded = above > -np.inf
+    array = floats(name, value, f"a number in ({above:g}, {below:g})" if is_bounded else "a finite number")
     if array.ndim != 0 or not np.isfinite(array) or not above < array < below:
+        low, high = apart(above, below, *array.flat)[:2]
+        expected = f"a number in ({low}, {high})" if is_bounded else "a finite number"
         raise ValueError(f"{name}: expected {expected}, got {value!r}")
     return float(array)
 

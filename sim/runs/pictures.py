@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.numerics.arguments import Floats, did_you_mean, floats, integer
+from stickslip.sim.numerics.arguments import Floats, apart, did_you_mean, floats, integer
 from stickslip.sim.numerics.session import numpy_defaults
 
 if TYPE_CHECKING:
@@ -467,10 +467,11 @@ def _span(events: EventSeries, span: Sequence[float] | None) -> tuple[float, flo
     """The times to draw: all, or those from one to another."""
     if span is None:
         return events.t_start, events.t_end
-    expected = f"two times, rising, within [{events.t_start:g}, {events.t_end:g}]"
-    found = floats("span", span, expected)
+    low, high = apart(events.t_start, events.t_end)
+    found = floats("span", span, f"two times, rising, within [{low}, {high}]")
     if found.shape != (2,) or not events.t_start <= found[0] < found[1] <= events.t_end:
-        raise ValueError(f"span: expected {expected}, got {span!r}")
+        low, high, *times = apart(events.t_start, events.t_end, *found.flat)
+        raise ValueError(f"span: expected two times, rising, within [{low}, {high}], got {', '.join(times)}")
     return float(found[0]), float(found[1])
 
 

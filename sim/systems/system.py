@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.numerics.arguments import Floats, flag, floats, number, per_block
+from stickslip.sim.numerics.arguments import Floats, apart, flag, floats, number, per_block
 from stickslip.sim.numerics.session import numpy_defaults
 from stickslip.sim.runs import show
 from stickslip.sim.systems.drive import Force, Harmonic, Piecewise, Term, belt, direction, forces
@@ -514,7 +514,7 @@ def work_out(systems: Sequence[System]) -> None:
 
 def _highest_static(system: System) -> str:
     block = int(np.argmax(system.static - system.friction))
-    return f"{system.static[block]:g} above {system.friction[block]:g} at block {block}"
+    return "{} above {} at block {}".format(*apart(system.static[block], system.friction[block]), block)
 
 
 def _first_cross_damping(system: System) -> str:
@@ -623,9 +623,10 @@ def _static(static: ArrayLike | None, friction: Floats) -> Floats:
     held = per_block("static", static, len(friction))
     if (held < friction).any():
         block = int(np.argmax(friction - held))
+        low, high = apart(held[block], friction[block])
         raise ValueError(
-            f"static: expected at least the kinetic friction, got {held[block]:g} below {friction[block]:g} at block"
-            f" {block}; raise it, or leave it out for the same"
+            f"static: expected at least the kinetic friction, got {low} below {high} at block {block}; raise it, or"
+            " leave it out for the same"
         )
     return held
 

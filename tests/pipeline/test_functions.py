@@ -79,6 +79,39 @@ def test_a_function_may_have_a_law_of_friction_of_its_own(tmp_path):
         assert t.tolist() == run.events.change_points()[0].tolist()
 
 
+HIDING = {
+    "random.py": ("import random\n", ""),
+    "fractions.py": ("import fractions\n", "x = 1 / 0\n"),
+    "networkx/__init__.py": ("def late():\n    from networkx import Graph\n", ""),
+    "colorsys.py": ("from helper import x\n", "x = 1\n"),
+}
+
+
+@pytest.mark.parametrize("name", HIDING)
+def test_a_file_that_hides_a_module_that_is_imported_is_refused(name, tmp_path):
+    """Which of the two an import gets depends on what the process has loaded."""
+    line, content = HIDING[name]
+    scene = written(tmp_path, own=line + OWN)
+    (tmp_path / "helper.py").write_text("import colorsys\nx = 1\n")
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(content)
+    with pytest.raises(SceneError, match=rf"^system\.coupling: expected no file beside .*, got {name}; rename it$"):
+        load_scene(scene)
+
+
+def test_a_function_whose_module_hides_what_it_imports_is_refused(tmp_path):
+    scene = written(tmp_path, SCENE.replace("own:draw", "numpy:draw"))
+    (tmp_path / "own.py").rename(tmp_path / "numpy.py")
+    with pytest.raises(SceneError, match=r"got numpy\.py; rename it"):
+        load_scene(scene)
+
+
+def test_a_file_that_nobody_imports_hides_nothing(tmp_path):
+    scene = written(tmp_path)
+    (tmp_path / "calendar.py").write_text("")
+    assert sorted(load_scene(scene).system.module.beside) == ["beside.py", "own.py"]
+
+
 def test_a_function_makes_the_systems(tmp_path):
     scene = load_scene(written(tmp_path))
     assert scene.extent == "2 gap"

@@ -11,7 +11,7 @@ import numpy as np
 
 from stickslip.pipeline.records.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Memory, Record, Sharing
-from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.numerics.arguments import Floats, apart
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,8 @@ class Separation(Record):
             )
         if self.step < facts.least_step:
             steps = f"run.t_end / {round(facts.t_end / facts.least_step)}"
-            return f"expected at least {facts.least_step:.2g}, {steps}, got {self.step}; enlarge it"
+            least, step = apart(facts.least_step, self.step, digits=2)
+            return f"expected at least {least}, {steps}, got {step}; enlarge it"
         return ""
 
     def memory(self, facts: Facts) -> Memory:

@@ -17,6 +17,7 @@ from stickslip.sim.engines.moreau.step import (
     advance,
     whole_steps,
 )
+from stickslip.sim.numerics.arguments import apart
 from stickslip.sim.runs.run import IntegrationError, Run, Stats, Stills
 from stickslip.sim.runs.series import EventSeries, without_returns
 
@@ -28,9 +29,8 @@ def integrate(task: Task, longest: float) -> Run:
     n_steps = whole_steps(span, longest)
     h = span / n_steps if n_steps else longest
     if (least := float(system.damping.min())) * h <= -2.0:
-        raise ValueError(
-            f"step: expected less than {-2.0 / least:g}, 2 over the most negative damping, got {longest:g}"
-        )
+        most, step = apart(-2.0 / least, longest)
+        raise ValueError(f"step: expected less than {most}, 2 over the most negative damping, got {step}")
     model = (system.columns, system.damping, system.friction, system.static, float(system.belt_speed))
     z, w = task.z0.copy(), task.w0.copy()
     mode = np.sign(w - system.belt_speed).astype(np.int8)

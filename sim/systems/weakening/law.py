@@ -23,7 +23,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from stickslip.sim.kernels.digest import code_digest
-from stickslip.sim.numerics.arguments import Floats, number
+from stickslip.sim.numerics.arguments import Floats, apart, number
 
 
 def parameter(words: str = "", column: str = "", example: float = 1.0, *, power: int) -> Any:
@@ -153,7 +153,9 @@ def _check_shape(law: type[Weakening]) -> None:
     """ValueError if a law's shape is none, or the sum of its series is not the shape at a nearby x."""
     start, x0, t, orders = float(law.shape(np.array([0.0]))[0]), np.array([0.1, 0.5, 1.0, 3.0]), 0.05, 14
     if start != 1.0:
-        raise ValueError(f"weakening: expected a law with S(0) = 1, got {start:g} from the shape of {law.__name__}")
+        raise ValueError(
+            f"weakening: expected a law with S(0) = 1, got {apart(start, 1.0)[0]} from the shape of {law.__name__}"
+        )
     if law.recurrence is None:
         return
     z, series = np.zeros((orders + 1, len(x0))), np.full((law.n_series, orders, len(x0)), np.nan)

@@ -11,6 +11,7 @@ from pydantic import Field, model_validator
 
 from stickslip import sim
 from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, Count, Positive, PositiveNumbers
+from stickslip.sim.numerics.arguments import apart
 from stickslip.workflows.gallery.charts import ChartScene, Several
 from stickslip.workflows.gallery.paper.figure_6 import BlowUp, SlowRun
 from stickslip.workflows.gallery.paper.figures_1_2 import Parallelogram, Portrait, Uniqueness
@@ -72,9 +73,9 @@ class Asked(ChartScene):
     def _in_order(self) -> Asked:
         for early, late in (("t_shown", "t_few"), ("t_burn", "t_few"), ("t_burn", "t_end")):
             if getattr(self, early) >= getattr(self, late):
+                end, start = apart(getattr(self, late), getattr(self, early))
                 raise ValueError(
-                    f"{early}: expected less than {late} = {getattr(self, late):g}, got {getattr(self, early):g};"
-                    f" shorten the one or lengthen the other"
+                    f"{early}: expected less than {late} = {end}, got {start}; shorten the one or lengthen the other"
                 )
         return self
 
