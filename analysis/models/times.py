@@ -114,10 +114,15 @@ class Times(UnitSums):
         value = median(self.times, self.ended, 0.5).value
         if value is None:
             raise Undefined(self._not_reached)
-        moved = self._moved(np.where(t <= value, 0.5, 0.0))
-        error = _QUANTILE * float(np.sqrt(len(moved) / (len(moved) - 1) * np.sum(moved**2)))
+        share = float(after[t <= value][-1])
+        moved = self._moved(np.where(t <= value, share, 0.0))
+        variance = len(moved) / (len(moved) - 1) * float(np.sum(moved**2))
+        # as many independent runs have this variance, and one half has the error that they give it
+        trials = min(share * (1.0 - share) / variance, len(self.times)) if variance else len(moved)
+        error = _QUANTILE * 0.5 / float(np.sqrt(trials))
         middle = (np.append(1.0, after[:-1]) + after) / 2  # of each step of the curve, between which it is read
-        low, high = np.interp([-0.5 - error, error - 0.5], -middle, t, right=np.inf)
+        beyond = np.inf if after[-1] > 0.0 else t[-1]
+        low, high = np.interp([-0.5 - error, error - 0.5], -middle, t, right=beyond)
         if not np.isfinite(high):
             raise Undefined("an end of the interval lies beyond what the runs were followed to")
         return value, float(high - low) / (2.0 * _QUANTILE), moved
@@ -165,12 +170,15 @@ def median_difference(
     Raises
     ------
     Undefined
-        If the runs are not followed to an end of an interval.
+        If a median is not reached, the runs are not followed to an end of its interval, or the first is zero and the
+        difference is to be relative to it.
     """
     medians, errors, moved = zip(*(times._at_half() for times in (first, second)), strict=True)
     shared = correlation(*moved) if paired else 0.0
     before, after = medians
     a, b = errors
+    if is_relative and before == 0.0:
+        raise Undefined("the first value is zero, so there is no relative difference")
     if is_relative:
         a, b = a * after / before**2, b / before
     error = float(np.sqrt(max(a * a - 2.0 * shared * a * b + b * b, 0.0)))

@@ -81,6 +81,19 @@ def test_what_half_of_the_runs_do_not_have_is_not_reached():
         none.restricted(12.0)
 
 
+def test_many_times_alike_are_compared():
+    """Three quarters of the runs of one setting have it at once; of the other, spread over 8 to 12."""
+    first = seen([0.0] * 30 + [1.0] * 10)
+    second = seen(np.linspace(8.0, 12.0, 40))
+    value, error, dof = median_difference(first, second, False)
+    assert value == pytest.approx(10.0, abs=0.1)
+    assert 0 < error < 1.0
+    assert dof == 39
+    with pytest.raises(Undefined, match="the first value is zero"):
+        median_difference(first, second, False, is_relative=True)
+    assert median_difference(seen([3.0] * 20), seen([3.0] * 20), True)[:2] == (0.0, 0.0)
+
+
 def test_settings_together_keep_their_runs():
     first, second = seen([1.0, 2.0, 3.0]), seen([4.0, 5.0, 6.0, 7.0])
     both = Times.together([first, second])
