@@ -77,8 +77,9 @@ def test_what_half_of_the_runs_do_not_have_is_not_reached():
     none = Times.of_runs(np.arange(4), np.full(4, 10.0), np.zeros(4, dtype=bool))
     assert none.median(0.95).reason == "not reached: 100% without it at t = 10"
     np.testing.assert_array_equal(none.restricted(8.0).rows[:, 0], 8.0)
-    with pytest.raises(ValueError, match=r"limit: expected a time that a run is followed to, at most 10, got 12;"):
-        none.restricted(12.0)
+    for limit in (12.0, 0.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match=rf"limit: expected a time > 0 .*, at most 10, got {limit:g}; change it"):
+            none.restricted(limit)
 
 
 def test_many_times_alike_are_compared():
