@@ -285,7 +285,7 @@ def _of_times(study: Study, beside: Study | None, name: str, column: Recorded) -
     )  # fmt: skip
     by_mean = Measure(
         Statistic(f"restricted mean {name}", ratio, MARGIN, least=0.0), name,
-        f"the restricted mean of the {called} up to {limit:g}",
+        f"the restricted mean of {'the ' * column.says_it}{called} up to {limit:g}",
         f"{words}; the area up to {limit:g} under the curve of Kaplan and Meier", f"restricted mean {name}",
         partial(_restricted, study, name, limit), says_it=column.says_it,
     )  # fmt: skip

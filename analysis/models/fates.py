@@ -62,21 +62,28 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float, units:
         Values from time 0 and from the time of each end on. Where the share is 0 or 1, Greenwood's interval has no
         width and Wilson's replaces it.
     """
-    t = np.union1d(0.0, times[ended])  # an end may be at 0
-    # the number at risk at each t, and how many of these do not end then
-    n_at_risk = (len(times) - np.searchsorted(np.sort(times), t, side="left")).astype(np.float64)
-    at_end = np.sort(times[ended])
-    n_stay = n_at_risk - (np.searchsorted(at_end, t, side="right") - np.searchsorted(at_end, t, side="left"))
-    share = np.cumprod(n_stay / np.maximum(n_at_risk, 1))
+    t, n_at_risk, n_ends, share = risks(times, ended)
     if units is not None and _are_shared(units):
         return t, share, *wilsons(share, _effective(t, share, times, ended, units), confidence)
     with np.errstate(divide="ignore", invalid="ignore"):  # where the interval has no width
-        variance = np.cumsum((n_at_risk - n_stay) / (n_at_risk * n_stay))
+        variance = np.cumsum(n_ends / (n_at_risk * (n_at_risk - n_ends)))
         half = student.half_width(confidence, np.inf) * np.sqrt(variance) / np.log(share)
         low, high = share ** np.exp(-half), share ** np.exp(half)
     for k in np.flatnonzero((share == 0) | (share == 1)):
         low[k], high[k] = wilson(share[k] * len(times), len(times), confidence)
     return t, share, low, high
+
+
+def risks(times: np.ndarray, ended: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Time 0 and each time of an end; how many are at risk then, how many end, and the share left from then on.
+
+    The parameters are those of `kaplan_meier`.
+    """
+    t = np.union1d(0.0, times[ended])  # an end may be at 0
+    n_at_risk = (len(times) - np.searchsorted(np.sort(times), t, side="left")).astype(np.float64)
+    at_end = np.sort(times[ended])
+    n_ends = np.searchsorted(at_end, t, side="right") - np.searchsorted(at_end, t, side="left")
+    return t, n_at_risk, n_ends, np.cumprod((n_at_risk - n_ends) / np.maximum(n_at_risk, 1))
 
 
 def _are_shared(units: np.ndarray) -> bool:

@@ -15,7 +15,7 @@ from typing import Self
 
 import numpy as np
 
-from stickslip.analysis.models.fates import half_between, kaplan_meier, median
+from stickslip.analysis.models.fates import half_between, kaplan_meier, median, risks
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import correlation
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
@@ -63,11 +63,8 @@ class Times(UnitSums):
         return int((~self.ended).sum())
 
     @cached_property
-    def _table(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Times at which it happened, runs at risk then, runs in which it happens, the share left from then on."""
-        t, n_ends = np.unique(self.times[self.ended], return_counts=True)
-        n_at_risk = len(self.times) - np.searchsorted(np.sort(self.times), t)
-        return t, n_at_risk, n_ends, np.cumprod(1.0 - n_ends / n_at_risk)
+    def _risks(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        return risks(self.times, self.ended)
 
     def _moved(self, weights: np.ndarray) -> np.ndarray:
         """By how much each unit moves a number, shape (G,): the influence of its runs, summed.
@@ -77,9 +74,9 @@ class Times(UnitSums):
         Parameters
         ----------
         weights : ndarray, shape (m,)
-            By how much the number falls with the hazard at each time of `_table`.
+            By how much the number falls with the hazard at each time of `models.fates.risks`.
         """
-        t, n_at_risk, n_ends, _ = self._table
+        t, n_at_risk, n_ends, _ = self._risks
         n_left = n_at_risk - n_ends
         at_end = np.append(0.0, np.divide(weights, n_left, out=np.zeros(len(t)), where=n_left > 0))
         due = np.cumsum(at_end * np.append(0.0, n_ends / n_at_risk))
@@ -105,19 +102,23 @@ class Times(UnitSums):
     def _not_reached(self) -> str:
         if not len(self.times):
             return "nothing was followed"
-        share = float(self._table[3][-1]) if self.ended.any() else 1.0
-        return f"not reached: {share:.0%} without it at t = {self.times.max():g}"
+        return f"not reached: {self._risks[3][-1]:.0%} without it at t = {self.times.max():g}"
 
     def _at_half(self) -> tuple[float, float, np.ndarray]:
         """The median, its standard error, and by how much each unit moves the share left there, shape (G,)."""
-        t, _, _, after = self._table
+        t, _, n_ends, after = self._risks
         value = median(self.times, self.ended, 0.5).value
         if value is None:
             raise Undefined(self._not_reached)
-        moved = self._moved(np.where(t <= value, 0.5, 0.0))
-        error = _QUANTILE * float(np.sqrt(len(moved) / (len(moved) - 1) * np.sum(moved**2)))
+        share = float(after[t <= value][-1])
+        moved = self._moved(np.where(t <= value, share, 0.0))
+        variance = len(moved) / (len(moved) - 1) * float(np.sum(moved**2))
+        # as many independent runs have this variance, and one half has the error that they give it
+        trials = min(share * (1.0 - share) / variance, len(self.times)) if variance else len(moved)
+        error = _QUANTILE * 0.5 / float(np.sqrt(trials))
         middle = (np.append(1.0, after[:-1]) + after) / 2  # of each step of the curve, between which it is read
-        low, high = np.interp([-0.5 - error, error - 0.5], -middle, t, right=np.inf)
+        beyond, falls = np.inf if after[-1] > 0.0 else t[-1], n_ends > 0
+        low, high = np.interp([-0.5 - error, error - 0.5], -middle[falls], t[falls], right=beyond)
         if not np.isfinite(high):
             raise Undefined("an end of the interval lies beyond what the runs were followed to")
         return value, float(high - low) / (2.0 * _QUANTILE), moved
@@ -126,7 +127,7 @@ class Times(UnitSums):
 
     def reaches(self, limit: float) -> bool:
         """Whether a run is followed to a limit, or all have had it before."""
-        return bool(self.times.max(initial=0.0) >= limit or (self.ended.any() and self._table[3][-1] == 0.0))
+        return bool(self.times.max(initial=0.0) >= limit or self._risks[3][-1] == 0.0)
 
     def restricted(self, limit: float) -> UnitSums:
         """Sums whose mean over units is the mean time up to a limit, and whose scatter is its error's.
@@ -138,18 +139,17 @@ class Times(UnitSums):
         Raises
         ------
         ValueError
-            If no run is followed to the limit while some have not had it.
+            If the limit is no time > 0, or no run is followed to it while some have not had it.
         """
-        if not self.reaches(limit):
+        if not (0.0 < limit < np.inf and self.reaches(limit)):
             raise ValueError(
-                f"limit: expected a time that a run is followed to, at most {self.times.max(initial=0.0):g}, got"
-                f" {limit:g}; lower it"
+                f"limit: expected a time > 0 that a run is followed to, at most {self.times.max(initial=0.0):g}, got"
+                f" {limit:g}; change it"
             )
-        t, _, _, share = self._table
+        t, _, _, share = self._risks
         steps = np.minimum(np.append(t, np.inf), limit)
-        areas = np.append(np.diff(steps) * share, 0.0)[::-1].cumsum()[::-1][: len(t)]  # from each time to the limit
-        area = float(steps[0] + (areas[0] if len(areas) else 0.0))
-        values = area + len(self.units) * self._moved(areas)
+        areas = (np.diff(steps) * share)[::-1].cumsum()[::-1]  # under the curve from each time to the limit
+        values = areas[0] + len(self.units) * self._moved(areas)
         return UnitSums(self.units, np.column_stack([values, np.ones(len(values))]))
 
 
@@ -165,12 +165,15 @@ def median_difference(
     Raises
     ------
     Undefined
-        If the runs are not followed to an end of an interval.
+        If a median is not reached, the runs are not followed to an end of its interval, or the first is zero and the
+        difference is to be relative to it.
     """
     medians, errors, moved = zip(*(times._at_half() for times in (first, second)), strict=True)
     shared = correlation(*moved) if paired else 0.0
     before, after = medians
     a, b = errors
+    if is_relative and before == 0.0:
+        raise Undefined("the first value is zero, so there is no relative difference")
     if is_relative:
         a, b = a * after / before**2, b / before
     error = float(np.sqrt(max(a * a - 2.0 * shared * a * b + b * b, 0.0)))

@@ -398,6 +398,12 @@ def test_a_change_over_some_values_of_another_key_says_over_how_many(recorded, s
     assert "values of kappa" not in sentence(sweep.answer(Study(whole, settings)))
 
 
+def holds(row, name, answer):
+    """Whether an interval at `SURE` holds a number, widened by a fifth: all of a test fail less than once in 10^6."""
+    value, low, high = (row[f"{name}{end}"] for end in ("", "_low", "_high"))
+    return value - 1.2 * (value - low) < answer < value + 1.2 * (high - value)
+
+
 def test_the_first_time_is_right_however_short_the_runs_are(recorded, settings, rng):
     """The same draws to t = 10, 50 and 300: Weibull's law with the exponent 1.5, of means 7.65 and 19.2.
 
@@ -421,15 +427,15 @@ def test_the_first_time_is_right_however_short_the_runs_are(recorded, settings, 
         area = special.gamma(1 / 1.5) * special.gammainc(1 / 1.5, (t_end / scales) ** 1.5) * scales / 1.5
         for k, v in enumerate((-0.2, -0.1)):
             row = table.loc["restricted mean first", v]
-            assert row["estimate_low"] < area[k] < row["estimate_high"]
+            assert holds(row, "estimate", area[k])
             assert row[["n_units", "n_censored", "n_without"]].tolist() == [n, np.isnan(times[:, k]).sum(), 0]
             row = table.loc["median first", v]
             if pd.isna(row["estimate"]):
                 assert row["reason"] == measures.NOT_REACHED
                 assert (t_end, v) == (10.0, -0.1)
             else:
-                assert row["estimate_low"] < medians[k] < row["estimate_high"]
-        assert changes["difference_low"] < area[1] - area[0] < changes["difference_high"]
+                assert holds(row, "estimate", medians[k])
+        assert holds(changes, "difference", area[1] - area[0])
         said = sentence(sweep.answer(study))
         if t_end == 10.0:
             seen = times[:, 1][np.isfinite(times[:, 1])]
@@ -440,7 +446,7 @@ def test_the_first_time_is_right_however_short_the_runs_are(recorded, settings, 
             )
         else:
             change = rows_of(sweep.answer(study), "median first").loc["-0.1"]
-            assert change["difference_low"] < medians[1] - medians[0] < change["difference_high"]
+            assert holds(change, "difference", medians[1] - medians[0])
             assert said.startswith("The median time of the first exit rises from")
 
 
@@ -481,7 +487,7 @@ def test_waiting_times_are_right_however_short_the_windows_are(planted, settings
     The mean of the times that lie in a window of 10 whole is below 10.
     """
     settings, axes = replace(settings, confidence=SURE), (-0.2, -0.1)
-    exits = {(k, v): run for v in axes for k, run in enumerate(renewals(rng, 20, 8, 19.2, 400.0))}
+    exits = {(k, v): run for v in axes for k, run in enumerate(renewals(rng, 100, 8, 19.2, 400.0))}
     for window in (10.0, 50.0, 300.0):
         rows, series = [], {}
         for (k, v), t in exits.items():
@@ -499,7 +505,8 @@ def test_waiting_times_are_right_however_short_the_windows_are(planted, settings
         }
         table = sweep.answer(Study(Data(pd.DataFrame(rows), series, recorded=own), settings)).tables["sweep_measures"]
         means = table[table["measure"] == "mean waiting_mean"]
-        assert ((means["estimate_low"] < 19.2) & (means["estimate_high"] > 19.2)).all()
+        assert all(holds(row, "estimate", 19.2) for _, row in means.iterrows())
+        assert means["estimate_high"].max() < 32.0, "nor are they wide"
         scatter = table[table["measure"] == "mean waiting_cv"]
         assert scatter["estimate"].isna().all()
         assert set(scatter["reason"]) == {"fewer than 50 exits per block: long times are cut off"}

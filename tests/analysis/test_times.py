@@ -77,8 +77,22 @@ def test_what_half_of_the_runs_do_not_have_is_not_reached():
     none = Times.of_runs(np.arange(4), np.full(4, 10.0), np.zeros(4, dtype=bool))
     assert none.median(0.95).reason == "not reached: 100% without it at t = 10"
     np.testing.assert_array_equal(none.restricted(8.0).rows[:, 0], 8.0)
-    with pytest.raises(ValueError, match=r"limit: expected a time that a run is followed to, at most 10, got 12;"):
-        none.restricted(12.0)
+    for limit in (12.0, 0.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match=rf"limit: expected a time > 0 .*, at most 10, got {limit:g}; change it"):
+            none.restricted(limit)
+
+
+def test_many_times_alike_are_compared():
+    """Three quarters of the runs of one setting have it at once; of the other, spread over 8 to 12."""
+    first = seen([0.0] * 30 + [1.0] * 10)
+    second = seen(np.linspace(8.0, 12.0, 40))
+    value, error, dof = median_difference(first, second, False)
+    assert value == pytest.approx(10.0, abs=0.1)
+    assert 0 < error < 1.0
+    assert dof == 39
+    with pytest.raises(Undefined, match="the first value is zero"):
+        median_difference(first, second, False, is_relative=True)
+    assert median_difference(seen([3.0] * 20), seen([3.0] * 20), True)[:2] == (0.0, 0.0)
 
 
 def test_settings_together_keep_their_runs():
