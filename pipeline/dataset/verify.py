@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset, reading
-from stickslip.pipeline.dataset.schema import schema_of
+from stickslip.pipeline.dataset.schema import is_of, schema_of
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.own.files import ChangedError
 from stickslip.pipeline.own.function import look_again
@@ -73,7 +73,7 @@ def _content(content: bytes, schema: pa.Schema, ids: list[str], outcomes: Mappin
         table = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True).read(use_threads=False)
     except (OSError, pa.ArrowException) as error:
         return f"cannot be read ({error}); rerun the scene to rebuild it"
-    if not table.schema.equals(schema, check_metadata=True):
+    if not is_of(table.schema, schema) or table.schema.metadata != schema.metadata:
         return f"expected the columns of schema version {SCHEMA_VERSION} and this scene, got others"
     if table.num_rows != len(ids):
         return f"expected {len(ids)} rows, got {table.num_rows}"

@@ -37,6 +37,8 @@ class Column(NamedTuple):
     is_cut : bool
         Whether it is of times that have to lie between t_burn and the end of a run: the long ones are cut, so that
         their mean is too small unless the run is much longer.
+    is_later : bool
+        Whether data of an earlier version may lack it: they are read without, as null.
     """
 
     kind: Kind
@@ -50,6 +52,7 @@ class Column(NamedTuple):
     absent: str = ""
     title: str = ""
     is_cut: bool = False
+    is_later: bool = False
 
     @property
     def called(self) -> str:
