@@ -98,24 +98,17 @@ def _of_group(study: Study, group: Group) -> list[Row]:
 
 def with_enough(rows: Sequence[Row], by_t_burn: Sequence[Row], alpha: float) -> list[Row]:
     """Rows of `geweke` with `t_enough` where t_burn is too short: the first later one with which nothing is shown."""
-    return [
-        row
-        | {
-            "t_enough": next(
-                (
-                    one["t_burn"]
-                    for one in by_t_burn
-                    if row["is_short"]
-                    and one["group"] == row["group"]
-                    and one["t_burn"] > row["t_burn"]
-                    and one["p_value"] is not None
-                    and one["p_value"] >= alpha
-                ),
-                None,
-            )
-        }
-        for row in rows
-    ]
+    found: list[Row] = []
+    for row in rows:
+        later = [
+            other["t_burn"]
+            for other in by_t_burn
+            if other["group"] == row["group"]
+            and other["t_burn"] > row["t_burn"]
+            and (other["p_value"] or 0.0) >= alpha
+        ]
+        found.append(row | {"t_enough": min(later, default=None) if row["is_short"] else None})
+    return found
 
 
 def _times(t_burn: float, t_end: float) -> tuple[float, ...]:

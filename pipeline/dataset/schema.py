@@ -51,6 +51,15 @@ def schema_of(recording: Recording) -> pa.Schema:
     return pa.schema(as_fields(recording.columns)).with_metadata(metadata)
 
 
+_LATER = frozenset(column.name for column in COLUMNS if column.is_later)
+
+
+def is_of(found: pa.Schema, schema: pa.Schema) -> bool:
+    """Whether a shard's columns are those of a scene, but for what data of an earlier version lack, and for words."""
+    lacked = _LATER - {*found.names}
+    return bool(found.equals(pa.schema([field for field in schema if field.name not in lacked])))
+
+
 def scalars(schema: pa.Schema) -> tuple[str, ...]:
     """The columns of the members table."""
     return tuple(field.name for field in schema if not pa.types.is_list(field.type))

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from stickslip.pipeline.dataset.schema import is_of
 from stickslip.pipeline.ensemble.expand import Members
 from stickslip.pipeline.errors import shortened
 from stickslip.pipeline.places.manifest import SCHEMA_VERSION
@@ -43,7 +44,7 @@ def fault_of_file(content: bytes, schema: pa.Schema, n_rows: int) -> str:
     try:
         with pq.ParquetFile(pa.BufferReader(content)) as file:
             found, head = file.schema_arrow, file.metadata
-            if not found.equals(schema):
+            if not is_of(found, schema):
                 return wrong_columns(found, schema)
             if head.num_rows != n_rows:
                 return f"expected {n_rows} rows, got {head.num_rows}"

@@ -87,7 +87,7 @@ def _content(opened: Opened, content: bytes, schema: pa.Schema, members: Members
         table = file.read(use_threads=False)
     except (OSError, pa.ArrowException) as error:
         return f"cannot be read ({shortened(str(error), 200)}); rerun the scene to rebuild it"
-    if not table.schema.equals(schema, check_metadata=True):
+    if table.schema.metadata != schema.metadata:
         return wrong_columns(table.schema, schema)
     problem = opened.sound.fault(table) or fault_of_members(table, members) or fault_of_counts(table)
     counted = dict(Counter(table["outcome"].to_pylist()))

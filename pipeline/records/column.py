@@ -64,6 +64,8 @@ class Column(NamedTuple):
         Whether it is times of a run, from 0 to t_end; of a list, in order.
     is_index : bool
         Whether it says which block, counted from 0.
+    is_later : bool
+        Whether data of an earlier version may lack it: they are read without, as null.
     """
 
     kind: Kind
@@ -80,6 +82,7 @@ class Column(NamedTuple):
     of_gaps: Literal["", "mean", "scatter"] = ""
     is_time: bool = False
     is_index: bool = False
+    is_later: bool = False
 
     @property
     def called(self) -> str:

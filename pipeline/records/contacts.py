@@ -31,6 +31,7 @@ class Contacts(Record):
             "n_contacts",
             f"number of blocks with friction: means over blocks, waiting times and events of {_NAMES} are of these",
             is_averaged=False,
+            is_later=True,
         ),
     )
     needs = frozenset({"system"})

@@ -5,6 +5,7 @@ import pytest
 
 from stickslip import Dataset
 from stickslip.pipeline import QueryError, expand, parse_scene, query, run_ensemble, verify
+from stickslip.pipeline.records.slips.episodes import EpisodesRecord
 from stickslip.sim.episodes import episodes
 
 SOURCE = """\
@@ -101,3 +102,17 @@ def test_only_where_the_scene_asks(scene, tmp_path):
     for ask in (query.episodes, lambda path: query.sql(path, "SELECT * FROM episodes")):
         with pytest.raises(QueryError, match="`episodes = true` under"):
             ask(tmp_path / "out")
+
+
+def test_data_of_a_version_that_lacked_a_column_are_sound_and_read_as_null(scene, tmp_path, monkeypatch):
+    later = EpisodesRecord.columns[-1]
+    assert later.is_later
+    with monkeypatch.context() as patch:
+        patch.setattr(EpisodesRecord, "columns", EpisodesRecord.columns[:-1])
+        run_ensemble(scene, tmp_path / "out", workers=0)
+        assert "z_sum" not in query.episodes(tmp_path / "out")
+    table = query.episodes(tmp_path / "out")
+    assert len(table) > 0
+    assert table["z_sum"].isna().all()
+    assert not table["moment"].isna().any()
+    assert verify(tmp_path / "out") == []

@@ -39,7 +39,13 @@ class EpisodesRecord(Record):
             "numbers", "episode_moment", "sum of their slips on the belt, against the belt's motion", repeats=False
         ),
         _of_each("wholes", "episode_first_block", "the block that left first", is_index=True),
-        _of_each("numbers", "episode_z_sum", "sum of z over the blocks when each episode begins", repeats=False),
+        _of_each(
+            "numbers",
+            "episode_z_sum",
+            "sum of z over the blocks when each episode begins",
+            repeats=False,
+            is_later=True,
+        ),
     )
 
     def of(self, made: Made) -> dict[str, Any]:
