@@ -182,6 +182,7 @@ class Flow:
 
     def at(self, times: Floats) -> tuple[Floats, Floats]:
         """z and w, shape (m, n) each, at times from now, shape (m,)."""
+        times = np.minimum(times, 1e300 / max(1.0, np.abs(self.eigenvalues).max()))  # all has faded long before
         moved = (np.exp(np.multiply.outer(times, self.eigenvalues)) * self.coefficients) @ self.vectors.T
         n = len(self.rest)
         return self.rest + moved.real[:, :n], moved.real[:, n:]

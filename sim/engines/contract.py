@@ -13,7 +13,8 @@ An engine is a subclass of `Engine`, named in `stickslip.sim.engines.ENGINES`, w
    on the task alone, and on no clock or machine;
 5. what the engine cannot carry through raises `IntegrationError`, which names the time and the block;
 6. samples of the state are interpolated within the steps, so asking for them changes nothing else;
-7. two opposite changes of a block's mode that are closer than the tolerance resolves are a touch, and no events.
+7. two opposite changes of a block's mode that are closer than the error of the run can tell apart are a touch, and no
+   events.
 """
 
 from __future__ import annotations

@@ -38,8 +38,8 @@ _MANY = 1e8
 #: The motion after a collapse is summed from the eigenmodes if a bound of their rounding, some hundred times the
 #: actual one, is below the tolerance, or below this.
 _FOLLOWED = 1e-10
-#: The slowest motion whose series do not leave float64.
-_SLOWEST = 1e-40
+#: The slowest motion whose series do not leave float64, and the least friction.
+_SLOWEST, _FAINTEST = 1e-40, 1e-280
 #: The error of F at an event at which a run was cut, in tolerances of its terms.
 _AT_EVENTS = 100.0
 
@@ -50,8 +50,8 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
     Raises
     ------
     ValueError
-        Of a run: if the system has cross damping or is too slow for float64, or a block starts ahead of its belt
-        without back slip.
+        Of a run: if the system has cross damping, or numbers that leave float64 on the way, or a block starts ahead
+        of its belt without back slip.
     IntegrationError
         Of a run: if events accumulate at one instant.
     """
@@ -63,18 +63,21 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
 
 
 def _may_begin_together(tasks: Sequence[Task], engine: Coulomb) -> bool:
-    """Whether all are run by series, with products of one kind, and none is too slow or has heavily damped blocks."""
+    """Whether all are run by series, with products of one kind, and none is beyond float64 or heavily damped."""
     systems = [task.system for task in tasks]
     damping, pull = np.array([one.damping for one in systems]), np.array([one.row_sums for one in systems])
     is_any_heavy = is_heavy(damping, pull, 0.0).any()
     is_any_by_waves = any(engine.is_by_waves(task.system, task.length) for task in tasks)
-    is_any_alone = is_any_heavy or is_any_by_waves or any(map(_is_too_slow, tasks))
+    is_any_alone = is_any_heavy or is_any_by_waves or any(_beyond_float64(task, True) for task in tasks)
     return not is_any_alone and products.are_of_one_kind(pull)
 
 
 def _alone(engine: Coulomb, task: Task) -> Run:
     """The run of a task, by the method that it takes."""
-    if not engine.is_by_waves(task.system, task.length):
+    by_series = not engine.is_by_waves(task.system, task.length)
+    if beyond := _beyond_float64(task, by_series):
+        raise ValueError(f"system: expected {beyond}; take other units, as System.from_physical does")
+    if by_series:
         return _by_series(task, engine)
     system, tol = task.system, engine.tol_of_waves(task.system, task.length)
     shortest = _shortest(system.rates, system.static, system.friction)
@@ -82,11 +85,6 @@ def _alone(engine: Coulomb, task: Task) -> Run:
 
 
 def _by_series(task: Task, engine: Coulomb) -> Run:
-    if _is_too_slow(task):
-        raise ValueError(
-            f"system: expected rates of at least {_SLOWEST:g}, got {task.system.rates.max():.3g}: the coefficients of"
-            " series in time leave float64; take a longer unit of time, as System.from_physical does"
-        )
     return _Runs([task], engine).go_on(0, None)
 
 
@@ -210,10 +208,14 @@ class _Runs(Several):
         return loop.complete(task, loop.of_run(self.states, k), self.drives[k], self.collapse[k], plan, begun)
 
 
-def _is_too_slow(task: Task) -> bool:
-    """Whether the coefficients of series in time leave float64, of a run in which they matter."""
-    rate = float(task.system.rates.max())
-    return rate < _SLOWEST and rate * task.length > _FOLLOWED
+def _beyond_float64(task: Task, by_series: bool) -> str:
+    """Which numbers of a task the method cannot follow, since what it takes of them leaves float64; "" if it can."""
+    rate, most = float(task.system.rates.max()), float(task.system.friction.max())
+    if 0.0 < most < _FAINTEST:
+        return f"friction of at least {_FAINTEST:g}, or none, got {most:.3g}"
+    if by_series and rate < _SLOWEST and rate * task.length > _FOLLOWED:
+        return f"rates of at least {_SLOWEST:g}, got {rate:.3g}"
+    return ""
 
 
 def _warn_of_short_steps(task: Task, rate: float) -> None:

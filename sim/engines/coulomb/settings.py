@@ -22,16 +22,16 @@ TOL_OF_JUMPS, MORE_BLOCKS = 1e-4, 4
 
 #: The loosest tolerance of series; a looser one counts as this. 1e-3 took 5 to 40% fewer products, in about the same
 #: time, but its errors hide short sticks of blocks that come back to touch the belt: of 200 systems of up to seven
-#: blocks without damping, 31 lost events to t = 100.
-#: In long runs without damping it falls, to the second.
-LOOSEST, TIGHTEST = 1e-5, 1e-10
+#: blocks without damping, 31 lost events to t = 100. Where errors add up it falls, to `LOOSEST_OF_LONG` at least.
+LOOSEST, LOOSEST_OF_LONG = 1e-5, 1e-10
 #: That of waves, whose cost falls further.
 LOOSEST_OF_WAVES = 1e-3
 #: Errors of steps add up until damping has made them fade. If that takes longer than this, in units of 1 /
 #: |eigenvalue|, a step is allowed less in proportion. Without it, waves to t = 1000 without damping were off by 11 to
 #: 150 tolerances at 1e-6 (66 blocks).
-#: Where it takes so many times longer, series cost no more, and their errors are far below.
-MEMORY, MOST_MEMORY = 50.0, 3.0
+MEMORY = 50.0
+#: Where it takes so many times longer, series cost no more than waves, and their errors are far below.
+MOST_MEMORY = 3.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -55,7 +55,8 @@ class Coulomb(Engine):
     Raises
     ------
     TypeError, ValueError
-        If `tol` is no number in (1e-16, 1e-2), or, once it is run, the system has cross damping.
+        If `tol` is no number in (1e-16, 1e-2), or, once it is run, the system has cross damping, or numbers so small
+        that what the method takes of them leaves float64.
     """
 
     name = "coulomb"
@@ -87,7 +88,7 @@ class Coulomb(Engine):
 
     def tol_of_series(self, system: System, length: float) -> float:
         """The tolerance of a step of series."""
-        return min(self.tol, max(LOOSEST / self.accumulation(system, length), TIGHTEST))
+        return min(self.tol, max(LOOSEST / self.accumulation(system, length), LOOSEST_OF_LONG))
 
     def tol_of_waves(self, system: System, length: float) -> float:
         """The tolerance of a step of waveform relaxation."""

@@ -1,0 +1,65 @@
+"""Blocks that come back to touch the belt: a stick counts if it is deeper than the error of the run.
+
+One block without damping, K = k: it slips to the right with z = -mu / k + (a / omega) cos(omega t), so that w = -a
+sin(omega t), a = |v| + d. Where w comes to v, at omega t = asin(|v| / a), it sticks, since |F| < mu, until F has gone
+to -mu: for (a^2 - v^2)^(1/2) / (omega |v|). From then on it swings with the belt's speed, and touches it once a
+period, for ever, which is no event.
+"""
+
+import math
+
+import numpy as np
+import pytest
+
+from stickslip.sim import System, simulate
+from tests import independent
+
+V, MU = 0.2, 1.0
+
+
+def planted(depth, stiffness, tol, t_end=300.0):
+    """The run of a block whose first stick is so deep, over |v|, and the times of its two events."""
+    omega, speed = math.sqrt(stiffness), V * (1.0 + depth)
+    system = System([[stiffness]], 0.0, MU, -V)
+    run = simulate(system, -MU / stiffness + speed / omega, 0.0, t_end / omega, tol=tol, stop_early=False)
+    entry = math.asin(V / speed) / omega
+    return run, (entry, entry + math.sqrt(speed**2 - V**2) / (omega * V))
+
+
+@pytest.mark.parametrize("stiffness", [0.04, 1.0, 90.0])
+@pytest.mark.parametrize(("tol", "depth"), [(1e-3, 5e-6), (1e-5, 5e-6), (1e-8, 5e-9), (1e-10, 5e-11)])
+def test_a_stick_half_a_tolerance_deep_counts_and_the_touches_after_it_do_not(stiffness, tol, depth):
+    run, times = planted(depth, stiffness, tol)
+    assert run.events.mode.tolist() == [0, 1]
+    np.testing.assert_allclose(run.events.t, times, rtol=0, atol=0.1 * (times[1] - times[0]))
+
+
+@pytest.mark.parametrize("tol", [1e-3, 1e-5, 1e-8])
+def test_a_stick_far_below_the_error_is_a_touch(tol):
+    """Its two events would be rounding, or the error of the run."""
+    run, _ = planted(1e-4 * min(tol, 1e-5), 1.0, tol)
+    assert len(run.events) == 0
+
+
+def undamped(seed):
+    """A few blocks of wide springs and belts, far from rest: many come back to the belt, and stick for short."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 8))
+    root = rng.normal(size=(n, n))
+    stiffness, v = root @ root.T / n + 0.3 * np.eye(n), -V * 10.0 ** rng.uniform(-1.0, 0.5)
+    return stiffness, v, rng.normal(size=n) * 3.0, rng.normal(size=n)
+
+
+PAIR = ([[2.2, -1.2], [-1.2, 2.2]], -V, [3.0, 1.0], [0.0, 0.0])  # 17 events, of which three sticks of at most 0.07
+
+
+@pytest.mark.parametrize("given", [PAIR, *map(undamped, (9, 14, 21, 29, 36, 50, 70))])
+def test_short_sticks_count_at_every_tolerance(given):
+    """As a method that shares no code has them. With errors of 1e-3 each of these lost events."""
+    stiffness, v, z, w = given
+    path = independent.follow(independent.Case.of(stiffness, 0.0, MU, v, z, w), 100.0)
+    expected = sorted(zip(path.block, path.t, path.mode, strict=True))
+    for tol in (1e-3, 1e-5, 1e-8):
+        events = simulate(System(stiffness, 0.0, MU, v), z, w, 100.0, tol=tol, stop_early=False).events
+        listed = sorted(zip(events.block.tolist(), events.t.tolist(), events.mode.tolist(), strict=True))
+        assert [(block, mode) for block, _, mode in listed] == [(block, mode) for block, _, mode in expected]
