@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from stickslip.sim.numerics.arguments import Floats
 
 #: The kinds, in the order of pictures and tables.
-REST, SLIDING, PERIODIC, IRREGULAR, ESCAPING, UNDECIDED = KINDS = (
-    "rest", "sliding", "periodic", "irregular", "escaping", "undecided",
+REST, SLIDING, PERIODIC, TORUS, IRREGULAR, ESCAPING, UNDECIDED = KINDS = (
+    "rest", "sliding", "periodic", "torus", "irregular", "escaping", "undecided",
 )  # fmt: skip
 #: Two cycles are one if period and states agree within this, of the period and of the largest number in the states:
 #: runs at loose tolerances come back within 1e-4.

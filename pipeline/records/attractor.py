@@ -27,14 +27,14 @@ class AttractorRecord(WindowRecord):
     name = "attractor"
     words = (
         "whether to keep what a run of the exact law settles on: rest, sliding, a cycle with its period and"
-        " multiplier, irregular motion"
+        " multiplier, a torus, irregular motion"
     )
     asked_by = "`attractor = true` under [record]"
     columns = (
         Column(
             "text",
             "attractor",
-            "rest, sliding, periodic, irregular, escaping or undecided; null, as all below, if not the exact law",
+            "rest, sliding, periodic, torus, irregular, escaping or undecided; null, as all below, by other laws",
         ),
         Column("text", "attractor_reason", "how that is known, or why it is undecided"),
         Column(
@@ -63,7 +63,7 @@ class AttractorRecord(WindowRecord):
         Column(
             "number",
             "deviation_rate",
-            "rate at which a small deviation grows, of a run in no cycle with many events; above 0 if irregular",
+            "rate at which a small deviation grows, of a run in no cycle; above 0 if irregular, below on a torus",
             absent="on a cycle, or with few events",
         ),
         Column(
@@ -78,7 +78,7 @@ class AttractorRecord(WindowRecord):
         Column(
             "whole",
             "exits_block",
-            "the block with most exits in a period, or in an irregular run",
+            "the block with most exits in a period, or on a torus or in an irregular run",
             is_averaged=False,
             is_index=True,
         ),

@@ -1,4 +1,4 @@
-"""What runs of the exact law settle on: rest, steady sliding, a cycle, or irregular motion."""
+"""What runs of the exact law settle on: rest, steady sliding, a cycle, a torus, or irregular motion."""
 
 from stickslip.sim.attractors.continuation import continued
 from stickslip.sim.attractors.result import Attractor, same_cycle

@@ -28,6 +28,9 @@ _EPS = float(np.finfo(np.float64).eps)
 #: The first piece, of the time; instants in each; ln of the growth in a piece below which the next is twice as long,
 #: above which half as long; and of the growth, or decay, that is enough.
 _FIRST, _SAMPLES, _LITTLE, _MUCH, _ENOUGH = 1 / 32, 50, 3.0, 8.0, 30.0
+#: ln of what a deviation grows by over the last two thirds of a time, with a third of that in each half: on a torus
+#: without forces deviations grow as time does, by ln 2 and ln 1.5 there.
+_GROWN = 3.0
 #: ln of what a distance of zero counts as.
 _NOTHING = -10.0
 #: Distances are averaged over this share of the time, at so many instants: they vary within a round.
@@ -43,6 +46,16 @@ class Growth(NamedTuple):
     rate: float
     second: float
     last: float
+
+    @property
+    def grows(self) -> bool:
+        """Whether it grows as in chaos."""
+        return self.second + self.last >= _GROWN and min(self.second, self.last) >= _GROWN / 3.0
+
+    @property
+    def decays(self) -> bool:
+        """Whether it decays as steadily."""
+        return Growth(-self.rate, -self.second, -self.last).grows
 
 
 def growth(

@@ -12,7 +12,10 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Samples
 from stickslip.sim.runs.series import EventSeries
 
-Kind = Literal["rest", "sliding", "periodic", "irregular", "escaping", "undecided"]
+Kind = Literal["rest", "sliding", "periodic", "torus", "irregular", "escaping", "undecided"]
+
+#: Kinds of motion that never come back to one state.
+_NO_SECTION = ("torus", "irregular")
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,8 +26,9 @@ class Attractor:
     ----------
     kind : str
         "rest": all blocks stick for ever; "sliding": all slip for ever, and their velocities go to zero; "periodic";
+        "torus": it follows forces that have no common period, so that all starts nearby come to one motion;
         "irregular": chaotic, perhaps for a time; "escaping": the run diverged; "undecided": the run is too short to
-        tell, or has several frequencies.
+        tell, or has several frequencies of its own.
     reason : str
         How it is known, or why it is not.
     period : float or None
@@ -36,14 +40,15 @@ class Attractor:
         symmetry or chance keeps the run on it. None if it would take too long.
     growth_rate : float or None
         Of an irregular run: the rate at which small deviations grow, but for shifts in time. Of an undecided one that
-        has many events: the same.
+        has many events, and on a torus, where it is negative: the same.
     drift : float64, shape (n,), or None
         Of a periodic run: by what z changes in a period, where springs do not hold the blocks to the ground; else 0.
     events : EventSeries or None
-        Of one period, from t = 0 on; of an irregular run, those that follow on its end.
+        Of one period, from t = 0 on; of an irregular run, or on a torus, those that follow on its end.
     states : Samples or None
-        The state at each of these events; of a period without events, the state at a whole number of periods; of rest
-        and sliding, the one state at which the run is, or to which it comes.
+        The state at each of these events; of a period without events, the state at a whole number of periods; on a
+        torus without events, that at the end of the run; of rest and sliding, the one state at which the run is, or
+        to which it comes.
     size : float or None
         Of a periodic run: how large its motion is.
     free : array or sparse array, shape (n, k), or None
@@ -73,12 +78,12 @@ class Attractor:
 
     @property
     def section(self) -> tuple[Floats, Floats] | None:
-        """z and w, shape (n,) each, at one event of the cycle, the same whatever the start; None if irregular.
+        """z and w, shape (n,) each, at one event of the cycle, the same whatever the start; None if there is none.
 
         The events of a cycle begin where their (block, mode), in order, are lowest; where several places are alike,
         where z of the event's block is lowest.
         """
-        return None if self.states is None or self.kind == "irregular" else (self.states.z[0], self.states.w[0])
+        return None if self.states is None or self.kind in _NO_SECTION else (self.states.z[0], self.states.w[0])
 
     @property
     def busiest(self) -> int | None:
@@ -113,7 +118,7 @@ def same_cycle(one: Attractor, other: Attractor, tolerance: float = 1e-5) -> boo
     tolerance : float
         Of the period, relative, and of the states, over the size of the motion, or at rest over the largest number.
     """
-    if one.kind != other.kind or one.states is None or other.states is None or one.kind == "irregular":
+    if one.kind != other.kind or one.states is None or other.states is None or one.kind in _NO_SECTION:
         return False
     if one.states.z.shape != other.states.z.shape:
         return False

@@ -55,13 +55,15 @@ _APART = 0.02
 #: from the cycle Newton's method is asked. What dies out under hardly any damping is further off.
 _SEEN, _FAR = 100.0, 0.1
 #: How often the last event must recur before a run is called irregular, the most rounds over which its growth rate is
-#: taken, and ln of what a deviation grows by over the last two thirds of them, with a third of that in each half: on
-#: a torus deviations grow as time does, by ln 2 and ln 1.5 there. The most events of an irregular run that are kept.
-_FEW, _MOST_ROUNDS, _GROWN, _FOLLOWED = 30, 200, 3.0, 512
+#: taken, and the most events of an irregular run that are kept.
+_FEW, _MOST_ROUNDS, _FOLLOWED = 30, 200, 512
 #: No multiplier of a cycle with more than so many events times (2 n)^3: it would take some seconds.
 _WORK = 2e9
 #: Nor is a cycle of more than so many sought by Newton's method, which takes several.
 _WORK_NEAR = 1e8
+#: Forces are incommensurate if they are not at the same phase, but for rounding, after any number of turns of the
+#: slowest that the run takes, nor of the first so many; more turns than the most are not looked at.
+_SAME_PHASE, _FIRST_TURNS, _MOST_TURNS = 4e-15, 100, 10**6
 
 
 @numpy_defaults()
@@ -75,7 +77,8 @@ def attractor(
     event comes back, within 1e4 `tol` of its motion's size. It is irregular if the last event recurs at least
     30 times without that, and runs that begin next to each other on its end part by e^3 and more, and by e in each
     half, over the last two thirds of as much time as these events took, 200 rounds at most, or of the time until they
-    have parted by e^30. This costs two runs of one or two periods, or of that time.
+    have parted by e^30. If they come together by as much, under forces that are incommensurate, it is on a torus.
+    This costs two runs of one or two periods, or of that time.
 
     Parameters
     ----------
@@ -238,6 +241,10 @@ class _End:
         """A run without events, which may follow a force and have its period."""
         more = "; lengthen the run" if self._frequencies else ""
         none = Attractor("undecided", f"no event after t = {self._since:g}, and no proof of steady sliding{more}")
+        if len(self._frequencies) > 1 and self._are_incommensurate():
+            grown = self._growth(self._run.t_end - self._since)
+            if grown is not None and grown.decays:
+                return self._torus(grown.rate, None, _alone(self._run.z, self._w))
         if len(self._frequencies) != 1:
             return none
         period = 2.0 * np.pi / self._frequencies[0]
@@ -445,9 +452,9 @@ class _End:
         grown = self._growth(float(last.t[-1] - last.t[place[-1 - min(n_again, _MOST_ROUNDS)]]))
         if grown is None:
             return Attractor("undecided", "no cycle, and the motion is too small to tell what deviations do")
-        rate, both = grown.rate, grown.second + grown.last
-        if both < _GROWN or min(grown.second, grown.last) < _GROWN / 3.0:
-            does = "decay" if both < -_GROWN else "do not grow as in chaos"
+        rate, is_torus = grown.rate, grown.decays and self._are_incommensurate()
+        if not (grown.grows or is_torus):
+            does = "decay" if grown.decays else "do not grow as in chaos"
             why = f"no cycle, and deviations {does} (at the rate {rate:.3g}); lengthen the run"
             return Attractor("undecided", why, growth_rate=rate)
         length = self._run.t_end - float(last.t[-min(len(last), _FOLLOWED)])
@@ -455,8 +462,26 @@ class _End:
         if len(events) < _FEW:
             return Attractor("undecided", f"few events follow on t = {self._run.t_end:g}; lengthen the run")
         states = self._path(events, events.t).states
+        if is_torus:
+            return self._torus(rate, events, states)
         why = f"no cycle, while the last event recurs {n_again} times, and deviations grow"
         return Attractor("irregular", why, growth_rate=rate, events=events, states=states)
+
+    def _are_incommensurate(self) -> bool:
+        """Whether there are forces of several frequencies, without a common period that the run could show."""
+        if len(self._frequencies) < 2:
+            return False
+        ratios = np.array(self._frequencies) / self._frequencies[0]
+        n_taken = (self._run.t_end - self._since) * self._frequencies[0] / (2.0 * math.pi)
+        most = int(min(max(n_taken, _FIRST_TURNS), _MOST_TURNS))
+        turns = np.multiply.outer(np.arange(1.0, most + 1.0), ratios)
+        return not (np.abs(turns - np.round(turns)) <= _SAME_PHASE * turns).all(axis=1).any()
+
+    def _torus(self, rate: float, events: EventSeries | None, states: Samples) -> Attractor:
+        """The response to forces that are incommensurate: runs that begin next to each other come together there."""
+        listed = ", ".join(f"{f:.6g}" for f in self._frequencies)
+        why = f"deviations decay, under forces of the frequencies {listed}, which have no common period"
+        return Attractor("torus", why, growth_rate=rate, events=events, states=states)
 
     def _growth(self, length: float) -> Growth | None:
         """How fast runs from the end and from next to it part."""

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -49,6 +50,11 @@ _SHARES = np.geomspace(1.0, 1e-6, 256)
 _INFLECTION = 0.66
 
 _NEVER = float("inf")
+
+
+def is_small(system: System) -> bool:
+    """Whether eigenvalues are computed of a system of that size."""
+    return system.n <= _EIGENVALUES_MAX
 
 
 def _sizes(systems: Sequence[System], z: Floats, w: Floats) -> Floats:
@@ -322,6 +328,65 @@ class Smoothed:
 
         own = bend(self.band)
         return [own, own if self.widest == self.band else bend(self.widest)]
+
+
+class Friction(NamedTuple):
+    """Smooth friction as a function of u = w - v, shape (n,), and its slope."""
+
+    force: Callable[[Floats], Floats]
+    slope: Callable[[Floats], Floats]
+
+
+class Settling:
+    """Certifies that all blocks come to rest, w = 0, under smooth friction and constant forces, and follows them.
+
+    The motion is that linearised at rest, x' = A x, as long as friction deviates from its tangent by little. With
+    |w_i| <= r by its eigenmodes, and rho_k the largest deviation of friction for |w_k| <= 2 r, that causes a w of at
+    most B rho, as in `Collapse`; if that is below r, |w_i| <= 2 r for ever. Where no spring pulls z stays as it is.
+
+    Parameters
+    ----------
+    system : System
+    belt, force : float64, shape (n,)
+        Speeds of the belts, and external forces.
+    friction : Friction
+    allowed : float
+        Error allowed in the motion that is followed.
+    """
+
+    def __init__(self, system: System, belt: Floats, force: Floats, friction: Friction, allowed: float) -> None:
+        self._belt, self._friction, self._allowed = belt, friction, allowed
+        self._slope, pull = friction.slope(-belt), force - friction.force(-belt)
+        stiffness = system.slip_matrix()[system.n :, : system.n] * -1.0
+        rest, _, rank, _ = np.linalg.lstsq(stiffness, pull)
+        self._rest: Floats = rest.astype(np.float64, copy=False)
+        holds = np.abs(stiffness @ self._rest - pull).max() <= _SUM_ROUNDING * system.n * np.abs(pull).max()
+        eigenmodes = self._eigenmodes = _Eigenmodes(system.slip_matrix(self._slope))
+        still = np.abs(eigenmodes.eigenvalues) <= eigenmodes.rounding
+        decays = (eigenmodes.eigenvalues.real < -eigenmodes.rounding) & ~still
+        self._is_stable = bool(holds and (decays | still).all() and still.sum() == system.n - rank)
+        if self._is_stable:
+            eigenmodes.eigenvalues[still], eigenmodes.vectors[system.n :, still] = 0.0, 0.0
+            rates = np.abs(eigenmodes.eigenvalues.real)
+            rates[still] = rates.min(where=~still, initial=np.inf)
+            self._response = (eigenmodes.sizes / rates) @ eigenmodes.inverse_sizes[:, system.n :]
+
+    def flow(self, z: Floats, w: Floats) -> tuple[Flow, float, float] | None:
+        """The motion from a state, shape (n,) each, and bounds of |z - rest| and |w|; None if that is not certain."""
+        if not self._is_stable:
+            return None
+        n, eigenmodes = len(z), self._eigenmodes
+        coefficients = eigenmodes.inverse @ np.concatenate((z - self._rest, w))
+        decaying = np.where(eigenmodes.eigenvalues == 0.0, 0.0, np.abs(coefficients))
+        reach = eigenmodes.sizes @ decaying
+        r = float(reach[n:].max())
+        u, step = -self._belt, 2.0 * r * np.concatenate((_SHARES, -_SHARES))[:, np.newaxis]
+        deviation = np.abs(self._friction.force(u + step) - self._friction.force(u) - self._slope * step).max(axis=0)
+        strays = _CERTAIN * self._response @ deviation
+        if not (strays[n:].max() <= r and strays.max() <= self._allowed):
+            return None
+        flow = Flow(self._rest, eigenmodes.vectors, eigenmodes.eigenvalues, coefficients)
+        return flow, float((reach + strays)[:n].max()), 2.0 * r
 
 
 class Collapse:

@@ -186,6 +186,12 @@ class Drive:
         """Whether a force acts."""
         return len(self.forcing.poly) > 0
 
+    @property
+    def is_steady(self) -> bool:
+        """Whether belts and forces are constant from the start of the present piece to the end of the run."""
+        forcing = self.forcing
+        return self.is_last and not (self._is_carried or forcing.poly[1:].any() or forcing.amplitude.any())
+
     def value(self) -> Floats:
         """g at the start of the present piece, shape (n,)."""
         forcing = self.forcing

@@ -225,6 +225,8 @@ class Plan(NamedTuple):
     where only belts of constant speed act on the blocks; see `without_returns`."""
     touch: float = 0.0  #: the same, in units of the time in which a block reverses its slip
     method: str = ""  #: where an engine has several
+    settles: Callable[[], certificates.Flow | None] = lambda: None
+    """The motion to the end, if all blocks are certain to come to rest without another event; asked after slices."""
     go_on: Callable[[], None] = lambda: None
     """Prepares the engine for the next piece, once `state` and `drive` are at its start."""
 
@@ -380,6 +382,10 @@ def complete(
                 t = task.t_end
                 break
             clock[CHECK + int(mode[0] > 0)] = s + certificate.ask_again_after
+        elif status == PAUSED and task.stop_early and drive.is_steady and (rest := plan.settles()) is not None:
+            _follow(rest, drive.length - s, s, state)
+            t = task.t_end
+            break
         elif status == DIVERGED:
             if why := divergence.reason(t, z, w):
                 outcome, reason = "diverged", why

@@ -1,6 +1,7 @@
 """Shares of what runs settle on: planted ones come back, with intervals in closed form; nobody else counts."""
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -9,9 +10,12 @@ from scipy.stats import norm
 
 from stickslip.analysis import Data, Study, build
 from stickslip.analysis.ensemble import Recorded
+from stickslip.analysis.models import attractors
 from stickslip.analysis.models.attractors import Cycle, Range, alike, plane, ranges
+from stickslip.analysis.questions.runs.attractor_figures import LOOKS, WORDS
 from stickslip.analysis.questions.runs.attractors import answer
 from stickslip.analysis.report.formats import environment
+from stickslip.sim.attractors.result import Kind
 
 SERIES = (np.array([0.0, 150.0]), np.array([3, 2]))
 KINDS = 3 * ["sliding"] + 5 * ["periodic"] + ["irregular", "undecided"]
@@ -102,6 +106,14 @@ def test_it_leads_the_page(data, settings):
     assert "Of 10 runs, 30.0% slide steadily (10.8% to 60.3%), 50.0% settle on a cycle (23.7% to 76.3%)" in said
     assert "10.0% stay irregular" in said
     assert "What do runs settle on?" in page.html
+
+
+def test_every_kind_of_attractor_has_words_and_a_look():
+    assert get_args(Kind) == attractors.KINDS
+    does = environment("stickslip.analysis.report").get_template("attractors.html").module.does
+    for kind in attractors.KINDS:
+        assert WORDS[kind] in does(kind).strip()
+        assert kind in LOOKS
 
 
 @pytest.mark.parametrize("reason", ["no record", "none exact"])

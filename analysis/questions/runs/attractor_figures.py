@@ -21,6 +21,7 @@ from stickslip.analysis.models.attractors import (
     PERIODIC,
     REST,
     SLIDING,
+    TORUS,
     UNDECIDED,
     edges,
 )
@@ -42,14 +43,15 @@ class Look(NamedTuple):
 
 LOOKS = {
     REST: Look("#9ECAE1", "D", "..."), SLIDING: Look("#0072B2", "s", ""), PERIODIC: Look("#E69F00", "o", ""),
-    IRREGULAR: Look("#6A3D9A", "X", "xxx"), ESCAPING: Look("black", "*", ""), UNDECIDED: Look("#D9D9D9", ".", "///"),
+    TORUS: Look("#009E73", "h", "++"), IRREGULAR: Look("#6A3D9A", "X", "xxx"), ESCAPING: Look("black", "*", ""),
+    UNDECIDED: Look("#D9D9D9", ".", "///"),
 }  # fmt: skip
 #: Of the cycles of one system, and of all that come after these.
 CYCLES = (LOOKS[PERIODIC], Look("#7F2704", "^", ""), Look("#F0E442", "v", ""), Look("#D55E00", "P", ""))
 OTHERS = Look("#FDD0A2", "p", "\\\\\\")
 WORDS = {
-    REST: "come to rest", SLIDING: "slide steadily", PERIODIC: "settle on a cycle", IRREGULAR: "stay irregular",
-    ESCAPING: "run away", UNDECIDED: "undecided",
+    REST: "come to rest", SLIDING: "slide steadily", PERIODIC: "settle on a cycle", TORUS: "settle on a torus",
+    IRREGULAR: "stay irregular", ESCAPING: "run away", UNDECIDED: "undecided",
 }  # fmt: skip
 #: How exits of one block are drawn in a bifurcation diagram, by the order of the blocks: colour and mark.
 _BLOCKS = (("black", "o"), ("#D55E00", "s"), ("#0072B2", "^"), ("#CC79A7", "D"))
@@ -243,7 +245,7 @@ def _handle(colour: str, mark: str, words: str, edge: float = 0.0) -> Line2D:
 
 @panel(5.2, nrows=3, sharex=True, gridspec_kw={"height_ratios": (3, 1, 1)})
 def bifurcation(axes: Sequence[Axes], along: Scale, found: Sections, title: str = "") -> None:
-    """z at exits of cycles and irregular runs against a key, and z of what has none, above multipliers and periods.
+    """z at exits against a key, and z of what has none, above multipliers and periods of cycles.
 
     `along` has numbers.
     """

@@ -24,6 +24,7 @@ from stickslip.analysis.models.attractors import (
     KINDS,
     ONE_CYCLE,
     PERIODIC,
+    TORUS,
     UNDECIDED,
     Along,
     Cycle,
@@ -571,8 +572,8 @@ def _n_left_out(study: Study, own: Sequence[Runs]) -> int:
 
 
 def _sections(study: Study, x: Sequence[float], own: Sequence[Runs]) -> Sections | None:
-    """What a bifurcation diagram shows; None if no run is on a cycle or irregular."""
-    if not any(some.n_of(PERIODIC) + some.n_of(IRREGULAR) for some in own):
+    """What a bifurcation diagram shows; None if no run is on a cycle or a torus, or irregular."""
+    if not any(some.n_of(PERIODIC) + some.n_of(TORUS) + some.n_of(IRREGULAR) for some in own):
         return None
     exits_z, section_z = study.data.lists["exits_z"], study.data.lists["section_z"]
     members = study.data.table.own

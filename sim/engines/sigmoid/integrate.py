@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,6 +30,10 @@ if TYPE_CHECKING:
     from stickslip.sim.engines.sigmoid.settings import Sigmoid
 
 
+#: Over the width of the layer: only where all |w| are below may it be certain that blocks come to rest.
+_NEAR_REST = 0.1
+
+
 def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
     """The runs of some tasks: see `Engine.prepare`.
 
@@ -54,6 +58,7 @@ class _Layer(NamedTuple):
     law: NamedTuple
     delta: Floats
     hidden: Floats  #: c of the law
+    friction: certificates.Friction
     peak: Floats  #: the |w - v| at which friction has its peak
     band: Floats  #: a block sticks below this |w - v|
     is_manifold: bool  #: whether |F| must also be below static friction
@@ -71,7 +76,25 @@ class _Layer(NamedTuple):
         law, hidden, peak = _law(system)
         if system.weakening is not None:
             peak = _peak(system, delta, hidden)
-        return cls(law, delta, hidden, peak * delta, band, is_manifold)
+        return cls(law, delta, hidden, _friction(system, delta, hidden), peak * delta, band, is_manifold)
+
+
+def _friction(system: System, delta: Floats, hidden: Floats) -> certificates.Friction:
+    """Friction of each block; on a closed side the tangent at the belt's speed."""
+    steep = (1.0 + hidden) * system.slip_friction[0] / delta
+
+    def force(u: Floats) -> Floats:
+        friction = over_kinetic(np.tanh(u / delta), hidden) * system.kinetic(u)
+        return np.where(u * system.closed > 0, steep * u, friction)
+
+    def slope(u: Floats) -> Floats:
+        lam = np.tanh(u / delta)
+        rise = 1.0 - lam * lam
+        rises = rise * (1.0 + hidden * (3.0 * rise - 2.0)) / delta * system.kinetic(u)
+        falls = np.abs(over_kinetic(lam, hidden)) * system.kinetic_slope(u)
+        return np.where(u * system.closed > 0, steep, rises + falls)
+
+    return certificates.Friction(force, slope)
 
 
 class _Inside(NamedTuple):
@@ -94,7 +117,7 @@ class _Runs(Several):
         self.tasks, self.engine = tasks, engine
         systems = self.systems = [task.system for task in tasks]
         system = systems[0]  # if it is not plain, it is the only one
-        layer = _Layer.of(system, engine)
+        layer = self.layer = _Layer.of(system, engine)
         self.inside = _Inside.of(engine)
         allowed_of_all = engine.atol + engine.rtol * np.array([one.fastest_belt for one in systems])
         by_force = np.array([layer.is_manifold, *(False for _ in engine.thresholds)])
@@ -154,6 +177,7 @@ class _Runs(Several):
         system, (atol, _, safety) = self.systems[0], self.inside
         block.steep, block.hidden, block.peak = 1.0 / layer.delta, layer.hidden, layer.peak
         block.passed = limits.PASSED * safety
+        block.of_tail = max(1.0, limits.OF_TAIL / safety)
         block.at_peak = limits.OF_ROOT * np.sqrt(self.engine.atol + self.engine.rtol)
         fine = np.minimum(limits.FINE * layer.delta ** (2.0 / 3.0), 1.0)
         block.fine = np.where(layer.peak < np.inf, fine, 1.0)
@@ -166,7 +190,8 @@ class _Runs(Several):
     def advance(self, first: int, events: loop.Events, found: NDArray[np.int64]) -> None:
         drive = self.drives[first]
         self.ends[first], instant = (drive.ahead, drive.instant) if drive.is_instant else (drive.length, -1.0)
-        longest = np.pi / drive.fastest if drive.fastest > 0 else np.inf
+        longest = self.inside.atol / (limits.CREEP * self.layer.delta.max())
+        longest = min(longest, np.pi / drive.fastest) if drive.fastest > 0 else longest
         control = Control(self.ends, instant, longest, self.inside.safety, self.single_rates)
         stack = Stack(self.models, self.work, control, self.states, self.bounds, self.slips)
         advance(stack, events, self.collapse[first].precheck, first, found)
@@ -185,9 +210,47 @@ class _Runs(Several):
             events_a_step=self.events_a_step,
             initial_modes=self.initial_modes[k],
             thresholds=engine.thresholds,
+            settles=_Rest(self, k, state).flow,
             go_on=lambda: _go_on(system, drive, state, table, next_h, atol),
         )
         return loop.complete(self.tasks[k], state, drive, self.collapse[k], plan, begun)
+
+
+class _Rest:
+    """Whether the blocks of a run come to rest, without another event by any definition of sticking."""
+
+    def __init__(self, runs: _Runs, k: int, state: loop.State) -> None:
+        self._runs, self._k, self._state = runs, k, state
+        self._near = _NEAR_REST * runs.layer.delta.max()
+
+    @cached_property
+    def _settling(self) -> certificates.Settling:
+        runs, k = self._runs, self._k
+        system, drive, engine = runs.systems[k], runs.drives[k], runs.engine
+        force = drive.value() if drive.is_forced else np.zeros(system.n)
+        allowed = engine.atol + engine.rtol * system.fastest_belt
+        return certificates.Settling(system, drive.belt_speed, force, runs.layer.friction, allowed)
+
+    def flow(self) -> certificates.Flow | None:
+        """The motion to the end, if that is certain."""
+        runs, k, (z, w, *_) = self._runs, self._k, self._state
+        system, layer, block = runs.systems[k], runs.layer, Blocks(runs.tables[k : k + 1, :, : len(z)].copy())
+        if np.abs(w).max() > self._near or not certificates.is_small(system):
+            return None
+        if (found := self._settling.flow(z, w)) is None:
+            return None
+        flow, of_z, of_w = found
+        belt = runs.drives[k].belt_speed
+        pull = -layer.friction.force(-belt) + system.damping * belt
+        spread = system.row_sums * of_z
+        if system.cross_damping is not None:
+            spread = spread + np.abs(system.cross_damping).sum(axis=1) * of_w
+        for u in (-belt - of_w, -belt + of_w):
+            for force in (pull - spread, pull + spread):
+                block.u0, block.force0 = u, force
+                if (_modes(block, runs.models.bands, layer.is_manifold) != runs.modes[k]).any():
+                    return None
+        return flow
 
 
 def _smoothed(layer: _Layer, speed: float, widest: float) -> certificates.Smoothed:

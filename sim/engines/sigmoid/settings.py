@@ -48,9 +48,13 @@ class Sigmoid(Engine):
     -----
     The error at t_end, and at the samples, is within 20 times `atol + rtol S` times the sensitivity of the motion,
     but for a few runs in a thousand: S the largest |z_i|, |w_i| of the run, the sensitivity how far a displacement
-    is carried, at least 1. Where little is damped, errors add up over hundreds of periods: within 1000 times; on
-    belts that change their speed again and again, over hundreds of transitions. This is tested on random systems,
-    not proved: springs to 1e3, damping 0 to 50, delta 1e-9 to 0.1, t to 20.
+    is carried, at least 1. This holds over a hundred cycles of stick and slip too. Where little is damped and blocks
+    only slip, errors add up over hundreds of periods: within 1000 times; on belts that change their speed again and
+    again, over hundreds of transitions. This is tested on random systems, not proved: springs to 1e3, damping 0 to
+    50, delta 1e-9 to 0.1, t to 20, and t to 1000 on cycles.
+
+    A run that is certain to come to rest under constant forces, all w_i = 0, without another event goes on to its
+    end without steps, unless ``stop_early=False``.
 
     Raises
     ------

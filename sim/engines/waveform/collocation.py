@@ -54,6 +54,16 @@ def _is_near_peak(block: Any) -> Lane:
     return absolute(block.u0) < block.peak * control.NEAR_PEAK
 
 
+def _passes_peak(block: Any) -> Lane:
+    """Whether a block comes to its layer in a step, or is held there by a force that may let it go."""
+    reach, most = block.peak * control.NEAR_PEAK, absolute(block.f[0])
+    for force in block.f[1:]:
+        most = greater(most, absolute(force))
+    may_leave = (absolute(block.u0) < reach) & (most > block.static * control.LOADED)
+    comes = (absolute(block.u0) > reach) & (absolute(block.u[-1]) < reach)
+    return (may_leave | comes) & (block.fine < 1.0)
+
+
 def _allowed(block: Any, law: Law) -> Lane:
     """The error allowed in a step."""
     tolerance = block.tolerance
@@ -216,8 +226,9 @@ def _force(is_change: bool) -> Callable[[Any, Law], None]:
             stays = control.SWIFT / greater(least - block.static, control.SWIFT)
             scale = scale * where(_is_near_peak(block) & (block.fine < 1.0), greater(stays / block.h, 1.0), 1.0)
         tail, noise = _error(after), block.noise
+        of_tail = scale if law in (Plain, SetValued) else where(_passes_peak(block), scale * block.of_tail, scale)
         block.moved = where(most < noise, scale * 0.0, (most - noise) * scale)
-        block.tail = where(tail < noise, scale * 0.0, (tail - noise) * scale)
+        block.tail = where(tail < noise, scale * 0.0, (tail - noise) * of_tail)
 
     return formula
 

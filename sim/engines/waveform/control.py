@@ -63,6 +63,9 @@ SHORTEST = 1e-14
 #: The first step, and the first after a jump of F, is FIRST atol^(1 / 5) over the fastest change, and at most
 #: LONGEST_FIRST (units of time). The first substep is FIRST_SUBSTEP of that.
 FIRST, LONGEST_FIRST, FIRST_SUBSTEP = 0.3, 0.1, 0.25
+#: A block at rest creeps by the rounding of friction, at this share of the width of its layer at most: a step is so
+#: long that it goes no further than atol, and a slice goes not much further.
+CREEP = 1e-14
 #: Over friction: a jump of F, where the slope of a belt's speed changes, that is more than rounding.
 JUMP = 1e-9
 
@@ -113,8 +116,13 @@ OF_PEAK = 0.05
 OF_DISTANCE = 0.1
 #: but at least this, over the root of the tolerance: F is then within the square of that of static friction.
 OF_ROOT = 0.5
+#: Over the safety factor: the weight of the tail of F where a block comes to its layer, or, held by more than LOADED
+#: of static friction, may leave it. The polynomial of F is off there by about its tail, since z of each block that
+#: leaves or comes has a kink; it moves the time at which a block leaves, which nothing corrects: a cycle keeps all
+#: such errors, and most have one sign.
+OF_TAIL, LOADED = 150.0, 0.9
 #: The rate (per unit of time) below which the peak of a law that peaks by weakening alone does not matter.
-STEEP = 10.0
+STEEP = 1.0
 
 # ------------------------------------------------------------------------------------------------ the set-valued law
 

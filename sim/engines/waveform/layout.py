@@ -68,6 +68,7 @@ class Blocks(Table, nodes=STAGES):
     lag: Row  #: the time by which an error of F moves its w at an exit, or zero
     # of the block
     passed: Row  #: the weight of the error of a step that jumped the layer
+    of_tail: Row  #: the weight of the tail of F where the block comes to its layer or may leave it
     at_peak: Row  #: the error allowed in a step at the peak, over its u
     row_sum: Row  #: of |K|
     # of the step

@@ -207,6 +207,7 @@ def _leave(model, work, lane, h):  # type: ignore[no-untyped-def]
     i = lanes.block[lane]
     work.end_u[i], work.end_z[i] = own.u0[lane], own.z0[lane]
     work.next_h[i] = own.length[lane] * h
+    block.u[STAGES - 1, i] = own.u0[lane]  # whether it has come to its layer
     _project(own.moment, own.z_macro, lane, block.z, i)
     if model.has_cross:
         _project(own.moment_u, own.u_macro, lane, block.mean_u, i)

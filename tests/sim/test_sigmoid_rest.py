@@ -1,0 +1,77 @@
+"""Runs of the sigmoid engine that come to rest, w = 0, go on to any time, and only those."""
+
+import numpy as np
+import pytest
+
+from stickslip.sim import Harmonic, Piecewise, Rational, System, simulate
+
+K = np.array([[2.0, -1.0], [-1.0, 2.0]])
+START = ([3.0, 1.0], 0.0)
+
+
+def settled(system, z, t_end=1e300, **settings):
+    run = simulate(system, z, START[1], t_end, engine="sigmoid", **settings)
+    assert run.outcome in ("finished", "collapsed")
+    assert run.t_end == t_end
+    return run
+
+
+RESTING = {  # the system, and K z at rest: the force less that of friction at the belt's speed
+    "a resting belt": (System(K, 0.1, 1.0, 0.0), [0.0, 0.0]),
+    "static friction": (System(K, 0.1, 1.0, 0.0, 1.5), [0.0, 0.0]),
+    "weakening": (System(K, 0.1, 1.0, 0.0, weakening=Rational(2.0)), [0.0, 0.0]),
+    "a force": (System(K, 0.1, 1.0, 0.0, force=[0.3, -0.2]), [0.3, -0.2]),
+    "a belt that stops": (System(K, 0.3, 1.0, Piecewise([0.0, 1.0], [-0.2, 0.0])), [0.0, 0.0]),
+    "a moving belt": (System(K, 0.3, 1.0, -0.2), [-np.tanh(0.2 / 0.03)] * 2),
+    "sliding under weakening": (
+        System(K, 0.9, 1.0, -0.2, weakening=Rational(0.1)),
+        [-np.tanh(0.2 / 0.03) / 1.02] * 2,
+    ),
+    "two belts": (System(K, 0.3, 1.0, [-0.2, 0.3]), [-np.tanh(0.2 / 0.03), np.tanh(0.3 / 0.03)]),
+    "cross damping": (System(K, [[0.3, 0.1], [-0.1, 0.3]], 1.0, 0.0), [0.0, 0.0]),
+}
+
+
+@pytest.mark.parametrize("case", RESTING)
+def test_blocks_that_come_to_rest_are_there_at_any_later_time(case):
+    """A run to t = 5e7 took 5 s, one to 1e300 did not end."""
+    system, pull = RESTING[case]
+    run = settled(system, START[0], t_eval=[0.0, 1e100, 1e300])
+    np.testing.assert_allclose(K @ run.z, pull, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(run.w, 0.0, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(run.samples.z[-1], run.z)
+    np.testing.assert_array_equal(run.samples.z[0], START[0])
+
+
+@pytest.mark.parametrize("eps", [1e-2, 1e-3])
+def test_the_motion_that_is_followed_is_that_of_the_equations(eps):
+    """In the layer a block creeps by z' = -delta (K z) / mu: it is followed where steps would follow it."""
+    system, times = System(K, 0.1, 1.0, 0.0), np.array([3e5, 4e5, 1e6]) * 0.01 / eps
+    settings = {"eps": eps, "t_eval": times, "rtol": 1e-7, "atol": 1e-7}
+    early, late = (settled(system, START[0], times[-1], stop_early=stop, **settings) for stop in (True, False))
+    assert early.stats.n_steps < late.stats.n_steps
+    np.testing.assert_allclose(early.samples.z, late.samples.z, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(early.events.t, late.events.t)
+
+
+def test_blocks_that_no_spring_holds_rest_where_they_come_to_rest():
+    """Two blocks on a spring between them keep z_1 + z_2 while both slip one way; a free block runs out."""
+    pair = System([[1.0, -1.0], [-1.0, 1.0]], 0.1, 1.0, 0.0)
+    np.testing.assert_allclose(settled(pair, START[0]).z, settled(pair, START[0], 1000.0).z, rtol=0, atol=1e-5)
+    free = System([[0.0]], 0.1, 1.0, 0.0)
+    one, other = (simulate(free, 3.0, 1.0, t_end, engine="sigmoid") for t_end in (1000.0, 1e300))
+    np.testing.assert_allclose(one.z, other.z, rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "system",
+    [
+        System([[1.0]], 0.01, 1.0, -0.2, weakening=Rational(1.0)),  # steady sliding is a source
+        System([[1.0]], 0.3, 1.0, 0.0, force=Harmonic(1e-3, 0.01)),  # no rest
+    ],
+)
+def test_a_rest_that_repels_or_moves_is_not_certain(system):
+    """From its rest a run goes on by steps."""
+    z = -np.tanh(abs(system.belt_speed) / 0.03) * system.kinetic(np.abs([system.belt_speed]))
+    one, other = (simulate(system, z, 0.0, t_end, engine="sigmoid").stats.n_steps for t_end in (2e4, 4e4))
+    assert other > 1.5 * one
