@@ -15,6 +15,7 @@ import xml.etree.ElementTree as ElementTree
 
 import netCDF4
 import numpy as np
+import pandas as pd
 import pytest
 
 from stickslip.analysis.report.page import Drawn, Report
@@ -193,3 +194,17 @@ def test_files_with_any_name_leave_pages_and_figures_that_open(here, rng, tmp_pa
     write(Report("", {}, [], {figures[0].stem: Drawn("<svg/>")}), out)
     left = {file.name for file in (out / "report").rglob("*") if file.is_file()}
     assert left == {figures[0].name, "tables.json", "files.txt", notes.name}, "others are of another report"
+
+
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-x", "@a", "\tq", "\r"])
+def test_a_text_in_csv_is_no_formula(text, some_failed, tmp_path):
+    file = tmp_path / "a.csv"
+    query = f"SELECT '{text}' AS words, -1 AS number, 'a=b' AS other"
+    assert main(["query", str(some_failed), query, "--out", str(file)]) == 0
+    assert pd.read_csv(file, lineterminator="\n").iloc[0].tolist() == [f"'{text}", -1, "a=b"]
+
+
+def test_a_pipe_that_nobody_reads_is_not_waited_for(some_failed, tmp_path, capsys):
+    os.mkfifo(tmp_path / "a.csv")
+    assert main(["query", str(some_failed), "SELECT 1", "--out", str(tmp_path / "a.csv")]) == 2
+    assert "cannot be written (No such device or address)" in capsys.readouterr().err
