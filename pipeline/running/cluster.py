@@ -56,6 +56,9 @@ _START_TIMEOUT, _START_EACH = 60.0, 3.0
 #: Seconds between two looks at workers that start.
 _LOOK = 0.05
 
+#: Bytes of addresses that a process which loads dask, Arrow and SciPy takes, at least.
+_LEAST_SPACE = 800_000_000
+
 #: Files that a driver of local workers may open, where the system lets it.
 _MOST_FILES = 65_536
 
@@ -158,6 +161,7 @@ def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
     """
     # around all of it: a cluster in the middle of closing still has connections to complain of
     with silence_logging_cmgr(logging.CRITICAL), environment_kept(), contextlib.ExitStack() as opened:
+        _check_address_space()
         errors = processes.forks.errors if processes.forks is not None else opened.enter_context(ErrorStream())
         with unbroken():
             loop = LoopRunner()
@@ -175,6 +179,21 @@ def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
             client = Client(cluster, set_as_default=False)
             opened.callback(_close, client, cluster)
         yield client
+
+
+def _check_address_space() -> None:
+    """Refuse a limit with which libraries fail one by one as they are loaded, each in its own words, or hang.
+
+    Raises
+    ------
+    ScheduleError
+    """
+    most = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if most != resource.RLIM_INFINITY and most < _LEAST_SPACE:
+        raise ScheduleError(
+            f"workers: expected a limit of {_LEAST_SPACE / 1e9:.2g} GB or more of memory for each process, got"
+            f" {most / 1e9:.2g} GB (`ulimit -v`); raise it, or take a larger machine"
+        )
 
 
 @contextlib.contextmanager

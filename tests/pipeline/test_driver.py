@@ -417,3 +417,12 @@ def test_kernels_that_numba_is_told_not_to_compile_are_refused_in_a_line(to, sou
     assert "kernels: expected numba to compile them, got NUMBA_DISABLE_JIT=1; unset it" in err
     assert "Traceback" not in err
     assert to == "file" or not (tmp_path / "out").exists()
+
+
+def test_little_memory_is_refused_in_a_line(source, tmp_path):
+    (tmp_path / "small.toml").write_bytes(source)
+    words = f'ulimit -v 700000; exec "{sys.executable}" -m stickslip run small.toml --out out --workers 2'
+    done = subprocess.run(["sh", "-c", words], cwd=tmp_path, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 1
+    assert "(`ulimit -v`); raise it" in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
