@@ -22,7 +22,7 @@ from stickslip.analysis.ensemble import Recorded, Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
 from stickslip.analysis.models.episodes import ATOM, B_VALUE, QUANTITIES, RATE, SIZE
-from stickslip.analysis.models.fates import FAILED
+from stickslip.analysis.models.fates import FAILED, UNMOVED
 from stickslip.analysis.models.times import Times
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import UnitSums, per_event, ratio
@@ -237,27 +237,28 @@ def _share(numbers: np.ndarray, problems: Mapping[str, str], reason: str, group:
 
 
 def _per_exit(group: Group) -> Values:
-    """Exits per block and unit of time of a unit's runs in motion, and 1.
+    """Exits per block with friction and unit of time of a unit's runs that may go on to exit, and 1.
 
     The mean time between exits of a block is one over it, however short the windows are. The mean of the times that
-    lie in a window whole is too small, as long ones are cut off.
+    lie in a window whole is too small, as long ones are cut off. A run that has not moved yet has no exit so far.
     """
-    rates = group.by_unit("rate") / _n_contacts(group)
-    ended = group.members[~group.is_moving]
+    not_moved = np.asarray(group.fates == UNMOVED)
+    counted, ended = (group.members[rows] for rows in (group.is_moving | not_moved, ~(group.is_moving | not_moved)))
+    exits = UnitSums.together(
+        [
+            UnitSums(group.units, group.of("rate", "runs")),
+            UnitSums.of(group.members["unit"][not_moved], np.repeat([[0.0, 1.0]], not_moved.sum(), axis=0)),
+        ]
+    )
+    n = float(group.key["n"])
+    n_contacts = counted[CONTACTS].fillna(n) if CONTACTS in counted else np.full(len(counted), n)
+    contacts = UnitSums.of(counted["unit"], np.column_stack([n_contacts, np.ones(len(counted))]))
+    rates = ratio(exits.rows) / ratio(contacts.rows)
     missing = {
         str(member_id): outcome if outcome == FAILED else STILL
         for member_id, outcome in zip(ended["member_id"], ended["outcome"], strict=True)
     }
-    return Values(UnitSums(group.units, np.column_stack([rates, np.ones(len(rates))])), missing)
-
-
-def _n_contacts(group: Group) -> np.ndarray:
-    """Blocks with friction in each unit in motion, which alone can exit, shape (G, 1)."""
-    if CONTACTS not in group.table.own:
-        return np.full((len(group.units), 1), float(group.key["n"]))
-    moving = group.moving
-    by_unit = UnitSums.of(moving["unit"], np.column_stack([moving[CONTACTS], np.ones(len(moving))]))
-    return by_unit.rows[:, :1] / by_unit.rows[:, 1:]
+    return Values(UnitSums(exits.units, np.column_stack([rates, np.ones(len(rates))])), missing)
 
 
 def _of_gaps(numbers: np.ndarray, problems: Mapping[str, str], reason: str, t_burn: float, group: Group) -> Values:
