@@ -161,7 +161,6 @@ def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
     """
     # around all of it: a cluster in the middle of closing still has connections to complain of
     with silence_logging_cmgr(logging.CRITICAL), environment_kept(), contextlib.ExitStack() as opened:
-        _check_address_space()
         errors = processes.forks.errors if processes.forks is not None else opened.enter_context(ErrorStream())
         with unbroken():
             loop = LoopRunner()
@@ -169,6 +168,7 @@ def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
                 loop.start()
             opened.callback(loop.stop)
             opened.enter_context(_files_for(workers))
+            _check_address_space()
             begun: list[SpecCluster] = []
             starting = _start(workers, dashboard, loop, opened, begun)
             opened.callback(_abandon, begun, starting)
