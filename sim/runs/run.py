@@ -40,7 +40,7 @@ class Stats:
     n_products: int
     n_events: int
     method: str = ""
-    n_restarts: int = 0
+    n_restarts: int = field(default=0, repr=False)
 
     def after(self, stopped: Stats) -> Stats:
         """Of a run that was begun anew, from those of its first attempt."""

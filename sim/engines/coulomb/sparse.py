@@ -20,7 +20,7 @@ from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.sticking import force_rounding, push
 from stickslip.sim.engines.coulomb.taylor import UNDECIDED, Window, curvature, decide, error_after, expand, pull_of
-from stickslip.sim.engines.coulomb.windows import evaluate, instant, record, sample, stalls
+from stickslip.sim.engines.coulomb.windows import evaluate, instant, record, sample, speed_scale, stalls
 from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
@@ -332,7 +332,7 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
             copy(mode, search.initial_mode)
             copy(mode, search.known_mode)
         before = n_recorded
-        v, scale = model.belt_speed, allowed / goal.tol
+        v, scale = model.belt_speed, speed_scale(model, goal, allowed)
         n_recorded, same = record(clock, mode, v, scale, search.known_mode, events, n_recorded)
         if n_recorded > before:
             loop.note_event(clock, counters)
@@ -348,7 +348,7 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
         n_slip = 0
         for i in range(n):
             n_slip += abs(mode[i])
-        window = Window(order, h, allowed, largest(z) + h * scale)
+        window = Window(order, h, allowed, largest(z) + h * allowed / goal.tol)
         error = error_after(model, expansion, goal, window, h, clock[loop.ERROR])
         s, end, block = 0.0, h, -1
         while True:

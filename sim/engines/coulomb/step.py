@@ -35,7 +35,17 @@ from stickslip.sim.engines.coulomb.model import Model, model_of
 from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
 from stickslip.sim.engines.coulomb.taylor import Expansion, Window, correct, error_after, expand, expansion_of, shift
-from stickslip.sim.engines.coulomb.windows import Goal, Search, evaluate, goal_of, record, sample, search_of, stalls
+from stickslip.sim.engines.coulomb.windows import (
+    Goal,
+    Search,
+    evaluate,
+    goal_of,
+    record,
+    sample,
+    search_of,
+    speed_scale,
+    stalls,
+)
 from stickslip.sim.engines.precheck import precheck_of
 from stickslip.sim.engines.stacks import note_found, rest_of
 from stickslip.sim.kernels.compile import inner, kernel
@@ -120,7 +130,8 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
             copy(mode, search.initial_mode)
             copy(mode, search.known_mode)
         before = n_recorded
-        n_recorded, same = record(clock, mode, v, allowed / goal.tol, search.known_mode, events, n_recorded)
+        scale = speed_scale(model, goal, allowed)
+        n_recorded, same = record(clock, mode, v, scale, search.known_mode, events, n_recorded)
         if n_recorded > before:
             loop.note_event(clock, counters)
         loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)

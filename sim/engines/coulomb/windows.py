@@ -11,7 +11,7 @@ from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.numerics.arithmetic import ROUNDING
+from stickslip.sim.numerics.arithmetic import ROUNDING, largest
 from stickslip.sim.numerics.horner import values_and_slopes
 
 
@@ -79,6 +79,13 @@ def sample(expansion, v, origin, order, t, t_next, state):  # type: ignore[no-un
         evaluate(expansion, v, origin, order, samples.t[k] - t, samples.z[k], samples.w[k])
         k += 1
     state.counters[loop.N_SAMPLED] = k
+
+
+@inner
+def speed_scale(model, goal, allowed):  # type: ignore[no-untyped-def]
+    """The scale of speeds: that of the tolerance, or, where all rest now, what friction gives in the least time."""
+    of_friction = largest(model.static) / goal.rate if goal.rate > 0.0 else 0.0
+    return max(allowed / goal.tol, of_friction)
 
 
 @inner
