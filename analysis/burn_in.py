@@ -96,6 +96,11 @@ def _of_group(study: Study, group: Group) -> list[Row]:
     return rows
 
 
+def drawable(rows: Sequence[Row]) -> list[str]:
+    """Groups of which a quantity has an interval with the chosen t_burn, over which the others are drawn."""
+    return [row["group"] for row in rows if row["is_chosen"] and row["value"] and row["value_low"] is not None]
+
+
 def with_enough(rows: Sequence[Row], by_t_burn: Sequence[Row], alpha: float) -> list[Row]:
     """Rows of `geweke` with `t_enough` where t_burn is too short: the first later one with which nothing is shown."""
     found: list[Row] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import signal
@@ -162,9 +163,18 @@ def exchanging(stop, path, others):
     while not stop.is_set():
         for other in others:
             os.rename(path, aside)
-            os.rename(other, path)
-            os.rename(path, other)
-            os.rename(aside, path)
+            with contextlib.suppress(OSError):  # a folder has been made in its place meanwhile
+                os.rename(other, path)
+                os.rename(path, other)
+            put_back(aside, path)
+
+
+def put_back(aside, path):
+    while True:
+        try:
+            return os.rename(aside, path)
+        except OSError:
+            shutil.rmtree(path, ignore_errors=True)
 
 
 def test_no_race_leads_outside(tmp_path):

@@ -109,12 +109,12 @@ def answer(study: Study) -> Answer:
     by_t_burn = burn_in.estimates(study, in_motion)
     tested = burn_in.with_enough(burn_in.geweke(study, in_motion), by_t_burn, 1 - level)
     short = [row for row in tested if row["is_short"]]
+    drawable = burn_in.drawable(by_t_burn)
     facts: dict[str, Any] = {
         "shifts": shifts,
         "short": short,
         "along_t_burn": next(
-            (row["group"] for row in (*short, *by_t_burn) if row.get("is_short") or row["value_low"] is not None),
-            None,
+            (name for name in (*(row["group"] for row in short), *drawable) if name in drawable), None
         ),
         "systems": systems,
         "groups": groups,

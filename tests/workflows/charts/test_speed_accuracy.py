@@ -327,4 +327,4 @@ def test_a_chart_does_not_overwrite_an_ensemble(scene_file, tmp_path, capsys):
 
 def test_a_chart_takes_no_scheduler(scene_file, capsys):
     assert main(["run", str(scene_file), "--scheduler", "tcp://nowhere:1"]) == 2
-    assert "--scheduler: expected none" in capsys.readouterr().err
+    assert "--scheduler, --slurm: expected none" in capsys.readouterr().err
