@@ -21,7 +21,7 @@ from stickslip.analysis.series.runs import Ended, Runs
 from stickslip.analysis.series.windows import in_parts, windows
 from stickslip.analysis.stats.compare import against
 from stickslip.analysis.stats.enough import LEAST_MATRICES
-from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, UnitSums, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, UnitSums, over_matrices, ratio, within
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import CYCLE, GREY, panel
@@ -78,20 +78,20 @@ def _of_group(study: Study, group: Group) -> list[Row]:
     for k, t_burn in enumerate(times):
         mean, rate, slipped, cascades, early, late = found[:, k].T
         ones = np.ones(len(members))
-        quantities: dict[str, tuple[np.ndarray, np.ndarray, Statistic]] = {
-            "mean": (mean, ones, ratio), "rate": (rate, ones, ratio),
-            "gamma": (slipped, cascades, QUANTITIES["gamma"].of),
+        # every unit has the same weight, however many of its runs are in motion
+        quantities: dict[str, tuple[np.ndarray, Statistic]] = {
+            "mean": (_by_unit(units, mean, ones), ratio), "rate": (_by_unit(units, rate, ones), ratio),
+            "gamma": (UnitSums.of(units, np.column_stack([slipped, cascades])).rows, QUANTITIES["gamma"].of),
         }  # fmt: skip
         if study.data.episodes is not None:
             n_episodes = _episodes(study, members, t_burn)
-            quantities = {EPISODES: (n_episodes, ones * (t_end - t_burn), ratio)}
+            quantities = {EPISODES: (_by_unit(units, n_episodes, ones * (t_end - t_burn)), ratio)}
         test = _early(_by_unit(units, early, late, ones), level)
-        for name, (first, second, of) in quantities.items():
-            sums = UnitSums.of(units, np.column_stack([first, second]))
+        for name, (sums, of) in quantities.items():
             rows.append({
                 "group": group.label, "t_burn": t_burn, "is_chosen": t_burn == study.settings.t_burn,
-                "quantity": name, "n_systems": len(sums.units),
-                **named("value", over_matrices(of, sums.rows, level)), "p_value": test["p_value"],
+                "quantity": name, "n_systems": len(sums),
+                **named("value", within(over_matrices(of, sums, level), 0.0)), "p_value": test["p_value"],
             })  # fmt: skip
     return rows
 
@@ -102,16 +102,16 @@ def drawable(rows: Sequence[Row]) -> list[str]:
 
 
 def with_enough(rows: Sequence[Row], by_t_burn: Sequence[Row], alpha: float) -> list[Row]:
-    """Rows of `geweke` with `t_enough` where t_burn is too short: the first later one with which nothing is shown."""
+    """Rows of `geweke` with `t_enough` where t_burn is too short: the first one from which on nothing is shown."""
     found: list[Row] = []
     for row in rows:
-        later = [
-            other["t_burn"]
+        p_values = {
+            other["t_burn"]: other["p_value"] or 0.0
             for other in by_t_burn
-            if other["group"] == row["group"]
-            and other["t_burn"] > row["t_burn"]
-            and (other["p_value"] or 0.0) >= alpha
-        ]
+            if other["group"] == row["group"] and other["t_burn"] > row["t_burn"]
+        }
+        last_shown = max((t for t, p in p_values.items() if p < alpha), default=row["t_burn"])
+        later = (t for t in p_values if t > last_shown)
         found.append(row | {"t_enough": min(later, default=None) if row["is_short"] else None})
     return found
 

@@ -32,7 +32,7 @@ from stickslip.analysis.stats.compare import (
     verdict,
 )
 from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
-from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, at_least, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, over_matrices, ratio, within
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.stats.quantities import QUANTITIES
 
@@ -59,11 +59,12 @@ class Statistic:
     of: estimates.Statistic
     margin: float
     least: float | None = None
+    most: float | None = None
     is_share: ClassVar[bool] = False
 
     def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
         """Its value on some units, with an interval over these."""
-        return at_least(over_matrices(self.of, sums.rows, confidence), self.least)
+        return within(over_matrices(self.of, sums.rows, confidence), self.least, self.most)
 
     def difference(self, first: UnitSums, second: UnitSums, paired: bool) -> Compared | Inverted:
         """By how much it is larger on the second; raises `Undefined` with a reason."""

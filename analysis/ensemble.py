@@ -13,16 +13,16 @@ import pandas as pd
 
 from stickslip.analysis.groups import Group, fill, groups
 from stickslip.analysis.members import Members
-from stickslip.analysis.models.fates import DIVERGED, ENDS, FAILED
+from stickslip.analysis.models.fates import DIVERGED, FAILED
 from stickslip.analysis.models.motion import Motion, joined, motion
-from stickslip.analysis.models.times import Times
+from stickslip.analysis.models.times import LEAST_ENDED, Times
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.runs import Ended, Events, Given, Put, Run, Runs, Series, generator, named_window
 from stickslip.analysis.series.windows import ChangePoints
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import share_over_matrices
-from stickslip.analysis.stats.estimates import Estimate, UnitSums, at_least, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
 from stickslip.sim.numerics.arguments import apart, did_you_mean
 
 T = TypeVar("T")
@@ -71,12 +71,9 @@ class Until(NamedTuple):
     ----------
     since : float
         The time of the run from which on it counts.
-    needs_stick : bool
-        Whether it never happens once it is certain that no block sticks any more.
     """
 
     since: float = 0.0
-    needs_stick: bool = False
 
 
 class Recorded(NamedTuple):
@@ -379,7 +376,7 @@ class Study:
         else:
             column = Numbers.of(self.data.table, numbers).column
         sums = group.sums_of(column)
-        return at_least(over_matrices(ratio, sums.rows, self.settings.confidence), least)
+        return within(over_matrices(ratio, sums.rows, self.settings.confidence), least)
 
     def _recorded(self, argument: str, name: str) -> Recorded:
         recorded = self.data.recorded
@@ -411,16 +408,16 @@ class Study:
             )
         times, outcomes = self.number(name)[group.rows], group.column("outcome").to_numpy(object)
         ended = np.isfinite(times)
-        is_short = outcomes == DIVERGED if recorded.until.needs_stick else np.isin(outcomes, ENDS)
         t_stop = group.column("t_stop").to_numpy(np.float64, na_value=np.nan)
-        followed = np.where(is_short, t_stop, float(group.key["t_end"])) - recorded.until.since
+        # a run that is certain never to stick again is known to its end
+        followed = np.where(outcomes == DIVERGED, t_stop, float(group.key["t_end"])) - recorded.until.since
         is_lost = (outcomes == FAILED) | group.column("member_id").isin([*recorded.problems]).to_numpy()
         known = ended | (~is_lost & (followed > 0.0))
         units = group.column("unit").to_numpy()
         return Times.of_runs(units[known], np.where(ended, times, followed)[known], ended[known]), known
 
     def limit(self, name: str) -> float:
-        """The longest time that all groups are followed to, for means of a time up to it (`Times.restricted`)."""
+        """The longest time that all groups are followed to, for means of a time up to it: see `restricted_mean`."""
         until = self.data.recorded[name].until
         return min(float(group.key["t_end"]) for group in self.groups) - (until.since if until else 0.0)
 
@@ -458,8 +455,13 @@ class Study:
         times, _ = self.times(group, name)
         if not len(times):
             return Estimate(reason="no matrix has data")
-        rows = times.restricted(self.limit(name) if limit is None else limit).rows
-        return at_least(over_matrices(ratio, rows, self.settings.confidence), 0.0)
+        most = self.limit(name) if limit is None else limit
+        mean = over_matrices(ratio, times.restricted(most).rows, self.settings.confidence)
+        if times.n_units_ended < LEAST_ENDED:
+            return Estimate(
+                mean.value, reason=f"it happened in {times.n_units_ended} systems, too few for an interval"
+            )
+        return within(mean, 0.0, most)
 
     def number(self, name: str) -> np.ndarray:
         """A number that a record keeps, of each member by its row, shape (R,); NaN where a run has none."""

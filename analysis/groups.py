@@ -26,7 +26,7 @@ from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET
 from stickslip.analysis.models.motion import COLUMNS, EFFECTIVE, Motion
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.estimates import Estimate, UnitSums, at_least, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.engines import ENGINES, SETTINGS
 
@@ -201,7 +201,7 @@ class Group:
 
     def mean(self, confidence: float) -> Estimate:
         """Mean n_stick."""
-        return at_least(over_matrices(ratio, self.by_unit("mean", "runs"), confidence), 0.0)
+        return within(over_matrices(ratio, self.by_unit("mean", "runs"), confidence), 0.0)
 
     def drift(self, confidence: float) -> Estimate:
         """Mean n_stick in the second half of the window minus that in the first, paired over units."""

@@ -23,7 +23,7 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
 from stickslip.analysis.models.episodes import ATOM, B_VALUE, QUANTITIES, RATE, SIZE
 from stickslip.analysis.models.fates import FAILED, UNMOVED
-from stickslip.analysis.models.times import Times
+from stickslip.analysis.models.times import LEAST_ENDED, Times
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import UnitSums, per_event, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES as OF_N_STICK
@@ -285,7 +285,7 @@ def _of_times(study: Study, beside: Study | None, name: str, column: Recorded) -
         f"{words}, by Kaplan and Meier", f"median {name}", partial(_median, study, name), says_it=column.says_it,
     )  # fmt: skip
     by_mean = Measure(
-        Statistic(f"restricted mean {name}", ratio, MARGIN, least=0.0), name,
+        Statistic(f"restricted mean {name}", ratio, MARGIN, least=0.0, most=limit), name,
         f"the restricted mean of {'the ' * column.says_it}{called} up to {limit:g}",
         f"{words}; the area up to {limit:g} under the curve of Kaplan and Meier", f"restricted mean {name}",
         partial(_restricted, study, name, limit), says_it=column.says_it,
@@ -307,6 +307,9 @@ def _restricted(study: Study, name: str, limit: float, group: Group) -> Values:
         return Values(missing=missing)
     if not times.reaches(limit):
         return Values(missing=missing, withheld=f"no run was followed to {limit:g}", n_censored=times.n_censored)
+    if times.n_units_ended < LEAST_ENDED:
+        why = f"it happened in {times.n_units_ended} of {len(times)} {group.unit}s, which are too few for an interval"
+        return Values(missing=missing, withheld=why, n_censored=times.n_censored)
     return Values(times.restricted(limit), missing, n_censored=times.n_censored)
 
 

@@ -36,7 +36,8 @@ def pytest_configure(config):
 
 def pytest_collection_modifyitems(config, items):
     if config.option.fresh:
-        draws = {item: "random_seed" in item.fixturenames or item.get_closest_marker("hypothesis") for item in items}
+        seeds = {"random_seed", "module_seed"}
+        draws = {item: seeds & {*item.fixturenames} or item.get_closest_marker("hypothesis") for item in items}
         config.hook.pytest_deselected(items=[item for item in items if not draws[item]])
         items[:] = [item for item in items if draws[item]]
 
@@ -62,14 +63,24 @@ def answers_to_ctrl_c():
     signal.signal(signal.SIGINT, before)
 
 
-@pytest.fixture
-def random_seed(request):
-    """A seed that the test's name fixes; with `--fresh`, and in long tests, one of this run, which is printed."""
+def _seed(request):
     is_fresh = request.config.option.fresh or "long" in request.keywords
     name = f"{request.config.option.seed if is_fresh else ''} {request.node.nodeid}"
     seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:4])
     print("seed", seed)
     return seed
+
+
+@pytest.fixture
+def random_seed(request):
+    """A seed that the test's name fixes; with `--fresh`, and in long tests, one of this run, which is printed."""
+    return _seed(request)
+
+
+@pytest.fixture(scope="module")
+def module_seed(request):
+    """The same for what the tests of a file share."""
+    return _seed(request)
 
 
 @pytest.fixture

@@ -84,7 +84,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             one.called,
             bool(one.title),
             one.kind == "yes or no",
-            one.until and Until(one.until.start(scene.record_t_burn), one.until.needs_stick),
+            one.until and Until(one.until.start(scene.record_t_burn)),
             one.of_gaps,
         )
         for one in kept
@@ -127,7 +127,7 @@ def _own_problems(scene: Scene, said: Mapping[str, str]) -> dict[str, dict[str, 
     if scene.own_record is None:
         return {}
     return {
-        column.name: {member_id: why for member_id, why in said.items() if f"{own.function.name}: " in why}
+        column.name: {member_id: why for member_id, why in said.items() if own.lacks(column, why)}
         for own in scene.own_record.functions
         for column in own.columns
     }

@@ -20,6 +20,9 @@ from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import correlation
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
 
+#: Units in which it must have happened for an interval of a restricted mean: with fewer its error is known too badly.
+#: At a rate of 0.1 in the time watched, one run each, intervals of 95% covered 38% with 5 units and 87% with 50.
+LEAST_ENDED = 5
 _QUANTILE = student.quantile(0.975, np.inf)
 
 
@@ -56,6 +59,11 @@ class Times(UnitSums):
     def within(self, other: UnitSums) -> Self:
         kept = np.isin(self.of_unit, other.units)
         return self if kept.all() else self.of_runs(self.of_unit[kept], self.times[kept], self.ended[kept])
+
+    @property
+    def n_units_ended(self) -> int:
+        """In how many units it happened."""
+        return len(np.unique(self.of_unit[self.ended]))
 
     @property
     def n_censored(self) -> int:

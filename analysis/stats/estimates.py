@@ -44,14 +44,17 @@ class Estimate:
         return f"Estimate({value}{interval}{self.reason and f': {self.reason}'})"
 
 
-def at_least(estimate: Estimate, least: float | None) -> Estimate:
-    """An estimate whose interval does not go below what the number is never below, by what it is.
+def within(estimate: Estimate, least: float | None = None, most: float | None = None) -> Estimate:
+    """An estimate whose interval does not go beyond what the number can be, by what it is.
 
     A t interval is symmetric and may; what is cut off cannot be covered, so the coverage stays what it is.
     """
-    if least is None or estimate.low is None:
-        return estimate
-    return replace(estimate, low=max(estimate.low, least))
+    low, high = estimate.low, estimate.high
+    if least is not None and low is not None:
+        low = max(low, least)
+    if most is not None and high is not None:
+        high = min(high, most)
+    return replace(estimate, low=low, high=high)
 
 
 @dataclass(frozen=True)

@@ -18,12 +18,9 @@ class Until(NamedTuple):
     ----------
     since : float, or "t_burn"
         The time of the run from which on it counts.
-    needs_stick : bool
-        Whether it takes a block that sticks: once it is certain that none does any more, it never happens.
     """
 
     since: float | Literal["t_burn"] = 0.0
-    needs_stick: bool = False
 
     def start(self, t_burn: float) -> float:
         """The time of the run from which on it counts."""

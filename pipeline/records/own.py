@@ -56,6 +56,13 @@ class Own(NamedTuple):
     def __repr__(self) -> str:
         return self.function.name
 
+    def lacks(self, column: Column, said: str) -> bool:
+        """Whether the `own_problem` of a run is about a column: it names each value that is lost, or all are."""
+        if f"{self.function.name}: " not in said:
+            return False
+        lost = [each for each in self.columns if f" for {each.name}, " in said]
+        return column in lost or not lost
+
 
 class Measured(NamedTuple):
     """What a function gave of a run: values by column, and why there are none, or fewer.
@@ -197,7 +204,10 @@ def _checked(own: Own, returned: object, window: tuple[float, float]) -> Measure
         elif plain is not None and column.until is not None and plain > t_end - column.until.start(t_burn):
             start = column.until.start(t_burn)
             most, got = apart(t_end - start, plain)
-            problems.append(f"expected at most {most} for {column.name}, a time since t = {start:g}, got {got}")
+            problems.append(
+                f"expected at most {most} for {column.name}, a time since t = {start:g}, got {got}; subtract "
+                f"{start:g}"
+            )
         elif plain is None:
             is_wrong = True
             problems.append(f"expected {_EXPECTED[column.kind]} for {column.name}, got {type(value).__name__}")

@@ -459,19 +459,17 @@ def test_a_run_that_ended_early_was_followed_until_then(recorded, settings):
         "m2-0": {"outcome": "collapsed", "t_stop": 300.0},
     }
     data = recorded({"first": lambda _, matrix, v: None if matrix < 5 else 50.0}, changes=changes)
-    for needs_stick, of_collapsed in ((False, 290.0), (True, 990.0)):
-        first = data.recorded["first"]._replace(
-            until=Until(10.0, needs_stick), problems={"m3-0": "mine:first: KeyError: 'a'"}
-        )
+    for problem in ("mine:first: KeyError: 'a'", "mine:first: expected a finite number for first, got nan"):
+        first = data.recorded["first"]._replace(until=Until(10.0), problems={"m3-0": problem})
         study = Study(replace(data, recorded={"first": first}), settings)
         group = study.groups[0]
         times, is_known = study.times(group, "first")
         assert is_known.tolist() == [True, False, True, False, True, True, True, True]
         assert times.of_unit.tolist() == [0, 2, 4, 5, 6, 7]
-        assert times.times.tolist() == [190.0, of_collapsed, 990.0, 50.0, 50.0, 50.0]
+        assert times.times.tolist() == [190.0, 990.0, 990.0, 50.0, 50.0, 50.0]
         assert study.limit("first") == 990.0
         missing = sweep.answer(study).tables["sweep_missing"].set_index("member_id")["reason"].to_dict()
-        assert missing == {"m1-0": "failed", "m3-0": "mine:first: KeyError: 'a'"}
+        assert missing == {"m1-0": "failed", "m3-0": problem}
         assert study.median(group, "first").value == 50.0
         assert study.restricted_mean(group, "first", 100.0).value == pytest.approx(75.0)
         with pytest.raises(

@@ -42,10 +42,8 @@ LISTS = ["section_z", "section_w", "exits_z"]
 
 
 @pytest.fixture(scope="module")
-def scene():
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
-    print(f"seed = {seed}")
-    return parse_scene(SOURCE.replace("SEED", str(seed)).encode())
+def scene(module_seed):
+    return parse_scene(SOURCE.replace("SEED", str(module_seed)).encode())
 
 
 def test_columns_are_what_sim_finds(scene, tmp_path):

@@ -37,10 +37,8 @@ dt = 0.5
 
 
 @pytest.fixture(scope="module")
-def scene():
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
-    print(f"seed = {seed}")
-    return parse_scene(SOURCE.replace("SEED", str(seed)).encode())
+def scene(module_seed):
+    return parse_scene(SOURCE.replace("SEED", str(module_seed)).encode())
 
 
 def test_a_row_an_episode_of_every_member(scene, tmp_path):

@@ -75,10 +75,8 @@ def scene_of(text, *edits):
 
 
 @pytest.fixture
-def seed():
-    found = int(np.random.SeedSequence().generate_state(1)[0])
-    print(f"seed = {found}")
-    return found
+def seed(random_seed):
+    return random_seed
 
 
 def drawn(purpose, seed, *key):

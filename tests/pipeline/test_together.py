@@ -127,11 +127,10 @@ def _ended(run):
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("engine", [{"name": "coulomb", "tol": 1e-8}, {"name": "sigmoid", "eps": 0.01}])
-def test_systems_of_all_kinds_that_are_prepared_together_are_run_as_alone(engine):
+def test_systems_of_all_kinds_that_are_prepared_together_are_run_as_alone(engine, random_seed):
     settings = dict(engine)
     chosen = as_engine(settings.pop("name"), settings)
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
-    print("seed", seed)
+    seed = random_seed
     tasks = []
     for number in range(120):
         terms = TERMS if number % 3 == 0 else ()

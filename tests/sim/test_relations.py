@@ -42,8 +42,8 @@ def test_every_broken_relation_is_found(change: Callable[[Run], Run], monkeypatc
 
 
 @pytest.mark.parametrize("number", range(3 * len(FAMILIES)))  # each twice under the exact law, once smoothed
-def test_all_relations_hold(number: int) -> None:
-    seed = int(np.random.SeedSequence().generate_state(1)[0])
+def test_all_relations_hold(number: int, random_seed: int) -> None:
+    seed = random_seed
     repeat = f"python -m tests.fuzz --against relations --seed {seed} --case {number}"
     print(repeat)
     verdict = judge_relations(seed, number)

@@ -82,7 +82,8 @@ def answer(study: Study) -> Answer | None:
     contrasts = [row for name, some in points.items() for row in _contrasts(name, axes, some, asked, study)]
     subjects = {one.name: (one.subject, "" if one.says_it else one.words) for one in asked if one.name not in KEYS}
     for row in contrasts:  # a change from zero is a change, although it has no ratio
-        if not row["is_share"] and row["first_low"] is not None and row["first_low"] <= 0 <= row["first_high"]:
+        has_interval = row["first_low"] is not None and row["first_high"] is not None
+        if not row["is_share"] and has_interval and row["first_low"] <= 0 <= row["first_high"]:
             row |= dict.fromkeys(("relative", "relative_low", "relative_high", "p_equivalent"))
         row |= {"p_different": row["p_absolute"], "p_equivalent": _known(row["p_equivalent"], row["p_absolute"])}
         if row["is_same"] and row["difference_low"] is not None:

@@ -24,7 +24,7 @@ class FirstExit(Record):
             least=0.0,
             absent="no exit",
             title="time of the first exit",
-            until=Until(needs_stick=True),
+            until=Until(),
         ),
         Column("whole", "first_exit_block", "the block that lets go first", is_averaged=False, is_index=True),
     )

@@ -332,7 +332,7 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
             copy(mode, search.initial_mode)
             copy(mode, search.known_mode)
         before = n_recorded
-        v, scale = model.belt_speed, speed_scale(model, goal, allowed)
+        v, scale = model.belt_speed, speed_scale(model, goal, expansion, allowed)
         n_recorded, same = record(clock, mode, v, scale, search.known_mode, events, n_recorded)
         if n_recorded > before:
             loop.note_event(clock, counters)

@@ -130,7 +130,7 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
             copy(mode, search.initial_mode)
             copy(mode, search.known_mode)
         before = n_recorded
-        scale = speed_scale(model, goal, allowed)
+        scale = speed_scale(model, goal, expansion, allowed)
         n_recorded, same = record(clock, mode, v, scale, search.known_mode, events, n_recorded)
         if n_recorded > before:
             loop.note_event(clock, counters)

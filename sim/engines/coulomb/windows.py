@@ -82,10 +82,15 @@ def sample(expansion, v, origin, order, t, t_next, state):  # type: ignore[no-un
 
 
 @inner
-def speed_scale(model, goal, allowed):  # type: ignore[no-untyped-def]
-    """The scale of speeds: that of the tolerance, or, where all rest now, what friction gives in the least time."""
-    of_friction = largest(model.static) / goal.rate if goal.rate > 0.0 else 0.0
-    return max(allowed / goal.tol, of_friction)
+def speed_scale(model, goal, expansion, allowed):  # type: ignore[no-untyped-def]
+    """The scale of speeds: that of the tolerance, or, where all rest now, what is gained in the least time.
+
+    That is by friction, or by a block that slips.
+    """
+    gain = largest(model.static)
+    for i in range(len(expansion.slips)):
+        gain = max(gain, 2.0 * expansion.slips[i] * abs(expansion.series[2, i]))
+    return max(allowed / goal.tol, gain / goal.rate if goal.rate > 0.0 else 0.0)
 
 
 @inner
