@@ -184,4 +184,4 @@ def test_the_exact_engine_on_every_family(random_seed):
     found = list(verdicts(within_limits, cases, math.inf))
     wrong = {k: verdict.failures for (_, k, _), verdict in found if verdict.failures}
     assert len(found) == len(cases)
-    assert wrong == {}, f"python -m tests.fuzz --seed {seed} --case {next(iter(wrong))}"
+    assert wrong == {}, f"python -m tests.fuzz --seed {random_seed} --case {next(iter(wrong))}"

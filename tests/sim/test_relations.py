@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 
-import numpy as np
 import pytest
 
 from stickslip.sim import EventSeries, Run, simulate
