@@ -52,8 +52,12 @@ class Kept:
                 again.append(k)
             elif outcome != "failed":
                 rows[k] = self._computed(member, k, new)
-        # a record may take from those before it
-        asked = tuple(one for one in recording.records if one in new or any(one.name in each.needs for each in new))
+        # a record may take from those before it, and a run ends earlier where one asks for its certificate
+        asked = tuple(
+            record
+            for record in recording.records
+            if record in new or record.is_certified or any(record.name in each.needs for each in new)
+        )
         found = run([members[k] for k in again], replace(recording, records=asked))
         self._check([members[k] for k in again], again, found, [one for one in asked if one not in new])
         for k, one in zip(again, found, strict=True):

@@ -122,7 +122,7 @@ OF_ROOT = 0.5
 #: such errors, and most have one sign.
 OF_TAIL, LOADED = 150.0, 0.9
 #: The rate (per unit of time) below which the peak of a law that peaks by weakening alone does not matter.
-STEEP = 1.0
+STEEP = 0.05
 
 # ------------------------------------------------------------------------------------------------ the set-valued law
 
