@@ -150,6 +150,13 @@ def test_the_spread_of_batches_by_hand():
     np.testing.assert_allclose(found, [a.var(), 4.0 * pairs, 2.0 * twenties, 6.0 * a.var()], rtol=1e-12)
 
 
+@pytest.mark.parametrize("lag", [0.0, 0.3, -0.3])
+def test_the_error_of_batches_that_goes_with_their_length_cancels(lag):
+    """L var(L) = 2 tau var (1 - lag / L) for batches of length L: here of 10 and of 5, with tau = 2 and var = 3."""
+    tens, twenties = (12.0 * (1.0 - lag / length) for length in (10.0, 5.0))
+    assert effective.tau(np.array([3.0, tens, twenties, 0.0])) == pytest.approx(2.0, rel=1e-12)
+
+
 def test_a_long_run_is_sampled_finely_enough_for_its_correlation_time(rng):
     """Between two values, from one to the other at the rate 1/2: rho(s) = exp(-s), whatever the length of the run.
 
@@ -176,6 +183,17 @@ def test_growth_is_exact_on_exponentials_and_counts_what_it_drops():
     assert found.rate.value == pytest.approx(0.0075)  # 0.005 and 0.01 of matrices 1 and 4
     assert (found.n_pairs, found.n_floor, found.n_ceiling, found.is_selected) == (5, 1, 1, True)
     assert found.t_to == pytest.approx(575, abs=5)  # where 1e-6 exp(0.02 t) passes 0.1
+
+
+def test_growth_takes_pairs_that_stay_in_range_for_the_least_time():
+    """From 10 on, for 50 at least: of two pairs at the rates 1/8 and 1/16, one leaves at 60 and one after it."""
+    times = np.arange(0.0, 100.0, 5.0)
+    pairs = [
+        np.where(times < left, 1e-6 * np.exp(rate * times), 1.0) for rate, left in ((1 / 8, 60.0), (1 / 16, 65.0))
+    ]
+    found = growth.growth(times, pairs, [0, 1], 10.0, 50.0, (1e-13, 1e-1), 0.95)
+    assert found.rate.value == pytest.approx(1 / 16)
+    assert (found.n_ceiling, found.t_to) == (1, 60.0)
 
 
 def test_growth_of_pairs_all_at_the_floor_has_a_reason():

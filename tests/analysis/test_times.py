@@ -95,6 +95,16 @@ def test_many_times_alike_are_compared():
     assert median_difference(seen([3.0] * 20), seen([3.0] * 20), True)[:2] == (0.0, 0.0)
 
 
+def test_a_median_is_known_no_better_than_from_as_many_independent_runs():
+    """Of nearly all systems one run is below the median and the other above, so that their shares hardly differ."""
+    quantiles = (np.arange(40) + 0.5) / 40
+    pairs = np.column_stack([quantiles[:20], quantiles[:19:-1]])
+    pairs[[0, 1], [1, 0]] = pairs[[1, 0], [0, 1]]  # both low, and both high
+    alike, independent = seen(pairs.ravel(), 2), seen(pairs.ravel())
+    errors = [median_difference(times, times, False)[1] for times in (alike, independent)]
+    assert errors[0] == pytest.approx(errors[1], rel=0.1)
+
+
 def test_settings_together_keep_their_runs():
     first, second = seen([1.0, 2.0, 3.0]), seen([4.0, 5.0, 6.0, 7.0])
     both = Times.together([first, second])

@@ -68,6 +68,16 @@ def test_every_sum_is_that_of_a_loop_over_levels(rng):
         assert tau[k] == pytest.approx(correlation_times(alone.alone)[0], rel=1e-9)
 
 
+@pytest.mark.parametrize("t_start", [0.0, 0.1, 1e3])
+def test_a_level_that_begins_at_an_edge_holds_there_whatever_the_quotient_rounds_to(t_start):
+    for count in range(2, 200):
+        edges = t_start + 1.0 / count * np.arange(count)
+        runs = windows(Stack.of([(edges, np.arange(count) % 2)]), t_start, [t_start + 1.0])
+        edges = t_start + runs.span / count * np.arange(count)  # as the window has them
+        runs = windows(Stack.of([(edges, np.arange(count) % 2)]), t_start, [t_start + 1.0])
+        np.testing.assert_array_equal(runs.at(count)[0, :-1], np.arange(count))
+
+
 def test_some_runs_are_taken_by_their_places(rng):
     series, t_stop = zip(*drawn(rng, 50), strict=True)
     runs, some = windows(Stack.of(series), T_BURN, t_stop), rng.permutation(50)[:20]

@@ -71,6 +71,13 @@ def test_one_block_in_its_cycle(rng, tmp_path):
     assert row["waiting_cv"] < 1e-8
 
 
+def test_the_last_state_is_not_lost_by_rounding(tmp_path):
+    """0.3 / 0.1 < 3 in floating point, and 3 * 0.1 > 0.3: a block that rides its belt throughout goes 0.3 v."""
+    scene = scene_of(BLOCKS=1, STATIC=1.5, SPEED=0.4, START=0.0, END=0.3, SEED=0, BURN=0.0, DT=0.1)
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    assert Dataset(tmp_path / "out").members["amplitude"].tolist() == pytest.approx([0.3 * 0.4 / 2], rel=1e-12)
+
+
 def test_many_blocks_by_hand(rng, tmp_path):
     """Against sums over the events of each block, and extremes of a fine sampling."""
     n, burn, end, dt = 12, 20.0, 60.0, 0.05

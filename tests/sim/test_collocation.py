@@ -50,6 +50,18 @@ def test_products_in_panels_are_plain_products(n, single, rng):
     np.testing.assert_allclose(y[:, :n], x[:, :n] @ matrix.T, atol=n * (1e-5 if single else 1e-14))
 
 
+def test_the_error_of_products_in_single_precision_is_as_large_as_told(rng):
+    """Sums of 200 terms of one sign: roundings of single terms are half a unit, those of sums add up to several."""
+    matrix, x = rng.uniform(0.5, 1.0, size=(200, 200)), np.zeros((1, 208), np.float32)
+    x[:, :200] = rng.uniform(0.5, 1.0, 200)
+    y = np.zeros((1, 208), np.float32)
+    multiply = panels.products(1, True)
+    numba.njit(lambda k, x, y: multiply(k, x, y))(panels.panels(matrix, panels.SINGLE_HEIGHT, np.float32), x, y)
+    error = np.abs(y[0, :200] - matrix @ x[0, :200].astype(np.float64))
+    bound = panels.SINGLE_ERROR * matrix.sum(axis=1) * x.max()
+    assert 0.02 < (error / bound).max() < 1.0
+
+
 @pytest.mark.parametrize("n", [1, 7, 33, 200])
 @pytest.mark.parametrize("single", [False, True])
 def test_products_of_pairs_are_plain_products_over_the_columns_listed(n, single, rng):

@@ -39,6 +39,13 @@ def test_an_entry_is_at_the_end_of_its_step():
     assert (run.events.t.tolist(), run.events.mode.tolist(), run.w.tolist()) == ([2.25], [0], [-1.0])
 
 
+def test_rounding_of_a_quotient_adds_no_step():
+    """1.1 / 0.1 > 11 in floating point; a length that does not divide the time takes one step more."""
+    assert [whole_steps(k * 0.1, 0.1) for k in range(1, 200)] == list(range(1, 200))
+    assert whole_steps(1.1001, 0.1) == 12
+    assert moreau(System([[1.0]], 0.0, 1.0, 0.2), 0.0, 0.0, 1.1, 0.1).stats.n_steps == 11
+
+
 def test_steps_are_the_scheme(rng):
     """The midpoint rule with w projected on the belt's, by numpy; samples lie on the steps' own path."""
     problem = random_problem(0, 50, 60.0, 0.03, "one")

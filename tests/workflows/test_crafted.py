@@ -64,6 +64,7 @@ CRAFTS = {
     "times after the end": lambda table: first(table, "event_t", lambda t: [*t[:-1], 1e9]),
     "no start": lambda table: first(table, "t", lambda t: [0.1, *t[1:]]),
     "an empty series": lambda table: first(first(table, "t", lambda t: []), "n_stick", lambda values: []),
+    "two changes at one time": lambda table: first(table, "t", lambda t: [*t[:2], t[1], *t[3:]]),
     "a run without a series": lambda table: first(first(table, "t", lambda t: None), "n_stick", lambda values: None),
     "a block that is none": lambda table: first(table, "event_block", lambda values: [99, *values[1:]]),
     "a block below none": lambda table: first(table, "event_block", lambda values: [-1, *values[1:]]),
@@ -83,6 +84,7 @@ CRAFTS = {
     "another engine": lambda table: first(table, "engine", lambda _: "magic"),
     "counts that do not add up": lambda table: first(table, "n_events", lambda count: count + 1),
     "another last state": lambda table: first(table, "n_stick_end", lambda count: (count + 1) % 3),
+    "the hash of another scene": lambda table: table.replace_schema_metadata({b"scene_hash": b"0"}),
     "no UTF-8": lambda table: table.set_column(
         table.schema.get_field_index("coupling"),
         table.schema.field("coupling"),
@@ -94,7 +96,7 @@ CRAFTS = {
     ),
 }  # fmt: skip
 #: What a reader that does not look at these columns cannot see.
-AUDITED = ("a negative count", "counts that do not add up", "another last state")
+AUDITED = ("a negative count", "counts that do not add up", "another last state", "the hash of another scene")
 
 
 @pytest.fixture

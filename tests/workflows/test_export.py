@@ -9,6 +9,7 @@ import re
 import resource
 import signal
 import socket
+import stat
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -117,6 +118,20 @@ def test_the_device_that_is_always_full(some_failed, capsys):
         more = [] if arguments[0] == "export" else ["--format", "csv"]
         assert main([*(word.format(dataset=some_failed) for word in arguments), "/dev/full", *more]) == 2
         assert "/dev/full cannot be written (No space left on device)" in capsys.readouterr().err
+
+
+def test_an_export_is_on_the_disk_before_its_name_and_the_name_before_it_ends(some_failed, tmp_path, monkeypatch):
+    calls, replace = [], os.replace
+
+    def fsync(descriptor):
+        found = os.fstat(descriptor)
+        calls.append(("sync", "directory" if stat.S_ISDIR(found.st_mode) else found.st_size))
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(os, "replace", lambda old, new, **at: (calls.append(("name", new)), replace(old, new, **at)))
+    with whole(tmp_path / "file", some_failed) as stream:
+        stream.write(b"x" * 100_000)
+    assert calls == [("sync", 100_000), ("name", "file"), ("sync", "directory")]
 
 
 @pytest.mark.parametrize("name", FORMS)
