@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.numerics.session import numpy_defaults
+from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.simulation import simulate
@@ -85,7 +85,7 @@ class Energy:
         return f"Energy({len(self.t)} times on [{self.t[0]:g}, {self.t[-1]:g}])"
 
 
-@numpy_defaults()
+@numpy_arithmetic()
 def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: Any) -> Energy:
     """Energy and its balance along a run of the exact engine, which is repeated for samples of its state.
 

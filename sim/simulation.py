@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Task
 from stickslip.sim.numerics.arguments import Floats, apart, did_you_mean, floats, number, per_block
-from stickslip.sim.numerics.session import numpy_defaults
+from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.systems.system import System, require_within
 
@@ -19,7 +19,7 @@ from stickslip.sim.systems.system import System, require_within
 _KEYWORDS = ("t_start", "t_eval", "engine", "modes", "stop_early")
 
 
-@numpy_defaults()
+@numpy_arithmetic()
 def simulate(
     system: System,
     z0: ArrayLike,

@@ -12,14 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from stickslip.sim.attractors.result import Attractor
 from stickslip.sim.attractors.settling import attractor, frequencies_of
 from stickslip.sim.numerics.arguments import Floats, number
-from stickslip.sim.numerics.session import numpy_defaults
+from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs.run import Run
 from stickslip.sim.simulation import simulate
 from stickslip.sim.systems.drive import Harmonic
 from stickslip.sim.systems.system import System
 
 
-@numpy_defaults()
+@numpy_arithmetic()
 def continued(
     systems: Iterable[System], z0: ArrayLike, w0: ArrayLike, t_end: float, t_burn: float = 0.0, **settings: Any
 ) -> list[Attractor]:

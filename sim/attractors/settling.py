@@ -24,7 +24,7 @@ from stickslip.sim.attractors.rounds import Round, in_order, rounds_of, symbols_
 from stickslip.sim.engines.certificates import steady_sliding
 from stickslip.sim.engines.coulomb.settings import Coulomb
 from stickslip.sim.numerics.arguments import Floats, apart, number
-from stickslip.sim.numerics.session import numpy_defaults
+from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries, by_block
 from stickslip.sim.simulation import simulate
@@ -66,7 +66,7 @@ _WORK_NEAR = 1e8
 _SAME_PHASE, _FIRST_TURNS, _MOST_TURNS = 4e-15, 100, 10**6
 
 
-@numpy_defaults()
+@numpy_arithmetic()
 def attractor(
     run: Run, system: System, t_burn: float = 0.0, *, engine: str = "coulomb", **settings: Any
 ) -> Attractor:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stickslip.sim.numerics.arguments import Floats, did_you_mean, integer, per_block
-from stickslip.sim.numerics.session import numpy_defaults
+from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.systems.graphs import GRAPHS, spring_matrix
 from stickslip.sim.systems.system import System
 
@@ -118,7 +118,7 @@ def _uniform(
     return rng.uniform(-kappa, kappa, shape), damping
 
 
-@numpy_defaults()
+@numpy_arithmetic()
 def draw_system(
     coupling: str,
     n: int,
@@ -174,7 +174,7 @@ def draw_system(
     return System(stiffness, drawn if damping is None else damping, **arguments)
 
 
-@numpy_defaults()
+@numpy_arithmetic()
 def perturb_system(
     system: System,
     coupling: str,

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.numerics.arguments import Floats, apart, flag, floats, number, per_block
-from stickslip.sim.numerics.session import numpy_defaults
+from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs import show
 from stickslip.sim.systems.drive import Force, Harmonic, Piecewise, Term, belt, direction, forces
 from stickslip.sim.systems.scales import Scales
@@ -217,7 +217,7 @@ class System:
             return self.friction, self.friction
         return self.weakening.ends(self.friction, self.static)
 
-    @numpy_defaults()
+    @numpy_arithmetic()
     def kinetic(self, slip: ArrayLike) -> Floats:
         """Kinetic friction at the speeds of slip w - v, shape (..., n); (n,) if it does not depend on them."""
         near, far = self.slip_friction
@@ -225,7 +225,7 @@ class System:
             return near
         return far + (near - far) * self.weakening.shape(self.weakening.steepness * np.abs(slip))
 
-    @numpy_defaults()
+    @numpy_arithmetic()
     def kinetic_slope(self, slip: ArrayLike) -> Floats:
         """How `kinetic` changes with |w - v|, at the speeds of slip w - v, shape (..., n)."""
         if self.weakening is None:

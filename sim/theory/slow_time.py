@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from stickslip.sim.numerics.arguments import Floats, number, per_block
-from stickslip.sim.numerics.session import numpy_defaults
+from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs.run import IntegrationError
 from stickslip.sim.systems.system import System, require_plain
 from stickslip.sim.theory.blowup import TANH, Blowup, Sigmoid, total_force
@@ -98,7 +98,7 @@ EventFunction: TypeAlias = Callable[[float, Floats], float]
 _Stretch: TypeAlias = tuple[Segment, list[LawEvent], _State]
 
 
-@numpy_defaults()
+@numpy_arithmetic()
 def run_with_law(
     system: System,
     law: SwitchingLaw,
@@ -147,7 +147,7 @@ def run_with_law(
     return _collect(_march(system, blowup, z, w, per_block("entry", entry, system.n), number("t_end", t_end, 0.0)))
 
 
-@numpy_defaults()
+@numpy_arithmetic()
 def follow(
     system: System,
     law: SwitchingLaw,

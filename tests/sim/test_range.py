@@ -21,7 +21,7 @@ def follow(length=1.0, time=1.0):
 
 @pytest.mark.parametrize(
     ("length", "time"),
-    [(1e-250, 1.0), (1e250, 1.0), (1.0, 1e-60), (1.0, 1e10), (1.0, 1e20), (1.0, 1e30), (1e100, 1e15), (1e-100, 1e15)],
+    [(1e-250, 1.0), (1e250, 1.0), (1.0, 1e-60), (1.0, 1e10), (1.0, 1e20), (1.0, 1e23), (1e100, 1e15), (1e-100, 1e15)],
 )
 def test_a_motion_is_the_same_in_any_units(length, time):
     z, w, modes = follow()
@@ -34,7 +34,7 @@ def test_a_motion_is_the_same_in_any_units(length, time):
 @pytest.mark.parametrize(
     ("length", "time", "words"),
     [
-        (1.0, 1e60, "system: expected rates of at least 1e-40, got .*; take other units, as System.from_physical"),
+        (1.0, 1e60, "system: expected rates of at least 1e-24, got .*; take other units, as System.from_physical"),
         (1e-290, 1.0, "system: expected friction of at least 1e-280, or none, got 1e-290"),
     ],
 )

@@ -39,7 +39,7 @@ _MANY = 1e8
 #: actual one, is below the tolerance, or below this.
 _FOLLOWED = 1e-10
 #: The slowest motion whose series do not leave float64, and the least friction.
-_SLOWEST, _FAINTEST = 1e-40, 1e-280
+_SLOWEST, _FAINTEST = 1e-24, 1e-280
 #: The error of F at an event at which a run was cut, in tolerances of its terms.
 _AT_EVENTS = 100.0
 
