@@ -88,6 +88,8 @@ class Coulomb(Engine):
 
     def tol_of_series(self, system: System, length: float) -> float:
         """The tolerance of a step of series."""
+        if self.tol <= LOOSEST_OF_LONG:
+            return self.tol
         return min(self.tol, max(LOOSEST / self.accumulation(system, length), LOOSEST_OF_LONG))
 
     def tol_of_waves(self, system: System, length: float) -> float:
@@ -104,12 +106,13 @@ class Coulomb(Engine):
         that this method cannot carry through. Of a run of this length, in which errors of steps add up where damping
         is weak, `tol` is that of a step.
         """
-        n, tol = system.n, self.tol_of_waves(system, length)
-        if self.accumulation(system, length) > MOST_MEMORY:
+        n = system.n
+        if n < SIZE_OF_WAVES or self.accumulation(system, length) > MOST_MEMORY:
             return False
+        tol = self.tol_of_waves(system, length)
         if system.is_static_above and (n < MORE_BLOCKS * SIZE_OF_WAVES or tol < 0.999999 * TOL_OF_JUMPS):
             return False
-        if n < SIZE_OF_WAVES or n * n * tol < 0.999999 * SIZE_OF_WAVES**2 * 1e-6 or tol < 1e-8:
+        if n * n * tol < 0.999999 * SIZE_OF_WAVES**2 * 1e-6 or tol < 1e-8:
             return False
         if not isinstance(system.stiffness, np.ndarray) or system.cross_damping is not None or system.changes:
             return False
