@@ -107,7 +107,8 @@ def test_a_record_that_changes_outcomes_is_no_extension(out):
 
 
 def test_runs_whose_collapse_is_certified_are_made_again_as_they_were(tmp_path):
-    before, after = (ensemble([20], 150.0, 1, f"{COULOMB}\ntol = 1e-8", rest=f"[record]\ncollapse = true{more}").encode()
+    engine = f"{COULOMB}\ntol = 1e-8"
+    before, after = (ensemble([20], 150.0, 1, engine, rest=f"[record]\ncollapse = true{more}").encode()
                      for more in ("", "\nevents = true"))  # fmt: skip
     run_ensemble(parse_scene(before), tmp_path / "out", workers=0)
     run_ensemble(parse_scene(after), tmp_path / "anew", workers=0)
