@@ -177,6 +177,33 @@ def test_a_shard_that_would_fill_the_memory_is_not_read(name, place):
         assert int(done.stdout.split()[-1]) < 600_000
 
 
+@pytest.mark.parametrize("old", [b"coupling", b"antisymmetric"], ids=["names", "statistics"])
+def test_a_footer_that_is_no_utf8_is_damage(old, place, capsys):
+    shard = min((place / "data").iterdir())
+    content = shard.read_bytes()
+    start = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
+    assert old in content[start:]
+    shard.write_bytes(content[:start] + content[start:].replace(old, b"\xff" * len(old)))
+    forge(place, shard.name)
+    assert main(["verify", str(place)]) == 1
+    said = capsys.readouterr()
+    (line,) = [line for line in said.out.splitlines() if str(shard) in line]
+    assert "cannot be read ('utf-8' codec" in line
+    assert said.err.count("\n") == 1
+
+
+def test_texts_of_all_row_groups_are_counted(place):
+    """The last row group has none of the long ones."""
+    shard = min((place / "data").iterdir())
+    table = pq.read_table(shard)
+    long = column(table, "coupling", ["x" * 50_000_000] * len(table))
+    with pq.ParquetWriter(shard, table.schema, compression="zstd") as file:
+        for part in (long, table):
+            file.write_table(part)
+    problem = sound.fault_of_file(shard.read_bytes(), table.schema, 2 * len(table))
+    assert problem.startswith("expected at most")
+
+
 def test_statistics_by_which_rows_are_skipped_are_looked_at(place):
     shard = min((place / "data").iterdir())
     table = pq.read_table(shard)
