@@ -231,8 +231,9 @@ def test_links_that_lead_round_are_one_line(some_failed, tmp_path, capsys):
     (tmp_path / "a").symlink_to(tmp_path / "b")
     (tmp_path / "b").symlink_to(tmp_path / "a")
     for out in (tmp_path / "a", tmp_path / "a" / "c.csv"):
-        assert main(["query", str(some_failed), "SELECT 1", "--format", "csv", "--out", str(out)]) == 2
-        assert capsys.readouterr().err.count("\n") == 1
+        for words in (["query", str(some_failed), "SELECT 1", "--format", "csv"], ["run", "quick", "--yes"]):
+            assert main([*words, "--out", str(out)]) in (1, 2)
+            assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.mark.parametrize("name", ["/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"])
