@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
 import subprocess
 import sys
@@ -202,6 +203,20 @@ def test_texts_of_all_row_groups_are_counted(place):
             file.write_table(part)
     problem = sound.fault_of_file(shard.read_bytes(), table.schema, 2 * len(table))
     assert problem.startswith("expected at most")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@pytest.mark.parametrize("name", ["manifest.json", "scene.toml", ".lock", "report/files.txt"])
+def test_a_part_that_would_fill_the_memory_is_not_read(name, place):
+    part = place / name
+    part.parent.mkdir(exist_ok=True)
+    part.touch()
+    os.truncate(part, 6 * 2**30)
+    for words in (["verify", str(place)], ["status", str(place)], ["report", str(place)]):
+        done = subprocess.run([sys.executable, "-c", MEASURED, *words], capture_output=True, text=True)
+        assert done.returncode in (0, 1)
+        assert "Traceback" not in done.stderr
+        assert int(done.stdout.split()[-1]) < 600_000
 
 
 def test_statistics_by_which_rows_are_skipped_are_looked_at(place):
