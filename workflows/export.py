@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import os
 import stat
 import sys
@@ -25,7 +26,7 @@ from stickslip.pipeline.places import plain
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
-from stickslip.sim.kernels.cache import is_ours
+from stickslip.sim.kernels.cache import MOST_LINKS, PASS, is_ours
 from stickslip.workflows import NO_FOLDER
 
 Form = Literal["table", "csv", "parquet"]
@@ -36,8 +37,6 @@ _SHOWN = 1000
 
 #: What a table shows where there is no value.
 _NULL = "NULL"
-
-_MOST_LINKS = 40  # as Linux follows them
 
 #: Form by the ending of a file's name.
 _ENDINGS: dict[str, Form] = {".csv": "csv", ".parquet": "parquet", ".txt": "table", "": "table"}
@@ -147,44 +146,82 @@ def whole(out: Path, dataset: Where, option: str = "--out") -> Iterator[BinaryIO
     killed left beside `out` goes too. Messages call `out` by the `option` that names it.
     """
     place = place_of(dataset)
-    if isinstance(place, Directory) and out.resolve().is_relative_to(place.path.resolve()):
-        raise QueryError(f"{option}: expected a file outside the dataset {dataset}, got {out}; choose another")
     if out.is_dir():
         raise QueryError(f"{option}: expected a file, got the directory {out}; name a file in it")
     try:
-        out = _end_of_links(out, option)
-        found = out.lstat() if os.path.lexists(out) else None
-        if found is not None and not stat.S_ISREG(found.st_mode):
-            with _device(out, option) as stream:
+        written = _written(out)
+        if written is not None:
+            _check_owner(os.fstat(written), f"{option}: expected a file, got {out}, a pipe or a device")
+            with open(os.dup(written), "wb") as stream:
                 yield stream
             return
-        with plain.folder(out.parent) as directory:
-            plain.remove_left(directory, out.name)
-        with plain.replacing(out) as stream:
-            yield stream
+        with _end_of_links(out, option) as (directory, file):
+            if isinstance(place, Directory) and file.is_relative_to(place.path.resolve()):
+                raise QueryError(
+                    f"{option}: expected a file outside the dataset {dataset}, got {out}; choose another"
+                )
+            found = plain.status(file.name, directory)
+            if found is not None and not stat.S_ISREG(found.st_mode):
+                with _device(file, directory, option) as stream:
+                    yield stream
+                return
+            plain.remove_left(directory, file.name)
+            with plain.replacing(file, directory) as stream:
+                yield stream
     except FileNotFoundError as error:
         raise QueryError(f"{option}: {out}: {NO_FOLDER}") from error
     except OSError as error:
         raise QueryError(f"{option}: {out} cannot be written ({error.strerror}); choose another file") from error
 
 
-def _end_of_links(out: Path, option: str) -> Path:
-    """Where a file's links lead, if they are this user's: another's may lead to what its owner cannot write."""
-    for _ in range(_MOST_LINKS):
-        out = out.parent.resolve() / out.name
-        if not out.is_symlink():
-            return out
-        found = out.lstat()
-        _check_owner(found, f"{option}: expected a file, got the link {out}")
-        target = out.readlink()
-        if not _is_same(found, out.lstat()):
-            raise OSError(errno.ELOOP, "a link that changes")
-        out = out.parent / target
-    raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+def _written(out: Path) -> int | None:
+    """The descriptor by which this process writes a pipe or a device already: its name in /proc leads nowhere."""
+    with contextlib.suppress(OSError):
+        found = out.stat()
+        if stat.S_ISFIFO(found.st_mode) or stat.S_ISCHR(found.st_mode):
+            for descriptor in map(int, os.listdir("/dev/fd")):
+                with contextlib.suppress(OSError):  # that of the listing is closed
+                    is_same = os.path.samestat(os.fstat(descriptor), found)
+                    if is_same and fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE != os.O_RDONLY:
+                        return descriptor
+    return None
 
 
-def _is_same(found: os.stat_result, now: os.stat_result) -> bool:
-    return os.path.samestat(found, now) and found.st_ctime_ns == now.st_ctime_ns
+@contextlib.contextmanager
+def _end_of_links(out: Path, option: str) -> Iterator[tuple[int, Path]]:
+    """The folder of a file, opened, and the file's path without links.
+
+    Each link on the way has to be this user's or root's: another's may lead to what its owner cannot write.
+    """
+    parts, at, n_links = [*reversed(out.absolute().parts)], Path("/"), 0
+    held = os.open("/", PASS)
+    try:
+        while True:
+            name = parts.pop()
+            found = plain.status(name, held)
+            if found is not None and stat.S_ISLNK(found.st_mode):
+                _check_owner(found, f"{option}: expected a file, got the link {at / name}")
+                target = Path(os.readlink(name, dir_fd=held))
+                n_links += 1
+                if n_links > MOST_LINKS or not _is_same(found, plain.status(name, held)):
+                    raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+                parts += reversed(target.parts)
+            elif parts:
+                inner = os.open(name, PASS, dir_fd=held)
+                os.close(held)
+                held, at = inner, at.parent if name == ".." else at / name
+            else:
+                break
+        listed = os.open(".", os.O_RDONLY | os.O_DIRECTORY, dir_fd=held)
+        os.close(held)
+        held = listed
+        yield held, at / name
+    finally:
+        os.close(held)
+
+
+def _is_same(found: os.stat_result, now: os.stat_result | None) -> bool:
+    return now is not None and os.path.samestat(found, now) and found.st_ctime_ns == now.st_ctime_ns
 
 
 def _check_owner(found: os.stat_result, expected: str) -> None:
@@ -192,9 +229,9 @@ def _check_owner(found: os.stat_result, expected: str) -> None:
         raise QueryError(f"{expected} of the user with the id {found.st_uid}; choose another file")
 
 
-def _device(out: Path, option: str) -> BinaryIO:
+def _device(out: Path, directory: int, option: str) -> BinaryIO:
     """A stream to what is no file, which does not wait for a pipe that nobody reads."""
-    descriptor = os.open(out, os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY)
+    descriptor = os.open(out.name, os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY, dir_fd=directory)
     try:
         _check_owner(os.fstat(descriptor), f"{option}: expected a file, got {out}, a pipe or a device")
         os.set_blocking(descriptor, True)

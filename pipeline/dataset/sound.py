@@ -25,6 +25,8 @@ from stickslip.sim.runs.run import Outcome
 
 #: Bytes in memory that a shard may always take, and how many times those of its file: times hardly compress.
 _SMALL, _RATIO = 2**28, 1000
+#: What a damaged file raises: names and statistics of a footer may be no UTF-8.
+DAMAGE = (OSError, pa.ArrowException, UnicodeDecodeError)
 #: Bytes in memory for each of a value: Arrow's, NumPy's and a frame's.
 _COPIES = 3
 
@@ -49,7 +51,7 @@ def fault_of_file(content: bytes, schema: pa.Schema, n_rows: int) -> str:
             if head.num_rows != n_rows:
                 return f"expected {n_rows} rows, got {head.num_rows}"
             return _too_large(head, schema, len(content)) or _too_long_texts(content, head, schema)
-    except (OSError, pa.ArrowException) as error:
+    except DAMAGE as error:
         return f"cannot be read ({shortened(str(error), 200)})"
 
 
@@ -92,8 +94,8 @@ def _beyond(needed: int, n_bytes: int) -> str:
 def _too_long_texts(content: bytes, head: pq.FileMetaData, schema: pa.Schema) -> str:
     """Whether texts, each stored once, take too much where they are repeated."""
     texts = [field.name for field in schema if pa.types.is_string(field.type)]
-    sizes = {chunk.path_in_schema: chunk.total_uncompressed_size for chunk in _chunks(head)}
-    if head.num_rows * sum(sizes[name] for name in texts) <= _SMALL:
+    size = sum(chunk.total_uncompressed_size for chunk in _chunks(head) if chunk.path_in_schema in texts)
+    if head.num_rows * size <= _SMALL:
         return ""
     with pq.ParquetFile(pa.BufferReader(content), read_dictionary=texts) as file:
         table = file.read(texts, use_threads=False)
@@ -123,9 +125,9 @@ class Sound:
         """What is wrong with some columns of some rows; "" if nothing is."""
         try:
             table.validate(full=True)  # what is no UTF-8, and lists without an end
+            arrays = {name: _joined(table[name]) for name in table.column_names}  # more than an array can hold
         except pa.ArrowException as error:
             return shortened(str(error), 200)
-        arrays = {name: _joined(table[name]) for name in table.column_names}
         columns = [self._columns[name] for name in arrays]
         faults = (self._fault(column, arrays[column.name], arrays.get("n")) for column in columns)
         return next((fault for fault in (*faults, self._unequal(columns, arrays), _odd_outcome(arrays)) if fault), "")

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from stickslip.pipeline.dataset.opened import NOT_OURS, Opened, open_dataset, reading
 from stickslip.pipeline.dataset.schema import schema_of
 from stickslip.pipeline.dataset.sound import (
+    DAMAGE,
     fault_of_counts,
     fault_of_file,
     fault_of_members,
@@ -85,7 +86,8 @@ def _content(opened: Opened, content: bytes, schema: pa.Schema, members: Members
         # a thread of Arrow's may outlive its library, and end the process
         file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
         table = file.read(use_threads=False)
-    except (OSError, pa.ArrowException) as error:
+        wrong_statistics = fault_of_statistics(table, file.metadata)
+    except DAMAGE as error:
         return f"cannot be read ({shortened(str(error), 200)}); rerun the scene to rebuild it"
     if table.schema.metadata != schema.metadata:
         return wrong_columns(table.schema, schema)
@@ -93,5 +95,5 @@ def _content(opened: Opened, content: bytes, schema: pa.Schema, members: Members
     counted = dict(Counter(table["outcome"].to_pylist()))
     if not problem and counted != outcomes:
         problem = f"expected the outcomes {outcomes}, got {counted}"
-    problem = problem or fault_of_statistics(table, file.metadata)
+    problem = problem or wrong_statistics
     return f"{problem}; {NOT_OURS}" if problem else ""

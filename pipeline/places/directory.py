@@ -36,6 +36,8 @@ _PARTS = {
     **dict.fromkeys((SCENE, MANIFEST, TIMINGS, LOCK, "report.html"), stat.S_IFREG),
     **dict.fromkeys((DATA, "report", "compared"), stat.S_IFDIR),
 }
+#: Bytes of a part that is no shard: a manifest of a million shards has fewer.
+_MOST = 2**29
 
 
 class Directory(Place):
@@ -98,10 +100,10 @@ class Directory(Place):
     def _read(self, name: str) -> tuple[bytes, Mark]:
         with open(self.opened(name), "rb") as stream, plain.filename(self.path / name):
             mark = _mark(os.fstat(stream.fileno()))
-            try:
-                return stream.read(), mark
-            except MemoryError:
-                raise OSError(errno.EFBIG, os.strerror(errno.EFBIG)) from None
+            with contextlib.suppress(MemoryError):
+                if mark.size <= _MOST or name.startswith(f"{DATA}/"):
+                    return stream.read(mark.size), mark
+            raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
 
     def read_marked(self, names: Sequence[str]) -> Iterator[tuple[bytes | None, Mark | None]]:
         """Each mark is of the very file that was read."""

@@ -183,18 +183,17 @@ class Replacement:
 
 
 @contextlib.contextmanager
-def replacing(file: Path) -> Iterator[BinaryIO]:
-    """A stream for the new content of a file, which replaces the old in one step if the with-block succeeds."""
-    with folder(file.parent) as directory:
-        new = Replacement(file.name, directory, file)
-        try:
-            yield new.stream
-            new.keep()
-            new.put()
-        except BaseException:
-            new.give_up()
-            raise
-        os.fsync(directory)
+def replacing(file: Path, directory: int) -> Iterator[BinaryIO]:
+    """A stream for the new content of a file in an open folder, which replaces the old if the with-block succeeds."""
+    new = Replacement(file.name, directory, file)
+    try:
+        yield new.stream
+        new.keep()
+        new.put()
+    except BaseException:
+        new.give_up()
+        raise
+    os.fsync(directory)
 
 
 def _begun(name: str) -> str:

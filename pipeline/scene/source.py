@@ -65,6 +65,7 @@ def parse_toml(source: bytes | str, name: str) -> dict[str, Any]:
         raise SceneError(f"{name}: line {line}: expected a key of at most {_MAX_PARTS} parts, got more; shorten it")
     try:
         tables = tomllib.loads(text)
+        repr(tables)  # no message could show an integer of absurd length, which 0x and 0b let in
         _check_sizes(tables, f"{name}: ")
         return tables
     except SceneError:

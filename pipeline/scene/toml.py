@@ -22,7 +22,7 @@ from pydantic import (
 from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
 from pydantic_core import ErrorDetails, core_schema
 
-from stickslip.pipeline.errors import SceneError
+from stickslip.pipeline.errors import SceneError, shortened
 from stickslip.sim.numerics.arguments import did_you_mean
 
 #: A dense K of this many blocks is 80 GB.
@@ -259,7 +259,7 @@ def _place(location: tuple[int | str, ...], table: type[BaseModel]) -> tuple[str
         elif part in choices:  # the name that chose among several is no part of the path
             table, key, choices = choices[part], None, {}
         else:
-            name = part or "''"  # as TOML writes an empty key
+            name = shortened(part, 60) or "''"  # as TOML writes an empty key
             path += f".{name}" if path else name
             field = _keys(table).get(part)
             choices = _tables(field.annotation) if field else {}

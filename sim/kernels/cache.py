@@ -28,9 +28,9 @@ from stickslip.sim.kernels.digest import kernel_digest
 _PATIENCE = 180.0
 _DIGEST_SIZE = hashlib.sha256().digest_size
 _ENDING = ".nbc"
-_MOST_LINKS = 40  # as Linux follows them
+MOST_LINKS = 40  # as Linux follows them
 # a directory may be passed without the right to list it; macOS has no such descriptor
-_PASS = os.O_DIRECTORY | os.O_NOFOLLOW | (os.O_PATH if sys.platform == "linux" else os.O_RDONLY)
+PASS = os.O_DIRECTORY | os.O_NOFOLLOW | (os.O_PATH if sys.platform == "linux" else os.O_RDONLY)
 
 
 class KernelError(Exception):
@@ -191,7 +191,7 @@ def _kernels(directory: int) -> list[str]:
 def _opened(path: Path) -> Iterator[int]:
     """A descriptor by which the files of a directory are opened; a missing directory is created."""
     parts, at, n_links = [*reversed(path.absolute().parts)], Path("/"), 0
-    held = os.open("/", _PASS)
+    held = os.open("/", PASS)
     try:
         while parts:
             name = parts.pop()
@@ -200,11 +200,11 @@ def _opened(path: Path) -> Iterator[int]:
                 if not is_ours(found):
                     raise _refusal(at / name, f"a link of {_owner(found)}", path)
                 n_links += 1
-                if n_links > _MOST_LINKS:
+                if n_links > MOST_LINKS:
                     raise OSError(errno.ELOOP, os.strerror(errno.ELOOP), str(path))
                 parts += reversed(Path(os.readlink(name, dir_fd=held)).parts)
                 continue
-            inner = os.open(name, _PASS, dir_fd=held)
+            inner = os.open(name, PASS, dir_fd=held)
             os.close(held)
             held, at = inner, at.parent if name == ".." else at / name  # no part of `at` is a link
             _check(os.fstat(held), at, path, is_passed=bool(parts))

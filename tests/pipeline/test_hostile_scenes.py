@@ -32,6 +32,14 @@ SCENES = {
     "all files": (OF_FILES.format("/**/*"), "system.path: expected at most 10000 files, got "),
     "all directories": (OF_FILES.format("/**/**/**/x*"), "for which more than 100000 would be looked at"),
     "a long pattern": (OF_FILES.format("*a" * 3000), "system.path: expected a file, or several by a pattern"),
+    "a key that is a command to a terminal": (
+        SCENE + '["\\u001b[31m\\n"]\n',
+        r"\x1b[31m: unknown key of a scene",
+    ),
+    "a hexadecimal seed without an end": (
+        SCENE.replace("[run]\n", f"[run]\nseed = 0x{'f' * 100_000}\n"),
+        "expected TOML",
+    ),
     "a long name": (
         SCENE.replace("z = -0.7\nw = -0.4", f'dataset = "{"../" * MANY}"'),
         "start.dataset: expected a path, got OSError",

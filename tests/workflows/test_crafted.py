@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import shutil
 import subprocess
 import sys
@@ -176,6 +177,47 @@ def test_a_shard_that_would_fill_the_memory_is_not_read(name, place):
         assert done.returncode == 1
         assert "MB" in done.stdout + done.stderr
         assert done.stderr.count("\n") == 1
+        assert int(done.stdout.split()[-1]) < 600_000
+
+
+@pytest.mark.parametrize("old", [b"coupling", b"antisymmetric"], ids=["names", "statistics"])
+def test_a_footer_that_is_no_utf8_is_damage(old, place, capsys):
+    shard = min((place / "data").iterdir())
+    content = shard.read_bytes()
+    start = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
+    assert old in content[start:]
+    shard.write_bytes(content[:start] + content[start:].replace(old, b"\xff" * len(old)))
+    forge(place, shard.name)
+    assert main(["verify", str(place)]) == 1
+    said = capsys.readouterr()
+    (line,) = [line for line in said.out.splitlines() if str(shard) in line]
+    assert "cannot be read ('utf-8' codec" in line
+    assert said.err.count("\n") == 1
+
+
+def test_texts_of_all_row_groups_are_counted(place):
+    """The last row group has none of the long ones."""
+    shard = min((place / "data").iterdir())
+    table = pq.read_table(shard)
+    long = column(table, "coupling", ["x" * 50_000_000] * len(table))
+    with pq.ParquetWriter(shard, table.schema, compression="zstd") as file:
+        for part in (long, table):
+            file.write_table(part)
+    problem = sound.fault_of_file(shard.read_bytes(), table.schema, 2 * len(table))
+    assert problem.startswith("expected at most")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
+@pytest.mark.parametrize("name", ["manifest.json", "scene.toml", ".lock", "report/files.txt"])
+def test_a_part_that_would_fill_the_memory_is_not_read(name, place):
+    part = place / name
+    part.parent.mkdir(exist_ok=True)
+    part.touch()
+    os.truncate(part, 6 * 2**30)
+    for words in (["verify", str(place)], ["status", str(place)], ["report", str(place)]):
+        done = subprocess.run([sys.executable, "-c", MEASURED, *words], capture_output=True, text=True)
+        assert done.returncode in (0, 1)
+        assert "Traceback" not in done.stderr
         assert int(done.stdout.split()[-1]) < 600_000
 
 

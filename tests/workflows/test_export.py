@@ -223,3 +223,38 @@ def test_a_pipe_that_nobody_reads_is_not_waited_for(some_failed, tmp_path, capsy
     os.mkfifo(tmp_path / "a.csv")
     assert main(["query", str(some_failed), "SELECT 1", "--out", str(tmp_path / "a.csv")]) == 2
     assert "cannot be written (No such device or address)" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can have links of another user")
+@pytest.mark.parametrize("owner", [0, 1234])
+@pytest.mark.parametrize("is_folder", [False, True])
+def test_no_link_of_another_user_is_followed(owner, is_folder, some_failed, tmp_path, capsys):
+    private = tmp_path / "private"
+    private.mkdir()
+    (private / "a.csv").write_text("precious")
+    link = tmp_path / "link"
+    link.symlink_to(private if is_folder else private / "a.csv")
+    os.chown(link, owner, owner, follow_symlinks=False)
+    out = link / "a.csv" if is_folder else link
+    code = main(["query", str(some_failed), "SELECT 1 AS one", "--format", "csv", "--out", str(out)])
+    assert code == (2 if owner else 0)
+    assert ("precious" in (private / "a.csv").read_text()) == bool(owner)
+    assert (f"got the link {link} of the user with the id 1234" in capsys.readouterr().err) == bool(owner)
+
+
+def test_links_that_lead_round_are_one_line(some_failed, tmp_path, capsys):
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    for out in (tmp_path / "a", tmp_path / "a" / "c.csv"):
+        for words in (["query", str(some_failed), "SELECT 1", "--format", "csv"], ["run", "quick", "--yes"]):
+            assert main([*words, "--out", str(out)]) in (1, 2)
+            assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"])
+def test_a_pipe_that_is_open_is_written(name, some_failed):
+    if not os.path.lexists(name):
+        pytest.skip(f"this system has no {name}")
+    words = ["-m", "stickslip", "query", str(some_failed), "SELECT 1 AS one", "--format", "csv", "--out", name]
+    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith('"one"\n1\n')

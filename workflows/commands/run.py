@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import unicodedata
 from collections.abc import Sized
@@ -280,10 +281,11 @@ def _check_directory(out: Path, file: Path) -> None:
     """Refuse a directory in which a dataset would be in the way of something else."""
     from stickslip.pipeline.places.place import MANIFEST
 
-    place, here = out.resolve(), Path(__file__).resolve().parents[2]
+    # of a loop of links no error comes here, but where it is opened
+    place, here = Path(os.path.realpath(out)), Path(__file__).resolve().parents[2]
     if any(place.is_relative_to(here / floor) for floor in ("sim", "pipeline", "analysis", "workflows", "stickslip")):
         raise Wrong(f"--out: expected a directory for data, got {out}, which is inside the program; choose another")
     if place.exists() and not place.is_dir():
         raise Wrong(f"--out: expected a directory, got the file {out}; choose another")
-    if place == file.resolve().parent and not (place / MANIFEST).exists():
+    if place == Path(os.path.realpath(file)).parent and not (place / MANIFEST).exists():
         raise Wrong(f"--out: expected a directory of its own, got {out}, where the scene file is; choose another")
