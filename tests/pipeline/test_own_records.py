@@ -290,7 +290,8 @@ def test_a_time_says_since_when_and_is_no_longer_than_its_run(since, longest, te
     late = load_scene(written(tmp_path / "late", short(text), mine.replace(f"else {longest}", "else 12.5")))
     problems = [row(member, late.recording)["own_problem"] for member in expand(late)]
     start = 12.0 - longest
-    assert problems == [None, f"mine:one: expected at most {longest:g} for own, a time since t = {start:g}, got 12.5"]
+    said = f"mine:one: expected at most {longest:g} for own, a time since t = {start:g}, got 12.5; subtract {start:g}"
+    assert problems == [None, said]
 
 
 #: What is wrong with a module, and words of the refusal when its scene is read.
