@@ -59,12 +59,18 @@ _TIME = "time t (dimensionless)"
 def by_defaults(style: Mapping[str, Any] = MappingProxyType({})) -> Iterator[None]:
     """A context in which matplotlib draws by its own defaults and a style alone, and NumPy has its own rules.
 
-    Whatever a file `matplotlibrc` or the session has set is left out, but for the backend, and restored at the end.
+    Whatever a file `matplotlibrc` or the session has set is left out, but for the backend, and restored at the end. A
+    notebook's backend, which the first figure loads, makes matplotlib interactive, and later figures need that.
     """
+    import matplotlib as mpl
     from matplotlib import style as styles
 
     with numpy_defaults(), styles.context(["default", dict(style)]):
-        yield
+        try:
+            yield
+        finally:
+            is_interactive = mpl.is_interactive()
+    mpl.interactive(is_interactive)
 
 
 @numpy_defaults()

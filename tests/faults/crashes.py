@@ -17,7 +17,7 @@ from typing import Any
 from stickslip.pipeline import expand, extend, run_ensemble, status
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.dataset.writer import Store
-from stickslip.pipeline.places import directory
+from stickslip.pipeline.places import plain
 from stickslip.pipeline.places.manifest import read_manifest
 from stickslip.pipeline.running.worker import compute
 from stickslip.pipeline.scene.adding import with_records
@@ -70,7 +70,7 @@ def _deadly(moment: int, is_before: bool, calls: list[int]) -> None:
 
     for name in _STEPS:
         setattr(os, name, of(getattr(os, name)))
-    directory.open = _torn(of(builtins.open), calls)  # type: ignore[attr-defined]
+    plain.open = _torn(of(builtins.open), calls)  # type: ignore[attr-defined]
 
 
 def _torn(opened: Callable[..., Any], calls: list[int]) -> Callable[..., Any]:
@@ -93,7 +93,7 @@ def _torn(opened: Callable[..., Any], calls: list[int]) -> Callable[..., Any]:
                 os.write(os.open(os.devnull, os.O_WRONLY), b"")  # a call, to die in
                 write(content[len(content) // 2 :])
 
-            flush, fileno = stream.flush, stream.fileno
+            flush, fileno, close = stream.flush, stream.fileno, stream.close
 
         return Torn()
 
