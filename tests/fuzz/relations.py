@@ -540,13 +540,13 @@ class _Measure:
         return ratio, f"apart by {ratio:.3g} tol times sensitivity"
 
     def _keeps_a_touch(self, i: int, mine: Stretches, its: Stretches, image: Image) -> bool:
-        """Whether one of the two has a stretch that the exact engine's tolerance cannot tell from a touch."""
+        """Whether one of the two has a stretch that rounding cannot tell from a touch."""
         s = self.setup.system
         if self.setup.is_by_waves and image.setup.t_start > self.setup.t_start:
             return False  # |F| at an event is static friction to the tolerance: series may begin with what it was
         if self.setup.engine != "coulomb" or s.rates[i] == 0 or s.static[i] != s.slip_friction[0][i]:
             return False
-        shortest = np.sqrt(self.setup.tol) / s.rates[i]  # contract, rule 7
+        shortest = np.sqrt(_EPS) / s.rates[i]  # a run tells a touch by its own error, which is rounding at least
         return any(0 < np.diff([t for t, *_ in one[1:]]).min(initial=np.inf) < shortest for one in (mine, its))
 
     @cached_property
