@@ -15,7 +15,7 @@ from stickslip.analysis.groups import Group, fill, groups
 from stickslip.analysis.members import Members
 from stickslip.analysis.models.fates import DIVERGED, FAILED
 from stickslip.analysis.models.motion import Motion, joined, motion
-from stickslip.analysis.models.times import LEAST_ENDED, Times
+from stickslip.analysis.models.times import Times
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.runs import Ended, Events, Given, Put, Run, Runs, Series, generator, named_window
 from stickslip.analysis.series.windows import ChangePoints
@@ -457,10 +457,8 @@ class Study:
             return Estimate(reason="no matrix has data")
         most = self.limit(name) if limit is None else limit
         mean = over_matrices(ratio, times.restricted(most).rows, self.settings.confidence)
-        if times.n_units_ended < LEAST_ENDED:
-            return Estimate(
-                mean.value, reason=f"it happened in {times.n_units_ended} systems, too few for an interval"
-            )
+        if why := times.too_few(group.unit):
+            return Estimate(mean.value, reason=why)
         return within(mean, 0.0, most)
 
     def number(self, name: str) -> np.ndarray:

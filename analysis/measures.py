@@ -23,7 +23,7 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
 from stickslip.analysis.models.episodes import ATOM, B_VALUE, QUANTITIES, RATE, SIZE
 from stickslip.analysis.models.fates import FAILED, UNMOVED
-from stickslip.analysis.models.times import LEAST_ENDED, Times
+from stickslip.analysis.models.times import Times
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import UnitSums, per_event, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES as OF_N_STICK
@@ -307,8 +307,7 @@ def _restricted(study: Study, name: str, limit: float, group: Group) -> Values:
         return Values(missing=missing)
     if not times.reaches(limit):
         return Values(missing=missing, withheld=f"no run was followed to {limit:g}", n_censored=times.n_censored)
-    if times.n_units_ended < LEAST_ENDED:
-        why = f"it happened in {times.n_units_ended} of {len(times)} {group.unit}s, which are too few for an interval"
+    if why := times.too_few(group.unit):
         return Values(missing=missing, withheld=why, n_censored=times.n_censored)
     return Values(times.restricted(limit), missing, n_censored=times.n_censored)
 

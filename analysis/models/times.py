@@ -60,10 +60,12 @@ class Times(UnitSums):
         kept = np.isin(self.of_unit, other.units)
         return self if kept.all() else self.of_runs(self.of_unit[kept], self.times[kept], self.ended[kept])
 
-    @property
-    def n_units_ended(self) -> int:
-        """In how many units it happened."""
-        return len(np.unique(self.of_unit[self.ended]))
+    def too_few(self, unit: str) -> str:
+        """Why a restricted mean has no interval: it happened in fewer than `LEAST_ENDED` units; else empty."""
+        n_ended = len(np.unique(self.of_unit[self.ended]))
+        if n_ended >= LEAST_ENDED:
+            return ""
+        return f"it happened in {n_ended} of {len(self)} {unit}s, which are too few for an interval"
 
     @property
     def n_censored(self) -> int:
