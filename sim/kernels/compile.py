@@ -30,6 +30,7 @@ from functools import cache, partial
 from typing import Any
 
 import numba
+from llvmlite.binding import Linkage
 from numba._dynfunc import make_function
 from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
@@ -117,10 +118,22 @@ def _types_once() -> Iterator[None]:
         functions.get_call_type = find
 
 
+class _Whole(JITCodeLibrary):
+    """The code of a kernel, with that of all that it calls."""
+
+    def _optimize_final_module(self) -> None:
+        for function in self._final_module.functions:
+            if function.linkage == Linkage.linkonce_odr:  # it was linked in
+                function.linkage = Linkage.internal
+        super()._optimize_final_module()
+
+
 class _KernelCompiler(Compiler):
     """Compiles a kernel with all that it calls."""
 
     def _compile_core(self) -> Any:
+        self.state.library = _Whole(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        self.state.library.enable_object_caching()
         with _types_once():
             return super()._compile_core()
 
