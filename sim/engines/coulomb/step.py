@@ -92,7 +92,7 @@ def _on_the_edge(model, expansion, near, z_max, w, block, has_forces):  # type: 
     return count
 
 
-@inner(inlined=True)
+@inner
 def _advance(model, goal, state, expansion, search, slow, events, precheck):  # type: ignore[no-untyped-def]
     """Take steps until the end, or until Python has something to do; a second call goes on from there.
 

@@ -448,7 +448,7 @@ def _copy_column(columns, i, column):  # type: ignore[no-untyped-def]
         column[columns.indices[k]] = columns.data[k]
 
 
-@inner(inlined=True)
+@inner
 def _change_own(model, expansion, i, new, order, own):  # type: ignore[no-untyped-def]
     """The series of block i from its event on, at the belt's speed, and how it changes z; `own` is K_ii."""
     series, held, pull, change = expansion.series, expansion.held, expansion.pull, expansion.change
@@ -474,7 +474,7 @@ def _change_own(model, expansion, i, new, order, own):  # type: ignore[no-untype
     expansion.slips[i] = 1.0 if new != 0 else 0.0
 
 
-@inner(inlined=True)
+@inner
 def _change_others(model, expansion, order, h, limit, may_take_product):  # type: ignore[no-untyped-def]
     """The series of the others from an event on, by its block's `change` and `column`, whose own entry is zero.
 

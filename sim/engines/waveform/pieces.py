@@ -157,7 +157,7 @@ def _gather(moments, local, moved, piece, belt, slip):  # type: ignore[no-untype
     return by_belt + by_slip
 
 
-@inner(inlined=True)
+@inner
 def _keep(pieces, changes, place, piece, series, order):  # type: ignore[no-untyped-def]
     """Store a piece as a substep, and its series; where it sticks the order is -1."""
     i, x, length, share, z = piece
@@ -167,7 +167,7 @@ def _keep(pieces, changes, place, piece, series, order):  # type: ignore[no-unty
         changes.series[place, k] = series[k]
 
 
-@inner(inlined=True)
+@inner
 def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
     """Solve block i on the macro step; returns the number of pieces so far, of all blocks, or -1 - i if it fails."""
     block, pieces, changes, scratch = blocks(work.table), work.substeps, work.changes, room(5, 24)
@@ -232,7 +232,7 @@ def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
     return n_pieces
 
 
-@inner(inlined=True)
+@inner
 def solve_exactly(model, work, h):  # type: ignore[no-untyped-def]
     """Solve every block on a macro step, F at the nodes given; see `substeps.solve_blocks`."""
     block, n = blocks(work.table), len(work.is_split)

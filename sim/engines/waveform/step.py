@@ -41,7 +41,7 @@ def _set_tolerance(exact, block, common, n):  # type: ignore[no-untyped-def]
         common.atol[0] = exact.tol * fastest
 
 
-@inner(inlined=True)
+@inner
 def _predict_step(model, work, clock, h):  # type: ignore[no-untyped-def]
     """Begin a macro step after the last one: predict F and u at the nodes, and mark blocks that take substeps."""
     block, common, n = blocks(work.table), shared(work.shared), len(work.is_split)
@@ -142,7 +142,7 @@ def _couple(model, work, control, is_first, limit):  # type: ignore[no-untyped-d
     return largest(block.moved[:n]), largest(block.tail[:n])
 
 
-@inner(inlined=True)
+@inner
 def _solve_blocks(model, exact, work, h, is_last, n_before):  # type: ignore[no-untyped-def]
     """By the law: see `substeps.solve_blocks`. A smooth one repeats the substeps of the last iteration."""
     if exact is None:
@@ -152,7 +152,7 @@ def _solve_blocks(model, exact, work, h, is_last, n_before):  # type: ignore[no-
         return solve_exactly(model, work, h)
 
 
-@inner(inlined=True)
+@inner
 def _probe_blocks(model, exact, work, n_split):  # type: ignore[no-untyped-def]
     """By the law: see `substeps.probe_blocks`. Nothing bends the set-valued law between the nodes."""
     if exact is None:
@@ -161,7 +161,7 @@ def _probe_blocks(model, exact, work, n_split):  # type: ignore[no-untyped-def]
         return n_split
 
 
-@inner(inlined=True)
+@inner
 def _step_events(model, exact, work, n_substeps, span, events, n_recorded):  # type: ignore[no-untyped-def]
     """By the law: see `events.step_events`."""
     if exact is None:
@@ -179,7 +179,7 @@ def _most_events(model, exact, work):  # type: ignore[no-untyped-def]
         return len(work.changes.x)
 
 
-@inner(inlined=True)
+@inner
 def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[no-untyped-def]
     """Iterate: solve the blocks, and compute F from them, until F has converged.
 
@@ -261,7 +261,7 @@ def _all_slip(mode):  # type: ignore[no-untyped-def]
     return same
 
 
-@inner(inlined=True)
+@inner
 def take_steps(model, work, control, state, events, bound, precheck):  # type: ignore[no-untyped-def]
     """Take steps until the end, or until Python has something to do; a second call goes on from there."""
     clock, counters, mode = state.clock, state.counters, work.modes[0]
