@@ -36,19 +36,21 @@ def pytest_configure(config):
     settings.load_profile("any machine")
 
 
+def _draws(test):
+    return "repetition" in test.fixturenames or hypothesis.is_hypothesis_test(test.function)
+
+
 def pytest_generate_tests(metafunc):
-    """What draws at random depends on the fixture `repetition`, and is repeated before the file's next test is."""
-    if metafunc.config.option.fresh:
-        if hypothesis.is_hypothesis_test(metafunc.function):
+    if metafunc.config.option.fresh and _draws(metafunc):
+        if "repetition" not in metafunc.fixturenames:
             metafunc.fixturenames.append("repetition")
-        if "repetition" in metafunc.fixturenames:
-            metafunc.parametrize("repetition", range(metafunc.config.option.repeat or 1), scope="module")
+        metafunc.parametrize("repetition", range(metafunc.config.option.repeat or 1), scope="module")
 
 
 def pytest_collection_modifyitems(config, items):
     if config.option.fresh:
-        config.hook.pytest_deselected(items=[item for item in items if "repetition" not in item.fixturenames])
-        items[:] = [item for item in items if "repetition" in item.fixturenames]
+        config.hook.pytest_deselected(items=[item for item in items if not _draws(item)])
+        items[:] = [item for item in items if _draws(item)]
 
 
 def pytest_runtest_setup(item):
