@@ -35,6 +35,8 @@ _STEP = 0.1
 _NODES = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
 #: Numbers in matrices that are kept at a time.
 _ROOM = 2**21
+#: How large a motion is at least, for ratios of what it consists of to have all their digits.
+LOST = float(np.finfo(np.float64).tiny / np.finfo(np.float64).eps)
 
 
 class Follow(Protocol):

@@ -619,6 +619,13 @@ def test_what_dies_out_is_no_cycle_and_no_chaos(rng):
             assert found.growth_rate is None or np.isfinite(found.growth_rate)
 
 
+@pytest.mark.parametrize("damping", [0.07832642758499568, 0.07109978713480052])
+def test_what_is_lost_in_rounding_is_no_cycle(damping):
+    """It crosses zero speed with the smallest numbers that there are, whose ratios have no digits."""
+    system = System([[1.0]], damping, 0.0, 0.0)
+    assert settled(system, 1.0, 0.0, 2e4, 1e4, tol=1e-10).kind == "undecided"
+
+
 def test_a_block_that_forces_together_never_move_is_at_rest(rng):
     for phase in rng.uniform(1.7, 2 * np.pi - 1.7, 5):
         waves = [Harmonic(0.8, 1.0), Harmonic(0.8, 1.0, phase)]
