@@ -61,10 +61,11 @@ def _deadly(moment: int, is_before: bool, calls: list[int]) -> None:
                 dies = calls[0] == moment
             if dies and is_before:
                 os.kill(os.getpid(), signal.SIGKILL)
-            found = operation(*args, **kwargs)
-            if dies:
-                os.kill(os.getpid(), signal.SIGKILL)
-            return found
+            try:
+                return operation(*args, **kwargs)
+            finally:  # also after a call that fails, as of a file that is not there
+                if dies:
+                    os.kill(os.getpid(), signal.SIGKILL)
 
         return call
 
