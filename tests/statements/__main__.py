@@ -1,0 +1,248 @@
+"""Make datasets, write what their reports say, compare; see `tests.statements`."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import difflib
+import io
+import re
+import shutil
+import sys
+from collections.abc import Callable, Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+
+import matplotlib
+import pandas as pd
+
+from stickslip.analysis.questions import QUESTIONS
+from stickslip.analysis.report import comparison, page
+from stickslip.pipeline import load_scene, run_ensemble
+from stickslip.pipeline.ensemble import pack
+from stickslip.workflows import own_questions, reporting
+from tests import statements
+from tests.statements.scenes import COMPARED, PLANS, Plan
+
+STATEMENTS = "statements.txt"
+#: Relative difference below which two numbers are one: what rounding leaves.
+ROUNDING = 1e-9
+_NUMBER = re.compile(r"[-+\u2212]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+_MADE_BY = ("stickslip: ", "Code beside the scene")  # digests, which change with any line of the program
+
+
+class _Text(HTMLParser):
+    """The text of a page: a line a sentence, a row of a table in one."""
+
+    BLOCKS = ("p", "li", "h1", "h2", "h3", "h4", "tr", "figcaption", "summary", "details", "table", "ul", "div")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._pieces: list[str] = []
+        self._n_silent = 0
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self._n_silent += tag in ("style", "script")
+        self._pieces.append("\n" if tag in self.BLOCKS else " | " if tag in ("td", "th") else "")
+        self._pieces += [f"\n{value}\n" for name, value in attrs if name == "alt" and value]
+
+    def handle_endtag(self, tag: str) -> None:
+        self._n_silent -= tag in ("style", "script")
+        self._pieces.append("\n" if tag in self.BLOCKS else "")
+
+    def handle_data(self, data: str) -> None:
+        if not self._n_silent:
+            self._pieces.append(re.sub(r"\s+", " ", data))
+
+    def lines(self) -> list[str]:
+        text = "".join(self._pieces)
+        blocks = (re.sub(r"\s+", " ", block).strip(" |") for block in text.split("\n"))
+        return [
+            sentence
+            for block in blocks
+            if not block.startswith(_MADE_BY)
+            for sentence in re.split(r"(?<=[.?!]) (?=[A-Z])", block)
+            if sentence
+        ]
+
+
+def sentences(html: str) -> list[str]:
+    """What a page says, one sentence or one row of a table a line."""
+    text = _Text()
+    text.feed(html)
+    return text.lines()
+
+
+def make(name: str, plan: Plan, datasets: Path) -> None:
+    """Run a plan into `datasets`/name/name, with its files beside; what breaks off leaves nothing under that name."""
+    folder = datasets / f".{name}"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    for file, content in plan.files.items():
+        if callable(content):
+            content(folder / file)
+        else:
+            (folder / file).write_text(content)
+    for text in plan.scenes:
+        (folder / "scene.toml").write_text(text)
+        with _broken_off(plan.n_shards) as on_progress:
+            run_ensemble(load_scene(folder / "scene.toml"), folder / name, workers=0, on_progress=on_progress)
+    folder.rename(datasets / name)
+
+
+@contextlib.contextmanager
+def _broken_off(n_shards: int | None) -> Iterator[Callable[[object], None] | None]:
+    """What ends a run, of a few members a shard, after some of them."""
+    if n_shards is None:
+        yield None
+        return
+    shards = set()
+
+    def end(progress) -> None:
+        shards.add(progress.last_shard)
+        if len(shards - {None}) == n_shards:
+            raise KeyboardInterrupt
+
+    before, pack.TARGET_COST = pack.TARGET_COST, 3.5e-3
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            yield end
+    finally:
+        pack.TARGET_COST = before
+
+
+def _answers(opened, study, on_answer):
+    own = [own_questions.answer(task) for task in own_questions.tasks(opened, opened.folder, with_pdf=False)]
+    return [*(page.ask(study, key) for key in QUESTIONS), *own]
+
+
+def write(report: page.Report, folder: Path) -> None:
+    """The statements and the tables of a report."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    (folder / STATEMENTS).write_text("\n".join([*report.headline, "", *sentences(report.html), ""]))
+    for file, content in report.files().items():
+        if file.endswith(".csv"):
+            (folder / Path(file).name).write_bytes(content())
+
+
+def write_all(out: Path, datasets: Path, only: list[str]) -> int:
+    """Write what all reports say; 1 if one could not be made, whose error stands in place of its statements."""
+    page.draw = comparison.draw = lambda *_, **__: page.Drawn("<svg/>")  # drawing takes half of a report's time
+    plans = {name: (datasets / name / name,) for name in PLANS} | {
+        f"{first}_beside_{second}": (datasets / first / first, datasets / second / second)
+        for first, second in COMPARED
+    }
+    n_failed = 0
+    for name, places in plans.items():
+        if only and name not in only:
+            continue
+        try:
+            write(reporting.compared(*places) if places[1:] else reporting.report(places[0], _answers), out / name)
+        except Exception as error:  # noqa: BLE001  each is told, and the others are written
+            n_failed += 1
+            (out / name).mkdir(parents=True, exist_ok=True)
+            (out / name / STATEMENTS).write_text(f"{type(error).__name__}: {error}\n")
+            print(f"{name}: {type(error).__name__}: {error}", file=sys.stderr)
+    return int(n_failed > 0)
+
+
+def by_value(text: str) -> str:
+    """A line with each of its numbers as the shortest text of its value."""
+    return _NUMBER.sub(lambda found: format(float(found[0].replace("\u2212", "-")), ".9g"), text)
+
+
+def differences(old: Path, new: Path) -> list[str]:
+    """What differs between two folders of `write`, statements, then tables: lines, - of the old, + of the new."""
+    found = _of_lines(*((folder / STATEMENTS).read_text().splitlines() for folder in (old, new)))
+    for name in sorted({file.name for folder in (old, new) for file in folder.glob("*.csv")}):
+        files = (old / name, new / name)
+        if not all(file.exists() for file in files):
+            found.append(f"{'-' if files[0].exists() else '+'} table {name}")
+        elif files[0].read_bytes() != files[1].read_bytes():
+            found += [f"{line[0]} {name}: {line[2:]}" for line in _of_tables(*(file.read_text() for file in files))]
+    return found
+
+
+def _of_lines(old: list[str], new: list[str]) -> list[str]:
+    matched = difflib.SequenceMatcher(None, [*map(by_value, old)], [*map(by_value, new)], autojunk=False)
+    return [
+        line
+        for kind, first, end, first_new, end_new in matched.get_opcodes()
+        if kind != "equal"
+        for line in (*(f"- {text}" for text in old[first:end]), *(f"+ {text}" for text in new[first_new:end_new]))
+    ]
+
+
+def _of_tables(old: str, new: str) -> list[str]:
+    """Cells that differ, where two tables have as many rows; else the rows."""
+    first, second = (pd.read_csv(io.StringIO(text), dtype=str, keep_default_na=False) for text in (old, new))
+    found = [f"- column {name}" for name in first if name not in second]
+    found += [f"+ column {name}" for name in second if name not in first]
+    shared = [name for name in first if name in second]
+    if len(first) != len(second):
+        return found + _of_lines(*(table[shared].agg(", ".join, axis=1).tolist() for table in (first, second)))
+    for name in shared:
+        for row, (before, after) in enumerate(zip(first[name], second[name], strict=True)):
+            if not _is_same(before, after):
+                found += [f"- row {row}, {name} = {before}", f"+ row {row}, {name} = {after}"]
+    return found
+
+
+def _is_same(before: str, after: str) -> bool:
+    if before == after:
+        return True
+    try:
+        numbers = float(before), float(after)
+    except ValueError:
+        return False
+    return abs(numbers[0] - numbers[1]) <= ROUNDING * max(map(abs, numbers))
+
+
+def compare(old: Path, new: Path) -> int:
+    """Print what differs, by dataset; 1 if anything does."""
+    n_different = 0
+    names = sorted({file.parent.name for folder in (old, new) for file in folder.glob(f"*/{STATEMENTS}")})
+    for name in names:
+        folders = (old / name, new / name)
+        if not all(folder.exists() for folder in folders):
+            lines = ["-" if folders[0].exists() else "+"]
+        else:
+            lines = differences(*folders)
+        n_different += bool(lines)
+        if lines:
+            print(f"== {name}: {len(lines)} lines", *lines, sep="\n")
+    print(f"{n_different} of {len(names)} datasets differ")
+    return int(n_different > 0)
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        prog="python -m tests.statements",
+        description=statements.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("out", nargs="?", type=Path, help="where to write")
+    parser.add_argument("--datasets", type=Path, help="where the datasets are, or are made")
+    parser.add_argument("--only", nargs="+", default=[], metavar="NAME", help="only these")
+    parser.add_argument("--new", action="store_true", help="make the datasets anew")
+    parser.add_argument("--compare", nargs=2, type=Path, metavar=("OLD", "NEW"))
+    arguments = parser.parse_args(argv)
+    if arguments.compare:
+        return compare(*arguments.compare)
+    if arguments.out is None or arguments.datasets is None:
+        parser.error("expected OUT and --datasets DIR, or --compare OLD NEW")
+    matplotlib.use("agg")
+    for name, plan in PLANS.items():
+        if arguments.only and name not in arguments.only:
+            continue
+        if arguments.new:
+            shutil.rmtree(arguments.datasets / name, ignore_errors=True)
+        if not (arguments.datasets / name).exists():
+            print(f"run {name}", flush=True)
+            make(name, plan, arguments.datasets)
+    return write_all(arguments.out, arguments.datasets, arguments.only)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
