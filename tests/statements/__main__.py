@@ -83,9 +83,9 @@ def make(name: str, plan: Plan, datasets: Path) -> None:
             content(folder / file)
         else:
             (folder / file).write_text(content)
-    for text in plan.scenes:
+    for k, text in enumerate(plan.scenes, 1):
         (folder / "scene.toml").write_text(text)
-        with _broken_off(plan.n_shards) as on_progress:
+        with _broken_off(plan.n_shards if k == len(plan.scenes) else None) as on_progress:
             run_ensemble(load_scene(folder / "scene.toml"), folder / name, workers=0, on_progress=on_progress)
     folder.rename(datasets / name)
 

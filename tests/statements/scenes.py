@@ -76,7 +76,7 @@ class Plan(NamedTuple):
     files : mapping of str to (str or callable)
         The text of each, or what writes it at a path.
     n_shards : int, optional
-        The run is broken off after so many.
+        The run of the last scene is broken off after so many.
     """
 
     scenes: tuple[str, ...]
@@ -163,6 +163,7 @@ PLANS: dict[str, Plan] = {name: Plan((shrunk(name, **changes),)) for name, chang
     "grid": Plan((scene(GRID),)),
     "grid_half_done": Plan((scene(GRID, run="matrices = 6"),), n_shards=4),
     "grid_begun": Plan((scene(GRID),), n_shards=1),
+    "grid_diagonal": Plan((scene(GRID, run='zip = [["friction", "belt_speed"]]'), scene(GRID)), n_shards=0),
     "grid_grown": Plan(
         (
             scene(f"{HELD}\nfriction = [0.8]", run="matrices = 2"),
