@@ -2,7 +2,7 @@
 
 import pytest
 
-from stickslip.pipeline import parse_scene, run_ensemble
+from stickslip.pipeline import parse_scene, query, run_ensemble
 from stickslip.workflows import reporting
 
 GUESSED = pytest.mark.xfail(strict=True, reason="the axes are guessed from the values of the rows")
@@ -17,20 +17,30 @@ def scene(system, run="matrices = 8"):
     )
 
 
-def n_compared(path):
-    """By key, the most systems in which its last value is compared with its first."""
+def compared(path):
+    """By key: in how many systems the last value is compared with the first, and the mean change of slip_speed."""
     changes = reporting.report(str(path)).tables["sweep_changes"]
-    return changes.groupby("key").n_first.max().to_dict()
+    changes = changes[changes.quantity.eq("mean slip_speed") & changes.n_first.gt(0)]
+    return {row.key: (row.n_first, row.difference) for row in changes.itertuples()}
 
 
 @GUESSED
 @pytest.mark.parametrize(("friction", "ratios"), [("[0.8, 1.0]", (1.2, 1.5)), ("[0.5, 1.0]", (1.5, 3.0))])
 def test_a_ratio_is_a_key_of_its_own(friction, ratios, tmp_path):
-    """Products of the second grid coincide: 0.5 by 3 is 1 by 1.5."""
+    """Products of the second grid coincide, 0.5 by 3 and 1 by 1.5; each change is one key's, at both points of the other."""
     low, high = ratios
     swept = scene(f"friction = {friction}\nstatic = [{{ratio = {low}}}, {{ratio = {high}}}]")
     run_ensemble(swept, tmp_path / "out", workers=0)
-    assert n_compared(tmp_path / "out") == {"friction": 8, "static": 8}
+    table = query.members(tmp_path / "out")
+    (a, b), (c, d) = (
+        (at[lowest].slip_speed.mean(), at[~lowest].slip_speed.mean())
+        for _, at in table.groupby("friction")
+        for lowest in [at.static == at.static.min()]
+    )
+    assert compared(tmp_path / "out") == {
+        "friction": (8, pytest.approx((c + d - a - b) / 2)),
+        "static": (8, pytest.approx((b + d - a - c) / 2)),
+    }
 
 
 @GUESSED
@@ -42,4 +52,4 @@ def test_the_diagonal_of_a_grid_that_is_half_done_compares_nothing(tmp_path):
     run_ensemble(scene(system, 'matrices = 6\nzip = [["friction", "belt_speed"]]'), out, workers=0)
     with pytest.raises(KeyboardInterrupt):
         run_ensemble(scene(system, "matrices = 6"), out, workers=0, on_progress=interrupt)
-    assert not any(n_compared(out).values())
+    assert compared(out) == {}
