@@ -27,7 +27,7 @@ def compared(path):
 @GUESSED
 @pytest.mark.parametrize(("friction", "ratios"), [("[0.8, 1.0]", (1.2, 1.5)), ("[0.5, 1.0]", (1.5, 3.0))])
 def test_a_ratio_is_a_key_of_its_own(friction, ratios, tmp_path):
-    """Products of the second grid coincide, 0.5 by 3 and 1 by 1.5; each change is one key's, at both points of the other."""
+    """Each change is one key's, at both points of the other; two products of the second grid are equal."""
     low, high = ratios
     swept = scene(f"friction = {friction}\nstatic = [{{ratio = {low}}}, {{ratio = {high}}}]")
     run_ensemble(swept, tmp_path / "out", workers=0)
