@@ -13,8 +13,8 @@ def test_a_page_is_its_sentences_and_rows():
 
 def test_numbers_differ_by_value(tmp_path):
     for name, (statement, table) in {
-        "old": ("Half by t = 1.50.\nAll stick.\n", "key,mean\na,0.10\nb,0.2\n"),
-        "new": ("Half by t = 1.5.\nNone sticks.\n", "key,mean\na,0.1\nb,0.3\n"),
+        "old": ("Half by t = 1.50.\nAll stick.\nSo do 2.\n", "key,mean\na,0.10\nb,0.2\n"),
+        "new": ("So do 2.\nHalf by t = 1.5.\nNone sticks.\n", "key,mean\nb,0.3\na,0.1\n"),
     }.items():
         (tmp_path / name).mkdir()
         (tmp_path / name / STATEMENTS).write_text(statement)
@@ -24,7 +24,9 @@ def test_numbers_differ_by_value(tmp_path):
     assert differences(tmp_path / "old", tmp_path / "new") == [
         "- All stick.",
         "+ None sticks.",
-        "- means.csv: row 1, mean = 0.2",
-        "+ means.csv: row 1, mean = 0.3",
+        "~ 1 moved",
+        "~ means.csv: 2 rows in another order",
+        "- means.csv: b: mean = 0.2",
+        "+ means.csv: b: mean = 0.3",
         "+ table more.csv",
     ]
