@@ -28,7 +28,7 @@ from stickslip.analysis.models.motion import COLUMNS, EFFECTIVE, Motion
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
 from stickslip.analysis.stats.quantities import QUANTITIES
-from stickslip.sim.engines import ENGINES, SETTINGS
+from stickslip.sim.engines import ENGINES, SETTINGS, place
 
 #: Numbers that differ by less, relatively, are shown as one.
 _ROUNDING = 1e-14
@@ -111,7 +111,7 @@ class Group:
     @property
     def is_exact(self) -> bool:
         """Whether its runs follow the exact law, event by event."""
-        return bool(self.key["engine"] == "coulomb")
+        return ENGINES[self.key["engine"]].is_exact
 
     @cached_property
     def is_moving(self) -> np.ndarray:
@@ -219,7 +219,7 @@ def groups(members: Members, some: np.ndarray) -> list[Group]:
 
     def order(part: tuple[dict[str, Any], np.ndarray]) -> tuple[Any, ...]:
         key = part[0]
-        return (key["perturbation_size"], key["n"], key["engine"], [by_value(value) for value in key.values()])
+        return (key["perturbation_size"], key["n"], place(key["engine"]), [by_value(value) for value in key.values()])
 
     keys = (*SYSTEM_KEYS, *ENGINE_KEYS)
     parts = sorted(members.places(keys, some), key=order)
@@ -269,7 +269,7 @@ def apart(labels: Sequence[str], always: int = 0) -> list[str]:
 
 def engine_name(engine: str) -> str:
     """The name of an engine on pages."""
-    return "exact" if engine == "coulomb" else engine
+    return ENGINES[engine].title
 
 
 def labels(keys: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +18,8 @@ from stickslip.analysis.models.episodes import QUANTITIES, RATE, Catalogue
 from stickslip.analysis.models.laws import Difference, difference_of_order, distance_of_shares, largest_gap
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.stats.estimates import Estimate, Undefined
+from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines.contract import Engine, Number
 
 #: Margins of laws: three episodes in a hundred for a distribution function, a quarter of the shares of first blocks,
 #: 0.1 for a correlation. Twenty systems of a thousand episodes each can exclude differences as large.
@@ -57,16 +59,19 @@ LAWS: Mapping[str, Compared] = {
 def names(found: Sequence[Catalogues]) -> list[str]:
     """Names of groups by what distinguishes them: method, place in a sweep and number of blocks."""
     of_one_size = len({one.group.key["n"] for one in found}) == 1
-    return [_method(one.label, of_one_size, all("exact" in one.label for one in found)) for one in found]
+    engines = {ENGINES[one.group.key["engine"]] for one in found}
+    shared = {engine.title for engine in engines if engine.is_exact and len(engines) == 1}
+    return [_method(one.label, ENGINES[one.group.key["engine"]], of_one_size, shared) for one in found]
 
 
-def _method(label: str, of_one_size: bool, are_exact: bool) -> str:
+def _method(label: str, engine: type[Engine], of_one_size: bool, shared: Collection[str]) -> str:
     """Name of a method from the label of its group, without what all groups share."""
     bare = label.partition(", ")[2] if of_one_size else label
-    if are_exact:
-        bare = ", ".join(word for word in parts_of(bare) if word != "exact") or "exact"
-    bare = bare.replace("moreau, step", "time steps h").replace("sigmoid, eps", "sigmoid \u03b5")
-    bare = re.sub(r"\beps\b", "\u03b5", bare)
+    bare = ", ".join(word for word in parts_of(bare) if word not in shared) or engine.title
+    for name, setting in engine.settings().items():
+        if isinstance(setting, Number) and setting.symbol:
+            bare = bare.replace(f"{engine.title}, {name}", f"{engine.method} {setting.symbol}")
+            bare = re.sub(rf"\b{name}\b", setting.symbol, bare)
     bare = re.sub(r"(?<=\u03b5 = )0\.00\d+", _power, bare)
     return re.sub(r"e-0(?=\d)", "e-", bare).replace(" = ", "\u00a0=\u00a0")
 

@@ -22,6 +22,7 @@ from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SETTLED
 from stickslip.analysis.series import parting
 from stickslip.analysis.series.runs import Ended, Runs
+from stickslip.sim.engines import place
 
 START, CONSTANTS, RATIOS = "start", "constants", "ratios"  # kinds of change
 #: How a perturbation is read if the members do not say: it moves every constant by up to a share of its scale.
@@ -194,7 +195,7 @@ def settings(members: Members) -> list[Setting]:
     ]
     names = labels([key for key, _ in parts])
     found = [Setting(name, key, *_compared(own)) for name, (key, own) in zip(names, parts, strict=True)]
-    return sorted((one for one in found if one.bases), key=lambda s: (s.key["n"], s.key["engine"], s.label))
+    return sorted((one for one in found if one.bases), key=lambda s: (s.key["n"], place(s.key["engine"]), s.label))
 
 
 def _change(row: Row) -> Change | None:

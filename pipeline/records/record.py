@@ -139,6 +139,10 @@ class Record(ABC):
         Whether most of its cost is computed once for several members.
     is_certified : bool
         Whether it needs runs that are tested for collapse whenever all blocks slip.
+    is_of_exact : bool
+        Whether it is of runs of the exact law alone.
+    is_of_contacts : bool
+        Whether it leaves out blocks without friction; how many have some is then kept beside it.
     """
 
     name: ClassVar[str]
@@ -151,6 +155,8 @@ class Record(ABC):
     is_of_paths: ClassVar[bool] = False
     is_shared: ClassVar[bool] = False
     is_certified: ClassVar[bool] = False
+    is_of_exact: ClassVar[bool] = False
+    is_of_contacts: ClassVar[bool] = False
     needs: ClassVar[frozenset[str]] = frozenset({"run"})
 
     @classmethod
@@ -181,11 +187,17 @@ class Record(ABC):
 
     def applies(self, member: Member) -> bool:
         """Whether a member has values of it; without, they are null."""
-        return True
+        return not self.is_of_exact or ENGINES[member.engine].is_exact
 
     def problem(self, facts: Facts) -> str:
         """Why it does not apply to a scene, what came and what to do, for a line that begins with its key."""
-        return ""
+        if not self.is_of_exact or any(engine.is_exact for engine in facts.engines):
+            return ""
+        exact = " or ".join(f'"{name}"' for name, engine in ENGINES.items() if engine.is_exact)
+        return (
+            f"expected an engine of the exact law, got {facts.engines[0].name!r} alone; add [[engine]] name ="
+            f" {exact}, or remove it"
+        )
 
     def memory(self, facts: Facts) -> Memory | None:
         """What it takes of a worker beyond the run, if that may be much."""
@@ -251,19 +263,3 @@ def sampling(facts: Facts, t_burn: float, dt: float) -> Memory:
     """What states every `dt` take: z and w, and what is computed of them."""
     n_bytes = 4.0 * 8 * facts.n * (facts.t_end - t_burn) / dt
     return Memory(n_bytes, "sampling a run", "lengthen record.dt")
-
-
-def is_exact(member: Member) -> bool:
-    """Whether a member runs by the exact law."""
-    return ENGINES[member.engine].is_exact
-
-
-def needs_exact(facts: Facts) -> str:
-    """The problem of a record of the exact law with a scene that has no engine of it; "" if it has one."""
-    if any(engine.is_exact for engine in facts.engines):
-        return ""
-    exact = " or ".join(name for name, engine in ENGINES.items() if engine.is_exact)
-    return (
-        f"expected an engine of the exact law, got {facts.engines[0].name!r} alone; add [[engine]] name ="
-        f' "{exact}", or remove it'
-    )

@@ -122,7 +122,7 @@ def test_it_is_undecided_with_a_reason():
 def test_bad_input_is_refused_by_name():
     system = System([[1.0]], 0.0, 1.0, -0.2, static=1.3)
     run = simulate(system, 0.3, 0.0, 50.0)
-    with pytest.raises(ValueError, match="engine: expected 'coulomb', whose events are exact, got 'sigmoid'"):
+    with pytest.raises(ValueError, match="engine: expected one of exact events, as 'coulomb', got 'sigmoid'"):
         attractor(run, system, engine="sigmoid", eps=0.03)
     with pytest.raises(ValueError, match=r"t_burn: expected a time in \[0, 50\], got 60"):
         attractor(run, system, 60.0)

@@ -22,7 +22,7 @@ from stickslip.analysis import burn_in
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, columns, frame, long, named
 from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import Group, apart
+from stickslip.analysis.groups import Group, apart, engine_name
 from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SPEED_DEPENDENT, SYSTEM_KEYS, joined
 from stickslip.analysis.models.fates import (
     COLLAPSED,
@@ -332,7 +332,8 @@ def _group_row(study: Study, group: Group, ran: _Ran) -> Row:
     n_held = np.count_nonzero(is_held(t_last, n_last, int(group.key["n"]), t_end) & (fates == SUSTAINED))
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
-        "engine": group.key["engine"], "n_runs": len(fates), "t_end": t_end,
+        "engine": group.key["engine"], "law": engine_name(group.key["engine"]) + " law" * group.is_exact,
+        "n_runs": len(fates), "t_end": t_end,
         **_counts(group.fates), **named("moving", share), **named("settled", settled),
         "n_held": n_held, "is_rated": bool(group.column("growth_rate").notna().any()),
         "half": half, **named("median", half), "median_most": most.value,
@@ -362,7 +363,8 @@ def _shifts(groups: Sequence[Group], level: float) -> list[Row]:
             if len(shifts):
                 shift = replace(shift, value=float(np.median(shifts)))
             found.append({
-                "setting": other.label, "reference": reference.label, "n_systems": len(known),
+                "setting": other.label, "reference": reference.label, "is_exact": reference.is_exact,
+                "n_systems": len(known),
                 "n_open": len(both) - len(known), **named("shift", shift),
             })  # fmt: skip
     return found

@@ -37,6 +37,7 @@ from stickslip.analysis.grid import (
 )
 from stickslip.analysis.groups import Value
 from stickslip.analysis.measures import AXES, GAMMA, KEYS, MEAN, Measure, measures
+from stickslip.analysis.members import RELATIVE
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
 from stickslip.analysis.questions.runs.fates import FATES, shares
 from stickslip.analysis.stats import enough
@@ -45,8 +46,7 @@ from stickslip.analysis.stats.estimates import Estimate, UnitSums, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
 
-#: Tolerances of engines relative to the state, and what sums over a run lose to rounding at any tolerance.
-RELATIVE, ROUNDING = ("tol", "rtol"), 1e-12
+ROUNDING = 1e-12  # what sums over a run lose to rounding, at any tolerance
 RISES, FALLS, SAME = "rises", "falls", "the same in all"
 MOST_LINES = 6  # in one figure
 MOST_COLUMNS = 5  # of measures in the table of values

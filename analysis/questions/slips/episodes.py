@@ -52,7 +52,7 @@ from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrice
 from stickslip.analysis.stats.families import parameter
 from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, goodness
 from stickslip.analysis.stats.student import half_width
-from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
+from stickslip.analysis.style import EXACT, GREY, of_engine, panel
 
 POWER, CUT_OFF, EXPONENTIAL, NONE = "power law", "cut-off power law", "exponential", "none of these"
 SLOW = 0.05  # largest share of time in episodes if the drive is slow for the chain
@@ -352,10 +352,10 @@ def _look(labels: Mapping[str, tuple[str, str]]) -> dict[str, dict[str, Any]]:
     looks = {}
     for label, (engine, _) in labels.items():
         k = seen[engine] = seen.get(engine, -1) + 1
-        colour = {"coulomb": EXACT, "sigmoid": SMOOTHED}.get(engine, GREEN)
+        colour, face = of_engine(engine)
         looks[label] = {
             "color": colour, "linestyle": ("-", "--", "-.", ":")[k % 4], "marker": "osDv"[k % 4], "markersize": 3,
-            "markerfacecolor": colour if engine == "coulomb" else "white", "linewidth": 0.9,
+            "markerfacecolor": face, "linewidth": 0.9,
         }  # fmt: skip
     return looks
 

@@ -37,6 +37,7 @@ class StickShare(WindowRecord):
             title="share of blocks that never slip",
         ),
     )
+    is_of_contacts = True
     needs = frozenset({"events", "system"})
 
     def of(self, made: Made) -> dict[str, Any]:

@@ -60,6 +60,7 @@ class Coulomb(Engine):
     """
 
     name = "coulomb"
+    title = "exact"
     about = "exact, event-driven."
     kernels = "stickslip.sim.engines.coulomb"
     sizes = (SMALL, SIZE_OF_WAVES)
