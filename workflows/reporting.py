@@ -86,6 +86,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             one.kind == "yes or no",
             one.until and Until(one.until.start(scene.record_t_burn)),
             one.of_gaps,
+            one.most,
         )
         for one in kept
     }

@@ -194,6 +194,11 @@ def jackknife_error(left_out: np.ndarray) -> float:
     return float(np.sqrt((n_rows - 1) / n_rows * np.sum((left_out - left_out.mean()) ** 2)))
 
 
+def with_data(rows: np.ndarray) -> np.ndarray:
+    """Rows of sums without those of zeros alone: a matrix in which nothing was counted is none of an ensemble."""
+    return rows[rows.any(axis=1)]
+
+
 def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> Estimate:
     """A statistic of the whole ensemble with a jackknife-t interval over matrices.
 
@@ -204,7 +209,7 @@ def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> 
     statistic : callable
         Maps sums, shape (m, c), to values, shape (m,); raises `Undefined` with a reason.
     sums : ndarray, shape (G, c)
-        One row a matrix; the statistic is that of their sum.
+        One row a matrix; the statistic is that of their sum. A row of zeros is a matrix without data, and none of G.
     confidence : float
         Between 0 and 1.
 
@@ -218,7 +223,7 @@ def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> 
     ValueError
         If `sums` are no such rows, or not finite, or the confidence is none.
     """
-    sums, confidence = arguments.sums(sums), arguments.level(confidence)
+    sums, confidence = with_data(arguments.sums(sums)), arguments.level(confidence)
     if len(sums) == 0:
         return Estimate(reason="no matrix has data")
     try:

@@ -201,6 +201,9 @@ def _checked(own: Own, returned: object, window: tuple[float, float]) -> Measure
         elif column.least is not None and plain is not None and plain < column.least:
             least, got = apart(column.least, plain)
             problems.append(f"expected at least {least} for {column.name}, got {got}")
+        elif column.most is not None and plain is not None and plain > column.most:
+            most, got = apart(column.most, plain)
+            problems.append(f"expected at most {most} for {column.name}, got {got}")
         elif plain is not None and column.until is not None and plain > t_end - column.until.start(t_burn):
             start = column.until.start(t_burn)
             most, got = apart(t_end - start, plain)
@@ -261,6 +264,7 @@ def _own(
                 key,
                 one["words"],
                 least=one["least"],
+                most=one["most"],
                 absent=one["absent"],
                 until=None if one["since"] is None else Until(one["since"]),
             )

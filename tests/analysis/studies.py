@@ -677,7 +677,7 @@ def truth_study(rng, ensembles):
             share, *ends, _ = compare.share_over_matrices(a, CONFIDENCE)
             found["share"].append((share - p, *(np.array(ends) - p)))
             for name, paired, rows in (("paired", True, b), ("independent", False, c)):
-                test = compare.share_difference(a, rows, paired, 0.2)
+                test = compare.bounded_difference(a, rows, paired, 0.2, is_counted=True)
                 shown = (test.difference, *test.interval(CONFIDENCE))
                 found[f"difference, {name}"].append(tuple(end - (q - p) for end in shown))
         for name, errors in found.items():
