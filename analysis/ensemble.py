@@ -365,7 +365,8 @@ class Study:
         -------
         Estimate
             By `stats.estimates.over_matrices`, or `stats.compare.mean_within`; without an interval, and with the
-            reason, for fewer than two units; without a value for none. Of a column of truths it is their share, as `share`.
+            reason, for fewer than two units; without a value for none. Of a column of truths it is their share, as
+            `share`.
 
         Raises
         ------

@@ -340,8 +340,8 @@ def of_mean(group: Group) -> Values:
 
 def of_gamma(confidence: float, group: Group) -> Values:
     """Sums of gamma over a filled group's runs in motion, if they allow a statistic of a steady state."""
-    is_judged = group.basis(confidence).code in enough.JUDGED
-    return Values(group.sums("gamma")) if is_judged else Values()
+    basis = group.basis(confidence).code
+    return Values(group.sums("gamma")) if basis in enough.JUDGED else Values(withheld=basis)
 
 
 #: What an ensemble may hold that can be measured, in the order in which measures lead.

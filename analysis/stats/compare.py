@@ -21,7 +21,8 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stickslip.analysis.stats import arguments, student
+from stickslip.analysis import arguments
+from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import (
     Estimate,
     Statistic,
@@ -426,8 +427,8 @@ def bounded_difference(
 def bounded_ratio(first: np.ndarray, second: np.ndarray, paired: bool, margin: float, most: float) -> Inverted:
     """(second - first) / first of such means, from the same two intervals.
 
-    Its ends are where an end of the interval of second - r first is zero (Donner and Zou 2012, Stat. Methods Med. Res.
-    21, 347). Parameters as in `bounded_difference`.
+    Its ends are where an end of the interval of second - r first is zero (Donner and Zou 2012, Stat. Methods Med.
+    Res. 21, 347). Parameters as in `bounded_difference`.
 
     Raises
     ------

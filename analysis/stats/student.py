@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy import special
 
-from stickslip.analysis.stats.arguments import level
+from stickslip.analysis.arguments import level
 
 _LEAST_Z = 1e-4  # a quotient of quantiles nearer to the middle is that at this one, where rounding does not show
 

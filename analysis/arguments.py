@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import reprlib
+from collections.abc import Callable
 from numbers import Real
 from typing import TypeVar
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 _Kind = TypeVar("_Kind")
+_Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 def number(name: str, value: object, expected: str = "a number") -> float:
@@ -26,6 +28,20 @@ def number(name: str, value: object, expected: str = "a number") -> float:
     return float(value)
 
 
+def numbers(name: str, values: ArrayLike, expected: str) -> np.ndarray:
+    """An array of numbers, float64.
+
+    Raises
+    ------
+    ValueError
+        If it holds anything else.
+    """
+    found = np.asarray(values)
+    if found.dtype.kind not in "iuf":
+        raise ValueError(f"{name}: expected {expected}, got {reprlib.repr(values)}; give numbers")
+    return found.astype(np.float64)
+
+
 def instance(name: str, value: object, kind: type[_Kind]) -> _Kind:
     """An object of a type.
 
@@ -37,6 +53,19 @@ def instance(name: str, value: object, kind: type[_Kind]) -> _Kind:
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
         raise ValueError(f"{name}: expected {article} {kind.__name__}, got {reprlib.repr(value)}; give one")
+    return value
+
+
+def called(name: str, value: _Function, example: str) -> _Function:
+    """What can be called.
+
+    Raises
+    ------
+    ValueError
+        If it cannot.
+    """
+    if not callable(value):
+        raise ValueError(f"{name}: expected a function, got {reprlib.repr(value)}; give one, such as {example}")
     return value
 
 
