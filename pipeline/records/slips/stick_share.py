@@ -50,6 +50,6 @@ class StickShare(WindowRecord):
         sticks = events.mode_at(self.t_burn) == 0
         sticks[events.block[events.t > self.t_burn]] = False  # a block that sticks leaves first
         return {
-            "stick_share": np.diff(edges) @ n_stick / ((end - self.t_burn) * events.n),
+            "stick_share": min(np.diff(edges) @ n_stick / ((end - self.t_burn) * events.n), 1.0),  # but for rounding
             "never_slipped": sticks.mean(),
         }
