@@ -89,7 +89,9 @@ class Times(UnitSums):
     def median(self, confidence: float) -> Estimate:
         """The time by which half of the runs have it, by `models.fates.median`; else why there is none."""
         found = median(self.times, self.ended, confidence, self.of_unit)
-        return replace(found, reason=self._not_reached if found.value is None else "")
+        if found.value is None:
+            return replace(found, reason=self._not_reached)
+        return replace(found, reason="the runs do not reach an end of it" if None in (found.low, found.high) else "")
 
     @property
     def _not_reached(self) -> str:

@@ -278,7 +278,7 @@ def test_what_is_lost_is_known_by_column(text, tmp_path):
     scene = load_scene(written(tmp_path, scene.replace("n = [3, 4]", "n = [2, 3, 4]"), mine + other))
     run_ensemble(scene, tmp_path / "out", workers=0)
     lost = query.members(tmp_path / "out").set_index("n")["own_lost"]
-    assert lost.to_dict() == {2: pd.NA, 3: pd.NA, 4: "own,x"}
+    assert lost.to_dict() == {2: None, 3: None, 4: "own,x"}
     study = study_of(tmp_path / "out")
     problems = {name: {*column.problems} for name, column in study.data.recorded.items()}
     wrong = {row["member_id"] for _, row in study.data.members.iterrows() if row["n"] == 4}
