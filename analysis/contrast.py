@@ -86,10 +86,10 @@ class Bounded(Statistic):
     def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
         return mean_within(sums.rows, self.most, confidence, self.is_counted)
 
-    def difference(self, first: UnitSums, second: UnitSums, paired: bool) -> Inverted:
+    def difference(self, first: UnitSums, second: UnitSums, paired: bool) -> Compared | Inverted:
         return bounded_difference(first.rows, second.rows, paired, self.margin, self.most, self.is_counted)
 
-    def relative(self, first: UnitSums, second: UnitSums, paired: bool) -> Inverted:
+    def relative(self, first: UnitSums, second: UnitSums, paired: bool) -> Compared | Inverted:
         return bounded_ratio(first.rows, second.rows, paired, self.margin, self.most)
 
 

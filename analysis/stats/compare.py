@@ -399,12 +399,13 @@ def correlation(first: np.ndarray, second: np.ndarray) -> float:
 
 def bounded_difference(
     first: np.ndarray, second: np.ndarray, paired: bool, margin: float, most: float = 1.0, is_counted: bool = False
-) -> Inverted:
+) -> Compared | Inverted:
     """A mean of what lies between 0 and `most` in `second` minus that in `first`, by Newcombe from two of Wilson.
 
     The distance to an end is that of the two shares to the ends that count there, added as errors are: method 10 in
-    Newcombe (1998), Stat. Med. 17, 873 and 2635. If paired, phi is the correlation over matrices of what moves the
-    two shares, less Newcombe's correction, half a trial of their covariance.
+    Newcombe (1998), Stat. Med. 17, 873 and 2635. Of runs that have a property phi, if paired, is the correlation over
+    matrices of what moves the two shares, less Newcombe's correction, half a trial of their covariance. Other paired
+    numbers have Student's interval instead, with the degrees of freedom of their scatter, unless no pair differs.
 
     Parameters
     ----------
@@ -413,10 +414,16 @@ def bounded_difference(
     is_counted : bool
         Whether they are runs that have a property, of all runs.
     """
-    p, q, phi = _compared(first, second, paired, most, is_counted)
+    p, q = (Proportion.of(rows / [most, 1.0], is_counted) for rows in (first, second))
+    if paired and not is_counted and (test := _of_pairs(q.share - p.share, q.moved - p.moved, most, margin)):
+        return test
+    phi = correlation(p.moved, q.moved) if paired else 0.0
+    within = p.share * (1.0 - p.share) * q.share * (1.0 - q.share)
 
     def ends(z: float) -> tuple[float, float]:
-        (low_p, high_p), (low_q, high_q), rho = p.ends(z), q.ends(z), phi(z)
+        (low_p, high_p), (low_q, high_q), rho = p.ends(z), q.ends(z), phi
+        if phi > 0.0:
+            rho = max(phi - 0.5 / (p.scatter.at(z) * q.scatter.at(z) * within) ** 0.5, 0.0)
         low = _distance(q.share - low_q, high_p - p.share, rho)
         high = _distance(high_q - q.share, p.share - low_p, rho)
         return most * (q.share - p.share - low), most * (q.share - p.share + high)
@@ -424,50 +431,47 @@ def bounded_difference(
     return Inverted(most * (q.share - p.share), margin, ends)
 
 
-def bounded_ratio(first: np.ndarray, second: np.ndarray, paired: bool, margin: float, most: float) -> Inverted:
-    """(second - first) / first of such means, from the same two intervals.
+def bounded_ratio(
+    first: np.ndarray, second: np.ndarray, paired: bool, margin: float, most: float
+) -> Compared | Inverted:
+    """(second - first) / first of such means, from the same two intervals; parameters as in `bounded_difference`.
 
     Its ends are where an end of the interval of second - r first is zero (Donner and Zou 2012, Stat. Methods Med.
-    Res. 21, 347). Parameters as in `bounded_difference`.
+    Res. 21, 347). Paired numbers have Student's interval, as there.
 
     Raises
     ------
     Undefined
         If the first is zero.
     """
-    p, q, phi = _compared(first, second, paired, most, False)
+    p, q = (Proportion.of(rows / [most, 1.0]) for rows in (first, second))
     if not p.share:
         raise Undefined("the first value is zero, so there is no relative difference")
+    r = q.share / p.share
+    if paired and (test := _of_pairs(r - 1.0, (q.moved - r * p.moved) / p.share, 1.0, margin)):
+        return test
 
-    def terms(off_p: float, off_q: float, rho: float) -> tuple[float, float, float]:
-        b = p.share * q.share - rho * off_p * off_q
-        a, c = p.share**2 - off_p**2, q.share**2 - off_q**2
+    def terms(off_p: float, off_q: float) -> tuple[float, float, float]:
+        a, b, c = p.share**2 - off_p**2, p.share * q.share, q.share**2 - off_q**2
         return a, c, b + max(b * b - a * c, 0.0) ** 0.5
 
     def ends(z: float) -> tuple[float, float]:
-        (low_p, high_p), (low_q, high_q), rho = p.ends(z), q.ends(z), phi(z)
-        _, c, root = terms(high_p - p.share, q.share - low_q, rho)
+        (low_p, high_p), (low_q, high_q) = p.ends(z), q.ends(z)
+        _, c, root = terms(high_p - p.share, q.share - low_q)
         low = c / root if c > 0.0 else 0.0
-        a, _, root = terms(p.share - low_p, high_q - q.share, rho)
+        a, _, root = terms(p.share - low_p, high_q - q.share)
         return low - 1.0, (root / a if a > 0.0 else np.inf) - 1.0
 
-    return Inverted(q.share / p.share - 1.0, margin, ends)
+    return Inverted(r - 1.0, margin, ends)
 
 
-def _compared(
-    first: np.ndarray, second: np.ndarray, paired: bool, most: float, is_counted: bool
-) -> tuple[Proportion, Proportion, Callable[[float], float]]:
-    """Two means of what lies between 0 and `most`, as shares of it, and their correlation at a normal quantile."""
-    p, q = (Proportion.of(rows / [most, 1.0], is_counted) for rows in (first, second))
-    phi = correlation(p.moved, q.moved) if paired else 0.0
-    within = p.share * (1.0 - p.share) * q.share * (1.0 - q.share)
-
-    def at(z: float) -> float:
-        if phi <= 0.0:
-            return phi
-        return float(max(phi - 0.5 / (p.scatter.at(z) * q.scatter.at(z) * within) ** 0.5, 0.0))
-
-    return p, q, at
+def _of_pairs(value: float, moved: np.ndarray, unit: float, margin: float) -> Compared | None:
+    """Tests of a difference from what each matrix moves it by, shape (G,), both in a unit; None if nothing does."""
+    n, squares = len(moved), float(np.sum(moved**2))
+    if n < 2 or not squares:
+        return None
+    dof = float(student.dof_of_scatter(n, np.sum((moved**2 / squares) ** 2)))
+    return equivalence_test(unit * value, unit * (n / (n - 1) * squares) ** 0.5, dof, margin)
 
 
 def _distance(one: float, other: float, phi: float) -> float:

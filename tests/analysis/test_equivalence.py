@@ -8,6 +8,7 @@ from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import (
     Proportion,
     against,
+    bounded_difference,
     bounded_ratio,
     equivalence_test,
     mean_difference,
@@ -112,22 +113,28 @@ def test_rows_without_data_are_no_systems(rng):
 
 
 def test_a_ratio_of_bounded_means_inverts_the_interval_of_a_difference(rng):
-    """With paired shares a and b and r an end, an end of the interval of b - r a, by Newcombe, is zero."""
-    own = rng.beta(2, 5, 30)
-    rows = [np.column_stack([np.clip(own * f, 0, 1), np.ones(30)]) for f in (1.0, 1.2 + 0.2 * rng.random(30))]
+    """With shares a and b and r an end, an end of the interval of b - r a, by Newcombe, is zero."""
+    rows = [np.column_stack([rng.beta(2, b, 30), np.ones(30)]) for b in (5, 3)]
     z = stats.norm.isf(0.025)
-    for paired in (False, True):
-        test = bounded_ratio(*rows, paired, 0.1, 1.0)
-        p, q = (Proportion.of(some) for some in rows)
-        phi = np.corrcoef(*(some[:, 0] for some in rows))[0, 1] if paired else 0.0
-        phi = phi and phi - 0.5 / np.sqrt(np.prod([x.scatter.at(z) * x.share * (1 - x.share) for x in (p, q)]))
-        (low_p, high_p), (low_q, high_q) = p.ends(z), q.ends(z)
-        for end, off_q, off_p in zip(
-            test.interval(0.95), (q.share - low_q, high_q - q.share), (high_p - p.share, p.share - low_p), strict=True
-        ):
-            r = end + 1.0
-            width = np.sqrt(off_q**2 - 2 * phi * r * off_q * off_p + (r * off_p) ** 2)
-            assert abs(q.share - r * p.share) == pytest.approx(width, rel=1e-6)
-        assert test.interval(1 - test.p_different)[0] == pytest.approx(0.0, abs=1e-6)
+    test = bounded_ratio(*rows, False, 0.1, 1.0)
+    p, q = (Proportion.of(some) for some in rows)
+    (low_p, high_p), (low_q, high_q) = p.ends(z), q.ends(z)
+    low, high = (end + 1.0 for end in test.interval(0.95))
+    assert q.share - low * p.share == pytest.approx(np.hypot(q.share - low_q, low * (high_p - p.share)))
+    assert high * p.share - q.share == pytest.approx(np.hypot(high_q - q.share, high * (p.share - low_p)))
+    assert test.interval(1 - test.p_different)[0] == pytest.approx(0.0, abs=1e-6)
     with pytest.raises(Undefined, match="first value is zero"):
         bounded_ratio(0.0 * rows[0] + [0.0, 1.0], rows[1], True, 0.1, 1.0)
+
+
+def test_paired_means_differ_by_their_pairs(rng):
+    """Eight systems lose 0.1 to 0.4 of their blocks, from all of them: paired, that is far from none."""
+    lost = np.linspace(0.1, 0.4, 8)
+    first, second = (np.column_stack([3.0 * some, np.ones(8)]) for some in (np.ones(8), 1.0 - lost))
+    test, known = bounded_difference(first, second, True, 0.1, 3.0), stats.ttest_1samp(-3.0 * lost, 0.0)
+    assert (test.difference, test.p_different) == (pytest.approx(-0.75), pytest.approx(known.pvalue))
+    assert bounded_ratio(first, second, True, 0.1, 3.0).interval(0.95) == pytest.approx(
+        [end / 3.0 for end in test.interval(0.95)]
+    )
+    low, high = bounded_difference(first, first, True, 0.1, 3.0).interval(0.95)
+    assert low == -high < -0.1  # none differs, of so few
