@@ -294,7 +294,7 @@ FEWER = {"rhythm": 20, "definitions": 100, "methods": 250, "counting": 150}
 )
 def test_intervals_cover_what_was_planted(name, random_seed):
     rows = studies.study(name, random_seed, FEWER.get(name, 300))
-    # an interval without ends, where there can be no other, holds all, and so may one for whatever censored the times,
+    # an interval without ends, where there can be no other, holds all; so may one for whatever censored the times,
     # or of what no system has
     most = 1.0 if name in ("components", "parting", *BOUNDED) else 0.97
     missed = [row for row in rows if not row.is_covered(LEAST.get(name, 0.93), most)]
