@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 
 import numpy as np
 import pandas as pd
@@ -60,20 +60,24 @@ def _data(opened: Opened, whole: bool = False) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
     scene, names = opened.scene, scalar_names(opened)
     kept = [column for record in scene.records_in_order for column in record.kept if column.is_number]
-    values, said = {one.name: list[np.ndarray]() for one in kept}, dict[str, str]()
+    values, problems = {one.name: list[np.ndarray]() for one in kept}, dict[str, dict[str, str]]()
+    own = () if scene.own_record is None else scene.own_record.kept
 
     def prepared(part: pd.DataFrame) -> pd.DataFrame:
         for name, columns in values.items():
             columns.append(part[name].to_numpy(np.float64, na_value=np.nan))
-        if scene.own_record is not None:
+        if own:
             some = part[part["own_problem"].notna()]
-            said.update(zip(some["member_id"], some["own_problem"].map(printable), strict=True))
+            # data of an earlier version do not say of which columns: of any
+            lost = some["own_lost"] if "own_lost" in some else [",".join(one.name for one in own)] * len(some)
+            for member_id, why, names in zip(some["member_id"], some["own_problem"], lost, strict=True):
+                for name in names.split(","):
+                    problems.setdefault(name, {})[member_id] = printable(why)
         return _prepared(scene, part)
 
     asked = [name for name in names if whole or name not in _UNASKED]
     table = Members.of(map(prepared, members_in_parts(opened, asked)))
     pa.default_memory_pool().release_unused()  # else what reading took would stay taken, 150 bytes a member
-    problems = _own_problems(scene, said)
     recorded = {
         one.name: Recorded(
             printable(one.words),
@@ -86,6 +90,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             one.kind == "yes or no",
             one.until and Until(one.until.start(scene.record_t_burn)),
             one.of_gaps,
+            one.most,
         )
         for one in kept
     }
@@ -120,17 +125,6 @@ def _prepared(scene: Scene, table: pd.DataFrame) -> pd.DataFrame:
         if name in table and table[name].notna().any():
             table[name] = table[name].map(printable if name == "reason" else _drawable, na_action="ignore")
     return table
-
-
-def _own_problems(scene: Scene, said: Mapping[str, str]) -> dict[str, dict[str, str]]:
-    """Why functions of the user's own gave no value, by column and member_id, from what was said of each member."""
-    if scene.own_record is None:
-        return {}
-    return {
-        column.name: {member_id: why for member_id, why in said.items() if own.lacks(column, why)}
-        for own in scene.own_record.functions
-        for column in own.columns
-    }
 
 
 def _drawable(text: str) -> str:

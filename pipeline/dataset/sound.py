@@ -162,7 +162,7 @@ class Sound:
             return 0, self._n - column.is_index
         if column.is_index:
             return 0, self._n - 1
-        return column.least, None
+        return column.least, column.most
 
     def _fault_of_thresholds(self, column: Column, array: pa.Array) -> str:
         t, level = (pc.struct_field(_flat(array), name) for name in ("t", "n_stick"))

@@ -21,7 +21,8 @@ def alternating_runs(rng, n_steps, gamma, t_end=T_END, level=100):
     signs = rng.choice([-1, 1]) * (-1) ** np.arange(n_steps)
     steps = np.repeat(signs, lengths)[:n_steps]
     t = np.sort(rng.uniform(0, t_end, n_steps))
-    return np.concatenate(([0.0], t)), level + np.concatenate(([0], np.cumsum(steps)))
+    path = np.concatenate(([0], np.cumsum(steps)))
+    return np.concatenate(([0.0], t)), max(level, -path.min()) + path  # never fewer than no block
 
 
 def member(member_id, matrix, **changes):

@@ -8,6 +8,7 @@ import pytest
 
 from stickslip.analysis import Data, Study
 from stickslip.analysis.burn_in import estimates, geweke, with_enough
+from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.questions.runs import fates
 from stickslip.analysis.report.formats import environment
 from tests.chance import SURE, agrees
@@ -92,6 +93,24 @@ def test_estimates_for_other_values_of_t_burn_and_the_first_that_is_enough(plant
     assert gammas[T_BURN] == pytest.approx(gamma_of(group))
     (row,) = with_enough(geweke(study, study.groups), rows, 1 - SURE)
     assert row["t_enough"] in (212.5, 325.0, 550.0)
+
+
+def test_what_is_averaged_is_tested(planted, settings, rng):
+    """Four in five runs stop at t = 200, quiet: no mean of n_stick has them, but one of a number of each run does."""
+    data, sure = ensemble(planted, rng, 0.0), replace(settings, confidence=SURE)
+    ended = {}
+    for k, (name, (t, n_stick)) in enumerate(data.series.items()):
+        ended[name] = (t[:201], np.append(n_stick[:200], 0)) if k % 5 else (t, n_stick)
+    alone = Data(data.members, ended)
+    (row,) = of_groups(alone, sure)
+    assert (row["n_runs"], row["n_members"], row["n_systems"], row["is_short"]) == (4, 20, 4, False)
+    numbers = {"heat": Recorded("heat", dict.fromkeys(ended, 1.0))}
+    study = Study(Data(data.members, ended, recorded=numbers), sure)
+    (row,) = geweke(study, study.groups)
+    assert (row["n_runs"], row["n_members"], row["n_systems"], row["is_short"]) == (20, 20, 20, True)
+    mean = [row for row in estimates(study, study.groups) if row["quantity"] == "mean" and row["is_chosen"]]
+    assert [row["n_systems"] for row in mean] == [20]
+    assert fates.answer(study).tables["burn_in"]["n_runs"].tolist() == [20]
 
 
 def gamma_of(group):

@@ -105,9 +105,10 @@ def answer(study: Study) -> Answer:
     followed = runs[runs["fate"] != FAILED] if len(failed) else runs
     drawn = _of_draws(study.groups, DRAWN, followed, members["unit"])
     shifts = _shifts(study.groups, level)
-    in_motion = sorted((group for group in study.groups if group.n_runs), key=lambda group: -int(group.key["n"]))
-    by_t_burn = burn_in.estimates(study, in_motion)
-    tested = burn_in.with_enough(burn_in.geweke(study, in_motion), by_t_burn, 1 - level)
+    averaged = [group for group in study.groups if len(burn_in.averaged(study, group))]
+    averaged.sort(key=lambda group: -int(group.key["n"]))
+    by_t_burn = burn_in.estimates(study, averaged)
+    tested = burn_in.with_enough(burn_in.geweke(study, averaged), by_t_burn, 1 - level)
     short = [row for row in tested if row["is_short"]]
     drawable = burn_in.drawable(by_t_burn)
     facts: dict[str, Any] = {

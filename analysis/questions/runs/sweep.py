@@ -397,13 +397,15 @@ def _value_row(point: Point, setting: str, axes: Sequence[Axis], asked: Sequence
     names = [key for axis in axes for key in axis.keys]
     keys = dict(zip(names, chain.from_iterable(point.at.values()), strict=True))
     estimates = [named(name, estimate(of, [point], confidence)) for name, of in _OF.items()]
+    measured = [estimate(one.statistic, [point], confidence) for one in asked]
     return {
         "setting": setting, "group": point.group.label, "at": ", ".join(map(as_text, point.at.values())), **keys,
         "n_units": len(point.group.units), "n_runs": sum(point.fates[name] for name in WATCHED),
         **{f"n_{name}": n for name, n in point.fates.items()},
         **ChainMap(*estimates),
         "basis": point.group.basis(confidence).code,
-        **ChainMap(*(named(_cell(k), estimate(one.statistic, [point], confidence)) for k, one in enumerate(asked))),
+        **ChainMap(*(named(_cell(k), one) for k, one in enumerate(measured))),
+        "reasons": [one.reason for one in measured],
         **{f"{_cell(k)}_runs": len(point.group) - len(point.values[one.name].missing) for k, one in enumerate(asked)},
         **{f"{_cell(k)}_censored": point.values[one.name].n_censored for k, one in enumerate(asked)},
         "values": [point.values[one.name] for one in asked],
@@ -418,10 +420,11 @@ def _cell(k: int) -> str:
 def _measured(rows: Sequence[Row], asked: Sequence[Measure]) -> Iterator[Row]:
     """Rows of the table `sweep_measures`: each measure at each point."""
     for row in rows:
-        for k, (one, values) in enumerate(zip(asked, row["values"], strict=True)):
+        for k, (one, values, why) in enumerate(zip(asked, row["values"], row["reasons"], strict=True)):
             yield row | {f"estimate{end}": row[f"{_cell(k)}{end}"] for end in ("", "_low", "_high")} | {
                 "measure": one.name, "words": one.words or None, "n_units": len(values.sums),
-                "n_censored": values.n_censored, "n_without": len(values.missing), "reason": values.withheld or None,
+                "n_censored": values.n_censored, "n_without": len(values.missing),
+                "reason": values.withheld or why or None,
             }  # fmt: skip
 
 
@@ -460,6 +463,7 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
         "withheld": [
             {"subject": one.subject, "why": why, "at": [point.group.label for point in some]}
             for one in asked
+            if one.name not in KEYS  # an alert of their own says it
             for why, some in _withheld(one, every).items()
         ],
         "cells": [cell for name, key, is_cut, lacks in shown

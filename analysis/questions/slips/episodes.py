@@ -46,7 +46,7 @@ from stickslip.analysis.models.episodes import (
     follows,
 )
 from stickslip.analysis.questions.runs.sweep import FALLS, RISES
-from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, relative_difference
+from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, mean_within, relative_difference
 from stickslip.analysis.stats.enough import DRIFTS
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import parameter
@@ -257,7 +257,7 @@ def _sizes(one: Catalogues, level: float) -> list[Row]:
     for size in np.unique((1.5 ** np.arange(np.log(most) / np.log(1.5))).astype(int)):
         sums = np.array([[np.count_nonzero(some >= size), len(some)] for some in runs], dtype=np.float64)
         if sums[:, 0].sum() >= FEWEST:
-            share = named("share", over_matrices(ratio, sums, level))
+            share = named("share", mean_within(sums, 1.0, level))
             rows.append({"group": one.label, "size": int(size), "n_episodes": int(sums[:, 0].sum()), **share})
     return rows
 
