@@ -204,7 +204,7 @@ def _edges(system: System, series: EventSeries) -> Floats:
     fall = 0.0
     if system.weakening is not None:
         fall = _BENDS * system.weakening.steepness * (system.static / system.mass).max()
-    slow, fast = lasting.rates.max() + fall, unit.rates.max() + fall
+    slow, fast = lasting.fastest_rate + fall, unit.fastest_rate + fall
     if slow < fast:
         instants = _graded(instants, _REACH / fast, _REACH / max(slow, 1e-300))
     return _divided(instants, np.ceil(np.diff(instants) * (slow / _REACH)))

@@ -69,7 +69,7 @@ class Steps:
         """Between edges, from the modes between them: one step where all blocks stick."""
         assert system.weakening is not None
         near, far = system.slip_friction
-        rate = system.rates.max() + system.weakening.steepness * (near - far).max()
+        rate = system.fastest_rate + system.weakening.steepness * (near - far).max()
         lengths = np.diff(edges)
         counts = np.where(modes.any(axis=1), np.ceil(lengths * (rate / _STEP)), 1.0)
         counts = np.maximum(counts, 1.0).astype(np.intp)
@@ -134,7 +134,7 @@ class Path:
         t, z, w = np.append(one.t, other.t), np.concatenate([one.z, other.z]), np.concatenate([one.w, other.w])
         steady = drift / (self.states.t[-1] - t[0])
         apart = z - z[0] - np.outer(t - t[0], steady), w - w[0]
-        fastest = float(self.system.rates.max()) or 1.0
+        fastest = self.system.fastest_rate or 1.0
         sizes = (*apart, (w - steady) / fastest, self._slip_rates / fastest)
         return float(max(np.abs(size).max() for size in sizes))
 

@@ -81,7 +81,7 @@ def growth(
     is_forced : bool
         Whether a force depends on time.
     """
-    n, fastest = system.n, float(system.rates.max()) or 1.0
+    n, fastest = system.n, system.fastest_rate or 1.0
     t, end = times
     length, total, apart = _FIRST * (end - t), 0.0, 0.0
     known: NDArray[np.int8] | None = modes

@@ -134,7 +134,7 @@ class _End:
         self._w = np.where(self._mode == 0, self._v, run.w)
         self._frequencies = frequencies_of(system)
         #: the shortest period that blocks can have: times are at one instant, or not, in units of it
-        self._fastest = 2.0 * math.pi / float(system.rates.max()) if system.rates.any() else 1.0
+        self._fastest = 2.0 * math.pi / system.fastest_rate if system.fastest_rate > 0.0 else 1.0
         #: where what follows begins: the time matters only where the drive depends on it
         self._start = run.t_end if system.changes else 0.0
 

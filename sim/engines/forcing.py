@@ -275,7 +275,7 @@ class Drive:
 
     def _cut(self, start: float, ends: list[float]) -> Iterator[tuple[float, bool]]:
         """The ends of pieces, each divided where it would be too long, and whether each is the last."""
-        rate = float(self._system.rates.max())
+        rate = self._system.fastest_rate
         for k, end in enumerate(ends):
             parts = 1
             if self._moves and rate > 0 and end > start:

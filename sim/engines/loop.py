@@ -54,7 +54,7 @@ class Events(NamedTuple):
     @classmethod
     def blank(cls, capacity: int, several: int = 1) -> Events:
         """Buffers for so many events; each of them, and each start, can begin or end an all-stuck interval."""
-        (t, error), all_stuck = np.zeros((2, capacity)), np.empty((2, capacity + several))
+        (t, error), all_stuck = np.empty((2, capacity)), np.empty((2, capacity + several))
         return cls(t, np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8), error, all_stuck)
 
     def part(self, first: int, last: int) -> Events:

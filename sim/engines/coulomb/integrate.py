@@ -85,7 +85,7 @@ def _alone(engine: Coulomb, task: Task) -> Run:
 
 
 def _by_series(task: Task, engine: Coulomb) -> Run:
-    return _Runs([task], engine).go_on(0, None)
+    return _Runs([task], engine, may_be_heavy=True).go_on(0, None)
 
 
 def _shortest(rates: Floats, static: Floats, near: Floats) -> Floats:
@@ -103,12 +103,12 @@ def _followed(system: System, tol: float) -> float:
 
 
 class _Runs(Several):
-    """By series."""
+    """By series; `may_be_heavy` only of one task, as is a sparse K."""
 
     shortest: Floats
     method = "Taylor series"
 
-    def __init__(self, tasks: Sequence[Task], engine: Coulomb) -> None:
+    def __init__(self, tasks: Sequence[Task], engine: Coulomb, may_be_heavy: bool = False) -> None:
         self.tasks, self.engine = tasks, engine
         self.tols = np.array([engine.tol_of_series(task.system, task.length) for task in tasks])
         systems = self.systems = [task.system for task in tasks]
@@ -123,7 +123,7 @@ class _Runs(Several):
         pairs = Pairs.of([one.stiffness for one in systems], row_sums)
         models = [Model.of(*parts) for parts in zip(systems, pairs, self.drives, strict=True)]
         self.models: Model = loop.stack(models)
-        self.rates, self.shortest = rates.max(axis=1), _shortest(rates, static, near)
+        self.rates, self.shortest = np.array([one.fastest_rate for one in systems]), _shortest(rates, static, near)
         u = np.array([task.w0 for task in tasks]) - self.models.belt_speed
         mode, weakening, n_shapes = np.sign(u).astype(np.int8), systems[0].weakening, 0
         if weakening is not None:
@@ -142,15 +142,14 @@ class _Runs(Several):
         self.expansions = Expansion.blank(mode, n_shapes)
         if tasks[0].modes is not None:
             self.expansions.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
-        self.decays = np.array([0.5 * max(0.0, one.damping.min()) for one in systems]) * (weakening is None)
+        self.decays = np.array([0.5 * max(0.0, one.least_damping) if weakening is None else 0.0 for one in systems])
         self.bounds, self.lengths = np.empty(len(tasks)), np.array([drive.length for drive in self.drives])
         self.collapse = [
             Collapse(task.system, _followed(task.system, tol), cost=control.certificate(task))
             for task, tol in zip(tasks, self.tols.tolist(), strict=True)
         ]
         self.slips = np.array([one.precheck.slip for one in self.collapse])
-        # only one alone may have heavily damped blocks, or a sparse K
-        self.slow = Slow.of(systems[0], self.drives[0].fastest) if len(tasks) == 1 and weakening is None else None
+        self.slow = Slow.of(systems[0], self.drives[0].fastest) if may_be_heavy and weakening is None else None
         is_dense = isinstance(systems[0].stiffness, np.ndarray) or self.drives[0].is_forced or weakening is not None
         self.locally = None if is_dense or self.slow is not None else self._locally()
 
@@ -210,7 +209,7 @@ class _Runs(Several):
 
 def _beyond_float64(task: Task, by_series: bool) -> str:
     """Which numbers of a task the method cannot follow, since what it takes of them leaves float64; "" if it can."""
-    rate, most = float(task.system.rates.max()), float(task.system.friction.max())
+    rate, most = task.system.fastest_rate, task.system.most_friction
     if 0.0 < most < _FAINTEST:
         return f"friction of at least {_FAINTEST:g}, or none, got {most:.3g}"
     if by_series and rate < _SLOWEST and rate * task.length > _FOLLOWED:

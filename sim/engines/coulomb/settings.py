@@ -83,9 +83,8 @@ class Coulomb(Engine):
 
         Until damping has made errors fade, or to the end.
         """
-        damping = float(system.damping.min())
-        lasting = min(length, 1.0 / damping) if damping > 0.0 else length
-        return max(1.0, float(system.rates.max()) * lasting / MEMORY)
+        lasting = min(length, 1.0 / system.least_damping) if system.least_damping > 0.0 else length
+        return max(1.0, system.fastest_rate * lasting / MEMORY)
 
     def tol_of_series(self, system: System, length: float) -> float:
         """The tolerance of a step of series."""
