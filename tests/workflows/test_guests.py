@@ -1,0 +1,139 @@
+"""A stranger's entry in each table, as the guide says to add it, runs with all entries of the other tables."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.scenes import own_law
+from tests.workflows.test_docs import ROOT, blocks, page
+
+SECOND = '''"""The exact engine by another name."""
+
+from dataclasses import dataclass
+
+from stickslip.sim.engines.coulomb.settings import Coulomb
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Second(Coulomb):
+    """As `Coulomb`."""
+
+    name = "second"
+    about = "exact, by another name."
+'''
+
+
+def edit(file: Path, *changes: tuple[str, str]) -> None:
+    text = file.read_text()
+    for old, new in changes:
+        assert text.count(old) == 1, (file, old, text.count(old))
+        text = text.replace(old, new)
+    file.write_text(text)
+
+
+def add_engines(root: Path) -> None:
+    """The guide's own, which takes the guide's term too, and a second exact one."""
+    engines, drag = root / "sim" / "engines", "- system.drag * np.abs(w) * w - friction])"
+    smooth = blocks(page("extending"), "python")[5].replace("- friction])", drag)
+    smooth = smooth.replace("    eps: float", '    takes = frozenset({"drag"})\n\n    eps: float')
+    (engines / "fixed_step.py").write_text(smooth)
+    (engines / "second.py").write_text(SECOND)
+    line = "from stickslip.sim.engines.moreau.settings"
+    edit(
+        engines / "__init__.py",
+        (line, f"from stickslip.sim.engines.fixed_step import FixedStep\n{line}"),
+        ("import Moreau\n", "import Moreau\nfrom stickslip.sim.engines.second import Second\n"),
+        ("        Moreau,\n", "        Moreau,\n        FixedStep,\n        Second,\n"),
+    )
+
+
+def add_term(root: Path) -> None:
+    """The guide's row, and its place in `System`."""
+    systems = root / "sim" / "systems"
+    row = blocks(page("extending"), "python")[0].strip()
+    edit(systems / "terms.py", ("\n)\n\n#: The arguments", f"\n    {row},\n)\n\n#: The arguments"))
+    edit(
+        systems / "system.py",
+        ("    closed: NDArray[np.int8]\n", "    closed: NDArray[np.int8]\n    drag: Floats\n"),
+        ("        back_slip: bool = True,\n    ) -> None:", "        back_slip: bool = True,\n"
+         "        drag: ArrayLike = 0.0,\n    ) -> None:"),
+        ('        object.__setattr__(self, "force", forces', '        object.__setattr__(self, "drag", per_block("drag",'
+         ' drag, n))\n        object.__setattr__(self, "force", forces'),
+        ('            "mass": self.mass,\n', '            "mass": self.mass,\n            "drag": self.drag,\n'),
+        ("            mass=1.0,\n", "            mass=1.0,\n            drag=self.drag * share,\n"),
+        ('BEYOND = {\n', 'BEYOND = {\n    "drag": Beyond(\n        lambda system: bool(system.drag.any()),\n'
+         '        "drag", "none, as {} needs", lambda system: show.span(system.drag),\n    ),\n'),
+    )  # fmt: skip
+
+
+def add_law(root: Path) -> None:
+    """The guide's own, as it says to make one known to scenes."""
+    folder = root / "sim" / "systems" / "weakening"
+    said = blocks(page("extending"), "python")[-1]
+    said = "".join(f"    {line}\n" for line in said.splitlines())
+    law = re.sub(r"    sharpness: float = parameter\(.*\n", said, own_law())
+    (folder / "lorentz.py").write_text(law)
+    line = "from stickslip.sim.systems.weakening.rational"
+    edit(
+        folder / "__init__.py",
+        (line, f"from stickslip.sim.systems.weakening.lorentz import Lorentz\n{line}"),
+        ("        Stribeck,\n", "        Stribeck,\n        Lorentz,\n"),
+    )
+
+
+def add_coupling(root: Path) -> None:
+    entry = "".join(f"    {line}\n" for line in blocks(page("extending"), "python")[2].splitlines())
+    head = "COUPLINGS: dict[str, Coupling] = {\n"
+    edit(root / "sim" / "systems" / "couplings.py", (head, head + entry))
+
+
+def add_record(root: Path) -> None:
+    records, line = root / "pipeline" / "records", "from stickslip.pipeline.records.outcome"
+    (records / "motion" / "largest.py").write_text(blocks(page("extending"), "python")[1])
+    edit(
+        records / "__init__.py",
+        (line, f"from stickslip.pipeline.records.motion.largest import Largest\n{line}"),
+        ("    AttractorRecord,\n", "    AttractorRecord,\n    Largest,\n"),
+    )
+
+
+def add_question(root: Path) -> None:
+    analysis = root / "analysis"
+    (analysis / "questions" / "slips" / "pauses.py").write_text(blocks(page("extending"), "python")[3])
+    (analysis / "report" / "templates" / "pauses.html").write_text(blocks(page("extending"), "jinja")[0])
+    edit(analysis / "questions" / "__init__.py", ('"one_run": "runs",', '"one_run": "runs", "pauses": "slips",'))
+
+
+@pytest.fixture(scope="module")
+def house(tmp_path_factory):
+    """The package with a guest in every table, and how to run Python there."""
+    root = tmp_path_factory.mktemp("house")
+    shutil.copytree(ROOT / "stickslip", root / "stickslip", symlinks=True)
+    for folder in ("sim", "pipeline", "analysis", "workflows"):
+        shutil.copytree(ROOT / folder, root / folder, ignore=shutil.ignore_patterns("__pycache__"))
+    for add in (add_engines, add_term, add_law, add_coupling, add_record, add_question):
+        add(root)
+    shutil.copy(Path(__file__).with_name("guests.py"), root)
+
+    def python(*arguments):
+        environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+        return subprocess.run(
+            [sys.executable, *arguments], cwd=root, env=environment, capture_output=True, text=True, check=False
+        )
+
+    return python
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["coupling", "law", "term", "record"])
+def test_all_run_with_all_guests(kind, house, tmp_path):
+    """Guests of the other tables, engines and questions among them, are in each scene."""
+    done = house("guests.py", str(tmp_path), kind)
+    said = done.stdout.splitlines()
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert sum(line.endswith(": done") for line in said) >= 4
