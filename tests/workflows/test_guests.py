@@ -57,27 +57,29 @@ def add_term(root: Path) -> None:
     systems = root / "sim" / "systems"
     row = blocks(page("extending"), "python")[0].strip()
     edit(systems / "terms.py", ("\n)\n\n#: The arguments", f"\n    {row},\n)\n\n#: The arguments"))
+    force = '        object.__setattr__(self, "force", forces'
+    drag = '        object.__setattr__(self, "drag", per_block("drag", drag, n))\n'
+    beyond = (
+        '    "drag": Beyond(\n        lambda system: bool(system.drag.any()),\n        "drag", "none, as {} needs",'
+        " lambda system: show.span(system.drag),\n    ),\n"
+    )
+    end = "        back_slip: bool = True,\n"
     edit(
         systems / "system.py",
         ("    closed: NDArray[np.int8]\n", "    closed: NDArray[np.int8]\n    drag: Floats\n"),
-        ("        back_slip: bool = True,\n    ) -> None:", "        back_slip: bool = True,\n"
-         "        drag: ArrayLike = 0.0,\n    ) -> None:"),
-        ('        object.__setattr__(self, "force", forces', '        object.__setattr__(self, "drag", per_block("drag",'
-         ' drag, n))\n        object.__setattr__(self, "force", forces'),
+        (f"{end}    ) -> None:", f"{end}        drag: ArrayLike = 0.0,\n    ) -> None:"),
+        (force, drag + force),
         ('            "mass": self.mass,\n', '            "mass": self.mass,\n            "drag": self.drag,\n'),
         ("            mass=1.0,\n", "            mass=1.0,\n            drag=self.drag * share,\n"),
-        ('BEYOND = {\n', 'BEYOND = {\n    "drag": Beyond(\n        lambda system: bool(system.drag.any()),\n'
-         '        "drag", "none, as {} needs", lambda system: show.span(system.drag),\n    ),\n'),
-    )  # fmt: skip
+        ("BEYOND = {\n", f"BEYOND = {{\n{beyond}"),
+    )
 
 
 def add_law(root: Path) -> None:
     """The guide's own, as it says to make one known to scenes."""
     folder = root / "sim" / "systems" / "weakening"
-    said = blocks(page("extending"), "python")[-1]
-    said = "".join(f"    {line}\n" for line in said.splitlines())
-    law = re.sub(r"    sharpness: float = parameter\(.*\n", said, own_law())
-    (folder / "lorentz.py").write_text(law)
+    field = "".join(f"    {line}\n" for line in blocks(page("extending"), "python")[-1].splitlines())
+    (folder / "lorentz.py").write_text(re.sub(r"    sharpness: float = parameter\(.*\n", field, own_law()))
     line = "from stickslip.sim.systems.weakening.rational"
     edit(
         folder / "__init__.py",
@@ -127,6 +129,46 @@ def house(tmp_path_factory):
         )
 
     return python
+
+
+#: A page by the exact engine, and one by the same engine under another name.
+TWO_PAGES = """
+import sys
+from dataclasses import dataclass
+from stickslip.sim import engines
+from stickslip.sim.engines.coulomb.settings import Coulomb
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Another(Coulomb):
+    name = "another"
+    about = "exact, by another name."
+
+engines.ENGINES["another"] = Another
+
+from guests import ALL, TWINS, scene
+from stickslip.analysis.report import page
+from stickslip.pipeline import parse_scene, run_ensemble
+from stickslip.workflows import reporting
+from tests.statements.__main__ import sentences
+
+page.draw = lambda *_, **__: page.Drawn("<svg/>")
+for name in ("coulomb", "another"):
+    text = scene("static = 1.3", [name], TWINS, ALL).replace("t_end = 12.0", "t_end = 60.0")
+    run_ensemble(parse_scene(text), f"{sys.argv[1]}/{name}/page", workers=0)
+    print(*sentences(reporting.report(f"{sys.argv[1]}/{name}/page").html), "--", sep="\\n")
+"""
+
+
+def test_an_exact_engine_by_another_name_gives_the_same_page(tmp_path):
+    """All records and questions but for the name; whatever is of the exact law is of both."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(ROOT), str(Path(__file__).parent)))}
+    done = subprocess.run(
+        [sys.executable, "-c", TWO_PAGES, str(tmp_path)], env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    first, second, _ = done.stdout.replace("coulomb", "another").replace("exact", "another").split("--\n")
+    assert len(first) > 1000
+    assert first == second.replace("exact", "another")
 
 
 @pytest.mark.long
