@@ -26,7 +26,13 @@ from tests.workflows.test_terms import BESIDE
 KEPT = [record.name for record in RECORDS if record.words and not (record.is_step or record.is_named)]
 ALL = "\n".join(["[record]", *(f"{name} = true" for name in KEPT), "separation = 0.5\ndt = 0.1"])
 TWINS = "[twins]\nsizes = [1e-3]"
-OF_ENGINE = {"moreau": "step = 0.05", "fixed_step": "step = 0.02", "sigmoid": "thresholds = [0.5]"}
+OF_ENGINE = {
+    "moreau": "step = 0.05",
+    "fixed_step": "step = 0.02",
+    "sigmoid": "thresholds = [0.5]",
+    "second": "accuracy = 1e-8",
+    "a_soft": "softness = 0.1",
+}
 ASKED = ", ".join(f'"{name}"' for name in QUESTIONS)
 
 

@@ -9,22 +9,51 @@ from pathlib import Path
 
 import pytest
 
+from stickslip.pipeline import parse_scene, run_ensemble
 from tests.scenes import own_law
 from tests.workflows.test_docs import ROOT, blocks, page
 
-SECOND = '''"""The exact engine by another name."""
+#: What ships, under other names: an exact engine, and a smoothed law with a setting for its width.
+OTHERS = '''"""Engines with settings of their own."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from stickslip.sim.engines.contract import Engine, Task, setting
 from stickslip.sim.engines.coulomb.settings import Coulomb
+from stickslip.sim.engines.sigmoid.settings import Sigmoid
+from stickslip.sim.engines.tolerances import TOL, WIDTH
+from stickslip.sim.runs.run import Run
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Second(Coulomb):
+class Second(Engine):
     """As `Coulomb`."""
 
     name = "second"
     about = "exact, by another name."
+    is_exact = True
+    keeps_stills = True
+    takes = Coulomb.takes
+
+    accuracy: float = setting(1e-10, replace(TOL, words="error of a step", in_all=False))
+
+    def integrate(self, task: Task) -> Run:
+        return Coulomb(tol=self.accuracy).integrate(task)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Soft(Engine):
+    """As `Sigmoid`."""
+
+    name = "a_soft"
+    about = "smoothed, by another name."
+    keeps_stills = True
+    takes = Sigmoid.takes
+
+    softness: float = setting(0.05, replace(WIDTH, words="width of the layer", column="", symbol="", in_all=False))
+
+    def integrate(self, task: Task) -> Run:
+        return Sigmoid(eps=self.softness).integrate(task)
 '''
 
 
@@ -37,18 +66,18 @@ def edit(file: Path, *changes: tuple[str, str]) -> None:
 
 
 def add_engines(root: Path) -> None:
-    """The guide's own, which takes the guide's term too, and a second exact one."""
+    """The guide's own, which takes the guide's term too, and two with settings of their own."""
     engines, drag = root / "sim" / "engines", "- system.drag * np.abs(w) * w - friction])"
     smooth = blocks(page("extending"), "python")[5].replace("- friction])", drag)
     smooth = smooth.replace("    eps: float", '    takes = frozenset({"drag"})\n\n    eps: float')
     (engines / "fixed_step.py").write_text(smooth)
-    (engines / "second.py").write_text(SECOND)
+    (engines / "others.py").write_text(OTHERS)
     line = "from stickslip.sim.engines.moreau.settings"
     edit(
         engines / "__init__.py",
         (line, f"from stickslip.sim.engines.fixed_step import FixedStep\n{line}"),
-        ("import Moreau\n", "import Moreau\nfrom stickslip.sim.engines.second import Second\n"),
-        ("        Moreau,\n", "        Moreau,\n        FixedStep,\n        Second,\n"),
+        ("import Moreau\n", "import Moreau\nfrom stickslip.sim.engines.others import Second, Soft\n"),
+        ("        Moreau,\n", "        Moreau,\n        FixedStep,\n        Second,\n        Soft,\n"),
     )
 
 
@@ -179,3 +208,27 @@ def test_all_run_with_all_guests(kind, house, tmp_path):
     said = done.stdout.splitlines()
     assert done.returncode == 0, done.stdout + done.stderr
     assert sum(line.endswith(": done") for line in said) >= 4
+
+
+@pytest.mark.long
+def test_what_was_there_before_stays(house, tmp_path):
+    """A scene without guests is the same, with the same columns, and its dataset opens, reports and is compared."""
+    source = (ROOT / "workflows" / "scenes" / "quick.toml").read_text().replace("n = [20, 100]", "n = 5")
+    scene = parse_scene(source)
+    (tmp_path / "quick.toml").write_text(source)
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    columns = [column.name for column in scene.recording.columns]
+    show = """
+import sys
+from stickslip.pipeline import load_scene, query, verify
+from stickslip.workflows import reporting
+folder = sys.argv[1]
+scene = load_scene(f"{folder}/quick.toml")
+print(scene.hash, *(column.name for column in scene.recording.columns))
+reporting.write(reporting.report(f"{folder}/out"), f"{folder}/out")
+reporting.compared(f"{folder}/out", f"{folder}/out")
+print(verify(f"{folder}/out"), len(query.members(f"{folder}/out")))
+"""
+    done = house("-c", show, str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == [scene.hash, *columns, "[]", str(scene.n_members)]
