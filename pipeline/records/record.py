@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
@@ -65,6 +65,8 @@ class Made:
         Runs another member, sampled at some times: `again(member, times)` gives its `Samples`.
     found : dict of str to object
         What records before this one computed, by column.
+    stop_early : bool or "always"
+        As in `stickslip.simulate`, for what runs it again: a test for collapse may change the last digits.
     """
 
     member: Member
@@ -73,6 +75,7 @@ class Made:
     start: tuple[Any, Any]
     again: Callable[[Any, tuple[float, ...]], Samples]
     found: dict[str, Any]
+    stop_early: bool | str
 
     @property
     def contact_events(self) -> EventSeries:
@@ -141,6 +144,8 @@ class Record(ABC):
         Whether it needs runs that are tested for collapse whenever all blocks slip.
     is_of_exact : bool
         Whether it is of runs of the exact law alone.
+    needs_stills : bool
+        Whether it reads `Run.stills`, which all engines of a scene have to keep then.
     is_of_contacts : bool
         Whether it leaves out blocks without friction; how many have some is then kept beside it.
     """
@@ -156,6 +161,7 @@ class Record(ABC):
     is_shared: ClassVar[bool] = False
     is_certified: ClassVar[bool] = False
     is_of_exact: ClassVar[bool] = False
+    needs_stills: ClassVar[bool] = False
     is_of_contacts: ClassVar[bool] = False
     needs: ClassVar[frozenset[str]] = frozenset({"run"})
 
@@ -191,6 +197,9 @@ class Record(ABC):
 
     def problem(self, facts: Facts) -> str:
         """Why it does not apply to a scene, what came and what to do, for a line that begins with its key."""
+        without = [engine.name for engine in facts.engines if self.needs_stills and not engine.keeps_stills]
+        if without:
+            return f"expected engines that keep `stills`, got {without[0]!r} without; remove it, or that engine"
         if not self.is_of_exact or any(engine.is_exact for engine in facts.engines):
             return ""
         exact = " or ".join(f'"{name}"' for name, engine in ENGINES.items() if engine.is_exact)
@@ -246,6 +255,11 @@ class StateRecord(WindowRecord):
 
     def memory(self, facts: Facts) -> Memory:
         return sampling(facts, self.t_burn, self.dt)
+
+
+def stop_early(records: Iterable[Record]) -> bool | str:
+    """As in `stickslip.simulate`: when runs of which some records are kept are tested for collapse."""
+    return "always" if any(record.is_certified for record in records) else True
 
 
 def steps(t_burn: float, t_end: float, dt: float) -> Floats:

@@ -201,6 +201,8 @@ class Engine(ABC):
     is_exact : bool
         Whether it keeps the exact, set-valued friction law and locates every event of it. Records of the exact law
         are of such runs alone, other engines are compared with them, and they take `Task.modes`.
+    keeps_stills : bool
+        Whether its runs have `Run.stills`, from which the moments of episodes are.
     takes : frozenset of str
         What it runs beyond eq. (10), by the names in `stickslip.sim.systems.system.BEYOND`; systems with anything
         else there are refused. Masses are divided out before.
@@ -213,6 +215,7 @@ class Engine(ABC):
     kernels: ClassVar[str] = ""
     sizes: ClassVar[tuple[int, ...]] = (SMALL,)
     is_exact: ClassVar[bool] = False
+    keeps_stills: ClassVar[bool] = False
     takes: ClassVar[frozenset[str]] = frozenset()
 
     def __init_subclass__(cls) -> None:

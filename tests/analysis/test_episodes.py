@@ -685,9 +685,9 @@ def test_methods_are_named_as_they_are_written(planted_episodes, planted, settin
     """With what tells them apart in a sweep, and n where there are several."""
     moreau = {"engine": "moreau", "step": 0.1, "tol": None}
     for more, names in (
-        ({}, {"exact", "sigmoid \u03b5 = 0.03", "time steps h = 0.1"}),
+        ({}, {"exact", "sigmoid \u03b5 = 0.03", "time stepping h = 0.1"}),
         ({"kappa": [0.2, 0.3]}, {"exact, kappa = 0.2", "sigmoid, kappa = 0.2, \u03b5 = 0.03"}),
-        ({"n": [100, 200]}, {"n = 100, exact", "n = 200, sigmoid \u03b5 = 0.03", "n = 100, time steps h = 0.1"}),
+        ({"n": [100, 200]}, {"n = 100, exact", "n = 200, sigmoid \u03b5 = 0.03", "n = 100, time stepping h = 0.1"}),
     ):
         points = [{key: value} for key, values in more.items() for value in values] or [{}]
         engines = {

@@ -88,6 +88,7 @@ def answer(study: Study) -> Answer | None:
         "rates": [row for row in growths if row["rate"] is not None],
     }
     some = [row for row in curves if row["setting"] == label]
+    facts["has_curves"] = bool(some)
     lines = _distance_lines(study, found, told)
     figures = {"parting": partial(parting_curves, _by_change(some))} if some else {}
     if lines:

@@ -107,6 +107,8 @@ def _sum(made: Made) -> Energy | None:
     if run.outcome == "diverged" or not ENGINES[member.engine].is_exact:
         return None
     try:
-        return energy(made.system, run, *made.start, engine=member.engine, **dict(member.settings))
+        return energy(
+            made.system, run, *made.start, engine=member.engine, stop_early=made.stop_early, **dict(member.settings)
+        )
     except TooLongError:  # the run itself is right
         return None

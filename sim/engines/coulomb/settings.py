@@ -63,6 +63,7 @@ class Coulomb(Engine):
     title = "exact"
     about = "exact, event-driven."
     kernels = "stickslip.sim.engines.coulomb"
+    keeps_stills = True
     sizes = (SMALL, SIZE_OF_WAVES)
     is_exact = True
     takes = frozenset({"static", "weakening", "back_slip", "force", "belt_speed"})

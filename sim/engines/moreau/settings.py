@@ -36,6 +36,7 @@ class Moreau(Engine):
     method = "time stepping"
     about = "time stepping of Moreau and Jean, to compare with: no event is located."
     kernels = "stickslip.sim.engines.moreau"
+    keeps_stills = True
     takes = frozenset({"static"})
 
     step: float = setting(0.01, STEP)

@@ -65,6 +65,7 @@ class Sigmoid(Engine):
     name = "sigmoid"
     about = "friction mu tanh((w - v) / (r_i eps))."
     kernels = "stickslip.sim.engines.sigmoid"
+    keeps_stills = True
     takes = frozenset({"static", "weakening", "back_slip", "force", "belt_speed", "damping matrix"})
 
     eps: float = setting(0.03, WIDTH)
