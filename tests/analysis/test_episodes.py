@@ -462,9 +462,9 @@ def test_settings_that_share_their_draws_are_compared_system_by_system(planted, 
     A tenth fewer; numbers of two independent sets of systems would have intervals six times as wide, or 0.7 times.
     """
     held, widths = 0, []
+    table = Data(pd.DataFrame([planted.member("m0", 0)]), {}).table
     for _ in range(100):
         own = 0.2 * rng.normal(size=12)
-        table = Data(pd.DataFrame([planted.member("m0", 0)]), {}).table
         key = {"n": 100, "coupling": "chain", "file": None}
         found = [Catalogues(Group(name, dict(key), table, np.zeros(1, int)), {}) for name in ("first", "last")]
         for one, factor, power in zip(found, (1.0, 0.9), (1, sense), strict=True):
