@@ -164,9 +164,9 @@ def touch(before, mode, slope, braked, pull, error):  # type: ignore[no-untyped-
 
     A block that touches the belt, w - v = a s^2 / 2 with a = |F'|, sticks for a time T if it would go on to
     a T^2 / 2 beyond it. Without friction it crosses it twice, by a T^2 / 8, and w' is then a T / 2. One whose F
-    touches m, by -b s^2 / 2, slips from s = -T / 3 on if F goes beyond m by b (T / 3)^2 / 2: it comes back at 2 T / 3,
-    where w' is three times as much, and F' 4 w' / T, after 4 w' T / 27 at most. An error e of w is one of F of
-    pull^(1/2) e, as it turns.
+    touches m, by -b s^2 / 2, slips from s = -T / 3 on if F goes beyond m by b (T / 3)^2 / 2: it comes back at
+    2 T / 3, where w' is three times as much, and F' 4 w' / T, after 4 w' T / 27 at most. An error e of w is one of
+    pull^(1/2) e of F, as it turns.
     """
     slope, braked = abs(slope), abs(braked)
     if slope == 0.0:

@@ -45,7 +45,7 @@ def test_a_stick_far_below_the_error_is_a_touch(tol):
 
 @pytest.mark.parametrize("tol", [1e-5, 1e-7, 1e-9])
 def test_the_error_that_tells_touches_bounds_the_error_of_a_run(tol, monkeypatch):
-    """Without damping errors add up; also of windows that events cut into short steps. It was 0.9 at most in 2,900."""
+    """Without damping errors add up; also in windows with events. It was 0.9 of it at most in 2,900."""
     made = []
     runs = integrate._Runs.__init__
 
@@ -72,7 +72,7 @@ def undamped(seed):
 
 
 def chain_on_the_belt(seed):
-    """A chain of wide springs that starts at the belt's speed: of some blocks F changes slowly where they touch it."""
+    """A chain of wide springs that starts at the belt's speed: of some blocks F' is small where they touch it."""
     rng = np.random.default_rng([55, seed])
     n = int(rng.integers(2, 8))
     springs = 10.0 ** rng.uniform(-1, 1, n - 1)
