@@ -30,9 +30,6 @@ from stickslip.sim.systems.system import System
 if TYPE_CHECKING:
     from stickslip.sim.engines.coulomb.settings import Coulomb
 
-#: A touch w - v = a s^2 / 2 with an error e becomes two events 2 (2 e / a)^(1/2) apart, where a is about |v| rate^2,
-#: or none: events closer than this many (e / |v|)^(1/2) / rate are a touch. So e may be off by a factor of two.
-_TOUCH = 4.0
 #: More steps than this are warned of.
 _MANY = 1e8
 #: The motion after a collapse is summed from the eigenmodes if a bound of their rounding, some hundred times the
@@ -80,21 +77,11 @@ def _alone(engine: Coulomb, task: Task) -> Run:
     if by_series:
         return _by_series(task, engine)
     system, tol = task.system, engine.tol_of_waves(task.system, task.length)
-    shortest = _shortest(system.rates, system.static, system.friction)
-    return waves.run(task, tol, _followed(system, tol), shortest, _TOUCH, lambda: _by_series(task, engine))
+    return waves.run(task, tol, _followed(system, tol), lambda: _by_series(task, engine))
 
 
 def _by_series(task: Task, engine: Coulomb) -> Run:
     return _Runs([task], engine, may_be_heavy=True).go_on(0, None)
-
-
-def _shortest(rates: Floats, static: Floats, near: Floats) -> Floats:
-    """As of `loop.Plan`: with a static friction above the kinetic, a change of mode may last any time.
-
-    A touch sticks there, until F has gone from the kinetic to the static.
-    """
-    is_touch = (rates > 0) & (static == near)
-    return np.divide(_TOUCH, rates, out=np.zeros_like(rates), where=is_touch)
 
 
 def _followed(system: System, tol: float) -> float:
@@ -105,7 +92,7 @@ def _followed(system: System, tol: float) -> float:
 class _Runs(Several):
     """By series; `may_be_heavy` only of one task, as is a sparse K."""
 
-    shortest: Floats
+    tells_touches = True
     method = "Taylor series"
 
     def __init__(self, tasks: Sequence[Task], engine: Coulomb, may_be_heavy: bool = False) -> None:
@@ -114,16 +101,13 @@ class _Runs(Several):
         systems = self.systems = [task.system for task in tasks]
         self.drives = [Drive(one.system, one.t_start, one.t_end, control.ORDER_MAX + 1) for one in tasks]
         # arrays from here on are by task and block
-        rates, static, near, row_sums = (
-            np.array(rows)
-            for rows in zip(
-                *((one.rates, one.static, one.slip_friction[0], one.row_sums) for one in systems), strict=True
-            )
+        near, row_sums = (
+            np.array(rows) for rows in zip(*((one.slip_friction[0], one.row_sums) for one in systems), strict=True)
         )
         pairs = Pairs.of([one.stiffness for one in systems], row_sums)
         models = [Model.of(*parts) for parts in zip(systems, pairs, self.drives, strict=True)]
         self.models: Model = loop.stack(models)
-        self.rates, self.shortest = np.array([one.fastest_rate for one in systems]), _shortest(rates, static, near)
+        self.rates = np.array([one.fastest_rate for one in systems])
         u = np.array([task.w0 for task in tasks]) - self.models.belt_speed
         mode, weakening, n_shapes = np.sign(u).astype(np.int8), systems[0].weakening, 0
         if weakening is not None:
@@ -200,8 +184,7 @@ class _Runs(Several):
             " perturb it, or use engine='sigmoid'",
             events_a_step=self.events_a_step,
             initial_modes=self.initial_modes[k],
-            shortest=self.shortest[k],
-            touch=_TOUCH,
+            tells_touches=self.tells_touches,
             method=self.method,
         )
         return loop.complete(task, loop.of_run(self.states, k), self.drives[k], self.collapse[k], plan, begun)

@@ -9,6 +9,8 @@ multi-adaptive; the iteration is waveform relaxation.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from stickslip.sim.engines import loop
@@ -162,12 +164,15 @@ def _probe_blocks(model, exact, work, n_split):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _step_events(model, exact, work, n_substeps, span, events, n_recorded):  # type: ignore[no-untyped-def]
-    """By the law: see `events.step_events`."""
+def _step_events(model, exact, work, clock, found, span, events, n_recorded):  # type: ignore[no-untyped-def]
+    """By the law: see `events.step_events`. Under the set-valued law the error of w goes on."""
     if exact is None:
-        return step_events(model, work, n_substeps, span, events, n_recorded)
+        return step_events(model, work, found.n_substeps, span, events, n_recorded)
     else:
-        return record_changes(exact, work, span, events, n_recorded)
+        error = limits.AT_END * (1.0 + found.tail) * shared(work.shared).atol[0]
+        # they have no common sign
+        clock[loop.ERROR] = math.hypot(clock[loop.ERROR] / (1.0 + exact.decay * span.length), error)
+        return record_changes(work, span, clock[loop.ERROR], events, n_recorded)
 
 
 @inner
@@ -297,7 +302,7 @@ def take_steps(model, work, control, state, events, bound, precheck):  # type: i
         span = Span(t, h, end)
         first_event, n_recorded = (
             n_recorded,
-            _step_events(model, model.exact, work, found.n_substeps, span, events, n_recorded),
+            _step_events(model, model.exact, work, clock, found, span, events, n_recorded),
         )
         if control.instant >= 0.0:
             n_recorded = until(control.instant, first_event, n_recorded, events)
