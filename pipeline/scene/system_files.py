@@ -17,6 +17,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.lib import format as npy
 
+from stickslip.pipeline.machine.memory import lack
 from stickslip.pipeline.scene.other_files import OtherKind, kind_of
 from stickslip.pipeline.scene.toml import MAX_BLOCKS
 
@@ -38,9 +39,6 @@ _BYTES_OF_ENTRY = 24
 
 #: An array of a number for each block has fewer bytes, whatever its type.
 _MOST_OF_BLOCKS = 16 * MAX_BLOCKS + _MAX_HEADER
-
-#: Bytes that fit any machine: for less, its memory is not looked up, which loads Dask.
-_SMALL = 1e8
 
 #: A number of Matrix Market as NumPy's parser of text is to read it.
 _FIELDS = {"real": "f8", "double": "f8", "integer": "i8", "unsigned-integer": "u8"}
@@ -95,13 +93,9 @@ def _npy(name: str, stream: IO[bytes], size: int, kinds: str = "iuf") -> np.ndar
 
 
 def _fits(name: str, needed: int) -> None:
-    if needed < _SMALL:
-        return
-    from distributed.system import MEMORY_LIMIT
-
-    if needed > MEMORY_LIMIT:
-        raise ValueError(f"{name}: expected what this machine can hold, {MEMORY_LIMIT / 1e9:.3g} GB, got an array"
-                         f" that takes {needed / 1e9:.3g} GB")  # fmt: skip
+    problem = lack(needed, "an array that takes")
+    if problem:
+        raise ValueError(f"{name}: {problem}")
 
 
 def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:

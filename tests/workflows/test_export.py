@@ -206,9 +206,13 @@ def test_files_with_any_name_leave_pages_and_figures_that_open(here, rng, tmp_pa
     assert capsys.readouterr().out.endswith("unchanged\n")
     notes = out / "report" / "notes.csv"
     notes.write_text("the user's own")
+    with open(out / "report" / "files.txt", "a") as listed:  # whoever wrote it
+        for name in (f"report/{notes.name}", "report/../manifest.json", "manifest.json"):
+            listed.write(f"{'0' * 64}  {name}\n{name}\n")
     write(Report("", {}, [], {figures[0].stem: Drawn("<svg/>")}), out)
     left = {file.name for file in (out / "report").rglob("*") if file.is_file()}
     assert left == {figures[0].name, "tables.json", "files.txt", notes.name}, "others are of another report"
+    assert (out / "manifest.json").exists()
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-x", "@a", "\tq", "\r"])
