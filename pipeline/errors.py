@@ -52,8 +52,13 @@ def shortened(text: str, most: int) -> str:
 
 
 def command(*words: str) -> str:
-    """A command of ours as a shell takes it: names with spaces are quoted."""
-    return shlex.join(("stickslip", *words))
+    """A command of ours as a shell takes it: names with spaces are quoted, and control characters are written out."""
+    return " ".join(shlex.quote(word) if word.isprintable() else _escaped(word) for word in ("stickslip", *words))
+
+
+def _escaped(word: str) -> str:
+    kept = word.replace("\\", "\\\\").replace("'", "\\'")
+    return "$'" + "".join(c if c.isprintable() else ascii(c)[1:-1] for c in kept) + "'"
 
 
 class SceneError(ValueError):

@@ -27,6 +27,7 @@ from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
 from stickslip.sim.kernels.cache import MOST_LINKS, PASS, is_ours
+from stickslip.workflows.printed import Terminal
 
 Form = Literal["table", "csv", "parquet"]
 
@@ -85,7 +86,7 @@ def _write(batches: pa.RecordBatchReader, form: Form, stream: BinaryIO) -> None:
         if form == "table":
             stream.write(_table(batches).encode())
         elif form == "csv":
-            with pa.csv.CSVWriter(stream, batches.schema) as writer:
+            with pa.csv.CSVWriter(Terminal(stream) if stream.isatty() else stream, batches.schema) as writer:
                 for batch in batches:
                     writer.write_batch(_as_texts(batch))
         else:

@@ -17,6 +17,7 @@ from stickslip.analysis.members import READ, Members
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.page import Answered
+from stickslip.analysis.session import defaults
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
 from stickslip.pipeline.errors import printable
@@ -34,7 +35,6 @@ from stickslip.pipeline.query import (
     series,
 )
 from stickslip.pipeline.scene.quantity import short
-from stickslip.sim.numerics.session import numpy_defaults
 from stickslip.version import __version__
 from stickslip.workflows.fresh import LIST, UNFINISHED, made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
@@ -140,7 +140,7 @@ def _drawable(text: str) -> str:
     return printable(text).replace("$", r"\$")
 
 
-@numpy_defaults()
+@defaults()
 def report(
     path: Where | Opened, asking: Asking | None = None, on_answer: Callable[[int, int], None] = lambda *_: None
 ) -> Report:
@@ -162,7 +162,7 @@ def report(
     return built
 
 
-@numpy_defaults()
+@defaults()
 def compared(path: Where, other: Where) -> Report:
     """Set the statistics of two datasets side by side, under the settings and margins of the first one's scene.
 
@@ -223,7 +223,7 @@ def _provenance(opened: Opened) -> dict[str, str]:
     }
 
 
-@numpy_defaults()
+@defaults()
 def write(built: Report, where: Where) -> str:
     """Write a report into a directory or to an address; return the name of the page.
 

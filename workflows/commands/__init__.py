@@ -21,6 +21,7 @@ from stickslip.workflows.commands.report import Report
 from stickslip.workflows.commands.run import Run
 from stickslip.workflows.commands.scenes import Init, Scenes, Schema
 from stickslip.workflows.commands.status import Status, Verify
+from stickslip.workflows.printed import printed
 
 #: By name, in the order of the help. A class here, and the command has it.
 COMMANDS = {
@@ -94,6 +95,11 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command with `argv` (the process's own by default); returns the exit code."""
     if argv is None:
         open_streams()
+    with printed():
+        return _done(argv)
+
+
+def _done(argv: list[str] | None) -> int:
     whole = parser()
     arguments = whole.parse_args(argv, argparse.Namespace(is_program=argv is None, parser=whole))
     try:
