@@ -230,11 +230,14 @@ def _whole(content: bytes, at: int, n_bits: int) -> tuple[int, int]:
 
 
 def _varint(content: bytes, at: int) -> tuple[int, int]:
-    """A number whose bytes have seven bits each, and where it ends."""
-    value = 0
-    for k in range(10):
-        byte = content[at + k]
-        value |= (byte & 127) << 7 * k
-        if byte < 128:
-            return value, at + k + 1
-    raise ValueError
+    """A number whose bytes have seven bits each, ten bytes at most, and where it ends."""
+    byte = content[at]
+    value, n_bits = byte & 127, 7
+    while byte > 127 and n_bits < 70:
+        at += 1
+        byte = content[at]
+        value |= (byte & 127) << n_bits
+        n_bits += 7
+    if byte > 127:
+        raise ValueError
+    return value, at + 1

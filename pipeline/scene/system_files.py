@@ -40,6 +40,10 @@ _BYTES_OF_ENTRY = 24
 #: An array of a number for each block has fewer bytes, whatever its type.
 _MOST_OF_BLOCKS = 16 * MAX_BLOCKS + _MAX_HEADER
 
+#: Bytes that an array may always have, and how many times those that it takes in a compressed file: by more shrinks
+#: only what is nothing but zeros.
+_SMALL, _RATIO = 2**28, 100
+
 #: A number of Matrix Market as NumPy's parser of text is to read it.
 _FIELDS = {"real": "f8", "double": "f8", "integer": "i8", "unsigned-integer": "u8"}
 #: The factor from an entry to the one across the diagonal; None: the file has both.
@@ -113,6 +117,10 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
             size = members[key].file_size
             if is_by_block and size > _MOST_OF_BLOCKS:
                 raise ValueError(f"{key}: expected one for each of at most {MAX_BLOCKS} blocks, got {size} bytes")
+            most = max(_SMALL, _RATIO * members[key].compress_size)
+            if size > most:
+                raise ValueError(f"{key}: expected at most {most / 1e6:.0f} MB in {members[key].compress_size} bytes,"
+                                 f" got {size / 1e6:.0f} MB; save a sparse K, by scipy.sparse.save_npz")  # fmt: skip
             with archive.open(members[key]) as stream:
                 return _npy(key, stream, size, kinds)
 
