@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -15,6 +17,7 @@ from stickslip.analysis.members import READ, Members
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.page import Answered
+from stickslip.analysis.session import defaults
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
 from stickslip.pipeline.errors import printable
@@ -32,13 +35,12 @@ from stickslip.pipeline.query import (
     series,
 )
 from stickslip.pipeline.scene.quantity import short
-from stickslip.sim.numerics.session import numpy_defaults
 from stickslip.version import __version__
 from stickslip.workflows.fresh import LIST, UNFINISHED, made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
 
-#: What a line of `LIST` may name, whoever wrote it.
-_OURS = re.compile(r"report/(figures/)?[\w-]+\.(parquet|csv|svg|pdf)")
+#: A line of `LIST`, whoever wrote it: a sha256 and a name, as `sha256sum` writes them.
+_LISTED = re.compile(r"([0-9a-f]{64})  (report/(?:figures/)?[\w-]+\.(?:parquet|csv|svg|pdf))")
 
 #: Columns of members that no question of this package looks at.
 _UNASKED = (
@@ -132,7 +134,7 @@ def _drawable(text: str) -> str:
     return printable(text).replace("$", r"\$")
 
 
-@numpy_defaults()
+@defaults()
 def report(
     path: Where | Opened, asking: Asking | None = None, on_answer: Callable[[int, int], None] = lambda *_: None
 ) -> Report:
@@ -154,7 +156,7 @@ def report(
     return built
 
 
-@numpy_defaults()
+@defaults()
 def compared(path: Where, other: Where) -> Report:
     """Set the statistics of two datasets side by side, under the settings and margins of the first one's scene.
 
@@ -215,12 +217,13 @@ def _provenance(opened: Opened) -> dict[str, str]:
     }
 
 
-@numpy_defaults()
+@defaults()
 def write(built: Report, where: Where) -> str:
     """Write a report into a directory or to an address; return the name of the page.
 
     The page comes after what it names; then files of earlier reports are removed that this one lacks, as all list
-    theirs in `report/files.txt`. One that is killed on the way leaves a list of all that may be there, which says so.
+    theirs in `report/files.txt`, each with the sha256 that it has to have: a file that somebody else put there stays.
+    One that is killed on the way leaves a list of all that may be there, which says so.
 
     Raises
     ------
@@ -232,15 +235,26 @@ def write(built: Report, where: Where) -> str:
         place.make()
         place.remove_left()
     files, (listed,) = built.files(), place.read_each([LIST])
-    earlier = built.gone() if listed is None else listed.decode(errors="replace").splitlines()
-    place.replace(LIST, _lines([UNFINISHED, *earlier, *files]))
-    place.replace_all(files)
-    for name in earlier:
-        if _OURS.fullmatch(name) and name not in files:
+    lines = [] if listed is None else listed.decode(errors="replace").splitlines()
+    earlier = {match[2]: match[1] for line in lines if (match := _LISTED.fullmatch(line))}
+    written: dict[str, str] = {}
+
+    def content(name: str) -> bytes:
+        made = files[name]()
+        written[name] = hashlib.sha256(made).hexdigest()
+        return made
+
+    place.replace(LIST, _lines([UNFINISHED], earlier))
+    place.replace_all({name: partial(content, name) for name in files})
+    for name, sha256 in earlier.items():
+        (found,) = place.read_each([name]) if name not in files else [None]
+        if found is not None and hashlib.sha256(found).hexdigest() == sha256:
             place.remove(name)
-    place.replace(LIST, _lines(files))
+    for name in built.gone() if listed is None else ():
+        place.remove(name)
+    place.replace(LIST, _lines([], written))
     return place.named(PAGE)
 
 
-def _lines(names: Iterable[str]) -> bytes:
-    return "".join(f"{name}\n" for name in dict.fromkeys(names)).encode()
+def _lines(first: Iterable[str], files: Mapping[str, str]) -> bytes:
+    return "".join(f"{line}\n" for line in (*first, *(f"{files[name]}  {name}" for name in files))).encode()
