@@ -122,16 +122,17 @@ def _types_once() -> Iterator[None]:
 class _Whole(JITCodeLibrary):
     """The code of a kernel, with that of all that it calls.
 
-    What is linked into it is internal, so that LLVM knows all calls of a function: one that is called in one place
-    becomes part of it, however long it is, and others lose the parameters that they do not use. Else a few
-    instructions more, anywhere, decide that a function is called, and each call copies the parts of its tuples, some
-    460 words: the sigmoid's kernel took half as long again.
+    What is linked into it is private, so that LLVM knows all calls of a function: one that is called in one place
+    becomes part of it, however long it is, and others lose the parameters that they do not use. (An internal one
+    would keep its name, by which the process finds it for a function of numba's own that calls the same, with all
+    parameters.) Else a few instructions more, anywhere, decide that a function is called, and each call copies the
+    parts of its tuples, some 460 words: the sigmoid's kernel took half as long again.
     """
 
     def _optimize_final_module(self) -> None:
         for function in self._final_module.functions:
             if function.linkage == Linkage.linkonce_odr:  # it was linked in
-                function.linkage = Linkage.internal
+                function.linkage = Linkage.private
         super()._optimize_final_module()
 
 

@@ -10,6 +10,8 @@ import types
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numba
+import numpy as np
 import pytest
 
 from stickslip.sim.kernels import cache as kept
@@ -121,3 +123,23 @@ def test_a_function_that_a_kernel_calls_in_one_place_becomes_part_of_it(monkeypa
     assert whole(0.25) == pytest.approx(x, rel=1e-12)
     code = whole.inspect_llvm(whole.signatures[0]).splitlines()
     assert not [line for line in code if line.startswith("define") and "chain" in line]
+
+
+def test_a_part_of_a_kernel_is_whole_for_what_is_compiled_after_it(monkeypatch):
+    """Within a kernel it loses what it does not use; a function of numba's own calls it with all, not that one."""
+    monkeypatch.setattr(CacheFiles, "load", lambda self, key: None)
+    monkeypatch.setattr(CacheFiles, "save", lambda self, key, data: None)
+    places = {"math": math, "__name__": __name__}
+    exec("def chain(rest, x):\n" + "    x = math.sin(x) + rest[-1]\n" * 50 + "    return x", places)
+    part = inner(places["chain"])
+
+    @kernel
+    def whole(rest, x):
+        return part(rest, x), part(rest, 2.0 * x)
+
+    @numba.njit
+    def other(rest, x):
+        return part(rest, x)
+
+    rest = np.array([7.0, 0.5])
+    assert whole(rest, 0.25)[1] == other(rest, 0.5)
