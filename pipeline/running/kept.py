@@ -16,6 +16,7 @@ from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.errors import StoreError, foreign
 from stickslip.pipeline.records import ALWAYS
 from stickslip.pipeline.records.record import Made, NotKeptError, Record, stop_early
+from stickslip.pipeline.records.slips.thresholds import has_several
 from stickslip.pipeline.running.ends import end_of
 from stickslip.pipeline.scene.columns import MEMBER, Recording
 
@@ -89,7 +90,7 @@ class Kept:
         made = Made(
             member,
             member.system() if has_system else cast("sim.System", _NotKept("system")),
-            _run(row, self.records, bool(dict(member.settings).get("thresholds"))),
+            _run(row, self.records, has_several(dict(member.settings))),
             member.start(end_of(member)) if has_system else cast("tuple[Any, Any]", _NotKept("start")),
             cast("Callable[..., sim.Samples]", _NotKept("again")),
             {name: _value(one) for name, one in row.items() if one.is_valid},

@@ -370,9 +370,10 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
             raise ValueError("n: expected the number of blocks, or a list of numbers, found nothing; add `n = 200`")
         if of_file or self.is_own:
             why = ", which has K itself" if of_file else ", which makes all of it from [system.parameters]"
+        graph = GRAPHS.get(self.coupling)
         for key, is_used in (
             ("path", of_file), ("files", of_file), ("parameters", self.is_own), ("module", self.is_own),
-            ("leaf", self.coupling in GRAPHS), ("degree", self.coupling == "network"), ("kappa", not why),
+            ("leaf", graph is not None), ("degree", graph is not None and graph.has_degree), ("kappa", not why),
             ("rho", not self.is_own),
         ):  # fmt: skip
             if not is_used:

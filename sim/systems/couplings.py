@@ -166,7 +166,7 @@ def draw_system(
     stiffness: Floats | scipy.sparse.sparray
     if coupling in GRAPHS:
         drawn = rng.uniform(scale, 2 * scale, n)
-        stiffness = spring_matrix(n, GRAPHS[coupling](n, degree, rng), kappa, per_block("leaf", leaf, n))
+        stiffness = spring_matrix(n, GRAPHS[coupling].pairs(n, degree, rng), kappa, per_block("leaf", leaf, n))
     else:
         kind = _coupling(coupling)
         u, drawn = _uniform(kind.shape(n), rng, kappa, (scale, 2 * scale))

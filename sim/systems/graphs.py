@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,13 +60,19 @@ def _network(n: int, degree: float, rng: np.random.Generator) -> Pairs:
     return drawn[found[:wanted]]
 
 
-#: All there are, by name: from n, the mean number of neighbours and a generator to the pairs of neighbours. A line
-#: here makes one known to `draw_system`, scenes, datasets and reports.
-GRAPHS: dict[str, Callable[[int, float, np.random.Generator], Pairs]] = {
-    "chain": _chain,
-    "ring": _ring,
-    "grid": _grid,
-    "network": _network,
+class Graph(NamedTuple):
+    """Along which pairs of blocks springs lie."""
+
+    pairs: Callable[[int, float, np.random.Generator], Pairs]  #: of n, the mean number of neighbours and a generator
+    has_degree: bool = False  #: whether the mean number of neighbours matters, which scenes then may say
+
+
+#: All there are, by name: a line here makes one known to `draw_system`, scenes, datasets and reports.
+GRAPHS: dict[str, Graph] = {
+    "chain": Graph(_chain),
+    "ring": Graph(_ring),
+    "grid": Graph(_grid),
+    "network": Graph(_network, has_degree=True),
 }
 
 

@@ -77,7 +77,9 @@ def scenes() -> dict[str, str]:
     terms = {f"term {term.name}": term_scene(term.name) for term in TERMS}
     records = {
         f"record {record.name}": scene(
-            "", plain, f"[record]\n{record.name} = true" + "\ndt = 0.1" * issubclass(record, StateRecord)
+            "",
+            [name for name in plain if ENGINES[name].keeps_stills or not record.needs_stills],
+            f"[record]\n{record.name} = true" + "\ndt = 0.1" * issubclass(record, StateRecord),
         )
         for record in RECORDS
         if record.name in KEPT

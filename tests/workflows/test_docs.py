@@ -34,6 +34,7 @@ from stickslip.pipeline.scene import engine_table
 from stickslip.sim import draw_system, simulate
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.systems import couplings
+from stickslip.sim.systems.graphs import GRAPHS, Graph
 from stickslip.workflows import own_questions
 from stickslip.workflows.commands import main
 from stickslip.workflows.gallery import CHARTS
@@ -357,6 +358,22 @@ def test_a_coupling_is_one_line(monkeypatch):
     assert member.simulate().outcome in ("finished", "collapsed")
     with pytest.raises(SceneError, match=r"keep what coupling = \"row\" is, \[\"relative\"\], got"):
         parse_scene(source.encode() + b"[perturbation]\nsizes = 0.1\n")
+
+
+@pytest.mark.parametrize("has_degree", [True, False])
+def test_a_graph_is_one_line(has_degree, monkeypatch):
+    """Its mean degree is a key of a scene, and swept, if it says that it has one."""
+    monkeypatch.setitem(GRAPHS, "other", Graph(GRAPHS["network"].pairs, has_degree=has_degree))
+    source = (
+        '[system]\ncoupling = "other"\nn = 12\ndegree = [2.0, 4.0]\n[start]\nz = 0.1\nw = 0.0\n'
+        '[run]\nt_end = 1.0\nmatrices = 1\n[[engine]]\nname = "coulomb"\n[analysis]\nt_burn = 0.1\ndt = 0.1\n'
+    )
+    if not has_degree:
+        with pytest.raises(SceneError, match='degree: expected none with coupling = "other"'):
+            parse_scene(source)
+        return
+    few, many = (member.system().stiffness.nnz for member in expand(parse_scene(source)))
+    assert (few, many) == (12 + 12 * 2, 12 + 12 * 4)
 
 
 def test_a_question_is_a_file_and_a_template(first):

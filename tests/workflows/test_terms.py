@@ -6,7 +6,16 @@ from stickslip.analysis.members import SYSTEM_KEYS
 from stickslip.analysis.report.page import group_columns
 from stickslip.pipeline import expand, parse_scene, query, run_ensemble
 from stickslip.sim.systems.terms import TERMS
+from stickslip.sim.systems.weakening import LAWS
 from stickslip.workflows.reporting import study_of
+
+
+def law_with(law, key):
+    """A law of friction, with VALUE for one of its parameters."""
+    numbers = {name: said["example"] for name, said in law.parameters().items()} | {key: "VALUE"}
+    listed = ", ".join(f"{name} = {number}" for name, number in numbers.items())
+    return f'static = 1.3\nweakening = {{law = "{law.name}", {listed}}}'
+
 
 #: What a scene says beside a term, where a chain of blocks without static friction does not do.
 BESIDE = {
@@ -15,10 +24,8 @@ BESIDE = {
     "force_amplitude": "force = {frequency = 1.0, amplitude = VALUE}",
     "force_frequency": "force = {amplitude = 0.5, frequency = VALUE}",
     "force_phase": "force = {amplitude = 0.5, frequency = 1.0, phase = VALUE}",
-    "weakening_rate": 'weakening = {law = "rational", rate = VALUE}',
-    "weakening_speed": 'static = 1.3\nweakening = {law = "stribeck", speed = VALUE}',
     "static": "friction = 0.5\nstatic = VALUE",
-}
+} | {f"weakening_{key}": law_with(law, key) for law in LAWS.values() for key in law.parameters()}
 
 
 def scene(term, value):

@@ -7,7 +7,14 @@ from typing import Any, Self
 
 from stickslip.pipeline.records.column import Column
 from stickslip.pipeline.records.record import Made, Record
+from stickslip.sim.engines import SETTINGS
+from stickslip.sim.engines.contract import Numbers
 from stickslip.sim.runs.series import summaries
+
+
+def has_several(settings: Mapping[str, Any]) -> bool:
+    """Whether an engine with some settings has event series by further definitions of sticking."""
+    return any(value for name, value in settings.items() if isinstance(SETTINGS[name], Numbers))
 
 
 class Thresholds(Record):
@@ -26,7 +33,7 @@ class Thresholds(Record):
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
-        return cls() if settings.get("thresholds") else None
+        return cls() if has_several(settings) else None
 
     def of(self, made: Made) -> dict[str, Any]:
         by_threshold = made.run.by_threshold
