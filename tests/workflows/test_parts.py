@@ -146,6 +146,33 @@ def test_a_dataset_may_be_reached_through_a_link(place, tmp_path, capsys):
     assert main(["report", str(tmp_path / "link")]) == 0
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can have links of another user")
+@pytest.mark.parametrize("is_above", [False, True])
+@pytest.mark.parametrize("words", [*READERS.values(), *WRITERS.values()])
+def test_a_link_of_another_user_does_not_lead_to_a_dataset(words, is_above, place, small_scene, tmp_path, capsys):
+    """Else a run would write, and an answer for others would tell, what is in a dataset of this user alone."""
+    link = tmp_path / "link"
+    link.symlink_to(place.parent if is_above else place)
+    os.chown(link, 1234, 1234, follow_symlinks=False)
+    refused(words, link / place.name if is_above else link, small_scene, f"got the link {link} of the user", capsys)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can have links of another user")
+def test_a_link_of_another_user_leads_to_what_is_that_users_and_makes_nothing_elsewhere(place, small_scene, tmp_path):
+    (private := tmp_path / "private").mkdir()
+    for name, folder in (("to theirs", place), ("to ours", private)):
+        (tmp_path / name).symlink_to(folder)
+        os.chown(tmp_path / name, 1234, 1234, follow_symlinks=False)
+    os.chown(place, 1234, 1234)
+    assert main(["verify", str(tmp_path / "to theirs")]) == 0
+    assert main(["report", str(tmp_path / "to theirs")]) == 0
+    with pytest.raises(StoreError, match="got the link"):
+        Directory(tmp_path / "to ours" / "a" / "b").make()
+    assert not [*private.iterdir()]
+    Directory(tmp_path / "to theirs" / "a" / "b").make()
+    assert (place / "a" / "b").is_dir()
+
+
 def test_names_of_unfinished_copies_are_not_guessed(tmp_path):
     names = set()
     for _ in range(2):
