@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import errno
 import fcntl
 import os
 import stat
@@ -26,7 +25,7 @@ from stickslip.pipeline.places import plain
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
-from stickslip.sim.kernels.cache import MOST_LINKS, PASS, is_ours
+from stickslip.sim.kernels.cache import is_ours
 from stickslip.workflows.printed import Terminal
 
 Form = Literal["table", "csv", "parquet"]
@@ -155,7 +154,7 @@ def whole(out: Path, dataset: Where, option: str = "--out") -> Iterator[BinaryIO
             with open(os.dup(written), "wb") as stream:
                 yield stream
             return
-        with _end_of_links(out, option) as (directory, file):
+        with _folder_of(out, option) as (directory, file):
             if isinstance(place, Directory) and file.is_relative_to(place.path.resolve()):
                 raise QueryError(
                     f"{option}: expected a file outside the dataset {dataset}, got {out}; choose another"
@@ -186,40 +185,18 @@ def _written(out: Path) -> int | None:
 
 
 @contextlib.contextmanager
-def _end_of_links(out: Path, option: str) -> Iterator[tuple[int, Path]]:
-    """The folder of a file, opened, and the file's path without links.
+def _folder_of(out: Path, option: str) -> Iterator[tuple[int, Path]]:
+    """The folder of a file, opened, and the file's path without links."""
 
-    Each link on the way has to be this user's or root's: another's may lead to what its owner cannot write.
-    """
-    parts, at, n_links = [*reversed(out.absolute().parts)], Path("/"), 0
-    held = os.open("/", PASS)
-    try:
-        while True:
-            name = parts.pop()
-            found = plain.status(name, held)
-            if found is not None and stat.S_ISLNK(found.st_mode):
-                _check_owner(found, f"{option}: expected a file, got the link {at / name}")
-                target = Path(os.readlink(name, dir_fd=held))
-                n_links += 1
-                if n_links > MOST_LINKS or not _is_same(found, plain.status(name, held)):
-                    raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
-                parts += reversed(target.parts)
-            elif parts:
-                inner = os.open(name, PASS, dir_fd=held)
-                os.close(held)
-                held, at = inner, at.parent if name == ".." else at / name
-            else:
-                break
-        listed = os.open(".", os.O_RDONLY | os.O_DIRECTORY, dir_fd=held)
-        os.close(held)
-        held = listed
-        yield held, at / name
-    finally:
-        os.close(held)
+    def refusal(link: str) -> QueryError:
+        return QueryError(f"{option}: expected a file, got {link}; choose another file")
 
-
-def _is_same(found: os.stat_result, now: os.stat_result | None) -> bool:
-    return now is not None and os.path.samestat(found, now) and found.st_ctime_ns == now.st_ctime_ns
+    with plain.way(out, refusal) as (passed, name, folder):
+        listed = os.open(".", os.O_RDONLY | os.O_DIRECTORY, dir_fd=passed)
+        try:
+            yield listed, folder / name
+        finally:
+            os.close(listed)
 
 
 def _check_owner(found: os.stat_result, expected: str) -> None:

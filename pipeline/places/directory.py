@@ -1,6 +1,7 @@
 """A dataset in a directory: files are written, synced and renamed over the old ones; the lock is the kernel's.
 
-Its parts are plain files and folders: see `pipeline.places.plain`. The directory itself may be reached through links.
+Its parts are plain files and folders: see `pipeline.places.plain`. The directory itself may be reached through links,
+though not through those by which another user leads to what is not that user's.
 """
 
 from __future__ import annotations
@@ -147,7 +148,12 @@ class Directory(Place):
 
     def make(self) -> None:
         """Create the directory, and those above it, if it is not there."""
-        self._root.mkdir(parents=True, exist_ok=True)
+        with (
+            plain.way(self._root, plain.refusal_of(self._root), is_made=True) as (folder, name, _),
+            contextlib.suppress(FileExistsError),
+            plain.filename(self._root),
+        ):
+            os.mkdir(name, dir_fd=folder)
 
     def remove_left(self) -> None:
         """Remove what killed processes of this machine left unfinished here and where reports are."""

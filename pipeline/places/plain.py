@@ -14,12 +14,13 @@ import re
 import secrets
 import socket
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
 from stickslip.pipeline.errors import StoreError
 from stickslip.pipeline.places.place import TEMPORARY
+from stickslip.sim.kernels.cache import MOST_LINKS, PASS, is_ours
 
 _KINDS = {
     stat.S_IFREG: "a file",
@@ -94,21 +95,85 @@ def opened(name: str, directory: int, shown: Path, flags: int = os.O_RDONLY, kin
 
 
 @contextlib.contextmanager
+def way(path: Path, refusal: Callable[[str], Exception], is_made: bool = False) -> Iterator[tuple[int, str, Path]]:
+    """The folder in which a path ends, to pass through, the path's last name, and the folder's path without links.
+
+    A link of another user may lead only to what is that user's, or lies in what is: not to what is this user's alone.
+
+    Parameters
+    ----------
+    path : Path
+    refusal : callable
+        The error for a link, which it is told, that leads elsewhere.
+    is_made : bool
+        Whether folders on the way that are missing are created.
+
+    Raises
+    ------
+    OSError
+        If it cannot be passed.
+    """
+    parts, at = [*reversed(path.parts)] or ["."], Path("/") if path.is_absolute() else Path.cwd()
+    others: list[tuple[int, int, Path]] = []  # another user's links: how many parts follow, whose, where
+    n_links = 0
+    held = os.open(path.anchor or ".", PASS)
+    try:
+        with filename(path):
+            while True:
+                name = parts.pop()
+                found = status(name, held)
+                if found is not None and stat.S_ISLNK(found.st_mode):
+                    if not is_ours(found):
+                        others.append((len(parts), found.st_uid, at / name))
+                    target = Path(os.readlink(name, dir_fd=held))
+                    n_links += 1
+                    if n_links > MOST_LINKS or not _is_same(found, status(name, held)):
+                        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+                    parts += reversed(target.parts)
+                    continue
+                while others and others[-1][0] == len(parts):  # it leads here
+                    _, user, link = others.pop()
+                    if user not in {one.st_uid for one in (os.fstat(held), found) if one is not None}:
+                        raise refusal(f"the link {link} of the user with the id {user}")
+                if not parts:
+                    break
+                if found is None and is_made:
+                    with contextlib.suppress(FileExistsError):
+                        os.mkdir(name, dir_fd=held)
+                inner = os.open(name, PASS, dir_fd=held)
+                os.close(held)
+                held, at = inner, at.parent if name == ".." else at / name
+        yield held, name, at
+    finally:
+        os.close(held)
+
+
+def _is_same(found: os.stat_result, now: os.stat_result | None) -> bool:
+    return now is not None and os.path.samestat(found, now) and found.st_ctime_ns == now.st_ctime_ns
+
+
+def refusal_of(root: Path) -> Callable[[str], StoreError]:
+    """The error for a link of another user on the way to a dataset."""
+    return lambda link: StoreError(f"{root}: expected a directory, got {link}; name the directory itself")
+
+
+@contextlib.contextmanager
 def folder(
     root: Path, inner: Sequence[str] = (), is_made: bool = False, known: os.stat_result | None = None
 ) -> Iterator[int]:
-    """Descriptor of a folder: `root` may be reached through links, the folders `inner` below it may not.
+    """Descriptor of a folder: `root` may be reached through links as of `way`, the folders `inner` below it may not.
 
     What has taken the place of a root that was `known` counts as none.
 
     Raises
     ------
     StoreError
-        If an inner one is something else.
+        If an inner one is something else, or a link of another user leads to the root.
     OSError
         If it cannot be opened; with `is_made`, inner ones that are missing are created.
     """
-    descriptor = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
+    with way(root, refusal_of(root)) as (passed, name, _), filename(root):
+        descriptor = os.open(name, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=passed)
     try:
         if known is not None and not os.path.samestat(os.fstat(descriptor), known):
             raise FileNotFoundError(errno.ENOENT, "another directory is in its place", str(root))

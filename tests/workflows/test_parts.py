@@ -12,6 +12,7 @@ import threading
 import pytest
 
 from stickslip.pipeline import StoreError
+from stickslip.pipeline.dataset.opened import open_dataset, reading
 from stickslip.pipeline.places import plain
 from stickslip.pipeline.places.directory import Directory
 from stickslip.workflows.commands import main
@@ -126,6 +127,21 @@ def test_a_shard_is_a_plain_file(what, place, small_scene, capsys):
         refused((READERS | WRITERS)[name], place, small_scene, f"{shard}: expected a file, got {what}", capsys)
 
 
+@pytest.mark.parametrize("what", [*KINDS, "nothing"])
+def test_a_shard_that_is_exchanged_before_it_is_read_is_an_empty_file_to_arrow(what, place):
+    """No error is raised in a thread of Arrow's: with DuckDB, one query of ten then never ended."""
+    opened = open_dataset(place)
+    source, shard = opened.shards(), next((place / "data").iterdir())
+    shard.unlink()
+    if what != "nothing":
+        KINDS[what](shard, place.parent / "outside")
+    with (
+        pytest.raises(StoreError, match=f"a shard cannot be read .*{shard.name}.* size is 0 bytes"),
+        reading(opened.place),
+    ):
+        source.to_table()
+
+
 def test_a_comparison_stays_in_its_dataset(place, small_scene, capsys):
     (place / "compared").symlink_to(place.parent)
     refused(READERS["compare"], place, small_scene, f"{place / 'compared'}: expected a directory, got a link", capsys)
@@ -144,6 +160,33 @@ def test_a_dataset_may_be_reached_through_a_link(place, tmp_path, capsys):
     (place / "notes").symlink_to("nowhere")  # what is no part of it is nobody's business
     assert main(["verify", str(tmp_path / "link")]) == 0
     assert main(["report", str(tmp_path / "link")]) == 0
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can have links of another user")
+@pytest.mark.parametrize("is_above", [False, True])
+@pytest.mark.parametrize("words", [*READERS.values(), *WRITERS.values()])
+def test_a_link_of_another_user_does_not_lead_to_a_dataset(words, is_above, place, small_scene, tmp_path, capsys):
+    """Else a run would write, and an answer for others would tell, what is in a dataset of this user alone."""
+    link = tmp_path / "link"
+    link.symlink_to(place.parent if is_above else place)
+    os.chown(link, 1234, 1234, follow_symlinks=False)
+    refused(words, link / place.name if is_above else link, small_scene, f"got the link {link} of the user", capsys)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can have links of another user")
+def test_a_link_of_another_user_leads_to_what_is_that_users_and_makes_nothing_elsewhere(place, small_scene, tmp_path):
+    (private := tmp_path / "private").mkdir()
+    for name, folder in (("to theirs", place), ("to ours", private)):
+        (tmp_path / name).symlink_to(folder)
+        os.chown(tmp_path / name, 1234, 1234, follow_symlinks=False)
+    os.chown(place, 1234, 1234)
+    assert main(["verify", str(tmp_path / "to theirs")]) == 0
+    assert main(["report", str(tmp_path / "to theirs")]) == 0
+    with pytest.raises(StoreError, match="got the link"):
+        Directory(tmp_path / "to ours" / "a" / "b").make()
+    assert not [*private.iterdir()]
+    Directory(tmp_path / "to theirs" / "a" / "b").make()
+    assert (place / "a" / "b").is_dir()
 
 
 def test_names_of_unfinished_copies_are_not_guessed(tmp_path):
