@@ -44,6 +44,9 @@ _MOST_OF_BLOCKS = 16 * MAX_BLOCKS + _MAX_HEADER
 #: only what is nothing but zeros.
 _SMALL, _RATIO = 2**28, 100
 
+#: The largest whole number up to which float64 has all.
+_MOST_WHOLE = 2**53
+
 #: A number of Matrix Market as NumPy's parser of text is to read it.
 _FIELDS = {"real": "f8", "double": "f8", "integer": "i8", "unsigned-integer": "u8"}
 #: The factor from an entry to the one across the diagonal; None: the file has both.
@@ -93,7 +96,17 @@ def _npy(name: str, stream: IO[bytes], size: int, kinds: str = "iuf") -> np.ndar
     if min(shape, default=0) < 0 or claimed != there:
         raise ValueError(f"{name}: expected {claimed} bytes, for the shape {shape} of {kind}, got {there}")
     _fits(name, math.prod(shape) * max(_BYTES_OF_ENTRY, 3 * kind.itemsize))
-    return np.frombuffer(stream.read(), kind).reshape(shape, order="F" if is_fortran else "C")
+    array = np.frombuffer(stream.read(), kind).reshape(shape, order="F" if is_fortran else "C")
+    _check_whole(name, array)
+    return array
+
+
+def _check_whole(name: str, array: np.ndarray) -> None:
+    """Refuse whole numbers that change where they become the numbers of a matrix."""
+    if array.dtype.kind in "iu" and array.size and max(int(array.max()), -int(array.min())) > _MOST_WHOLE:
+        raise ValueError(
+            f"{name}: expected whole numbers up to 2^53, which float64 has, got larger ones; save floats"
+        )
 
 
 def _fits(name: str, needed: int) -> None:
@@ -222,6 +235,7 @@ def _matrix_market(content: bytes, _: Sequence[str]) -> dict[str, Any]:
             table = np.loadtxt(io.BytesIO(body), kind, None, encoding="ascii", ndmin=1)
     if table.size != entries:
         raise ValueError(f"expected {entries} entries, as its line of sizes says, got {table.size}")
+    _check_whole("stiffness", table["value"])
     values = table["value"].astype(np.float64)
     if layout == "coordinate":
 

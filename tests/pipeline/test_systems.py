@@ -268,6 +268,7 @@ BAD = {
         ["system.n", "that of K.npz, 5", "write `n = 5`"],
     ),
     "text": ({"stiffness": np.full((4, 4), "a")}, ["K.npz", "stiffness: expected an array of real numbers", "<U1"]),
+    "wholes beyond floats": ({"stiffness": np.diag([1, 2, 3, 2**53 + 1])}, ["K.npz", "stiffness: ", "up to 2^53"]),
     "objects": ({"stiffness": np.full((4, 4), None)}, ["K.npz", "pickle"]),
     "friction of others": ({"friction": np.ones(3)}, ["K.npz: friction", "shape (4,)"]),
     "negative friction": ({"friction": -np.ones(4)}, ["K.npz: friction", "mu >= 0"]),
