@@ -39,10 +39,8 @@ def unescaped(stream: Any) -> TextIO:
 @contextlib.contextmanager
 def printed() -> Iterator[None]:
     """Within: what is printed, by whatever library, has no control characters."""
-    with (
-        contextlib.redirect_stdout(Printed(sys.stdout)),
-        contextlib.redirect_stderr(Printed(sys.stderr)),
-    ):
+    out, err = (None if stream is None else Printed(stream) for stream in (sys.stdout, sys.stderr))
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         yield
 
 

@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+import os
+
 #: Copies of what is read: Arrow's, NumPy's and a frame's.
 COPIES = 3
 #: Bytes that fit any machine: for less, its memory is not looked up, which loads Dask.
 _SMALL = 2**27
+
+
+#: How many times the bytes that a file takes on its disk it may have: one with more is nothing but holes.
+_RATIO = 100
+
+
+def is_hollow(found: os.stat_result) -> bool:
+    """Whether a file has far more bytes than its disk keeps of it, as a sparse one."""
+    return found.st_size > max(_SMALL, _RATIO * 512 * found.st_blocks)
 
 
 def lack(n_bytes: int, what: str) -> str:

@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from stickslip.pipeline.errors import SceneError
+from stickslip.pipeline.machine.memory import COPIES, is_hollow, lack
 
 
 class ChangedError(SceneError):
@@ -37,6 +38,11 @@ def content_of(path: Path, key: str) -> bytes:
             facts = os.fstat(file.fileno())
             if not stat.S_ISREG(facts.st_mode):
                 raise SceneError(f"{key}: expected a file, got {path}, which is not a regular file; correct the path")
+            problem = (
+                "expected content, got holes" if is_hollow(facts) else lack(COPIES * facts.st_size, "what takes")
+            )
+            if problem:
+                raise SceneError(f"{key}: {path}: {problem}; correct the path")
             content = file.read(facts.st_size + 1)
     except OSError as error:
         raise SceneError(

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from stickslip.pipeline.errors import StoreError, printable
-from stickslip.pipeline.machine.memory import COPIES, lack
+from stickslip.pipeline.machine.memory import COPIES, is_hollow, lack
 from stickslip.pipeline.places import plain
 from stickslip.pipeline.places.place import (
     DATA,
@@ -208,12 +208,12 @@ class Directory(Place):
 
 def _content(stream: IO[bytes], is_shard: bool = False) -> bytes:
     """All of an open file, if this machine can hold it, and a part that is no shard if it can be so large."""
-    size = os.fstat(stream.fileno()).st_size
+    found = os.fstat(stream.fileno())
     if not is_shard:
-        check_size(size)
+        check_size(found.st_size)
     with contextlib.suppress(MemoryError):
-        if not lack(COPIES * size, ""):
-            return stream.read(size)
+        if not is_hollow(found) and not lack(COPIES * found.st_size, ""):
+            return stream.read(found.st_size)
     raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
 
 

@@ -8,6 +8,8 @@ import zipfile
 from functools import partial
 from typing import NamedTuple
 
+from stickslip.pipeline.scene.toml import MAX_BLOCKS
+
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _DENSE = 'numpy.savez("K.npz", stiffness={})'
 _ANY = 'scipy.io.mmwrite("K.mtx", {})'
@@ -16,6 +18,8 @@ _GRAPH = f"G = {{}}; {_ANY.format('networkx.laplacian_matrix(G, sorted(G){})')}"
 
 #: So many bytes, and lines, tell what a text holds.
 _HEAD, _LINES = 100_000, 1000
+#: Characters of a row of numbers: of most blocks, all digits of each.
+_LONGEST = 30 * MAX_BLOCKS
 
 
 class Kind(NamedTuple):
@@ -104,6 +108,8 @@ def _of_text(content: bytes) -> Kind | None:
         return None
     rows = [row for row in text.splitlines() if row.strip() and not row.startswith(("#", "%"))]
     if not rows or "\0" in text:
+        return None
+    if max(map(len, rows[:_LINES])) > _LONGEST:
         return None
     comma = ";" in rows[-1] and "," in rows[-1]  # of decimals
     separator = next((mark for mark in (";", "\t", ",") if mark in rows[-1]), None)

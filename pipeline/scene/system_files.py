@@ -37,12 +37,12 @@ _MAX_HEADER = 1000
 #: Bytes for each entry of a dense array of at most eight bytes a number: the file's, `System`'s and a kernel's copy.
 _BYTES_OF_ENTRY = 24
 
-#: An array of a number for each block has fewer bytes, whatever its type.
-_MOST_OF_BLOCKS = 16 * MAX_BLOCKS + _MAX_HEADER
-
 #: Bytes that an array may always have, and how many times those that it takes in a compressed file: by more shrinks
 #: only what is nothing but zeros.
 _SMALL, _RATIO = 2**28, 100
+
+#: The largest whole number up to which float64 has all.
+_MOST_WHOLE = 2**53
 
 #: A number of Matrix Market as NumPy's parser of text is to read it.
 _FIELDS = {"real": "f8", "double": "f8", "integer": "i8", "unsigned-integer": "u8"}
@@ -93,7 +93,17 @@ def _npy(name: str, stream: IO[bytes], size: int, kinds: str = "iuf") -> np.ndar
     if min(shape, default=0) < 0 or claimed != there:
         raise ValueError(f"{name}: expected {claimed} bytes, for the shape {shape} of {kind}, got {there}")
     _fits(name, math.prod(shape) * max(_BYTES_OF_ENTRY, 3 * kind.itemsize))
-    return np.frombuffer(stream.read(), kind).reshape(shape, order="F" if is_fortran else "C")
+    array = np.frombuffer(stream.read(), kind).reshape(shape, order="F" if is_fortran else "C")
+    _check_whole(name, array)
+    return array
+
+
+def _check_whole(name: str, array: np.ndarray) -> None:
+    """Refuse whole numbers that change where they become the numbers of a matrix."""
+    if array.dtype.kind in "iu" and array.size and max(int(array.max()), -int(array.min())) > _MOST_WHOLE:
+        raise ValueError(
+            f"{name}: expected whole numbers up to 2^53, which float64 has, got larger ones; save floats"
+        )
 
 
 def _fits(name: str, needed: int) -> None:
@@ -113,10 +123,10 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
                 raise ValueError(f"{key}: expected a compression that NumPy writes, got number {info.compress_type}")
             members[key] = info
 
-        def read(key: str, kinds: str = "iuf", is_by_block: bool = False) -> np.ndarray:
+        def read(key: str, kinds: str = "iuf", n_most: int | None = None) -> np.ndarray:
             size = members[key].file_size
-            if is_by_block and size > _MOST_OF_BLOCKS:
-                raise ValueError(f"{key}: expected one for each of at most {MAX_BLOCKS} blocks, got {size} bytes")
+            if n_most is not None and size > 16 * n_most + _MAX_HEADER:
+                raise ValueError(f"{key}: expected at most {n_most} of them, got {size} bytes")
             most = max(_SMALL, _RATIO * members[key].compress_size)
             if size > most:
                 raise ValueError(f"{key}: expected at most {most / 1e6:.0f} MB in {members[key].compress_size} bytes,"
@@ -126,7 +136,7 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
 
         if len(members) == 1:
             return {"stiffness": read(next(iter(members)))}
-        form = _format(read("format", "S", True)) if members.keys() >= _SPARSE else ""
+        form = _format(read("format", "S", 1)) if members.keys() >= _SPARSE else ""
         is_sparse = members.keys() >= {*_PLACES[form]} if form else False
         names = members.keys() - ({*_SPARSE, *_PLACES[form], "_is_array"} if is_sparse else {"stiffness"})
         if not names <= {*beside} or not (is_sparse or "stiffness" in members):
@@ -134,15 +144,15 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
                 f"expected an array `stiffness`, or a sparse K as scipy.sparse.save_npz writes it, and of "
                 f"{', '.join(beside)}, got {', '.join(sorted(members)) or 'nothing'}"
             )
-        arrays: dict[str, Any] = {
-            name: read(name, is_by_block=name != "damping")
-            for name in sorted(names)  # that may be a matrix
-        }
         if is_sparse:
-            n = _square(read("shape", "i", True).tolist())
-            places = {key: read(key, "i", key in ("indptr", "offsets")) for key in _PLACES[form]}
-            return arrays | {"stiffness": _sparse(form, read("data"), places, n)}
-        return arrays | {"stiffness": read("stiffness")}
+            n = _square(read("shape", "i", 2).tolist())
+            places = {key: read(key, "i", 2 * n if key in ("indptr", "offsets") else None) for key in _PLACES[form]}
+            stiffness = _sparse(form, read("data"), places, n)
+        else:
+            stiffness = read("stiffness")
+            n = max(stiffness.shape, default=1)
+        arrays = {name: read(name, n_most=n * n if name == "damping" else n) for name in sorted(names)}
+        return arrays | {"stiffness": stiffness}
 
 
 def _format(part: np.ndarray) -> str:
@@ -222,6 +232,7 @@ def _matrix_market(content: bytes, _: Sequence[str]) -> dict[str, Any]:
             table = np.loadtxt(io.BytesIO(body), kind, None, encoding="ascii", ndmin=1)
     if table.size != entries:
         raise ValueError(f"expected {entries} entries, as its line of sizes says, got {table.size}")
+    _check_whole("stiffness", table["value"])
     values = table["value"].astype(np.float64)
     if layout == "coordinate":
 

@@ -49,7 +49,5 @@ def test_an_array_that_is_longer_than_there_may_be_blocks_is_not_unpacked(name, 
         return read(one, *rest)
 
     monkeypatch.setattr(system_files, "_npy", reads)
-    with pytest.raises(
-        ValueError, match=f"{name}: expected one for each of at most 100000 blocks, got 8000128 bytes"
-    ):
+    with pytest.raises(ValueError, match=f"{name}: expected at most \\d+ of them, got 8000128 bytes"):
         system_files.arrays_of(stream.getvalue(), systems.BY_BLOCK)

@@ -171,3 +171,8 @@ def test_diagonals_that_do_not_fit_are_refused(change, said):
     parts = {"data": np.ones((2, 3)), "offsets": [0, 1], "shape": [3, 3], "format": b"dia"} | change
     with pytest.raises(ValueError, match=said):
         arrays_of(written(lambda stream: np.savez(stream, **parts)), ())
+
+
+def test_a_row_of_more_numbers_than_there_may_be_blocks_is_not_taken_apart():
+    with pytest.raises(ValueError, match="something else"):
+        arrays_of(b"1," * 2_000_000 + b"1\n", BY_BLOCK)

@@ -238,6 +238,25 @@ def test_zeros_that_were_packed_are_not_unpacked(tmp_path, monkeypatch):
     tracemalloc.stop()
 
 
+def test_holes_are_not_read(tmp_path):
+    np.save(tmp_path / "K.npy", np.eye(2))
+    os.truncate(tmp_path / "K.npy", 6 * 2**30)
+    (tmp_path / "mine.toml").write_text(SCENE.replace("K.npz", "K.npy"))
+    tracemalloc.start()
+    with pytest.raises(SceneError, match=r"K\.npy: expected content, got holes"):
+        load_scene(tmp_path / "mine.toml")
+    assert tracemalloc.get_traced_memory()[1] < 10**7
+    tracemalloc.stop()
+
+
+def test_damping_is_a_number_or_one_for_each_block_or_two_blocks(tmp_path):
+    """Each is read by the size of K: a file may hold far more zeros than that."""
+    np.savez_compressed(tmp_path / "K.npz", stiffness=np.eye(4), damping=np.zeros(10**7, np.int8))
+    (tmp_path / "mine.toml").write_text(SCENE)
+    with pytest.raises(SceneError, match=r"damping: expected at most 16 of them, got 10000128 bytes"):
+        load_scene(tmp_path / "mine.toml")
+
+
 def test_a_packed_text_and_a_name_that_no_scene_can_hold_are_refused(tmp_path, arrays):
     stream = io.BytesIO()
     scipy.io.mmwrite(stream, arrays["stiffness"])
@@ -268,6 +287,7 @@ BAD = {
         ["system.n", "that of K.npz, 5", "write `n = 5`"],
     ),
     "text": ({"stiffness": np.full((4, 4), "a")}, ["K.npz", "stiffness: expected an array of real numbers", "<U1"]),
+    "wholes beyond floats": ({"stiffness": np.diag([1, 2, 3, 2**53 + 1])}, ["K.npz", "stiffness: ", "up to 2^53"]),
     "objects": ({"stiffness": np.full((4, 4), None)}, ["K.npz", "pickle"]),
     "friction of others": ({"friction": np.ones(3)}, ["K.npz: friction", "shape (4,)"]),
     "negative friction": ({"friction": -np.ones(4)}, ["K.npz: friction", "mu >= 0"]),
