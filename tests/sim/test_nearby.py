@@ -65,6 +65,12 @@ def test_what_rests_at_its_bound_leaves_with_the_block_that_it_is_tied_to():
         assert run.events.mode.tolist() == [1, 1]
 
 
+def n_told(*runs):
+    """How many events there are, but for stretches so short that the tolerance cannot tell them from a touch."""
+    t, block = (np.concatenate([getattr(run.events, name) for run in runs]) for name in ("t", "block"))
+    return len(t) - 2 * sum(np.count_nonzero(np.diff(t[block == i]) < 3 * np.sqrt(TOL)) for i in np.unique(block))
+
+
 def test_samples_and_a_split_run_change_nothing(rng):
     sparse, _, z0, w0 = pair(rng)
     times = np.sort(rng.uniform(0.0, T, 50))
@@ -75,7 +81,7 @@ def test_samples_and_a_split_run_change_nothing(rng):
     first = simulate(sparse, z0, w0, T / 2, tol=TOL, stop_early=False)
     second = simulate(sparse, first.z, first.w, T, t_start=T / 2, tol=TOL, stop_early=False)
     np.testing.assert_allclose(second.z, plain.z, atol=1e-6)
-    assert len(first.events) + len(second.events) == len(plain.events)
+    assert n_told(first, second) == n_told(plain)
 
 
 def test_no_certificate_is_asked_of_many_blocks(monkeypatch):

@@ -156,5 +156,7 @@ def test_a_belt_that_rubs_on_no_block_takes_no_accuracy(rng, n, terms):
     assert near.stats.method == far.stats.method
     size = max(np.abs(near.z).max(), 1.0)
     assert far.z == pytest.approx(near.z, abs=1e-6 * size)  # 1e5 belts round by 1e-11
-    assert (far.events.block == near.events.block).all()
-    assert far.events.t == pytest.approx(near.events.t, abs=1e-4)
+    # blocks without friction may come to the speed of the nearer belt
+    (block, t), (far_block, far_t) = ((e.block[rubs[e.block]], e.t[rubs[e.block]]) for e in (near.events, far.events))
+    assert far_block.tolist() == block.tolist()
+    assert far_t == pytest.approx(t, abs=1e-4)
