@@ -85,7 +85,7 @@ def test_a_run_that_nothing_ends_is_given_up_in_one_line(damping, friction, v, t
     """Swinging, creeping or free for ever: after some steps it is certain that the rest takes too many."""
     monkeypatch.setattr(loop, "_TRIED", 2e4)
     system = System([[2.0, -1.0], [-1.0, 2.0]], damping, friction, v)
-    with pytest.raises(IntegrationError, match="t_end: .* steps led to .* shorten the run"):
+    with pytest.raises(IntegrationError, match=r"t_end: .* steps led to .* shorten the run"):
         simulate(system, [3.0, 1.0], [0.0, 0.3], t_end, **settings)
 
 
