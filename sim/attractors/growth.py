@@ -8,6 +8,7 @@ as a shift in time does not grow; where a force depends on time there is none.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +32,9 @@ _FIRST, _SAMPLES, _LITTLE, _MUCH, _ENOUGH = 1 / 32, 50, 3.0, 8.0, 30.0
 #: ln of what a deviation grows by over the last two thirds of a time, with a third of that in each half: on a torus
 #: without forces deviations grow as time does, by ln 2 and ln 1.5 there.
 _GROWN = 3.0
+#: And over its standard error, from so many parts of that time (95%, one-sided, by Student's t): a beat of forces
+#: moves deviations to and fro.
+_CERTAIN, _PARTS = 1.9, 8
 #: ln of what a distance of zero counts as.
 _NOTHING = -10.0
 #: Distances are averaged over this share of the time, at so many instants: they vary within a round.
@@ -40,22 +44,24 @@ _WINDOW, _INSTANTS = 0.1, 60
 class Growth(NamedTuple):
     """The rate at which a small deviation grows, and ln of its growth in the second and in the last third of a time.
 
-    In the first it turns to the direction that grows fastest.
+    In the first it turns to the direction that grows fastest. `error` is the standard error of ln of that in both.
     """
 
     rate: float
     second: float
     last: float
+    error: float
 
     @property
     def grows(self) -> bool:
         """Whether it grows as in chaos."""
-        return self.second + self.last >= _GROWN and min(self.second, self.last) >= _GROWN / 3.0
+        least = max(_GROWN, _CERTAIN * self.error)
+        return self.second + self.last >= least and min(self.second, self.last) >= _GROWN / 3.0
 
     @property
     def decays(self) -> bool:
         """Whether it decays as steadily."""
-        return Growth(-self.rate, -self.second, -self.last).grows
+        return Growth(-self.rate, -self.second, -self.last, self.error).grows
 
 
 def growth(
@@ -136,8 +142,10 @@ def _of(instants: Floats, logs: Floats) -> Growth:
     """From ln of the distance at some instants."""
     begin, length = float(instants[0]), float(instants[-1] - instants[0])
     if length == 0.0:
-        return Growth(0.0, 0.0, 0.0)  # one of them ran away at once
+        return Growth(0.0, 0.0, 0.0, 0.0)  # one of them ran away at once
     ends = begin + length / 3.0 * np.arange(1, 4)
     windows = ends[:, np.newaxis] - _WINDOW * length * np.linspace(0.0, 1.0, _INSTANTS)
     first, second, third = np.interp(windows, instants, logs).mean(axis=1).tolist()
-    return Growth((third - first) / (length * 2.0 / 3.0), second - first, third - second)
+    parts = np.diff(np.interp(np.linspace(ends[0], ends[2], _PARTS + 1), instants, logs))
+    error = math.sqrt(_PARTS) * float(parts.std(ddof=1))
+    return Growth((third - first) / (length * 2.0 / 3.0), second - first, third - second, error)

@@ -27,10 +27,8 @@ _MOST = 20
 _LONGER = 1.2
 #: A state comes back exactly within this share of its motion's size.
 _EXACT = 1e-14
-#: A run is near a cycle if its next return is where M puts it, within this share of its distance from the cycle.
-_LINEAR = 0.1
-#: Of that distance, over the motion's size, now and by M in as many rounds as here: from further off a
-#: block that is near its belt's speed, or near leaving, may have another event.
+#: A run is near a cycle if its distance from it is within this share of the motion's size, now and by M in as many
+#: rounds as here: from further off a block that is near its belt's speed, or near leaving, may have another event.
 _FAR, _ROUNDS = 3e-3, 100
 
 
@@ -86,10 +84,10 @@ def near_cycle(
     modes = before.copy()
     modes[block] = mode
     period = float(events.t[p])
-    missed, returned = math.inf, np.empty(0)
+    missed = math.inf
     is_held = (modes == 0) | (np.arange(n) == block)
     found, is_on_its_way = None, False
-    for k in range(_MOST):
+    for _ in range(_MOST):
         w = np.where(is_held, system.belt_speed_at(0.0), w)
         if not _are_allowed(system, z, w, modes):
             break
@@ -115,14 +113,10 @@ def near_cycle(
         if off_by > missed:
             break
         matrix = path.monodromy(is_forced=False)
-        if k == 0:
-            returned = error
         if np.abs(error).max() <= back * size:
             start = np.concatenate([first[0] - z, first[1] - w])
             found = Near(round_, path, matrix, float(np.linalg.norm(start)) / size)
-            off = np.abs(start + returned - matrix @ start).max()
-            is_linear = off <= (_LINEAR * found.distance + back) * size
-            is_on_its_way = bool(is_linear and _largest_power(matrix, start) <= _FAR * size)
+            is_on_its_way = _stays_within(_FAR * size, matrix, start)
         missed, period = off_by, float(t[-1])
         if missed <= _EXACT * size:
             break
@@ -131,13 +125,13 @@ def near_cycle(
     return found if is_on_its_way else None
 
 
-def _largest_power(matrix: Floats, start: Floats) -> float:
-    """The largest norm of a vector, multiplied again and again by a matrix."""
-    largest = 0.0
+def _stays_within(bound: float, matrix: Floats, start: Floats) -> bool:
+    """Whether the norm of a vector does, multiplied again and again by a matrix."""
     for _ in range(_ROUNDS):
-        largest = max(largest, float(np.linalg.norm(start)))
+        if np.linalg.norm(start) > bound:
+            return False
         start = matrix @ start
-    return largest
+    return True
 
 
 def _samples(follow: Follow, z: Floats, w: Floats, modes: NDArray[np.int8], length: float, times: Floats) -> Samples:

@@ -74,9 +74,9 @@ def attractor(run: Run, system: System, t_burn: float = 0.0, *, engine: str = DE
     between them, repeat those of the period before, and in the period that follows, which is run, the state at an
     event comes back, within 1e4 `tol` of its motion's size. It is irregular if the last event recurs at least
     30 times without that, and runs that begin next to each other on its end part by e^3 and more, and by e in each
-    half, over the last two thirds of as much time as these events took, 200 rounds at most, or of the time until they
-    have parted by e^30. If they come together by as much, under forces that are incommensurate, it is on a torus.
-    This costs two runs of one or two periods, or of that time.
+    half, and by 1.9 times the standard error of that, over the last two thirds of as much time as these events
+    took, 200 rounds at most, or of the time until they have parted by e^30. If they come together by as much, under
+    forces that are incommensurate, it is on a torus. This costs two runs of one or two periods, or of that time.
 
     Parameters
     ----------

@@ -39,6 +39,9 @@ N_PRODUCTS_THEN, N_COUNTERS = 8, 9
 #: the last event, what the time lacks by rounding, and, of the exact law, an estimate of the error of w.
 TIME, CHECK, _CHECK_RIGHT, _LAST_EVENT, LACKING, ERROR, N_CLOCKS = range(7)
 
+#: Steps times blocks after which a run is given up if, at their pace, the rest took more than the most: some seconds,
+#: and some weeks.
+_TRIED, _MOST = 5e5, 1e12
 #: All blocks are to slip, before a collapse is certified, as long as takes this share of what that costs.
 _SEEN = 0.1
 
@@ -408,6 +411,11 @@ def complete(
                 break
         elif status == STALLED:
             raise StalledError(f"no progress at t = {t!r}, at block {counters[LAST_BLOCK]}: {plan.stalled}")
+        if status in (PAUSED, BUFFER_FULL) and (n_left := _steps_left(task, counters, t)):
+            raise IntegrationError(
+                f"t_end: {counters[N_STEPS]} steps led to t = {t:g}, and nothing ends the motion; at this pace t ="
+                f" {task.t_end:g} takes {n_left:.0e} more: shorten the run"
+            )
     z, w = drive.of_user(t, z, w)
     _to_user(drive, task, state, n_placed)
     events = recorded.all()
@@ -425,6 +433,13 @@ def complete(
         stills=Stills(*events.all_stuck),
         by_threshold=dict(zip(plan.thresholds, series[1:], strict=True)),
     )
+
+
+def _steps_left(task: Task, counters: NDArray[np.int64], t: float) -> float:
+    """How many steps the rest of a run takes at its pace so far, if they are too many to be worth while, else 0."""
+    n, steps = task.system.n, float(counters[N_STEPS])
+    left = steps * ((task.t_end - t) / max(t - task.t_start, 1e-300))
+    return left if steps * n > _TRIED and left * n > _MOST else 0.0
 
 
 def _series(

@@ -15,6 +15,7 @@ from scipy.linalg import expm
 from stickslip.sim import Harmonic, Piecewise, Rational, Stribeck, System, simulate
 from stickslip.sim.attractors import attractor, same_cycle
 from stickslip.sim.attractors.deviations import exponential
+from stickslip.sim.attractors.growth import _of as rate_of
 from stickslip.sim.attractors.growth import growth
 from stickslip.sim.attractors.null_space import null_space
 from stickslip.workflows.gallery.field import two_blocks
@@ -1011,6 +1012,22 @@ def test_events_of_one_instant_may_end_what_is_followed_of_an_irregular_run():
         assert found.growth_rate == pytest.approx(rate, rel=0.25)  # another first deviation
         is_later.append(found.events.t[-1] < found.events.t[-2])
     assert any(is_later)
+
+
+def test_growth_within_its_noise_is_none():
+    """ln of a deviation that two beats move to and fro by e^6 rises by 3.5 over two thirds of the time, by chance.
+
+    One that grows as steadily as chaos does, with the scatter of its own rate, is growth.
+    """
+    t = np.linspace(0.0, 1.0, 1601)
+    beats = 6.0 * np.sin(2.0 * np.pi * 3.3 * t) + 6.0 * np.sin(2.0 * np.pi * 6.2 * t + 4.0)
+    there = rate_of(t, beats)
+    assert there.second + there.last > 3.0
+    assert min(there.second, there.last) > 1.0
+    assert not there.grows
+    chaos = rate_of(t, np.cumsum(20.0 * (1.0 + np.sin(40.0 * t))) / len(t))
+    assert chaos.grows
+    assert not chaos.decays
 
 
 def test_what_a_deviation_grows_within_a_round_is_no_growth():

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from stickslip.sim import System, simulate
+from stickslip.sim import IntegrationError, System, simulate
+from stickslip.sim.engines import loop
 
 #: Where blocks may slip throughout, an end far away is warned of.
 pytestmark = pytest.mark.filterwarnings("ignore:system. damping up to .* allow steps of:RuntimeWarning")
@@ -70,3 +71,26 @@ def test_a_block_that_is_carried_leaves_when_it_should_however_far_the_end(t_end
     run = simulate(system, start, -0.2, t_end)
     assert run.events.t[0] == pytest.approx((start + 0.9) / 0.2, rel=1e-12)
     assert run.events.mode.tolist() == [1]
+
+
+@pytest.mark.parametrize(
+    ("damping", "friction", "v", "t_end", "settings"),
+    [
+        (0.0, [1.0, 1.0], -0.2, 1e100, {}),
+        (0.3, [1.0, 0.0], 0.0, 1e300, {"engine": "sigmoid", "eps": 1e-5}),
+        (0.3, [1.0, 1.0], 0.0, 1e300, {"engine": "sigmoid", "eps": 1e-8}),
+    ],
+)
+def test_a_run_that_nothing_ends_is_given_up_in_one_line(damping, friction, v, t_end, settings, monkeypatch):
+    """Swinging, creeping or free for ever: after some steps it is certain that the rest takes too many."""
+    monkeypatch.setattr(loop, "_TRIED", 2e4)
+    system = System([[2.0, -1.0], [-1.0, 2.0]], damping, friction, v)
+    with pytest.raises(IntegrationError, match=r"t_end: .* steps led to .* shorten the run"):
+        simulate(system, [3.0, 1.0], [0.0, 0.3], t_end, **settings)
+
+
+def test_a_run_that_ends_is_not_given_up(monkeypatch):
+    """After as many steps, with an end in sight; or with none, where the motion comes to rest."""
+    monkeypatch.setattr(loop, "_TRIED", 1e3)
+    assert simulate(System([[1.0]], 0.0, 1.0, -0.2), 3.0, 0.0, 1e5).t_end == 1e5
+    assert simulate(System([[1.0]], 0.3, 1.0, 0.0), 3.0, 0.0, 1e300).outcome == "finished"

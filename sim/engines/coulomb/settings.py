@@ -21,8 +21,11 @@ SIZE_OF_WAVES = 64
 TOL_OF_JUMPS, MORE_BLOCKS = 1e-4, 4
 
 #: The loosest tolerance of series; a looser one counts as this. 1e-3 took 5 to 40% fewer products, in about the same
-#: time, but its errors hide short sticks of blocks that come back to touch the belt: of 200 systems of up to seven
-#: blocks without damping, 31 lost events to t = 100. Where errors add up it falls, to `LOOSEST_OF_LONG` at least.
+#: time, but its errors hide short sticks of blocks that come back to touch the belt. With 1e-5, of systems of up to
+#: eight blocks without damping, against matrix exponentials: 300 chains from the belt's speed to t = 50 lost no event
+#: of 7,556, 200 dense ones to t = 60 lost 14 of 5,237, in sticks of 0.005 at most, and 60 of weakly coupled blocks to
+#: t = 150, which touch the belt all the time, 610 of 3,987, of 0.016 at most; with 1e-8 they lost 0, 6 and 4, with
+#: 1e-10 none. Where errors add up it falls, to `LOOSEST_OF_LONG` at least.
 LOOSEST, LOOSEST_OF_LONG = 1e-5, 1e-10
 #: That of waves, whose cost falls further.
 LOOSEST_OF_WAVES = 1e-3
