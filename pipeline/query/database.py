@@ -11,6 +11,7 @@ from typing import Any
 
 import pandas as pd
 import pyarrow as pa
+import pyarrow.dataset as pds
 
 from stickslip.pipeline.dataset.opened import Opened, frame, not_recorded, open_dataset, unreadable
 from stickslip.pipeline.dataset.schema import scalars
@@ -142,9 +143,27 @@ def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
         yield pa.RecordBatchReader.from_batches(schema, rest())
 
 
+class _Scanner:
+    """A scanner whose reader starts without Python's lock: Arrow's own holds it, and its threads wait to open files."""
+
+    def __init__(self, scanner: pds.Scanner) -> None:
+        self._scanner = scanner
+
+    def to_reader(self) -> pa.RecordBatchReader:
+        return pa.RecordBatchReader.from_batches(self._scanner.projected_schema, self._scanner.to_batches())
+
+
+class _Shards(pds.FileSystemDataset):  # type: ignore[misc]
+    """Shards as DuckDB scans them."""
+
+    def scanner(self, *asked: Any, **more: Any) -> _Scanner:
+        return _Scanner(super().scanner(*asked, **more))
+
+
 def _prepare(connection: Any, source: Any, selections: dict[str, str]) -> None:
     """The views of a dataset, and nothing else within reach."""
-    connection.register("shards", source)
+    shards = _Shards([*source.get_fragments()], source.schema, source.format, source.filesystem)
+    connection.register("shards", shards)
     for name, selection in selections.items():
         connection.execute(f"CREATE VIEW {quoted(name)} AS {selection}")
     # from here on no files, no network, no variables of this process, and no way back
