@@ -144,7 +144,7 @@ def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
 
 
 class _Scanner:
-    """A scanner whose reader starts without Python's lock: Arrow's own holds it, and its threads wait to open files."""
+    """A scanner whose reader starts without Python's lock, for which Arrow's threads wait as they open files."""
 
     def __init__(self, scanner: pds.Scanner) -> None:
         self._scanner = scanner

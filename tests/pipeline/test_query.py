@@ -429,3 +429,9 @@ def test_without_duckdb_the_way_to_get_it_is_named(finished, monkeypatch):
     monkeypatch.setitem(sys.modules, "duckdb", None)
     with pytest.raises(QueryError, match=r'pip install "stickslip\[sql\]"'):
         query.sql(finished, "SELECT 1")
+
+
+def test_queries_one_after_another_all_end(finished):
+    """Of a hundred on a busy machine, one waited for ever: its reader held Python's lock as Arrow opened files."""
+    for _ in range(30):
+        assert len(query.sql(finished, "SELECT * FROM members"))
