@@ -21,7 +21,7 @@ import pyarrow as pa
 from stickslip.pipeline.dataset.schema import schema_of
 from stickslip.pipeline.dataset.sound import Sound, fault_of_file, fault_of_members
 from stickslip.pipeline.ensemble.pack import PlanError, Task, tasks
-from stickslip.pipeline.errors import QueryError, SceneError, StoreError, command, printable
+from stickslip.pipeline.errors import QueryError, SceneError, StoreError, command, printable, shortened
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import DamagedManifest, Manifest, read_manifest, read_shards
@@ -304,7 +304,8 @@ def reading(place: Place) -> Iterator[None]:
 def unreadable(place: Place, error: Exception) -> StoreError:
     """The error for a dataset with a shard that cannot be read."""
     first = "" if isinstance(place, Directory) else f"{place.remedy(error)}, or "
-    return StoreError(f"{place}: a shard cannot be read ({error}); {first}rerun the scene to rebuild it")
+    words = shortened(str(error).partition(" Detail: Python exception")[0], 400)  # of Arrow: a traceback follows
+    return StoreError(f"{place}: a shard cannot be read ({words}); {first}rerun the scene to rebuild it")
 
 
 @cache

@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 from pyarrow.fs import FileInfo, FileType, FSSpecHandler, PyFileSystem
 
-from stickslip.pipeline.errors import StoreError
-
 if TYPE_CHECKING:
     from stickslip.pipeline.places.directory import Directory
 
@@ -38,11 +36,7 @@ class _Files(FSSpecHandler):  # type: ignore[misc]  # whose other methods, which
         return [FileInfo(path, FileType.File) for path in paths]
 
     def open_input_file(self, path: str) -> Any:
-        try:
-            descriptor = self._place.opened(str(Path(path).relative_to(self._place.path)))
-        except (StoreError, OSError):
-            # an error raised here has Arrow's thread and Python wait for each other at times: it finds an empty file
-            return pa.BufferReader(b"")
+        descriptor = self._place.opened(str(Path(path).relative_to(self._place.path)))
         try:
             return pa.OSFile(f"/dev/fd/{descriptor}")
         finally:

@@ -12,7 +12,6 @@ import threading
 import pytest
 
 from stickslip.pipeline import StoreError
-from stickslip.pipeline.dataset.opened import open_dataset, reading
 from stickslip.pipeline.places import plain
 from stickslip.pipeline.places.directory import Directory
 from stickslip.workflows.commands import main
@@ -127,19 +126,12 @@ def test_a_shard_is_a_plain_file(what, place, small_scene, capsys):
         refused((READERS | WRITERS)[name], place, small_scene, f"{shard}: expected a file, got {what}", capsys)
 
 
-@pytest.mark.parametrize("what", [*KINDS, "nothing"])
-def test_a_shard_that_is_exchanged_before_it_is_read_is_an_empty_file_to_arrow(what, place):
-    """No error is raised in a thread of Arrow's: with DuckDB, one query of ten then never ended."""
-    opened = open_dataset(place)
-    source, shard = opened.shards(), next((place / "data").iterdir())
-    shard.unlink()
-    if what != "nothing":
-        KINDS[what](shard, place.parent / "outside")
-    with (
-        pytest.raises(StoreError, match=f"a shard cannot be read .*{shard.name}.* size is 0 bytes"),
-        reading(opened.place),
-    ):
-        source.to_table()
+def test_a_shard_that_is_exchanged_as_a_query_reads_it_is_one_line(place, small_scene, capsys, monkeypatch):
+    def exchanged(self, path):
+        raise StoreError(f"{path}: expected a file, got a link")
+
+    monkeypatch.setattr("stickslip.pipeline.places.arrow._Files.open_input_file", exchanged)
+    refused(READERS["query"], place, small_scene, "parquet: expected a file, got a link", capsys)
 
 
 def test_a_comparison_stays_in_its_dataset(place, small_scene, capsys):
