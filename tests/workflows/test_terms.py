@@ -5,6 +5,8 @@ import pytest
 from stickslip.analysis.members import SYSTEM_KEYS
 from stickslip.analysis.report.page import group_columns
 from stickslip.pipeline import expand, parse_scene, query, run_ensemble
+from stickslip.sim.engines import ENGINES
+from stickslip.sim.systems.system import BEYOND
 from stickslip.sim.systems.terms import TERMS
 from stickslip.sim.systems.weakening import LAWS
 from stickslip.workflows.reporting import study_of
@@ -28,13 +30,20 @@ BESIDE = {
 } | {f"weakening_{key}": law_with(law, key) for law in LAWS.values() for key in law.parameters()}
 
 
+def engine_that_takes(term):
+    """The first engine that runs a term and what `BESIDE` says with it."""
+    beyond = {*BEYOND} & {term.name, term.part, *("static",) * ("static" in BESIDE.get(term.name, ""))}
+    return next(name for name, engine in ENGINES.items() if beyond <= engine.taken())
+
+
 def scene(term, value):
     beside = BESIDE.get(term.name, "")
     lines = beside if "VALUE" in beside else f"{beside}\n{term.key} = VALUE"
     coupling = "" if "coupling" in lines else 'coupling = "chain"\n'
     return parse_scene(
         f"[system]\n{coupling}n = 5\n{lines.replace('VALUE', value)}\n"
-        '[start]\nz = 0.1\nw = "belt"\n[run]\nt_end = 4.0\nmatrices = 2\n[[engine]]\nname = "coulomb"\ntol = 1e-6\n'
+        '[start]\nz = 0.1\nw = "belt"\n[run]\nt_end = 4.0\nmatrices = 2\npurpose = "statistics"\n'
+        f'[[engine]]\nname = "{engine_that_takes(term)}"\n'
         "[analysis]\nt_burn = 1.0\ndt = [0.5]\n".encode()
     )
 
