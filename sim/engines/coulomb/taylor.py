@@ -16,6 +16,7 @@ friction does not fall: the others then respond by linear equations.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -372,7 +373,7 @@ def error_after(model, expansion, goal, window, step, error):  # type: ignore[no
     share = control.PASSED_ON + (control.LIKELY * control.ROUNDED_OFF if len(model.pairs.single_panels) > 0 else 0.0)
     carried = share * window.allowed * min(1.0, step / window.span) ** 5
     rounding = ROUNDING * window.allowed / goal.tol
-    return error / (1.0 + goal.decay * step) + left_out + carried + rounding
+    return error * math.exp(-goal.decay * step) + left_out + carried + rounding
 
 
 @inner
