@@ -17,6 +17,7 @@ from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.page import Answered
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
+from stickslip.pipeline.design.values import short
 from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
@@ -31,7 +32,6 @@ from stickslip.pipeline.query import (
     separations,
     series,
 )
-from stickslip.pipeline.scene.quantity import short
 from stickslip.sim.numerics.session import numpy_defaults
 from stickslip.version import __version__
 from stickslip.workflows.fresh import LIST, UNFINISHED, made_from, name_of

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stickslip import sim
-from stickslip.pipeline.scene.ends import Ends
-from stickslip.pipeline.scene.quantity import (
+from stickslip.pipeline.design.values import (
     BELT,
     END,
     Course,
@@ -25,6 +24,7 @@ from stickslip.pipeline.scene.quantity import (
     Ratio,
     Value,
 )
+from stickslip.pipeline.scene.ends import Ends
 from stickslip.pipeline.scene.systems import SystemFile, SystemFunction, make, read
 from stickslip.sim.engines import ENGINES, contract
 from stickslip.sim.engines.contract import Engine

@@ -7,8 +7,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.attractor import AttractorRecord
-from stickslip.pipeline.records.column import Column
 from stickslip.pipeline.records.motion.slip_speed import SlipSpeed
 from stickslip.pipeline.records.record import Made, Record
 from stickslip.pipeline.records.slips.stick_share import StickShare

@@ -12,8 +12,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records import ALWAYS, RECORDS
-from stickslip.pipeline.records.column import Column
 from stickslip.pipeline.records.record import Record
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Number, Ratios
@@ -133,8 +133,19 @@ MEMBER = (
     Column("count", "seed", "root of the scene's random draws", False),
 )
 
+#: Where a member stands in the design of its ensemble (`pipeline.design`), in the order of `Coordinates`.
+DESIGN = (
+    Column("whole", "design_point", "number of the point of the grid that lists span", is_later=True),
+    Column(
+        "count", "design_unit", "number of what is independent: matrix, start of one system or file", is_later=True
+    ),
+    Column("whole", "design_method", "number of the engine with its settings", is_later=True),
+    Column("whole", "design_change", "number of the kind and size of change; 0: none", is_later=True),
+    Column("count", "design_base", "number of the member that it is a changed copy of; else its own", is_later=True),
+)
+
 #: In every dataset.
-FIXED = (*MEMBER, *ALWAYS.columns)
+FIXED = (*MEMBER, *DESIGN, *ALWAYS.columns)
 
 #: What a scene may ask for, by name: the line that asks, and the columns.
 ON_DEMAND = {name: (part.asked_by, part.columns) for name, part in PARTS.items()} | {

@@ -15,6 +15,21 @@ from typing import Any
 
 from pydantic import BaseModel, Field, PrivateAttr, model_validator
 
+from stickslip.pipeline.design.design import Axis
+from stickslip.pipeline.design.values import (
+    BELT,
+    END,
+    FILE,
+    Course,
+    Distribution,
+    Quantity,
+    Ratio,
+    Value,
+    as_written,
+    lowest,
+    size,
+    values,
+)
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.own.function import OwnFunction, resolve
 from stickslip.pipeline.records import RECORDS
@@ -23,23 +38,7 @@ from stickslip.pipeline.records.record import Facts, Record, WindowRecord
 from stickslip.pipeline.scene.columns import PARTS, Recording, misnamed
 from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
 from stickslip.pipeline.scene.engine_table import Engines, EngineTable
-from stickslip.pipeline.scene.quantity import (
-    BELT,
-    END,
-    FILE,
-    Axis,
-    Course,
-    Distribution,
-    Quantity,
-    Ratio,
-    Value,
-    as_written,
-    axes,
-    lowest,
-    points,
-    size,
-    values,
-)
+from stickslip.pipeline.scene.quantity import axes, points
 from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.system_table import OF_FILE, SystemTable, is_function
 from stickslip.pipeline.scene.systems import KEY, SystemFile, SystemFunction, located, look_at_files, tried_function

@@ -22,20 +22,9 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import core_schema
 
+from stickslip.pipeline.design.values import Course, OnBlocks, Push, Pushes, Quantity, as_written, size, values
 from stickslip.pipeline.own.function import PATTERN
-from stickslip.pipeline.scene.quantity import (
-    AnyNumber,
-    Course,
-    Key,
-    OnBlocks,
-    Push,
-    Pushes,
-    Quantity,
-    as_written,
-    course,
-    size,
-    values,
-)
+from stickslip.pipeline.scene.quantity import AnyNumber, Key, course
 from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, List, Natural, StrictTable, as_tuple, distinct, shown
 from stickslip.sim.numerics.arguments import did_you_mean
 from stickslip.sim.systems.couplings import COUPLINGS
