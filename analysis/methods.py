@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,12 +13,15 @@ from stickslip.analysis.answer import Row, named
 from stickslip.analysis.catalogues import MARGIN, Catalogues
 from stickslip.analysis.contrast import Statistic, contrast, judge
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import parts_of
 from stickslip.analysis.models.episodes import QUANTITIES, RATE, Catalogue
 from stickslip.analysis.models.laws import Difference, difference_of_order, distance_of_shares, largest_gap
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.stats.estimates import Estimate, Undefined
+from stickslip.pipeline.design.labels import Label
+from stickslip.pipeline.design.values import text
 
+#: From which on a number is not shown as a power of ten.
+_SMALL = 0.01
 #: Margins of laws: three episodes in a hundred for a distribution function, a quarter of the shares of first blocks,
 #: 0.1 for a correlation. Twenty systems of a thousand episodes each can exclude differences as large.
 GAP, DISTANCE, CORRELATION = 0.03, 0.25, 0.1
@@ -57,24 +60,34 @@ LAWS: Mapping[str, Compared] = {
 def names(found: Sequence[Catalogues]) -> list[str]:
     """Names of groups by what distinguishes them: method, place in a sweep and number of blocks."""
     of_one_size = len({one.group.key["n"] for one in found}) == 1
-    return [_method(one.label, of_one_size, all("exact" in one.label for one in found)) for one in found]
+    return [_method(one.group.name, of_one_size, all("exact" in one.label for one in found)) for one in found]
 
 
-def _method(label: str, of_one_size: bool, are_exact: bool) -> str:
+#: What an engine and a number of its own that follows on it are called together.
+_TOGETHER = {("moreau", "step"): "time steps h", ("sigmoid", "eps"): "sigmoid \u03b5"}
+
+
+def _method(label: Label, of_one_size: bool, are_exact: bool) -> str:
     """Name of a method from the label of its group, without what all groups share."""
-    bare = label.partition(", ")[2] if of_one_size else label
-    if are_exact:
-        bare = ", ".join(word for word in parts_of(bare) if word != "exact") or "exact"
-    bare = bare.replace("moreau, step", "time steps h").replace("sigmoid, eps", "sigmoid \u03b5")
-    bare = re.sub(r"\beps\b", "\u03b5", bare)
-    bare = re.sub(r"(?<=\u03b5 = )0\.00\d+", _power, bare)
-    return re.sub(r"e-0(?=\d)", "e-", bare).replace(" = ", "\u00a0=\u00a0")
+    words: list[str] = []
+    for name, value in label.parts:
+        if (name == "n" and of_one_size) or ((name, value) == ("", "exact") and are_exact):
+            continue
+        of_engine = _TOGETHER.get((words[-1], name)) if words else None
+        if of_engine is not None:
+            words.pop()
+        said = of_engine or ("\u03b5" if name == "eps" else name)
+        shown = (_power(float(value)) if name == "eps" else value).replace("e-0", "e-")
+        words.append(f"{said}\u00a0=\u00a0{shown}" if name else value)
+    return ", ".join(words) or "exact"
 
 
-def _power(number: re.Match[str]) -> str:
-    """A small number as a power of ten, such as 2.5e-04."""
-    digits, _, exponent = f"{float(number[0]):e}".partition("e")
-    return f"{float(digits):g}e{exponent}"
+def _power(number: float) -> str:
+    """A number, below a hundredth as a power of ten, such as 2.5e-4."""
+    if number >= _SMALL:
+        return text(number)
+    exponent = math.floor(math.log10(number))
+    return f"{number / 10.0**exponent:g}e{exponent}"
 
 
 def against_reference(by_system: Sequence[Sequence[Catalogues]], level: float) -> list[list[Row]]:

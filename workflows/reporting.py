@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Mapping
+from itertools import starmap
 
 import numpy as np
 import pandas as pd
@@ -17,6 +18,7 @@ from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.page import Answered
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
+from stickslip.pipeline.design.design import Coordinates
 from stickslip.pipeline.design.values import short
 from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.directory import Directory
@@ -32,6 +34,7 @@ from stickslip.pipeline.query import (
     separations,
     series,
 )
+from stickslip.pipeline.scene.columns import DESIGN
 from stickslip.sim.numerics.session import numpy_defaults
 from stickslip.version import __version__
 from stickslip.workflows.fresh import LIST, UNFINISHED, made_from, name_of
@@ -43,7 +46,7 @@ _OURS = re.compile(r"report/(figures/)?[\w-]+\.(parquet|csv|svg|pdf)")
 #: Columns of members that no question of this package looks at.
 _UNASKED = (
     "perturbation_draw", "picked_for", "reproduce", "n_stick_end", "n_events", "n_entries", "n_exits", "n_crossings",
-    "n_steps", "n_rejected", "n_products",
+    "n_steps", "n_rejected", "n_products", *(column.name for column in DESIGN),
 )  # fmt: skip
 
 #: Who puts the questions of a dataset: the dataset, its study, and whom to tell how many are answered.
@@ -62,16 +65,16 @@ def _data(opened: Opened, whole: bool = False) -> Data:
     kept = [column for record in scene.records_in_order for column in record.kept if column.is_number]
     values, said = {one.name: list[np.ndarray]() for one in kept}, dict[str, str]()
 
-    def prepared(part: pd.DataFrame) -> pd.DataFrame:
+    def prepared(part: pd.DataFrame, coordinates: Coordinates) -> pd.DataFrame:
         for name, columns in values.items():
             columns.append(part[name].to_numpy(np.float64, na_value=np.nan))
         if scene.own_record is not None:
             some = part[part["own_problem"].notna()]
             said.update(zip(some["member_id"], some["own_problem"].map(printable), strict=True))
-        return _prepared(scene, part)
+        return _prepared(scene, part).assign(**coordinates._asdict())
 
     asked = [name for name in names if whole or name not in _UNASKED]
-    table = Members.of(map(prepared, members_in_parts(opened, asked)))
+    table = Members.of(starmap(prepared, members_in_parts(opened, asked)), opened.design)
     pa.default_memory_pool().release_unused()  # else what reading took would stay taken, 150 bytes a member
     problems = _own_problems(scene, said)
     recorded = {

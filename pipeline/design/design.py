@@ -13,11 +13,17 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from stickslip.pipeline.design.values import Value, as_written
+from stickslip.pipeline.design.values import Value, as_written, shown, text
+
+#: The values that the keys of an axis have together.
+Row: TypeAlias = tuple[Value, ...]
+
+#: How a perturbation is read if nothing else is said: it moves every constant by up to a share of its scale.
+DEFAULT_READING = "scale"
 
 
 class Unit(StrEnum):
@@ -42,24 +48,50 @@ class Axis:
     """Keys that are swept in step, and the values that they have together, in ascending order."""
 
     keys: tuple[str, ...]
-    rows: tuple[tuple[Value, ...], ...]
+    rows: tuple[Row, ...]
 
     @property
     def name(self) -> str:
         """Its keys."""
         return " with ".join(self.keys)
 
+    @property
+    def x(self) -> list[float] | None:
+        """The values of the first key as numbers; None where one is something else."""
+        found = [row[0] for row in self.rows]
+        numbers = [value for value in found if isinstance(value, float)]
+        return numbers if len(numbers) == len(found) else None
+
+    @property
+    def texts(self) -> list[str]:
+        """The values in words."""
+        return [*map(in_words, self.rows)]
+
     def __str__(self) -> str:
         return f"{len(self.rows)} {self.name}"
 
 
-@dataclass(frozen=True)
-class Point:
-    """A point of a design: the number of blocks, the file that a system is read from, and the row on each axis."""
+def in_words(row: Row) -> str:
+    """A value of an axis as pages have it."""
+    return " with ".join(map(text, row))
+
+
+class Source(NamedTuple):
+    """Where systems come from: the number of blocks, and the file where each is a point; and what units are."""
 
     n: int
     file: str | None
-    at: tuple[tuple[Value, ...], ...]
+    unit: Unit
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of a design: its source, the number of blocks and the file there, the rows of axes, and its units."""
+
+    source: int
+    n: int
+    file: str | None
+    at: tuple[Row, ...]
     unit: Unit
 
 
@@ -78,6 +110,15 @@ class Change:
     kind: Kind = Kind.NOTHING
     reading: str | None = None
     size: float = 0.0
+
+    def __str__(self) -> str:
+        match self.kind:
+            case Kind.START:
+                return f"start by {shown(self.size)}"
+            case Kind.RATIOS:
+                return "ratios redrawn"
+        how = "" if self.reading in (None, DEFAULT_READING) else f" ({self.reading})"
+        return f"constants by {100 * self.size:.3g}%{how}"
 
 
 class Coordinates(NamedTuple):
@@ -117,10 +158,10 @@ class Design:
     ----------
     axes : tuple of Axis
         Of the grid, in the scene's order, the last one fastest; without seeds, which make other units.
-    sources : tuple of (int, str or None)
-        The number of blocks, and the file where each is a point of its own; a grid is run for each.
-    unit : Unit
-        At points where the start is drawn, if the units are starts.
+    constants : tuple of (str, value)
+        The keys that are not swept.
+    sources : tuple of Source
+        The grid is run for each.
     fixed : frozenset of int
         Points of the grid, by number, whose start is not drawn although the units are starts: there, matrices are.
     methods : tuple of Method
@@ -131,8 +172,8 @@ class Design:
     """
 
     axes: tuple[Axis, ...]
-    sources: tuple[tuple[int, str | None], ...]
-    unit: Unit
+    constants: tuple[tuple[str, Value], ...]
+    sources: tuple[Source, ...]
     fixed: frozenset[int]
     methods: tuple[Method, ...]
     changes: tuple[Change, ...]
@@ -156,17 +197,26 @@ class Design:
         """A point by its number."""
         place = int(self._place[number]) if self.numbers else number
         source, *rows = (int(k) for k in np.unravel_index(place, self.shape))
-        n, file = self.sources[source]
-        unit = Unit.MATRIX if place % math.prod(self.shape[1:]) in self.fixed else self.unit
-        return Point(n, file, tuple(axis.rows[k] for axis, k in zip(self.axes, rows, strict=True)), unit)
+        n, file, unit = self.sources[source]
+        unit = Unit.MATRIX if place % math.prod(self.shape[1:]) in self.fixed else unit
+        return Point(source, n, file, tuple(axis.rows[k] for axis, k in zip(self.axes, rows, strict=True)), unit)
+
+    def swept(self, point: Point) -> dict[str, Value]:
+        """What a point has of the keys of the axes."""
+        pairs = zip(self.axes, point.at, strict=True)
+        return {key: value for axis, row in pairs for key, value in zip(axis.keys, row, strict=True)}
+
+    def values(self, point: Point) -> dict[str, Value]:
+        """What a point has of all keys."""
+        return dict(self.constants) | self.swept(point)
 
     def as_json(self) -> dict[str, Any]:
         """As plain values, in which JSON says it."""
         plain: dict[str, Any] = {
             "axes": [{"keys": [*axis.keys], "rows": [[*map(as_written, row)] for row in axis.rows]}
                      for axis in self.axes],
-            "sources": [[*source] for source in self.sources],
-            "unit": str(self.unit),
+            "constants": {key: as_written(value) for key, value in self.constants},
+            "sources": [{"n": n, "file": file, "unit": str(unit)} for n, file, unit in self.sources],
             "methods": [{"engine": method.engine} | {name: as_written(value) for name, value in method.settings}
                         for method in self.methods],
             "changes": [{"kind": str(change.kind), "reading": change.reading, "size": change.size}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -179,7 +181,7 @@ def as_written(quantity: Quantity) -> Any:
 
 
 def order(row: tuple[Value, ...]) -> list[tuple[str, float, float]]:
-    """Numbers come before distributions, and ratios last."""
+    """Sorts members: numbers before distributions, and ratios last. Never change it: stored data have this order."""
 
     def place(one: Value) -> tuple[str, float, float]:
         if isinstance(one, Ratio):
@@ -190,3 +192,58 @@ def order(row: tuple[Value, ...]) -> list[tuple[str, float, float]]:
         return "", one if isinstance(one, float | int) else 0.0, 0.0
 
     return [place(one) for one in row]
+
+
+# ---------------------------------------------------------------------------------------------- on pages
+
+#: Numbers that differ by less, relatively, are shown as one.
+_ROUNDING = 1e-14
+#: A number in a name, whose sign is no hyphen.
+_NUMBER = re.compile(r"(?:(?<!\w)[-+])?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+_DRAWN = re.compile(r"(uniform|normal)\(([^,()]+), ([^,()]+)\)")
+
+#: Sorts values on pages.
+Rank: TypeAlias = tuple[int, str, tuple[float, ...]]
+
+
+def shown(value: float) -> str:
+    """A number in few digits, but in all that it has: numbers that differ by more than rounding stay apart."""
+    text = f"{value:g}"
+    return text if abs(float(text) - value) <= _ROUNDING * abs(value) else f"{value:.15g}"
+
+
+def text(value: object) -> str:
+    """A value as pages have it."""
+    return shown(value) if isinstance(value, float) else str(value)
+
+
+def rank(value: object) -> Rank:
+    """Sorts values: numbers, none, distributions by their width, ratios, names by the numbers in them."""
+    if isinstance(value, int | float | np.number):
+        return 0, "", (float(value),)
+    if value is None:
+        return 1, "", ()
+    if isinstance(value, Distribution):
+        width = round(value.second - value.first, 12) if value.name == "uniform" else value.second
+        return 2, value.name, (width, value.first)
+    if isinstance(value, Ratio):
+        _, name, numbers = rank(value.factor)
+        return 3, name, numbers
+    return 4, _NUMBER.sub("", str(value)), tuple(map(float, _NUMBER.findall(str(value))))
+
+
+def ranks(row: Iterable[object]) -> list[Rank]:
+    """Sorts rows of values."""
+    return [*map(rank, row)]
+
+
+def read(text: str) -> dict[str, Value]:
+    """What a text such as "friction = uniform(0.8, 1.2); z = file" says, by key: numbers, distributions, words."""
+    return {key: _value(said) for key, _, said in (part.partition(" = ") for part in text.split("; ") if part)}
+
+
+def _value(said: str) -> Value:
+    drawn = _DRAWN.fullmatch(said)
+    if drawn is not None:
+        return Distribution(drawn[1], float(drawn[2]), float(drawn[3]))
+    return float(said) if _NUMBER.fullmatch(said) else Named(said)

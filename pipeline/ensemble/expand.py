@@ -265,28 +265,41 @@ class Ensemble(_Numbered):
         return self._kinds(source, point, variant)
 
     @cached_property
-    def design(self) -> Design:
-        """What its members were made to differ in."""
+    def unit(self) -> Unit:
+        """What is independent where the start is drawn; elsewhere that is no start."""
         n_systems, n_starts = self.n_matrices * (int(self._seed.max()) + 1), max(map(len, self.draws))
         is_file = self.scene.system.coupling == OF_FILE
-        alone = Unit.START if n_starts > 1 else Unit.FILE if is_file else Unit.MATRIX
-        unit = alone if n_systems == 1 else Unit.MATRIX
+        return Unit.MATRIX if n_systems > 1 else Unit.START if n_starts > 1 else Unit.FILE if is_file else Unit.MATRIX
+
+    @cached_property
+    def design(self) -> Design:
+        """What its members were made to differ in."""
         fixed = [k for k, draws in zip(self._grid.tolist(), self.draws, strict=True) if None in draws]
         return Design(
             self._axes,
-            tuple(dict.fromkeys(self._sources_of(unit))),
-            unit,
-            frozenset(fixed if unit is Unit.START else ()),
+            tuple(self._constants),
+            tuple(dict.fromkeys(self._origins)),
+            frozenset(fixed if self.unit is Unit.START else ()),
             tuple(dict.fromkeys(map(_method, self.variants))),
             tuple(dict.fromkeys(map(_change, self.variants))),
         )
 
-    def _sources_of(self, unit: Unit) -> list[tuple[int, str | None]]:
+    @property
+    def _constants(self) -> Iterator[tuple[str, Value]]:
+        """The keys that are not swept, and what files have in their place."""
+        arrays = {name for _, origin in self.sources if isinstance(origin, SystemFile) for name in origin.arrays}
+        for key, value in self.scene.quantities.items():
+            if key in arrays and value is None:
+                yield key, FILE
+            elif value is not None and not isinstance(value, tuple):
+                yield key, value
+
+    @property
+    def _origins(self) -> list[designs.Source]:
         """What of each source separates points: files that are units are realisations of one point."""
-        is_apart = unit is not Unit.FILE
-        return [
-            (n, origin.name if is_apart and isinstance(origin, SystemFile) else None) for n, origin in self.sources
-        ]
+        files = [origin.name if isinstance(origin, SystemFile) else None for _, origin in self.sources]
+        files = [None] * len(files) if self.unit is Unit.FILE else files
+        return [designs.Source(n, file, self.unit) for (n, _), file in zip(self.sources, files, strict=True)]
 
     @cached_property
     def _axes(self) -> tuple[Axis, ...]:
@@ -325,10 +338,10 @@ class Ensemble(_Numbered):
         source, matrix, place, variant = self.split(places)
         at, draw = self.start_of(place)
         grid = self._grid[at]
-        group = _numbers(design.sources, self._sources_of(design.unit))[source]
+        group = _numbers(design.sources, self._origins)[source]
         matrices = self._matrices
         unit = matrices[source % len(matrices), matrix] + self.n_matrices * self._seed[at]
-        if design.unit is Unit.START:
+        if self.unit is Unit.START:
             unit = np.where(np.isin(grid, [*design.fixed]), unit, draw)
         unchanged = {one.method: k for k, one in enumerate(self.variants) if one.change == Change()}
         base = np.array([unchanged[one.method] for one in self.variants])

@@ -69,7 +69,7 @@ class Numbering:
         found = {}
         for name, numbers, mine, theirs in zip(Coordinates._fields, known, now, before, strict=True):
             # the starts of one system are no units any more once there are more systems
-            is_other = name == "unit" and design.unit != self.before.ensemble.design.unit
+            is_other = name == "unit" and self.ensemble.unit != self.before.ensemble.unit
             if not is_other and not np.array_equal(mine, theirs):
                 found[name] = numbers, _continued(numbers, mine, theirs)
         return found

@@ -98,7 +98,7 @@ def test_coordinates_say_what_members_are():
     check(numbering, members)
     design = numbering.design
     assert [axis.name for axis in design.axes] == ["friction", "static"]
-    assert design.unit is Unit.MATRIX
+    assert {source.unit for source in design.sources} == {Unit.MATRIX}
     assert [change.kind for change in design.changes] == [Kind.NOTHING, Kind.CONSTANTS, Kind.CONSTANTS, Kind.START]
     of = numbering.of(members.places)
     for k in (0, len(members) // 2, len(members) - 1):
@@ -143,7 +143,7 @@ def test_what_had_a_number_keeps_it(grown):
 def test_the_starts_of_one_system_are_units_where_they_are_drawn(keys, unit, n_units):
     numbering, members = numbered(scene(**keys))
     of, design = numbering.of(members.places), numbering.design
-    assert (design.unit, len(np.unique(of.unit))) == (unit, n_units)
+    assert ({source.unit for source in design.sources}, len(np.unique(of.unit))) == ({unit}, n_units)
     is_drawn = {int(point): member.begin.draw is not None for point, member in zip(of.point, members, strict=True)}
     for point, drawn in is_drawn.items():
         assert design.point(point).unit == (unit if drawn else Unit.MATRIX)
@@ -187,7 +187,7 @@ def test_a_dataset_says_it_of_each_row_and_in_its_manifest(tmp_path):
         assert all(row[name] == base[name] for name in shared)
     assert verify(path) == []
     # a manifest that says another design is none of this scene
-    manifest = opened.manifest.model_copy(update={"design": opened.design.as_json() | {"unit": "file"}})
+    manifest = opened.manifest.model_copy(update={"design": opened.design.as_json() | {"axes": []}})
     (path / "manifest.json").write_bytes(manifest.to_bytes())
     with pytest.raises(StoreError, match="expected the design of its scene"):
         verify(path)

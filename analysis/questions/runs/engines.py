@@ -28,12 +28,13 @@ from stickslip.analysis.contrast import (
     weight,
 )
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import Group, engine_name
+from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.stats.estimates import UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import BLUE, GREY, ORANGE, panel
+from stickslip.pipeline.design.labels import engine_name
 
 FRICTION, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
 #: Smoothing does not explain a difference between engines of more than this many margins, for eps up to _SMOOTH: the
@@ -145,7 +146,7 @@ def _pairs(study: Study, by_threshold: Mapping[str, Mapping[float, Sample]]) -> 
 
 
 def _engine(group: Group) -> Row:
-    static = group.key["static"] is not None or "static" in str(group.key["drawn"])
+    static = group.key["static"] is not None or "static" in group.table.design.values(group.point)
     settings = {name: group.key[name] for name in ("eps", "step", "belt_speed")}
     return {"engine": engine_name(group.key["engine"]), "static": static, **settings}
 
