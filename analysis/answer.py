@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 from matplotlib.figure import Figure
 
+from stickslip.analysis import arguments
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.stats.estimates import Estimate
 
@@ -140,5 +141,6 @@ def columns(schema: Mapping[str, str], tables: Sequence[pd.DataFrame]) -> pd.Dat
 
 
 def named(name: str, estimate: Estimate) -> Row:
-    """Columns of an estimate: its value and the ends of its interval."""
+    """Columns of an estimate: its value and the ends of its interval; raises a ValueError if it is none."""
+    estimate = arguments.instance("estimate", estimate, Estimate)
     return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}

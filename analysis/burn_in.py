@@ -2,7 +2,8 @@
 
 The start still shows if n_stick differs between the first tenth of the window and its last half: J. Geweke, in
 Bayesian Statistics 4 (1992) 169-193. There the error comes from the spectrum of one series; here it is known from
-systems, which are independent, by Student's t.
+systems, which are independent, by Student's t. The runs are those that estimates average: the ones in motion or,
+where episodes or numbers of each run are recorded, all that reached t_end.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from matplotlib.axes import Axes
 from stickslip.analysis.answer import B, F, I, Row, S, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
+from stickslip.analysis.members import READ
 from stickslip.analysis.models.motion import POINTS, RUNS, early_and_late
 from stickslip.analysis.series.runs import Ended, Runs
 from stickslip.analysis.series.windows import in_parts, windows
@@ -32,13 +34,19 @@ MOST_GROUPS, MOST_RUNS = 8, 200  # of which estimates are made again
 EPISODES = "rate of episodes"
 _OF_N_STICK = ("mean", "rate", "gamma")
 TESTS: Mapping[str, str] = {
-    "group": S, "t_burn": F, "n_systems": I, "early": F, "early_low": F, "early_high": F, "p_value": F,
-    "p_adjusted": F, "is_short": B, "t_enough": F, "reason": S,
+    "group": S, "t_burn": F, "n_systems": I, "n_runs": I, "n_members": I, "early": F, "early_low": F,
+    "early_high": F, "p_value": F, "p_adjusted": F, "is_short": B, "t_enough": F, "reason": S,
 }  # fmt: skip
 ESTIMATES: Mapping[str, str] = {
     "group": S, "t_burn": F, "is_chosen": B, "quantity": S, "n_systems": I, "value": F, "value_low": F,
     "value_high": F, "p_value": F,
 }  # fmt: skip
+
+
+def averaged(study: Study, group: Group) -> np.ndarray:
+    """Rows of the runs of a group that estimates average, ascending."""
+    is_of_all = study.data.episodes is not None or not study.data.recorded.keys() <= {*READ}
+    return np.sort(group.rows[group.is_finished if is_of_all else group.is_moving])
 
 
 def geweke(study: Study, groups: Sequence[Group]) -> list[Row]:
@@ -48,11 +56,16 @@ def geweke(study: Study, groups: Sequence[Group]) -> list[Row]:
     """
     level, rows = study.settings.confidence, list[Row]()
     for group in groups:
-        sums = group.by_unit("early", "late", "runs")
-        rows.append(
-            {"group": group.label, "t_burn": study.settings.t_burn, "n_systems": len(sums), "is_short": False}
-            | _early(sums, level)
-        )
+        members = averaged(study, group)
+        if len(members) == group.n_moving:
+            sums = group.by_unit("early", "late", "runs")
+        else:
+            early, late = study.each(_early_and_late, members).T
+            sums = _by_unit(_units(study, members), early, late, np.ones(len(members)))
+        rows.append({
+            "group": group.label, "t_burn": study.settings.t_burn, "n_systems": len(sums), "n_runs": len(members),
+            "n_members": len(group), "is_short": False, **_early(sums, level),
+        })  # fmt: skip
     known = [row for row in rows if row["p_value"] is not None]
     for row, p in zip(known, holm([row["p_value"] for row in known]), strict=True):
         row |= {"p_adjusted": float(p), "is_short": bool(p < 1 - level)}
@@ -60,7 +73,7 @@ def geweke(study: Study, groups: Sequence[Group]) -> list[Row]:
 
 
 def estimates(study: Study, groups: Sequence[Group]) -> list[Row]:
-    """Rows of the table `by_t_burn`: estimates of the first groups' first runs in motion with several t_burn.
+    """Rows of the table `by_t_burn`: estimates of the first runs of the first groups with several t_burn.
 
     The quantities are those of n_stick, or the rate of episodes where these are recorded. p_value is that of `geweke`
     for n_stick with each t_burn.
@@ -70,15 +83,15 @@ def estimates(study: Study, groups: Sequence[Group]) -> list[Row]:
 
 def _of_group(study: Study, group: Group) -> list[Row]:
     level, t_end = study.settings.confidence, float(group.key["t_end"])
-    members = np.sort(group.rows[group.is_moving])[:MOST_RUNS]
+    members = averaged(study, group)[:MOST_RUNS]
     times = _times(study.settings.t_burn, t_end)
     found = study.each(partial(_of_runs, times), members).reshape(len(members), len(times), -1)
-    units = study.data.table.own["unit"].to_numpy()[members]
+    units = _units(study, members)
     rows: list[Row] = []
     for k, t_burn in enumerate(times):
         mean, rate, slipped, cascades, early, late = found[:, k].T
         ones = np.ones(len(members))
-        # every unit has the same weight, however many of its runs are in motion
+        # every unit has the same weight, however many of its runs are averaged
         quantities: dict[str, tuple[np.ndarray, Statistic]] = {
             "mean": (_by_unit(units, mean, ones), ratio), "rate": (_by_unit(units, rate, ones), ratio),
             "gamma": (UnitSums.of(units, np.column_stack([slipped, cascades])).rows, QUANTITIES["gamma"].of),
@@ -136,6 +149,15 @@ def _early(sums: np.ndarray, level: float) -> Row:
 
 def _difference(sums: np.ndarray) -> np.ndarray:
     return np.asarray((sums[:, 0] - sums[:, 1]) / sums[:, 2])
+
+
+def _units(study: Study, members: np.ndarray) -> np.ndarray:
+    return study.data.table.own["unit"].to_numpy()[members]
+
+
+def _early_and_late(runs: Runs, some: Ended) -> np.ndarray:
+    """`early_and_late` of each run."""
+    return _of_runs((runs.t_burn,), runs, some)[:, -2:]
 
 
 def _by_unit(units: np.ndarray, *columns: np.ndarray) -> np.ndarray:

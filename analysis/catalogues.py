@@ -13,7 +13,7 @@ from stickslip.analysis.answer import Row, named
 from stickslip.analysis.contrast import Sample
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
-from stickslip.analysis.members import SYSTEM_KEYS, TOLERANCES
+from stickslip.analysis.members import STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS
 from stickslip.analysis.models.episodes import (
     ATOM,
     B_VALUE,
@@ -35,12 +35,12 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, Words, against
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, over_matrices
 from stickslip.analysis.stats.families import Fit, maximise, parameter
+from stickslip.sim.engines import place
 
 ONE_MOMENT = "most episodes have one moment"  # why there is no b
 MARGIN = 0.1  # relative margin of every statistic, and of Poisson's CV: about twenty systems can exclude it
 REGULAR, CLUSTERED, AS_POISSON = "more regular", "less regular", "as Poisson"
 _READ = ["start", "end", "size", "moment", "first_block", "z_sum"]
-_ENGINES = ("coulomb", "sigmoid", "moreau")  # the exact one first: the others are compared with it
 
 
 @dataclass
@@ -124,8 +124,7 @@ def read(study: Study, episodes: pd.DataFrame) -> list[Catalogues]:
 
 def fineness(group: Group) -> tuple[Any, ...]:
     """Sorts groups: exact events first, then by engine, from the finest setting to the coarsest."""
-    steps = [float(group.key[name] or 0.0) for name in ("eps", "step", *TOLERANCES)]
-    return (_ENGINES.index(group.key["engine"]), *steps)
+    return (place(group.key["engine"]), *(float(group.key[name] or 0.0) for name in (*WIDTHS, *STEPS, *TOLERANCES)))
 
 
 def _by_unit(study: Study, group: Group, of_member: Mapping[str, pd.DataFrame]) -> dict[int, list[Catalogue]]:
@@ -176,8 +175,8 @@ def summarise(one: Catalogues, level: float) -> None:
     n_episodes = basis.n_cascades
     sizes = np.concatenate([run.size for run in one.each()])
     one.row = {
-        "group": one.label, "least": one.least, "stuck_below": _stuck_below(one.group),
-        "n_systems": len(one.runs), "n_episodes": n_episodes,
+        "group": one.label, "is_exact": one.group.is_exact, "least": one.least,
+        "stuck_below": _stuck_below(one.group), "n_systems": len(one.runs), "n_episodes": n_episodes,
         "basis": basis.code, "n_matrices": len(one.runs), "n_cascades": n_episodes, **named("drift", basis.drift),
         "largest": float(one.magnitudes().max()) if n_episodes else None,
         "whole": float(np.mean(sizes == one.group.key["n"])) if n_episodes else None,

@@ -24,11 +24,12 @@ from stickslip.analysis.stats.compare import (
     Compared,
     Inverted,
     Words,
+    bounded_difference,
+    bounded_ratio,
     equivalence_test,
     mean_difference,
+    mean_within,
     relative_difference,
-    share_difference,
-    share_over_matrices,
     verdict,
 )
 from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
@@ -76,23 +77,32 @@ class Statistic:
 
 
 @dataclass(frozen=True)
-class Share(Statistic):
+class Bounded(Statistic):
+    """The mean of what lies between 0 and `most`, as a share of blocks or of time; intervals as of shares."""
+
+    most: float = 1.0
+    is_counted: ClassVar[bool] = False
+
+    def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
+        return mean_within(sums.rows, self.most, confidence, self.is_counted)
+
+    def difference(self, first: UnitSums, second: UnitSums, paired: bool) -> Compared | Inverted:
+        return bounded_difference(first.rows, second.rows, paired, self.margin, self.most, self.is_counted)
+
+    def relative(self, first: UnitSums, second: UnitSums, paired: bool) -> Compared | Inverted:
+        return bounded_ratio(first.rows, second.rows, paired, self.margin, self.most)
+
+
+@dataclass(frozen=True)
+class Share(Bounded):
     """A share of runs, by its runs and all runs of each unit; its differences are in points, relative ones too."""
 
     name: str
     of: estimates.Statistic = ratio
     margin: float = SHARE_MARGIN
     is_share: ClassVar[bool] = True
-
-    def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
-        if not len(sums):
-            return super().estimate(sums, confidence)
-        return Estimate(*share_over_matrices(sums.rows, confidence)[:3])
-
-    def difference(self, first: UnitSums, second: UnitSums, paired: bool) -> Inverted:
-        return share_difference(first.rows, second.rows, paired, self.margin)
-
-    relative = difference
+    is_counted: ClassVar[bool] = True
+    relative = Bounded.difference
 
 
 @dataclass(frozen=True)

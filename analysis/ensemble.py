@@ -21,7 +21,7 @@ from stickslip.analysis.series.runs import Ended, Events, Given, Put, Run, Runs,
 from stickslip.analysis.series.windows import ChangePoints
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import share_over_matrices
+from stickslip.analysis.stats.compare import mean_within, share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
 from stickslip.sim.numerics.arguments import apart, did_you_mean
 
@@ -87,6 +87,8 @@ class Recorded(NamedTuple):
         By member_id; None where a run has none.
     least : float, optional
         What it is never below, by what it is: 0 for an amplitude.
+    most : float, optional
+        What a number that is never below 0 is never above: 1 for a share of blocks or of time.
     absent : str
         Why a run may have none, by what it is: a steady slide has no period. Empty if all should have one.
     problems : mapping of str to str
@@ -113,6 +115,7 @@ class Recorded(NamedTuple):
     is_share: bool = False
     until: Until | None = None
     of_gaps: str = ""
+    most: float | None = None
 
 
 @dataclass(frozen=True)
@@ -338,7 +341,13 @@ class Study:
         for unit, member_id, t_end in zip(*columns, strict=True):
             yield row_of[int(unit)], str(member_id), self.window(str(member_id), float(t_end))
 
-    def mean(self, group: Group, numbers: str | Mapping[str, float | None], least: float | None = None) -> Estimate:
+    def mean(
+        self,
+        group: Group,
+        numbers: str | Mapping[str, float | None],
+        least: float | None = None,
+        most: float | None = None,
+    ) -> Estimate:
         """The mean over a group of a number of each run, every unit with the same weight; its interval is over units.
 
         Parameters
@@ -349,12 +358,15 @@ class Study:
             left out.
         least : float, optional
             What numbers given by member_id are never below: nor is the interval then. Of a column it is known.
+        most : float, optional
+            What numbers from 0 on are never above, 1 for a share: the interval is then Wilson's. Of a column too.
 
         Returns
         -------
         Estimate
-            By `stats.estimates.over_matrices`; without an interval, and with the reason, for fewer than two units;
-            without a value for none. Of a column of truths it is their share, as `share`.
+            By `stats.estimates.over_matrices`, or `stats.compare.mean_within`; without an interval, and with the
+            reason, for fewer than two units; without a value for none. Of a column of truths it is their share, as
+            `share`.
 
         Raises
         ------
@@ -371,12 +383,14 @@ class Study:
                 )
             if recorded.is_share:
                 return self.share(group, recorded.values)
-            least = recorded.least
+            least, most = recorded.least, recorded.most
             column = self.number(numbers)
         else:
             column = Numbers.of(self.data.table, numbers).column
-        sums = group.sums_of(column)
-        return within(over_matrices(ratio, sums.rows, self.settings.confidence), least)
+        rows = group.sums_of(column).rows
+        if most is not None:
+            return mean_within(rows, most, self.settings.confidence)
+        return within(over_matrices(ratio, rows, self.settings.confidence), least)
 
     def _recorded(self, argument: str, name: str) -> Recorded:
         recorded = self.data.recorded
@@ -456,10 +470,7 @@ class Study:
         if not len(times):
             return Estimate(reason="no matrix has data")
         most = self.limit(name) if limit is None else limit
-        mean = over_matrices(ratio, times.restricted(most).rows, self.settings.confidence)
-        if why := times.too_few(group.unit):
-            return Estimate(mean.value, reason=why)
-        return within(mean, 0.0, most)
+        return mean_within(times.restricted(most).rows, most, self.settings.confidence)
 
     def number(self, name: str) -> np.ndarray:
         """A number that a record keeps, of each member by its row, shape (R,); NaN where a run has none."""

@@ -30,6 +30,7 @@ from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.pipeline.design.design import Point, Unit
 from stickslip.pipeline.design.labels import Label, labels
 from stickslip.pipeline.design.values import rank, ranks
+from stickslip.sim.engines import ENGINES, place
 
 #: Columns of motion whose sums a group keeps for each unit.
 _TOTALS = tuple(name for name in COLUMNS if name not in (*EFFECTIVE, "short"))
@@ -98,7 +99,7 @@ class Group:
     @property
     def is_exact(self) -> bool:
         """Whether its runs follow the exact law, event by event."""
-        return bool(self.key["engine"] == "coulomb")
+        return ENGINES[self.key["engine"]].is_exact
 
     @cached_property
     def is_moving(self) -> np.ndarray:
@@ -231,7 +232,7 @@ def groups(members: Members, some: np.ndarray) -> list[Group]:
         key = keys[k]
         values = [ranks(swept[k].values()) if name in ("parameters", "drawn") else rank(value)
                   for name, value in key.items()]  # fmt: skip
-        return key["perturbation_size"], key["n"], key["engine"], values
+        return key["perturbation_size"], key["n"], place(key["engine"]), values
 
     return [found[k] for k in sorted(range(len(found)), key=order)]
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from stickslip.analysis import contrast
 from stickslip.analysis.catalogues import MARGIN, ONE_MOMENT, Catalogues, has_b, read
-from stickslip.analysis.contrast import Median, PerEvent, Share, Statistic
+from stickslip.analysis.contrast import Bounded, Median, PerEvent, Share, Statistic
 from stickslip.analysis.ensemble import Recorded, Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
@@ -203,7 +203,9 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
             yield from _of_times(study, beside, name, column)
             continue
         words = column.words.partition(";")[0]
-        statistic: Statistic = Statistic(f"mean {name}", ratio, MARGIN, least=column.least)
+        statistic = Statistic(f"mean {name}", ratio, MARGIN, least=column.least)
+        if column.most is not None:
+            statistic = Bounded(f"mean {name}", ratio, MARGIN, most=column.most)
         subject, absent = f"mean {column.called or name}", column.absent
         of: Callable[[Group], Values] = partial(_column, numbers, column.problems, column.absent or NO_VALUE)
         if column.is_share:
@@ -285,7 +287,7 @@ def _of_times(study: Study, beside: Study | None, name: str, column: Recorded) -
         f"{words}, by Kaplan and Meier", f"median {name}", partial(_median, study, name), says_it=column.says_it,
     )  # fmt: skip
     by_mean = Measure(
-        Statistic(f"restricted mean {name}", ratio, MARGIN, least=0.0, most=limit), name,
+        Bounded(f"restricted mean {name}", ratio, MARGIN, most=limit), name,
         f"the restricted mean of {'the ' * column.says_it}{called} up to {limit:g}",
         f"{words}; the area up to {limit:g} under the curve of Kaplan and Meier", f"restricted mean {name}",
         partial(_restricted, study, name, limit), says_it=column.says_it,
@@ -307,8 +309,6 @@ def _restricted(study: Study, name: str, limit: float, group: Group) -> Values:
         return Values(missing=missing)
     if not times.reaches(limit):
         return Values(missing=missing, withheld=f"no run was followed to {limit:g}", n_censored=times.n_censored)
-    if why := times.too_few(group.unit):
-        return Values(missing=missing, withheld=why, n_censored=times.n_censored)
     return Values(times.restricted(limit), missing, n_censored=times.n_censored)
 
 
@@ -340,8 +340,8 @@ def of_mean(group: Group) -> Values:
 
 def of_gamma(confidence: float, group: Group) -> Values:
     """Sums of gamma over a filled group's runs in motion, if they allow a statistic of a steady state."""
-    is_judged = group.basis(confidence).code in enough.JUDGED
-    return Values(group.sums("gamma")) if is_judged else Values()
+    basis = group.basis(confidence).code
+    return Values(group.sums("gamma")) if basis in enough.JUDGED else Values(withheld=basis)
 
 
 #: What an ensemble may hold that can be measured, in the order in which measures lead.

@@ -17,7 +17,7 @@ from stickslip.analysis.tables import designed, records
 from stickslip.pipeline.design.design import Design, Unit
 from stickslip.pipeline.design.values import BELT
 from stickslip.sim.engines import SETTINGS
-from stickslip.sim.engines.contract import Number, Numbers
+from stickslip.sim.engines.contract import Coarseness, Number, Numbers
 from stickslip.sim.systems.terms import TERMS
 
 OUTCOMES = ("finished", "collapsed", "diverged", "failed")
@@ -36,15 +36,27 @@ DRAWN = ("n", "coupling", "file")
 MATRIX, START, FILE = Unit
 SYSTEM_KEYS = ("n", "coupling", *_ALWAYS, *OPTIONAL, "t_end", "perturbation_size")
 #: Columns that may be missing because a scene does without some draws, changes or engines.
-_NOT_EVERYWHERE = ("step", "ratio_draw", "perturbation_reading", "twin_size", "start_draw", "growth_rate", "seed")
-TOLERANCES = tuple(name for name, setting in SETTINGS.items() if isinstance(setting, Number) and setting.picked)
+_NOT_EVERYWHERE = (
+    *(name for name, setting in SETTINGS.items() if not setting.in_all),
+    *("ratio_draw", "perturbation_reading", "twin_size", "start_draw", "growth_rate", "seed"),
+)
+
+
+def _that_coarsen(*kinds: Coarseness) -> tuple[str, ...]:
+    """The settings of engines that make runs coarse in one of some ways."""
+    return tuple(name for name, one in SETTINGS.items() if isinstance(one, Number) and one.coarseness in kinds)
+
+
+WIDTHS, STEPS = _that_coarsen(Coarseness.WIDTH), _that_coarsen(Coarseness.STEP)
+RELATIVE = _that_coarsen(Coarseness.RELATIVE)
+TOLERANCES = _that_coarsen(Coarseness.RELATIVE, Coarseness.ABSOLUTE)
 ENGINE_KEYS = (
     "engine",
     *(name for name, setting in SETTINGS.items() if name not in TOLERANCES and not isinstance(setting, Numbers)),
     *TOLERANCES,
 )
 #: Columns that are null unless friction depends on the speed of slip.
-SPEED_DEPENDENT = ("eps", *(term.name for term in TERMS if term.table == "weakening"))
+SPEED_DEPENDENT = (*WIDTHS, *(term.name for term in TERMS if term.table == "weakening"))
 REQUIRED = (
     *(key for key in SYSTEM_KEYS if key not in OPTIONAL),
     *(key for key in ENGINE_KEYS if key not in _NOT_EVERYWHERE),

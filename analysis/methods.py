@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,8 +17,10 @@ from stickslip.analysis.models.episodes import QUANTITIES, RATE, Catalogue
 from stickslip.analysis.models.laws import Difference, difference_of_order, distance_of_shares, largest_gap
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.stats.estimates import Estimate, Undefined
-from stickslip.pipeline.design.labels import Label
+from stickslip.pipeline.design.labels import Label, Part
 from stickslip.pipeline.design.values import text
+from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines.contract import Engine, Number
 
 #: From which on a number is not shown as a power of ten.
 _SMALL = 0.01
@@ -60,26 +62,25 @@ LAWS: Mapping[str, Compared] = {
 def names(found: Sequence[Catalogues]) -> list[str]:
     """Names of groups by what distinguishes them: method, place in a sweep and number of blocks."""
     of_one_size = len({one.group.key["n"] for one in found}) == 1
-    return [_method(one.group.name, of_one_size, all("exact" in one.label for one in found)) for one in found]
+    engines = {ENGINES[one.group.key["engine"]] for one in found}
+    shared = {("", engine.title) for engine in engines if engine.is_exact and len(engines) == 1}
+    return [_method(one.group.name, ENGINES[one.group.key["engine"]], of_one_size, shared) for one in found]
 
 
-#: What an engine and a number of its own that follows on it are called together.
-_TOGETHER = {("moreau", "step"): "time steps h", ("sigmoid", "eps"): "sigmoid \u03b5"}
-
-
-def _method(label: Label, of_one_size: bool, are_exact: bool) -> str:
+def _method(label: Label, engine: type[Engine], of_one_size: bool, shared: Collection[Part]) -> str:
     """Name of a method from the label of its group, without what all groups share."""
+    numbers = {name: one.symbol for name, one in engine.settings().items() if isinstance(one, Number) and one.symbol}
     words: list[str] = []
     for name, value in label.parts:
-        if (name == "n" and of_one_size) or ((name, value) == ("", "exact") and are_exact):
+        if (name, value) in shared or (name == "n" and of_one_size):
             continue
-        of_engine = _TOGETHER.get((words[-1], name)) if words else None
-        if of_engine is not None:
+        said = numbers.get(name, name)
+        if name in numbers and words and words[-1] == engine.title:  # one word for both
+            said = f"{engine.method} {said}"
             words.pop()
-        said = of_engine or ("\u03b5" if name == "eps" else name)
-        shown = (_power(float(value)) if name == "eps" else value).replace("e-0", "e-")
-        words.append(f"{said}\u00a0=\u00a0{shown}" if name else value)
-    return ", ".join(words) or "exact"
+        shown = _power(float(value)) if numbers.get(name) == "\u03b5" else value
+        words.append(f"{said} = {shown}".replace("e-0", "e-").replace(" = ", "\u00a0=\u00a0") if name else value)
+    return ", ".join(words) or engine.title
 
 
 def _power(number: float) -> str:

@@ -23,6 +23,7 @@ from stickslip.analysis.series.runs import Ended, Runs
 from stickslip.analysis.tables import records
 from stickslip.pipeline.design.design import Change, Kind, Method
 from stickslip.pipeline.design.labels import labels
+from stickslip.sim.engines import place
 
 START, CONSTANTS, RATIOS = Kind.START, Kind.CONSTANTS, Kind.RATIOS
 CURVE_POINTS = 70  # of the means of gaps
@@ -180,7 +181,7 @@ def settings(members: Members) -> list[Setting]:
         Setting(name, key, *_compared(members, np.flatnonzero(np.isin(of_setting, some))))
         for name, key, some in zip(names, keys, parts.values(), strict=True)
     ]
-    return sorted((one for one in found if one.bases), key=lambda s: (s.key["n"], s.key["engine"], s.label))
+    return sorted((one for one in found if one.bases), key=lambda s: (s.key["n"], place(s.key["engine"]), s.label))
 
 
 def _is_drawn(method: Method) -> bool:

@@ -2,7 +2,31 @@
 
 from __future__ import annotations
 
+import errno
 import shlex
+
+#: What to do about an error of the system at a path, by its number.
+_REMEDIES: dict[int | None, str] = {
+    errno.ENOENT: "the folder does not exist: create it or choose another",
+    errno.ENOTDIR: "what it has for a folder is none: correct the path",
+    errno.EISDIR: "a directory is there: choose another name",
+    errno.EEXIST: "something else is there: choose another name",
+    errno.ELOOP: "links on its path lead in a circle: remove one, or correct the path",
+    errno.ENAMETOOLONG: "its name or path is too long: shorten it",
+    errno.EACCES: "change its permissions, or choose another place",
+    errno.EPERM: "change its permissions, or choose another place",
+    errno.EROFS: "what is mounted there can only be read: choose another place",
+    errno.ENOSPC: "make room or choose another place",
+    errno.EDQUOT: "make room within your quota, or choose another place",
+    errno.EFBIG: "it is larger than such a file can be: check what it is",
+    errno.EMFILE: "raise `ulimit -n`",
+    errno.ENFILE: "close other programs: all files of the system are in use",
+}
+
+
+def remedy(error: Exception) -> str:
+    """What to do about an error of the system at a path."""
+    return _REMEDIES.get(getattr(error, "errno", None), "check the path and its disk, or choose another place")
 
 
 def printable(text: str) -> str:
@@ -28,8 +52,13 @@ def shortened(text: str, most: int) -> str:
 
 
 def command(*words: str) -> str:
-    """A command of ours as a shell takes it: names with spaces are quoted."""
-    return shlex.join(("stickslip", *words))
+    """A command of ours as a shell takes it: names with spaces are quoted, and control characters are written out."""
+    return " ".join(shlex.quote(word) if word.isprintable() else _escaped(word) for word in ("stickslip", *words))
+
+
+def _escaped(word: str) -> str:
+    kept = word.replace("\\", "\\\\").replace("'", "\\'")
+    return "$'" + "".join(c if c.isprintable() else ascii(c)[1:-1] for c in kept) + "'"
 
 
 class SceneError(ValueError):

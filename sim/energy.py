@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines import DEFAULT, ENGINES
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs.run import Run, Samples
@@ -108,7 +108,7 @@ def energy(system: System, run: Run, z0: ArrayLike, w0: ArrayLike, **settings: A
         If it takes more than 4,194,304 segments, from event to event or of 2 / rate, where the rate leaves out heavy
         damping. So many occur where a run takes no steps, as after a collapse.
     """
-    engine = settings.get("engine", "coulomb")
+    engine = settings.get("engine", DEFAULT)
     if engine not in ENGINES or not ENGINES[engine].is_exact:
         raise ValueError(f"engine: expected one of the exact law, got {engine!r}")
     if run.outcome == "diverged":
@@ -204,7 +204,7 @@ def _edges(system: System, series: EventSeries) -> Floats:
     fall = 0.0
     if system.weakening is not None:
         fall = _BENDS * system.weakening.steepness * (system.static / system.mass).max()
-    slow, fast = lasting.rates.max() + fall, unit.rates.max() + fall
+    slow, fast = lasting.fastest_rate + fall, unit.fastest_rate + fall
     if slow < fast:
         instants = _graded(instants, _REACH / fast, _REACH / max(slow, 1e-300))
     return _divided(instants, np.ceil(np.diff(instants) * (slow / _REACH)))

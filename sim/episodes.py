@@ -65,7 +65,7 @@ def spans(series: EventSeries) -> Floats:
 
 
 def episodes(run: Run, belt_speed: ArrayLike | Piecewise) -> Episodes:
-    """The episodes of a run of either engine.
+    """The episodes of a run of an engine that keeps `Run.stills`.
 
     Parameters
     ----------

@@ -121,6 +121,8 @@ def as_task(
 
 def _check_times(times: Floats, t_start: float, t_end: float) -> None:
     """ValueError unless times are from `t_start` to `t_end` and do not decrease."""
+    if times.shape == (0,):
+        return
     is_outside = ~((times >= t_start) & (times <= t_end))
     if times.ndim != 1:
         bounds, got = [*apart(t_start, t_end)], f"an array of shape {times.shape}; give it the shape (m,)"

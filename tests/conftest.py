@@ -11,40 +11,58 @@ os.environ.update(
     ONE_THREAD
 )  # before anything loads numpy: pytest's workers fill the cores, and threads wait for them
 
+import hypothesis
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 
 def pytest_addoption(parser):
     parser.addoption("--fresh", action="store_true", help="only the tests that draw at random, on a new seed")
+    parser.addoption("--repeat", type=int, help="as --fresh, and each test so many times, each on a seed of its own")
     parser.addoption("--seed", type=int, help="as --fresh, on the seed that such a run has printed")
 
 
 def pytest_configure(config):
     """One number decides what a run draws; pytest-xdist hands it to its workers with the other options."""
     option = config.option
-    option.fresh |= option.seed is not None
+    option.fresh |= option.seed is not None or option.repeat is not None
     if option.seed is None:
         option.seed = secrets.randbits(32)
     # none looks at the clock
     settings.register_profile(
-        "any machine", deadline=None, print_blob=True, database=None, derandomize=not option.fresh
+        "any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True, database=None
     )
     settings.load_profile("any machine")
 
 
+def _draws(test):
+    return "repetition" in test.fixturenames or hypothesis.is_hypothesis_test(test.function)
+
+
+def pytest_generate_tests(metafunc):
+    if metafunc.config.option.fresh and _draws(metafunc):
+        if "repetition" not in metafunc.fixturenames:
+            metafunc.fixturenames.append("repetition")
+        metafunc.parametrize("repetition", range(metafunc.config.option.repeat or 1), scope="module")
+
+
 def pytest_collection_modifyitems(config, items):
     if config.option.fresh:
-        seeds = {"random_seed", "module_seed"}
-        draws = {item: seeds & {*item.fixturenames} or item.get_closest_marker("hypothesis") for item in items}
-        config.hook.pytest_deselected(items=[item for item in items if not draws[item]])
-        items[:] = [item for item in items if draws[item]]
+        config.hook.pytest_deselected(items=[item for item in items if not _draws(item)])
+        items[:] = [item for item in items if _draws(item)]
+
+
+def pytest_runtest_setup(item):
+    if hypothesis.is_hypothesis_test(item.obj):
+        hypothesis.seed(_seed(item))(item.obj)
 
 
 def pytest_terminal_summary(terminalreporter, config):
+    """The summary names what failed, with its repetition."""
     if config.option.fresh:
-        terminalreporter.write_line(f"to draw the same again: --seed {config.option.seed}")
+        repeat = f" --repeat {config.option.repeat}" if config.option.repeat else ""
+        terminalreporter.write_line(f"to draw the same again: --seed {config.option.seed}{repeat}")
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -63,24 +81,31 @@ def answers_to_ctrl_c():
     signal.signal(signal.SIGINT, before)
 
 
-def _seed(request):
-    is_fresh = request.config.option.fresh or "long" in request.keywords
-    name = f"{request.config.option.seed if is_fresh else ''} {request.node.nodeid}"
+def _seed(node, repetition=""):
+    option = node.config.option
+    is_fresh = option.fresh or "long" in node.keywords
+    name = f"{option.seed if is_fresh else ''}{repetition} {node.nodeid}"
     seed = int.from_bytes(hashlib.sha256(name.encode()).digest()[:4])
     print("seed", seed)
     return seed
 
 
+@pytest.fixture(scope="module")
+def repetition():
+    """Which repetition of a test this is; `--repeat` gives it values."""
+    return ""
+
+
 @pytest.fixture
-def random_seed(request):
+def random_seed(request, repetition):
     """A seed that the test's name fixes; with `--fresh`, and in long tests, one of this run, which is printed."""
-    return _seed(request)
+    return _seed(request.node, repetition)
 
 
 @pytest.fixture(scope="module")
-def module_seed(request):
+def module_seed(request, repetition):
     """The same for what the tests of a file share."""
-    return _seed(request)
+    return _seed(request.node, repetition)
 
 
 @pytest.fixture

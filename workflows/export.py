@@ -21,13 +21,13 @@ import pyarrow.parquet as pq
 from stickslip.analysis.report import AS_TEXT, FORMULA
 from stickslip.pipeline import QueryError
 from stickslip.pipeline.dataset.opened import frame
-from stickslip.pipeline.errors import printable
+from stickslip.pipeline.errors import printable, remedy
 from stickslip.pipeline.places import plain
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
 from stickslip.sim.kernels.cache import MOST_LINKS, PASS, is_ours
-from stickslip.workflows import NO_FOLDER
+from stickslip.workflows.printed import Terminal
 
 Form = Literal["table", "csv", "parquet"]
 
@@ -86,7 +86,7 @@ def _write(batches: pa.RecordBatchReader, form: Form, stream: BinaryIO) -> None:
         if form == "table":
             stream.write(_table(batches).encode())
         elif form == "csv":
-            with pa.csv.CSVWriter(stream, batches.schema) as writer:
+            with pa.csv.CSVWriter(Terminal(stream) if stream.isatty() else stream, batches.schema) as writer:
                 for batch in batches:
                     writer.write_batch(_as_texts(batch))
         else:
@@ -168,10 +168,8 @@ def whole(out: Path, dataset: Where, option: str = "--out") -> Iterator[BinaryIO
             plain.remove_left(directory, file.name)
             with plain.replacing(file, directory) as stream:
                 yield stream
-    except FileNotFoundError as error:
-        raise QueryError(f"{option}: {out}: {NO_FOLDER}") from error
     except OSError as error:
-        raise QueryError(f"{option}: {out} cannot be written ({error.strerror}); choose another file") from error
+        raise QueryError(f"{option}: {out} cannot be written ({error.strerror}); {remedy(error)}") from error
 
 
 def _written(out: Path) -> int | None:

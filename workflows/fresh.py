@@ -14,7 +14,8 @@ from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
 from stickslip.version import __version__
 
-#: The files of a report, one a line; while it is written, the first line says so, and files of earlier ones follow.
+#: The files of a report, one a line, with their sha256; while it is written, the first line says so, and those of
+#: the one before follow.
 LIST, UNFINISHED = "report/files.txt", "(unfinished)"
 
 

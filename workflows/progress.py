@@ -15,6 +15,7 @@ from stickslip.pipeline.dataset.opened import Opened, open_dataset, rows_that_fa
 from stickslip.pipeline.dataset.status import Follower, Status, status
 from stickslip.pipeline.errors import command, printable
 from stickslip.pipeline.places.place import Where
+from stickslip.workflows.printed import unescaped
 
 if TYPE_CHECKING:
     from stickslip.pipeline import Progress
@@ -46,7 +47,7 @@ def watch(directory: Where) -> Status:
         found = follower.look()
         lines = _status_lines(found)
         if sys.stdout.isatty() and last:
-            print(f"\x1b[{len(last)}F\x1b[J", end="")  # over the last ones
+            print(f"\x1b[{len(last)}F\x1b[J", end="", file=unescaped(sys.stdout))  # over the last ones
         if lines != last or sys.stdout.isatty():
             print("\n".join(lines), flush=True)
         last = lines
@@ -95,7 +96,7 @@ class Watch:
 
     def __init__(self, directory: Where, stream: TextIO | None = None) -> None:
         self._directory = directory
-        self._stream = sys.stderr if stream is None else stream
+        self._stream = unescaped(sys.stderr if stream is None else stream)
         self._bar: tqdm | None = None
         self._said: float | None = None  # when a line was
         self._last: Progress | None = None
@@ -163,7 +164,7 @@ class Watch:
         return f"{progress.n_done}/{progress.n_members} members, {shards}{failed}, {elapsed}"
 
     def _print(self, line: str) -> None:
-        tqdm.write(line, file=self._stream)  # above the bar, if there is one
+        tqdm.write(printable(line), file=self._stream)  # above the bar, if there is one
 
     def _draw(self, done: float, total: float, words: str) -> tqdm:
         if self._bar is None:

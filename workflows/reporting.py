@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from itertools import starmap
 
 import numpy as np
@@ -16,6 +18,7 @@ from stickslip.analysis.members import READ, Members
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.page import Answered
+from stickslip.analysis.session import defaults
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
 from stickslip.pipeline.design.design import Coordinates
@@ -35,13 +38,12 @@ from stickslip.pipeline.query import (
     series,
 )
 from stickslip.pipeline.scene.columns import DESIGN
-from stickslip.sim.numerics.session import numpy_defaults
 from stickslip.version import __version__
 from stickslip.workflows.fresh import LIST, UNFINISHED, made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
 
-#: What a line of `LIST` may name, whoever wrote it.
-_OURS = re.compile(r"report/(figures/)?[\w-]+\.(parquet|csv|svg|pdf)")
+#: A line of `LIST`, whoever wrote it: a sha256 and a name, as `sha256sum` writes them.
+_LISTED = re.compile(r"([0-9a-f]{64})  (report/(?:figures/)?[\w-]+\.(?:parquet|csv|svg|pdf))")
 
 #: Columns of members that no question of this package looks at.
 _UNASKED = (
@@ -63,20 +65,24 @@ def _data(opened: Opened, whole: bool = False) -> Data:
     """A dataset as the analysis sees it, its series read where they are asked for."""
     scene, names = opened.scene, scalar_names(opened)
     kept = [column for record in scene.records_in_order for column in record.kept if column.is_number]
-    values, said = {one.name: list[np.ndarray]() for one in kept}, dict[str, str]()
+    values, problems = {one.name: list[np.ndarray]() for one in kept}, dict[str, dict[str, str]]()
+    own = () if scene.own_record is None else scene.own_record.kept
 
     def prepared(part: pd.DataFrame, coordinates: Coordinates) -> pd.DataFrame:
         for name, columns in values.items():
             columns.append(part[name].to_numpy(np.float64, na_value=np.nan))
-        if scene.own_record is not None:
+        if own:
             some = part[part["own_problem"].notna()]
-            said.update(zip(some["member_id"], some["own_problem"].map(printable), strict=True))
+            # data of an earlier version do not say of which columns: of any
+            lost = some["own_lost"] if "own_lost" in some else [",".join(one.name for one in own)] * len(some)
+            for member_id, why, names in zip(some["member_id"], some["own_problem"], lost, strict=True):
+                for name in names.split(","):
+                    problems.setdefault(name, {})[member_id] = printable(why)
         return _prepared(scene, part).assign(**coordinates._asdict())
 
     asked = [name for name in names if whole or name not in _UNASKED]
     table = Members.of(starmap(prepared, members_in_parts(opened, asked)), opened.design)
     pa.default_memory_pool().release_unused()  # else what reading took would stay taken, 150 bytes a member
-    problems = _own_problems(scene, said)
     recorded = {
         one.name: Recorded(
             printable(one.words),
@@ -89,6 +95,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             one.kind == "yes or no",
             one.until and Until(one.until.start(scene.record_t_burn)),
             one.of_gaps,
+            one.most,
         )
         for one in kept
     }
@@ -125,23 +132,12 @@ def _prepared(scene: Scene, table: pd.DataFrame) -> pd.DataFrame:
     return table
 
 
-def _own_problems(scene: Scene, said: Mapping[str, str]) -> dict[str, dict[str, str]]:
-    """Why functions of the user's own gave no value, by column and member_id, from what was said of each member."""
-    if scene.own_record is None:
-        return {}
-    return {
-        column.name: {member_id: why for member_id, why in said.items() if own.lacks(column, why)}
-        for own in scene.own_record.functions
-        for column in own.columns
-    }
-
-
 def _drawable(text: str) -> str:
     """Words that are valid in HTML and SVG; matplotlib takes what is between two dollars for a formula."""
     return printable(text).replace("$", r"\$")
 
 
-@numpy_defaults()
+@defaults()
 def report(
     path: Where | Opened, asking: Asking | None = None, on_answer: Callable[[int, int], None] = lambda *_: None
 ) -> Report:
@@ -163,7 +159,7 @@ def report(
     return built
 
 
-@numpy_defaults()
+@defaults()
 def compared(path: Where, other: Where) -> Report:
     """Set the statistics of two datasets side by side, under the settings and margins of the first one's scene.
 
@@ -224,12 +220,13 @@ def _provenance(opened: Opened) -> dict[str, str]:
     }
 
 
-@numpy_defaults()
+@defaults()
 def write(built: Report, where: Where) -> str:
     """Write a report into a directory or to an address; return the name of the page.
 
     The page comes after what it names; then files of earlier reports are removed that this one lacks, as all list
-    theirs in `report/files.txt`. One that is killed on the way leaves a list of all that may be there, which says so.
+    theirs in `report/files.txt`, each with the sha256 that it has to have: a file that somebody else put there stays.
+    One that is killed on the way leaves a list of all that may be there, which says so.
 
     Raises
     ------
@@ -241,15 +238,26 @@ def write(built: Report, where: Where) -> str:
         place.make()
         place.remove_left()
     files, (listed,) = built.files(), place.read_each([LIST])
-    earlier = built.gone() if listed is None else listed.decode(errors="replace").splitlines()
-    place.replace(LIST, _lines([UNFINISHED, *earlier, *files]))
-    place.replace_all(files)
-    for name in earlier:
-        if _OURS.fullmatch(name) and name not in files:
+    lines = [] if listed is None else listed.decode(errors="replace").splitlines()
+    earlier = {match[2]: match[1] for line in lines if (match := _LISTED.fullmatch(line))}
+    written: dict[str, str] = {}
+
+    def content(name: str) -> bytes:
+        made = files[name]()
+        written[name] = hashlib.sha256(made).hexdigest()
+        return made
+
+    place.replace(LIST, _lines([UNFINISHED], earlier))
+    place.replace_all({name: partial(content, name) for name in files})
+    for name, sha256 in earlier.items():
+        (found,) = place.read_each([name]) if name not in files else [None]
+        if found is not None and hashlib.sha256(found).hexdigest() == sha256:
             place.remove(name)
-    place.replace(LIST, _lines(files))
+    for name in built.gone() if listed is None else ():
+        place.remove(name)
+    place.replace(LIST, _lines([], written))
     return place.named(PAGE)
 
 
-def _lines(names: Iterable[str]) -> bytes:
-    return "".join(f"{name}\n" for name in dict.fromkeys(names)).encode()
+def _lines(first: Iterable[str], files: Mapping[str, str]) -> bytes:
+    return "".join(f"{line}\n" for line in (*first, *(f"{files[name]}  {name}" for name in files))).encode()

@@ -16,7 +16,7 @@ import pandas as pd
 from scipy import special
 
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.compare import share_over_matrices, wilson, wilsons
+from stickslip.analysis.stats.compare import Scatter, share_over_matrices, wilson, wilsons
 from stickslip.analysis.stats.estimates import Estimate
 
 COLLAPSED, DIVERGED, SUSTAINED, LULL, QUIET, UNMOVED, FAILED = (
@@ -32,6 +32,7 @@ LAST_SHARE = 0.25  # last part of a run: lull or quiet if no block sticks in it,
 #: much.
 RATE_ROUNDING = 1e-8
 SHARE_ROUNDING = 1e-9  # of a product of shares, such as 5/6 4/5 3/4, which is one half
+ROUNDING = 1e-12  # of a sum over units, relative to its terms
 
 
 #: A number, or one of each run.
@@ -64,7 +65,8 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float, units:
     """
     t, n_at_risk, n_ends, share = risks(times, ended)
     if units is not None and _are_shared(units):
-        return t, share, *wilsons(share, _effective(t, share, times, ended, units), confidence)
+        trials = _scatter(t, share, times, ended, units).at(student.half_width(confidence, np.inf))
+        return t, share, *wilsons(share, trials, confidence)
     with np.errstate(divide="ignore", invalid="ignore"):  # where the interval has no width
         variance = np.cumsum(n_ends / (n_at_risk * (n_at_risk - n_ends)))
         half = student.half_width(confidence, np.inf) * np.sqrt(variance) / np.log(share)
@@ -91,10 +93,8 @@ def _are_shared(units: np.ndarray) -> bool:
     return not pd.Index(units).is_unique
 
 
-def _effective(
-    t: np.ndarray, share: np.ndarray, times: np.ndarray, ended: np.ndarray, units: np.ndarray
-) -> np.ndarray:
-    """Effective numbers of independent runs behind the share left at each t, by how far units differ in it."""
+def _scatter(t: np.ndarray, share: np.ndarray, times: np.ndarray, ended: np.ndarray, units: np.ndarray) -> Scatter:
+    """How far units scatter about the share left at each t."""
     place = np.unique(units, return_inverse=True)[1]
     n_of, in_time = np.bincount(place).astype(np.float64), np.argsort(times[ended], kind="stable")
     of_end = place[ended][in_time]
@@ -103,16 +103,20 @@ def _effective(
     n_before = np.empty(len(order))
     n_before[order] = np.arange(len(order)) - first  # ends of the same unit before each
     left = n_of[of_end] - n_before
-    # sums over units of what is left squared, and times their size, from each end on
-    squares = np.append(0.0, np.cumsum(1.0 - 2.0 * left)) + np.sum(n_of**2)
-    products = np.append(0.0, np.cumsum(-n_of[of_end])) + np.sum(n_of**2)
     by = np.searchsorted(times[ended][in_time], t, side="right")
-    residual = squares[by] - 2.0 * share * products[by] + share**2 * np.sum(n_of**2)
-    variance = len(n_of) / max(len(n_of) - 1, 1) * np.maximum(residual, 0.0) / len(times) ** 2
-    most = np.full(len(t), float(len(times)))
-    trials = np.divide(share * (1.0 - share), variance, out=most, where=variance > 0)
-    is_between = (share > 0) & (share < 1) & (len(n_of) > 1)  # one unit is one trial
-    return np.where(is_between, np.clip(trials, len(n_of), len(times)), float(len(n_of)))
+
+    def moved(power: int) -> np.ndarray:
+        """The sum over units of what each moves the share by, to a power."""
+        total = np.zeros(len(t))
+        for k in range(power + 1):  # what is left to the power k, from each end on
+            falls = ((left - 1.0) ** k - left**k) * n_of[of_end] ** (power - k)
+            sums = np.append(0.0, np.cumsum(falls))[by] + np.sum(n_of**power)
+            total += special.binom(power, k) * (-share) ** (power - k) * sums
+        return np.where(total > ROUNDING * np.sum(n_of**power), total, 0.0) / float(len(times)) ** power
+
+    squares, fourths = moved(2), moved(4)
+    concentration = np.divide(fourths, squares**2, out=np.zeros(len(t)), where=squares > 0)
+    return Scatter.of(share, squares, concentration, n_of, float(len(times)))
 
 
 def survival(
@@ -164,20 +168,8 @@ def half_ended(
     Quiet runs count as ended at their last events; the upper end of the interval takes them as not ended.
     """
     times, ended, earliest = _ends(fates, t_last, t_stop, t_end)
-    found = median(earliest, ended | (fates == QUIET), confidence)
-    found = replace(found, high=median(times, ended, confidence).high)
-    if units is None or not _are_shared(units):
-        return found
-    # runs of a unit are not independent: from when, and until when, the interval of the share holds one half
-    t, _, low, high = survival(fates, t_last, t_stop, t_end, confidence, units)
-    return Estimate(found.value, *half_between(t, low, high), found.reason)
-
-
-def half_between(t: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[float | None, float | None]:
-    """From when on, and until when, the interval of a share that falls holds one half; None if to no end."""
-    first, last = np.flatnonzero(low <= 0.5), np.flatnonzero(high > 0.5)
-    until = int(last[-1]) + 1 if len(last) else 0
-    return float(t[first[0]]) if len(first) else None, float(t[until]) if until < len(t) else None
+    found = median(earliest, ended | (fates == QUIET), confidence, units)
+    return replace(found, high=median(times, ended, confidence, units).high)
 
 
 def _ends(
@@ -188,18 +180,19 @@ def _ends(
     return times, ended, np.where(fates == QUIET, t_last, times)
 
 
-def median(times: np.ndarray, ended: np.ndarray, confidence: float) -> Estimate:
+def median(times: np.ndarray, ended: np.ndarray, confidence: float, units: np.ndarray | None = None) -> Estimate:
     """Time by which half have ended, by Kaplan and Meier; None if fewer than half are seen to end.
 
     Of an even number it is the lower of the two middle times. The interval is one of order statistics, the k-th
     smallest time to the k-th largest, with the largest k for which P(B < k) <= (1 - confidence) / 2, B being binomial
     with as many trials as there are times and the chance 1/2. It covers with at least the confidence for any law of
     the times; at 95% it takes six of them. For its lower end what was censored counts as ended then, for its upper
-    end as never ended, so it holds whatever censored them. An end that the data do not reach is None.
+    end as never ended, so it holds whatever censored them. An end that the data do not reach is None. If units have
+    several runs, it is from when on, and until when, the interval of the share of either holds one half.
 
     Parameters
     ----------
-    times, ended, confidence
+    times, ended, confidence, units
         As in `kaplan_meier`.
     """
     if not len(times):
@@ -207,10 +200,18 @@ def median(times: np.ndarray, ended: np.ndarray, confidence: float) -> Estimate:
     t, share, _, _ = kaplan_meier(times, ended, confidence)
     is_reached = (share <= 0.5 + SHARE_ROUNDING) & (share < 1)  # before the first end nothing counts
     value = float(t[np.argmax(is_reached)]) if is_reached.any() else None
+    reason = "fewer than half have ended" if value is None else ""
+    never = np.where(ended, times, np.inf)
+    if units is not None and _are_shared(units):
+        t, _, below, _ = kaplan_meier(times, np.ones(len(times), dtype=bool), confidence, units)
+        until, _, _, above = kaplan_meier(never, ended, confidence, units)
+        first, last = np.flatnonzero(below <= 0.5), np.flatnonzero(above > 0.5)
+        after = int(last[-1]) + 1 if len(last) else 0
+        ends = float(t[first[0]]) if len(first) else None, float(until[after]) if after < len(until) else None
+        return Estimate(value, *ends, reason)
     k = int(np.sum(special.bdtr(np.arange(len(times)), len(times), 0.5) <= (1 - confidence) / 2))
     low = float(np.sort(times)[k - 1]) if k else None
-    high = float(np.sort(np.where(ended, times, np.inf))[-k]) if k else np.inf
-    reason = "fewer than half have ended" if value is None else ""
+    high = float(np.sort(never)[-k]) if k else np.inf
     return Estimate(value, low, high if np.isfinite(high) else None, reason)
 
 

@@ -9,20 +9,17 @@ a limit that all runs are followed to, the area under the curve of Kaplan and Me
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
 import numpy as np
 
-from stickslip.analysis.models.fates import half_between, kaplan_meier, median, risks
+from stickslip.analysis.models.fates import median, risks
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import correlation
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
 
-#: Units in which it must have happened for an interval of a restricted mean: with fewer its error is known too badly.
-#: At a rate of 0.1 in the time watched, one run each, intervals of 95% covered 38% with 5 units and 87% with 50.
-LEAST_ENDED = 5
 _QUANTILE = student.quantile(0.975, np.inf)
 
 
@@ -60,13 +57,6 @@ class Times(UnitSums):
         kept = np.isin(self.of_unit, other.units)
         return self if kept.all() else self.of_runs(self.of_unit[kept], self.times[kept], self.ended[kept])
 
-    def too_few(self, unit: str) -> str:
-        """Why a restricted mean has no interval: it happened in fewer than `LEAST_ENDED` units; else empty."""
-        n_ended = len(np.unique(self.of_unit[self.ended]))
-        if n_ended >= LEAST_ENDED:
-            return ""
-        return f"it happened in {n_ended} of {len(self)} {unit}s, which are too few for an interval"
-
     @property
     def n_censored(self) -> int:
         """How many runs were followed to an end without it."""
@@ -97,16 +87,11 @@ class Times(UnitSums):
     # ------------------------------------------------------------------------------------------------- median
 
     def median(self, confidence: float) -> Estimate:
-        """The time by which half of the runs have it, with `models.fates.median`'s interval; else why there is none.
-
-        If units have several runs, the interval is where that of the share left, by units, holds one half.
-        """
-        found = median(self.times, self.ended, confidence)
-        low, high = found.low, found.high
-        if len(self.units) < len(self.times):
-            t, _, below, above = kaplan_meier(self.times, self.ended, confidence, self.of_unit)
-            low, high = half_between(t, below, above)
-        return Estimate(found.value, low, high, self._not_reached if found.value is None else "")
+        """The time by which half of the runs have it, by `models.fates.median`; else why there is none."""
+        found = median(self.times, self.ended, confidence, self.of_unit)
+        if found.value is None:
+            return replace(found, reason=self._not_reached)
+        return replace(found, reason="the runs do not reach an end of it" if None in (found.low, found.high) else "")
 
     @property
     def _not_reached(self) -> str:

@@ -18,6 +18,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from jinja2.bccache import Bucket, BytecodeCache
 from markupsafe import Markup, escape
 
+from stickslip.analysis import arguments
 from stickslip.analysis.stats.compare import WITHIN
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.values import shown
@@ -131,7 +132,13 @@ def with_interval(estimate: Estimate, digits: int = 3) -> str:
     estimate : Estimate
     digits : int
         Significant digits of the value.
+
+    Raises
+    ------
+    ValueError
+        If it is no `Estimate`.
     """
+    estimate = arguments.instance("estimate", estimate, Estimate)
     if estimate.value is None:
         return f"no value ({estimate.reason})"
     if estimate.low is None or estimate.high is None:

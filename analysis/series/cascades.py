@@ -31,6 +31,7 @@ from functools import cached_property
 
 import numpy as np
 
+from stickslip.analysis import arguments
 from stickslip.analysis.series.windows import Stack, Windows, windows
 
 SAMPLED = ("drop", "length", "descent", "decreases")
@@ -51,7 +52,7 @@ class Law:
     dt: float | None = None
 
     def __post_init__(self) -> None:
-        if self.dt is not None and not 0.0 < self.dt < np.inf:
+        if self.dt is not None and not 0.0 < arguments.number("dt", self.dt, "a finite number > 0") < np.inf:
             raise ValueError(f"dt: expected a finite number > 0, got {self.dt!r}; give a sampling step, as 0.5")
 
     def __str__(self) -> str:
@@ -168,13 +169,16 @@ def window(t: np.ndarray, n_stick: np.ndarray, t_start: float, t_stop: float) ->
     Raises
     ------
     ValueError
-        If shapes differ, values are not integers, times decrease, or the window is empty, has no end, or starts
-        before the series.
+        If shapes differ, values are no integers >= 0, times are no numbers or decrease, or the window is empty, has
+        no end, or starts before the series.
     """
-    if t_stop == np.inf:
+    begin, end = (arguments.number(name, x, "a time") for name, x in (("t_start", t_start), ("t_stop", t_stop)))
+    if end == np.inf:
         raise ValueError(f"t_stop: expected a finite time, got {t_stop}; give the end of the run")
-    found = windows(Stack.of([(np.asarray(t), np.asarray(n_stick))]), float(t_start), [float(t_stop)])
-    return Window(float(t_start), float(t_stop), int(found.level[0]), found.t[1:], found.step[1:])
+    found = windows(Stack.of([(np.asarray(t), np.asarray(n_stick))]), begin, [end])
+    if found.level.min() < 0:
+        raise ValueError(f"n_stick: expected numbers of blocks, >= 0, got {found.level.min()}; correct them")
+    return Window(begin, end, int(found.level[0]), found.t[1:], found.step[1:])
 
 
 def sample(t: np.ndarray, n_stick: np.ndarray, grid: np.ndarray) -> np.ndarray:
@@ -185,11 +189,12 @@ def sample(t: np.ndarray, n_stick: np.ndarray, grid: np.ndarray) -> np.ndarray:
     ValueError
         If there is no change point, or a grid time lies before the first, or is not finite.
     """
-    if not np.size(t):
+    known, asked = (arguments.numbers(name, x, "times") for name, x in (("t", t), ("grid", grid)))
+    if not known.size:
         raise ValueError("t: expected a change point or more, got none; the first is the start of the run")
-    index = np.searchsorted(t, grid, side="right") - 1
-    if (index < 0).any() or not np.isfinite(grid).all():
-        raise ValueError(f"grid: expected finite times >= t[0] = {t[0]!r}, got {np.min(grid)!r}; leave out others")
+    index = np.searchsorted(known, asked, side="right") - 1
+    if (index < 0).any() or not np.isfinite(asked).all():
+        raise ValueError(f"grid: expected finite times >= t[0] = {t[0]!r}, got {np.min(asked)!r}; leave out others")
     return np.asarray(n_stick)[index]
 
 
@@ -222,8 +227,10 @@ def sizes(win: Window, law: Law) -> np.ndarray:
     Raises
     ------
     ValueError
-        If the definition is not one of `DEFINITIONS`, or lacks its dt, or has one that it does not use.
+        If they are no window and no law, or the definition is not one of `DEFINITIONS`, or lacks its dt, or has one
+        that it does not use.
     """
+    win, law = arguments.instance("win", win, Window), arguments.instance("law", law, Law)
     if law.definition not in DEFINITIONS:
         raise ValueError(f"definition: expected one of {', '.join(DEFINITIONS)}, got {law.definition!r}")
     if (law.dt is None) == (law.definition in SAMPLED):

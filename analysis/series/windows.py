@@ -42,7 +42,7 @@ class Stack:
         Raises
         ------
         NoSeries
-            If shapes differ, a series is empty, or values are not integers.
+            If shapes differ, a series is empty, times are no numbers, or values are no integers.
         """
         for k, (times, values) in enumerate(series):
             _check_form(k, np.asarray(times), np.asarray(values))
@@ -287,5 +287,7 @@ def _check_form(k: int, t: np.ndarray, n_stick: np.ndarray) -> None:
         raise NoSeries(
             k, f"t, n_stick: expected two non-empty arrays of one length, got {t.shape} and {n_stick.shape}"
         )
+    if t.dtype.kind not in "iuf":
+        raise NoSeries(k, f"t: expected numbers, got dtype {t.dtype}; give times")
     if n_stick.dtype.kind not in "iu":
         raise NoSeries(k, f"n_stick: expected integers, got dtype {n_stick.dtype}")

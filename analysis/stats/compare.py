@@ -16,13 +16,21 @@ from __future__ import annotations
 import reprlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stickslip.analysis.stats import arguments, student
-from stickslip.analysis.stats.estimates import Statistic, Undefined, jackknife, paired_difference
+from stickslip.analysis import arguments
+from stickslip.analysis.stats import student
+from stickslip.analysis.stats.estimates import (
+    Estimate,
+    Statistic,
+    Undefined,
+    jackknife,
+    paired_difference,
+    with_data,
+)
 
 _Numbers = TypeVar("_Numbers", float, np.ndarray)
 AGREE, DIFFER, UNKNOWN = "agree", "differ", "cannot be told"
@@ -170,6 +178,7 @@ def against(of: Statistic, rows: np.ndarray, margin: float) -> Compared:
     Undefined
         If it has no value on all rows, or with one row left out, or if there is only one row.
     """
+    rows = with_data(rows)
     if len(rows) < 2:
         raise Undefined("fewer than two matrices")
     value, error = jackknife(of, rows)
@@ -184,12 +193,13 @@ def wilson(successes: float, trials: float, confidence: float) -> tuple[float, f
     ValueError
         If there are no trials, the successes are not between 0 and the trials, or the confidence is none.
     """
-    if not (0 < trials < np.inf and 0 <= successes <= trials):
+    has, of = (arguments.number(name, value) for name, value in (("successes", successes), ("trials", trials)))
+    if not (0 < of < np.inf and 0 <= has <= of):
         raise ValueError(
             f"successes, trials: expected 0 <= successes <= trials > 0, got {successes} of {trials}; give how many "
             "have the property, and how many there are"
         )
-    low, high = wilsons(np.array([successes / trials]), np.array([trials]), confidence)
+    low, high = wilsons(np.array([has / of]), np.array([of]), confidence)
     return float(low[0]), float(high[0])
 
 
@@ -207,16 +217,97 @@ def _middle(share: _Numbers, trials: _Numbers, z: float) -> tuple[_Numbers, _Num
     return (share + z2 / 2) / (1 + z2), z / (1 + z2) * (share * (1 - share) / trials + z2 / (4 * trials)) ** 0.5
 
 
+class Scatter(NamedTuple):
+    """How far matrices scatter about a share: what the share is worth, as far as that is known; numbers, or arrays.
+
+    Wilson's interval of a share takes trials p (1 - p) / (variance of p over matrices). They are an estimate: with
+    Student's quantile in place of the normal one the interval is that of fewer trials, `at`. There are at least as
+    many as matrices, which agree within themselves at worst.
+
+    Attributes
+    ----------
+    trials : float
+        As many independent ones scatter as far; infinite if nothing scatters.
+    dof : float
+        Degrees of freedom of the scatter.
+    least, most : float
+        How many trials there are at least and at most.
+    """
+
+    trials: Any
+    dof: Any
+    least: Any
+    most: float
+
+    @classmethod
+    def of(cls, share: Any, squares: Any, concentration: Any, sizes: np.ndarray, most: float) -> Scatter:
+        """Of a share, and of the squares of what each matrix moves it by.
+
+        Parameters
+        ----------
+        share, squares, concentration : float, or ndarray of one shape
+            The last as of `student.dof_of_scatter`.
+        sizes : ndarray, shape (G,)
+            What matrices weigh: runs of each, say.
+        most : float
+            Trials that there are at most: runs, where runs have a property or not.
+        """
+        n, least = len(sizes), float(sizes.sum() ** 2 / np.sum(sizes**2))
+        spread = np.asarray(share * (1 - share) * (1 - 1 / n))  # if 0, nothing says how far matrices scatter
+        trials = np.divide(spread, squares, out=np.full_like(spread, np.inf), where=squares > 0)
+        return cls(np.where(spread > 0, trials, 0.0), student.dof_of_scatter(n, concentration), least, most)
+
+    def at(self, z: float) -> Any:
+        """The trials that the interval takes at a normal quantile, 1.96 for 95%."""
+        return np.minimum(np.maximum(self.trials * student.worth(z, self.dof), self.least), self.most)
+
+
+@dataclass(frozen=True)
+class Proportion:
+    """A mean over matrices of what lies between 0 and 1.
+
+    Attributes
+    ----------
+    share : float
+    scatter : Scatter
+    moved : ndarray, shape (G,)
+        By how much each matrix moves it.
+    """
+
+    share: float
+    scatter: Scatter
+    moved: np.ndarray
+
+    @classmethod
+    def of(cls, rows: np.ndarray, is_counted: bool = False) -> Proportion:
+        """Of the totals of what lies between 0 and 1 and how much there is of it, shape (G, 2).
+
+        `is_counted`: of runs that have a property or not, of which no more can be independent than there are.
+        """
+        n = float(rows[:, 1].sum())
+        share = min(max(float(rows[:, 0].sum()) / n, 0.0), 1.0)
+        moved = (rows[:, 0] - share * rows[:, 1]) / n
+        squares = float(np.sum(moved**2))
+        concentration = float(np.sum((moved**2 / squares) ** 2)) if squares else 0.0
+        most = n if is_counted else np.inf
+        return cls(share, Scatter.of(share, squares, concentration, rows[:, 1], most), moved)
+
+    def ends(self, z: float) -> tuple[float, float]:
+        """Wilson's interval at a normal quantile."""
+        middle, half = _middle(self.share, float(self.scatter.at(z)), z)
+        return max(middle - half, 0.0) if self.share > 0 else 0.0, min(middle + half, 1.0) if self.share < 1 else 1.0
+
+
 def share_over_matrices(counts: ArrayLike, confidence: float) -> tuple[float, float, float, float]:
     """Share of runs with a property, with Wilson's interval for an effective number of trials.
 
-    Runs of one matrix are not independent. The trials are p (1 - p) / (variance of p over matrices), but at least the
-    number of matrices and at most the number of runs.
+    Runs of one matrix are not independent. The trials are p (1 - p) / (variance of p over matrices), fewer as that
+    variance is an estimate (`Scatter`), but at least the number of matrices and at most the number of runs.
 
     Parameters
     ----------
     counts : array_like, shape (G, 2)
-        One row a matrix: runs with the property, and runs.
+        One row a matrix: runs with the property, and runs. Rows without a run are left out.
     confidence : float
         Between 0 and 1.
 
@@ -235,21 +326,31 @@ def share_over_matrices(counts: ArrayLike, confidence: float) -> tuple[float, fl
             "counts: expected 0 <= runs with the property <= runs in each row, and a run at least, got"
             f" {reprlib.repr(rows.tolist())}; give a row for each matrix"
         )
-    share, trials, _ = _effective(rows)
-    low, high = wilson(share * trials, trials, confidence)
-    return share, low, high, trials
+    z = student.half_width(confidence, np.inf)
+    found = Proportion.of(with_data(rows), is_counted=True)
+    return found.share, *found.ends(z), float(found.scatter.at(z))
 
 
-def _effective(counts: np.ndarray) -> tuple[float, float, np.ndarray]:
-    """A share, its effective number of trials, and by how much each matrix moves it, shape (G,)."""
-    n_matrices, n_runs = len(counts), float(counts[:, 1].sum())
-    share = float(counts[:, 0].sum()) / n_runs
-    moved = (counts[:, 0] - share * counts[:, 1]) / n_runs
-    trials = float(n_matrices)
-    if 0 < share < 1 and n_matrices > 1:
-        variance = n_matrices / (n_matrices - 1) * float(np.sum(moved**2))
-        trials = float(np.clip(share * (1 - share) / variance, n_matrices, n_runs)) if variance > 0 else n_runs
-    return share, trials, moved
+def mean_within(rows: np.ndarray, most: float, confidence: float, is_counted: bool = False) -> Estimate:
+    """Mean over matrices of what lies between 0 and `most`, as a share of blocks or of time, by Wilson.
+
+    As `share_over_matrices`, but what lies between scatters less than what is all or nothing: there may be any number
+    of trials. Student's interval is too short if most matrices have nothing, and has no width if all have.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (G, 2)
+        One row a matrix: the total of the numbers, and how many.
+    most, confidence : float
+    is_counted : bool
+        Whether they are runs that have a property, of all runs: there are then no more trials than runs.
+    """
+    rows = with_data(rows)
+    if not len(rows):
+        return Estimate(reason="no matrix has data")
+    found = Proportion.of(rows / [most, 1.0], is_counted)
+    low, high = found.ends(student.half_width(confidence, np.inf))
+    return Estimate(most * found.share, most * low, most * high)
 
 
 @dataclass(frozen=True)
@@ -296,30 +397,82 @@ def correlation(first: np.ndarray, second: np.ndarray) -> float:
     return float(np.sum(first * second)) / size if size else 0.0
 
 
-def share_difference(first: np.ndarray, second: np.ndarray, paired: bool, margin: float) -> Inverted:
-    """Share of runs in `second` minus that in `first`, with Newcombe's interval from the two of Wilson.
+def bounded_difference(
+    first: np.ndarray, second: np.ndarray, paired: bool, margin: float, most: float = 1.0, is_counted: bool = False
+) -> Compared | Inverted:
+    """A mean of what lies between 0 and `most` in `second` minus that in `first`, by Newcombe from two of Wilson.
 
     The distance to an end is that of the two shares to the ends that count there, added as errors are: method 10 in
-    Newcombe (1998), Stat. Med. 17, 873 and 2635. Runs of one matrix count as their effective number, as in
-    `share_over_matrices`. If paired, phi is the correlation over matrices of what moves the two shares, less
-    Newcombe's correction, half a trial of their covariance.
+    Newcombe (1998), Stat. Med. 17, 873 and 2635. Of runs that have a property phi, if paired, is the correlation over
+    matrices of what moves the two shares, less Newcombe's correction, half a trial of their covariance. Other paired
+    numbers have Student's interval instead, with the degrees of freedom of their scatter, unless no pair differs.
 
     Parameters
     ----------
     first, second : ndarray, shape (G, 2) and (H, 2)
-        Runs with the property, and runs, one row a matrix; G = H where paired.
+        One row a matrix: the total of the numbers, and how many; G = H where paired.
+    is_counted : bool
+        Whether they are runs that have a property, of all runs.
     """
-    (p, trials_p, moved_p), (q, trials_q, moved_q) = _effective(first), _effective(second)
-    phi = correlation(moved_p, moved_q) if paired else 0.0
-    if phi > 0.0:
-        phi = max(phi - 0.5 / np.sqrt(trials_p * trials_q * p * (1.0 - p) * q * (1.0 - q)), 0.0)
-
-    def distance(one: float, other: float) -> float:
-        return max(one * one - 2.0 * phi * one * other + other * other, 0.0) ** 0.5
+    p, q = (Proportion.of(rows / [most, 1.0], is_counted) for rows in (first, second))
+    if paired and not is_counted and (test := _of_pairs(q.share - p.share, q.moved - p.moved, most, margin)):
+        return test
+    phi = correlation(p.moved, q.moved) if paired else 0.0
+    within = p.share * (1.0 - p.share) * q.share * (1.0 - q.share)
 
     def ends(z: float) -> tuple[float, float]:
-        (middle_p, half_p), (middle_q, half_q) = _middle(p, trials_p, z), _middle(q, trials_q, z)
-        low = distance(q - middle_q + half_q, middle_p + half_p - p)
-        return q - p - low, q - p + distance(middle_q + half_q - q, p - middle_p + half_p)
+        (low_p, high_p), (low_q, high_q), rho = p.ends(z), q.ends(z), phi
+        if phi > 0.0:
+            rho = max(phi - 0.5 / (p.scatter.at(z) * q.scatter.at(z) * within) ** 0.5, 0.0)
+        low = _distance(q.share - low_q, high_p - p.share, rho)
+        high = _distance(high_q - q.share, p.share - low_p, rho)
+        return most * (q.share - p.share - low), most * (q.share - p.share + high)
 
-    return Inverted(q - p, margin, ends)
+    return Inverted(most * (q.share - p.share), margin, ends)
+
+
+def bounded_ratio(
+    first: np.ndarray, second: np.ndarray, paired: bool, margin: float, most: float
+) -> Compared | Inverted:
+    """(second - first) / first of such means, from the same two intervals; parameters as in `bounded_difference`.
+
+    Its ends are where an end of the interval of second - r first is zero (Donner and Zou 2012, Stat. Methods Med.
+    Res. 21, 347). Paired numbers have Student's interval, as there.
+
+    Raises
+    ------
+    Undefined
+        If the first is zero.
+    """
+    p, q = (Proportion.of(rows / [most, 1.0]) for rows in (first, second))
+    if not p.share:
+        raise Undefined("the first value is zero, so there is no relative difference")
+    r = q.share / p.share
+    if paired and (test := _of_pairs(r - 1.0, (q.moved - r * p.moved) / p.share, 1.0, margin)):
+        return test
+
+    def terms(off_p: float, off_q: float) -> tuple[float, float, float]:
+        a, b, c = p.share**2 - off_p**2, p.share * q.share, q.share**2 - off_q**2
+        return a, c, b + max(b * b - a * c, 0.0) ** 0.5
+
+    def ends(z: float) -> tuple[float, float]:
+        (low_p, high_p), (low_q, high_q) = p.ends(z), q.ends(z)
+        _, c, root = terms(high_p - p.share, q.share - low_q)
+        low = c / root if c > 0.0 else 0.0
+        a, _, root = terms(p.share - low_p, high_q - q.share)
+        return low - 1.0, (root / a if a > 0.0 else np.inf) - 1.0
+
+    return Inverted(r - 1.0, margin, ends)
+
+
+def _of_pairs(value: float, moved: np.ndarray, unit: float, margin: float) -> Compared | None:
+    """Tests of a difference from what each matrix moves it by, shape (G,), both in a unit; None if nothing does."""
+    n, squares = len(moved), float(np.sum(moved**2))
+    if n < 2 or not squares:
+        return None
+    dof = float(student.dof_of_scatter(n, np.sum((moved**2 / squares) ** 2)))
+    return equivalence_test(unit * value, unit * (n / (n - 1) * squares) ** 0.5, dof, margin)
+
+
+def _distance(one: float, other: float, phi: float) -> float:
+    return max(one * one - 2.0 * phi * one * other + other * other, 0.0) ** 0.5

@@ -19,6 +19,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy import fft
 
+from stickslip.analysis import arguments
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.windows import Windows
 from stickslip.analysis.stats.estimates import Estimate
@@ -70,8 +71,13 @@ def correlation_time(win: Window) -> Estimate:
     Estimate
         tau (dimensionless). It has no value if n_stick does not change, and a reason beside the value if the window
         is too short.
+
+    Raises
+    ------
+    ValueError
+        If it is no window.
     """
-    taus = correlation_times(win.alone)
+    taus = correlation_times(arguments.instance("win", win, Window).alone)
     if not taus[0]:
         return Estimate(reason="n_stick does not change")
     return Estimate(float(taus[0]), reason="short window" if is_short(win.alone, taus)[0] else "")

@@ -13,7 +13,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stickslip.analysis.stats import arguments, student
+from stickslip.analysis import arguments
+from stickslip.analysis.stats import student
 
 _ROUNDING = 1e-9  # of totals that are means over surrogates
 _TOGETHER = 1 << 16  # rows that are left out in turn at once, so that few copies of them are in memory
@@ -35,8 +36,11 @@ class Estimate:
 
     def __post_init__(self) -> None:
         for name in ("value", "low", "high"):
-            if (number := getattr(self, name)) is not None and np.isnan(number):
+            number = getattr(self, name)
+            if number is not None and np.isnan(arguments.number(name, number, "a number or None")):
                 raise ValueError(f"{name}: expected a number or None, got nan; give None, and the reason")
+        if self.low is not None and self.high is not None and self.low > self.high:
+            raise ValueError(f"low, high: expected low <= high, got {self.low!r} and {self.high!r}; swap them")
 
     def __repr__(self) -> str:
         value = "no value" if self.value is None else f"{self.value:.6g}"
@@ -194,6 +198,11 @@ def jackknife_error(left_out: np.ndarray) -> float:
     return float(np.sqrt((n_rows - 1) / n_rows * np.sum((left_out - left_out.mean()) ** 2)))
 
 
+def with_data(rows: np.ndarray) -> np.ndarray:
+    """Rows of sums without those of zeros alone: a matrix in which nothing was counted is none of an ensemble."""
+    return rows[rows.any(axis=1)]
+
+
 def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> Estimate:
     """A statistic of the whole ensemble with a jackknife-t interval over matrices.
 
@@ -204,7 +213,7 @@ def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> 
     statistic : callable
         Maps sums, shape (m, c), to values, shape (m,); raises `Undefined` with a reason.
     sums : ndarray, shape (G, c)
-        One row a matrix; the statistic is that of their sum.
+        One row a matrix; the statistic is that of their sum. A row of zeros is a matrix without data, and none of G.
     confidence : float
         Between 0 and 1.
 
@@ -218,7 +227,8 @@ def over_matrices(statistic: Statistic, sums: np.ndarray, confidence: float) -> 
     ValueError
         If `sums` are no such rows, or not finite, or the confidence is none.
     """
-    sums, confidence = arguments.sums(sums), arguments.level(confidence)
+    statistic = arguments.called("statistic", statistic, "`gamma` or `ratio`")
+    sums, confidence = with_data(arguments.sums(sums)), arguments.level(confidence)
     if len(sums) == 0:
         return Estimate(reason="no matrix has data")
     try:

@@ -23,7 +23,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stickslip.analysis.stats import arguments, student
+from stickslip.analysis import arguments
+from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Estimate, Undefined, jackknife_error
 
 MOST_STEPS, EPS = 100, 1e-13  # steps of Newton's method, which takes about ten; its tolerance in nats a cascade

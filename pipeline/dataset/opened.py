@@ -26,7 +26,7 @@ from stickslip.pipeline.ensemble.pack import PlanError, Task, tasks
 from stickslip.pipeline.errors import QueryError, SceneError, StoreError, command, printable
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
-from stickslip.pipeline.places.manifest import DamagedManifest, Manifest, read_manifest
+from stickslip.pipeline.places.manifest import DamagedManifest, Manifest, read_manifest, read_shards
 from stickslip.pipeline.places.place import DATA, MANIFEST, SCENE, Place, Where
 from stickslip.pipeline.records import TABLES
 from stickslip.pipeline.scene.scene import Scene, parse_scene
@@ -137,23 +137,28 @@ class Opened:
         place, known = self.place, self.manifest.shards
         files = {name: f"{DATA}/{name}" for name in (known if names is None else names)}
         marks = dict(zip(files, place.marks(list(files.values())), strict=True))
+        unknown = next((name for name in files if name not in known), None)
+        if unknown is not None:
+            raise StoreError(
+                f"{place.named(files[unknown])}: not in the manifest any more; rerun the scene to rebuild it"
+            )
 
         def is_checked(name: str) -> bool:
-            kept = (known[name].sha256 if name in known else "", marks[name])
-            return marks[name] is not None and _checked.get(place.named(files[name])) == kept
+            return marks[name] is not None and _checked.get(place.named(files[name])) == (
+                known[name].sha256,
+                marks[name],
+            )
 
-        new = [name for name in files if not is_checked(name)]
+        new = {name: known[name] for name in files if not is_checked(name)}
         with reading(place):
-            for name, (content, mark) in zip(new, place.read_marked([files[name] for name in new]), strict=True):
-                problem = known[name].damage(content) if name in known else "not in the manifest any more"
-                if problem and name in known and read_manifest(place).shards.get(name) != known[name]:
+            for name, content, mark, problem in read_shards(place, new):
+                if problem and read_manifest(place).shards.get(name) != known[name]:
                     raise StoreError(
                         f"{place.named(files[name])}: expected the shard that was listed when the dataset was "
                         f"opened, got what a run has changed since; rerun the command"
                     )
                 if problem:
                     raise StoreError(f"{place.named(files[name])}: {problem}; rerun the scene to rebuild it")
-                assert content is not None  # that would be a problem
                 problem = fault_of_file(content, schema_of(self.scene.recording), known[name].rows)
                 if problem:
                     raise StoreError(f"{place.named(files[name])}: {problem}; {NOT_OURS}")
@@ -256,7 +261,7 @@ def stored_scene(place: Place, manifest: Manifest | None = None) -> Scene:
     except FileNotFoundError:
         raise SceneError(f"{file}: expected a scene file, found nothing there") from None
     except OSError as error:
-        raise SceneError(f"{file}: cannot be read ({error.strerror}); {place.remedy}") from error
+        raise SceneError(f"{file}: cannot be read ({error.strerror}); {place.remedy(error)}") from error
     return parse_scene(source, file)
 
 
@@ -325,7 +330,7 @@ def reading(place: Place) -> Iterator[None]:
 
 def unreadable(place: Place, error: Exception) -> StoreError:
     """The error for a dataset with a shard that cannot be read."""
-    first = "" if isinstance(place, Directory) else f"{place.remedy}, or "
+    first = "" if isinstance(place, Directory) else f"{place.remedy(error)}, or "
     return StoreError(f"{place}: a shard cannot be read ({error}); {first}rerun the scene to rebuild it")
 
 

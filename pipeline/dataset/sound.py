@@ -5,21 +5,24 @@ A sha256 says that a shard is what somebody wrote, not that it was this program.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import get_args
+from functools import cached_property, wraps
+from typing import ParamSpec, get_args
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from stickslip.pipeline.dataset.footer import Chunk, chunks, fault_of_pages
 from stickslip.pipeline.dataset.schema import is_of
 from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.design.design import Coordinates, Design
 from stickslip.pipeline.ensemble.expand import Members
 from stickslip.pipeline.errors import shortened
+from stickslip.pipeline.machine.memory import COPIES, lack
 from stickslip.pipeline.places.manifest import SCHEMA_VERSION
 from stickslip.pipeline.scene.columns import DESIGN
 from stickslip.pipeline.scene.scene import Scene
@@ -27,10 +30,10 @@ from stickslip.sim.runs.run import Outcome
 
 #: Bytes in memory that a shard may always take, and how many times those of its file: times hardly compress.
 _SMALL, _RATIO = 2**28, 1000
+_Checked = ParamSpec("_Checked")
+
 #: What a damaged file raises: names and statistics of a footer may be no UTF-8.
 DAMAGE = (OSError, pa.ArrowException, UnicodeDecodeError)
-#: Bytes in memory for each of a value: Arrow's, NumPy's and a frame's.
-_COPIES = 3
 
 
 def fault_of_file(content: bytes, schema: pa.Schema, n_rows: int) -> str:
@@ -50,10 +53,12 @@ def fault_of_file(content: bytes, schema: pa.Schema, n_rows: int) -> str:
             found, head = file.schema_arrow, file.metadata
             if not is_of(found, schema):
                 return wrong_columns(found, schema)
-            if head.num_rows != n_rows:
-                return f"expected {n_rows} rows, got {head.num_rows}"
-            return _too_large(head, schema, len(content)) or _too_long_texts(content, head, schema)
-    except DAMAGE as error:
+            told = chunks(content, file.schema)
+        if head.num_rows != n_rows or n_rows * len(file.schema) != sum(chunk.n_rows for chunk in told):
+            return f"expected {n_rows} rows, got {head.num_rows}"
+        problem = next(filter(None, (fault_of_pages(content, chunk) for chunk in told)), "")
+        return problem or _too_large(told, len(content)) or _too_long_texts(content, told, schema)
+    except (*DAMAGE, ValueError) as error:
         return f"cannot be read ({shortened(str(error), 200)})"
 
 
@@ -66,38 +71,23 @@ def wrong_columns(found: pa.Schema, schema: pa.Schema) -> str:
     return f"expected the columns of schema version {SCHEMA_VERSION} and this scene, got others ({name} first)"
 
 
-def _chunks(head: pq.FileMetaData) -> Iterator[pq.ColumnChunkMetaData]:
-    for k in range(head.num_row_groups):
-        group = head.row_group(k)
-        yield from (group.column(j) for j in range(group.num_columns))
-
-
-def _too_large(head: pq.FileMetaData, schema: pa.Schema, n_bytes: int) -> str:
+def _too_large(told: Sequence[Chunk], n_bytes: int) -> str:
     """Whether values and pages take more than a shard of this size can, or than this machine has."""
-    needed = sum(max(8 * chunk.num_values, chunk.total_uncompressed_size) for chunk in _chunks(head))
-    return _beyond(needed, n_bytes)
+    return _beyond(sum(max(8 * chunk.n_values, chunk.n_bytes) for chunk in told), n_bytes)
 
 
 def _beyond(needed: int, n_bytes: int) -> str:
     most = max(_SMALL, _RATIO * n_bytes)
     if needed > most:
         return f"expected at most {most / 1e6:.0f} MB in {n_bytes} bytes, got what takes {needed / 1e6:.0f} MB"
-    if _COPIES * needed > _SMALL:  # for less, the memory is not looked up, which loads Dask
-        from distributed.system import MEMORY_LIMIT
-
-        if _COPIES * needed > MEMORY_LIMIT:
-            return (
-                f"expected what this machine can hold, {MEMORY_LIMIT / 1e9:.3g} GB, got what takes "
-                f"{_COPIES * needed / 1e9:.3g} GB"
-            )
-    return ""
+    return lack(COPIES * needed, "what takes")
 
 
-def _too_long_texts(content: bytes, head: pq.FileMetaData, schema: pa.Schema) -> str:
+def _too_long_texts(content: bytes, told: Sequence[Chunk], schema: pa.Schema) -> str:
     """Whether texts, each stored once, take too much where they are repeated."""
     texts = [field.name for field in schema if pa.types.is_string(field.type)]
-    size = sum(chunk.total_uncompressed_size for chunk in _chunks(head) if chunk.path_in_schema in texts)
-    if head.num_rows * size <= _SMALL:
+    n_rows = sum(chunk.n_rows for chunk in told if chunk.path == texts[0])
+    if n_rows * sum(chunk.n_bytes for chunk in told if chunk.path in texts) <= _SMALL:
         return ""
     with pq.ParquetFile(pa.BufferReader(content), read_dictionary=texts) as file:
         table = file.read(texts, use_threads=False)
@@ -107,6 +97,19 @@ def _too_long_texts(content: bytes, head: pq.FileMetaData, schema: pa.Schema) ->
         for chunk in table[name].chunks
     )
     return _beyond(needed, len(content))
+
+
+def _said(check: Callable[_Checked, str]) -> Callable[_Checked, str]:
+    """Have a check say what is wrong with values with which Arrow can do nothing."""
+
+    @wraps(check)
+    def fault(*values: _Checked.args, **named: _Checked.kwargs) -> str:
+        try:
+            return check(*values, **named)
+        except pa.ArrowException as error:
+            return shortened(str(error), 200)
+
+    return fault
 
 
 @dataclass(frozen=True)
@@ -123,13 +126,11 @@ class Sound:
     def _n(self) -> int:
         return max(n for n, _ in self.scene.sources)
 
+    @_said
     def fault(self, table: pa.Table) -> str:
         """What is wrong with some columns of some rows; "" if nothing is."""
-        try:
-            table.validate(full=True)  # what is no UTF-8, and lists without an end
-            arrays = {name: _joined(table[name]) for name in table.column_names}  # more than an array can hold
-        except pa.ArrowException as error:
-            return shortened(str(error), 200)
+        table.validate(full=True)  # what is no UTF-8, and lists without an end
+        arrays = {name: joined(table[name]) for name in table.column_names}
         columns = [self._columns[name] for name in arrays]
         faults = (self._fault(column, arrays[column.name], arrays.get("n")) for column in columns)
         return next((fault for fault in (*faults, self._unequal(columns, arrays), _odd_outcome(arrays)) if fault), "")
@@ -164,7 +165,7 @@ class Sound:
             return 0, self._n - column.is_index
         if column.is_index:
             return 0, self._n - 1
-        return column.least, None
+        return column.least, column.most
 
     def _fault_of_thresholds(self, column: Column, array: pa.Array) -> str:
         t, level = (pc.struct_field(_flat(array), name) for name in ("t", "n_stick"))
@@ -194,6 +195,7 @@ def fault_of_design(said: object, design: Design) -> str:
     return "expected the design of its scene, got another"
 
 
+@_said
 def fault_of_members(table: pa.Table, members: Members, coordinates: Coordinates | None = None) -> str:
     """What is wrong with what rows, in order, say of their members, and of their design; "" if nothing is.
 
@@ -219,7 +221,7 @@ def fault_of_members(table: pa.Table, members: Members, coordinates: Coordinates
             expected = pa.array([kind.get(field.name) for kind in distinct.values()], field.type).take(index)
         else:
             continue
-        found = _joined(table[field.name])
+        found = joined(table[field.name])
         if field.name in ("z0", "w0"):  # drawn ones may be told by the run
             found = pc.if_else(pc.is_null(expected), expected, found)
         if not found.equals(expected):
@@ -228,9 +230,10 @@ def fault_of_members(table: pa.Table, members: Members, coordinates: Coordinates
     return ""
 
 
+@_said
 def fault_of_counts(table: pa.Table) -> str:
     """Whether numbers that say the same of a run differ; "" if they do not."""
-    column = {name: _joined(table[name]) for name in table.column_names}
+    column = {name: joined(table[name]) for name in table.column_names}
     parts = [column[name] for name in ("n_entries", "n_exits", "n_crossings")]
     if not pc.add(pc.add(parts[0], parts[1]), parts[2]).equals(column["n_events"]):
         return "n_events: expected the sum of entries, exits and crossings, got another"
@@ -245,24 +248,21 @@ def fault_of_counts(table: pa.Table) -> str:
     return ""
 
 
-def fault_of_statistics(table: pa.Table, head: pq.FileMetaData) -> str:
+@_said
+def fault_of_statistics(table: pa.Table, told: Sequence[Chunk]) -> str:
     """Whether what the file says of its values, by which readers skip them, is wrong; "" if it is not."""
-    first = 0
-    for k in range(head.num_row_groups):
-        group = head.row_group(k)
-        rows = table.slice(first, group.num_rows)
-        first += group.num_rows
-        for chunk in (group.column(j) for j in range(group.num_columns)):
-            name, told = chunk.path_in_schema, chunk.statistics
-            if told is None or name not in table.column_names:
-                continue
-            values = rows[name]
-            if told.has_null_count and told.null_count != values.null_count:
-                return f"{name}: expected {values.null_count} nulls in its statistics, got {told.null_count}"
-            if told.has_min_max and values.null_count < len(values):
-                low, high = pc.min_max(values).as_py().values()
-                if told.min > low or told.max < high:
-                    return f"{name}: expected statistics from {low} to {high}, got others"
+    first: Counter[str] = Counter()
+    for chunk in told:
+        if chunk.path not in table.column_names:
+            continue
+        values = table[chunk.path].slice(first[chunk.path], chunk.n_rows)
+        first[chunk.path] += chunk.n_rows
+        if chunk.n_nulls not in (None, values.null_count):
+            return f"{chunk.path}: expected {values.null_count} nulls in its statistics, got {chunk.n_nulls}"
+        if values.null_count < len(values):
+            low, high = pc.min_max(values).as_py().values()
+            if max(chunk.lows, default=low) > low or min(chunk.highs, default=high) < high:
+                return f"{chunk.path}: expected statistics from {low} to {high}, got others"
     return ""
 
 
@@ -311,6 +311,7 @@ def _flat(array: pa.Array) -> pa.Array:
     return pc.list_flatten(array)
 
 
-def _joined(column: pa.ChunkedArray) -> pa.Array:
-    joined = column.combine_chunks()
-    return joined if isinstance(joined, pa.Array) else pa.concat_arrays(joined.chunks)
+def joined(column: pa.ChunkedArray) -> pa.Array:
+    """A column as one array, in which rows are found at once; ArrowInvalid if an array cannot hold so much."""
+    found = column.combine_chunks()
+    return found if isinstance(found, pa.Array) else pa.concat_arrays(found.chunks)

@@ -10,6 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from stickslip.pipeline.dataset.footer import chunks
 from stickslip.pipeline.dataset.opened import NOT_OURS, Opened, open_dataset, reading
 from stickslip.pipeline.dataset.schema import schema_of
 from stickslip.pipeline.dataset.sound import (
@@ -25,6 +26,7 @@ from stickslip.pipeline.errors import SceneError, printable, shortened
 from stickslip.pipeline.own.files import ChangedError
 from stickslip.pipeline.own.function import look_again
 from stickslip.pipeline.places.directory import Directory
+from stickslip.pipeline.places.manifest import read_shards
 from stickslip.pipeline.places.place import DATA, TEMPORARY, Where
 
 
@@ -41,7 +43,7 @@ def verify(path: Where | Opened) -> list[str]:
         If there is no readable dataset.
     """
     found = open_dataset(path)
-    place, shards = found.place, sorted(found.manifest.shards.items())
+    place, shards = found.place, dict(sorted(found.manifest.shards.items()))
     expected = {batch.name: (batch, recording) for batch, recording in found.tasks}
     problems = []
     for function in found.scene.own_functions if isinstance(place, Directory) else ():
@@ -53,9 +55,8 @@ def verify(path: Where | Opened) -> list[str]:
             break
     with reading(place):
         files = place.names()
-        contents = place.read_each([f"{DATA}/{name}" for name, _ in shards])
-        for (name, shard), content in zip(shards, contents, strict=True):
-            problem = shard.damage(content)
+        for name, content, _, problem in read_shards(place, shards):
+            shard = shards[name]
             if not problem and name not in expected:
                 problem = "not a shard of this scene"
             elif not problem:
@@ -64,7 +65,7 @@ def verify(path: Where | Opened) -> list[str]:
                 entry = (shard.rows, shard.first, shard.last)
                 if entry != (len(ids), ids[0], ids[-1]):
                     problem = f"expected {len(ids)} rows, {ids[0]} to {ids[-1]}, in the manifest, got {entry}"
-                problem = problem or _content(found, content or b"", schema_of(recording), batch, shard.outcomes)
+                problem = problem or _content(found, content, schema_of(recording), batch, shard.outcomes)
             if problem:
                 problems.append(printable(f"{place.named(f'{DATA}/{name}')}: {problem}"))
     known = {f"{DATA}/{name}" for name in found.manifest.known}
@@ -84,7 +85,7 @@ def _content(opened: Opened, content: bytes, schema: pa.Schema, batch: Batch, ou
         # a thread of Arrow's may outlive its library, and end the process
         file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
         table = file.read(use_threads=False)
-        wrong_statistics = fault_of_statistics(table, file.metadata)
+        wrong_statistics = fault_of_statistics(table, chunks(content, file.schema))
     except DAMAGE as error:
         return f"cannot be read ({shortened(str(error), 200)}); rerun the scene to rebuild it"
     if table.schema.metadata != schema.metadata:

@@ -16,7 +16,7 @@ from stickslip.pipeline.dataset.opened import Opened, numbering_of, planned, sto
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.ensemble.pack import Task, grows, lacked, pack, tasks
-from stickslip.pipeline.errors import SceneError, StoreError, command
+from stickslip.pipeline.errors import SceneError, StoreError, command, remedy
 from stickslip.pipeline.machine.signals import last_act, unbroken
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
@@ -27,6 +27,7 @@ from stickslip.pipeline.places.manifest import (
     Shard,
     read_commits,
     read_manifest,
+    read_shards,
 )
 from stickslip.pipeline.places.place import DATA, LOCK, MANIFEST, SCENE, TEMPORARY, TIMINGS, Place, Where
 from stickslip.pipeline.records import End
@@ -278,10 +279,7 @@ class Store:
 
     def _forget_damaged(self, shards: dict[str, Shard]) -> None:
         """Leave out shards whose files are not what was written."""
-        listed = list(shards.items())
-        contents = self.place.read_each([f"{DATA}/{name}" for name, _ in listed])
-        for (name, shard), content in zip(listed, contents, strict=True):
-            problem = shard.damage(content)
+        for name, _, _, problem in read_shards(self.place, dict(shards)):
             if problem:
                 log.warning("%s: %s; recomputing it", self.place.named(f"{DATA}/{name}"), problem)
                 del shards[name]
@@ -414,7 +412,7 @@ def _explained(path: Place) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        remedy = f"make room or make {path} writable, then rerun the scene: finished shards are kept"
+        what_to_do = f"{remedy(error)}, then rerun the scene: finished shards are kept"
         if isinstance(error, FileNotFoundError):  # it was there when the run began
-            remedy = f"{path} was moved or removed: bring it back, and rerun the scene to resume"
-        raise StoreError(f"{error.filename or path}: cannot be written ({error.strerror}); {remedy}") from error
+            what_to_do = f"{path} was moved or removed: bring it back, and rerun the scene to resume"
+        raise StoreError(f"{error.filename or path}: cannot be written ({error.strerror}); {what_to_do}") from error

@@ -46,6 +46,8 @@ class Column(NamedTuple):
         known.
     least : float, optional
         What a number is never below, by what it is: 0 for an amplitude.
+    most : float, optional
+        What a number that is never below 0 is never above, by what it is: 1 for a share of blocks or of time.
     absent : str
         Why a run has no such number, in words, where that is what it is, as a steady slide has no period; empty if a
         run without one lacks it.
@@ -73,6 +75,7 @@ class Column(NamedTuple):
     repeats: bool = True
     is_averaged: bool = True
     least: float | None = None
+    most: float | None = None
     absent: str = ""
     title: str = ""
     until: Until | None = None

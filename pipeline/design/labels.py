@@ -26,7 +26,7 @@ class Label(str):
 
 def engine_name(engine: str) -> str:
     """The name of an engine on pages."""
-    return "exact" if engine == "coulomb" else engine
+    return ENGINES[engine].title
 
 
 def apart(labels: Sequence[Label], always: int = 0) -> list[Label]:

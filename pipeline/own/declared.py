@@ -82,9 +82,11 @@ def _column(where: str, field: str, hint: Any) -> dict[str, Any]:
 def _meaning(where: str, field: str, column: Mapping[str, Any], notes: Sequence[Mapping[Any, Any]]) -> dict[str, Any]:
     """What a field says of its values besides its words: below what they never are, and why a run may have none."""
     given = {key: value for note in notes for key, value in note.items()}
-    odd = next((key for key in given if key not in ("least", "absent", "since")), None)
+    odd = next((key for key in given if key not in ("least", "most", "absent", "since")), None)
     if odd is not None:
-        raise SceneError(f"{where}: expected 'least', 'absent' or 'since' for {field}, got {odd!r:.80}; remove it")
+        raise SceneError(
+            f"{where}: expected 'least', 'most', 'absent' or 'since' for {field}, got {odd!r:.80}; remove it"
+        )
     found: dict[str, Any] = {}
     if "least" in given:
         least: Any = given["least"]
@@ -98,6 +100,15 @@ def _meaning(where: str, field: str, column: Mapping[str, Any], notes: Sequence[
                 f"{where}: expected a finite number as 'least' of {field}, a number, got {got}; change it"
             )
         found["least"] = float(least)
+    if "most" in given:
+        most: Any = given["most"]
+        is_most = isinstance(most, numbers.Real) and not isinstance(most, bool) and 0 < cast("float", most) <= _MOST
+        if not (is_most and found.get("least") == 0.0):
+            got = f"{most!r:.80}" if found.get("least") == 0.0 else "another 'least', or none"
+            raise SceneError(
+                f"{where}: expected a number > 0 as 'most' of {field}, with 'least' 0, got {got}; change it"
+            )
+        found["most"] = float(most)
     if "absent" in given:
         absent = given["absent"]
         if not (column["is_optional"] and isinstance(absent, str) and absent.strip() and absent.isprintable()):

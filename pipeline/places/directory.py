@@ -14,9 +14,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from stickslip.pipeline.errors import StoreError, printable
+from stickslip.pipeline.machine.memory import COPIES, lack
 from stickslip.pipeline.places import plain
 from stickslip.pipeline.places.place import (
     DATA,
@@ -27,6 +28,7 @@ from stickslip.pipeline.places.place import (
     Hold,
     Mark,
     Place,
+    check_size,
     part,
     this_process,
 )
@@ -36,8 +38,6 @@ _PARTS = {
     **dict.fromkeys((SCENE, MANIFEST, TIMINGS, LOCK, "report.html"), stat.S_IFREG),
     **dict.fromkeys((DATA, "report", "compared"), stat.S_IFDIR),
 }
-#: Bytes of a part that is no shard: a manifest of a million shards has fewer.
-_MOST = 2**29
 
 
 class Directory(Place):
@@ -49,8 +49,6 @@ class Directory(Place):
     inner : tuple of str
         Folders below it, in which the files are.
     """
-
-    remedy = "check its permissions"
 
     def __init__(self, path: Path, inner: tuple[str, ...] = ()) -> None:
         self._root, self._inner = path, inner
@@ -95,23 +93,19 @@ class Directory(Place):
             return plain.opened(last, directory, self.path / name)
 
     def read(self, name: str) -> bytes:
-        return self._read(name)[0]
-
-    def _read(self, name: str) -> tuple[bytes, Mark]:
         with open(self.opened(name), "rb") as stream, plain.filename(self.path / name):
-            mark = _mark(os.fstat(stream.fileno()))
-            with contextlib.suppress(MemoryError):
-                if mark.size <= _MOST or name.startswith(f"{DATA}/"):
-                    return stream.read(mark.size), mark
-            raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+            return _content(stream)
 
-    def read_marked(self, names: Sequence[str]) -> Iterator[tuple[bytes | None, Mark | None]]:
+    def read_marked(self, sizes: Mapping[str, int]) -> Iterator[tuple[bytes | None, Mark | None]]:
         """Each mark is of the very file that was read."""
-        for name in names:
+        for name, size in sizes.items():
             try:
-                yield self._read(name)
+                with open(self.opened(name), "rb") as stream, plain.filename(self.path / name):
+                    mark = _mark(os.fstat(stream.fileno()))
+                    content = _content(stream, is_shard=True) if mark.size == size else None
             except FileNotFoundError:
-                yield None, None
+                content = mark = None
+            yield content, mark
 
     def marks(self, names: Sequence[str]) -> list[Mark | None]:
         return [self._mark(name) for name in names]
@@ -201,9 +195,20 @@ class Directory(Place):
             descriptor = plain.opened(last, directory, self.path / name, os.O_RDWR | os.O_APPEND | os.O_CREAT)
         with open(descriptor, "rb+", buffering=0) as stream:
             with plain.filename(self.path / name):
-                whole = stream.read().rpartition(b"\n")
+                whole = _content(stream).rpartition(b"\n")
                 stream.truncate(len(whole[0]) + len(whole[1]))
             yield lambda line: _append(descriptor, line)
+
+
+def _content(stream: IO[bytes], is_shard: bool = False) -> bytes:
+    """All of an open file, if this machine can hold it, and a part that is no shard if it can be so large."""
+    size = os.fstat(stream.fileno()).st_size
+    if not is_shard:
+        check_size(size)
+    with contextlib.suppress(MemoryError):
+        if not lack(COPIES * size, ""):
+            return stream.read(size)
+    raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
 
 
 def _mark(found: os.stat_result) -> Mark:

@@ -17,7 +17,7 @@ import builtins
 import contextlib
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, m
 from stickslip.pipeline.errors import StoreError
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
-from stickslip.pipeline.places.place import MANIFEST, TIMINGS, Place, Where
+from stickslip.pipeline.places.place import DATA, MANIFEST, TIMINGS, Mark, Place, Where
 
 #: Version of what a dataset holds, and how; kept in every shard and in the manifest.
 SCHEMA_VERSION: Final = 3
@@ -49,14 +49,21 @@ class Shard(BaseModel):
         """Members of the shard that failed."""
         return self.outcomes.get("failed", 0)
 
-    def damage(self, content: builtins.bytes | None) -> str:
-        """What is wrong with the content of the shard's file (None: there is no file); "" if nothing is."""
-        if content is None:
+    def damage(self, content: builtins.bytes | None, mark: Mark | None) -> str:
+        """What is wrong with the shard's file, as `Place.read_marked` gives it; "" if nothing is."""
+        if mark is None:
             return "missing"
-        if len(content) != self.bytes:
-            return f"expected {self.bytes} bytes, got {len(content)}"
+        if content is None:
+            return f"expected {self.bytes} bytes, got {mark.size}"
         digest = hashlib.sha256(content).hexdigest()
         return "" if digest == self.sha256 else f"expected sha256 {self.sha256[:12]}, got {digest[:12]}"
+
+
+def read_shards(place: Place, shards: Mapping[str, Shard]) -> Iterator[tuple[str, builtins.bytes, Mark | None, str]]:
+    """Name, content, mark and damage of each shard's file, in order; the content is empty if its size is another."""
+    files = place.read_marked({f"{DATA}/{name}": shard.bytes for name, shard in shards.items()})
+    for (name, shard), (content, mark) in zip(shards.items(), files, strict=True):
+        yield name, content or b"", mark, shard.damage(content, mark)
 
 
 # the pattern keeps a foreign manifest from naming files outside the dataset
@@ -200,7 +207,9 @@ def read_manifest(path: Where, is_forgiving: bool = False) -> Manifest:
     try:
         content = place.read_record(TIMINGS)
     except OSError as error:
-        raise StoreError(f"{place.named(TIMINGS)}: cannot be read ({error.strerror}); {place.remedy}") from error
+        raise StoreError(
+            f"{place.named(TIMINGS)}: cannot be read ({error.strerror}); {place.remedy(error)}"
+        ) from error
     *lines, rest = content[manifest.recorded_from :].split(b"\n")
     commits = [Commit.parse(line) for line in lines]
     if (None in commits or len(content) < manifest.recorded_from) and not is_forgiving:
@@ -227,7 +236,7 @@ def _manifest(place: Place) -> Manifest:
             remedy = "name the directory of a run"
         raise StoreError(f"{place}: expected a dataset, found {found}; {remedy}") from None
     except OSError as error:
-        raise StoreError(f"{file}: cannot be read ({error.strerror}); {place.remedy}") from error
+        raise StoreError(f"{file}: cannot be read ({error.strerror}); {place.remedy(error)}") from error
     rest = content[len(_checked(b"")) :]
     is_whole = content == _checked(rest) + rest
     _same_version(file, content, is_whole)

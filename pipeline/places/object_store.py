@@ -65,10 +65,12 @@ _T = TypeVar("_T")
 class Prefix(Place):
     """The objects of a store under one prefix; `system` is fsspec's file system."""
 
-    remedy = "check the address, the credentials and the network"
-
     def __init__(self, address: str, system: Any, root: str) -> None:
         self.address, self.system, self.root = address, system, root
+
+    def remedy(self, error: Exception) -> str:
+        del error
+        return "check the address, the credentials and the network"
 
     def below(self, name: str) -> Prefix:
         return Prefix(self.named(name), self.system, self.key(name))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import socket
 import time
@@ -12,11 +13,21 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
+from stickslip.pipeline.errors import remedy
+
 SCENE, MANIFEST, TIMINGS, LOCK, DATA = "scene.toml", "manifest.json", "timings.jsonl", ".lock", "data"
 #: Prefix of the names of files while they are being written.
 TEMPORARY = ".tmp-"
 #: Files that are read, or written, at once.
 AT_ONCE = 16
+#: Bytes of a part that is no shard: a manifest of a million shards has fewer.
+_MOST = 2**29
+
+
+def check_size(n_bytes: int) -> None:
+    """Raise `OSError` if a part that is no shard has more bytes than it can have."""
+    if n_bytes > _MOST:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
 
 
 class Hold(ABC):
@@ -83,10 +94,13 @@ class Place(ABC):
     """
 
     address: str
-    remedy: str  #: what to do about a file that cannot be read
 
     def __str__(self) -> str:
         return self.address
+
+    def remedy(self, error: Exception) -> str:
+        """What to do about a file that cannot be read."""
+        return remedy(error)
 
     @abstractmethod
     def named(self, name: str) -> str:
@@ -108,10 +122,12 @@ class Place(ABC):
         """The content of each file, in order; None for one that is not there."""
         yield from map(self._read_if_there, names)
 
-    def read_marked(self, names: Sequence[str]) -> Iterator[tuple[bytes | None, Mark | None]]:
-        """As `read_each`, with the mark of each file."""
-        marks = self.marks(names)
-        return zip(self.read_each(names), marks, strict=True)
+    def read_marked(self, sizes: Mapping[str, int]) -> Iterator[tuple[bytes | None, Mark | None]]:
+        """Content and mark of each file: no content if its size is not the one here, no mark if it is gone."""
+        marks = dict(zip(sizes, self.marks(list(sizes)), strict=True))
+        contents = self.read_each([name for name, mark in marks.items() if mark and mark.size == sizes[name]])
+        for name, mark in marks.items():
+            yield next(contents) if mark and mark.size == sizes[name] else None, mark
 
     @abstractmethod
     def check_parts(self) -> None:
@@ -178,10 +194,12 @@ class Place(ABC):
         """An object cannot grow: in a store, and in a copy of one, a file of lines may have many parts."""
         parts: list[bytes] = []
         while True:
-            asked = range(len(parts), len(parts) + AT_ONCE)
-            found = [content for content in self.read_each([part(name, k) for k in asked]) if content is not None]
-            parts += found
-            if len(found) < AT_ONCE:
+            n_before = len(parts)
+            for content in self.read_each([part(name, n_before + k) for k in range(AT_ONCE)]):
+                if content is not None:
+                    parts.append(content)
+                    check_size(sum(map(len, parts)))
+            if len(parts) < n_before + AT_ONCE:
                 return parts
 
     @property

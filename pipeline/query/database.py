@@ -11,6 +11,7 @@ from typing import Any
 
 import pandas as pd
 import pyarrow as pa
+import pyarrow.dataset as ds
 
 from stickslip.pipeline.dataset.opened import Opened, frame, not_recorded, open_dataset, unreadable
 from stickslip.pipeline.dataset.schema import scalars
@@ -142,9 +143,28 @@ def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
         yield pa.RecordBatchReader.from_batches(schema, rest())
 
 
+class _Shards(ds.UnionDataset):  # type: ignore[misc]  # Arrow says no types
+    """A dataset whose readers DuckDB may ask for.
+
+    Arrow's own `to_reader` holds Python's lock while it waits for a thread of Arrow, and that one may wait for the
+    lock, to open a shard by our file system: both would wait for ever.
+    """
+
+    def scanner(self, **options: Any) -> _Scan:
+        return _Scan(super().scanner(**options))
+
+
+class _Scan:
+    def __init__(self, scanner: ds.Scanner) -> None:
+        self._scanner = scanner
+
+    def to_reader(self) -> pa.RecordBatchReader:
+        return pa.RecordBatchReader.from_batches(self._scanner.projected_schema, self._scanner.to_batches())
+
+
 def _prepare(connection: Any, source: Any, selections: dict[str, str]) -> None:
     """The views of a dataset, and nothing else within reach."""
-    connection.register("shards", source)
+    connection.register("shards", _Shards(source.schema, [source]))
     for name, selection in selections.items():
         connection.execute(f"CREATE VIEW {quoted(name)} AS {selection}")
     # from here on no files, no network, no variables of this process, and no way back

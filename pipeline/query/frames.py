@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from stickslip import sim
 from stickslip.pipeline.dataset.opened import Opened, dataset, frame, near, not_recorded, open_dataset, reading
 from stickslip.pipeline.dataset.schema import scalars
+from stickslip.pipeline.dataset.sound import joined
 from stickslip.pipeline.design.design import Coordinates
 from stickslip.pipeline.errors import QueryError
 from stickslip.pipeline.places.place import Where
@@ -472,7 +473,7 @@ class _Shard:
 
     def __init__(self, table: pa.Table) -> None:
         self.n_bytes = table.nbytes + _OF_NAMES * len(table)
-        columns = {name: _joined(table[name]) for name in table.column_names}
+        columns = {name: joined(table[name]) for name in table.column_names}
         self.member_ids: list[str] = columns.pop("member_id").to_pylist()
         self._lists, self._others = dict[str, tuple[np.ndarray, np.ndarray]](), dict[str, pa.Array]()
         for name, column in columns.items():
@@ -514,12 +515,6 @@ class _Shard:
             return values[offsets[k] : offsets[k + 1]]
 
         return at
-
-
-def _joined(column: pa.ChunkedArray) -> pa.Array:
-    """A column as one array, in which rows are found at once."""
-    joined = column.combine_chunks()
-    return joined if isinstance(joined, pa.Array) else pa.concat_arrays(joined.chunks)
 
 
 def _event_series(row: dict[str, pa.Scalar]) -> sim.EventSeries:

@@ -46,6 +46,7 @@ RECORDS: tuple[type[Record], ...] = (
     Contacts,
     OwnRecord,
 )
+Contacts.keep_beside(RECORDS)
 
 #: What are tables of their own in SQL and frames, and the lines that ask for them.
 TABLES = {one.name: one.asked_by for one in (Events, EpisodesRecord, Separation, Thresholds)}

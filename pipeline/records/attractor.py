@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stickslip.pipeline.design.column import Column
-from stickslip.pipeline.records.record import Facts, Made, Member, Sharing, WindowRecord
-from stickslip.sim.engines.coulomb.settings import Coulomb
+from stickslip.pipeline.records.record import Made, Member, Sharing, WindowRecord
 from stickslip.sim.systems.system import System
 
 _NO_CYCLE = "on no cycle, or undecided"
@@ -95,18 +94,9 @@ class AttractorRecord(WindowRecord):
         Column("numbers", "start_w", "velocity of each block then", along="start_block"),
     )
     is_of_paths = True
+    is_of_exact = True
+    is_of_contacts = True
     needs = frozenset({"events", "end", "system"})
-
-    def applies(self, member: Member) -> bool:
-        return member.engine == Coulomb.name
-
-    def problem(self, facts: Facts) -> str:
-        if any(engine is Coulomb for engine in facts.engines):
-            return ""
-        return (
-            f"expected an engine of exact events, got {facts.engines[0].name!r} alone; add [[engine]] name ="
-            f' "{Coulomb.name}", or remove it'
-        )
 
     def cost(self, member: Member, sharing: Sharing) -> float:
         return 0.5 * member.cost if self.applies(member) else 0.0

@@ -56,23 +56,26 @@ class Own(NamedTuple):
     def __repr__(self) -> str:
         return self.function.name
 
-    def lacks(self, column: Column, said: str) -> bool:
-        """Whether the `own_problem` of a run is about a column: it names each value that is lost, or all are."""
-        if f"{self.function.name}: " not in said:
-            return False
-        lost = [each for each in self.columns if f" for {each.name}, " in said]
-        return column in lost or not lost
-
 
 class Measured(NamedTuple):
-    """What a function gave of a run: values by column, and why there are none, or fewer.
+    """What a function gave of a run: values by column, and why others have none although they should.
 
     `is_wrong`: it raised, or returned what it does not declare; else a number is not finite.
     """
 
     values: dict[str, Any]
-    problem: str = ""
+    problems: dict[str, str]
     is_wrong: bool = False
+
+    @classmethod
+    def none(cls, own: Own, problem: str, is_wrong: bool = True) -> Measured:
+        """No value at all, for one reason."""
+        return cls({}, dict.fromkeys((column.name for column in own.columns), problem), is_wrong)
+
+    @property
+    def problem(self) -> str:
+        """All of them, each once."""
+        return ", ".join(dict.fromkeys(self.problems.values()))
 
 
 @dataclass(frozen=True)
@@ -88,6 +91,7 @@ class OwnRecord(WindowRecord):
     asked_by = "`own` under [record], and a column for each field that its functions return"
     columns = (
         Column("text", "own_problem", "why a function of `own` gave no value, or not all; null if it gave all"),
+        Column("text", "own_lost", "the columns that have no value for that, with commas between", is_later=True),
     )
     is_named = True
     needs = frozenset({"events", "end", "system"})  # all that it may read
@@ -124,10 +128,13 @@ class OwnRecord(WindowRecord):
         problems = [
             f"{own.function.name}: {one.problem}"
             for own, one in zip(self.functions, found, strict=True)
-            if one.problem
+            if one.problems
         ]
+        if not problems:
+            return kept
         # words of an exception may hold what Parquet's text cannot
-        return kept | ({"own_problem": "; ".join(problems).encode(errors="replace").decode()} if problems else {})
+        why = "; ".join(problems).encode(errors="replace").decode()
+        return kept | {"own_problem": why, "own_lost": ",".join(name for one in found for name in one.problems)}
 
     def measured(self, own: Own, made: Made) -> Measured:
         """What one of its functions measures of a run.
@@ -139,7 +146,7 @@ class OwnRecord(WindowRecord):
         """
         run, window = made.run, (self.t_burn, made.run.t_end)
         if window[1] <= window[0]:
-            return Measured({}, f"the run ends before t_burn = {window[0]:g}")
+            return Measured.none(own, f"the run ends before t_burn = {window[0]:g}", False)
         # whatever else is recorded, it is given the same; nor does it change what others are given
         samples = (
             made.samples(self.times(made.member)) if own.is_sampled else Samples.blank(np.empty(0), run.events.n)
@@ -149,12 +156,12 @@ class OwnRecord(WindowRecord):
         try:
             return _checked(own, use(own.function, lambda measure: measure(run, system, window, **given)), window)
         except LateError as error:
-            return Measured({}, str(error), True)
+            return Measured.none(own, str(error))
         except (SceneError, NotKeptError):
             raise
         except Exception as error:  # noqa: BLE001  of code that is not ours: the run has its other columns
             # where an object lies in memory is another place each time
-            return Measured({}, re.sub(r"\b0x[0-9a-fA-F]{6,}", "0x...", foreign(error)), True)
+            return Measured.none(own, re.sub(r"\b0x[0-9a-fA-F]{6,}", "0x...", foreign(error)))
 
 
 def read_only(value: _T) -> _T:
@@ -187,9 +194,9 @@ def _checked(own: Own, returned: object, window: tuple[float, float]) -> Measure
     fields = getattr(returned, "_fields", names)
     if not isinstance(returned, tuple) or len(returned) != len(names) or fields != names:
         got = type(returned).__name__ + (f" of {len(returned)}" if isinstance(returned, tuple) else "")
-        return Measured({}, f"expected ({', '.join(names)}), got {got}", True)
+        return Measured.none(own, f"expected ({', '.join(names)}), got {got}")
     values: dict[str, Any] = {}
-    problems: list[str] = []
+    problems: dict[str, str] = {}
     t_burn, t_end = window
     is_wrong = False
     for column, value in zip(own.columns, returned, strict=True):
@@ -197,23 +204,26 @@ def _checked(own: Own, returned: object, window: tuple[float, float]) -> Measure
             continue
         plain = _plain(column.kind, value)
         if isinstance(plain, float) and not math.isfinite(plain):
-            problems.append(f"expected a finite number for {column.name}, got {plain}")
+            problems[column.name] = f"expected a finite number for {column.name}, got {plain}"
         elif column.least is not None and plain is not None and plain < column.least:
             least, got = apart(column.least, plain)
-            problems.append(f"expected at least {least} for {column.name}, got {got}")
+            problems[column.name] = f"expected at least {least} for {column.name}, got {got}"
+        elif column.most is not None and plain is not None and plain > column.most:
+            most, got = apart(column.most, plain)
+            problems[column.name] = f"expected at most {most} for {column.name}, got {got}"
         elif plain is not None and column.until is not None and plain > t_end - column.until.start(t_burn):
             start = column.until.start(t_burn)
             most, got = apart(t_end - start, plain)
-            problems.append(
+            problems[column.name] = (
                 f"expected at most {most} for {column.name}, a time since t = {start:g}, got {got}; subtract "
                 f"{start:g}"
             )
         elif plain is None:
             is_wrong = True
-            problems.append(f"expected {_EXPECTED[column.kind]} for {column.name}, got {type(value).__name__}")
+            problems[column.name] = f"expected {_EXPECTED[column.kind]} for {column.name}, got {type(value).__name__}"
         else:
             values[column.name] = plain
-    return Measured(values, ", ".join(problems), is_wrong)
+    return Measured(values, problems, is_wrong)
 
 
 _EXPECTED = {
@@ -261,6 +271,7 @@ def _own(
                 key,
                 one["words"],
                 least=one["least"],
+                most=one["most"],
                 absent=one["absent"],
                 until=None if one["since"] is None else Until(one["since"]),
             )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
@@ -65,6 +65,8 @@ class Made:
         Runs another member, sampled at some times: `again(member, times)` gives its `Samples`.
     found : dict of str to object
         What records before this one computed, by column.
+    stop_early : bool or "always"
+        As in `stickslip.simulate`, for what runs it again: a test for collapse may change the last digits.
     """
 
     member: Member
@@ -73,6 +75,7 @@ class Made:
     start: tuple[Any, Any]
     again: Callable[[Any, tuple[float, ...]], Samples]
     found: dict[str, Any]
+    stop_early: bool | str
 
     @property
     def contact_events(self) -> EventSeries:
@@ -139,6 +142,12 @@ class Record(ABC):
         Whether most of its cost is computed once for several members.
     is_certified : bool
         Whether it needs runs that are tested for collapse whenever all blocks slip.
+    is_of_exact : bool
+        Whether it is of runs of the exact law alone.
+    needs_stills : bool
+        Whether it reads `Run.stills`, which all engines of a scene have to keep then.
+    is_of_contacts : bool
+        Whether it leaves out blocks without friction; how many have some is then kept beside it.
     """
 
     name: ClassVar[str]
@@ -151,6 +160,9 @@ class Record(ABC):
     is_of_paths: ClassVar[bool] = False
     is_shared: ClassVar[bool] = False
     is_certified: ClassVar[bool] = False
+    is_of_exact: ClassVar[bool] = False
+    needs_stills: ClassVar[bool] = False
+    is_of_contacts: ClassVar[bool] = False
     needs: ClassVar[frozenset[str]] = frozenset({"run"})
 
     @classmethod
@@ -181,11 +193,20 @@ class Record(ABC):
 
     def applies(self, member: Member) -> bool:
         """Whether a member has values of it; without, they are null."""
-        return True
+        return not self.is_of_exact or ENGINES[member.engine].is_exact
 
     def problem(self, facts: Facts) -> str:
         """Why it does not apply to a scene, what came and what to do, for a line that begins with its key."""
-        return ""
+        without = [engine.name for engine in facts.engines if self.needs_stills and not engine.keeps_stills]
+        if without:
+            return f"expected engines that keep `stills`, got {without[0]!r} without; remove it, or that engine"
+        if not self.is_of_exact or any(engine.is_exact for engine in facts.engines):
+            return ""
+        exact = " or ".join(f'"{name}"' for name, engine in ENGINES.items() if engine.is_exact)
+        return (
+            f"expected an engine of the exact law, got {facts.engines[0].name!r} alone; add [[engine]] name ="
+            f" {exact}, or remove it"
+        )
 
     def memory(self, facts: Facts) -> Memory | None:
         """What it takes of a worker beyond the run, if that may be much."""
@@ -236,6 +257,11 @@ class StateRecord(WindowRecord):
         return sampling(facts, self.t_burn, self.dt)
 
 
+def stop_early(records: Iterable[Record]) -> bool | str:
+    """As in `stickslip.simulate`: when runs of which some records are kept are tested for collapse."""
+    return "always" if any(record.is_certified for record in records) else True
+
+
 def steps(t_burn: float, t_end: float, dt: float) -> Floats:
     """t_burn, t_burn + dt ... to t_end."""
     n_steps = math.floor((t_end - t_burn) / dt * (1 + 1e-12))
@@ -251,19 +277,3 @@ def sampling(facts: Facts, t_burn: float, dt: float) -> Memory:
     """What states every `dt` take: z and w, and what is computed of them."""
     n_bytes = 4.0 * 8 * facts.n * (facts.t_end - t_burn) / dt
     return Memory(n_bytes, "sampling a run", "lengthen record.dt")
-
-
-def is_exact(member: Member) -> bool:
-    """Whether a member runs by the exact law."""
-    return ENGINES[member.engine].is_exact
-
-
-def needs_exact(facts: Facts) -> str:
-    """The problem of a record of the exact law with a scene that has no engine of it; "" if it has one."""
-    if any(engine.is_exact for engine in facts.engines):
-        return ""
-    exact = " or ".join(name for name, engine in ENGINES.items() if engine.is_exact)
-    return (
-        f"expected an engine of the exact law, got {facts.engines[0].name!r} alone; add [[engine]] name ="
-        f' "{exact}", or remove it'
-    )

@@ -30,7 +30,7 @@ from distributed.system import MEMORY_LIMIT
 from distributed.utils import LoopRunner, silence_logging_cmgr
 
 from stickslip.pipeline.dataset.program import program
-from stickslip.pipeline.errors import AddressError, SceneError, ScheduleError
+from stickslip.pipeline.errors import AddressError, SceneError, ScheduleError, remedy
 from stickslip.pipeline.machine import processes
 from stickslip.pipeline.machine.processes import ONE_THREAD, ErrorStream, environment_kept
 from stickslip.pipeline.machine.scratch import scratch
@@ -88,11 +88,11 @@ def check_memory(scene: Scene, workers: int) -> None:
     takes = [("system.n", Memory(scene.system.bytes_of_system, "drawing a system", "lower n"))]
     of_records = ((f"record.{record.name}", record.memory(scene.facts)) for record in scene.records)
     takes += [(key, found) for key, found in of_records if found is not None]
-    for key, (needed, what, remedy) in takes:
+    for key, (needed, what, advice) in takes:
         if needed > room:
             raise SceneError(
                 f"{key}: expected what a worker can hold, got n = {n}, with which {what} takes {needed / 1e9:.3g} GB "
-                f"where each has {room / 1e9:.3g} GB; {remedy}, or use fewer workers or a larger machine"
+                f"where each has {room / 1e9:.3g} GB; {advice}, or use fewer workers or a larger machine"
             )
 
 
@@ -395,7 +395,7 @@ def _start(
         own = opened.enter_context(scratch(where))
     except OSError as error:
         raise ScheduleError(
-            f"expected a directory in which workers can write, got {where} ({error}); make room there, or set TMPDIR"
+            f"expected a directory in which workers can write, got {where} ({error}); {remedy(error)}, or set TMPDIR"
         ) from error
     settings = {**_LOCAL_CLUSTER, "temporary-directory": own.path}
     settings["distributed.worker.multiprocessing-method"] = "spawn" if processes.forks is None else "forkserver"

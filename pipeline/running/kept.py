@@ -15,7 +15,7 @@ from stickslip.pipeline.dataset.schema import Values, schema_of
 from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.errors import StoreError, foreign
 from stickslip.pipeline.records import ALWAYS
-from stickslip.pipeline.records.record import Made, NotKeptError, Record
+from stickslip.pipeline.records.record import Made, NotKeptError, Record, stop_early
 from stickslip.pipeline.running.ends import end_of
 from stickslip.pipeline.scene.columns import DESIGN, MEMBER, Recording
 
@@ -93,6 +93,7 @@ class Kept:
             member.start(end_of(member)) if has_system else cast("tuple[Any, Any]", _NotKept("start")),
             cast("Callable[..., sim.Samples]", _NotKept("again")),
             {name: _value(one) for name, one in row.items() if one.is_valid},
+            stop_early(self.records),
         )
         found: dict[str, Any] = {}
         for record in new:

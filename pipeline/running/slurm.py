@@ -15,7 +15,6 @@ import os
 import re
 import shlex
 import signal
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -26,6 +25,7 @@ from distributed.core import Status
 
 from stickslip.pipeline.errors import ScheduleError
 from stickslip.pipeline.machine.processes import ONE_THREAD
+from stickslip.pipeline.machine.scratch import scratch
 from stickslip.pipeline.machine.signals import unbroken
 from stickslip.pipeline.running.cluster import QuietScheduler, QuietWorker
 
@@ -143,8 +143,8 @@ def _seconds(time: str) -> int:
 
 def _start(kind: type[Any], settings: dict[str, Any], n_jobs: int, opened: contextlib.ExitStack) -> Client:
     # of its own, as above: this process, which has the scheduler, looks for modules there too
-    own = opened.enter_context(tempfile.TemporaryDirectory(prefix="stickslip-", ignore_cleanup_errors=True))
-    opened.enter_context(dask.config.set({"temporary-directory": own}))
+    own = opened.enter_context(scratch())
+    opened.enter_context(dask.config.set({"temporary-directory": own.path}))
     with unbroken():  # a cluster that is half built, or half closed, would leave its jobs behind
         cluster = kind(**settings)
         opened.callback(_close, cluster)

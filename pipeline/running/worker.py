@@ -24,7 +24,7 @@ from stickslip.pipeline.ensemble.member import NO_NUMBER, Member
 from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.errors import command, foreign
 from stickslip.pipeline.records import ALWAYS
-from stickslip.pipeline.records.record import Made, Record
+from stickslip.pipeline.records.record import Made, Record, stop_early
 from stickslip.pipeline.running.ends import end_of
 from stickslip.pipeline.running.kept import Kept, Runs
 from stickslip.pipeline.scene.columns import DESIGN, Recording
@@ -114,6 +114,7 @@ class _Prepared(NamedTuple):
     run: Callable[[], sim.Run]
     system: sim.System | None = None
     start: tuple[Any, Any] | None = None
+    stop_early: bool | str = True
 
 
 def _prepared(members: Sequence[Member], recording: Recording) -> Iterator[_Prepared]:
@@ -128,15 +129,15 @@ def _set_up(members: Sequence[Member], recording: Recording) -> list[_Prepared]:
     """Some members of as many blocks; those with the same settings may be set up, and begun, together."""
     prepared: list[_Prepared] = []
     alike: dict[Engine, dict[int, Task]] = {}
-    stop_early = "always" if any(record.is_certified for record in recording.records) else True
+    early = stop_early(recording.records)
     for k, member in enumerate(members):
         try:
             system, start = member.system(), member.start(end_of(member))
-            engine, task = member.task(system, start, _times(member, recording), stop_early)
+            engine, task = member.task(system, start, _times(member, recording), early)
         except Exception as error:  # noqa: BLE001  as in `_result`
             prepared.append(_Prepared(member, partial(_raise, error)))
             continue
-        prepared.append(_Prepared(member, partial(engine.integrate, task), system, start))
+        prepared.append(_Prepared(member, partial(engine.integrate, task), system, start, early))
         alike.setdefault(engine, {})[k] = task
     plain = {task.system: None for tasks in alike.values() for task in tasks.values() if task.system.is_plain}
     if len(plain) > 1:
@@ -190,7 +191,8 @@ def _made(one: _Prepared) -> Made:
     run = one.run()
     assert one.system is not None  # else that has raised
     assert one.start is not None
-    return Made(one.member, one.system, run, one.start, _again, _drawn_start(one.member, one.start))
+    found = _drawn_start(one.member, one.start)
+    return Made(one.member, one.system, run, one.start, _again, found, one.stop_early)
 
 
 def _drawn_start(member: Member, start: tuple[Any, Any]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records import ALWAYS, RECORDS
 from stickslip.pipeline.records.record import Record
 from stickslip.sim.engines import ENGINES, SETTINGS
-from stickslip.sim.engines.contract import Choice, Number, Ratios
+from stickslip.sim.engines.contract import Choice, Number, Numbers, Ratios
 from stickslip.sim.systems.terms import TERMS
 
 
@@ -50,6 +50,35 @@ def _of_term(part: str) -> Part:
     """The part that a scene has with a term of that part."""
     term = next(term for term in TERMS if term.part == part)
     return Part(f"`{term.table or term.key}` under [system]", _OF_TERMS[part])
+
+
+#: Settings of engines whose columns are in the datasets that have such an engine.
+OF_SETTINGS = tuple(
+    name for name, setting in SETTINGS.items() if not setting.in_all and not isinstance(setting, Numbers)
+)
+
+
+def _owners(name: str) -> list[str]:
+    """The engines that have a setting."""
+    return [engine.name for engine in ENGINES.values() if name in engine.settings()]
+
+
+def _engines_with(name: str) -> str:
+    """The lines of a scene that ask for the columns of a setting."""
+    return " or ".join(f'`[[engine]] name = "{owner}"`' for owner in _owners(name))
+
+
+def _of_setting(name: str) -> Iterator[Column]:
+    """The columns of a setting, whichever engines have it."""
+    setting, owners = SETTINGS[name], ", ".join(_owners(name))
+    match setting:
+        case Number():
+            yield Column("number", name, setting.column or f"{setting.words} ({owners})")
+        case Choice():
+            yield Column("text", name, setting.column or f"{setting.words} ({owners})")
+        case Ratios():
+            yield Column("text", name, f"{setting.words}: one, or uniform in (0, 1] ({owners})")
+            yield Column("whole", f"{name}_draw", f"number of the draw of the r_i ({owners}, uniform)")
 
 
 #: In the order of their columns; parts of terms that are not named here come last.
@@ -88,25 +117,9 @@ PARTS = {
         ),
         _BY_BLOCK,
     ),
-    "step": Part('`[[engine]] name = "moreau"`', (Column("number", "step", "longest step (moreau)"),)),
+    **{name: Part(_engines_with(name), tuple(_of_setting(name))) for name in OF_SETTINGS},
 }
 PARTS |= {part: _of_term(part) for part in _OF_TERMS if part not in PARTS}
-
-
-def _of_engines() -> Iterator[Column]:
-    """The columns of the engines' settings, each once, whichever engines have it."""
-    for name, setting in SETTINGS.items():
-        if name in PARTS:
-            continue
-        owners = ", ".join(engine.name for engine in ENGINES.values() if name in engine.settings())
-        match setting:
-            case Number():
-                yield Column("number", name, setting.column or f"{setting.words} ({owners})")
-            case Choice():
-                yield Column("text", name, setting.column or f"{setting.words} ({owners})")
-            case Ratios():
-                yield Column("text", name, f"{setting.words}: one, or uniform in (0, 1] ({owners})")
-                yield Column("whole", f"{name}_draw", f"number of the draw of the r_i ({owners}, uniform)")
 
 
 #: What a member is, in every dataset.
@@ -125,7 +138,7 @@ MEMBER = (
     ),
     Column("number", "twin_size", "how far the start is moved, as a distance like `separation`; null: not"),
     Column("text", "engine", f"method of integration: {', '.join(ENGINES)}", False),
-    *_of_engines(),
+    *(column for name, setting in SETTINGS.items() if setting.in_all for column in _of_setting(name)),
     Column("text", "picked_for", "what a tolerance was picked for: statistics or paths; null: all given"),
     Column("number", "z0", "displacement of every block at t = 0", False),
     Column("number", "w0", "velocity of every block at t = 0", False),

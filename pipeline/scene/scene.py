@@ -35,7 +35,7 @@ from stickslip.pipeline.own.function import OwnFunction, resolve
 from stickslip.pipeline.records import RECORDS
 from stickslip.pipeline.records.own import OwnRecord, look_at_functions, named_functions
 from stickslip.pipeline.records.record import Facts, Record, WindowRecord
-from stickslip.pipeline.scene.columns import PARTS, Recording, misnamed
+from stickslip.pipeline.scene.columns import OF_SETTINGS, PARTS, Recording, misnamed
 from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
 from stickslip.pipeline.scene.engine_table import Engines, EngineTable
 from stickslip.pipeline.scene.quantity import axes, points
@@ -211,7 +211,7 @@ class Scene(StrictTable):
             "force": system.force is not None,
             "back_slip": not system.back_slip,
             "drawn": any(not isinstance(one, float) for one in drawn) or in_files or several,
-            "step": any("step" in engine.settings for engine in self.engines),
+            **{name: any(name in engine.settings for engine in self.engines) for name in OF_SETTINGS},
         }
         of_terms = {term.part for term in TERMS if term.part and known.get(term.name) is not None}
         return tuple(name for name in PARTS if asked.get(name) or name in of_terms)

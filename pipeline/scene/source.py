@@ -10,7 +10,7 @@ from collections.abc import Sized
 from pathlib import Path
 from typing import Any
 
-from stickslip.pipeline.errors import SceneError, shortened
+from stickslip.pipeline.errors import SceneError, remedy, shortened
 
 #: Keys of a table at most, and tables of an array: each would be a problem with a line of its own.
 _MAX_KEYS = 1000
@@ -44,7 +44,7 @@ def read_source(path: str | Path) -> bytes:
     except FileNotFoundError:
         raise SceneError(f"{path}: expected a scene file, found nothing there; check the path") from None
     except OSError as error:
-        raise SceneError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+        raise SceneError(f"{path}: cannot be read ({error.strerror}); {remedy(error)}") from error
 
 
 def parse_toml(source: bytes | str, name: str) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.lib import format as npy
 
+from stickslip.pipeline.machine.memory import lack
 from stickslip.pipeline.scene.other_files import OtherKind, kind_of
 from stickslip.pipeline.scene.toml import MAX_BLOCKS
 
@@ -39,8 +40,9 @@ _BYTES_OF_ENTRY = 24
 #: An array of a number for each block has fewer bytes, whatever its type.
 _MOST_OF_BLOCKS = 16 * MAX_BLOCKS + _MAX_HEADER
 
-#: Bytes that fit any machine: for less, its memory is not looked up, which loads Dask.
-_SMALL = 1e8
+#: Bytes that an array may always have, and how many times those that it takes in a compressed file: by more shrinks
+#: only what is nothing but zeros.
+_SMALL, _RATIO = 2**28, 100
 
 #: A number of Matrix Market as NumPy's parser of text is to read it.
 _FIELDS = {"real": "f8", "double": "f8", "integer": "i8", "unsigned-integer": "u8"}
@@ -95,13 +97,9 @@ def _npy(name: str, stream: IO[bytes], size: int, kinds: str = "iuf") -> np.ndar
 
 
 def _fits(name: str, needed: int) -> None:
-    if needed < _SMALL:
-        return
-    from distributed.system import MEMORY_LIMIT
-
-    if needed > MEMORY_LIMIT:
-        raise ValueError(f"{name}: expected what this machine can hold, {MEMORY_LIMIT / 1e9:.3g} GB, got an array"
-                         f" that takes {needed / 1e9:.3g} GB")  # fmt: skip
+    problem = lack(needed, "an array that takes")
+    if problem:
+        raise ValueError(f"{name}: {problem}")
 
 
 def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
@@ -119,6 +117,10 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
             size = members[key].file_size
             if is_by_block and size > _MOST_OF_BLOCKS:
                 raise ValueError(f"{key}: expected one for each of at most {MAX_BLOCKS} blocks, got {size} bytes")
+            most = max(_SMALL, _RATIO * members[key].compress_size)
+            if size > most:
+                raise ValueError(f"{key}: expected at most {most / 1e6:.0f} MB in {members[key].compress_size} bytes,"
+                                 f" got {size / 1e6:.0f} MB; save a sparse K, by scipy.sparse.save_npz")  # fmt: skip
             with archive.open(members[key]) as stream:
                 return _npy(key, stream, size, kinds)
 

@@ -165,6 +165,7 @@ class ColumnTable(StrictTable):
     words: str
     is_optional: bool
     least: float | None = None
+    most: Annotated[float, Field(gt=0.0)] | None = None
     absent: str = ""
     since: Annotated[float, Field(ge=0.0)] | Literal["t_burn"] | None = None
 

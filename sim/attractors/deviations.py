@@ -35,6 +35,8 @@ _STEP = 0.1
 _NODES = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
 #: Numbers in matrices that are kept at a time.
 _ROOM = 2**21
+#: How large a motion is at least, for ratios of what it consists of to have all their digits.
+LOST = float(np.finfo(np.float64).tiny / np.finfo(np.float64).eps)
 
 
 class Follow(Protocol):
@@ -67,7 +69,7 @@ class Steps:
         """Between edges, from the modes between them: one step where all blocks stick."""
         assert system.weakening is not None
         near, far = system.slip_friction
-        rate = system.rates.max() + system.weakening.steepness * (near - far).max()
+        rate = system.fastest_rate + system.weakening.steepness * (near - far).max()
         lengths = np.diff(edges)
         counts = np.where(modes.any(axis=1), np.ceil(lengths * (rate / _STEP)), 1.0)
         counts = np.maximum(counts, 1.0).astype(np.intp)
@@ -132,7 +134,7 @@ class Path:
         t, z, w = np.append(one.t, other.t), np.concatenate([one.z, other.z]), np.concatenate([one.w, other.w])
         steady = drift / (self.states.t[-1] - t[0])
         apart = z - z[0] - np.outer(t - t[0], steady), w - w[0]
-        fastest = float(self.system.rates.max()) or 1.0
+        fastest = self.system.fastest_rate or 1.0
         sizes = (*apart, (w - steady) / fastest, self._slip_rates / fastest)
         return float(max(np.abs(size).max() for size in sizes))
 

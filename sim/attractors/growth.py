@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.attractors.deviations import Follow, slip_rates
+from stickslip.sim.attractors.deviations import LOST, Follow, slip_rates
 from stickslip.sim.attractors.null_space import across
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run
@@ -81,7 +81,7 @@ def growth(
     is_forced : bool
         Whether a force depends on time.
     """
-    n, fastest = system.n, float(system.rates.max()) or 1.0
+    n, fastest = system.n, system.fastest_rate or 1.0
     t, end = times
     length, total, apart = _FIRST * (end - t), 0.0, 0.0
     known: NDArray[np.int8] | None = modes
@@ -95,7 +95,7 @@ def growth(
             size = float(np.ptp(across(system, one.samples.z), axis=0).max())
             noise = max(TOL * system.fastest_belt / fastest, _EPS * float(np.abs(z).max()))
             apart = max(_APART * size, _NOISE * noise)
-            if apart > _MOST * size:
+            if size < LOST or apart > _MOST * size:
                 return None
         shift = apart * towards
         other = follow(z + shift[:n], w + fastest * shift[n:], None, span, at)

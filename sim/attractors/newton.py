@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.attractors.deviations import Follow, Path
+from stickslip.sim.attractors.deviations import LOST, Follow, Path
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Samples
 from stickslip.sim.runs.series import EventSeries, by_block
@@ -108,6 +108,8 @@ def near_cycle(
         path = Path.of(system, round_, t, ending)
         error = np.concatenate([path.states.z[-1] - z, path.states.w[-1] - w])
         size = size_of(path)
+        if size < LOST:
+            break
         # a state is further from the cycle than it moves in a round: once it is back, more steps go to the cycle
         off_by = float(np.linalg.norm(error))
         if off_by > missed:

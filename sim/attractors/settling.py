@@ -21,13 +21,13 @@ from stickslip.sim.attractors.newton import near_cycle
 from stickslip.sim.attractors.null_space import NULL, across, null_space
 from stickslip.sim.attractors.result import Attractor
 from stickslip.sim.attractors.rounds import Round, in_order, rounds_of, symbols_of
+from stickslip.sim.engines import DEFAULT, ENGINES
 from stickslip.sim.engines.certificates import steady_sliding
-from stickslip.sim.engines.coulomb.settings import Coulomb
 from stickslip.sim.numerics.arguments import Floats, apart, number
 from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries, by_block
-from stickslip.sim.simulation import simulate
+from stickslip.sim.simulation import as_engine, simulate
 from stickslip.sim.systems.drive import Harmonic, Piecewise
 from stickslip.sim.systems.system import System
 
@@ -67,9 +67,7 @@ _SAME_PHASE, _FIRST_TURNS, _MOST_TURNS = 4e-15, 100, 10**6
 
 
 @numpy_arithmetic()
-def attractor(
-    run: Run, system: System, t_burn: float = 0.0, *, engine: str = "coulomb", **settings: Any
-) -> Attractor:
+def attractor(run: Run, system: System, t_burn: float = 0.0, *, engine: str = DEFAULT, **settings: Any) -> Attractor:
     """What a run of the exact engine settles on.
 
     Rest, sliding and escape are proved. A run is periodic if its last events, their blocks, modes and the times
@@ -95,10 +93,8 @@ def attractor(
     TypeError, ValueError
         If the engine has not the exact law, the run is not one of such a system, or `t_burn` no time of it.
     """
-    if engine != Coulomb.name:
-        raise ValueError(
-            f"engine: expected {Coulomb.name!r}, whose events are exact, got {engine!r}; run it with that"
-        )
+    if engine not in ENGINES or not ENGINES[engine].is_exact:
+        raise ValueError(f"engine: expected one of exact events, as {DEFAULT!r}, got {engine!r}; run it with that")
     series = run.events
     if series.n != system.n:
         raise ValueError(f"run: expected one of the system, of {system.n} blocks, got one of {series.n}")
@@ -112,7 +108,8 @@ def attractor(
     if max(bends, default=-math.inf) > run.t_end:
         return Attractor("undecided", f"a force or a belt changes until t = {max(bends):g}; lengthen the run")
     settings = {name: value for name, value in settings.items() if name != "stop_early"}
-    return _End(run, system, max([t_burn, *bends]), Coulomb(**settings).tol, {"engine": engine, **settings}).found()
+    tolerances = as_engine(engine, settings).tolerances
+    return _End(run, system, max([t_burn, *bends]), tolerances, {"engine": engine, **settings}).found()
 
 
 def frequencies_of(system: System) -> list[float]:
@@ -124,15 +121,20 @@ def frequencies_of(system: System) -> list[float]:
 class _End:
     """The end of a run, and what follows on it."""
 
-    def __init__(self, run: Run, system: System, since: float, tol: float, settings: dict[str, Any]) -> None:
-        self._run, self._system, self._since, self._tol, self._settings = run, system, since, tol, settings
+    def __init__(
+        self, run: Run, system: System, since: float, tolerances: dict[str, float], settings: dict[str, Any]
+    ) -> None:
+        self._run, self._system, self._since, self._settings = run, system, since, settings
+        self._tol = tol = max(tolerances.values(), default=0.0)
+        #: settings of runs that part, or come together, by more than their errors
+        self._finer: dict[str, Any] = {name: min(value, TOL) for name, value in tolerances.items()}
         self._back = min(max(_BACK * tol, _CLOSEST), _WIDEST)
         self._v = system.belt_speed_at(run.t_end)
         self._mode = run.events.mode_at(run.t_end)
         self._w = np.where(self._mode == 0, self._v, run.w)
         self._frequencies = frequencies_of(system)
         #: the shortest period that blocks can have: times are at one instant, or not, in units of it
-        self._fastest = 2.0 * math.pi / float(system.rates.max()) if system.rates.any() else 1.0
+        self._fastest = 2.0 * math.pi / system.fastest_rate if system.fastest_rate > 0.0 else 1.0
         #: where what follows begins: the time matters only where the drive depends on it
         self._start = run.t_end if system.changes else 0.0
 
@@ -485,7 +487,7 @@ class _End:
 
     def _growth(self, length: float) -> Growth | None:
         """How fast runs from the end and from next to it part."""
-        follow = partial(self._run_from, tol=min(self._tol, TOL))
+        follow = partial(self._run_from, **self._finer)
         times, is_forced = (self._start, self._start + length), bool(self._frequencies)
         return growth(self._system, self._run.z, self._w, self._mode, times, follow, is_forced)
 

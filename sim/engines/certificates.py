@@ -71,7 +71,7 @@ def escape_bounds(systems: Sequence[System], z: Floats, w: Floats) -> Floats:
 def divergence_bound(system: System, z: Floats, w: Floats) -> float:
     """The |w| at which a run from this start has diverged: far above that of a block that swings back from z."""
     (size,) = _sizes([system], z[np.newaxis], w[np.newaxis])
-    return float(_DIVERGENCE_FACTOR * max(size, np.abs(z).max() * system.rates.max()))
+    return float(_DIVERGENCE_FACTOR * max(size, np.abs(z).max() * system.fastest_rate))
 
 
 def escape(system: System, z: Floats, w: Floats) -> str:

@@ -23,6 +23,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from enum import Enum
 from functools import cache, partial
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -78,6 +79,8 @@ class Setting(ABC):
         When the label of a report's group has it: "always", "unless default", or "if it differs" between groups.
     only_with : (str, str) or None
         Another setting and the value of it that this one needs to have a meaning.
+    in_all : bool
+        Whether every dataset has its column, also one without such an engine; a setting that is added later has none.
     """
 
     words: str
@@ -86,22 +89,41 @@ class Setting(ABC):
     in_id: str | None = None
     in_label: Literal["always", "unless default", "if it differs"] = "if it differs"
     only_with: tuple[str, str] | None = None
+    in_all: bool = False
 
     @abstractmethod
     def checked(self, name: str, value: Any) -> Any:
         """The value as engines take it; TypeError or ValueError, naming the setting, if it is not valid."""
 
 
+class Coarseness(Enum):
+    """What a number makes coarse: the smaller it is, the nearer a run is to that of the exact law."""
+
+    WIDTH = "width of a smoothed law"
+    STEP = "length of a step"
+    RELATIVE = "relative tolerance"
+    ABSOLUTE = "absolute tolerance"
+
+
 @dataclass(frozen=True, kw_only=True)
 class Number(Setting):
     """A number in the open interval (above, below).
 
-    `picked` has its value where only the purpose of a run is given.
+    Attributes
+    ----------
+    picked : mapping of str to float
+        Its value where only the purpose of a run is given; a tolerance has one for each purpose.
+    coarseness : Coarseness or None
+        What it makes coarse; None: nothing.
+    symbol : str
+        In sentences of a report; default: its name.
     """
 
     above: float = -math.inf
     below: float = math.inf
     picked: Mapping[Purpose, float] = field(default_factory=dict)
+    coarseness: Coarseness | None = None
+    symbol: str = ""
 
     def checked(self, name: str, value: Any) -> float:
         return number(name, value, self.above, self.below)
@@ -168,6 +190,8 @@ class Engine(ABC):
     ----------
     name : str
         As in ``engine="..."``.
+    title, method : str
+        On pages of a report, and there in sentences about methods; default: its name, and the title.
     about : str
         One line for scenes.
     kernels : str
@@ -175,18 +199,30 @@ class Engine(ABC):
     sizes : tuple of int
         Numbers of blocks for each of which other kernels may be needed.
     is_exact : bool
-        Whether it keeps the exact, set-valued friction law, whose energy balance `stickslip.sim.energy` knows.
+        Whether it keeps the exact, set-valued friction law and locates every event of it. Records of the exact law
+        are of such runs alone, other engines are compared with them, and they take `Task.modes`.
+    keeps_stills : bool
+        Whether its runs have `Run.stills`, from which the moments of episodes are.
     takes : frozenset of str
         What it runs beyond eq. (10), by the names in `stickslip.sim.systems.system.BEYOND`; systems with anything
         else there are refused. Masses are divided out before.
     """
 
     name: ClassVar[str]
+    title: ClassVar[str]
+    method: ClassVar[str]
     about: ClassVar[str]
     kernels: ClassVar[str] = ""
     sizes: ClassVar[tuple[int, ...]] = (SMALL,)
     is_exact: ClassVar[bool] = False
+    keeps_stills: ClassVar[bool] = False
     takes: ClassVar[frozenset[str]] = frozenset()
+
+    def __init_subclass__(cls) -> None:
+        own = vars(cls)
+        if "name" in own:  # an inherited title is that of another engine
+            cls.title = own.get("title", cls.name)
+            cls.method = own.get("method", cls.title)
 
     def __post_init__(self) -> None:
         for name, about in self.settings().items():
@@ -203,6 +239,12 @@ class Engine(ABC):
         workspace, so all are called in one thread.
         """
         return [partial(self.integrate, task) for task in tasks]
+
+    @property
+    def tolerances(self) -> dict[str, float]:
+        """Its tolerances, by name."""
+        known = self.settings().items()
+        return {name: getattr(self, name) for name, about in known if isinstance(about, Number) and about.picked}
 
     @classmethod
     def taken(cls) -> frozenset[str]:

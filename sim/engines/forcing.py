@@ -157,7 +157,7 @@ class Drive:
         self.belt_speed = np.empty(n)
         self.belt_speed[:] = system.belt_speed.at(t_start) if self._moves else system.belt_speed
         self._gains, self._is_carried = _NOTHING, False
-        self._starts, self._ends, self._turns = list[float](), list[float](), list[float]()
+        self._starts, self._ends = list[float](), list[float]()
         self.forcing = Forcing.none()
         self.fastest, self.is_instant, self.ahead, self.instant = 0.0, False, 0.0, 0.0
         if not (self._moves or system.force):
@@ -232,14 +232,6 @@ class Drive:
             return times(self.start, self.end, s)
         return times(np.repeat(self._starts, counts), np.repeat(self._ends, counts), s)
 
-    def turns(self, counts: list[int]) -> Floats:
-        """The rates at which ramps of forces and belts reverse the slip of blocks, for each time of `times`.
-
-        Those of harmonics are among `System.rates`. A ramp that changes a block's acceleration by G a unit of time
-        changes its speed by v within (v / G)^(1/2), or by the end of the ramp.
-        """
-        return np.repeat(self._turns, counts)
-
     def _enter(self, t: float) -> None:
         """Enter the next piece, which begins at t."""
         system, forcing = self._system, self.forcing
@@ -249,7 +241,6 @@ class Drive:
         if self._ends and t == self.end:
             self.is_instant, self.instant = True, 0.25 * float(np.spacing(abs(t)))
             self.ahead = float(np.append(self._knots[self._knots > t], np.inf)[0]) - t
-        turn = 0.0
         if self.is_forced:
             forcing.poly[:] = 0.0
             for term in self._bends:
@@ -265,17 +256,12 @@ class Drive:
                 forcing.poly[0] -= gains
                 forcing.poly[1] -= system.damping * gains + cross
                 forcing.poly[2] -= 0.5 * (system.stiffness @ gains)
-            change = float((np.abs(forcing.poly[1]) + 2.0 * self.length * np.abs(forcing.poly[2])).max())
-            if change > 0.0:
-                speed = system.fastest_belt
-                turn = min(math.sqrt(change / speed) if speed > 0.0 else math.inf, 1.0 / max(self.length, 1e-300))
         self._starts.append(t)
         self._ends.append(self.end)
-        self._turns.append(turn)
 
     def _cut(self, start: float, ends: list[float]) -> Iterator[tuple[float, bool]]:
         """The ends of pieces, each divided where it would be too long, and whether each is the last."""
-        rate = float(self._system.rates.max())
+        rate = self._system.fastest_rate
         for k, end in enumerate(ends):
             parts = 1
             if self._moves and rate > 0 and end > start:

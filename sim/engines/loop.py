@@ -6,6 +6,7 @@ is given, so the next call goes on where the last one stopped.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -48,19 +49,19 @@ class Events(NamedTuple):
     t: Floats  #: from the start of the piece
     block: NDArray[np.int32]
     mode: NDArray[np.int8]
-    error: Floats  #: of w - v then, over |v|; only where `Plan.shortest` is given
+    touch: Floats  #: how long one that ends then takes at most: see `touch`; only where `Plan.tells_touches`
     all_stuck: Floats
 
     @classmethod
     def blank(cls, capacity: int, several: int = 1) -> Events:
         """Buffers for so many events; each of them, and each start, can begin or end an all-stuck interval."""
-        (t, error), all_stuck = np.zeros((2, capacity)), np.empty((2, capacity + several))
-        return cls(t, np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8), error, all_stuck)
+        (t, touch), all_stuck = np.zeros((2, capacity)), np.empty((2, capacity + several))
+        return cls(t, np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8), touch, all_stuck)
 
     def part(self, first: int, last: int) -> Events:
         """The buffers of some of the events, and those of all all-stuck intervals."""
-        t, block, mode, error, all_stuck = self
-        return Events(t[first:last], block[first:last], mode[first:last], error[first:last], all_stuck)
+        t, block, mode, touch, all_stuck = self
+        return Events(t[first:last], block[first:last], mode[first:last], touch[first:last], all_stuck)
 
     def first(self, n: int, n_all_stuck: int) -> Events:
         """The first events, with the all-stuck intervals in an array of their own."""
@@ -156,9 +157,27 @@ def later(t, lacking, step, t_end):  # type: ignore[no-untyped-def]
 
 
 @inner
-def relative_error(error, v, scale):  # type: ignore[no-untyped-def]
-    """An error of w - v over the speed of the block's belt, or, if that rests, over the scale of speeds."""
-    return error / (abs(v) if v != 0.0 else max(scale, error, 1e-300))
+def touch(before, mode, slope, braked, pull, error):  # type: ignore[no-untyped-def]
+    """How long two opposite changes of mode take at most that are one instant but for an error of w.
+
+    At the second of them: from which mode to which, F', w' just before, and the row sum of |K|.
+
+    A block that touches the belt, w - v = a s^2 / 2 with a = |F'|, sticks for a time T if it would go on to
+    a T^2 / 2 beyond it. Without friction it crosses it twice, by a T^2 / 8, and w' is then a T / 2. One whose F
+    touches m, by -b s^2 / 2, slips from s = -T / 3 on if F goes beyond m by b (T / 3)^2 / 2: it comes back at
+    2 T / 3, where w' is three times as much, and F' 4 w' / T, after 4 w' T / 27 at most. An error e of w is one of
+    pull^(1/2) e of F, as it turns.
+    """
+    slope, braked = abs(slope), abs(braked)
+    if slope == 0.0:
+        return 0.0
+    if mode == 0:
+        most = 3.0 * math.sqrt(pull) * error
+        return min(4.0 * most / slope, 27.0 / 4.0 * error / braked) if 0.0 < braked <= most else 0.0
+    stick = math.sqrt(2.0 * error / slope)
+    if before == 0:
+        return stick
+    return 2.0 * stick if braked <= slope * stick else 0.0
 
 
 @inner
@@ -220,10 +239,7 @@ class Plan(NamedTuple):
     """Shape (1 + m, n): the first row by the engine's own definition of sticking, the others by each of `thresholds`.
     Events by definition d carry block + d n."""
     thresholds: tuple[float, ...] = ()
-    shortest: Floats | None = None
-    """Shape (n,): how long a change of each block's mode must last to be an event, over the root of `Events.error`,
-    where only belts of constant speed act on the blocks; see `without_returns`."""
-    touch: float = 0.0  #: the same, in units of the time in which a block reverses its slip
+    tells_touches: bool = False  #: by `Events.touch`; see `without_returns`
     method: str = ""  #: where an engine has several
     settles: Callable[[], certificates.Flow | None] = lambda: None
     """The motion to the end, if all blocks are certain to come to rest without another event; asked after slices."""
@@ -414,7 +430,7 @@ def complete(
 def _series(
     events: Events, of_piece: list[int], task: Task, drive: Drive, plan: Plan, t_end: float
 ) -> list[EventSeries]:
-    """The series by each definition of sticking, the first without touches that the tolerance cannot resolve."""
+    """The series by each definition of sticking, the first without touches that its error cannot tell."""
     n, t = task.system.n, drive.times(of_piece, events.t)
     order = np.lexsort((events.block, t))  # stable: instants that round to one time keep each block's order
     t, s, block, mode = t[order], events.t[order], events.block[order], events.mode[order]
@@ -422,16 +438,11 @@ def _series(
     for d, modes in enumerate(plan.initial_modes):
         of = block // n == d if plan.thresholds else slice(None)
         series.append(EventSeries(t[of], block[of] - d * n, mode[of], modes, task.t_start, t_end))
-    if plan.shortest is None:
-        return series
-    error = np.sqrt(events.error[order])
+    touch = events.touch[order]
     # else no two events are that close, of whichever block
-    if (s[1:] - s[:-1] <= plan.shortest.max() * error[1:]).any():
-        lasting, turns = plan.shortest[block] * error, drive.turns(of_piece)[order]
-        if turns.any():  # ramps reverse the slip in less time than the block's own motion
-            lasting /= np.hypot(1.0, turns * plan.shortest[block] / plan.touch)
+    if plan.tells_touches and (s[1:] - s[:-1] <= touch[1:]).any():
         piece = np.arange(len(of_piece)).repeat(of_piece)[order]
-        series[0] = without_returns(series[0], piece, s, lasting)
+        series[0] = without_returns(series[0], piece, s, touch)
     return series
 
 

@@ -85,8 +85,8 @@ class Several(ABC):
     bounds : float64, shape (runs,)
         Of |z| and |w|; beyond them a slice ends.
     initial_modes : int8, shape (runs, definitions of sticking, n)
-    events_a_step, shortest, method
-        As of `loop.Plan`; `shortest` has shape (runs, n).
+    events_a_step, tells_touches, method
+        As of `loop.Plan`.
     """
 
     tasks: Sequence[Task]
@@ -94,7 +94,7 @@ class Several(ABC):
     bounds: Floats
     initial_modes: NDArray[np.int8]
     events_a_step: int
-    shortest: Floats | None = None
+    tells_touches: bool = False
     method: str = ""
 
     @abstractmethod
@@ -139,7 +139,7 @@ class Several(ABC):
             found[is_crowded, 0] = _ANEW
         whole = (found[:, 0] == loop.DONE) & (n_definitions == 1)
         ends, stuck_ends = found[:, 1:].cumsum(axis=0).T.tolist()
-        s, block, mode, error, (stuck_s, total) = buffers.first(ends[-1], stuck_ends[-1])
+        s, block, mode, touch, (stuck_s, total) = buffers.first(ends[-1], stuck_ends[-1])
         starts, stops = np.array([(task.t_start, task.t_end) for task in self.tasks]).T
 
         def on_clock(s: Floats, counts: NDArray[np.int64]) -> tuple[NDArray[np.intp], Floats]:
@@ -151,19 +151,17 @@ class Several(ABC):
             of_event, t = on_clock(s, found[:, 1])
             order = np.lexsort((block, t, of_event))  # as in `loop.complete`
             of_event, t, s, block = of_event[order], t[order], s[order], block[order]
-            mode, error = mode[order], error[order]
-            if self.shortest is not None:
-                of_block = of_event * n + block
-                lasting = self.shortest.ravel()[of_block] * np.sqrt(error)
-                whole[of_event[_may_be_touches(of_block, s, lasting)]] = False
+            mode, touch = mode[order], touch[order]
+            if self.tells_touches:
+                whole[of_event[_may_be_touches(of_event * n + block, s, touch)]] = False
             s = np.where(whole[of_event], t, s)
         else:  # no view, which would keep the buffers
-            s, block, mode, error = s.copy(), block.copy(), mode.copy(), error.copy()
+            s, block, mode, touch = s.copy(), block.copy(), mode.copy(), touch.copy()
         if len(stuck_s):
             of_stuck, stuck_t = on_clock(stuck_s, found[:, 2])
             stuck_s = np.where(whole[of_stuck], stuck_t, stuck_s)
         all_stuck = np.array([stuck_s, total])
-        events = Events(s, block, mode, error, all_stuck)
+        events = Events(s, block, mode, touch, all_stuck)
         return [
             Begun(
                 status,
@@ -191,9 +189,9 @@ class Several(ABC):
         )
 
 
-def _may_be_touches(of_block: NDArray[np.intp], t: Floats, shortest: Floats) -> NDArray[np.intp]:
-    """The events that follow on one of the same block within `shortest`, which has one number an event."""
+def _may_be_touches(of_block: NDArray[np.intp], t: Floats, touch: Floats) -> NDArray[np.intp]:
+    """The events that follow on one of the same block within `touch`, which has one number an event."""
     order = np.argsort(of_block, kind="stable")
     block, at = of_block[order], t[order]
-    is_close = (block[1:] == block[:-1]) & (at[1:] - at[:-1] <= shortest[order][1:])
+    is_close = (block[1:] == block[:-1]) & (at[1:] - at[:-1] <= touch[order][1:])
     return order[1:][is_close]

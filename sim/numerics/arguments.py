@@ -36,10 +36,12 @@ def floats(name: str, value: ArrayLike, expected: str) -> Floats:
         kind = array.dtype
         if kind == np.object_:
             array = _numbers(array)
-        elif kind != np.float64 and (kind == np.bool_ or not np.can_cast(kind, np.float64, casting="same_kind")):
-            raise TypeError(f"numbers of type {kind}")
-        with np.errstate(all="ignore"):  # what float64 does not hold is told in our own words
-            return np.array(array, dtype=np.float64, order="C")  # sums round by the order of entries
+        elif kind != np.float64:
+            if kind == np.bool_ or not np.can_cast(kind, np.float64, casting="same_kind"):
+                raise TypeError(f"numbers of type {kind}")
+            with np.errstate(all="ignore"):  # what float64 does not hold is told in our own words
+                array = array.astype(np.float64)
+        return np.array(array, order="C")  # sums round by the order of entries
     except (TypeError, ValueError) as error:
         got = " ".join(reprlib.repr(value).split())
         raise TypeError(f"{name}: expected {expected}, got {got} ({error})") from error

@@ -52,8 +52,9 @@ class Pairs(NamedTuple):
 
 def _may_be_single(sums: Floats) -> bool:
     """Whether there are so many blocks that float32 pays, and the row sums of |K| are well within its range."""
-    sums = sums[sums > 0.0] if len(sums) >= _SMALL else sums[:0]
-    return len(sums) > 0 and bool(sums.min() > 1 / _LARGE and sums.max() < _LARGE)
+    if len(sums) < _SMALL or not (coupled := sums[sums > 0.0]).size:
+        return False
+    return bool(coupled.min() > 1 / _LARGE and coupled.max() < _LARGE)
 
 
 def are_of_one_kind(row_sums: Floats) -> bool:

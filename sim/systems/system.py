@@ -428,6 +428,21 @@ class System:
         np.maximum.at(fastest, group, own)
         return np.asarray(fastest[group])
 
+    @cached_property
+    def fastest_rate(self) -> float:
+        """The largest of `rates`."""
+        return float(self.rates.max())
+
+    @cached_property
+    def least_damping(self) -> float:
+        """The least R_i."""
+        return float(self.damping.min())
+
+    @cached_property
+    def most_friction(self) -> float:
+        """The largest mu_i."""
+        return float(self.friction.max())
+
     def changed(self, **arguments: Any) -> System:
         """The same system with other arguments, by name; a static friction that was left out stays the kinetic.
 

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings
-from stickslip.analysis.report import page
+from stickslip.analysis.report import comparison, page
 
 T_END = 1000.0
 
@@ -21,7 +21,8 @@ def alternating_runs(rng, n_steps, gamma, t_end=T_END, level=100):
     signs = rng.choice([-1, 1]) * (-1) ** np.arange(n_steps)
     steps = np.repeat(signs, lengths)[:n_steps]
     t = np.sort(rng.uniform(0, t_end, n_steps))
-    return np.concatenate(([0.0], t)), level + np.concatenate(([0], np.cumsum(steps)))
+    path = np.concatenate(([0], np.cumsum(steps)))
+    return np.concatenate(([0.0], t)), max(level, -path.min()) + path  # never fewer than no block
 
 
 def member(member_id, matrix, **changes):
@@ -69,4 +70,5 @@ def planted():
 def undrawn(request, monkeypatch):
     """Half of a report's time is drawing, which a few tests look at and the others leave out."""
     if "drawn" not in request.keywords:
-        monkeypatch.setattr(page, "draw", lambda *_, **__: page.Drawn("<svg/>"))
+        for module in (page, comparison):
+            monkeypatch.setattr(module, "draw", lambda *_, **__: page.Drawn("<svg/>"))

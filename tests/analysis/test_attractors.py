@@ -17,6 +17,8 @@ from stickslip.analysis.questions.runs.attractors import answer
 from stickslip.analysis.report.formats import environment
 from stickslip.sim.attractors.result import Kind
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 SERIES = (np.array([0.0, 150.0]), np.array([3, 2]))
 KINDS = 3 * ["sliding"] + 5 * ["periodic"] + ["irregular", "undecided"]
 PERIODS = [None] * 3 + [2.0, 4.0, 6.0, 7.0, 9.0] + [None] * 2
@@ -99,7 +101,6 @@ def test_it_is_asked_where_attractors_are_kept(data, settings):
     assert answer(Study(smoothed, settings)).lack == "none exact"
 
 
-@pytest.mark.usefixtures("undrawn")
 def test_it_leads_the_page(data, settings):
     page = build(data(), settings, "Planted", "", {})
     said = page.headline[1]
@@ -308,6 +309,7 @@ def over_two(planted_runs):
     ])  # fmt: skip
 
 
+@pytest.mark.drawn
 def test_the_page_covers_each_value_of_a_second_key(over_two, settings):
     page = build(over_two, replace(settings, question=("attractors",)), "Planted", "", {})
     said = page.headline[1]

@@ -8,6 +8,7 @@ import pytest
 
 from stickslip.analysis import Data, Study
 from stickslip.analysis.burn_in import estimates, geweke, with_enough
+from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.questions.runs import fates
 from stickslip.analysis.report.formats import environment
 from tests.chance import SURE, agrees
@@ -25,9 +26,19 @@ def series(rng, excess):
     return np.arange(T_END), np.clip(np.rint(level + noise + rng.normal(size=1000)), 0, N).astype(int)
 
 
-def ensemble(planted, rng, excess, n_systems=20, **changes):
-    rows = [planted.member(f"m{k}", k, n=N, t_end=T_END, t_stop=T_END, **changes) for k in range(n_systems)]
-    return Data(pd.DataFrame(rows), {row["member_id"]: series(rng, excess) for row in rows})
+def ensembles(planted, rng, excesses, n_systems=20):
+    """A group for each excess, told by kappa = 0.1, 0.2, ..."""
+    rows, runs = [], {}
+    for group, excess in enumerate(excesses, start=1):
+        for k in range(n_systems):
+            name = f"k{group}-m{k}"
+            rows.append(planted.member(name, k, n=N, t_end=T_END, t_stop=T_END, kappa=0.1 * group))
+            runs[name] = series(rng, excess)
+    return Data(pd.DataFrame(rows), runs)
+
+
+def ensemble(planted, rng, excess, n_systems=20):
+    return ensembles(planted, rng, [excess], n_systems)
 
 
 @pytest.fixture
@@ -41,8 +52,8 @@ def of_groups(data, settings):
 
 
 def test_steady_series_are_called_too_short_at_the_nominal_rate(planted, settings, rng):
-    hits = sum(of_groups(ensemble(planted, rng, 0.0), settings)[0]["is_short"] for _ in range(200))
-    assert agrees(hits, 200, 0.05, 0.05)
+    found = of_groups(ensembles(planted, rng, [0.0] * 200), settings)
+    assert agrees(sum(row["p_value"] < 0.05 for row in found), 200, 0.05)
 
 
 def test_a_transient_is_found_and_its_size(planted, settings, rng):
@@ -57,10 +68,7 @@ def test_a_transient_is_found_and_its_size(planted, settings, rng):
 
 def test_several_groups_are_tested_together(planted, settings, rng):
     """Holm's rule: of nine steady groups and one with a transient, that alone."""
-    parts = [ensemble(planted, rng, 100.0 * (k == 3), kappa=0.1 * (k + 1)) for k in range(10)]
-    rows = pd.concat([part.members.assign(member_id=f"k{k}-" + part.members["member_id"])
-                      for k, part in enumerate(parts)])  # fmt: skip
-    data = Data(rows, {f"k{k}-{name}": one for k, part in enumerate(parts) for name, one in part.series.items()})
+    data = ensembles(planted, rng, [100.0 * (k == 3) for k in range(10)])
     found = of_groups(data, replace(settings, confidence=SURE))
     assert [row["is_short"] for row in found] == [k == 3 for k in range(10)]
     assert all(row["p_adjusted"] >= row["p_value"] for row in found)
@@ -85,6 +93,24 @@ def test_estimates_for_other_values_of_t_burn_and_the_first_that_is_enough(plant
     assert gammas[T_BURN] == pytest.approx(gamma_of(group))
     (row,) = with_enough(geweke(study, study.groups), rows, 1 - SURE)
     assert row["t_enough"] in (212.5, 325.0, 550.0)
+
+
+def test_what_is_averaged_is_tested(planted, settings, rng):
+    """Four in five runs stop at t = 200, quiet: no mean of n_stick has them, but one of a number of each run does."""
+    data, sure = ensemble(planted, rng, 0.0), replace(settings, confidence=SURE)
+    ended = {}
+    for k, (name, (t, n_stick)) in enumerate(data.series.items()):
+        ended[name] = (t[:201], np.append(n_stick[:200], 0)) if k % 5 else (t, n_stick)
+    alone = Data(data.members, ended)
+    (row,) = of_groups(alone, sure)
+    assert (row["n_runs"], row["n_members"], row["n_systems"], row["is_short"]) == (4, 20, 4, False)
+    numbers = {"heat": Recorded("heat", dict.fromkeys(ended, 1.0))}
+    study = Study(Data(data.members, ended, recorded=numbers), sure)
+    (row,) = geweke(study, study.groups)
+    assert (row["n_runs"], row["n_members"], row["n_systems"], row["is_short"]) == (20, 20, 20, True)
+    mean = [row for row in estimates(study, study.groups) if row["quantity"] == "mean" and row["is_chosen"]]
+    assert [row["n_systems"] for row in mean] == [20]
+    assert fates.answer(study).tables["burn_in"]["n_runs"].tolist() == [20]
 
 
 def gamma_of(group):

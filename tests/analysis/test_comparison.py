@@ -13,6 +13,8 @@ from stickslip.analysis.report.comparison import Ensemble, compare, matched
 from stickslip.analysis.stats.estimates import LN2
 from tests.analysis.reports import contents
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 MARGINS = {"mean": 0.1, "variance": 0.25, "rate": 0.1, "correlation_time": 0.5, "gamma": 0.05}
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=20, confidence=0.95, seed=0, margins=MARGINS)
 
@@ -172,6 +174,7 @@ def test_nothing_in_common_is_refused_with_what_there_is(planted):
         compare(first, short, SETTINGS)
 
 
+@pytest.mark.drawn
 def test_the_page_is_whole_and_the_same_twice(planted):
     first, second = ensemble(planted, "<first>", n_matrices=4), ensemble(planted, "second", draw=1, n_matrices=4)
     one, two = (compare(first, second, SETTINGS) for _ in range(2))

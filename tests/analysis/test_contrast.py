@@ -19,7 +19,7 @@ from stickslip.analysis.contrast import (
     told,
 )
 from stickslip.analysis.report.formats import environment
-from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN, share_difference
+from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN, bounded_difference
 from stickslip.analysis.stats.enough import FEW_MATRICES
 from stickslip.analysis.stats.estimates import UnitSums, gamma, ratio
 
@@ -96,7 +96,7 @@ def test_tests_of_shares_invert_their_interval():
     first, second = np.arange(40) < 20, np.arange(40) % 4 == 0
     counts = [np.column_stack([has, np.ones(40)]).astype(float) for has in (first, second)]
     for paired in (True, False):
-        test = share_difference(*counts, paired, 0.4)
+        test = bounded_difference(*counts, paired, 0.4, is_counted=True)
         assert test.interval(1 - test.p_different)[1] == pytest.approx(0.0, abs=1e-9)
         assert test.interval(1 - 2 * test.p_equivalent)[0] == pytest.approx(-0.4, abs=1e-9)
 

@@ -462,9 +462,9 @@ def test_settings_that_share_their_draws_are_compared_system_by_system(planted, 
     A tenth fewer; numbers of two independent sets of systems would have intervals six times as wide, or 0.7 times.
     """
     held, widths = 0, []
+    table = Data(pd.DataFrame([planted.member("m0", 0)]), {}).table
     for _ in range(100):
         own = 0.2 * rng.normal(size=12)
-        table = Data(pd.DataFrame([planted.member("m0", 0)]), {}).table
         key = {"n": 100, "coupling": "chain", "file": None}
         found = [Catalogues(Group(name, dict(key), table, np.zeros(1, int)), {}) for name in ("first", "last")]
         for one, factor, power in zip(found, (1.0, 0.9), (1, sense), strict=True):
@@ -685,9 +685,9 @@ def test_methods_are_named_as_they_are_written(planted_episodes, planted, settin
     """With what tells them apart in a sweep, and n where there are several."""
     moreau = {"engine": "moreau", "step": 0.1, "tol": None}
     for more, names in (
-        ({}, {"exact", "sigmoid \u03b5 = 0.03", "time steps h = 0.1"}),
+        ({}, {"exact", "sigmoid \u03b5 = 0.03", "time stepping h = 0.1"}),
         ({"kappa": [0.2, 0.3]}, {"exact, kappa = 0.2", "sigmoid, kappa = 0.2, \u03b5 = 0.03"}),
-        ({"n": [100, 200]}, {"n = 100, exact", "n = 200, sigmoid \u03b5 = 0.03", "n = 100, time steps h = 0.1"}),
+        ({"n": [100, 200]}, {"n = 100, exact", "n = 200, sigmoid \u03b5 = 0.03", "n = 100, time stepping h = 0.1"}),
     ):
         points = [{key: value} for key, values in more.items() for value in values] or [{}]
         engines = {

@@ -31,6 +31,8 @@ from stickslip.analysis.report.page import MOST_ALERTS, _primary, _Shown
 from stickslip.analysis.stats.compare import share_over_matrices, wilson
 from tests.analysis import studies
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0)
 WORDS = environment().get_template("fates.html").module
 
@@ -478,6 +480,7 @@ def test_fates_lead_a_report_whose_runs_mostly_ended(planted):
         assert _primary(Study(data_of(planted, outcomes), SETTINGS), shown)[0] == leads
 
 
+@pytest.mark.drawn
 def test_a_page_has_few_alerts_and_what_is_well_comes_last(planted):
     outcomes = ["failed"] + [COLLAPSED] + [SUSTAINED] * 2
     report = build(data_of(planted, outcomes), SETTINGS, "A study", "", {})

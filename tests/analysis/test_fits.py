@@ -5,7 +5,17 @@ import math
 import numpy as np
 import pytest
 
-from stickslip.analysis import correlation_time, gamma, over_matrices, share_over_matrices, wilson, window
+from stickslip.analysis import (
+    correlation_time,
+    gamma,
+    named,
+    over_matrices,
+    share_over_matrices,
+    sizes,
+    wilson,
+    window,
+    with_interval,
+)
 from stickslip.analysis.series import cascades
 from stickslip.analysis.stats import families, student
 from stickslip.analysis.stats.estimates import LN2, Estimate, Undefined, jackknife, paired_difference, ratio
@@ -132,6 +142,7 @@ def test_infinite_degrees_of_freedom_are_the_normal_distribution():
     assert student.two_sided(1.959963984540054, math.inf) == pytest.approx(0.05)
 
 
+WINDOW = window([0.0, 1.0], [1, 0], 0.0, 2.0)
 ROWS = np.array([[50.0, 25.0], [30.0, 20.0], [40.0, 22.0]])
 
 
@@ -171,6 +182,23 @@ def test_what_is_no_sums_of_sizes_is_refused(sums, why):
     ("ask", "name"),
     [
         (lambda: wilson(np.nan, 10, 0.95), "successes, trials"),
+        (lambda: wilson("3", 10, 0.95), "successes"),
+        (lambda: wilson(3, True, 0.95), "trials"),
+        (lambda: wilson([3], 10, 0.95), "successes"),
+        (lambda: over_matrices("gamma", ROWS, 0.95), "statistic"),
+        (lambda: Estimate(1, 3, 2), "low, high"),
+        (lambda: Estimate("1"), "value"),
+        (lambda: named("mean", 1.0), "estimate"),
+        (lambda: with_interval(1.0), "estimate"),
+        (lambda: sizes(WINDOW, "events"), "law"),
+        (lambda: sizes([1, 2], cascades.EVENTS), "win"),
+        (lambda: correlation_time([1, 2]), "win"),
+        (lambda: cascades.Law("drop", "0.5"), "dt"),
+        (lambda: window([0, 1], [1, -1], 0, 2), "n_stick"),
+        (lambda: window(["0", "1"], [1, 0], 0, 2), "t"),
+        (lambda: window([0, 1], [1, 0], "0", 2), "t_start"),
+        (lambda: cascades.sample("01", [1, 0], [0.5]), "t"),
+        (lambda: cascades.sample([0.0], [1], ["0.5"]), "grid"),
         (lambda: wilson(1, np.inf, 0.95), "successes, trials"),
         (lambda: wilson(-1, 10, 0.95), "successes, trials"),
         (lambda: wilson(0, 0, 0.95), "successes, trials"),

@@ -565,6 +565,46 @@ def test_a_share_has_one_interval_everywhere(recorded, settings):
     assert found["first_high"].tolist() == table["estimate_high"].tolist()
 
 
+def test_a_share_of_blocks_has_the_same_interval_everywhere(recorded, settings):
+    """None has it at the first speed, and at the second half of the blocks of each; what is never above 1 says so."""
+    shares = {-0.2: 0.0, -0.1: 0.5}
+    data = recorded(
+        {"held": lambda _, matrix, v: shares[v] + 0.01 * (v > -0.2) * matrix}, 12, {"belt_speed": [*shares]}
+    )
+    data = replace(data, recorded={"held": data.recorded["held"]._replace(least=0.0, most=1.0)})
+    study = Study(data, settings)
+    answer = sweep.answer(study)
+    table = answer.tables["sweep_measures"].set_index("belt_speed")
+    none, half = (next(one for one in study.groups if one.key["belt_speed"] == v) for v in shares)
+    ends = study.mean(none, "held")
+    assert (ends.low, ends.high) == (0.0, pytest.approx(wilson(0, 12, 0.95)[1]))
+    assert table.loc[-0.2, "estimate_high"] == ends.high
+    assert study.mean(none, dict.fromkeys(data.recorded["held"].values, 0.0), 0.0, 1.0) == ends
+    row = rows_of(answer, "mean held").loc["-0.1"]
+    assert (row["first_high"], row["second_low"]) == (ends.high, table.loc[-0.1, "estimate_low"])
+    assert (row["verdict"], row["difference"]) == (sweep.RISES, pytest.approx(0.555))
+    assert 0.52 < row["difference_low"] < 0.555
+    assert study.mean(half, "held").high - study.mean(half, "held").low < 0.06
+
+
+def test_each_row_has_a_value_or_a_reason(recorded, settings):
+    axes = {"belt_speed": SPEEDS}
+    names = ("plain", "lifts", "time", "share", "waiting_mean", "waiting_cv")
+    data = recorded({name: lambda _, matrix, v: 0.5 if v < -0.2 else None for name in names}, 5, axes)
+    kinds = {"lifts": {"is_share": True}, "time": {"until": Until(), "problems": dict.fromkeys(data.series, "mine")},
+             "share": {"least": 0.0, "most": 1.0}, "waiting_mean": {"of_gaps": "mean"},
+             "waiting_cv": {"of_gaps": "scatter"}}  # fmt: skip
+    own = {name: data.recorded[name]._replace(**kinds.get(name, {})) for name in names}
+    still = {name: (np.array([0.0]), np.array([200])) for name in data.series}
+    study = Study(replace(data, recorded=own, series=still), replace(settings, question=("cascades",)))
+    table = sweep.answer(study).tables["sweep_measures"]
+    assert table["measure"].nunique() == len(names) + 3  # two of a time, and those of n_stick
+    lacks = table["estimate"].isna()
+    assert 0 < lacks.sum() < len(table)
+    assert table["reason"][lacks].notna().all()
+    assert table["reason"][~lacks & table["estimate_low"].isna()].notna().all()
+
+
 def test_measures_whose_names_end_in_numbers_keep_their_figures(recorded, settings):
     axes = {"belt_speed": SPEEDS, "kappa": [0.1, 0.2, 0.3]}
     data = recorded({name: lambda _, matrix, v, k: 3 + v + 0.01 * matrix for name in ("q", "q_2")}, axes=axes)

@@ -13,6 +13,8 @@ from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import build
 from stickslip.analysis.stats import enough
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 T_END = 1000.0
 MATRICES = 20
 
@@ -126,7 +128,7 @@ def test_of_runs_that_ended_it_says_how_copies_end(rng, planted, settings):
     assert "5 of 20 copies end differently from the base. Another matrix shifts it by" in said
 
 
-@pytest.mark.parametrize("spread", [0.0, 2.0])
+@pytest.mark.parametrize("spread", [0.0, pytest.param(2.0, marks=pytest.mark.drawn)])
 def test_the_page_says_it(rng, planted, settings, spread):
     data = ensemble(rng, planted, to_and_fro if spread else lambda own: own, spread=spread)
     moves = asked(data, settings)[1].loc["mean", "verdict"] == MOVES

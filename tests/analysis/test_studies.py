@@ -282,6 +282,7 @@ def test_the_code_says_what_is_missing(rng):
 # ------------------------------------------------------------------------------------------- planted studies
 
 
+BOUNDED, LEAST = ("blocks", "rare"), {"blocks": 0.9}
 FALSE_ALARMS = ("multiplicity", "change", "equivalence", "methods")
 #: Ensembles of the studies that take longest by far; the others take 300, and 1200 of false alarms.
 FEWER = {"rhythm": 20, "definitions": 100, "methods": 250, "counting": 150}
@@ -293,18 +294,21 @@ FEWER = {"rhythm": 20, "definitions": 100, "methods": 250, "counting": 150}
 )
 def test_intervals_cover_what_was_planted(name, random_seed):
     rows = studies.study(name, random_seed, FEWER.get(name, 300))
-    # an interval without ends, where there can be no other, holds all, and so may one for whatever censored the times
-    most = 1.0 if name in ("components", "parting") else 0.97
-    missed = [row for row in rows if not row.is_covered(high=most)]
+    # an interval without ends, where there can be no other, holds all; so may one for whatever censored the times,
+    # or of what no system has
+    most = 1.0 if name in ("components", "parting", *BOUNDED) else 0.97
+    missed = [row for row in rows if not row.is_covered(LEAST.get(name, 0.93), most)]
     assert not missed, f"seed {random_seed}: {missed}"
     if name in ("gamma", "dispersion", "growth"):  # each ensemble drawn anew, the answer known exactly
         biased = [row for row in rows if not row.is_unbiased()]
         assert not biased, f"seed {random_seed}: {biased}"
 
 
-@pytest.mark.parametrize("name", ["truth", "times", "waiting"])
+@pytest.mark.parametrize("name", ["truth", "times", "waiting", *BOUNDED])
 def test_intervals_of_times_and_shares_cover_in_a_few_ensembles(name, rng):
-    missed = [row for row in studies.study(name, int(rng.integers(2**32)), 40) if not row.is_covered()]
+    most = 1.0 if name in BOUNDED else 0.97
+    rows = studies.study(name, int(rng.integers(2**32)), 40)
+    missed = [row for row in rows if not row.is_covered(LEAST.get(name, 0.93), most)]
     assert not missed, missed
 
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from stickslip.analysis.models.fates import SUSTAINED, half_ended
 from stickslip.analysis.models.times import Times, median_difference
-from stickslip.analysis.stats.compare import mean_difference
+from stickslip.analysis.stats.compare import mean_difference, mean_within, wilson
 from stickslip.analysis.stats.estimates import Undefined, over_matrices, ratio
 
 #: Weeks of remission under 6-MP (Freireich and others 1963; Gehan 1965): seen to end, and followed without.
@@ -80,6 +81,34 @@ def test_what_half_of_the_runs_do_not_have_is_not_reached():
     for limit in (12.0, 0.0, np.nan, np.inf):
         with pytest.raises(ValueError, match=rf"limit: expected a time > 0 .*, at most 10, got {limit:g}; change it"):
             none.restricted(limit)
+
+
+def test_a_median_that_no_run_has_is_later_than_all_were_followed(rng):
+    """Six systems of three runs, of which none has it by t = 10, or four have: half of them have it later."""
+    units = np.repeat(np.arange(6), 3)
+    none = Times.of_runs(units, np.full(18, 10.0), np.zeros(18, dtype=bool))
+    assert none.median(0.95).low == 10.0
+    few = Times.of_runs(units, np.where(np.arange(18) % 5, 10.0, 4.0), np.arange(18) % 5 == 0)
+    assert (few.median(0.95).value, few.median(0.95).high) == (None, None)
+    assert few.median(0.95).low == 10.0
+    early = Times.of_runs(units, np.repeat([2.0, 10.0], 9), np.zeros(18, dtype=bool))  # half of them not for long
+    assert early.median(0.95).low == 2.0
+    hows = np.full(18, SUSTAINED, dtype=object)
+    assert half_ended(hows, np.full(18, 9.0), np.full(18, 10.0), np.full(18, 10.0), 0.95, units).low == 10.0
+
+
+def test_a_restricted_mean_has_an_interval_however_few_runs_have_it():
+    """The time that is lost, over the limit, lies between 0 and 1: none of 12 has it, and one, at 4 of 10."""
+    alone = np.arange(12)
+    none = Times.of_runs(alone, np.full(12, 10.0), np.zeros(12, dtype=bool)).restricted(10.0).rows
+    found = mean_within(none, 10.0, 0.95)
+    assert (found.value, found.high) == (10.0, 10.0)
+    assert found.low == pytest.approx(10.0 * wilson(12, 12, 0.95)[0])
+    first = Times.of_runs(alone, np.where(alone == 0, 4.0, 10.0), alone == 0).restricted(10.0).rows
+    one = mean_within(first, 10.0, 0.95)
+    assert one.value == pytest.approx(9.5)
+    assert one.low < found.low
+    assert 9.5 < one.high < 10.0
 
 
 def test_many_times_alike_are_compared():

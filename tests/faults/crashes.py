@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import builtins
 import contextlib
+import hashlib
 import json
 import os
 import shutil
 import signal
+import subprocess
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -61,10 +64,11 @@ def _deadly(moment: int, is_before: bool, calls: list[int]) -> None:
                 dies = calls[0] == moment
             if dies and is_before:
                 os.kill(os.getpid(), signal.SIGKILL)
-            found = operation(*args, **kwargs)
-            if dies:
-                os.kill(os.getpid(), signal.SIGKILL)
-            return found
+            try:
+                return operation(*args, **kwargs)
+            finally:  # also after a call that fails, as of a file that is not there
+                if dies:
+                    os.kill(os.getpid(), signal.SIGKILL)
 
         return call
 
@@ -159,9 +163,10 @@ def _with_an_earlier_report(world: World, told: Path) -> Path:
     """A copy of a dataset whose report is that of another version, with a table of its own."""
     out = world.copy(of=told)
     (out / "report.html").write_text("of another version")
-    (out / "report" / "earlier.csv").write_text("of a question that nobody asks any more")
+    content = b"of a question that nobody asks any more"
+    (out / "report" / "earlier.csv").write_bytes(content)
     with open(out / "report" / "files.txt", "a") as listed:
-        listed.write("report/earlier.csv\n")
+        listed.write(f"{hashlib.sha256(content).hexdigest()}  report/earlier.csv\n")
     return out
 
 
@@ -376,24 +381,28 @@ def hung_up(world: World, count: int) -> int:
     return _signalled(world, count, signal.SIGHUP, 1)
 
 
-@fault(quick=3, full=30, timeout=600)
-def signalled_as_it_starts(world: World, count: int) -> int:
-    """A first signal, at any moment until the first shard is there: it ends, and leaves nothing in TMPDIR."""
+def _in_room(world: World, count: int) -> Iterator[tuple[Path, Path, Callable[[], subprocess.Popen]]]:
+    """A TMPDIR in which nothing may be left, directories for runs, and what starts each of these."""
     room = world.directory / "room"
     room.mkdir()
     for k in range(count):
         out = world.directory / f"out{k}"
+        arguments = ("run", str(world.scene_file), "--out", str(out), "--workers", "2")
+        yield room, out, partial(world.command, *arguments, environment={"TMPDIR": str(room)}, sleep=0.3)
+        assert not any(room.iterdir()), [*room.rglob("*")]
+
+
+@fault(quick=3, full=30, timeout=600)
+def signalled_as_it_starts(world: World, count: int) -> int:
+    """A first signal, at any moment until the first shard is there: it ends, and leaves nothing in TMPDIR."""
+    for k, (room, out, start) in enumerate(_in_room(world, count)):
         number = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP][k % 3]
-        process = world.command(
-            "run", str(world.scene_file), "--out", str(out), "--workers", "2",
-            environment={"TMPDIR": str(room)}, sleep=0.3,
-        )  # fmt: skip
-        until(lambda: any(room.iterdir()))  # before, Python loads what this package injects
+        process = start()
+        until(lambda room=room: any(room.iterdir()))  # before, Python loads what this package injects
         time.sleep(world.random.uniform(0.0, 5.0))
         process.send_signal(number)
         code, _, err = end_of(process, 60)
         assert code == 128 + number, err
-        assert not any(room.iterdir()), [*room.rglob("*")]
         world.resume(out)
     return count
 
@@ -401,19 +410,14 @@ def signalled_as_it_starts(world: World, count: int) -> int:
 @fault(quick=1, full=5, timeout=400)
 def driver_killed_leaves_room(world: World, count: int) -> int:
     """What a killed driver left in TMPDIR goes with the next."""
-    room = world.directory / "room"
-    room.mkdir()
-    for k in range(count):
-        out = world.directory / f"out{k}"
-        arguments = ("run", str(world.scene_file), "--out", str(out), "--workers", "2")
-        killed = world.command(*arguments, environment={"TMPDIR": str(room)}, sleep=0.3)
+    for room, out, start in _in_room(world, count):
+        killed = start()
         until(lambda out=out: (out / "manifest.json").exists())
         time.sleep(world.random.uniform(0.0, 3.0))
         killed.kill()
         end_of(killed)
         assert any(room.iterdir())
-        code, _, err = end_of(world.command(*arguments, environment={"TMPDIR": str(room)}), 120)
+        code, _, err = end_of(start(), 120)
         assert code == 0, err
-        assert not any(room.iterdir())
         world.check(out)
     return count

@@ -144,8 +144,8 @@ def parts_of_others(world: World, count: int) -> int:
     def write_a_report() -> None:
         place = Directory(out)
         place.remove_left()
-        earlier = place.read("report/files.txt").decode().splitlines()
-        place.replace("report/files.txt", b"report/new.csv\n")
+        earlier = [line.split()[-1] for line in place.read("report/files.txt").decode().splitlines()]
+        place.replace("report/files.txt", b"0  report/new.csv\n")
         written = ("report/new.csv", "report/figures/x.svg", "report.html")
         place.replace_all(dict.fromkeys(written, lambda: b"mine"))
         for name in earlier:

@@ -81,5 +81,5 @@ def test_columns_are_what_sim_finds(scene, tmp_path):
 
 def test_a_scene_without_exact_events_is_refused():
     alone = SOURCE.replace("SEED", "0").replace('[[engine]]\nname = "coulomb"\n', "")
-    with pytest.raises(SceneError, match="attractor: expected an engine of exact events, got 'sigmoid' alone"):
+    with pytest.raises(SceneError, match="attractor: expected an engine of the exact law, got 'sigmoid' alone"):
         parse_scene(alone.encode())

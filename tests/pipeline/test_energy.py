@@ -135,3 +135,14 @@ def test_without_an_engine_of_the_exact_law_it_is_refused(random_seed):
         SceneError, match=r"record.energy: expected an engine of the exact law, got 'moreau' alone; add"
     ):
         scene("dry", random_seed, SOURCE.replace('name = "coulomb"\ntol = 1e-13\n[[engine]]\n', ""))
+
+
+def test_it_is_kept_of_runs_that_are_tested_for_collapse(tmp_path):
+    """Their last digits are others than without the test, and the energy is that of the run that is kept."""
+    source = SOURCE.replace("energy = true\n", "energy = true\ncollapse = true\n").replace(MOREAU, "")
+    for old, new in {"n = 6": "n = 5", "rho = 0.1": "rho = 3.5", "t_end = 80.0": "t_end = 12.0"}.items():
+        source = source.replace(old, new)
+    run_ensemble(scene("dry", 0, source), tmp_path / "out", workers=0)
+    table = query.members(tmp_path / "out")
+    assert (table.outcome != "failed").all(), table.reason.dropna().iloc[0]
+    assert table.kinetic_energy_end.notna().all()

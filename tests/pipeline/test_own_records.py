@@ -76,7 +76,7 @@ w = -0.4
 [run]
 t_end = 12.0
 matrices = 3
-seed = SEED
+seed = 1207
 [record]
 events = true
 t_burn = 2.0
@@ -88,8 +88,8 @@ dt = 0.5
 
 
 @pytest.fixture
-def text(rng):
-    return SCENE.replace("SEED", str(rng.integers(2**31)))
+def text():
+    return SCENE
 
 
 def written(folder, text, mine=MINE):
@@ -267,6 +267,25 @@ def test_a_run_that_ends_before_t_burn_has_no_value(text, tmp_path):
     assert early["own_problem"] == "mine:one: the run ends before t_burn = 2"
 
 
+def test_what_is_lost_is_known_by_column(text, tmp_path):
+    """Of four blocks one value is no share, and the other function fails in words that name the first's columns."""
+    mine = one("return Measured(0.5, 0.5 if system.n < 4 else 1.5)", note='{"least": 0, "most": 1}').replace(
+        "    own:", '    kept: Annotated[float, "kept"]\n    own:'
+    )
+    other = one('assert system.n < 4, "mine:one: expected it for kept, or for x"\nreturn Measured(1.0)', head="")
+    other = other.replace("def one", "def two").replace("Measured", "Other").replace("own:", "x:")
+    scene = short(text).replace('own = "mine:one"', 'own = ["mine:one", "mine:two"]')
+    scene = load_scene(written(tmp_path, scene.replace("n = [3, 4]", "n = [2, 3, 4]"), mine + other))
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    lost = query.members(tmp_path / "out").set_index("n")["own_lost"]
+    assert lost.to_dict() == {2: None, 3: None, 4: "own,x"}
+    study = study_of(tmp_path / "out")
+    problems = {name: {*column.problems} for name, column in study.data.recorded.items()}
+    wrong = {row["member_id"] for _, row in study.data.members.iterrows() if row["n"] == 4}
+    assert problems == {"kept": set(), "own": wrong, "x": wrong}
+    assert study.data.recorded["own"].most == 1.0
+
+
 def test_the_command_says_what_has_no_value(text, tmp_path, monkeypatch, capsys):
     written(tmp_path, short(text), one("return Measured(1 / (4 - system.n))"))
     monkeypatch.chdir(tmp_path)
@@ -305,7 +324,12 @@ UNREADABLE = {
     "import": (one("return 1", head="import nonesuch_at_all\n"), ["ModuleNotFoundError", "nonesuch_at_all"]),
     "no annotation": (one("return 1").replace(" -> Measured", ""), ["to declare that it returns", "got none"]),
     "a number": (one("return 1").replace(" -> Measured", " -> float"), ["to declare that it returns", "got float"]),
-    "no note": (one("return 1", note='{"most": 1}'), ["'least', 'absent' or 'since' for own", "'most'"]),
+    "no note": (one("return 1", note='{"mode": 1}'), ["'least', 'most', 'absent' or 'since' for own", "'mode'"]),
+    "most alone": (
+        one("return 1", note='{"most": 1}'),
+        ["'most' of own, with 'least' 0", "got another 'least', or none"],
+    ),
+    "no most": (one("return 1", note='{"least": 0, "most": 0}'), ["a number > 0 as 'most' of own", "got 0"]),
     "no least": (one("return 1", note='{"least": "0"}'), ["a finite number as 'least' of own", "got '0'"]),
     "least text": (one("return 1", "str", note='{"least": 0}'), ["a finite number as 'least' of own", "got a str"]),
     "never absent": (one("return 1", note='{"absent": "none"}'), ["words as 'absent' of own", "`| None`"]),
@@ -513,7 +537,9 @@ def test_it_is_added_to_a_dataset_that_is_finished(text, tmp_path, content, monk
     monkeypatch.chdir(tmp_path)
     names = ["mine:counted", "mine:fastest"]
     assert main(["extend", "runs/out", "--dry-run", "--record", *names, "t_burn=2.0", "dt=0.5"]) == 0
-    assert "events_after, Share, leaves, busiest, fastest, n_samples, own_problem" in capsys.readouterr().out
+    assert (
+        "events_after, Share, leaves, busiest, fastest, n_samples, own_problem, own_lost" in capsys.readouterr().out
+    )
     extend(tmp_path / "runs" / "out", {"own": names, "t_burn": 2.0, "dt": 0.5}, workers=0)
     assert content(tmp_path / "runs" / "out" / "data") == content(tmp_path / "whole" / "data")
     run_ensemble(load_scene(file), tmp_path / "runs" / "out", workers=0)  # it is the scene's

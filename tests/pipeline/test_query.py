@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -15,8 +16,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from stickslip.pipeline import QueryError, StoreError, expand, parse_scene, query, run_ensemble
+from stickslip.pipeline import QueryError, Scene, StoreError, expand, parse_scene, query, run_ensemble
 from stickslip.pipeline.dataset.schema import SCHEMA, scalars
+from stickslip.pipeline.ensemble import pack
 from stickslip.pipeline.query import database
 
 
@@ -429,3 +431,26 @@ def test_without_duckdb_the_way_to_get_it_is_named(finished, monkeypatch):
     monkeypatch.setitem(sys.modules, "duckdb", None)
     with pytest.raises(QueryError, match=r'pip install "stickslip\[sql\]"'):
         query.sql(finished, "SELECT 1")
+
+
+_OFTEN = """
+import sys
+from stickslip.pipeline import query
+for _ in range(100):
+    query.sql(sys.argv[1], "SELECT max(n) FROM members")
+"""
+
+
+@pytest.mark.long
+def test_no_query_waits_for_the_threads_that_open_its_shards(tmp_path, monkeypatch):
+    """With Arrow's own readers, one of some thirty queries of 60 shards waits for ever."""
+    monkeypatch.setattr(pack, "TARGET_COST", 1e-9)  # a member each
+    tables = {
+        "system": {"coupling": "antisymmetric", "n": 3},
+        "start": {"z": 0.5, "w": 0.0},
+        "run": {"t_end": 2.0, "matrices": 60},
+        "engine": {"name": "coulomb"},
+        "analysis": {"t_burn": 0.5, "dt": 0.5},
+    }
+    run_ensemble(Scene(**tables), tmp_path / "out", workers=0)
+    subprocess.run([sys.executable, "-c", _OFTEN, str(tmp_path / "out")], check=True, timeout=500)

@@ -226,6 +226,18 @@ def test_what_a_file_claims_is_held_against_memory_before_it_is_read(tmp_path, m
     tracemalloc.stop()
 
 
+def test_zeros_that_were_packed_are_not_unpacked(tmp_path, monkeypatch):
+    """A file of a thousandth of their bytes."""
+    monkeypatch.setattr("stickslip.pipeline.scene.system_files._SMALL", 10**6)
+    np.savez_compressed(tmp_path / "K.npz", stiffness=np.zeros((2000, 2000)))
+    (tmp_path / "mine.toml").write_text(SCENE.replace("n = 4", "n = 2000"))
+    tracemalloc.start()
+    with pytest.raises(SceneError, match=r"expected at most 3 MB in \d+ bytes, got 32 MB; save a sparse K"):
+        load_scene(tmp_path / "mine.toml")
+    assert tracemalloc.get_traced_memory()[1] < 8 * 10**6
+    tracemalloc.stop()
+
+
 def test_a_packed_text_and_a_name_that_no_scene_can_hold_are_refused(tmp_path, arrays):
     stream = io.BytesIO()
     scipy.io.mmwrite(stream, arrays["stiffness"])

@@ -122,7 +122,7 @@ def test_it_is_undecided_with_a_reason():
 def test_bad_input_is_refused_by_name():
     system = System([[1.0]], 0.0, 1.0, -0.2, static=1.3)
     run = simulate(system, 0.3, 0.0, 50.0)
-    with pytest.raises(ValueError, match="engine: expected 'coulomb', whose events are exact, got 'sigmoid'"):
+    with pytest.raises(ValueError, match="engine: expected one of exact events, as 'coulomb', got 'sigmoid'"):
         attractor(run, system, engine="sigmoid", eps=0.03)
     with pytest.raises(ValueError, match=r"t_burn: expected a time in \[0, 50\], got 60"):
         attractor(run, system, 60.0)
@@ -617,6 +617,13 @@ def test_what_dies_out_is_no_cycle_and_no_chaos(rng):
             found = settled(system, at + 1.0, 0.0, t_end, t_end / 2, tol=tol)
             assert found.kind in ("undecided", "rest"), (damping, at, t_end, tol)  # in the end it is lost in rounding
             assert found.growth_rate is None or np.isfinite(found.growth_rate)
+
+
+@pytest.mark.parametrize("damping", [0.07832642758499568, 0.07109978713480052])
+def test_what_is_lost_in_rounding_is_no_cycle(damping):
+    """It crosses zero speed with the smallest numbers that there are, whose ratios have no digits."""
+    system = System([[1.0]], damping, 0.0, 0.0)
+    assert settled(system, 1.0, 0.0, 2e4, 1e4, tol=1e-10).kind == "undecided"
 
 
 def test_a_block_that_forces_together_never_move_is_at_rest(rng):

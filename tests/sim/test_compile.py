@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 import threading
@@ -14,7 +15,7 @@ import pytest
 from stickslip.sim.kernels import cache as kept
 from stickslip.sim.kernels import digest
 from stickslip.sim.kernels.cache import CacheFiles, cache_directory
-from stickslip.sim.kernels.compile import kernel
+from stickslip.sim.kernels.compile import inner, kernel
 
 
 @pytest.fixture
@@ -100,3 +101,23 @@ def test_a_kernel_that_cannot_be_kept_is_used_without(monkeypatch):
     with pytest.warns(UserWarning, match=r"compiled anew in every process.*No space left.*NUMBA_CACHE_DIR"):
         assert double(3) == 6
     assert not list(cache_directory().glob("test_compile*.nbc"))
+
+
+def test_a_function_that_a_kernel_calls_in_one_place_becomes_part_of_it(monkeypatch):
+    """However long it is: 500 sines are far more than LLVM takes into a caller that may not be the only one."""
+    monkeypatch.setattr(CacheFiles, "load", lambda self, key: None)
+    monkeypatch.setattr(CacheFiles, "save", lambda self, key, data: None)
+    places = {"math": math, "__name__": __name__}
+    exec("def chain(x):\n" + "    x = math.sin(x) + 0.5\n" * 500 + "    return x", places)
+    part = inner(places["chain"])
+
+    @kernel
+    def whole(x):
+        return part(x)
+
+    x = 0.25
+    for _ in range(500):
+        x = math.sin(x) + 0.5
+    assert whole(0.25) == pytest.approx(x, rel=1e-12)
+    code = whole.inspect_llvm(whole.signatures[0]).splitlines()
+    assert not [line for line in code if line.startswith("define") and "chain" in line]

@@ -143,7 +143,7 @@ def in_little(tmp_path, scene_file, sbatch, *more, n=1):
         (file := tmp_path / name).write_text(script)
         file.chmod(0o755)
     environment = os.environ | {
-        "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}", "JOBS": str(jobs),
+        "PATH": f"{tmp_path}{os.pathsep}{os.environ['PATH']}", "JOBS": str(jobs), "TMPDIR": str(tmp_path),
         "DASK_DISTRIBUTED__DEPLOY__LOST_WORKER_TIMEOUT": "1s",
     }  # fmt: skip
     asked = ["run", str(scene_file), "--out", "out", "--slurm", str(n), *more, "--job", "mem-per-cpu=1G"]
@@ -187,6 +187,24 @@ def test_a_slurm_that_takes_no_job_ends_the_run_with_its_words(scene_file, tmp_p
         _, err = process.communicate(timeout=120)
     assert process.returncode == 1
     assert "expected Slurm to take jobs, got none in: sbatch: error: invalid partition specified: none" in err
+
+
+#: Is asked, and does not answer.
+SILENT = """#!/bin/sh
+touch "$JOBS/asked"
+exec sleep 5
+"""
+
+
+def test_what_a_killed_driver_left_goes_with_the_next(scene_file, tmp_path):
+    with in_little(tmp_path, scene_file, SILENT, "--no-report") as (process, jobs):
+        until((jobs / "asked").exists, timeout=120)
+        process.kill()
+    assert [*tmp_path.glob("stickslip-*")]
+    with in_little(tmp_path, scene_file, REFUSES, "--no-report") as (process, _):
+        _, err = process.communicate(timeout=120)
+    assert process.returncode == 1, err
+    assert not [*tmp_path.glob("stickslip-*")]
 
 
 @pytest.mark.long

@@ -214,7 +214,10 @@ def test_a_long_table_that_comes_in_pieces_is_cut_where_one_in_a_piece_is(tmp_pa
         (
             QUESTION,
             ["--out", "{here}/none/a.csv"],
-            ["--out", "none/a.csv: the folder does not exist: create it or choose another"],
+            [
+                "--out",
+                "(No such file or directory); the folder does not exist: create it",
+            ],
         ),
         ("SELECT n / 0, error('late') FROM members", ["--out", "{here}/a.csv"], ["query: ", "late"]),
         (QUESTION, ["--out", "{here}/a.xlsx"], ["--out", ".csv, .parquet or .txt", "a.xlsx", "--format"]),

@@ -5,8 +5,10 @@ from __future__ import annotations
 import base64
 import contextlib
 import os
+import pty
 import re
 import resource
+import shutil
 import signal
 import socket
 import stat
@@ -22,6 +24,7 @@ import pytest
 from stickslip.analysis.report.page import Drawn, Report
 from stickslip.pipeline import parse_scene, query, run_ensemble
 from stickslip.pipeline.ensemble import member
+from stickslip.pipeline.errors import command
 from stickslip.workflows.commands import main
 from stickslip.workflows.export import whole
 from stickslip.workflows.reporting import write
@@ -177,6 +180,57 @@ OUT = "runsa\x01ba\x1b[31mb"
 NAMES = ("<b>&--a", "a$x_$b", "$a")
 
 
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["run", "{0}.toml", "--dry-run"],
+        ["run", "none{0}.toml"],
+        ["run", "{0}.toml", "--only", "{0}"],
+        ["status", "{0}"],
+        ["verify", "{0}"],
+        ["plot", "{0}", "m", "--out", "a.svg"],
+        ["init", "{0}/{0}"],
+        ["init", "{0}.toml"],
+        ["{0}"],
+    ],
+)
+def test_no_message_obeys_a_name(argv, small_scene, tmp_path, monkeypatch, capsys):
+    """Whatever prints it: a command, what reads options, or the log."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(small_scene, f"{OUT}.toml")
+    with contextlib.suppress(SystemExit):
+        main([word.format(OUT) for word in argv])
+    said = "".join(capsys.readouterr())
+    assert r"a\x1b[31mb" in said
+    assert all(c.isprintable() or c == "\n" for c in said)
+
+
+def test_a_command_that_is_shown_names_the_same_file():
+    words = ["a\x1b[31m'b\\", "plain", "with space"]
+    shown = command(*words)
+    assert shown.isprintable()
+    said = subprocess.run(
+        ["bash", "-c", shown.replace("stickslip", "printf '%s\\n'", 1)], capture_output=True, text=True
+    )
+    assert said.stdout.split("\n")[:-1] == words
+
+
+ASKED = "SELECT chr(27) || '[31mé' AS a, 1 AS \"b\x1b\""
+
+
+@pytest.mark.parametrize("out", [[], ["--out", "/dev/stdout"]])
+def test_csv_obeys_nothing_in_a_terminal(out, dataset, tmp_path):
+    """A file, or a program, has the bytes as they are."""
+    reader, writer = pty.openpty()
+    words = [sys.executable, "-m", "stickslip", "query", str(dataset), ASKED, "--format", "csv"]
+    done = subprocess.run([*words, *out], stdout=writer, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL)
+    assert done.returncode == 0, done.stderr
+    assert os.read(reader, 1 << 12).decode().splitlines() == ['"a","b\\x1b"', '"\\x1b[31mé",1']
+    os.close(reader)
+    os.close(writer)
+    assert subprocess.run(words, capture_output=True).stdout.decode() == '"a","b\x1b"\n"\x1b[31mé",1\n'
+
+
 def test_files_with_any_name_leave_pages_and_figures_that_open(here, rng, tmp_path, capsys):
     (tmp_path / "K").mkdir()
     for name, strength in zip(NAMES, (0.01, 0.2, 0.2), strict=True):  # some die at once, which makes figures
@@ -206,9 +260,13 @@ def test_files_with_any_name_leave_pages_and_figures_that_open(here, rng, tmp_pa
     assert capsys.readouterr().out.endswith("unchanged\n")
     notes = out / "report" / "notes.csv"
     notes.write_text("the user's own")
+    with open(out / "report" / "files.txt", "a") as listed:  # whoever wrote it
+        for name in (f"report/{notes.name}", "report/../manifest.json", "manifest.json"):
+            listed.write(f"{'0' * 64}  {name}\n{name}\n")
     write(Report("", {}, [], {figures[0].stem: Drawn("<svg/>")}), out)
     left = {file.name for file in (out / "report").rglob("*") if file.is_file()}
     assert left == {figures[0].name, "tables.json", "files.txt", notes.name}, "others are of another report"
+    assert (out / "manifest.json").exists()
 
 
 @pytest.mark.parametrize("text", ["=1+1", "+1", "-x", "@a", "\tq", "\r"])

@@ -7,6 +7,7 @@ from io import BytesIO
 import matplotlib
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 import pytest
 
 from stickslip import draw_system, run_scene, simulate
@@ -24,14 +25,21 @@ SESSIONS = {
     "large": lambda: matplotlib.rcParams.update({"font.size": 30, "figure.dpi": 200, "svg.fonttype": "none"}),
     "strict numpy": lambda: np.seterr(all="raise"),
     "old numpy": lambda: np.set_printoptions(legacy="1.13", precision=2),
+    "null is not NaN": lambda: pd.set_option("future.distinguish_nan_and_na", True),
+    "texts of Python": lambda: pd.set_option("mode.string_storage", "python"),
     "strict warnings": lambda: warnings.simplefilter("error"),
 }
+
+
+OPTIONS = ("future.distinguish_nan_and_na", "mode.string_storage")
 
 
 @pytest.fixture(params=SESSIONS)
 def session(request):
     """A function that sets what a user's session may have set, which is undone after the test."""
-    with matplotlib.rc_context(), np.errstate(), np.printoptions(), warnings.catch_warnings():
+    options = [part for name in OPTIONS for part in (name, pd.get_option(name))]
+    numpy = np.errstate(), np.printoptions()
+    with matplotlib.rc_context(), pd.option_context(*options), numpy[0], numpy[1], warnings.catch_warnings():
         yield SESSIONS[request.param]
 
 

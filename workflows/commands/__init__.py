@@ -9,10 +9,9 @@ import sys
 from importlib import import_module
 from typing import Any
 
-from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError
+from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError, remedy
 from stickslip.pipeline.machine.processes import frugal, open_streams
 from stickslip.pipeline.machine.signals import Interrupted, interruptible
-from stickslip.workflows import NO_FOLDER
 from stickslip.workflows.commands.command import UNFINISHED, WRONG, Wrong, listed, scheduler
 from stickslip.workflows.commands.completion import Completion
 from stickslip.workflows.commands.extend import Extend
@@ -22,6 +21,7 @@ from stickslip.workflows.commands.report import Report
 from stickslip.workflows.commands.run import Run
 from stickslip.workflows.commands.scenes import Init, Scenes, Schema
 from stickslip.workflows.commands.status import Status, Verify
+from stickslip.workflows.printed import printed
 
 #: By name, in the order of the help. A class here, and the command has it.
 COMMANDS = {
@@ -95,6 +95,11 @@ def main(argv: list[str] | None = None) -> int:
     """Run the command with `argv` (the process's own by default); returns the exit code."""
     if argv is None:
         open_streams()
+    with printed():
+        return _done(argv)
+
+
+def _done(argv: list[str] | None) -> int:
     whole = parser()
     arguments = whole.parse_args(argv, argparse.Namespace(is_program=argv is None, parser=whole))
     try:
@@ -114,8 +119,7 @@ def main(argv: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return UNFINISHED
     except OSError as error:  # a scene, a report or an answer that cannot be written
-        remedy = "make room or choose another place, then rerun the command"
-        print(f"stickslip: {error}; {NO_FOLDER if isinstance(error, FileNotFoundError) else remedy}", file=sys.stderr)
+        print(f"stickslip: {error}; {remedy(error)}, then rerun the command", file=sys.stderr)
         return UNFINISHED
     except (MemoryError, ImportError) as error:
         if not _lacks_memory(error):

@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, B, F, Question, Row, S, frame
+from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.contrast import (
     SCHEMA,
     Sample,
@@ -29,12 +30,13 @@ from stickslip.analysis.contrast import (
 )
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
-from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, TOLERANCES
+from stickslip.analysis.members import ENGINE_KEYS, STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.stats.estimates import UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import BLUE, GREY, ORANGE, panel
 from stickslip.pipeline.design.labels import engine_name
+from stickslip.sim.engines import symbol
 
 FRICTION, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
 #: Smoothing does not explain a difference between engines of more than this many margins, for eps up to _SMOOTH: the
@@ -134,10 +136,10 @@ def _pairs(study: Study, by_threshold: Mapping[str, Mapping[float, Sample]]) -> 
         systems.setdefault(tuple(group.key[name] for name in SYSTEM_KEYS), []).append(group)
     for some in systems.values():
         families: dict[tuple[Any, ...], list[Group]] = {}
-        for group in sorted(some, key=_tightness):
+        for group in sorted(some, key=fineness):
             kept = tuple(group.key[name] for name in ENGINE_KEYS if name not in TOLERANCES)
             families.setdefault(kept, []).append(group)
-        tightest = sorted((family[0] for family in families.values()), key=_exactness)
+        tightest = [family[0] for family in families.values()]
         yield from (_Pair(FRICTION, tightest[0], group) for group in tightest[1:])
         for family in families.values():
             yield from (_Pair(TOLERANCE, family[0], group) for group in family[1:])
@@ -147,41 +149,35 @@ def _pairs(study: Study, by_threshold: Mapping[str, Mapping[float, Sample]]) -> 
 
 def _engine(group: Group) -> Row:
     static = group.key["static"] is not None or "static" in group.table.design.values(group.point)
-    settings = {name: group.key[name] for name in ("eps", "step", "belt_speed")}
-    return {"engine": engine_name(group.key["engine"]), "static": static, **settings}
-
-
-def _tightness(group: Group) -> float:
-    return next((float(group.key[name]) for name in TOLERANCES if group.key[name] is not None), 0.0)
-
-
-def _exactness(group: Group) -> tuple[bool, bool, float]:
-    """Sorts groups: the exact engine first, then the least smoothing, then the shortest step."""
-    eps, step = group.key["eps"], group.key["step"]
-    return step is not None, eps is not None, float(eps or step or 0.0)
+    known = {name: group.key[name] for name in (*WIDTHS, *STEPS) if group.key[name] is not None}
+    return {
+        "engine": engine_name(group.key["engine"]), "static": static, "belt_speed": group.key["belt_speed"],
+        "width": next((value for name, value in known.items() if name in WIDTHS), None),
+        "settings": ", ".join(f"{symbol(name)} = {value:g}" for name, value in known.items()),
+    }  # fmt: skip
 
 
 def _is_suspect(row: Mapping[str, Any]) -> bool:
-    """Whether a statistic differs between the exact engine and the sigmoid by more than smoothing explains.
+    """Whether a statistic differs between an exact engine and a smoothed law by more than smoothing explains.
 
     It does if the difference is significant after adjustment and its whole interval lies beyond `_EXPLAINED` margins
-    times max(1, eps / _SMOOTH). If one value is zero there is no relative difference: then the statistic is suspect
+    times max(1, width / _SMOOTH). If one value is zero there is no relative difference: then the statistic is suspect
     if the interval of the other value excludes zero. Two exact or two smoothed settings are not judged. Nor is static
     friction above the kinetic, where a smoothed block creeps before it slips and may never slip, nor a slow belt, of
-    whose speed eps is more than `_OF_BELT`.
+    whose speed the width is more than `_OF_BELT`.
     """
-    eps, reference = row["of_setting"]["eps"], row["of_reference"]
-    if row["kind"] != FRICTION or eps is None or reference["eps"] is not None or reference["static"]:
+    width, reference = row["of_setting"]["width"], row["of_reference"]
+    if row["kind"] != FRICTION or width is None or reference["width"] is not None or reference["static"]:
         return False
     belt = row["of_setting"]["belt_speed"]
-    if belt is not None and float(eps) > _OF_BELT * abs(belt):
+    if belt is not None and float(width) > _OF_BELT * abs(belt):
         return False
     if not row["is_share"] and (row["first"] == 0.0) != (row["second"] == 0.0):
         low = row["second_low"] if row["first"] == 0.0 else row["first_low"]
         return low is not None and low > 0.0
     if row["verdict"] != DIFFER:
         return False
-    allowed = _EXPLAINED * row["margin"] * max(1.0, float(eps) / _SMOOTH)
+    allowed = _EXPLAINED * row["margin"] * max(1.0, float(width) / _SMOOTH)
     return bool(row["relative_low"] > allowed or row["relative_high"] < -allowed)
 
 
@@ -190,7 +186,7 @@ def _agrees_with_less(row: Row, rows: Sequence[Row]) -> bool:
     return any(
         other["quantity"] == row["quantity"]
         and other["verdict"] == AGREE
-        and (other["of_setting"]["eps"] or np.inf) < row["of_setting"]["eps"]
+        and (other["of_setting"]["width"] or np.inf) < row["of_setting"]["width"]
         for other in rows
     )
 

@@ -51,7 +51,7 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.effective import tau
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PANEL, PURPLE, panel
-from stickslip.pipeline.design.labels import apart
+from stickslip.pipeline.design.labels import apart, engine_name
 
 MOST_CURVES = 8  # in one figure
 MOST_RUNS = 200  # in one figure; more lines hide each other
@@ -106,9 +106,10 @@ def answer(study: Study) -> Answer:
     followed = runs[runs["fate"] != FAILED] if len(failed) else runs
     drawn = _of_draws(study.groups, DRAWN, followed, members["unit"])
     shifts = _shifts(study.groups, level)
-    in_motion = sorted((group for group in study.groups if group.n_runs), key=lambda group: -int(group.key["n"]))
-    by_t_burn = burn_in.estimates(study, in_motion)
-    tested = burn_in.with_enough(burn_in.geweke(study, in_motion), by_t_burn, 1 - level)
+    averaged = [group for group in study.groups if len(burn_in.averaged(study, group))]
+    averaged.sort(key=lambda group: -int(group.key["n"]))
+    by_t_burn = burn_in.estimates(study, averaged)
+    tested = burn_in.with_enough(burn_in.geweke(study, averaged), by_t_burn, 1 - level)
     short = [row for row in tested if row["is_short"]]
     drawable = burn_in.drawable(by_t_burn)
     facts: dict[str, Any] = {
@@ -333,7 +334,8 @@ def _group_row(study: Study, group: Group, ran: _Ran) -> Row:
     n_held = np.count_nonzero(is_held(t_last, n_last, int(group.key["n"]), t_end) & (fates == SUSTAINED))
     return {
         "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
-        "engine": group.key["engine"], "n_runs": len(fates), "t_end": t_end,
+        "engine": group.key["engine"], "law": engine_name(group.key["engine"]) + " law" * group.is_exact,
+        "n_runs": len(fates), "t_end": t_end,
         **_counts(group.fates), **named("moving", share), **named("settled", settled),
         "n_held": n_held, "is_rated": bool(group.column("growth_rate").notna().any()),
         "half": half, **named("median", half), "median_most": most.value,
@@ -363,7 +365,8 @@ def _shifts(groups: Sequence[Group], level: float) -> list[Row]:
             if len(shifts):
                 shift = replace(shift, value=float(np.median(shifts)))
             found.append({
-                "setting": other.label, "reference": reference.label, "n_systems": len(known),
+                "setting": other.label, "reference": reference.label, "is_exact": reference.is_exact,
+                "n_systems": len(known),
                 "n_open": len(both) - len(known), **named("shift", shift),
             })  # fmt: skip
     return found

@@ -12,6 +12,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Separation, Study
+from stickslip.analysis.members import RELATIVE
 from stickslip.analysis.models.fates import median
 from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import START, Comparison, Followed, Setting, follow, level, settings
@@ -19,12 +20,13 @@ from stickslip.analysis.series import parting
 from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.style import CYCLE, GREY, panel
 from stickslip.pipeline.design.values import shown
+from stickslip.sim.engines import ENGINES
 
 GROWS, SHRINKS = "grow", "shrink"
 T_FROM, LEAST = 100.0, 100.0  # where the range of a growth rate begins, and the shortest that counts
 CEILING = 3e-2  # of distances that still grow in proportion
 SMALL = 0.1  # largest displacement of a start for a growth rate, as a share of the ceiling
-FLOOR, TOLERANCES = 1e-13, 10.0  # floor of the exact engine; that of the sigmoid is so many times its rtol
+FLOOR, TOLERANCES = 1e-13, 10.0  # floor of exact engines; that of others is so many times their relative tolerance
 _GROWTH: Mapping[str, str] = {
     "setting": S, "n": I, "engine": S, "size": F, "rate": F, "rate_low": F, "rate_high": F, "e_fold": F,
     "e_fold_low": F, "e_fold_high": F, "t_from": F, "t_to": F, "n_pairs": I, "n_used": I, "n_floor": I,
@@ -86,6 +88,7 @@ def answer(study: Study) -> Answer | None:
         "rates": [row for row in growths if row["rate"] is not None],
     }
     some = [row for row in curves if row["setting"] == label]
+    facts["has_curves"] = bool(some)
     lines = _distance_lines(study, found, told)
     figures = {"parting": partial(parting_curves, _by_change(some))} if some else {}
     if lines:
@@ -95,7 +98,7 @@ def answer(study: Study) -> Answer | None:
 
 def _growth_row(study: Study, setting: Setting, comparison: Comparison) -> Row:
     """Growth rate of starts displaced by one size, with its verdict."""
-    size, rtol = comparison.change.size, setting.key["rtol"]
+    size = comparison.change.size
     identity = {"setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "size": size}
     row: Row = dict.fromkeys(_GROWTH) | identity | {"verdict": UNKNOWN, "n_pairs": len(comparison.pairs), "n_used": 0}
     separations = _separations(study, comparison)
@@ -104,7 +107,7 @@ def _growth_row(study: Study, setting: Setting, comparison: Comparison) -> Row:
         return row
     known = [separations[pair.changed] for pair in pairs]
     times = max((t for t, _ in known), key=len)
-    floor = FLOOR if rtol is None else TOLERANCES * rtol
+    floor = _floor(setting.key)
     found = growth(
         times, [distance for _, distance in known], [pair.matrix for pair in pairs],
         T_FROM, LEAST, (floor, CEILING), study.settings.confidence,
@@ -121,6 +124,12 @@ def _growth_row(study: Study, setting: Setting, comparison: Comparison) -> Row:
         if not found.is_selected:
             row["verdict"] = GROWS if rate.value > 0 else SHRINKS
     return row
+
+
+def _floor(key: Mapping[str, Any]) -> float:
+    """The distance of two runs below which the errors of an engine and its settings hide it."""
+    tolerances = [] if ENGINES[key["engine"]].is_exact else [key[name] or 0.0 for name in RELATIVE]
+    return max([FLOOR, *(TOLERANCES * tolerance for tolerance in tolerances)])
 
 
 def _separations(study: Study, comparison: Comparison) -> dict[int, Separation]:

@@ -35,6 +35,7 @@ from stickslip.analysis.grid import (
     settings,
 )
 from stickslip.analysis.measures import AXES, GAMMA, KEYS, MEAN, Measure, measures
+from stickslip.analysis.members import RELATIVE
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
 from stickslip.analysis.questions.runs.fates import FATES, shares
 from stickslip.analysis.stats import enough
@@ -45,8 +46,7 @@ from stickslip.analysis.style import EXACT, GREY, panel
 from stickslip.pipeline.design.design import Axis, in_words
 from stickslip.pipeline.design.values import Value
 
-#: Tolerances of engines relative to the state, and what sums over a run lose to rounding at any tolerance.
-RELATIVE, ROUNDING = ("tol", "rtol"), 1e-12
+ROUNDING = 1e-12  # what sums over a run lose to rounding, at any tolerance
 RISES, FALLS, SAME = "rises", "falls", "the same in all"
 MOST_LINES = 6  # in one figure
 MOST_COLUMNS = 5  # of measures in the table of values
@@ -395,13 +395,15 @@ def _value_row(point: Point, setting: str, axes: Sequence[Axis], asked: Sequence
     values = (value if isinstance(value, float) else str(value) for value in chain.from_iterable(point.at.values()))
     keys = dict(zip(names, values, strict=True))
     estimates = [named(name, estimate(of, [point], confidence)) for name, of in _OF.items()]
+    measured = [estimate(one.statistic, [point], confidence) for one in asked]
     return {
         "setting": setting, "group": point.group.label, "at": ", ".join(map(in_words, point.at.values())), **keys,
         "n_units": len(point.group.units), "n_runs": sum(point.fates[name] for name in WATCHED),
         **{f"n_{name}": n for name, n in point.fates.items()},
         **ChainMap(*estimates),
         "basis": point.group.basis(confidence).code,
-        **ChainMap(*(named(_cell(k), estimate(one.statistic, [point], confidence)) for k, one in enumerate(asked))),
+        **ChainMap(*(named(_cell(k), one) for k, one in enumerate(measured))),
+        "reasons": [one.reason for one in measured],
         **{f"{_cell(k)}_runs": len(point.group) - len(point.values[one.name].missing) for k, one in enumerate(asked)},
         **{f"{_cell(k)}_censored": point.values[one.name].n_censored for k, one in enumerate(asked)},
         "values": [point.values[one.name] for one in asked],
@@ -416,10 +418,11 @@ def _cell(k: int) -> str:
 def _measured(rows: Sequence[Row], asked: Sequence[Measure]) -> Iterator[Row]:
     """Rows of the table `sweep_measures`: each measure at each point."""
     for row in rows:
-        for k, (one, values) in enumerate(zip(asked, row["values"], strict=True)):
+        for k, (one, values, why) in enumerate(zip(asked, row["values"], row["reasons"], strict=True)):
             yield row | {f"estimate{end}": row[f"{_cell(k)}{end}"] for end in ("", "_low", "_high")} | {
                 "measure": one.name, "words": one.words or None, "n_units": len(values.sums),
-                "n_censored": values.n_censored, "n_without": len(values.missing), "reason": values.withheld or None,
+                "n_censored": values.n_censored, "n_without": len(values.missing),
+                "reason": values.withheld or why or None,
             }  # fmt: skip
 
 
@@ -458,6 +461,7 @@ def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> d
         "withheld": [
             {"subject": one.subject, "why": why, "at": [point.group.label for point in some]}
             for one in asked
+            if one.name not in KEYS  # an alert of their own says it
             for why, some in _withheld(one, every).items()
         ],
         "cells": [cell for name, key, is_cut, lacks in shown

@@ -16,8 +16,8 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.models import pool
 from stickslip.analysis.series.cascades import spans
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, against
-from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices, ratio
+from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, against, mean_within
+from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices
 from stickslip.analysis.stats.families import gamma_up_to, truncate
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
 from stickslip.pipeline.design.labels import engine_name
@@ -142,15 +142,13 @@ def _size_rows(group: Group, confidence: float) -> list[Row]:
     by_pool = pool.law(n, mean, counts.shape[1]) if mean is not None and pool.is_one(n, mean) else None
     rows = []
     for size, column in enumerate(counts.T, start=1):
-        share = over_matrices(ratio, np.column_stack([column, totals]).astype(float), confidence)
+        share = mean_within(np.column_stack([column, totals]).astype(float), 1.0, confidence)
         rows.append(
             {
                 "group": group.label,
                 "size": size,
                 "n_cascades": int(column.sum()),
-                "share": share.value,
-                "share_low": None if share.low is None else max(share.low, 0.0),
-                "share_high": None if share.high is None else min(share.high, 1.0),
+                **named("share", share),
                 "fit": None if rate is None else float(-np.expm1(-rate) * np.exp(-rate * (size - 1))),
                 "chance": 0.5**size,
                 "pool": None if by_pool is None else float(by_pool[size - 1]),

@@ -46,13 +46,13 @@ from stickslip.analysis.models.episodes import (
     follows,
 )
 from stickslip.analysis.questions.runs.sweep import FALLS, RISES
-from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, relative_difference
+from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, mean_within, relative_difference
 from stickslip.analysis.stats.enough import DRIFTS
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import parameter
 from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, goodness
 from stickslip.analysis.stats.student import half_width
-from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
+from stickslip.analysis.style import EXACT, GREY, of_engine, panel
 
 POWER, CUT_OFF, EXPONENTIAL, NONE = "power law", "cut-off power law", "exponential", "none of these"
 SLOW = 0.05  # largest share of time in episodes if the drive is slow for the chain
@@ -257,7 +257,7 @@ def _sizes(one: Catalogues, level: float) -> list[Row]:
     for size in np.unique((1.5 ** np.arange(np.log(most) / np.log(1.5))).astype(int)):
         sums = np.array([[np.count_nonzero(some >= size), len(some)] for some in runs], dtype=np.float64)
         if sums[:, 0].sum() >= FEWEST:
-            share = named("share", over_matrices(ratio, sums, level))
+            share = named("share", mean_within(sums, 1.0, level))
             rows.append({"group": one.label, "size": int(size), "n_episodes": int(sums[:, 0].sum()), **share})
     return rows
 
@@ -352,10 +352,10 @@ def _look(labels: Mapping[str, tuple[str, str]]) -> dict[str, dict[str, Any]]:
     looks = {}
     for label, (engine, _) in labels.items():
         k = seen[engine] = seen.get(engine, -1) + 1
-        colour = {"coulomb": EXACT, "sigmoid": SMOOTHED}.get(engine, GREEN)
+        colour, face = of_engine(engine)
         looks[label] = {
             "color": colour, "linestyle": ("-", "--", "-.", ":")[k % 4], "marker": "osDv"[k % 4], "markersize": 3,
-            "markerfacecolor": colour if engine == "coulomb" else "white", "linewidth": 0.9,
+            "markerfacecolor": face, "linewidth": 0.9,
         }  # fmt: skip
     return looks
 

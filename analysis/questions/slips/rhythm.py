@@ -35,6 +35,7 @@ from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.style import over_blocks, panel
 from stickslip.pipeline.design.labels import engine_name
 from stickslip.pipeline.design.values import shown
+from stickslip.sim.engines import place
 
 CYCLES = 3.0  # of a block: motion of longer periods is slow
 SCALED = ("period", "quality", "share")  # numbers that may go as a power of a key
@@ -193,12 +194,12 @@ def _alike(key: str, known: Sequence[_Measured]) -> list[list[_Measured]]:
         if key == ENGINE or one.group.key[key]:
             others = tuple(value for other, value in one.group.key.items() if other not in own)
             sets.setdefault(others, []).append(one)
-    order = _exact_first if key == ENGINE else lambda one: float(one.group.key[key])
+    order = _place if key == ENGINE else lambda one: float(one.group.key[key])
     return [sorted(some, key=order) for some in sets.values() if len(some) > 1]
 
 
-def _exact_first(one: _Measured) -> bool:
-    return engine_name(one.group.key["engine"]) != "exact"
+def _place(one: _Measured) -> int:
+    return place(one.group.key["engine"])
 
 
 def _changes(known: Sequence[_Measured], confidence: float) -> list[Row]:

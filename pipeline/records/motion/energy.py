@@ -8,8 +8,9 @@ from typing import Any, Self
 import numpy as np
 
 from stickslip.pipeline.design.column import Column
-from stickslip.pipeline.records.record import Facts, Made, Member, Record, Sharing, is_exact, needs_exact
+from stickslip.pipeline.records.record import Made, Member, Record, Sharing
 from stickslip.sim.energy import Energy, TooLongError, energy
+from stickslip.sim.engines import ENGINES
 
 
 class EnergyRecord(Record):
@@ -38,13 +39,8 @@ class EnergyRecord(Record):
         Column("number", "friction_loss", "what slip on the belt took, as heat"),
     )
 
+    is_of_exact = True
     needs = frozenset({"events", "end", "system"})
-
-    def applies(self, member: Member) -> bool:
-        return is_exact(member)
-
-    def problem(self, facts: Facts) -> str:
-        return needs_exact(facts)
 
     def cost(self, member: Member, sharing: Sharing) -> float:
         return 10.0 * member.cost if self.applies(member) else 0.0
@@ -108,9 +104,11 @@ def _balance(made: Made) -> Energy | None:
 
 def _sum(made: Made) -> Energy | None:
     member, run = made.member, made.run
-    if run.outcome == "diverged" or not is_exact(member):
+    if run.outcome == "diverged" or not ENGINES[member.engine].is_exact:
         return None
     try:
-        return energy(made.system, run, *made.start, engine=member.engine, **dict(member.settings))
+        return energy(
+            made.system, run, *made.start, engine=member.engine, stop_early=made.stop_early, **dict(member.settings)
+        )
     except TooLongError:  # the run itself is right
         return None

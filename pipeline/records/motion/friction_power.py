@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stickslip.pipeline.design.column import Column
-from stickslip.pipeline.records.record import Facts, Member, StateRecord, is_exact, mean_in_time, needs_exact
+from stickslip.pipeline.records.record import StateRecord, mean_in_time
 from stickslip.sim.runs.run import Samples
 from stickslip.sim.systems.system import System
 
@@ -29,12 +29,7 @@ class FrictionPower(StateRecord):
             least=0.0,
         ),
     )
-
-    def applies(self, member: Member) -> bool:
-        return is_exact(member)
-
-    def problem(self, facts: Facts) -> str:
-        return needs_exact(facts)
+    is_of_exact = True
 
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:
         slip = samples.w - system.belt_speed_at(samples.t)

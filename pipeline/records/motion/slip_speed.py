@@ -36,6 +36,7 @@ class SlipSpeed(StateRecord):
             title="root mean square of the slip speed",
         ),
     )
+    is_of_contacts = True
 
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:
         rubs = system.has_friction

@@ -47,6 +47,7 @@ class EpisodesRecord(Record):
             is_later=True,
         ),
     )
+    needs_stills = True
 
     def of(self, made: Made) -> dict[str, Any]:
         whole = episodes(made.run, made.system.belt_speed)

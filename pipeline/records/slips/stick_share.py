@@ -27,6 +27,7 @@ class StickShare(WindowRecord):
             "share of the time after t_burn that a block sticks, mean over the blocks with friction; null if the run"
             " ended before, or no block has friction",
             least=0.0,
+            most=1.0,
             title="share of time that a block sticks",
         ),
         Column(
@@ -34,9 +35,11 @@ class StickShare(WindowRecord):
             "never_slipped",
             "share of the blocks with friction that stick from t_burn to the end",
             least=0.0,
+            most=1.0,
             title="share of blocks that never slip",
         ),
     )
+    is_of_contacts = True
     needs = frozenset({"events", "system"})
 
     def of(self, made: Made) -> dict[str, Any]:
@@ -48,6 +51,6 @@ class StickShare(WindowRecord):
         sticks = events.mode_at(self.t_burn) == 0
         sticks[events.block[events.t > self.t_burn]] = False  # a block that sticks leaves first
         return {
-            "stick_share": np.diff(edges) @ n_stick / ((end - self.t_burn) * events.n),
+            "stick_share": min(np.diff(edges) @ n_stick / ((end - self.t_burn) * events.n), 1.0),  # but for rounding
             "never_slipped": sticks.mean(),
         }

@@ -46,6 +46,7 @@ class Waiting(WindowRecord):
             of_gaps="scatter",
         ),
     )
+    is_of_contacts = True
     needs = frozenset({"events", "system"})
 
     def of(self, made: Made) -> dict[str, Any]:

@@ -30,9 +30,6 @@ from stickslip.sim.systems.system import System
 if TYPE_CHECKING:
     from stickslip.sim.engines.coulomb.settings import Coulomb
 
-#: A touch w - v = a s^2 / 2 with an error e becomes two events 2 (2 e / a)^(1/2) apart, where a is about |v| rate^2,
-#: or none: events closer than this many (e / |v|)^(1/2) / rate are a touch. So e may be off by a factor of two.
-_TOUCH = 4.0
 #: More steps than this are warned of.
 _MANY = 1e8
 #: The motion after a collapse is summed from the eigenmodes if a bound of their rounding, some hundred times the
@@ -80,21 +77,11 @@ def _alone(engine: Coulomb, task: Task) -> Run:
     if by_series:
         return _by_series(task, engine)
     system, tol = task.system, engine.tol_of_waves(task.system, task.length)
-    shortest = _shortest(system.rates, system.static, system.friction)
-    return waves.run(task, tol, _followed(system, tol), shortest, _TOUCH, lambda: _by_series(task, engine))
+    return waves.run(task, tol, _followed(system, tol), lambda: _by_series(task, engine))
 
 
 def _by_series(task: Task, engine: Coulomb) -> Run:
-    return _Runs([task], engine).go_on(0, None)
-
-
-def _shortest(rates: Floats, static: Floats, near: Floats) -> Floats:
-    """As of `loop.Plan`: with a static friction above the kinetic, a change of mode may last any time.
-
-    A touch sticks there, until F has gone from the kinetic to the static.
-    """
-    is_touch = (rates > 0) & (static == near)
-    return np.divide(_TOUCH, rates, out=np.zeros_like(rates), where=is_touch)
+    return _Runs([task], engine, may_be_heavy=True).go_on(0, None)
 
 
 def _followed(system: System, tol: float) -> float:
@@ -103,27 +90,24 @@ def _followed(system: System, tol: float) -> float:
 
 
 class _Runs(Several):
-    """By series."""
+    """By series; `may_be_heavy` only of one task, as is a sparse K."""
 
-    shortest: Floats
+    tells_touches = True
     method = "Taylor series"
 
-    def __init__(self, tasks: Sequence[Task], engine: Coulomb) -> None:
+    def __init__(self, tasks: Sequence[Task], engine: Coulomb, may_be_heavy: bool = False) -> None:
         self.tasks, self.engine = tasks, engine
         self.tols = np.array([engine.tol_of_series(task.system, task.length) for task in tasks])
         systems = self.systems = [task.system for task in tasks]
         self.drives = [Drive(one.system, one.t_start, one.t_end, control.ORDER_MAX + 1) for one in tasks]
         # arrays from here on are by task and block
-        rates, static, near, row_sums = (
-            np.array(rows)
-            for rows in zip(
-                *((one.rates, one.static, one.slip_friction[0], one.row_sums) for one in systems), strict=True
-            )
+        near, row_sums = (
+            np.array(rows) for rows in zip(*((one.slip_friction[0], one.row_sums) for one in systems), strict=True)
         )
         pairs = Pairs.of([one.stiffness for one in systems], row_sums)
         models = [Model.of(*parts) for parts in zip(systems, pairs, self.drives, strict=True)]
         self.models: Model = loop.stack(models)
-        self.rates, self.shortest = rates.max(axis=1), _shortest(rates, static, near)
+        self.rates = np.array([one.fastest_rate for one in systems])
         u = np.array([task.w0 for task in tasks]) - self.models.belt_speed
         mode, weakening, n_shapes = np.sign(u).astype(np.int8), systems[0].weakening, 0
         if weakening is not None:
@@ -142,15 +126,14 @@ class _Runs(Several):
         self.expansions = Expansion.blank(mode, n_shapes)
         if tasks[0].modes is not None:
             self.expansions.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
-        self.decays = np.array([0.5 * max(0.0, one.damping.min()) for one in systems]) * (weakening is None)
+        self.decays = np.array([0.5 * max(0.0, one.least_damping) if weakening is None else 0.0 for one in systems])
         self.bounds, self.lengths = np.empty(len(tasks)), np.array([drive.length for drive in self.drives])
         self.collapse = [
             Collapse(task.system, _followed(task.system, tol), cost=control.certificate(task))
             for task, tol in zip(tasks, self.tols.tolist(), strict=True)
         ]
         self.slips = np.array([one.precheck.slip for one in self.collapse])
-        # only one alone may have heavily damped blocks, or a sparse K
-        self.slow = Slow.of(systems[0], self.drives[0].fastest) if len(tasks) == 1 and weakening is None else None
+        self.slow = Slow.of(systems[0], self.drives[0].fastest) if may_be_heavy and weakening is None else None
         is_dense = isinstance(systems[0].stiffness, np.ndarray) or self.drives[0].is_forced or weakening is not None
         self.locally = None if is_dense or self.slow is not None else self._locally()
 
@@ -201,8 +184,7 @@ class _Runs(Several):
             " perturb it, or use engine='sigmoid'",
             events_a_step=self.events_a_step,
             initial_modes=self.initial_modes[k],
-            shortest=self.shortest[k],
-            touch=_TOUCH,
+            tells_touches=self.tells_touches,
             method=self.method,
         )
         return loop.complete(task, loop.of_run(self.states, k), self.drives[k], self.collapse[k], plan, begun)
@@ -210,7 +192,7 @@ class _Runs(Several):
 
 def _beyond_float64(task: Task, by_series: bool) -> str:
     """Which numbers of a task the method cannot follow, since what it takes of them leaves float64; "" if it can."""
-    rate, most = float(task.system.rates.max()), float(task.system.friction.max())
+    rate, most = task.system.fastest_rate, task.system.most_friction
     if 0.0 < most < _FAINTEST:
         return f"friction of at least {_FAINTEST:g}, or none, got {most:.3g}"
     if by_series and rate < _SLOWEST and rate * task.length > _FOLLOWED:

@@ -60,8 +60,10 @@ class Coulomb(Engine):
     """
 
     name = "coulomb"
+    title = "exact"
     about = "exact, event-driven."
     kernels = "stickslip.sim.engines.coulomb"
+    keeps_stills = True
     sizes = (SMALL, SIZE_OF_WAVES)
     is_exact = True
     takes = frozenset({"static", "weakening", "back_slip", "force", "belt_speed"})
@@ -82,9 +84,8 @@ class Coulomb(Engine):
 
         Until damping has made errors fade, or to the end.
         """
-        damping = float(system.damping.min())
-        lasting = min(length, 1.0 / damping) if damping > 0.0 else length
-        return max(1.0, float(system.rates.max()) * lasting / MEMORY)
+        lasting = min(length, 1.0 / system.least_damping) if system.least_damping > 0.0 else length
+        return max(1.0, system.fastest_rate * lasting / MEMORY)
 
     def tol_of_series(self, system: System, length: float) -> float:
         """The tolerance of a step of series."""

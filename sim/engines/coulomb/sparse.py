@@ -20,7 +20,7 @@ from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.sticking import force_rounding, push
 from stickslip.sim.engines.coulomb.taylor import UNDECIDED, Window, curvature, decide, error_after, expand, pull_of
-from stickslip.sim.engines.coulomb.windows import evaluate, instant, record, sample, speed_scale, stalls
+from stickslip.sim.engines.coulomb.windows import evaluate, instant, record, sample, stalls, touch
 from stickslip.sim.kernels.compile import inner, kernel
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
@@ -332,8 +332,7 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
             copy(mode, search.initial_mode)
             copy(mode, search.known_mode)
         before = n_recorded
-        v, scale = model.belt_speed, speed_scale(model, goal, expansion, allowed)
-        n_recorded, same = record(clock, mode, v, scale, search.known_mode, events, n_recorded)
+        n_recorded, same = record(model, expansion, clock, search.known_mode, events, n_recorded)
         if n_recorded > before:
             loop.note_event(clock, counters)
         loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)
@@ -381,7 +380,7 @@ def advance(model, goal, state, expansion, search, local, events, precheck):  # 
             events.t[n_recorded] = now
             events.block[n_recorded] = block
             events.mode[n_recorded] = mode[block]
-            events.error[n_recorded] = loop.relative_error(error, v[block], scale)
+            events.touch[n_recorded] = touch(model, expansion.series, block, was, mode[block], error)
             search.known_mode[block] = mode[block]
             n_recorded += 1
             loop.note_event(clock, counters)

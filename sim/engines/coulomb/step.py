@@ -43,7 +43,6 @@ from stickslip.sim.engines.coulomb.windows import (
     record,
     sample,
     search_of,
-    speed_scale,
     stalls,
 )
 from stickslip.sim.engines.precheck import precheck_of
@@ -92,7 +91,7 @@ def _on_the_edge(model, expansion, near, z_max, w, block, has_forces):  # type: 
     return count
 
 
-@inner(inlined=True)
+@inner
 def _advance(model, goal, state, expansion, search, slow, events, precheck):  # type: ignore[no-untyped-def]
     """Take steps until the end, or until Python has something to do; a second call goes on from there.
 
@@ -105,7 +104,7 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
     n = len(z)
     n_recorded = 0
     is_open, is_cut, is_slow = False, False, False
-    order, h, span, allowed = 0, 0.0, 0.0, 0.0
+    order, h, span, allowed, age, error = 0, 0.0, 0.0, 0.0, 0.0, 0.0
     n_left = loop.STEPS_A_SLICE
     while n_left > 0:
         n_left -= 1
@@ -124,14 +123,13 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
                 target = min(target, control.SPAN / rate) if rate > 0.0 else target
                 order, h, allowed, n_products = expand(model, expansion, goal, state, target)
                 counters[loop.N_PRODUCTS] += n_products
-            span = h
+            span, age, error = h, 0.0, clock[loop.ERROR]
             is_open, is_cut = True, model.weakening is not None and h < target
         if counters[loop.N_STEPS] == 0:
             copy(mode, search.initial_mode)
             copy(mode, search.known_mode)
         before = n_recorded
-        scale = speed_scale(model, goal, expansion, allowed)
-        n_recorded, same = record(clock, mode, v, scale, search.known_mode, events, n_recorded)
+        n_recorded, same = record(model, expansion, clock, search.known_mode, events, n_recorded)
         if n_recorded > before:
             loop.note_event(clock, counters)
         loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)
@@ -157,9 +155,8 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
             near[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * h) + search.reach[i])
         t_next, lacking = loop.later(t, clock[loop.LACKING], step, t_end)
         sample(expansion, v, None, order, t, t_next, state)
-        clock[loop.ERROR] = error_after(
-            model, expansion, goal, Window(order, h, allowed, 0.0), step, clock[loop.ERROR]
-        )
+        age += step
+        clock[loop.ERROR] = error_after(model, expansion, goal, Window(order, span, allowed, 0.0), age, error)
         left = h - step
         # else the event ends the window
         is_inside = block >= 0 and left > 0.0 and model.weakening is None and not is_slow

@@ -354,10 +354,11 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
 
 @inner
 def error_after(model, expansion, goal, window, step, error):  # type: ignore[no-untyped-def]
-    """The error of w a step on, from that before: what the series leave out by then, and rounding.
+    """The error of w a step into a window, from that before it: what the series leave out by then, and rounding.
 
-    The terms left out first follow from the last two. What an event that was carried over leaves out, and the
-    rounding of products in single precision, grow like the fifth power of the time, at least.
+    The terms left out first follow from the last two, which have come to the error allowed at most, wherever in the
+    window a block's series begins. What an event that was carried over leaves out, and the rounding of products in
+    single precision, grow like the fifth power of the time, at least.
     """
     series, damping, order = expansion.series, model.damping, window.order
     left_out, coupled = 0.0, (goal.rate * step) ** 2 / (order * (order - 1))
@@ -365,7 +366,8 @@ def error_after(model, expansion, goal, window, step, error):  # type: ignore[no
     for i in range(len(damping)):
         low, high = abs(series[order - 1, i]), abs(series[order, i])
         if low + high > 0.0:
-            low, high = (order - 1) * power * low, order * power * step * high
+            low = min((order - 1) * power * low, window.allowed)
+            high = min(order * power * step * high, window.allowed)
             left_out = max(left_out, abs(damping[i]) * step / order * high + coupled * (low + high))
     share = control.PASSED_ON + (control.LIKELY * control.ROUNDED_OFF if len(model.pairs.single_panels) > 0 else 0.0)
     carried = share * window.allowed * min(1.0, step / window.span) ** 5
@@ -448,7 +450,7 @@ def _copy_column(columns, i, column):  # type: ignore[no-untyped-def]
         column[columns.indices[k]] = columns.data[k]
 
 
-@inner(inlined=True)
+@inner
 def _change_own(model, expansion, i, new, order, own):  # type: ignore[no-untyped-def]
     """The series of block i from its event on, at the belt's speed, and how it changes z; `own` is K_ii."""
     series, held, pull, change = expansion.series, expansion.held, expansion.pull, expansion.change
@@ -474,7 +476,7 @@ def _change_own(model, expansion, i, new, order, own):  # type: ignore[no-untype
     expansion.slips[i] = 1.0 if new != 0 else 0.0
 
 
-@inner(inlined=True)
+@inner
 def _change_others(model, expansion, order, h, limit, may_take_product):  # type: ignore[no-untyped-def]
     """The series of the others from an event on, by its block's `change` and `column`, whose own entry is zero.
 

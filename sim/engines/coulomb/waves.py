@@ -23,7 +23,6 @@ from stickslip.sim.engines.waveform.layout import Blocks, Exact, Model, Shared, 
 from stickslip.sim.engines.waveform.matrices import matrices_of
 from stickslip.sim.engines.waveform.step import take_steps
 from stickslip.sim.kernels.compile import kernel
-from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.radau import NODES
 from stickslip.sim.runs.run import Run, StalledError
 
@@ -39,7 +38,7 @@ def advance(model, work, control, state, events, bound, precheck):  # type: igno
     return take_steps(model, work, control, state, events, bound, precheck)
 
 
-def run(task: Task, tol: float, followed: float, shortest: Floats, touch: float, otherwise: Callable[[], Run]) -> Run:
+def run(task: Task, tol: float, followed: float, otherwise: Callable[[], Run]) -> Run:
     """Run a task, or `otherwise`: if the start is on the edge between two modes, or, a restart, if it stalls.
 
     Parameters
@@ -49,8 +48,6 @@ def run(task: Task, tol: float, followed: float, shortest: Floats, touch: float,
         Of a step.
     followed : float
         The error allowed in the motion after a collapse.
-    shortest, touch : float64, shape (n,), and float
-        How long a change of mode must last to be an event; see `loop.Plan`.
     otherwise : callable
         Runs it by series.
     """
@@ -71,7 +68,8 @@ def run(task: Task, tol: float, followed: float, shortest: Floats, touch: float,
     block.drag, block.force0, block.row_sum = drag, pull, system.row_sums
     # as if there had been a step of length 1: F goes on along its tangent, or a block let go at once would leave late
     block.kept_f, block.kept_u = pull + np.outer(NODES - 1.0, system.stiffness @ w), (w - v)[np.newaxis]
-    exact = Exact(limits.EXACT_CALIBRATION * tol, tol, system.fastest_belt)
+    decay = 0.5 * max(0.0, float(system.damping.min()))
+    exact = Exact(limits.EXACT_CALIBRATION * tol, decay, system.fastest_belt)
     scale = max(system.fastest_belt, float(np.abs(w).max()))
     changes = np.abs(np.array([w, system.damping * (w - v) + pull, system.friction]))
     step = min(drive.length, limits.LONGEST_FIRST, scale * first_step(exact.tol, float(changes.max())))
@@ -93,8 +91,7 @@ def run(task: Task, tol: float, followed: float, shortest: Floats, touch: float,
         stalled="a step fell to the rounding of time",
         events_a_step=len(work.changes.x),
         initial_modes=modes.copy(),
-        shortest=shortest,
-        touch=touch,
+        tells_touches=True,
         method="waveform relaxation",
     )
     try:

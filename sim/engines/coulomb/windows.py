@@ -11,7 +11,7 @@ from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.numerics.arithmetic import ROUNDING, largest
+from stickslip.sim.numerics.arithmetic import ROUNDING
 from stickslip.sim.numerics.horner import values_and_slopes
 
 
@@ -82,30 +82,32 @@ def sample(expansion, v, origin, order, t, t_next, state):  # type: ignore[no-un
 
 
 @inner
-def speed_scale(model, goal, expansion, allowed):  # type: ignore[no-untyped-def]
-    """The scale of speeds: that of the tolerance, or, where all rest now, what is gained in the least time.
+def touch(model, series, i, before, mode, error):  # type: ignore[no-untyped-def]
+    """As of `loop.touch`, at an event of block i, about which its series now is.
 
-    That is by friction, or by a block that slips.
+    With a static friction above the kinetic a change of mode may last any time: a touch sticks there, until F has
+    gone from the kinetic to the static.
     """
-    gain = largest(model.static)
-    for i in range(len(expansion.slips)):
-        gain = max(gain, 2.0 * expansion.slips[i] * abs(expansion.series[2, i]))
-    return max(allowed / goal.tol, gain / goal.rate if goal.rate > 0.0 else 0.0)
+    if model.static[i] > model.friction[i]:
+        return 0.0
+    damping, friction, c1, c2 = model.damping[i], model.friction[i], series[1, i], series[2, i]
+    if mode == 0:  # it is the series of F - R v
+        slope, braked = c1, damping * model.belt_speed[i] + series[0, i] + before * friction
+    else:
+        slope, braked = 6.0 * series[3, i] + 2.0 * damping * c2, 2.0 * c2 + (mode - before) * friction
+    return loop.touch(before, mode, slope, braked, model.row_sums[i], error)
 
 
 @inner
-def record(clock, mode, v, scale, known_mode, events, n_recorded):  # type: ignore[no-untyped-def]
-    """Record the modes that have changed; returns how many events are recorded, and whether all modes agree.
-
-    `scale` is that of speeds; see `loop.relative_error`.
-    """
-    t, error, same = clock[loop.TIME], clock[loop.ERROR], True
+def record(model, expansion, clock, known_mode, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Record the modes that have changed; returns how many events are recorded, and whether all modes agree."""
+    t, mode, same = clock[loop.TIME], expansion.mode, True
     for i in range(len(mode)):
         if mode[i] != known_mode[i]:
             events.t[n_recorded] = t
             events.block[n_recorded] = i
             events.mode[n_recorded] = mode[i]
-            events.error[n_recorded] = loop.relative_error(error, v[i], scale)
+            events.touch[n_recorded] = touch(model, expansion.series, i, known_mode[i], mode[i], clock[loop.ERROR])
             known_mode[i] = mode[i]
             n_recorded += 1
         same = same and mode[i] == mode[0]

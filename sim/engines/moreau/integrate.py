@@ -28,7 +28,7 @@ def integrate(task: Task, longest: float) -> Run:
     n, span = system.n, task.t_end - task.t_start
     n_steps = whole_steps(span, longest)
     h = span / n_steps if n_steps else longest
-    if (least := float(system.damping.min())) * h <= -2.0:
+    if (least := system.least_damping) * h <= -2.0:
         most, step = apart(-2.0 / least, longest)
         raise ValueError(f"step: expected less than {most}, 2 over the most negative damping, got {step}")
     model = (system.columns, system.damping, system.friction, system.static, float(system.belt_speed))

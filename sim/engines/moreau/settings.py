@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from stickslip.sim.engines.contract import Engine, Number, Task, setting
+from stickslip.sim.engines.contract import Engine, Task, setting
+from stickslip.sim.engines.tolerances import STEP
 from stickslip.sim.runs.run import Run
 
 
@@ -32,11 +33,13 @@ class Moreau(Engine):
     """
 
     name = "moreau"
+    method = "time stepping"
     about = "time stepping of Moreau and Jean, to compare with: no event is located."
     kernels = "stickslip.sim.engines.moreau"
+    keeps_stills = True
     takes = frozenset({"static"})
 
-    step: float = setting(0.01, Number(words="longest step", in_id="h", in_label="always", above=0))
+    step: float = setting(0.01, STEP)
 
     def integrate(self, task: Task) -> Run:
         from stickslip.sim.engines.moreau import integrate  # it loads numba, half a second that settings do not need

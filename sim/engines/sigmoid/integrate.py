@@ -58,7 +58,6 @@ class _Layer(NamedTuple):
     law: NamedTuple
     delta: Floats
     hidden: Floats  #: c of the law
-    friction: certificates.Friction
     peak: Floats  #: the |w - v| at which friction has its peak
     band: Floats  #: a block sticks below this |w - v|
     is_manifold: bool  #: whether |F| must also be below static friction
@@ -76,11 +75,12 @@ class _Layer(NamedTuple):
         law, hidden, peak = _law(system)
         if system.weakening is not None:
             peak = _peak(system, delta, hidden)
-        return cls(law, delta, hidden, _friction(system, delta, hidden), peak * delta, band, is_manifold)
+        return cls(law, delta, hidden, peak * delta, band, is_manifold)
 
 
-def _friction(system: System, delta: Floats, hidden: Floats) -> certificates.Friction:
+def _friction(system: System, layer: _Layer) -> certificates.Friction:
     """Friction of each block; on a closed side the tangent at the belt's speed."""
+    delta, hidden = layer.delta, layer.hidden
     steep = (1.0 + hidden) * system.slip_friction[0] / delta
 
     def force(u: Floats) -> Floats:
@@ -119,6 +119,7 @@ class _Runs(Several):
         system = systems[0]  # if it is not plain, it is the only one
         layer = self.layer = _Layer.of(system, engine)
         self.inside = _Inside.of(engine)
+        self.longest = self.inside.atol / (limits.CREEP * float(layer.delta.max()))
         allowed_of_all = engine.atol + engine.rtol * np.array([one.fastest_belt for one in systems])
         by_force = np.array([layer.is_manifold, *(False for _ in engine.thresholds)])
         self.drives = [Drive(task.system, task.t_start, task.t_end, 0) for task in tasks]
@@ -190,8 +191,7 @@ class _Runs(Several):
     def advance(self, first: int, events: loop.Events, found: NDArray[np.int64]) -> None:
         drive = self.drives[first]
         self.ends[first], instant = (drive.ahead, drive.instant) if drive.is_instant else (drive.length, -1.0)
-        longest = self.inside.atol / (limits.CREEP * self.layer.delta.max())
-        longest = min(longest, np.pi / drive.fastest) if drive.fastest > 0 else longest
+        longest = min(self.longest, np.pi / drive.fastest) if drive.fastest > 0 else self.longest
         control = Control(self.ends, instant, longest, self.inside.safety, self.single_rates)
         stack = Stack(self.models, self.work, control, self.states, self.bounds, self.slips)
         advance(stack, events, self.collapse[first].precheck, first, found)
@@ -224,31 +224,36 @@ class _Rest:
         self._near = _NEAR_REST * runs.layer.delta.max()
 
     @cached_property
+    def _friction(self) -> certificates.Friction:
+        return _friction(self._runs.systems[self._k], self._runs.layer)
+
+    @cached_property
     def _settling(self) -> certificates.Settling:
         runs, k = self._runs, self._k
         system, drive, engine = runs.systems[k], runs.drives[k], runs.engine
         force = drive.value() if drive.is_forced else np.zeros(system.n)
         allowed = engine.atol + engine.rtol * system.fastest_belt
-        return certificates.Settling(system, drive.belt_speed, force, runs.layer.friction, allowed)
+        return certificates.Settling(system, drive.belt_speed, force, self._friction, allowed)
 
     def flow(self) -> certificates.Flow | None:
         """The motion to the end, if that is certain."""
         runs, k, (z, w, *_) = self._runs, self._k, self._state
-        system, layer, block = runs.systems[k], runs.layer, Blocks(runs.tables[k : k + 1, :, : len(z)].copy())
+        system, bands = runs.systems[k], runs.models.bands[k]
+        block = Blocks(runs.tables[k : k + 1, :, : len(z)].copy())
         if np.abs(w).max() > self._near or not certificates.is_small(system):
             return None
         if (found := self._settling.flow(z, w)) is None:
             return None
         flow, of_z, of_w = found
         belt = runs.drives[k].belt_speed
-        pull = -layer.friction.force(-belt) + system.damping * belt
+        pull = -self._friction.force(-belt) + system.damping * belt
         spread = system.row_sums * of_z
         if system.cross_damping is not None:
             spread = spread + np.abs(system.cross_damping).sum(axis=1) * of_w
         for u in (-belt - of_w, -belt + of_w):
             for force in (pull - spread, pull + spread):
                 block.u0, block.force0 = u, force
-                if (_modes(block, runs.models.bands, layer.is_manifold) != runs.modes[k]).any():
+                if (_modes(block, bands, runs.layer.is_manifold) != runs.modes[k]).any():
                     return None
         return flow
 

@@ -9,7 +9,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from stickslip.sim.engines.contract import Choice, Engine, Number, Numbers, Ratios, Task, setting
-from stickslip.sim.engines.tolerances import ATOL, RTOL
+from stickslip.sim.engines.tolerances import ATOL, RTOL, WIDTH
 from stickslip.sim.runs.run import Run
 
 
@@ -65,13 +65,11 @@ class Sigmoid(Engine):
     name = "sigmoid"
     about = "friction mu tanh((w - v) / (r_i eps))."
     kernels = "stickslip.sim.engines.sigmoid"
+    keeps_stills = True
     takes = frozenset({"static", "weakening", "back_slip", "force", "belt_speed", "damping matrix"})
 
-    eps: float = setting(
-        0.03,
-        Number(words="width of the sigmoid", column="width of the sigmoid", in_id="", in_label="always", above=0),
-    )
-    ratio: ArrayLike = setting(1.0, Ratios(words="stiffness ratios r_i", in_id=""))
+    eps: float = setting(0.03, WIDTH)
+    ratio: ArrayLike = setting(1.0, Ratios(words="stiffness ratios r_i", in_id="", in_all=True))
     rtol: float = setting(1e-6, RTOL)
     atol: float = setting(1e-6, ATOL)
     stick: str = setting(
@@ -80,6 +78,7 @@ class Sigmoid(Engine):
             words="definition of sticking: the one that converges to Coulomb, or |w - v| < threshold r_i eps",
             column="what counts as sticking: manifold or threshold (sigmoid)",
             in_label="unless default",
+            in_all=True,
             choices=("manifold", "threshold"),
         ),
     )
@@ -90,6 +89,7 @@ class Sigmoid(Engine):
             column="a block sticks when |w - v| < threshold r_i eps (sigmoid, threshold)",
             in_id="c",
             in_label="always",
+            in_all=True,
             only_with=("stick", "threshold"),
             above=0,
         ),

@@ -120,7 +120,7 @@ class Exact(NamedTuple):
     """The set-valued law's own numbers."""
 
     tol: float  #: the error of w allowed in a step, over its scale
-    error: float  #: of w - v at events, over |v|
+    decay: float  #: the rate at which errors of w fade, at least
     fastest_belt: float
 
 
@@ -170,6 +170,8 @@ class Changes(NamedTuple):
     x: Floats  #: their places, as shares of the step
     block: NDArray[np.int64]
     mode: NDArray[np.int8]
+    slope: Floats  #: F', or zero where static friction is above the kinetic
+    braked: Floats  #: w' just before
     n: NDArray[np.int64]  #: how many there are, shape (1,)
     series: Floats  #: of u on each piece, shape (..., 17)
     order: NDArray[np.int64]
@@ -254,6 +256,7 @@ class Workspace(NamedTuple):
                 np.empty(most_changes),
                 np.empty(most_changes, np.int64),
                 np.empty(most_changes, np.int8),
+                *np.empty((2, most_changes)),
                 np.zeros(1, np.int64),
                 np.empty((most_changes, ORDER + 1)),
                 np.empty(most_changes, np.int64),

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from stickslip.sim.engines.loop import touch
 from stickslip.sim.engines.waveform import control
 from stickslip.sim.engines.waveform.collocation import slide
 from stickslip.sim.engines.waveform.layout import ORDER, blocks
@@ -157,7 +158,7 @@ def _gather(moments, local, moved, piece, belt, slip):  # type: ignore[no-untype
     return by_belt + by_slip
 
 
-@inner(inlined=True)
+@inner
 def _keep(pieces, changes, place, piece, series, order):  # type: ignore[no-untyped-def]
     """Store a piece as a substep, and its series; where it sticks the order is -1."""
     i, x, length, share, z = piece
@@ -167,7 +168,7 @@ def _keep(pieces, changes, place, piece, series, order):  # type: ignore[no-unty
         changes.series[place, k] = series[k]
 
 
-@inner(inlined=True)
+@inner
 def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
     """Solve block i on the macro step; returns the number of pieces so far, of all blocks, or -1 - i if it fails."""
     block, pieces, changes, scratch = blocks(work.table), work.substeps, work.changes, room(5, 24)
@@ -218,6 +219,8 @@ def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
                 if count == len(changes.x):
                     return -1 - i
                 changes.x[count], changes.block[count], changes.mode[count] = x, i, np.int8(new)
+                changes.slope[count] = force[1] / h if static == mu else 0.0
+                changes.braked[count] = force[0] + mu * mode
                 changes.n[0] = count + 1
             mode = new
     else:
@@ -232,7 +235,7 @@ def _solve_block(work, i, h, n_pieces):  # type: ignore[no-untyped-def]
     return n_pieces
 
 
-@inner(inlined=True)
+@inner
 def solve_exactly(model, work, h):  # type: ignore[no-untyped-def]
     """Solve every block on a macro step, F at the nodes given; see `substeps.solve_blocks`."""
     block, n = blocks(work.table), len(work.is_split)
@@ -262,14 +265,15 @@ def slip_at(changes, place, inside):  # type: ignore[no-untyped-def]
 
 
 @inner
-def record_changes(exact, work, span, events, n_recorded):  # type: ignore[no-untyped-def]
-    """Record the changes of mode on a macro step; returns how many there are."""
-    changes, mode = work.changes, work.modes[0]
+def record_changes(work, span, error, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Record the changes of mode on a macro step, `error` that of w; returns how many are recorded."""
+    changes, mode, block = work.changes, work.modes[0], blocks(work.table)
     copy(mode, work.modes_before)
     for k in range(changes.n[0]):
+        i, new = changes.block[k], changes.mode[k]
         events.t[n_recorded] = min(span.start + span.length * changes.x[k], span.end)
-        events.block[n_recorded], events.mode[n_recorded] = changes.block[k], changes.mode[k]
-        events.error[n_recorded] = exact.error
-        mode[changes.block[k]] = changes.mode[k]
+        events.block[n_recorded], events.mode[n_recorded] = i, new
+        events.touch[n_recorded] = touch(mode[i], new, changes.slope[k], changes.braked[k], block.row_sum[i], error)
+        mode[i] = new
         n_recorded += 1
     return n_recorded

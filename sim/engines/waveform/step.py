@@ -9,6 +9,8 @@ multi-adaptive; the iteration is waveform relaxation.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from stickslip.sim.engines import loop
@@ -41,7 +43,7 @@ def _set_tolerance(exact, block, common, n):  # type: ignore[no-untyped-def]
         common.atol[0] = exact.tol * fastest
 
 
-@inner(inlined=True)
+@inner
 def _predict_step(model, work, clock, h):  # type: ignore[no-untyped-def]
     """Begin a macro step after the last one: predict F and u at the nodes, and mark blocks that take substeps."""
     block, common, n = blocks(work.table), shared(work.shared), len(work.is_split)
@@ -142,7 +144,7 @@ def _couple(model, work, control, is_first, limit):  # type: ignore[no-untyped-d
     return largest(block.moved[:n]), largest(block.tail[:n])
 
 
-@inner(inlined=True)
+@inner
 def _solve_blocks(model, exact, work, h, is_last, n_before):  # type: ignore[no-untyped-def]
     """By the law: see `substeps.solve_blocks`. A smooth one repeats the substeps of the last iteration."""
     if exact is None:
@@ -152,7 +154,7 @@ def _solve_blocks(model, exact, work, h, is_last, n_before):  # type: ignore[no-
         return solve_exactly(model, work, h)
 
 
-@inner(inlined=True)
+@inner
 def _probe_blocks(model, exact, work, n_split):  # type: ignore[no-untyped-def]
     """By the law: see `substeps.probe_blocks`. Nothing bends the set-valued law between the nodes."""
     if exact is None:
@@ -161,13 +163,16 @@ def _probe_blocks(model, exact, work, n_split):  # type: ignore[no-untyped-def]
         return n_split
 
 
-@inner(inlined=True)
-def _step_events(model, exact, work, n_substeps, span, events, n_recorded):  # type: ignore[no-untyped-def]
-    """By the law: see `events.step_events`."""
+@inner
+def _step_events(model, exact, work, clock, found, span, events, n_recorded):  # type: ignore[no-untyped-def]
+    """By the law: see `events.step_events`. Under the set-valued law the error of w goes on."""
     if exact is None:
-        return step_events(model, work, n_substeps, span, events, n_recorded)
+        return step_events(model, work, found.n_substeps, span, events, n_recorded)
     else:
-        return record_changes(exact, work, span, events, n_recorded)
+        error = limits.AT_END * (1.0 + found.tail) * shared(work.shared).atol[0]
+        # they have no common sign
+        clock[loop.ERROR] = math.hypot(clock[loop.ERROR] / (1.0 + exact.decay * span.length), error)
+        return record_changes(work, span, clock[loop.ERROR], events, n_recorded)
 
 
 @inner
@@ -179,7 +184,7 @@ def _most_events(model, exact, work):  # type: ignore[no-untyped-def]
         return len(work.changes.x)
 
 
-@inner(inlined=True)
+@inner
 def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[no-untyped-def]
     """Iterate: solve the blocks, and compute F from them, until F has converged.
 
@@ -261,7 +266,7 @@ def _all_slip(mode):  # type: ignore[no-untyped-def]
     return same
 
 
-@inner(inlined=True)
+@inner
 def take_steps(model, work, control, state, events, bound, precheck):  # type: ignore[no-untyped-def]
     """Take steps until the end, or until Python has something to do; a second call goes on from there."""
     clock, counters, mode = state.clock, state.counters, work.modes[0]
@@ -297,7 +302,7 @@ def take_steps(model, work, control, state, events, bound, precheck):  # type: i
         span = Span(t, h, end)
         first_event, n_recorded = (
             n_recorded,
-            _step_events(model, model.exact, work, found.n_substeps, span, events, n_recorded),
+            _step_events(model, model.exact, work, clock, found, span, events, n_recorded),
         )
         if control.instant >= 0.0:
             n_recorded = until(control.instant, first_event, n_recorded, events)

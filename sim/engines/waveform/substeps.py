@@ -30,7 +30,7 @@ def _split(work, first, accepted, n_split, anew):  # type: ignore[no-untyped-def
     return n_split
 
 
-@inner(inlined=True)
+@inner
 def _in_one_step(law, work):  # type: ignore[no-untyped-def]
     """Solve all blocks in one step; returns how many are listed for substeps, including those marked before."""
     block, n = blocks(work.table), len(work.is_split)
@@ -59,7 +59,7 @@ def probe_blocks(law, work, n_split):  # type: ignore[no-untyped-def]
     return n_split
 
 
-@inner(inlined=True)
+@inner
 def solve_blocks(model, work, h, is_last):  # type: ignore[no-untyped-def]
     """Solve every block on a macro step, F at the nodes given.
 
@@ -95,7 +95,7 @@ def _clear(lanes):  # type: ignore[no-untyped-def]
         lanes.block[lane], lanes.again[lane], lanes.last[lane] = -1, -1, -1
 
 
-@inner(inlined=True)
+@inner
 def _enter(work, i, lane, h):  # type: ignore[no-untyped-def]
     """Put block i into a lane, at the start of the macro step."""
     lanes, block, own = work.lanes, blocks(work.table), blocks(work.lanes.table)
@@ -114,7 +114,7 @@ def _enter(work, i, lane, h):  # type: ignore[no-untyped-def]
     own.length[lane] = min(work.next_h[i] / h, 1.0)
 
 
-@inner(inlined=True)
+@inner
 def _set_lengths(lanes, before, h):  # type: ignore[no-untyped-def]
     """Set the lengths of the next substeps: as in the iteration before, or such that no rest is short."""
     own = blocks(lanes.table)
@@ -133,7 +133,7 @@ def _set_lengths(lanes, before, h):  # type: ignore[no-untyped-def]
             own.h[lane] = length * h
 
 
-@inner(inlined=True)
+@inner
 def _solve(lanes, before, model):  # type: ignore[no-untyped-def]
     """Take a substep in every lane, with the result of the iteration before as first guess, and test it."""
     own = blocks(lanes.table)
@@ -165,7 +165,7 @@ def _factor(own, lane):  # type: ignore[no-untyped-def]
     return min(max(factor, control.SHRINK_SUBSTEP), control.GROW_SUBSTEP)
 
 
-@inner(inlined=True)
+@inner
 def _move_on(work, lane, place):  # type: ignore[no-untyped-def]
     """Store an accepted substep in this place, and go to its end."""
     lanes, own, substeps = work.lanes, blocks(work.lanes.table), work.substeps
@@ -200,7 +200,7 @@ def _project(moments, since, lane, values, i):  # type: ignore[no-untyped-def]
         values[k, i] = value
 
 
-@inner(inlined=True)
+@inner
 def _leave(model, work, lane, h):  # type: ignore[no-untyped-def]
     """Free the lane of a block that has reached the end of the macro step, and store its result."""
     lanes, own, block = work.lanes, blocks(work.lanes.table), blocks(work.table)

@@ -4,9 +4,69 @@ from __future__ import annotations
 
 import math
 import reprlib
+from collections.abc import Callable
+from numbers import Real
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
+
+_Kind = TypeVar("_Kind")
+_Function = TypeVar("_Function", bound=Callable[..., object])
+
+
+def number(name: str, value: object, expected: str = "a number") -> float:
+    """A number, of Python or NumPy: no truth and no text.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
+        raise ValueError(f"{name}: expected {expected}, got {reprlib.repr(value)}; give one")
+    return float(value)
+
+
+def numbers(name: str, values: ArrayLike, expected: str) -> np.ndarray:
+    """An array of numbers, float64.
+
+    Raises
+    ------
+    ValueError
+        If it holds anything else.
+    """
+    found = np.asarray(values)
+    if found.dtype.kind not in "iuf":
+        raise ValueError(f"{name}: expected {expected}, got {reprlib.repr(values)}; give numbers")
+    return found.astype(np.float64)
+
+
+def instance(name: str, value: object, kind: type[_Kind]) -> _Kind:
+    """An object of a type.
+
+    Raises
+    ------
+    ValueError
+        If it is another.
+    """
+    if not isinstance(value, kind):
+        article = "an" if kind.__name__[0] in "AEIOU" else "a"
+        raise ValueError(f"{name}: expected {article} {kind.__name__}, got {reprlib.repr(value)}; give one")
+    return value
+
+
+def called(name: str, value: _Function, example: str) -> _Function:
+    """What can be called.
+
+    Raises
+    ------
+    ValueError
+        If it cannot.
+    """
+    if not callable(value):
+        raise ValueError(f"{name}: expected a function, got {reprlib.repr(value)}; give one, such as {example}")
+    return value
 
 
 def level(confidence: float) -> float:
@@ -17,7 +77,7 @@ def level(confidence: float) -> float:
     ValueError
         If it is none, as 95 in place of 0.95.
     """
-    is_number = isinstance(confidence, int | float | np.integer | np.floating)
+    is_number = isinstance(confidence, Real)
     if not is_number or not 0.0 < confidence < 1.0:
         in_percent = is_number and 1.0 < confidence < 100.0
         raise ValueError(
