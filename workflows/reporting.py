@@ -38,6 +38,7 @@ from stickslip.pipeline.query import (
     series,
 )
 from stickslip.pipeline.scene.columns import DESIGN
+from stickslip.pipeline.scene.systems import REALISATION
 from stickslip.version import __version__
 from stickslip.workflows.fresh import LIST, UNFINISHED, made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
@@ -122,7 +123,7 @@ def _prepared(scene: Scene, table: pd.DataFrame) -> pd.DataFrame:
     own = set() if scene.own_record is None else {column.name for column in scene.own_record.kept}
     table = table.drop(columns=[*(kept | own) - {*READ}])  # analysis may add one of that name
     table["matrix"] += scene.run.matrices * table["seed"].map(_seeds(scene).index)  # another seed is other systems
-    if names := list(scene.system.parameters or ()):
+    if names := [name for name in scene.parameters if name != REALISATION]:
         rows = zip(*(table[name].map(short) for name in names), strict=True)
         words = ["; ".join(map("{} = {}".format, names, row)) for row in rows]
         table = table.drop(columns=names).assign(parameters=words)  # one may have a name that analysis gives a column

@@ -20,7 +20,7 @@ from stickslip.pipeline.ensemble.member import Change, Member, Method, Source, S
 from stickslip.pipeline.records.record import Sharing
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.pipeline.scene.system_table import OF_FILE, QUANTITIES, ForceTable
-from stickslip.pipeline.scene.systems import SystemFile, SystemFunction
+from stickslip.pipeline.scene.systems import REALISATION, SystemFile, SystemFunction
 from stickslip.sim.systems.couplings import READINGS
 from stickslip.sim.systems.terms import OF_BLOCKS
 
@@ -268,21 +268,38 @@ class Ensemble(_Numbered):
     def unit(self) -> Unit:
         """What is independent where the start is drawn; elsewhere that is no start."""
         n_systems, n_starts = self.n_matrices * (int(self._seed.max()) + 1), max(map(len, self.draws))
-        is_file = self.scene.system.coupling == OF_FILE
-        return Unit.MATRIX if n_systems > 1 else Unit.START if n_starts > 1 else Unit.FILE if is_file else Unit.MATRIX
+        of_points = [(n, self._of_file(origin)) for n, origin in self.sources]
+        if self._of_files and len({*of_points}) < len(of_points):  # files are realisations of one point
+            return Unit.FILE
+        if n_systems > 1:
+            return Unit.MATRIX
+        return Unit.START if n_starts > 1 else Unit.FILE if self.scene.system.coupling == OF_FILE else Unit.MATRIX
 
     @cached_property
     def design(self) -> Design:
         """What its members were made to differ in."""
         fixed = [k for k, draws in zip(self._grid.tolist(), self.draws, strict=True) if None in draws]
+        n_grid, n_of_files = (math.prod(len(axis.rows) for axis in axes) for axes in (self._axes, self._of_files))
         return Design(
-            self._axes,
+            (*self._of_files, *self._axes),
             tuple(self._constants),
             tuple(dict.fromkeys(self._origins)),
-            frozenset(fixed if self.unit is Unit.START else ()),
+            frozenset(n_grid * j + k for j in range(n_of_files) for k in fixed if self.unit is Unit.START),
             tuple(dict.fromkeys(map(_method, self.variants))),
             tuple(dict.fromkeys(map(_change, self.variants))),
         )
+
+    @cached_property
+    def _of_files(self) -> tuple[Axis, ...]:
+        """An axis for each number that the files carry, but that of their realisations."""
+        known = [dict(origin.parameters) for _, origin in self.sources if isinstance(origin, SystemFile)]
+        names = [name for name in (known[0] if known else ()) if name != REALISATION]
+        return tuple(Axis((name,), tuple((x,) for x in sorted({one[name] for one in known}))) for name in names)
+
+    def _of_file(self, origin: SystemFile | SystemFunction | None) -> tuple[int, ...]:
+        """The place of a file on each of its axes."""
+        known = dict(origin.parameters) if isinstance(origin, SystemFile) else {}
+        return tuple(axis.rows.index((known[axis.keys[0]],)) for axis in self._of_files)
 
     @property
     def _constants(self) -> Iterator[tuple[str, Value]]:
@@ -298,7 +315,7 @@ class Ensemble(_Numbered):
     def _origins(self) -> list[designs.Source]:
         """What of each source separates points: files that are units are realisations of one point."""
         files = [origin.name if isinstance(origin, SystemFile) else None for _, origin in self.sources]
-        files = [None] * len(files) if self.unit is Unit.FILE else files
+        files = [None] * len(files) if self.unit is Unit.FILE or self._of_files else files
         return [designs.Source(n, file, self.unit) for (n, _), file in zip(self.sources, files, strict=True)]
 
     @cached_property
@@ -330,6 +347,9 @@ class Ensemble(_Numbered):
         """The number of each system, by its source, if that is a file, and by its draw."""
         draws = range(self.n_matrices)
         files = [origin for _, origin in self.sources if isinstance(origin, SystemFile)]
+        if self.unit is Unit.FILE:  # whatever is drawn of one
+            numbers = [file.matrix(0) if file.realisation is None else file.realisation for file in files]
+            return np.repeat(np.array(numbers)[:, None], self.n_matrices, axis=1)
         return np.array([[file.matrix(k) for k in draws] for file in files] or [[*draws]])
 
     def coordinates(self, places: np.ndarray) -> Coordinates:
@@ -338,15 +358,19 @@ class Ensemble(_Numbered):
         source, matrix, place, variant = self.split(places)
         at, draw = self.start_of(place)
         grid = self._grid[at]
-        group = _numbers(design.sources, self._origins)[source]
+        shape = (len(design.sources), *(len(axis.rows) for axis in self._of_files))
+        of_files = [self._of_file(origin) for _, origin in self.sources]
+        places_of = zip(_numbers(design.sources, self._origins), of_files, strict=True)
+        group = np.ravel_multi_index(np.array([(first, *rest) for first, rest in places_of]).T, shape)[source]
         matrices = self._matrices
-        unit = matrices[source % len(matrices), matrix] + self.n_matrices * self._seed[at]
+        unit = matrices[source % len(matrices), matrix]
+        unit = unit if self.unit is Unit.FILE else unit + self.n_matrices * self._seed[at]
         if self.unit is Unit.START:
             unit = np.where(np.isin(grid, [*design.fixed]), unit, draw)
         unchanged = {one.method: k for k, one in enumerate(self.variants) if one.change == Change()}
         base = np.array([unchanged[one.method] for one in self.variants])
         return Coordinates(
-            group * math.prod(design.shape[1:]) + grid,
+            group * math.prod(design.shape[len(shape) :]) + grid,
             unit,
             _numbers(design.methods, map(_method, self.variants))[variant],
             _numbers(design.changes, map(_change, self.variants))[variant],
@@ -406,6 +430,7 @@ class Ensemble(_Numbered):
             w0 = given["belt_speed"]
         given = {name: _multiplied(value, given) for name, value in given.items()}
         parameters = tuple((name, given.pop(name)) for name in scene.system.parameters or ())
+        parameters += origin.parameters if isinstance(origin, SystemFile) else ()
         if not scene.system.back_slip:
             given["back_slip"] = "barred"
         given["forces"] = scene.system.pushes

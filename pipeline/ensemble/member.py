@@ -58,7 +58,7 @@ class Source(NamedTuple):
     matrix: int
     seed: int
     origin: SystemFile | SystemFunction | None  #: the user's file or function, if it comes from one
-    parameters: tuple[tuple[str, float], ...]  #: of that function
+    parameters: tuple[tuple[str, float], ...]  #: of that function, or that file
 
 
 class Change(NamedTuple):
@@ -353,7 +353,8 @@ def _own_system(member: Member) -> sim.System:
         given["back_slip"] = False
     made = None
     if isinstance(origin, SystemFunction):
-        made = make(origin, member.n, np.random.default_rng(seed), dict(member.source.parameters))
+        made = make(origin, member.n, np.random.default_rng(seed), dict(member.source.parameters),
+                    realisation=member.source.matrix)  # fmt: skip
     for name, value in terms.items():
         if isinstance(value, Ratio):
             given[name] = given[name] * (given[value.of] if value.of in given else getattr(made, value.of))

@@ -194,7 +194,7 @@ class Recording:
         fixed = [column._replace(nullable=column.nullable or column.name in null) for column in FIXED]
         if "long_matrix" in self.parts:
             fixed = [column._replace(kind="count") if column.name == "matrix" else column for column in fixed]
-        own = [Column("number", name, "parameter of the function that makes the systems", False)
+        own = [Column("number", name, "parameter of the function or the file that systems come from", False)
                for name in self.parameters]  # fmt: skip
         of_parts = [column for part in self.parts for column in PARTS[part].columns]
         return (*fixed, *own, *of_parts, *(column for record in self.records for column in record.kept))

@@ -53,6 +53,8 @@ _SYMMETRIES = {"general": None, "symmetric": 1, "skew-symmetric": -1}
 def arrays_of(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
     """The arrays that a system file holds, by name: `stiffness`, dense or sparse, and some of those in `beside`.
 
+    Numbers beside them are `parameters`, by name.
+
     The readers of Python and NumPy raise exceptions of many kinds for damaged files; none of them crashes.
 
     Raises
@@ -129,12 +131,15 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
         form = _format(read("format", "S", True)) if members.keys() >= _SPARSE else ""
         is_sparse = members.keys() >= {*_PLACES[form]} if form else False
         names = members.keys() - ({*_SPARSE, *_PLACES[form], "_is_array"} if is_sparse else {"stiffness"})
+        numbers = {name: read(name, is_by_block=True) for name in sorted(names - {*beside}) if name.isidentifier()}
+        parameters = {name: float(one.item()) for name, one in numbers.items() if one.size == 1}
+        names -= parameters.keys()
         if not names <= {*beside} or not (is_sparse or "stiffness" in members):
             raise ValueError(
                 f"expected an array `stiffness`, or a sparse K as scipy.sparse.save_npz writes it, and of "
-                f"{', '.join(beside)}, got {', '.join(sorted(members)) or 'nothing'}"
+                f"{', '.join(beside)}, and numbers by other names, got {', '.join(sorted(members)) or 'nothing'}"
             )
-        arrays: dict[str, Any] = {
+        arrays: dict[str, Any] = ({"parameters": parameters} if parameters else {}) | {
             name: read(name, is_by_block=name != "damping")
             for name in sorted(names)  # that may be a matrix
         }
