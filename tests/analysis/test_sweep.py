@@ -285,4 +285,5 @@ def test_settings_are_in_the_order_of_their_numbers_and_widths():
 
 
 def planted_key(**changes):
-    return {"n": 2, "kappa": 0.2, "drawn": None, "perturbation_size": 0.0, "engine": "coulomb", "tol": 1e-8} | changes
+    fixed = {"n": 2, "kappa": 0.2, "friction": None, "drawn": None, "perturbation_size": 0.0, "engine": "coulomb"}
+    return fixed | {"tol": 1e-8} | changes
