@@ -321,7 +321,7 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
             raise ValueError('path: expected the file of K, found nothing; add `path = "K.npz"`')
         if not self.files:
             raise ValueError("files: expected what `load_scene` and the command write here, found nothing; use these")
-        first = next(iter(self.files.values()))
+        first, seen = next(iter(self.files.values())), dict[str, str]()
         if not self.n:
             object.__setattr__(self, "n", distinct(tuple({file.n for file in self.files.values()})))
         for name, file in self.files.items():
@@ -333,6 +333,11 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
                 if array in file.arrays and keys & given:
                     key = sorted(keys & given)[0]
                     raise ValueError(f"{key}: expected none beside the array `{array}` of {name}, got one; remove it")
+            other = seen.setdefault(file.sha256, name)
+            if other != name and not file.parameters:  # else realisations that came out the same
+                raise ValueError(
+                    f"path: expected files that differ, got {other} and {name}, which are equal; remove one"
+                )
             if file.parameters.keys() != first.parameters.keys():
                 odd = sorted(file.parameters.keys() ^ first.parameters.keys())[0]
                 raise ValueError(
