@@ -144,9 +144,3 @@ def named(name: str, estimate: Estimate) -> Row:
     """Columns of an estimate: its value and the ends of its interval; raises a ValueError if it is none."""
     estimate = arguments.instance("estimate", estimate, Estimate)
     return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}
-
-
-def records(table: pd.DataFrame) -> list[Row]:
-    """Rows of a table as dictionaries of plain Python values, None for null."""
-    columns = [column.astype(object).where(column.notna(), None).tolist() for _, column in table.items()]
-    return [dict(zip(table, row, strict=True)) for row in zip(*columns, strict=True)]

@@ -2,55 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from stickslip.analysis.answer import F, S
 from stickslip.analysis.contrast import Sample, Statistic
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import FIXED, Group, Order, Value, by_value, labels, short
+from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import GAMMA, MEAN, Measure, Values, of_gamma, of_mean
-from stickslip.analysis.members import ENGINE_KEYS
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
+from stickslip.pipeline.design.design import Axis, Row
+from stickslip.pipeline.design.labels import labels
+from stickslip.pipeline.design.values import Rank, ranks
 
+#: What the name of a setting says, beside its method.
+FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
+#: The order of keys on pages, in which parameters come first.
+_PLACE = {name.removesuffix("0"): k for k, name in enumerate(SYSTEM_KEYS)}
 IN_MOTION = "share in motion"
 MOST_SETTINGS = 3  # that have pictures of their own
 AT_MOST = "share in motion or quiet"  # whether a quiet run is in motion cannot be told
-
-
-@dataclass(frozen=True)
-class Axis:
-    """Keys that change together, as a scene names them, and their values in ascending order."""
-
-    keys: tuple[str, ...]
-    values: tuple[tuple[Value, ...], ...]
-
-    @property
-    def name(self) -> str:
-        return " with ".join(self.keys)
-
-    @property
-    def x(self) -> list[float] | None:
-        """The values as numbers; None where one is a distribution."""
-        found = [value[0] for value in self.values]
-        return [one for one in found if isinstance(one, float)] if all(isinstance(v, float) for v in found) else None
-
-    @property
-    def texts(self) -> list[str]:
-        """The values in words."""
-        return [as_text(value) for value in self.values]
-
-    def place(self, value: tuple[Value, ...]) -> int:
-        """The place of a value among them."""
-        return self.values.index(value)
-
-    def dtype(self, k: int) -> str:
-        """Type of a column of the values of its k-th key: numbers, or texts where one is a distribution."""
-        return F if all(isinstance(value[k], float) for value in self.values) else S
 
 
 @dataclass
@@ -58,63 +33,44 @@ class Point:
     """A group on the grid: its value on each axis, the sums of its units, its runs by fate, its values by measure."""
 
     group: Group
-    at: dict[Axis, tuple[Value, ...]]
+    at: dict[Axis, Row]
     sample: Sample = field(default_factory=Sample)
     fates: dict[str, int] = field(default_factory=dict)
     values: dict[str, Values] = field(default_factory=dict)
 
-    def rank(self) -> list[list[Order]]:
+    def rank(self) -> list[list[Rank]]:
         """Sorts points along the axes, in the order of their values."""
-        return [order(value) for value in self.at.values()]
+        return [*map(ranks, self.at.values())]
 
 
 def settings(groups: Iterable[Group]) -> dict[str, list[Group]]:
-    """Groups that differ only in keys that may be swept, by the name of what they share."""
-    found: dict[tuple[Any, ...], list[Group]] = {}
+    """Groups that differ only in keys that are swept, by the name of what they share."""
+    found: dict[tuple[int, int], list[Group]] = {}
     for group in groups:
-        found.setdefault(tuple(group.key[name] for name in (*FIXED, *ENGINE_KEYS)), []).append(group)
-    keys = [dict(zip((*FIXED, *ENGINE_KEYS), values, strict=True)) for values in found]
+        found.setdefault((group.point.source, group.setting["method"]), []).append(group)
+    keys = [{name: some[0].key[name] for name in (*FIXED, *ENGINE_KEYS)} for some in found.values()]
     return dict(zip(labels(keys), found.values(), strict=True))
 
 
-def axes_of(found: Mapping[str, Sequence[Group]]) -> list[Axis]:
-    """The axes of a sweep, the longest first; keys whose values change together share an axis."""
-    by_setting = [[group.at for group in some] for some in found.values()]
-    points = [point for some in by_setting for point in some]
-    keys = [key for key in dict.fromkeys(key for point in points for key in point)
-            if any(len({point.get(key) for point in some}) > 1 for some in by_setting)]  # fmt: skip
-    keys = [key for key in keys if all(key in point for point in points)]
-    if all(point.get("w") == point.get("belt_speed") for point in points):
-        keys = [key for key in keys if key != "w"]  # all start on the belt
-    together: list[list[str]] = []
-    for key in keys:
-        n_values = len({point[key] for point in points})
-        for some in together:
-            pairs = {(point[some[0]], point[key]) for point in points}
-            if len(pairs) == n_values == len({first for first, _ in pairs}):
-                some.append(key)
-                break
-        else:
-            together.append([key])
-    axes = [Axis(tuple(some), tuple(sorted({tuple(point[key] for key in some) for point in points}, key=order)))
-            for some in together]  # fmt: skip
-    return sorted(axes, key=lambda axis: -len(axis.values))
+def axes_of(groups: Sequence[Group]) -> list[Axis]:
+    """The axes of a sweep along which some groups differ, the longest first; rows are in the order of pages."""
+    found = []
+    for k, axis in enumerate(groups[0].table.design.axes):
+        rows = {group.point.at[k] for group in groups}
+        if len(rows) > 1:
+            found.append(Axis(axis.keys, tuple(sorted(rows, key=ranks))))
+    return sorted(found, key=lambda axis: (-len(axis.rows), _PLACE.get(axis.keys[0], -1)))
 
 
-def place_of(axes: Sequence[Axis], group: Group) -> dict[Axis, tuple[Value, ...]]:
-    """The value of a group on each axis."""
-    own = group.at
-    return {axis: tuple(own[key] for key in axis.keys) for axis in axes}
+def place_of(axes: Sequence[Axis], group: Group) -> dict[Axis, Row]:
+    """The row of a group on each axis."""
+    swept = group.table.design.swept(group.point)
+    return {axis: tuple(swept[key] for key in axis.keys) for axis in axes}
 
 
-def as_text(value: Sequence[Value]) -> str:
-    """A value of an axis as text."""
-    return " with ".join(one if isinstance(one, str) else short(one) for one in value)
-
-
-def order(value: Sequence[Value]) -> list[Order]:
-    """Sorts values: numbers before distributions."""
-    return [by_value(one) for one in value]
+def dtype(axis: Axis, k: int) -> str:
+    """Type of a column of the values of an axis' k-th key: numbers, or texts where one is something else."""
+    return F if all(isinstance(row[k], float) for row in axis.rows) else S
 
 
 def point_of(study: Study, group: Group, axes: Sequence[Axis], of: Iterable[Measure] = ()) -> Point:
@@ -142,6 +98,6 @@ def estimate(of: Statistic, points: Iterable[Point], confidence: float) -> Estim
     return of.estimate(sums, confidence)
 
 
-def points_at(points: Iterable[Point], axis: Axis, value: tuple[Value, ...]) -> list[Point]:
+def points_at(points: Iterable[Point], axis: Axis, value: Row) -> list[Point]:
     """The points at one value of an axis."""
     return [point for point in points if point.at[axis] == value]

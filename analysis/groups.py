@@ -12,8 +12,7 @@ units, as matrices are.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -28,24 +27,13 @@ from stickslip.analysis.models.motion import COLUMNS, EFFECTIVE, Motion
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
 from stickslip.analysis.stats.quantities import QUANTITIES
-from stickslip.sim.engines import ENGINES, SETTINGS, place
+from stickslip.pipeline.design.design import Point, Unit
+from stickslip.pipeline.design.labels import Label, labels
+from stickslip.pipeline.design.values import rank, ranks
+from stickslip.sim.engines import ENGINES, place
 
-#: Numbers that differ by less, relatively, are shown as one.
-_ROUNDING = 1e-14
-
-#: A number, whose sign is no hyphen in a word; and a distribution.
-_NUMBER = re.compile(r"(?:(?<!\w)[-+])?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-_DRAWN = re.compile(r"(uniform|normal)\(([^,()]+), ([^,()]+)\)")
-
-#: Keys that separate settings and are not swept.
-FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
 #: Columns of motion whose sums a group keeps for each unit.
 _TOTALS = tuple(name for name in COLUMNS if name not in (*EFFECTIVE, "short"))
-_LISTS = ("drawn", "parameters")  # settings that hold several, each "name = value"
-_SWEPT = tuple(name for name in SYSTEM_KEYS if name not in (*FIXED, *_LISTS))
-Value = float | str
-#: A key to sort values by.
-Order = tuple[int, str, tuple[float, ...]]
 
 
 @dataclass
@@ -128,24 +116,36 @@ class Group:
         return int(self.is_moving.sum())
 
     @cached_property
-    def unit(self) -> str:
-        """What the units are: `MATRIX`, `START` or `FILE`."""
-        return str(self.table.settings[int(self.column("setting").iloc[0])]["unit_is"])
+    def setting(self) -> Mapping[str, Any]:
+        """That of one of its members: they differ in their seeds alone."""
+        return self.table.settings[int(self.column("setting").iloc[0])]
+
+    @property
+    def name(self) -> Label:
+        """The label, and its parts."""
+        assert isinstance(self.label, Label)
+        return self.label
+
+    @property
+    def unit(self) -> Unit:
+        """What the units are."""
+        unit: Unit = self.setting["unit_is"]
+        return unit
 
     @cached_property
-    def at(self) -> dict[str, Value]:
-        """Value of each key that a scene may sweep, by its name there: a number, or a distribution to draw from."""
-        drawn, given = (
-            dict(part.split(" = ", 1) for part in (self.key[name] or "").split("; ") if part) for name in _LISTS
-        )
-        found: dict[str, Value] = {key: float(text) for key, text in given.items()}
-        for column in _SWEPT:
-            key, number = column.removesuffix("0"), self.key[column]
-            if column == "kappa" and self.key["file"] is not None:
-                continue  # it is the scale of the file's K, which is not swept
-            if number is not None or key in drawn:
-                found[key] = drawn[key] if number is None else float(number)
-        return found
+    def point(self) -> Point:
+        """Its point in the design."""
+        return self.table.design.point(self.setting["point"])
+
+    @property
+    def at(self) -> dict[str, float | str]:
+        """Value of each key that a scene may sweep, by its name there: a number, or a distribution in words."""
+        columns = {name.removesuffix("0"): value for name, value in self.key.items()}
+        values = {
+            key: value if columns.get(key) is None else columns[key]
+            for key, value in self.table.design.values(self.point).items()
+        }
+        return {key: value if isinstance(value, float) else str(value) for key, value in values.items()}
 
     @property
     def is_finished(self) -> np.ndarray:
@@ -216,17 +216,25 @@ class Group:
 
 def groups(members: Members, some: np.ndarray) -> list[Group]:
     """Some members, by their rows, as groups: unperturbed ones first, then by n, engine and settings, by value."""
-
-    def order(part: tuple[dict[str, Any], np.ndarray]) -> tuple[Any, ...]:
-        key = part[0]
-        return (key["perturbation_size"], key["n"], place(key["engine"]), [by_value(value) for value in key.values()])
-
-    keys = (*SYSTEM_KEYS, *ENGINE_KEYS)
-    parts = sorted(members.places(keys, some), key=order)
-    names = labels([key for key, _ in parts])
-    return [
-        Group(name, key, members, _by_unit(members, rows)) for name, (key, rows) in zip(names, parts, strict=True)
+    parts = [
+        (members.settings[int(members.own["setting"].iloc[rows[0]])], rows)
+        for _, rows in members.places(("point", "method", "perturbation_size"), some)
     ]
+    swept = [members.design.swept(members.design.point(setting["point"])) for setting, _ in parts]
+    keys = [{name: setting[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS)} for setting, _ in parts]
+    names = labels(keys, swept)
+    found = [
+        Group(name, key, members, _by_unit(members, rows))
+        for name, key, (_, rows) in zip(names, keys, parts, strict=True)
+    ]
+
+    def order(k: int) -> tuple[Any, ...]:
+        key = keys[k]
+        values = [ranks(swept[k].values()) if name in ("parameters", "drawn") else rank(value)
+                  for name, value in key.items()]  # fmt: skip
+        return key["perturbation_size"], key["n"], place(key["engine"]), values
+
+    return [found[k] for k in sorted(range(len(found)), key=order)]
 
 
 def _by_unit(members: Members, rows: np.ndarray) -> np.ndarray:
@@ -235,92 +243,6 @@ def _by_unit(members: Members, rows: np.ndarray) -> np.ndarray:
     if (units[1:] > units[:-1]).all():
         return rows
     return members.own[["unit", "member_id"]].iloc[rows].sort_values(["unit", "member_id"]).index.to_numpy()
-
-
-def by_value(value: object) -> Order:
-    """Sorts settings: numbers by their value, then None, then words, and of the same words by the numbers in them.
-
-    Distributions are sorted by their width first: that of an interval, or a standard deviation.
-    """
-    if isinstance(value, (int, float, np.number)):
-        return 0, "", (float(value),)
-    if value is None:
-        return 1, "", ()
-    text = _DRAWN.sub(_by_width, str(value))
-    return 2, _NUMBER.sub("", text), tuple(map(float, _NUMBER.findall(text)))
-
-
-def _by_width(found: re.Match[str]) -> str:
-    name, first, second = found[1], float(found[2]), float(found[3])
-    return f"{name}({round(second - first, 12) if name == 'uniform' else second:.15g}, {first:.15g})"
-
-
-def parts_of(label: str) -> list[str]:
-    """What the name of a group consists of; a distribution is one part."""
-    return re.split(r", (?![^()]*\))", label)
-
-
-def apart(labels: Sequence[str], always: int = 0) -> list[str]:
-    """What tells each of some groups from the others, after so many of the first parts of its name."""
-    parts = [parts_of(label) for label in labels]
-    shared = set.intersection(*map(set, parts)) if parts else set()
-    return [", ".join([*own[:always], *(part for part in own[always:] if part not in shared)]) for own in parts]
-
-
-def engine_name(engine: str) -> str:
-    """The name of an engine on pages."""
-    return ENGINES[engine].title
-
-
-def labels(keys: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Names of groups: n, engine, its rule of sticking, and whatever distinguishes each from the others."""
-    values: dict[tuple[str, str], set[Any]] = {}
-    for key in keys:
-        for name, value in key.items():
-            values.setdefault((key["engine"], name), set()).add(value)
-    differ = {place for place, some in values.items() if len(some) > 1}
-    if all("w0" in key and key["w0"] == key["belt_speed"] for key in keys):
-        differ -= {(key["engine"], "w0") for key in keys}  # all start on the belt
-    lists = {place: set.intersection(*map(_parts, some)) for place, some in values.items() if place[1] in _LISTS}
-    return [_label(key, differ, lists) for key in keys]
-
-
-def _parts(text: str | None) -> set[str]:
-    """What a setting of `_LISTS` holds."""
-    return set((text or "").split("; "))
-
-
-def _label(
-    key: Mapping[str, Any], differ: Collection[tuple[str, str]], shared: Mapping[tuple[str, str], set[str]]
-) -> str:
-    """Name of a group; `differ` holds engine and name of each setting in which groups of that engine differ.
-
-    `shared` has by engine and name what all of them have of settings that are lists.
-    """
-    parts = [f"n = {key['n']}", engine_name(key["engine"])]
-    defaults = ENGINES[key["engine"]].defaults()
-    for name in key:
-        if name in ("n", "engine", "perturbation_size") or key[name] is None:
-            continue
-        rule = SETTINGS[name].in_label if name in SETTINGS else "if it differs"
-        is_said = rule == "always" or (rule == "unless default" and key[name] != defaults[name])
-        if name in _LISTS:
-            parts += [part for part in key[name].split("; ") if part not in shared[key["engine"], name]]
-        elif is_said or (key["engine"], name) in differ:
-            parts.append(f"{name} = {_plain(key[name])}")
-    if key["perturbation_size"] > 0:
-        parts.append(f"perturbed by {_plain(key['perturbation_size'])}")
-    return ", ".join(parts)
-
-
-def _plain(value: object) -> str:
-    return short(value) if isinstance(value, float) else str(value)
-
-
-def short(value: float) -> str:
-    """A number in few digits, but in all that it has: numbers that differ by more than rounding stay apart."""
-    text = f"{value:g}"
-    return text if abs(float(text) - value) <= _ROUNDING * abs(value) else f"{value:.15g}"
 
 
 def fill(found: Sequence[Group], given: Iterable[tuple[np.ndarray, Motion]]) -> None:

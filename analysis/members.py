@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +13,9 @@ import pandas as pd
 from stickslip.analysis.models.attractors import SLIDING
 from stickslip.analysis.models.fates import COLLAPSED
 from stickslip.analysis.series.runs import by_number
+from stickslip.analysis.tables import designed, records
+from stickslip.pipeline.design.design import Design, Unit
+from stickslip.pipeline.design.values import BELT
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Coarseness, Number, Numbers
 from stickslip.sim.systems.terms import TERMS
@@ -30,7 +33,7 @@ OPTIONAL = (
 #: The keys that draws depend on: along other keys draws are shared.
 DRAWN = ("n", "coupling", "file")
 #: What the independent units of a group may be.
-MATRIX, START, FILE = "matrix", "start", "file"
+MATRIX, START, FILE = Unit
 SYSTEM_KEYS = ("n", "coupling", *_ALWAYS, *OPTIONAL, "t_end", "perturbation_size")
 #: Columns that may be missing because a scene does without some draws, changes or engines.
 _NOT_EVERYWHERE = (
@@ -73,48 +76,62 @@ READ = ("growth_rate",)
 _TYPES = {int: "Int64", float: "Float64", bool: "boolean", str: "string"}
 #: What many members share: what separates their groups, and what tells copies apart.
 SHARED = (*SYSTEM_KEYS, *ENGINE_KEYS, "twin_size", "perturbation_reading", "seed")
+#: Where a setting stands in the design.
+POINT = ("point", "method", "change")
 
 
 @dataclass(frozen=True, eq=False)
 class Members:
-    """The members of an ensemble: what is each one's own, and the settings that many share.
+    """The members of an ensemble: what is each one's own, the settings that many share, and the design.
 
     Attributes
     ----------
     own : DataFrame
         One row a member, numbered from 0 on, so that what is found of them can be told by their number: all columns
-        but those of `SHARED`, and `setting`, the place of its setting; `unit`, a number; `growth_rate`, null where
-        friction depends on the speed of slip; `z_start` and `w_start`, the start of every block, null where blocks
-        differ.
+        but those of `SHARED`, and `setting`, the place of its setting; `unit` and `base`, as of `Coordinates`;
+        `growth_rate`, null where friction depends on the speed of slip; `z_start` and `w_start`, the start of every
+        block, null where blocks differ.
     settings : list of dict
-        The values of `SHARED`, None for null, and of `unit_is`, one of `MATRIX`, `START` and `FILE`. Where files are
-        the units, `file` and `kappa`, the scale of a file's K, are None, and so are `z0` and `w0` where `drawn` names
-        their distribution: they do not separate groups then.
+        The values of `SHARED`, None for null, and of `POINT`. Where files are the units, `file` and `kappa`, the
+        scale of a file's K, are None, and so are `z0` and `w0` where they are drawn.
+    design : Design
     """
 
     own: pd.DataFrame
     settings: list[dict[str, Any]]
+    design: Design
 
     @classmethod
-    def of(cls, tables: Iterable[pd.DataFrame]) -> Members:
+    def of(cls, tables: Iterable[pd.DataFrame], design: Design | None = None) -> Members:
         """The members of some tables, one after the other, each with the columns in `REQUIRED` at least.
+
+        Parameters
+        ----------
+        tables : iterable of DataFrame
+            With the columns of `Coordinates`, if there is a design.
+        design : Design, optional
+            If it is left out, each column that differs is taken for a key that was swept, as in
+            `stickslip.analysis.tables`.
 
         Raises
         ------
         ValueError
             If a column is missing, or there is no member at all; the error names what.
         """
-        numbers: dict[tuple[Any, ...], int] = {}
-        parts = [_own(table, numbers) for table in tables]
-        if not numbers:
+        if design is None:
+            table = _complete(pd.concat([*tables], ignore_index=True))
+            coordinates, design = designed(table)
+            tables = [table.assign(**coordinates._asdict())]
+        settings: dict[tuple[Any, ...], dict[str, Any]] = {}
+        parts = [_own(_complete(table), design, settings) for table in tables]
+        if not settings:
             raise ValueError("members: expected at least one row, got none")
+        found = [*settings.values()]
         own = joined(parts)
-        settings = [dict(zip(SHARED, values, strict=True)) for values in numbers]
-        _set_units(own, settings)
-        depends = np.array([any(one[name] is not None for name in SPEED_DEPENDENT) for one in settings])
+        depends = np.array([any(one[name] is not None for name in SPEED_DEPENDENT) for one in found])
         # what grows need not stick where friction depends on speed, and smoothing changes the rate
         own["growth_rate"] = own["growth_rate"].astype("float64").mask(depends[own["setting"]])
-        return cls(own, settings)
+        return cls(own, found, design)
 
     def __len__(self) -> int:
         return len(self.own)
@@ -126,12 +143,12 @@ class Members:
 
     def at(self, rows: np.ndarray) -> Members:
         """Some of them, by their rows, whose numbers they keep."""
-        return Members(self.own.iloc[rows], self.settings)
+        return replace(self, own=self.own.iloc[rows])
 
     @property
     def ends(self) -> Members:
         """All of them, with the columns alone that tell how a run ended."""
-        return Members(self.own[[name for name in _ENDS if name in self.own]], self.settings)
+        return replace(self, own=self.own[[name for name in _ENDS if name in self.own]])
 
     def of_each(self, name: str) -> np.ndarray:
         """A value of the settings for each member, shape (R,), of objects."""
@@ -142,7 +159,7 @@ class Members:
     @property
     def together(self) -> pd.DataFrame:
         """One row a member, with all columns."""
-        kinds = pd.DataFrame({name: _typed([one[name] for one in self.settings]) for name in self.settings[0]})
+        kinds = pd.DataFrame({name: _typed([one[name] for one in self.settings]) for name in SHARED})
         shared = kinds.take(self.own["setting"].to_numpy())
         own = self.own.drop(columns="setting").assign(outcome=self.own["outcome"].astype(str))
         return pd.concat([own, shared.set_axis(own.index)], axis="columns")
@@ -150,8 +167,7 @@ class Members:
     @property
     def unchanged(self) -> np.ndarray:
         """Rows of members that are not changed copies, of constants or of the start; all if every one is a copy."""
-        is_copy = np.array([one["perturbation_size"] > 0 or one["twin_size"] is not None for one in self.settings])
-        copies = is_copy[self.own["setting"]]
+        copies = np.array([one["change"] > 0 for one in self.settings])[self.own["setting"]]
         return np.arange(len(self)) if copies.all() else np.flatnonzero(~copies)
 
     @property
@@ -185,8 +201,8 @@ def joined(parts: list[pd.DataFrame]) -> pd.DataFrame:
     return pd.DataFrame(columns, copy=False)
 
 
-def _own(table: pd.DataFrame, numbers: dict[tuple[Any, ...], int]) -> pd.DataFrame:
-    """`Members.own` of a table but for units and rates; enters new settings into `numbers`."""
+def _complete(table: pd.DataFrame) -> pd.DataFrame:
+    """A table with all columns that may be missing."""
     if missing := [name for name in REQUIRED if name not in table.columns]:
         raise ValueError(f"members: missing column(s) {', '.join(missing)}")
     unknown = sorted({str(outcome) for outcome in table["outcome"].unique()} - set(OUTCOMES))
@@ -194,53 +210,34 @@ def _own(table: pd.DataFrame, numbers: dict[tuple[Any, ...], int]) -> pd.DataFra
         raise ValueError(f"members: outcome must be one of {', '.join(OUTCOMES)}, got {unknown[0]!r}")
     absent = [name for name in (*OPTIONAL, *_NOT_EVERYWHERE) if name not in table]
     null = pd.array([None] * len(table), dtype="Int8")  # which takes the least memory
-    found = table.assign(
-        **dict.fromkeys(absent, null), outcome=pd.Categorical(table["outcome"], categories=list(OUTCOMES))
-    )
+    outcomes = pd.Categorical(table["outcome"], categories=list(OUTCOMES))
+    return table.assign(**dict.fromkeys(absent, null), outcome=outcomes)
+
+
+def _own(table: pd.DataFrame, design: Design, settings: dict[tuple[Any, ...], dict[str, Any]]) -> pd.DataFrame:
+    """`Members.own` of a table but for rates; enters new settings."""
+    of_seed, seeds = pd.factorize(table["seed"])  # -1 for null
+    shape = design.n_points, len(design.methods), len(design.changes), len(seeds) + 1
+    codes = np.ravel_multi_index((*(table[name].to_numpy() for name in POINT), of_seed + 1), shape)
+    _, first, code = np.unique(codes, return_index=True, return_inverse=True)
+    numbers = {key: k for k, key in enumerate(settings)}
+    of_code = []
+    for row in records(table[[*SHARED, *POINT]].iloc[first]):
+        key = tuple(row[name] for name in (*POINT, "seed"))
+        settings.setdefault(key, row | _of_point(design, row))
+        of_code.append(numbers.setdefault(key, len(numbers)))
+    starts = {f"{key}_start": table[f"{key}0"].astype("float64") for key in ("z", "w")}
+    own = table.drop(columns=[*SHARED, *POINT], errors="ignore").drop(columns="unit_is", errors="ignore")
+    return own.assign(**starts, setting=np.array(of_code, dtype=np.int32)[code])
+
+
+def _of_point(design: Design, row: Mapping[str, Any]) -> dict[str, Any]:
+    """What all members of a setting share by their point, in place of what the row of one says."""
+    point = design.point(int(row["point"]))
+    values = design.values(point)
+    found: dict[str, Any] = {"unit_is": point.unit}
     for key in ("z", "w"):
-        found[f"{key}_start"] = found[f"{key}0"].astype("float64")
-    if found["drawn"].notna().any():
-        drawn = found["drawn"].astype("string").fillna("")
-        for key in ("z", "w"):
-            found[f"{key}0"] = found[f"{key}0"].mask(drawn.str.contains(rf"(?:^|; ){key} = "))
-    # `unit_is` is of a table that `Members.together` made
-    own = found.drop(columns=list(SHARED)).drop(columns="unit_is", errors="ignore")
-    return own.assign(setting=_numbered(found[list(SHARED)], numbers))
-
-
-def _numbered(shared: pd.DataFrame, numbers: dict[tuple[Any, ...], int]) -> np.ndarray:
-    """The number of each row of values, new ones entered; None stands for null."""
-    code = np.zeros(len(shared), dtype=np.int64)
-    for name in shared:
-        found, values = pd.factorize(shared[name])  # -1 for null
-        if (found == found[:1]).all():  # as most are
-            continue
-        code = np.unique(code * (len(values) + 1) + found + 1, return_inverse=True)[1]
-    _, first = np.unique(code, return_index=True)
-    kinds = shared.iloc[first].astype(object)
-    rows = kinds.where(kinds.notna(), None).itertuples(index=False, name=None)
-    return np.array([numbers.setdefault(row, len(numbers)) for row in rows], dtype=np.int32)[code]
-
-
-def _set_units(own: pd.DataFrame, settings: list[dict[str, Any]]) -> None:
-    """Add what the units of members are, and their numbers."""
-    kinds = {(one["n"], one["file"]): k for k, one in reversed([*enumerate(settings)])}
-    of_setting = np.array([kinds[one["n"], one["file"]] for one in settings])
-    by = of_setting[own["setting"]]
-    counts = own[["matrix", "start_draw"]].groupby(by).nunique()
-    is_one, n_starts = counts["matrix"] == 1, counts["start_draw"]
-    unit_is = dict.fromkeys(kinds.values(), MATRIX)
-    for n in {n for n, _ in kinds}:
-        files = [k for (one, file), k in kinds.items() if one == n and file is not None]
-        if files and (is_one[files] & (n_starts[files] <= 1)).all():
-            unit_is |= dict.fromkeys(files, FILE)
-    unit_is |= dict.fromkeys(n_starts.index[is_one & (n_starts > 1)], START)
-    is_drawn = own["start_draw"].groupby(own["setting"]).count() > 0
-    for number, (one, k) in enumerate(zip(settings, of_setting.tolist(), strict=True)):
-        one["unit_is"] = MATRIX if unit_is[k] == START and not is_drawn[number] else unit_is[k]
-        if unit_is[k] == FILE:
-            one |= {"file": None, "kappa": None}
-    own["unit"] = own["matrix"].astype("int64")
-    of_start = np.array([one["unit_is"] == START for one in settings])[own["setting"]] & own["start_draw"].notna()
-    if of_start.any():
-        own.loc[of_start, "unit"] = own["start_draw"][of_start].astype("int64")
+        is_belt = values.get(key) == BELT and row[f"{key}0"] == row["belt_speed"]
+        if not (isinstance(values.get(key, 0.0), float) or is_belt):
+            found[f"{key}0"] = None
+    return found | ({"file": None, "kappa": None} if point.unit is Unit.FILE else {})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,14 +13,17 @@ from stickslip.analysis.answer import Row, named
 from stickslip.analysis.catalogues import MARGIN, Catalogues
 from stickslip.analysis.contrast import Statistic, contrast, judge
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import parts_of
 from stickslip.analysis.models.episodes import QUANTITIES, RATE, Catalogue
 from stickslip.analysis.models.laws import Difference, difference_of_order, distance_of_shares, largest_gap
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.stats.estimates import Estimate, Undefined
+from stickslip.pipeline.design.labels import Label, Part
+from stickslip.pipeline.design.values import text
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Number
 
+#: From which on a number is not shown as a power of ten.
+_SMALL = 0.01
 #: Margins of laws: three episodes in a hundred for a distribution function, a quarter of the shares of first blocks,
 #: 0.1 for a correlation. Twenty systems of a thousand episodes each can exclude differences as large.
 GAP, DISTANCE, CORRELATION = 0.03, 0.25, 0.1
@@ -60,26 +63,32 @@ def names(found: Sequence[Catalogues]) -> list[str]:
     """Names of groups by what distinguishes them: method, place in a sweep and number of blocks."""
     of_one_size = len({one.group.key["n"] for one in found}) == 1
     engines = {ENGINES[one.group.key["engine"]] for one in found}
-    shared = {engine.title for engine in engines if engine.is_exact and len(engines) == 1}
-    return [_method(one.label, ENGINES[one.group.key["engine"]], of_one_size, shared) for one in found]
+    shared = {("", engine.title) for engine in engines if engine.is_exact and len(engines) == 1}
+    return [_method(one.group.name, ENGINES[one.group.key["engine"]], of_one_size, shared) for one in found]
 
 
-def _method(label: str, engine: type[Engine], of_one_size: bool, shared: Collection[str]) -> str:
+def _method(label: Label, engine: type[Engine], of_one_size: bool, shared: Collection[Part]) -> str:
     """Name of a method from the label of its group, without what all groups share."""
-    bare = label.partition(", ")[2] if of_one_size else label
-    bare = ", ".join(word for word in parts_of(bare) if word not in shared) or engine.title
-    for name, setting in engine.settings().items():
-        if isinstance(setting, Number) and setting.symbol:
-            bare = bare.replace(f"{engine.title}, {name}", f"{engine.method} {setting.symbol}")
-            bare = re.sub(rf"\b{name}\b", setting.symbol, bare)
-    bare = re.sub(r"(?<=\u03b5 = )0\.00\d+", _power, bare)
-    return re.sub(r"e-0(?=\d)", "e-", bare).replace(" = ", "\u00a0=\u00a0")
+    numbers = {name: one.symbol for name, one in engine.settings().items() if isinstance(one, Number) and one.symbol}
+    words: list[str] = []
+    for name, value in label.parts:
+        if (name, value) in shared or (name == "n" and of_one_size):
+            continue
+        said = numbers.get(name, name)
+        if name in numbers and words and words[-1] == engine.title:  # one word for both
+            said = f"{engine.method} {said}"
+            words.pop()
+        shown = _power(float(value)) if numbers.get(name) == "\u03b5" else value
+        words.append(f"{said} = {shown}".replace("e-0", "e-").replace(" = ", "\u00a0=\u00a0") if name else value)
+    return ", ".join(words) or engine.title
 
 
-def _power(number: re.Match[str]) -> str:
-    """A small number as a power of ten, such as 2.5e-04."""
-    digits, _, exponent = f"{float(number[0]):e}".partition("e")
-    return f"{float(digits):g}e{exponent}"
+def _power(number: float) -> str:
+    """A number, below a hundredth as a power of ten, such as 2.5e-4."""
+    if number >= _SMALL:
+        return text(number)
+    exponent = math.floor(math.log10(number))
+    return f"{number / 10.0**exponent:g}e{exponent}"
 
 
 def against_reference(by_system: Sequence[Sequence[Catalogues]], level: float) -> list[list[Row]]:

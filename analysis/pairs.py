@@ -15,39 +15,20 @@ from typing import Any
 
 import numpy as np
 
-from stickslip.analysis.answer import Row, records
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import labels, short
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SETTLED
 from stickslip.analysis.series import parting
 from stickslip.analysis.series.runs import Ended, Runs
+from stickslip.analysis.tables import records
+from stickslip.pipeline.design.design import Change, Kind, Method
+from stickslip.pipeline.design.labels import labels
 from stickslip.sim.engines import place
 
-START, CONSTANTS, RATIOS = "start", "constants", "ratios"  # kinds of change
-#: How a perturbation is read if the members do not say: it moves every constant by up to a share of its scale.
-DEFAULT_READING = "scale"
+START, CONSTANTS, RATIOS = Kind.START, Kind.CONSTANTS, Kind.RATIOS
 CURVE_POINTS = 70  # of the means of gaps
-_CHANGING = ("perturbation_size", "ratio")  # settings in which a changed member differs from its base
-_SETTING = tuple(name for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name not in _CHANGING)
-_COLUMNS = [*_CHANGING, "member_id", "matrix", "ratio_draw", "perturbation_reading", "twin_size", "start_draw"]
-
-
-@dataclass(frozen=True, order=True)
-class Change:
-    """How a copy differs from its base: the kind, how `size` is read (for constants), the size (0 for ratios)."""
-
-    kind: str
-    reading: str | None = None
-    size: float = 0.0
-
-    def __str__(self) -> str:
-        if self.kind == START:
-            return f"start by {short(self.size)}"
-        if self.kind == RATIOS:
-            return "ratios redrawn"
-        how = "" if self.reading == DEFAULT_READING else f" ({self.reading})"
-        return f"constants by {100 * self.size:.3g}%{how}"
+#: What all members of a setting share.
+_SETTING = tuple(name for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name not in ("perturbation_size", "ratio"))
 
 
 @dataclass(frozen=True)
@@ -184,51 +165,55 @@ def settings(members: Members) -> list[Setting]:
         Sorted by n and engine; settings without an unchanged member are left out. None at all if no member is
         changed.
     """
-    if not any(
-        one["perturbation_size"] > 0 or one["twin_size"] is not None or one["ratio"] not in (None, "one")
-        for one in members.settings
-    ):
+    design = members.design
+    if len(design.changes) == 1 and not any(map(_is_drawn, design.methods)):
         return []
-    parts = [
-        (key | {"perturbation_size": 0.0}, records(members.at(some).together[_COLUMNS].assign(row=some)))
-        for key, some in members.places(_SETTING, np.arange(len(members)))
+    parts: dict[tuple[Any, ...], list[int]] = {}
+    for k, one in enumerate(members.settings):
+        method = design.methods[one["method"]]
+        kept = tuple(pair for pair in method.settings if pair[0] != "ratio")
+        parts.setdefault((one["point"], method.engine, kept), []).append(k)
+    firsts = [members.settings[some[0]] for some in parts.values()]
+    keys = [{name: one[name] for name in _SETTING} | {"perturbation_size": 0.0} for one in firsts]
+    names = labels(keys, [design.swept(design.point(one["point"])) for one in firsts])
+    of_setting = members.own["setting"].to_numpy()
+    found = [
+        Setting(name, key, *_compared(members, np.flatnonzero(np.isin(of_setting, some))))
+        for name, key, some in zip(names, keys, parts.values(), strict=True)
     ]
-    names = labels([key for key, _ in parts])
-    found = [Setting(name, key, *_compared(own)) for name, (key, own) in zip(names, parts, strict=True)]
     return sorted((one for one in found if one.bases), key=lambda s: (s.key["n"], place(s.key["engine"]), s.label))
 
 
-def _change(row: Row) -> Change | None:
-    """The change of the start or the constants; None if neither was changed."""
-    if row["twin_size"]:
-        return Change(START, None, float(row["twin_size"]))
-    if row["perturbation_size"]:
-        return Change(CONSTANTS, row["perturbation_reading"] or DEFAULT_READING, float(row["perturbation_size"]))
-    return None
+def _is_drawn(method: Method) -> bool:
+    """Whether the stiffness ratios are drawn; the exact engine has equal ones."""
+    return dict(method.settings).get("ratio") not in (None, "one")
 
 
-def _ratios(row: Row) -> tuple[bool, int]:
-    """Whether a member's stiffness ratios are drawn, and the number of the draw. The exact engine has equal ones."""
-    return row["ratio"] not in (None, "one"), int(row["ratio_draw"] or 0)
-
-
-def _compared(rows: Sequence[Row]) -> tuple[dict[int, int], tuple[Comparison, ...]]:
-    """The base of each matrix of a setting, and the comparisons with bases."""
-    original = [row for row in rows if _change(row) is None]
-    first = min(map(_ratios, original), default=(False, 0))
+def _compared(members: Members, rows: np.ndarray) -> tuple[dict[int, int], tuple[Comparison, ...]]:
+    """The base of each unit of a setting, and the comparisons with bases."""
+    of_change, is_drawn = (np.array(some)[members.own["setting"].to_numpy()[rows]] for some in (
+        [one["change"] for one in members.settings],
+        [_is_drawn(members.design.methods[one["method"]]) for one in members.settings],
+    ))  # fmt: skip
+    own = members.own[["member_id", "unit", "base", "matrix", "start_draw", "ratio_draw"]].iloc[rows]
+    # equal ratios come before drawn ones, which are numbered
+    ratios = np.where(is_drawn, 1 + own["ratio_draw"].fillna(0).to_numpy(np.int64), 0)
+    own = own.assign(change=of_change, ratios=ratios, start_draw=own["start_draw"].fillna(-1))
+    listed = records(own.assign(row=rows).sort_values(["unit", "member_id"]))
+    unchanged = [one for one in listed if not one["change"]]
+    original = {one["base"]: one["row"] for one in unchanged}
+    first = min((one["ratios"] for one in unchanged), default=0)
+    firsts = {(one["matrix"], one["start_draw"]): one["row"] for one in unchanged if one["ratios"] == first}
     bases: dict[int, int] = {}
-    for row in sorted(original, key=lambda row: (row["matrix"], row["member_id"])):
-        if _ratios(row) == first:
-            bases.setdefault(int(row["matrix"]), int(row["row"]))
-    unchanged = {(row["matrix"], row["start_draw"], _ratios(row)): int(row["row"]) for row in original}
     pairs: dict[Change, list[Pair]] = {}
-    for row in sorted(rows, key=lambda row: (row["matrix"], row["member_id"])):
-        if row["twin_size"] and row["perturbation_size"]:
-            continue
-        change = _change(row)
-        base = unchanged.get((row["matrix"], row["start_draw"], _ratios(row) if change else first))
-        if base is not None and base != row["row"]:
-            pairs.setdefault(change or Change(RATIOS), []).append(Pair(int(row["matrix"]), base, int(row["row"])))
+    for one in listed:
+        change, base = members.design.changes[one["change"]], original.get(one["base"])
+        if not one["change"]:
+            change, base = Change(RATIOS), firsts.get((one["matrix"], one["start_draw"]))
+            if one["ratios"] == first:
+                bases.setdefault(one["unit"], one["row"])
+        if base is not None and base != one["row"]:
+            pairs.setdefault(change, []).append(Pair(one["unit"], base, one["row"]))
     order = (START, RATIOS, CONSTANTS)
     return bases, tuple(
         Comparison(change, tuple(pairs[change]))

@@ -6,6 +6,7 @@ import hashlib
 import re
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
+from itertools import starmap
 
 import numpy as np
 import pandas as pd
@@ -20,6 +21,8 @@ from stickslip.analysis.report.page import Answered
 from stickslip.analysis.session import defaults
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
+from stickslip.pipeline.design.design import Coordinates
+from stickslip.pipeline.design.values import short
 from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
@@ -34,7 +37,8 @@ from stickslip.pipeline.query import (
     separations,
     series,
 )
-from stickslip.pipeline.scene.quantity import short
+from stickslip.pipeline.scene.columns import DESIGN
+from stickslip.pipeline.scene.systems import REALISATION
 from stickslip.version import __version__
 from stickslip.workflows.fresh import LIST, UNFINISHED, made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
@@ -45,7 +49,7 @@ _LISTED = re.compile(r"([0-9a-f]{64})  (report/(?:figures/)?[\w-]+\.(?:parquet|c
 #: Columns of members that no question of this package looks at.
 _UNASKED = (
     "perturbation_draw", "picked_for", "reproduce", "n_stick_end", "n_events", "n_entries", "n_exits", "n_crossings",
-    "n_steps", "n_rejected", "n_products",
+    "n_steps", "n_rejected", "n_products", *(column.name for column in DESIGN),
 )  # fmt: skip
 
 #: Who puts the questions of a dataset: the dataset, its study, and whom to tell how many are answered.
@@ -65,7 +69,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
     values, problems = {one.name: list[np.ndarray]() for one in kept}, dict[str, dict[str, str]]()
     own = () if scene.own_record is None else scene.own_record.kept
 
-    def prepared(part: pd.DataFrame) -> pd.DataFrame:
+    def prepared(part: pd.DataFrame, coordinates: Coordinates) -> pd.DataFrame:
         for name, columns in values.items():
             columns.append(part[name].to_numpy(np.float64, na_value=np.nan))
         if own:
@@ -75,10 +79,10 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             for member_id, why, names in zip(some["member_id"], some["own_problem"], lost, strict=True):
                 for name in names.split(","):
                     problems.setdefault(name, {})[member_id] = printable(why)
-        return _prepared(scene, part)
+        return _prepared(scene, part).assign(**coordinates._asdict())
 
     asked = [name for name in names if whole or name not in _UNASKED]
-    table = Members.of(map(prepared, members_in_parts(opened, asked)))
+    table = Members.of(starmap(prepared, members_in_parts(opened, asked)), opened.design)
     pa.default_memory_pool().release_unused()  # else what reading took would stay taken, 150 bytes a member
     recorded = {
         one.name: Recorded(
@@ -119,7 +123,7 @@ def _prepared(scene: Scene, table: pd.DataFrame) -> pd.DataFrame:
     own = set() if scene.own_record is None else {column.name for column in scene.own_record.kept}
     table = table.drop(columns=[*(kept | own) - {*READ}])  # analysis may add one of that name
     table["matrix"] += scene.run.matrices * table["seed"].map(_seeds(scene).index)  # another seed is other systems
-    if names := list(scene.system.parameters or ()):
+    if names := [name for name in scene.parameters if name != REALISATION]:
         rows = zip(*(table[name].map(short) for name in names), strict=True)
         words = ["; ".join(map("{} = {}".format, names, row)) for row in rows]
         table = table.drop(columns=names).assign(parameters=words)  # one may have a name that analysis gives a column

@@ -169,7 +169,7 @@ def _default(name: str, field: dict[str, Any], is_required: bool) -> str:
 
 def _values(field: dict[str, Any]) -> str:
     """The allowed values: choices, or a type with its bounds."""
-    from stickslip.pipeline.scene.quantity import DISTRIBUTIONS
+    from stickslip.pipeline.design.values import DISTRIBUTIONS
 
     if "anyOf" in field:  # one value, or a list of such; or what each block is drawn from, or a word for it
         first, *others = field["anyOf"]

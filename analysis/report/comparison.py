@@ -20,7 +20,7 @@ from stickslip.analysis.contrast import (
     told,
 )
 from stickslip.analysis.ensemble import Data, Study
-from stickslip.analysis.groups import Group, apart
+from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import KEYS, Measure, measures
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS
 from stickslip.analysis.questions.runs.engines import contrasts, summary
@@ -28,6 +28,7 @@ from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import Report, draw, plain
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
+from stickslip.pipeline.design.labels import apart
 
 #: Keys that two settings must share: with another n or coupling, a statistic is not the same quantity.
 SHARED = ("n", "coupling")
@@ -105,7 +106,7 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
         for held, group, some in zip(pair, (match.first, match.second), zip(*measured, strict=True), strict=False):
             held.sums.update({measure.name: measure.of(group).sums for measure in some})
         found.append((match, [contrast(each, *pair, match.is_paired, settings.confidence) for each in asked]))
-    where = apart([match.first.label for match in matches])
+    where = apart([match.first.name for match in matches])
     rows = [
         row | {"setting": match.first.label, "other": match.second.label, "is_paired": match.is_paired, "at": at}
         for (match, some), at in zip(found, where, strict=True)

@@ -19,9 +19,9 @@ from jinja2.bccache import Bucket, BytecodeCache
 from markupsafe import Markup, escape
 
 from stickslip.analysis import arguments
-from stickslip.analysis.groups import short
 from stickslip.analysis.stats.compare import WITHIN
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.pipeline.design.values import shown
 from stickslip.sim.kernels.cache import CacheError, CacheFiles, cache_directory
 
 MINUS, DASH = "\u2212", "\u2013"
@@ -165,7 +165,7 @@ How = int | str | Show | None
 Column = tuple[str, str | tuple[str, str], How]
 _SHOWN: Mapping[str, Callable[..., str]] = {
     "%": percent, "+": signed, "+%": signed_percent, "p": p_text, "n": lambda value: f"{value:,}",
-    "g": lambda value: minus(short(value)), "g%": lambda value: f"{100 * value:g}%", "#": number,
+    "g": lambda value: minus(shown(value)), "g%": lambda value: f"{100 * value:g}%", "#": number,
     "yes": lambda value: "yes" if value else "no", "as it is": lambda value: value,
 }  # fmt: skip
 

@@ -19,10 +19,11 @@ from jinja2 import ChoiceLoader, FileSystemLoader
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
-from stickslip.analysis.answer import Answer, records
+from stickslip.analysis.answer import Answer
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.report.formats import Column, environment, minus
 from stickslip.analysis.report.page import Answered, Drawn, Spoken, draw
+from stickslip.analysis.tables import records
 
 #: Words that are made of an answer: each is a macro, of the facts alone or of the facts and `figure`.
 _OF_FACTS = ("answer", "alarm", "alerts", "panel_caption", "main")

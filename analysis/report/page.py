@@ -19,7 +19,7 @@ from jinja2 import Environment
 from jinja2.runtime import Macro
 from markupsafe import Markup
 
-from stickslip.analysis.answer import LONG, F, I, Long, Recipe, S, Table, frame, records
+from stickslip.analysis.answer import LONG, F, I, Long, Recipe, S, Table, frame
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.questions import QUESTIONS, is_own, question, refuse_unknown
@@ -27,6 +27,7 @@ from stickslip.analysis.report import AS_TEXT, FORMULA, OF_OWN, PAGE
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.style import pdf, svg
+from stickslip.analysis.tables import records
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
 from stickslip.sim.systems.terms import TERMS

@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 
 import pyarrow as pa
 
-from stickslip.pipeline.dataset.opened import Opened, open_dataset, reading
+from stickslip.pipeline.dataset.opened import Opened, numbering_of, open_dataset, reading
 from stickslip.pipeline.dataset.writer import Store, begun
 from stickslip.pipeline.ensemble.pack import Batch, pack, tasks
 from stickslip.pipeline.errors import StoreError
@@ -104,6 +104,7 @@ class Extending(Store):
             packing=[extension.packing],
             shards=extension.shards,
             scene=extension.scene,
+            design=numbering_of(self.tasks).design.as_json(),
         )
         self.place.replace(MANIFEST, self._manifest.to_bytes())
         self.place.replace(SCENE, self.scene.source.encode())

@@ -19,7 +19,9 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from stickslip.pipeline.dataset.schema import schema_of
-from stickslip.pipeline.dataset.sound import Sound, fault_of_file, fault_of_members
+from stickslip.pipeline.dataset.sound import Sound, fault_of_design, fault_of_file, fault_of_members
+from stickslip.pipeline.design.design import Coordinates, Design
+from stickslip.pipeline.ensemble.numbering import Numbering
 from stickslip.pipeline.ensemble.pack import PlanError, Task, tasks
 from stickslip.pipeline.errors import QueryError, SceneError, StoreError, command, printable, shortened
 from stickslip.pipeline.places.directory import Directory
@@ -53,6 +55,21 @@ class Opened:
             If the manifest's packing is not of the scene's members.
         """
         return planned(self.place, self.scene, self.manifest)
+
+    @property
+    def design(self) -> Design:
+        """What its members were made to differ in; of a dataset that grew, by its last scene."""
+        return numbering_of(self.tasks).design
+
+    def coordinates(self, shards: Sequence[str]) -> Coordinates:
+        """Where the members of some shards stand in the design, in order."""
+        batches, last = {batch.name: batch for batch, _ in self.tasks}, numbering_of(self.tasks)
+        parts = []
+        for name in shards:
+            batch = batches[name]
+            assert batch.numbering is not None
+            parts.append(last.of(last.places_of(batch.numbering)[batch.members.places]))
+        return Coordinates.joined(parts)
 
     @property
     def n_members(self) -> int:
@@ -177,9 +194,10 @@ class Opened:
         batches = {batch.name: batch for batch, _ in self.tasks}
         first = 0
         for name in shards:
-            members = batches[name].members
-            problem = fault_of_members(table.slice(first, len(members)), members)
-            first += len(members)
+            batch = batches[name]
+            n_rows = len(batch.members)
+            problem = fault_of_members(table.slice(first, n_rows), batch.members, batch.coordinates)
+            first += n_rows
             if problem:
                 raise StoreError(f"{self.place.named(f'{DATA}/{name}')}: {printable(problem)}; {NOT_OURS}")
 
@@ -256,12 +274,21 @@ def planned(place: Place, scene: Scene, manifest: Manifest) -> list[Task]:
         If the manifest's packing is not of the scene's members.
     """
     try:
-        return tasks(scene, manifest.earlier, manifest.packing)
+        found = tasks(scene, manifest.earlier, manifest.packing)
     except PlanError as error:
         raise DamagedManifest(
             f"{place.named(MANIFEST)}: expected the packing of the scene's members, got {error}; use the "
             f"version of stickslip that began it, or choose another directory"
         ) from None
+    if problem := fault_of_design(manifest.design, numbering_of(found).design):
+        raise DamagedManifest(f"{place.named(MANIFEST)}: {problem}; use the version of stickslip that began it")
+    return found
+
+
+def numbering_of(found: Sequence[Task]) -> Numbering:
+    """How the members of shards are numbered, by the last scene that they grew to."""
+    assert found[-1][0].numbering is not None
+    return found[-1][0].numbering
 
 
 def dataset_scene(path: Where | Opened) -> Scene:

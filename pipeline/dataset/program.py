@@ -20,6 +20,9 @@ from stickslip.version import __version__
 _DETERMINING = (
     "sim",
     "pipeline/dataset/schema.py",
+    "pipeline/design/column.py",
+    "pipeline/design/design.py",
+    "pipeline/design/values.py",
     "pipeline/ensemble",
     "pipeline/own",
     "pipeline/records",

@@ -8,8 +8,8 @@ from typing import Any, TypeAlias
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.places.manifest import SCHEMA_VERSION
-from stickslip.pipeline.records.column import Column
 from stickslip.pipeline.scene.columns import COLUMNS, FIXED, Recording
 
 

@@ -18,11 +18,13 @@ import pyarrow.parquet as pq
 
 from stickslip.pipeline.dataset.footer import Chunk, chunks, fault_of_pages
 from stickslip.pipeline.dataset.schema import is_of
+from stickslip.pipeline.design.column import Column
+from stickslip.pipeline.design.design import Coordinates, Design
 from stickslip.pipeline.ensemble.expand import Members
 from stickslip.pipeline.errors import shortened
 from stickslip.pipeline.machine.memory import COPIES, lack
 from stickslip.pipeline.places.manifest import SCHEMA_VERSION
-from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.scene.columns import DESIGN
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.sim.runs.run import Outcome
 
@@ -186,15 +188,32 @@ class Sound:
         return ""
 
 
+def fault_of_design(said: object, design: Design) -> str:
+    """What is wrong with what a manifest says of the design; "" if nothing is, or it is of an earlier version."""
+    if said is None or said == design.as_json():
+        return ""
+    return "expected the design of its scene, got another"
+
+
 @_said
-def fault_of_members(table: pa.Table, members: Members) -> str:
-    """What is wrong with what rows, in order, say of their members; "" if nothing is."""
+def fault_of_members(table: pa.Table, members: Members, coordinates: Coordinates | None = None) -> str:
+    """What is wrong with what rows, in order, say of their members, and of their design; "" if nothing is.
+
+    Rows of an earlier version do not say where members stand in the design.
+    """
     if len(table) != len(members):
         return f"expected {len(members)} rows, got {len(table)}"
     kinds, names, matrices, draws = zip(*members.rows(), strict=True)
     distinct = {id(kind): kind for kind in kinds}
     index = pa.array(map({key: k for k, key in enumerate(distinct)}.__getitem__, map(id, kinds)), pa.int32())
     own = {"member_id": names, "matrix": matrices, "start_draw": draws}
+    if coordinates is not None:
+        said = zip((column.name for column in DESIGN), coordinates, strict=True)
+        own |= {
+            name: numbers
+            for name, numbers in said
+            if name in table.schema.names and table[name].null_count < len(table)
+        }
     for field in table.schema:
         if field.name in own:
             expected = pa.array(own[field.name], field.type)

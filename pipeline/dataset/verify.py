@@ -21,7 +21,7 @@ from stickslip.pipeline.dataset.sound import (
     fault_of_statistics,
     wrong_columns,
 )
-from stickslip.pipeline.ensemble.expand import Members
+from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.errors import SceneError, printable, shortened
 from stickslip.pipeline.own.files import ChangedError
 from stickslip.pipeline.own.function import look_again
@@ -65,7 +65,7 @@ def verify(path: Where | Opened) -> list[str]:
                 entry = (shard.rows, shard.first, shard.last)
                 if entry != (len(ids), ids[0], ids[-1]):
                     problem = f"expected {len(ids)} rows, {ids[0]} to {ids[-1]}, in the manifest, got {entry}"
-                problem = problem or _content(found, content, schema_of(recording), batch.members, shard.outcomes)
+                problem = problem or _content(found, content, schema_of(recording), batch, shard.outcomes)
             if problem:
                 problems.append(printable(f"{place.named(f'{DATA}/{name}')}: {problem}"))
     known = {f"{DATA}/{name}" for name in found.manifest.known}
@@ -76,9 +76,9 @@ def verify(path: Where | Opened) -> list[str]:
     ]
 
 
-def _content(opened: Opened, content: bytes, schema: pa.Schema, members: Members, outcomes: Mapping[str, int]) -> str:
+def _content(opened: Opened, content: bytes, schema: pa.Schema, batch: Batch, outcomes: Mapping[str, int]) -> str:
     """What is wrong inside a shard whose bytes are as they were written; "" if nothing is."""
-    problem = fault_of_file(content, schema, len(members))
+    problem = fault_of_file(content, schema, len(batch.members))
     if problem:
         return f"{problem}; {NOT_OURS}"
     try:
@@ -90,7 +90,8 @@ def _content(opened: Opened, content: bytes, schema: pa.Schema, members: Members
         return f"cannot be read ({shortened(str(error), 200)}); rerun the scene to rebuild it"
     if table.schema.metadata != schema.metadata:
         return wrong_columns(table.schema, schema)
-    problem = opened.sound.fault(table) or fault_of_members(table, members) or fault_of_counts(table)
+    problem = opened.sound.fault(table) or fault_of_members(table, batch.members, batch.coordinates)
+    problem = problem or fault_of_counts(table)
     counted = dict(Counter(table["outcome"].to_pylist()))
     if not problem and counted != outcomes:
         problem = f"expected the outcomes {outcomes}, got {counted}"

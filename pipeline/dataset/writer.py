@@ -12,7 +12,7 @@ from functools import cached_property
 from types import TracebackType
 from typing import Self
 
-from stickslip.pipeline.dataset.opened import Opened, planned, stored_scene
+from stickslip.pipeline.dataset.opened import Opened, numbering_of, planned, stored_scene
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.ensemble.pack import Task, grows, lacked, pack, tasks
@@ -268,6 +268,7 @@ class Store:
                 f"{self.place}: expected the shards of this scene, got {foreign[0]}; use the version of "
                 f"stickslip that began it, or choose another directory"
             )
+        manifest.design = numbering_of(self.tasks).design.as_json()
         self._forget_damaged(manifest.shards)
         again = {name for name, shard in manifest.shards.items() if self._retry_failed and shard.n_failed}
         self.todo = [task for task in self.tasks if task[0].name not in manifest.shards or task[0].name in again]

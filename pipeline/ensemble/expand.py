@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
-from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import accumulate, groupby, product
 from operator import eq
-from typing import Any, overload
+from typing import Any, TypeVar, overload
 
+import numpy as np
+
+from stickslip.pipeline.design import design as designs
+from stickslip.pipeline.design.design import Axis, Coordinates, Design, Unit
+from stickslip.pipeline.design.values import BELT, END, FILE, Distribution, Ratio, Value, short, word
 from stickslip.pipeline.ensemble.member import Change, Member, Method, Source, Start
 from stickslip.pipeline.records.record import Sharing
-from stickslip.pipeline.scene.quantity import BELT, END, FILE, Distribution, Ratio, Value, short, word
 from stickslip.pipeline.scene.scene import Scene
-from stickslip.pipeline.scene.system_table import QUANTITIES, ForceTable
-from stickslip.pipeline.scene.systems import SystemFile, SystemFunction
+from stickslip.pipeline.scene.system_table import OF_FILE, QUANTITIES, ForceTable
+from stickslip.pipeline.scene.systems import REALISATION, SystemFile, SystemFunction
 from stickslip.sim.systems.couplings import READINGS
 from stickslip.sim.systems.terms import OF_BLOCKS
+
+_Number = TypeVar("_Number", int, np.ndarray)
 
 #: The readings of a perturbation in a member's name. Never change them: stored members have these names.
 _READINGS: dict[str, str] = dict(zip(READINGS, "prc", strict=True))
@@ -36,7 +43,7 @@ def expand(scene: Scene) -> Members:
     draw.
     """
     if scene._members is None:
-        everything = _Ensemble(scene)
+        everything = Ensemble(scene)
         scene._members = Members(everything, range(len(everything)))
     return scene._members
 
@@ -81,6 +88,17 @@ class Members(Sequence[Member]):
     def costs(self) -> Iterator[float]:
         """The `cost` of each."""
         return self._ensemble.costs(self._places)
+
+    @property
+    def places(self) -> np.ndarray:
+        """The numbers of each in the expansion of its scene, int64, shape (R,)."""
+        return np.asarray(self._places, dtype=np.int64)
+
+    @property
+    def ensemble(self) -> Ensemble:
+        """All members of their scene; only where it was expanded."""
+        assert isinstance(self._ensemble, Ensemble)
+        return self._ensemble
 
     def rows(self) -> Iterator[tuple[dict[str, Any], str, int, int | None]]:
         """The `row` of each, as one of its kind has it, and what is its own: name, matrix and draw of the start."""
@@ -129,14 +147,12 @@ class _Numbered:
         """The last part of a member's name."""
         raise NotImplementedError
 
-    def _split(self, k: int) -> tuple[int, int, int, int]:
-        """The numbers of a member's source, matrix, place and variant."""
-        source, rest = divmod(k, self.a_source)
-        matrix, rest = divmod(rest, self.a_matrix)
-        return source, matrix, *divmod(rest, self.n_variants)
+    def split(self, k: _Number) -> tuple[_Number, _Number, _Number, _Number]:
+        """The numbers of a member's source, matrix, place and variant; of several members as arrays."""
+        return k // self.a_source, k // self.a_matrix % self.n_matrices, *divmod(k % self.a_matrix, self.n_variants)
 
     def member(self, k: int) -> Member:
-        source, matrix, place, variant = self._split(k)
+        source, matrix, place, variant = self.split(k)
         point, draw = self.at(place)
         kind, origin = self.kind(source, point, variant), self.sources[source][1]
         name = self._of_system(source, matrix) + self.of_run(place, variant)
@@ -149,7 +165,7 @@ class _Numbered:
         at: dict[int, tuple[int, int | None]] = {}
         words: dict[tuple[int, int], str] = {}
         for k in numbers:
-            source, _, place, variant = self._split(k)
+            source, _, place, variant = self.split(k)
             if (place, variant) not in words:
                 at[place], words[place, variant] = self.at(place), self.of_run(place, variant)
             for which in ((source, point, variant) for point in (0, at[place][0])):  # the first has the cost
@@ -178,7 +194,7 @@ class _Numbered:
         """The `row` of the kind of each, with its name, its matrix and the draw of its start."""
         kinds: dict[tuple[int, int, int], dict[str, Any]] = {}
         for k, name in zip(numbers, self.ids(numbers), strict=True):
-            source, matrix, place, variant = self._split(k)
+            source, matrix, place, variant = self.split(k)
             point, draw = self.at(place)
             if (source, point, variant) not in kinds:
                 kinds[source, point, variant] = self.kind(source, point, variant).row()
@@ -229,8 +245,8 @@ class _Part(_Numbered):
         return self._words[place, variant]
 
 
-class _Ensemble(_Numbered):
-    """The members of a scene."""
+class Ensemble(_Numbered):
+    """The members of a scene, and their design."""
 
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
@@ -247,6 +263,148 @@ class _Ensemble(_Numbered):
 
     def kind(self, source: int, point: int, variant: int) -> Member:
         return self._kinds(source, point, variant)
+
+    @cached_property
+    def unit(self) -> Unit:
+        """What is independent where the start is drawn; elsewhere that is no start."""
+        n_systems, n_starts = self.n_matrices * (int(self._seed.max()) + 1), max(map(len, self.draws))
+        of_points = [(n, self._of_file(origin)) for n, origin in self.sources]
+        if self._of_files and len({*of_points}) < len(of_points):  # files are realisations of one point
+            return Unit.FILE
+        if n_systems > 1:
+            return Unit.MATRIX
+        return Unit.START if n_starts > 1 else Unit.FILE if self.scene.system.coupling == OF_FILE else Unit.MATRIX
+
+    @cached_property
+    def design(self) -> Design:
+        """What its members were made to differ in."""
+        fixed = [k for k, draws in zip(self._grid.tolist(), self.draws, strict=True) if None in draws]
+        n_grid, n_of_files = (math.prod(len(axis.rows) for axis in axes) for axes in (self._axes, self._of_files))
+        return Design(
+            (*self._of_files, *self._axes),
+            tuple(self._constants),
+            tuple(dict.fromkeys(self._origins)),
+            frozenset(n_grid * j + k for j in range(n_of_files) for k in fixed if self.unit is Unit.START),
+            tuple(dict.fromkeys(map(_method, self.variants))),
+            tuple(dict.fromkeys(map(_change, self.variants))),
+        )
+
+    @cached_property
+    def _of_files(self) -> tuple[Axis, ...]:
+        """An axis for each number that the files carry, but that of their realisations."""
+        known = [dict(origin.parameters) for _, origin in self.sources if isinstance(origin, SystemFile)]
+        names = [name for name in (known[0] if known else ()) if name != REALISATION]
+        return tuple(Axis((name,), tuple((x,) for x in sorted({one[name] for one in known}))) for name in names)
+
+    def _of_file(self, origin: SystemFile | SystemFunction | None) -> tuple[int, ...]:
+        """The place of a file on each of its axes."""
+        known = dict(origin.parameters) if isinstance(origin, SystemFile) else {}
+        return tuple(axis.rows.index((known[axis.keys[0]],)) for axis in self._of_files)
+
+    @property
+    def _constants(self) -> Iterator[tuple[str, Value]]:
+        """The keys that are not swept, and what files have in their place."""
+        arrays = {name for _, origin in self.sources if isinstance(origin, SystemFile) for name in origin.arrays}
+        for key, value in self.scene.quantities.items():
+            if key in arrays and value is None:
+                yield key, FILE
+            elif value is not None and not isinstance(value, tuple):
+                yield key, value
+
+    @property
+    def _origins(self) -> list[designs.Source]:
+        """What of each source separates points: files that are units are realisations of one point."""
+        files = [origin.name if isinstance(origin, SystemFile) else None for _, origin in self.sources]
+        files = [None] * len(files) if self.unit is Unit.FILE or self._of_files else files
+        return [designs.Source(n, file, self.unit) for (n, _), file in zip(self.sources, files, strict=True)]
+
+    @cached_property
+    def _axes(self) -> tuple[Axis, ...]:
+        """Those of the scene, without seeds."""
+        kept = [[k for k, key in enumerate(axis.keys) if key != "seed"] for axis in self.scene.axes]
+        return tuple(
+            Axis(tuple(axis.keys[k] for k in some), tuple(tuple(row[k] for k in some) for row in axis.rows))
+            for axis, some in zip(self.scene.axes, kept, strict=True)
+            if some
+        )
+
+    @cached_property
+    def _grid(self) -> np.ndarray:
+        """The number of each point of the scene's grid on that of the design, which has no axis of seeds."""
+        shape = (1, *(len(axis.rows) for axis in self.scene.axes))
+        places = np.unravel_index(np.arange(len(self.points)), shape)
+        kept = [k for k, axis in enumerate(((), *(axis.keys for axis in self.scene.axes))) if axis != ("seed",)]
+        return np.ravel_multi_index([places[k] for k in kept], [shape[k] for k in kept])
+
+    @cached_property
+    def _seed(self) -> np.ndarray:
+        """The number of the seed at each point of the scene's grid."""
+        seeds = self.scene.run.seed if isinstance(self.scene.run.seed, tuple) else (self.scene.run.seed,)
+        return np.array([seeds.index(point.at["seed"]) for point in self.points])
+
+    @cached_property
+    def _matrices(self) -> np.ndarray:
+        """The number of each system, by its source, if that is a file, and by its draw."""
+        draws = range(self.n_matrices)
+        files = [origin for _, origin in self.sources if isinstance(origin, SystemFile)]
+        if self.unit is Unit.FILE:  # whatever is drawn of one
+            numbers = [file.matrix(0) if file.realisation is None else file.realisation for file in files]
+            return np.repeat(np.array(numbers)[:, None], self.n_matrices, axis=1)
+        return np.array([[file.matrix(k) for k in draws] for file in files] or [[*draws]])
+
+    def coordinates(self, places: np.ndarray) -> Coordinates:
+        """Where members stand in the design, by their numbers, shape (R,)."""
+        design = self.design
+        source, matrix, place, variant = self.split(places)
+        at, draw = self.start_of(place)
+        grid = self._grid[at]
+        shape = (len(design.sources), *(len(axis.rows) for axis in self._of_files))
+        of_files = [self._of_file(origin) for _, origin in self.sources]
+        places_of = zip(_numbers(design.sources, self._origins), of_files, strict=True)
+        group = np.ravel_multi_index(np.array([(first, *rest) for first, rest in places_of]).T, shape)[source]
+        matrices = self._matrices
+        unit = matrices[source % len(matrices), matrix]
+        unit = unit if self.unit is Unit.FILE else unit + self.n_matrices * self._seed[at]
+        if self.unit is Unit.START:
+            unit = np.where(np.isin(grid, [*design.fixed]), unit, draw)
+        unchanged = {one.method: k for k, one in enumerate(self.variants) if one.change == Change()}
+        base = np.array([unchanged[one.method] for one in self.variants])
+        return Coordinates(
+            group * math.prod(design.shape[len(shape) :]) + grid,
+            unit,
+            _numbers(design.methods, map(_method, self.variants))[variant],
+            _numbers(design.changes, map(_change, self.variants))[variant],
+            places - variant + base[variant],
+        )
+
+    def places_of(self, other: Ensemble) -> np.ndarray:
+        """The places here of the members of another scene, in the order of theirs.
+
+        Raises
+        ------
+        KeyError
+            If one is not here.
+        """
+        source, matrix, place, variant = other.split(np.arange(len(other)))
+        sources, points, variants = map(_numbers, self._words, other._words)
+        at, draw = other.start_of(place)
+        firsts = np.array([0, *self.ends])
+        place = firsts[points[at]] + draw
+        if other.n_matrices > self.n_matrices or (place >= firsts[points[at] + 1]).any():
+            raise KeyError("matrices or draws of the start")
+        systems = sources[source] * self.n_matrices + matrix
+        return (systems * self.n_places + place) * self.n_variants + variants[variant]
+
+    def start_of(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The point of the scene's grid of some places, and the number of the draw of the start."""
+        at = np.searchsorted(self.ends, place, side="right")
+        return at, place - np.array([0, *self.ends])[at]
+
+    @property
+    def _words(self) -> tuple[Sequence[Hashable], ...]:
+        """What stands for each source, point and variant in the names of members."""
+        sources = [self._of_system(source, 0) for source in range(len(self.sources))]
+        return sources, [point.words for point in self.points], [variant.words for variant in self.variants]
 
     def at(self, place: int) -> tuple[int, int | None]:
         k = bisect_right(self.ends, place)
@@ -272,6 +430,7 @@ class _Ensemble(_Numbered):
             w0 = given["belt_speed"]
         given = {name: _multiplied(value, given) for name, value in given.items()}
         parameters = tuple((name, given.pop(name)) for name in scene.system.parameters or ())
+        parameters += origin.parameters if isinstance(origin, SystemFile) else ()
         if not scene.system.back_slip:
             given["back_slip"] = "barred"
         given["forces"] = scene.system.pushes
@@ -282,6 +441,25 @@ class _Ensemble(_Numbered):
         of = Source(n, scene.system.coupling, 0, seed, origin, parameters)
         kind = Member("", of, terms, chosen.change, begin, chosen.method, scene.run.t_end)
         return replace(kind, shared_cost=sum(record.cost(kind, chosen.sharing) for record in scene.records))
+
+
+def _numbers(known: Sequence[Hashable], values: Iterable[Hashable]) -> np.ndarray:
+    """The place of each value among those that are known."""
+    place = {value: k for k, value in enumerate(known)}
+    return np.array([place[value] for value in values])
+
+
+def _method(variant: _Variant) -> designs.Method:
+    return designs.Method(variant.method.engine, variant.method.settings)
+
+
+def _change(variant: _Variant) -> designs.Change:
+    change = variant.change
+    if change.twin_size is not None:
+        return designs.Change(designs.Kind.START, None, change.twin_size)
+    if change.reading is not None:
+        return designs.Change(designs.Kind.CONSTANTS, change.reading, change.size)
+    return designs.Change()
 
 
 def _all_rub(friction: Value | None) -> bool:

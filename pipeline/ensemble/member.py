@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stickslip import sim
-from stickslip.pipeline.scene.ends import Ends
-from stickslip.pipeline.scene.quantity import (
+from stickslip.pipeline.design.values import (
     BELT,
     END,
     Course,
@@ -25,6 +24,7 @@ from stickslip.pipeline.scene.quantity import (
     Ratio,
     Value,
 )
+from stickslip.pipeline.scene.ends import Ends
 from stickslip.pipeline.scene.systems import SystemFile, SystemFunction, make, read
 from stickslip.sim.engines import ENGINES, contract
 from stickslip.sim.engines.contract import Engine
@@ -58,7 +58,7 @@ class Source(NamedTuple):
     matrix: int
     seed: int
     origin: SystemFile | SystemFunction | None  #: the user's file or function, if it comes from one
-    parameters: tuple[tuple[str, float], ...]  #: of that function
+    parameters: tuple[tuple[str, float], ...]  #: of that function, or that file
 
 
 class Change(NamedTuple):
@@ -353,7 +353,8 @@ def _own_system(member: Member) -> sim.System:
         given["back_slip"] = False
     made = None
     if isinstance(origin, SystemFunction):
-        made = make(origin, member.n, np.random.default_rng(seed), dict(member.source.parameters))
+        made = make(origin, member.n, np.random.default_rng(seed), dict(member.source.parameters),
+                    realisation=member.source.matrix)  # fmt: skip
     for name, value in terms.items():
         if isinstance(value, Ratio):
             given[name] = given[name] * (given[value.of] if value.of in given else getattr(made, value.of))

@@ -8,8 +8,11 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
+from stickslip.pipeline.design.design import Coordinates
 from stickslip.pipeline.ensemble.expand import Members, expand
+from stickslip.pipeline.ensemble.numbering import Numbering
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene, parse_scene
@@ -33,11 +36,22 @@ class Batch:
         Its place among the dataset's shards.
     members : Members
     scene_hash : str
+    numbering : Numbering, optional
+        Of all members of their scene; in another process there are their coordinates alone.
     """
 
     number: int
     members: Members
     scene_hash: str
+    numbering: Numbering | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "numbering": None, "coordinates": self.coordinates}
+
+    @cached_property
+    def coordinates(self) -> Coordinates | None:
+        """Where its members stand in the design of their scene, by the numbers of the dataset."""
+        return None if self.numbering is None else self.numbering.of(self.members.places)
 
     @cached_property
     def name(self) -> str:
@@ -104,24 +118,40 @@ def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[
         raise PlanError(str(error)) from error
     planned: list[Task] = []
     packing = [pack(scene, None)] if packing is None else packing
-    for before, stage, sizes in zip([None, *scenes[:-1]], scenes, packing, strict=True):
-        new = added(stage, before)
+    for stage, numbering, sizes in zip(scenes, numberings(scenes), packing, strict=True):
+        new = expand(stage).at(numbering.added.tolist()) if numbering.before else expand(stage)
         if sum(sizes) != len(new):
             raise PlanError(f"expected shards of {len(new)} members together, got {sum(sizes)}")
         recording, first = stage.recording, 0
         for size in sizes:
-            planned.append((Batch(len(planned), new[first : first + size], recording.scene_hash), recording))
+            batch = Batch(len(planned), new[first : first + size], recording.scene_hash, numbering)
+            planned.append((batch, recording))
             first += size
     return planned
+
+
+def numberings(scenes: Sequence[Scene]) -> list[Numbering]:
+    """How the members of scenes that grew from each other are numbered.
+
+    Raises
+    ------
+    PlanError
+        If one lacks members of the scene before it.
+    """
+    found: list[Numbering] = []
+    for scene in scenes:
+        found.append(Numbering(expand(scene).ensemble, found[-1] if found else None))
+        try:
+            found[-1].kept  # noqa: B018
+        except KeyError as error:
+            raise PlanError(f"expected all members of the scene that it grew from, got none of {error}") from None
+    return found
 
 
 def added(scene: Scene, before: Scene | None) -> Members:
     """The members that a scene adds to the one that it grew from; all of them if it grew from none."""
     members = expand(scene)
-    if before is None:
-        return members
-    known = set(expand(before).ids())
-    return members.at([k for k, name in enumerate(members.ids()) if name not in known])
+    return members if before is None else members.at(numberings([before, scene])[-1].added.tolist())
 
 
 def pack(scene: Scene, before: Scene | None) -> tuple[int, ...]:

@@ -20,7 +20,7 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from stickslip.pipeline.errors import StoreError
 from stickslip.pipeline.places.directory import Directory
@@ -92,7 +92,8 @@ class Manifest(BaseModel):
     versions of the program whose numbers the shards may hold. `recorded_from`, while a run goes on or after it was
     killed, is the byte of the record at which its own commits begin. With an `extension` these are commits of its
     shards. `scene` is the source of the scene from the moment at which the shards of an extension replace the others
-    until its file is written, and the others are removed.
+    until its file is written, and the others are removed. `design` is what the ensemble was made to differ in, as
+    `pipeline.design.design.Design.as_json` says it; data of an earlier version lack it.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid")
@@ -105,6 +106,7 @@ class Manifest(BaseModel):
     recorded_from: Annotated[int, Field(ge=0)] | None = None
     extension: Extension | None = None
     scene: str | None = None
+    design: dict[str, JsonValue] | None = None
 
     @model_validator(mode="after")
     def _one_packing_a_scene(self) -> Manifest:

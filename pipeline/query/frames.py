@@ -19,6 +19,7 @@ from stickslip import sim
 from stickslip.pipeline.dataset.opened import Opened, dataset, frame, near, not_recorded, open_dataset, reading
 from stickslip.pipeline.dataset.schema import scalars
 from stickslip.pipeline.dataset.sound import joined
+from stickslip.pipeline.design.design import Coordinates
 from stickslip.pipeline.errors import QueryError
 from stickslip.pipeline.places.place import Where
 
@@ -115,8 +116,8 @@ def scalar_names(path: Where | Opened) -> tuple[str, ...]:
     return scalars(open_dataset(path).shards().schema)
 
 
-def members_in_parts(path: Where | Opened, columns: Sequence[str]) -> Iterator[pd.DataFrame]:
-    """The members table as data frames of some `_ROWS` rows, read one after the other.
+def members_in_parts(path: Where | Opened, columns: Sequence[str]) -> Iterator[tuple[pd.DataFrame, Coordinates]]:
+    """The members table as data frames of some `_ROWS` rows, read one after the other; and where these stand.
 
     A column has a nullable type where it holds nulls in that part.
     """
@@ -124,7 +125,7 @@ def members_in_parts(path: Where | Opened, columns: Sequence[str]) -> Iterator[p
     for part in opened.in_parts(_ROWS):
         table = _chosen(opened, opened.shards(part), list(columns), None)
         opened.check_members(table, part)
-        yield frame(table)
+        yield frame(table), opened.coordinates(part)
 
 
 def dask_members(

@@ -2,6 +2,7 @@
 
 from stickslip.pipeline.records.attractor import AttractorRecord
 from stickslip.pipeline.records.collapse import CollapseRecord
+from stickslip.pipeline.records.constants import Constants
 from stickslip.pipeline.records.contacts import Contacts
 from stickslip.pipeline.records.motion.amplitude import Amplitude
 from stickslip.pipeline.records.motion.end import End
@@ -43,6 +44,7 @@ RECORDS: tuple[type[Record], ...] = (
     Waiting,
     FrictionPower,
     AttractorRecord,
+    Constants,
     Contacts,
     OwnRecord,
 )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Made, Member, Sharing, WindowRecord
 from stickslip.sim.systems.system import System
 

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, TypeVar, cast
 
 import numpy as np
 
+from stickslip.pipeline.design.column import Column, Kind, Until
 from stickslip.pipeline.errors import SceneError, foreign
 from stickslip.pipeline.own.declared import SAMPLES, declared
 from stickslip.pipeline.own.function import PATTERN, LateError, OwnFunction, resolve, use
 from stickslip.pipeline.own.trial import Trial, tried_once
-from stickslip.pipeline.records.column import Column, Kind, Until
 from stickslip.pipeline.records.record import Facts, Made, Member, Memory, NotKeptError, WindowRecord, sampling, steps
 from stickslip.sim.numerics.arguments import Floats, apart
 from stickslip.sim.runs.run import Samples

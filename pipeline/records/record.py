@@ -15,7 +15,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
 
-from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.design.column import Column
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine
 from stickslip.sim.numerics.arguments import Floats
@@ -47,6 +47,7 @@ class Member(Protocol):
     def cost(self) -> float: ...
     @property
     def base(self) -> Member | None: ...
+    def ratios(self) -> float | np.ndarray: ...
 
 
 @dataclass(frozen=True)

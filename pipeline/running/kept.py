@@ -18,13 +18,13 @@ from stickslip.pipeline.records import ALWAYS
 from stickslip.pipeline.records.record import Made, NotKeptError, Record, stop_early
 from stickslip.pipeline.records.slips.thresholds import has_several
 from stickslip.pipeline.running.ends import end_of
-from stickslip.pipeline.scene.columns import MEMBER, Recording
+from stickslip.pipeline.scene.columns import DESIGN, MEMBER, Recording
 
 #: Runs members: the columns of each, as `stickslip.pipeline.running.worker.run_members`.
 Runs = Callable[[Sequence[Member], Recording], list[dict[str, Any]]]
 
 #: Columns that no record reads: they are the member's own, or made of its events.
-_UNREAD = {column.name for column in MEMBER} - {"t_end"} | {"t", "n_stick"}
+_UNREAD = {column.name for column in (*MEMBER, *DESIGN)} - {"t_end"} | {"t", "n_stick"}
 
 
 @dataclass(frozen=True)

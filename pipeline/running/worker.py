@@ -27,7 +27,7 @@ from stickslip.pipeline.records import ALWAYS
 from stickslip.pipeline.records.record import Made, Record, stop_early
 from stickslip.pipeline.running.ends import end_of
 from stickslip.pipeline.running.kept import Kept, Runs
-from stickslip.pipeline.scene.columns import Recording
+from stickslip.pipeline.scene.columns import DESIGN, Recording
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Task
 from stickslip.sim.kernels.cache import KernelError, has_kernel
@@ -61,6 +61,8 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
         rows = columns(members, run(members, recording), recording)
     else:
         rows = kept.extended(members, recording, run)
+    if batch.coordinates is not None:
+        rows = {**rows, **dict(zip((column.name for column in DESIGN), batch.coordinates, strict=True))}
     return Result(
         name=batch.name,
         shard=encode(rows, schema_of(recording)),

@@ -12,8 +12,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records import ALWAYS, RECORDS
-from stickslip.pipeline.records.column import Column
 from stickslip.pipeline.records.record import Record
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Number, Numbers, Ratios
@@ -146,8 +146,19 @@ MEMBER = (
     Column("count", "seed", "root of the scene's random draws", False),
 )
 
+#: Where a member stands in the design of its ensemble (`pipeline.design`), in the order of `Coordinates`.
+DESIGN = (
+    Column("whole", "design_point", "number of the point of the grid that lists span", is_later=True),
+    Column(
+        "count", "design_unit", "number of what is independent: matrix, start of one system or file", is_later=True
+    ),
+    Column("whole", "design_method", "number of the engine with its settings", is_later=True),
+    Column("whole", "design_change", "number of the kind and size of change; 0: none", is_later=True),
+    Column("count", "design_base", "number of the member that it is a changed copy of; else its own", is_later=True),
+)
+
 #: In every dataset.
-FIXED = (*MEMBER, *ALWAYS.columns)
+FIXED = (*MEMBER, *DESIGN, *ALWAYS.columns)
 
 #: What a scene may ask for, by name: the line that asks, and the columns.
 ON_DEMAND = {name: (part.asked_by, part.columns) for name, part in PARTS.items()} | {
@@ -183,7 +194,7 @@ class Recording:
         fixed = [column._replace(nullable=column.nullable or column.name in null) for column in FIXED]
         if "long_matrix" in self.parts:
             fixed = [column._replace(kind="count") if column.name == "matrix" else column for column in fixed]
-        own = [Column("number", name, "parameter of the function that makes the systems", False)
+        own = [Column("number", name, "parameter of the function or the file that systems come from", False)
                for name in self.parameters]  # fmt: skip
         of_parts = [column for part in self.parts for column in PARTS[part].columns]
         return (*fixed, *own, *of_parts, *(column for record in self.records for column in record.kept))

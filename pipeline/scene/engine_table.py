@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, Union, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, PrivateAttr, WrapValidator, create_model, model_validator
 
-from stickslip.pipeline.scene.quantity import short
+from stickslip.pipeline.design.values import short
 from stickslip.pipeline.scene.toml import Count, PositiveNumbers, StrictTable, as_tuple, listed, once
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Engine, Number, Numbers, Purpose, Ratios, Setting

@@ -7,186 +7,29 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, Any
 
-import numpy as np
 from pydantic import GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import core_schema
 
+from stickslip.pipeline.design.design import Axis
+from stickslip.pipeline.design.values import (
+    BELT,
+    DISTRIBUTIONS,
+    END,
+    FILE,
+    Course,
+    Distribution,
+    Named,
+    Quantity,
+    Ratio,
+    Value,
+    as_written,
+    order,
+)
 from stickslip.pipeline.scene.toml import once, shown, unquoted
-from stickslip.sim.numerics.arguments import Floats, did_you_mean
-
-#: The distributions, by what their two numbers are.
-DISTRIBUTIONS = {"uniform": "[low, high]", "normal": "[mean, standard deviation]"}
-
-
-@dataclass(frozen=True, slots=True)
-class Distribution:
-    """What a number is drawn from for each block: a name in `DISTRIBUTIONS` and its two numbers."""
-
-    name: str
-    first: float
-    second: float
-
-    def draw(self, seed: np.random.SeedSequence, n: int) -> Floats:
-        """One number a block, shape (n,); a seed's draws of one distribution differ by scale and shift only."""
-        rng = np.random.default_rng(seed)
-        return (rng.uniform if self.name == "uniform" else rng.normal)(self.first, self.second, n)
-
-    @property
-    def size(self) -> float:
-        """About the largest number that is drawn."""
-        spread = 0.0 if self.name == "uniform" else abs(self.first) + abs(self.second)
-        return max(abs(self.first), abs(self.second), spread)
-
-    @property
-    def word(self) -> str:
-        """What stands in a member's name: the distribution and its numbers."""
-        return f"{self.name}{short(self.first)}_{short(self.second)}"
-
-    def __str__(self) -> str:
-        return f"{self.name}({short(self.first)}, {short(self.second)})"
-
-
-@dataclass(frozen=True, slots=True)
-class Course:
-    """A number that changes in time: linear between values at given times, constant before and after."""
-
-    times: tuple[float, ...]
-    values: tuple[float, ...]
-
-    @property
-    def size(self) -> float:
-        """The largest absolute value."""
-        return max(map(abs, self.values))
-
-    @property
-    def word(self) -> str:
-        """What would stand in a member's name; a course is not swept."""
-        return "course"
-
-    def __str__(self) -> str:
-        return " to ".join(f"{short(x)} at {short(t)}" for t, x in zip(self.times, self.values, strict=True))
-
-
-@dataclass(frozen=True, slots=True)
-class OnBlocks:
-    """The blocks, by number, that a force acts on."""
-
-    numbers: tuple[int, ...]
-
-    def __str__(self) -> str:
-        return ", ".join(map(str, self.numbers))
-
-
-@dataclass(frozen=True, slots=True)
-class Push:
-    """One of several forces: amplitude cos(frequency t + phase), numbers or drawn by block, or a course."""
-
-    harmonic: tuple[Any, ...]
-    course: Course | None
-    blocks: OnBlocks | None
-
-    def __str__(self) -> str:
-        words = [str(one) if isinstance(one, Distribution) else short(one) for one in self.harmonic]
-        shape = f"({self.course})" if self.course else "{} cos({} t + {})".format(*words)
-        return shape + (f" on blocks {self.blocks}" if self.blocks else "")
-
-
-@dataclass(frozen=True, slots=True)
-class Pushes:
-    """A sum of forces."""
-
-    parts: tuple[Push, ...]
-
-    def __str__(self) -> str:
-        return " + ".join(map(str, self.parts))
-
-
-@dataclass(frozen=True, slots=True)
-class Named:
-    """A number for each block that a word stands for."""
-
-    word: str
-    size: float = 0.0
-
-    def __str__(self) -> str:
-        return self.word
-
-
-#: What the file of the system holds; the speed of the belt; where the same member of another dataset ended.
-FILE, BELT, END = Named("file"), Named("belt"), Named("end")
-
-
-@dataclass(frozen=True, slots=True)
-class Ratio:
-    """A number for each block: a factor, which may be drawn, of another that the block has."""
-
-    factor: float | Distribution
-    of: str
-
-    @property
-    def size(self) -> float:
-        """The largest factor, as far as it is known."""
-        return size(self.factor)
-
-    @property
-    def word(self) -> str:
-        """What stands in a member's name."""
-        return f"ratio_{word(self.factor)}"
-
-    def __str__(self) -> str:
-        return f"{self.factor if isinstance(self.factor, Distribution) else short(self.factor)} {self.of}"
-
-
-#: The value of a key in one run.
-Value: TypeAlias = float | int | Distribution | Course | Named | Ratio
-
-#: What a key holds: a tuple is a list in the file, each of whose values is run.
-Quantity: TypeAlias = Value | tuple[Value, ...]
-
-
-def short(value: float) -> str:
-    """Shortest text that gives the float back: 1e-06 -> 1e-6, 1.0 -> 1. Distinct floats stay distinct."""
-    mantissa, _, exponent = repr(value).partition("e")
-    return mantissa.removesuffix(".0") + (f"e{int(exponent)}" if exponent else "")
-
-
-def word(value: Value) -> str:
-    """A value in a member's name."""
-    return short(value) if isinstance(value, float | int) else value.word
-
-
-def values(quantity: Quantity | None) -> tuple[Value, ...]:
-    """All that a key holds."""
-    return quantity if isinstance(quantity, tuple) else () if quantity is None else (quantity,)
-
-
-def size(quantity: Quantity) -> float:
-    """The largest absolute value of a quantity."""
-    return max(abs(value) if isinstance(value, float | int) else value.size for value in values(quantity))
-
-
-def lowest(value: Value) -> float:
-    """The smallest number that a value can be, if it is never below zero."""
-    return float(value) if isinstance(value, float | int) else value.first if isinstance(value, Distribution) else 0.0
-
-
-def as_written(quantity: Quantity) -> Any:
-    """A quantity as TOML and JSON have it."""
-    if isinstance(quantity, tuple):
-        return [as_written(value) for value in quantity]
-    if isinstance(quantity, Named):
-        return str(quantity)
-    if isinstance(quantity, Course):
-        return {"times": list(quantity.times), "values": list(quantity.values)}
-    if isinstance(quantity, Ratio):
-        return {"ratio": as_written(quantity.factor)}
-    return {quantity.name: [quantity.first, quantity.second]} if isinstance(quantity, Distribution) else quantity
-
-
-# ---------------------------------------------------------------------------------------------- reading
+from stickslip.sim.numerics.arguments import did_you_mean
 
 
 @dataclass(frozen=True)
@@ -345,17 +188,6 @@ Velocity = Annotated[Quantity, Key(tuple(DISTRIBUTIONS), words=(FILE, BELT, END)
 # ---------------------------------------------------------------------------------------------- the grid
 
 
-@dataclass(frozen=True)
-class Axis:
-    """Keys that are swept in step, and the values that they have together, in ascending order."""
-
-    keys: tuple[str, ...]
-    rows: tuple[tuple[Value, ...], ...]
-
-    def __str__(self) -> str:
-        return f"{len(self.rows)} {' with '.join(self.keys)}"
-
-
 def axes(quantities: Mapping[str, Quantity | None], together: Sequence[Sequence[str]] = ()) -> tuple[Axis, ...]:
     """The axes of the grid that some keys span, in their order: one for each list; those named together share one.
 
@@ -382,22 +214,8 @@ def axes(quantities: Mapping[str, Quantity | None], together: Sequence[Sequence[
         if len(set(lengths)) > 1:
             said = ", ".join(f"{length} of {name}" for name, length in zip(keys, lengths, strict=True))
             raise ValueError(f"expected lists of one length to go together, got {said} values; make them equal")
-        found.append(Axis(keys, tuple(sorted(zip(*(lists[name] for name in keys), strict=True), key=_order))))
+        found.append(Axis(keys, tuple(sorted(zip(*(lists[name] for name in keys), strict=True), key=order))))
     return tuple(found)
-
-
-def _order(row: tuple[Value, ...]) -> list[tuple[str, float, float]]:
-    """Numbers come before distributions, and ratios last."""
-
-    def place(one: Value) -> tuple[str, float, float]:
-        if isinstance(one, Ratio):
-            name, *numbers = place(one.factor)
-            return f"~{name}", numbers[0], numbers[1]
-        if isinstance(one, Distribution):
-            return one.name, one.first, one.second
-        return "", one if isinstance(one, float | int) else 0.0, 0.0
-
-    return [place(one) for one in row]
 
 
 def points(of: Sequence[Axis]) -> Iterator[dict[str, Value]]:

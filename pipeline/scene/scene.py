@@ -9,12 +9,28 @@ import hashlib
 import json
 import math
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, Field, PrivateAttr, model_validator
 
+from stickslip.pipeline.design.design import Axis
+from stickslip.pipeline.design.values import (
+    BELT,
+    END,
+    FILE,
+    Course,
+    Distribution,
+    Quantity,
+    Ratio,
+    Value,
+    as_written,
+    lowest,
+    size,
+    values,
+)
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.own.function import OwnFunction, resolve
 from stickslip.pipeline.records import RECORDS
@@ -23,23 +39,7 @@ from stickslip.pipeline.records.record import Facts, Record, WindowRecord
 from stickslip.pipeline.scene.columns import OF_SETTINGS, PARTS, Recording, misnamed
 from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
 from stickslip.pipeline.scene.engine_table import Engines, EngineTable
-from stickslip.pipeline.scene.quantity import (
-    BELT,
-    END,
-    FILE,
-    Axis,
-    Course,
-    Distribution,
-    Quantity,
-    Ratio,
-    Value,
-    as_written,
-    axes,
-    lowest,
-    points,
-    size,
-    values,
-)
+from stickslip.pipeline.scene.quantity import axes, points
 from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.system_table import OF_FILE, SystemTable, is_function
 from stickslip.pipeline.scene.systems import KEY, SystemFile, SystemFunction, located, look_at_files, tried_function
@@ -190,7 +190,14 @@ class Scene(StrictTable):
     @property
     def recording(self) -> Recording:
         """What its datasets keep."""
-        return Recording(self.hash, self.parts, self.records, tuple(self.system.parameters or ()))
+        return Recording(self.hash, self.parts, self.records, self.parameters)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The numbers that a function of the user's is given, or that its files carry, by name."""
+        return tuple(
+            self.system.parameters or next((file.parameters for file in self.system.known_files.values()), ())
+        )
 
     def keeps(self, record: type[Record]) -> bool:
         """Whether a record is asked for."""
@@ -285,7 +292,7 @@ class Scene(StrictTable):
 
     def _names_are_columns(self) -> None:
         """Each parameter of a function, and each field that one returns, is a column like the others."""
-        parameters = tuple(self.system.parameters or ())
+        parameters = self.parameters
         fields = [field for function in self.record.own_functions.values() for field in function.columns]
         for key, found, where in (
             ("system.parameters", misnamed(parameters), "here and in the function"),
@@ -446,8 +453,14 @@ class Scene(StrictTable):
             files = system.known_files
             named = sorted(files, key=lambda name: (files[name].n, name))
             at = located(named, self._folder)
-            facts = {name: files[name].model_dump(exclude={"n"}) for name in named}
-            return [(files[name].n, SystemFile(name=name, at=at[name], **facts[name])) for name in named]
+            found: list[tuple[int, SystemFile | SystemFunction | None]] = []
+            before = Counter[str]()
+            for name in named:
+                facts = files[name].model_dump(exclude={"n", "parameters"})
+                facts |= {"parameters": tuple(files[name].parameters.items()), "copy": before[files[name].sha256]}
+                found.append((files[name].n, SystemFile(name=name, at=at[name], **facts)))
+                before[files[name].sha256] += 1
+            return found
         return [(n, self._function) for n in system.n]
 
     @property

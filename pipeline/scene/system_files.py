@@ -53,6 +53,8 @@ _SYMMETRIES = {"general": None, "symmetric": 1, "skew-symmetric": -1}
 def arrays_of(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
     """The arrays that a system file holds, by name: `stiffness`, dense or sparse, and some of those in `beside`.
 
+    Numbers beside them are `parameters`, by name.
+
     The readers of Python and NumPy raise exceptions of many kinds for damaged files; none of them crashes.
 
     Raises
@@ -139,10 +141,14 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
         form = _format(read("format", "S", 1)) if members.keys() >= _SPARSE else ""
         is_sparse = members.keys() >= {*_PLACES[form]} if form else False
         names = members.keys() - ({*_SPARSE, *_PLACES[form], "_is_array"} if is_sparse else {"stiffness"})
+        others = [name for name in sorted(names - {*beside}) if name.isidentifier()]
+        numbers = {name: read(name) for name in others if members[name].file_size <= _MAX_HEADER + 16}
+        parameters = {name: float(number.item()) for name, number in numbers.items() if number.size == 1}
+        names -= parameters.keys()
         if not names <= {*beside} or not (is_sparse or "stiffness" in members):
             raise ValueError(
                 f"expected an array `stiffness`, or a sparse K as scipy.sparse.save_npz writes it, and of "
-                f"{', '.join(beside)}, got {', '.join(sorted(members)) or 'nothing'}"
+                f"{', '.join(beside)}, and numbers by other names, got {', '.join(sorted(members)) or 'nothing'}"
             )
         if is_sparse:
             n = _square(read("shape", "i", 2).tolist())
@@ -151,8 +157,10 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
         else:
             stiffness = read("stiffness")
             n = max(stiffness.shape, default=1)
-        arrays = {name: read(name, n_most=n * n if name == "damping" else n) for name in sorted(names)}
-        return arrays | {"stiffness": stiffness}
+        arrays: dict[str, Any] = {
+            name: read(name, n_most=n * n if name == "damping" else n) for name in sorted(names)
+        }
+        return arrays | {"stiffness": stiffness} | ({"parameters": parameters} if parameters else {})
 
 
 def _format(part: np.ndarray) -> str:

@@ -22,20 +22,9 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import core_schema
 
+from stickslip.pipeline.design.values import Course, OnBlocks, Push, Pushes, Quantity, as_written, size, values
 from stickslip.pipeline.own.function import PATTERN
-from stickslip.pipeline.scene.quantity import (
-    AnyNumber,
-    Course,
-    Key,
-    OnBlocks,
-    Push,
-    Pushes,
-    Quantity,
-    as_written,
-    course,
-    size,
-    values,
-)
+from stickslip.pipeline.scene.quantity import AnyNumber, Key, course
 from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, List, Natural, StrictTable, as_tuple, distinct, shown
 from stickslip.sim.numerics.arguments import did_you_mean
 from stickslip.sim.systems.couplings import COUPLINGS
@@ -87,6 +76,7 @@ class FileTable(StrictTable):
     is_sparse: bool
     arrays: Annotated[tuple[str, ...], List]
     version: Literal[1, 2] = 1  # of how draws are numbered; older datasets do not say
+    parameters: dict[str, float] = Field(default_factory=dict)
 
 
 def _with_terms(table: str, behind: type[StrictTable] = StrictTable) -> Any:
@@ -331,7 +321,7 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
             raise ValueError('path: expected the file of K, found nothing; add `path = "K.npz"`')
         if not self.files:
             raise ValueError("files: expected what `load_scene` and the command write here, found nothing; use these")
-        first: dict[str, str] = {}
+        first, seen = next(iter(self.files.values())), dict[str, str]()
         if not self.n:
             object.__setattr__(self, "n", distinct(tuple({file.n for file in self.files.values()})))
         for name, file in self.files.items():
@@ -343,10 +333,15 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
                 if array in file.arrays and keys & given:
                     key = sorted(keys & given)[0]
                     raise ValueError(f"{key}: expected none beside the array `{array}` of {name}, got one; remove it")
-            other = first.setdefault(file.sha256, name)
-            if other != name:
+            other = seen.setdefault(file.sha256, name)
+            if other != name and not file.parameters:  # else realisations that came out the same
                 raise ValueError(
                     f"path: expected files that differ, got {other} and {name}, which are equal; remove one"
+                )
+            if file.parameters.keys() != first.parameters.keys():
+                odd = sorted(file.parameters.keys() ^ first.parameters.keys())[0]
+                raise ValueError(
+                    f"path: expected the same numbers in each file, got one without `{odd}`; add it there"
                 )
         alone = set(self.n) - {file.n for file in self.files.values()}
         if alone:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import fnmatch
 import glob
 import hashlib
+import inspect
 import os
 import pickle
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from itertools import islice
@@ -32,6 +33,9 @@ from stickslip.sim.systems.terms import OF_BLOCKS
 #: What a file may hold in addition to `stiffness`, each with a number a block.
 BY_BLOCK = (*OF_BLOCKS, "z0", "w0")
 
+#: The number of a realisation: what a file says, or what a function is given that takes it.
+REALISATION = "realisation"
+
 #: Entries of directories at most that are looked at for a pattern.
 _MAX_ENTRIES = 100_000
 
@@ -51,18 +55,27 @@ class SystemFile:
     is_sparse: bool
     arrays: tuple[str, ...]
     version: int
+    parameters: tuple[tuple[str, float], ...] = ()
+    copy: int = 0  #: how many files before it are equal to it: realisations that came out the same
 
     @property
     def word(self) -> str:
         """What stands for it in a member's name."""
-        return f"K{self.sha256[:12]}"
+        return f"K{self.sha256[:12]}" + f"_{self.copy}" * (self.copy > 0)
+
+    @property
+    def realisation(self) -> int | None:
+        """The number of the realisation, if it says so."""
+        number = dict(self.parameters).get(REALISATION)
+        return None if number is None else int(number)
 
     def matrix(self, draw: int) -> int:
         """The number of a draw of what the file leaves open. It depends on the content: other files change nothing.
 
         Below 2^63; in version 1 below 2^28, where two of some 20,000 files are likely to share one.
         """
-        digest = hashlib.sha256(f"{self.sha256} {draw}".encode()).hexdigest()
+        which = f"{self.sha256} {draw}" + f" {self.copy}" * (self.copy > 0)
+        digest = hashlib.sha256(which.encode()).hexdigest()
         return int(digest[:7], 16) if self.version == 1 else int(digest[:16], 16) >> 1
 
 
@@ -168,6 +181,7 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
         "is_sparse": not isinstance(system.stiffness, np.ndarray),
         "arrays": [key for key in BY_BLOCK if key in arrays],
         "version": 2,
+        **({"parameters": arrays["parameters"]} if "parameters" in arrays else {}),
     }
 
 
@@ -246,8 +260,9 @@ def make(
     rng: np.random.Generator,
     parameters: Mapping[str, float],
     is_trial: bool = False,
+    realisation: int = 0,
 ) -> System:
-    """A system of n blocks by a function of the user's.
+    """A system of n blocks by a function of the user's; one that takes `realisation` is given its number.
 
     Raises
     ------
@@ -255,7 +270,12 @@ def make(
         If the module or the function is gone or has changed, it returned no system of n blocks, or it loads a module
         beside the scene that it did not load when it was tried.
     """
-    found = own.call(function, n, rng, is_trial=is_trial, **parameters)
+
+    def work(found: Callable[..., Any]) -> Any:
+        asks = REALISATION in inspect.signature(found).parameters
+        return found(n, rng, **{**({REALISATION: realisation} if asks else {}), **parameters})
+
+    found = own.use(function, work, is_trial)
     if not isinstance(found, System) or found.n != n:
         got = f"one of {found.n}" if isinstance(found, System) else type(found).__name__
         raise SceneError(f"{KEY}: {function.name}: expected it to return a stickslip.System of {n} blocks, got {got}")

@@ -18,11 +18,12 @@ from pydantic import (
     model_validator,
 )
 
+from stickslip.pipeline.design.values import END, Distribution, values
 from stickslip.pipeline.own.function import PATTERN
 from stickslip.pipeline.records import RECORDS
 from stickslip.pipeline.records.record import Record, StateRecord, WindowRecord
 from stickslip.pipeline.scene.engine_table import Readings
-from stickslip.pipeline.scene.quantity import END, Displacement, Distribution, Velocity, values
+from stickslip.pipeline.scene.quantity import Displacement, Velocity
 from stickslip.pipeline.scene.toml import (
     Count,
     List,

@@ -8,13 +8,13 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study
-from stickslip.analysis.answer import records
 from stickslip.analysis.models.clustering import FANO, PAIRS, Part, fano, measure, n_windows, own_gaps, pairs
 from stickslip.analysis.questions.slips import clustering, counting, definitions
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.series.nulls import BlockSteps, rotated
 from stickslip.analysis.stats.compare import WITHIN
 from stickslip.analysis.stats.effects import MORE
+from stickslip.analysis.tables import records
 from tests.analysis import studies
 from tests.chance import agrees
 

@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -9,11 +10,14 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import Data, Study, build
-from stickslip.analysis.groups import by_value, parts_of
+from stickslip.analysis.members import Members
 from stickslip.analysis.questions.runs import sweep
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN
+from stickslip.pipeline.design.design import Axis, Change, Design, Method, Source, Unit
+from stickslip.pipeline.design.labels import apart, labels
+from stickslip.pipeline.design.values import FILE, Distribution, Ratio, rank, read
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -165,17 +169,23 @@ def test_keys_that_go_together_are_one_axis_and_distributions_are_values(planted
     pairs = [(0.1, 1.0), (0.2, 2.0), (0.3, 3.0)]
     data = swept({"kappa": [0.1, 0.2, 0.3]}, lambda at, matrix: 0)
     together = data.members.assign(rho=data.members["kappa"].map(dict(pairs)))
-    (axis,) = sweep.axes_of(sweep.settings(Study(Data(together, data.series), settings).groups))
-    assert axis == sweep.Axis(("kappa", "rho"), tuple(pairs))
+    design = Design(
+        (Axis(("kappa", "rho"), tuple(pairs)),), (), (Source(500, None, Unit.MATRIX),), frozenset(),
+        (Method("coulomb", (("tol", 1e-10),)),), (Change(),),
+    )  # fmt: skip
+    point = together["kappa"].map({kappa: k for k, (kappa, _) in enumerate(pairs)})
+    places = {"point": point, "unit": together["matrix"], "method": 0, "change": 0, "base": np.arange(len(together))}
+    members = Members.of([together.assign(**places)], design)
+    (axis,) = sweep.axes_of(Study(Data(members, data.series), settings).groups)
+    assert axis == Axis(("kappa", "rho"), tuple(pairs))
+    assert set(changes(sweep.answer(Study(Data(members, data.series), settings)))) == {"kappa with rho"}
     drawn = data.members.assign(
         kappa=0.2,
         friction=data.members["kappa"].map({0.1: 1.0}),
         drawn=data.members["kappa"].map({0.2: "friction = uniform(0.9, 1.1)", 0.3: "friction = uniform(0.8, 1.2)"}),
     )
-    (axis,) = sweep.axes_of(sweep.settings(Study(Data(drawn, data.series), settings).groups))
-    assert axis == sweep.Axis(("friction",), ((1.0,), ("uniform(0.9, 1.1)",), ("uniform(0.8, 1.2)",))), (
-        "wider ones last"
-    )
+    (axis,) = sweep.axes_of(Study(Data(drawn, data.series), settings).groups)
+    assert axis.texts == ["1", "uniform(0.9, 1.1)", "uniform(0.8, 1.2)"], "wider ones last"
 
 
 def test_parameters_of_a_function_are_swept(swept, settings):
@@ -255,15 +265,25 @@ def test_a_change_in_several_settings_is_told_of_all_of_them(swept, settings):
 
 
 def test_settings_are_in_the_order_of_their_numbers_and_widths():
+    uniform, normal = (partial(Distribution, name) for name in ("uniform", "normal"))
     in_order = [
-        [1.0, "uniform(0.9, 1.1)", "uniform(0.8, 1.1)", "uniform(0.5, 1.05)", "uniform(0, 1)"],
-        ["normal(1, 0.1)", "normal(0.5, 0.2)"],
+        [1.0, uniform(0.9, 1.1), uniform(0.8, 1.1), uniform(0.5, 1.05), uniform(0.0, 1.0)],
+        [normal(1.0, 0.1), normal(0.5, 0.2)],
         ["K-1.npy", "K-9.npy", "K-10.npy"],
         ["n3-s2", "n4-s1", "n5-s1"],
-        [-2.0, -1.0, 3.0, None, "friction = uniform(0.9, 1.1); z = uniform(-1, 1)"],
+        [-2.0, -1.0, 3.0, None, uniform(0.9, 1.1), Ratio(1.2, "friction"), Ratio(uniform(1.1, 1.4), "friction")],
     ]
     for values in in_order:
-        assert sorted(reversed(values), key=by_value) == values
-    assert parts_of("n = 2, exact, friction = uniform(0.8, 1.1), kappa = 0.2") == [
-        "n = 2", "exact", "friction = uniform(0.8, 1.1)", "kappa = 0.2",
-    ]  # fmt: skip
+        assert sorted(reversed(values), key=rank) == values
+    assert read("friction = uniform(0.8, 1.1); gap = 1e-05; z = file") == {
+        "friction": uniform(0.8, 1.1), "gap": 1e-5, "z": FILE,
+    }  # fmt: skip
+    keys = [planted_key(kappa=0.2), planted_key(kappa=0.3)]
+    both = labels(keys, [{"friction": uniform(0.8, 1.1)}, {"friction": uniform(0.8, 1.2)}])
+    assert both[0] == "n = 2, exact, kappa = 0.2, friction = uniform(0.8, 1.1)"
+    assert apart(both, always=1)[1] == "n = 2, kappa = 0.3, friction = uniform(0.8, 1.2)"
+
+
+def planted_key(**changes):
+    fixed = {"n": 2, "kappa": 0.2, "friction": None, "drawn": None, "perturbation_size": 0.0, "engine": "coulomb"}
+    return fixed | {"tol": 1e-8} | changes

@@ -5,10 +5,10 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import Data, Study, build
-from stickslip.analysis.groups import by_value
 from stickslip.analysis.members import FILE, MATRIX, START, Members
 from stickslip.analysis.report.page import plain
 from stickslip.analysis.stats import student
+from stickslip.pipeline.design.values import rank
 
 
 def runs_of(planted, rng, systems, n_starts):
@@ -87,7 +87,7 @@ def test_the_page_says_what_the_units_are(planted, settings, rng, monkeypatch):
 def test_settings_are_in_the_order_of_their_values():
     """As text, 1e-05 comes after 0.0001, and 10 before 9."""
     values = [None, "uniform", 10, 9.0, 1e-05, 0.0001, -1.0]
-    assert sorted(values, key=by_value) == [-1.0, 1e-05, 0.0001, 9.0, 10, None, "uniform"]
+    assert sorted(values, key=rank) == [-1.0, 1e-05, 0.0001, 9.0, 10, None, "uniform"]
 
 
 def test_the_table_of_all_members_makes_the_same_members(planted):

@@ -15,8 +15,8 @@ import stickslip
 from stickslip import analysis, pipeline, sim
 from stickslip.analysis.questions import QUESTIONS
 from stickslip.pipeline import Scene, load_scene
+from stickslip.pipeline.design.values import DISTRIBUTIONS
 from stickslip.pipeline.scene.engine_table import TOLERANCES
-from stickslip.pipeline.scene.quantity import DISTRIBUTIONS
 from stickslip.pipeline.scene.toml import json_schema
 from stickslip.sim import COUPLINGS
 from stickslip.workflows.commands import main

@@ -5,8 +5,6 @@ import pytest
 from stickslip.pipeline import parse_scene, query, run_ensemble
 from stickslip.workflows import reporting
 
-GUESSED = pytest.mark.xfail(strict=True, reason="the axes are guessed from the values of the rows")
-
 
 def scene(system, run="matrices = 8"):
     return parse_scene(
@@ -24,7 +22,6 @@ def compared(path):
     return {row.key: (row.n_first, row.difference) for row in changes.itertuples()}
 
 
-@GUESSED
 @pytest.mark.parametrize(("friction", "ratios"), [("[0.8, 1.0]", (1.2, 1.5)), ("[0.5, 1.0]", (1.5, 3.0))])
 def test_a_ratio_is_a_key_of_its_own(friction, ratios, tmp_path):
     """Each change is one key's, at both points of the other; two products of the second grid are equal."""
@@ -43,7 +40,6 @@ def test_a_ratio_is_a_key_of_its_own(friction, ratios, tmp_path):
     }
 
 
-@GUESSED
 def test_the_diagonal_of_a_grid_that_is_half_done_compares_nothing(tmp_path):
     def interrupt(progress):
         raise KeyboardInterrupt

@@ -16,8 +16,8 @@ import pandas as pd
 
 from stickslip.analysis.answer import Answer, F, I, Question, Recipe, Row, S, frame
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.grid import MOST_SETTINGS, Axis, as_text, axes_of, order, place_of, settings
-from stickslip.analysis.groups import Group, Value, labels
+from stickslip.analysis.grid import MOST_SETTINGS, axes_of, dtype, place_of, settings
+from stickslip.analysis.groups import Group
 from stickslip.analysis.models.attractors import (
     ESCAPING,
     IRREGULAR,
@@ -40,6 +40,9 @@ from stickslip.analysis.questions.runs import attractor_figures as figures_of
 from stickslip.analysis.questions.runs.attractor_figures import Look, Points, Scale, Sections
 from stickslip.analysis.series.runs import by_number
 from stickslip.analysis.stats.compare import share_over_matrices, wilson
+from stickslip.pipeline.design.design import Axis, in_words
+from stickslip.pipeline.design.labels import labels
+from stickslip.pipeline.design.values import Value, ranks
 
 NO_RECORD = "no record"  # in this ensemble
 NONE_EXACT = "none exact"  # no run that has one
@@ -109,7 +112,7 @@ class _Line(NamedTuple):
 
     @property
     def ticks(self) -> list[str]:
-        return [as_text(value) for value in self.along]
+        return [in_words(value) for value in self.along]
 
 
 def answer(study: Study) -> Answer | None:
@@ -160,13 +163,15 @@ def _regardless_of_start(study: Study) -> list[Group]:
     found: dict[tuple[Any, ...], list[Group]] = {}
     for group in study.groups:
         found.setdefault(tuple((group.key | {"z0": None, "w0": None}).values()), []).append(group)
-    known = []
+    known, swept = [], []
     for key, some in found.items():
         rows = np.concatenate([one.rows for one in some])
         has = study.data.table.own["attractor"].iloc[rows].notna().to_numpy()
         if has.any():
             known.append((dict(zip(study.groups[0].key, key, strict=True)), rows[has]))
-    names = labels([key for key, _ in known])
+            values = study.data.table.design.swept(some[0].point)
+            swept.append({name: value for name, value in values.items() if name not in ("z", "w")})
+    names = labels([key for key, _ in known], swept)
     return [Group(name, key, study.data.table, rows) for name, (key, rows) in zip(names, known, strict=True)]
 
 
@@ -308,14 +313,13 @@ def _entry(row: Row) -> str:
 
 def _along(study: Study, groups: Sequence[Group], runs: Mapping[str, Runs]) -> Row | None:
     """What runs settle on along the swept key of most values, a line for each value of the others; None without."""
-    by_setting = settings(groups)
-    axes = axes_of(by_setting)
+    by_setting, axes = settings(groups), axes_of(groups)
     if not axes:
         return None
     axis, *others = axes
     lines = [line for setting, some in by_setting.items() for line in _lines(setting, some, axes, runs)]
     told = [_told(study, axis, line, len(by_setting) > 1) for line in lines]
-    name_of = {key: axis.dtype(k) for axis in others for k, key in enumerate(axis.keys)}
+    name_of = {key: dtype(axis, k) for axis in others for k, key in enumerate(axis.keys)}
     found = {
         "name": axis.name, "others": [one.name for one in others],
         "columns": [(key, key, "g" if kind == F else None) for key, kind in name_of.items()],
@@ -336,8 +340,8 @@ def _lines(setting: str, groups: Sequence[Group], axes: Sequence[Axis], runs: Ma
     for group in groups:
         at = place_of(axes, group)
         at_others.setdefault(tuple(at[one] for one in others), []).append((at[axis], runs[group.label]))
-    for here in sorted(at_others, key=lambda at: [*map(order, at)]):
-        values, own = zip(*sorted(at_others[here], key=lambda one: order(one[0])), strict=True)
+    for here in sorted(at_others, key=lambda at: [*map(ranks, at)]):
+        values, own = zip(*sorted(at_others[here], key=lambda one: ranks(one[0])), strict=True)
         yield _Line(setting, groups[0].is_exact, dict(zip(others, here, strict=True)), list(values), list(own))
 
 
@@ -345,12 +349,12 @@ def _told(study: Study, axis: Axis, line: _Line, has_settings: bool) -> Row:
     """What is said of a line: its place, its values, and where along it runs settle on something else."""
     ticks, x = line.ticks, _numbers(line.along)
     by_exits = _ranges(study, ticks, line.own, _kind_and_exits)
-    at = [f"{one.name} = {as_text(value)}" for one, value in line.others.items()]
+    at = [f"{one.name} = {in_words(value)}" for one, value in line.others.items()]
     return {
         "at": ", ".join([*([line.setting] if has_settings else []), *at]), "within": ", ".join(at), "ticks": ticks,
         "told": _ranges(study, ticks, line.own, lambda runs: runs.attractor.tolist()), "ranges": by_exits,
         "changes": _changes_of_exits(by_exits, ticks, x) if x is not None else [],
-        "places": [axis.place(value) for value in line.along],
+        "places": [axis.rows.index(value) for value in line.along],
     }  # fmt: skip
 
 
@@ -522,7 +526,7 @@ def _pictures(
 ) -> _Pictures:
     """The pictures of the lines of one setting, at the first values of further keys than two."""
     axis, *others = axes
-    further = [(one, min((line.others[one] for line in lines), key=order)) for one in others[1:]]
+    further = [(one, min((line.others[one] for line in lines), key=ranks)) for one in others[1:]]
     chosen = [k for k, line in enumerate(lines) if all(line.others[one] == value for one, value in further)]
     if others:
         whole = _map(axis, others[0], [lines[k] for k in chosen])
@@ -531,7 +535,7 @@ def _pictures(
         whole = partial(
             figures_of.shares_along, Scale(axis.name, _numbers(line.along), line.ticks), _stacked(line.own)
         )
-    at = [lines[0].setting] * has_settings + [f"{one.name} = {as_text(value)}" for one, value in further]
+    at = [lines[0].setting] * has_settings + [f"{one.name} = {in_words(value)}" for one, value in further]
     if len(chosen) > _MOST_DIAGRAMS:
         chosen = [chosen[round(k)] for k in np.linspace(0, len(chosen) - 1, _MOST_DIAGRAMS)]
     diagrams: list[tuple[Recipe, Row]] = []
@@ -556,10 +560,10 @@ def _map(axis: Axis, up: Axis, lines: Sequence[_Line]) -> Recipe:
     what = np.full((len(up.texts), len(axis.texts)), -1)
     is_mixed = np.zeros(what.shape, dtype=np.bool_)
     for line in lines:
-        row = up.place(line.others[up])
+        row = up.rows.index(line.others[up])
         for value, some in zip(line.along, line.own, strict=True):
             counts = [some.n_of(kind) for kind in KINDS]
-            place = row, axis.place(value)
+            place = row, axis.rows.index(value)
             what[place], is_mixed[place] = int(np.argmax(counts)), np.count_nonzero(counts) > 1
     across, upwards = (Scale(one.name, one.x, one.texts) for one in (axis, up))
     return partial(figures_of.over_two_keys, across, upwards, what, is_mixed)

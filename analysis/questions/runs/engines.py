@@ -29,12 +29,13 @@ from stickslip.analysis.contrast import (
     weight,
 )
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import Group, engine_name
+from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS
 from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.analysis.stats.estimates import UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import BLUE, GREY, ORANGE, panel
+from stickslip.pipeline.design.labels import engine_name
 from stickslip.sim.engines import symbol
 
 FRICTION, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
@@ -147,7 +148,7 @@ def _pairs(study: Study, by_threshold: Mapping[str, Mapping[float, Sample]]) -> 
 
 
 def _engine(group: Group) -> Row:
-    static = group.key["static"] is not None or "static" in str(group.key["drawn"])
+    static = group.key["static"] is not None or "static" in group.table.design.values(group.point)
     known = {name: group.key[name] for name in (*WIDTHS, *STEPS) if group.key[name] is not None}
     return {
         "engine": engine_name(group.key["engine"]), "static": static, "belt_speed": group.key["belt_speed"],

@@ -22,7 +22,7 @@ from stickslip.analysis import burn_in
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, columns, frame, long, named
 from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import Group, apart, engine_name
+from stickslip.analysis.groups import Group
 from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SPEED_DEPENDENT, SYSTEM_KEYS, joined
 from stickslip.analysis.models.fates import (
     COLLAPSED,
@@ -51,6 +51,7 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.effective import tau
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PANEL, PURPLE, panel
+from stickslip.pipeline.design.labels import apart, engine_name
 
 MOST_CURVES = 8  # in one figure
 MOST_RUNS = 200  # in one figure; more lines hide each other

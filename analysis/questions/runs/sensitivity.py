@@ -12,7 +12,6 @@ from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Separation, Study
-from stickslip.analysis.groups import short
 from stickslip.analysis.members import RELATIVE
 from stickslip.analysis.models.fates import median
 from stickslip.analysis.models.growth import growth
@@ -20,6 +19,7 @@ from stickslip.analysis.pairs import START, Comparison, Followed, Setting, follo
 from stickslip.analysis.series import parting
 from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.style import CYCLE, GREY, panel
+from stickslip.pipeline.design.values import shown
 from stickslip.sim.engines import ENGINES
 
 GROWS, SHRINKS = "grow", "shrink"
@@ -189,7 +189,7 @@ def _distance_lines(study: Study, found: Sequence[Setting], told: Sequence[Row])
             m = int(np.median([len(distance) for _, distance in some]))
             times = max((t for t, _ in some), key=len)[:m]
             middle = np.array([np.median([d[k] for _, d in some if len(d) > k]) for k in range(m)])
-            label = f"{setting.label}: {short(row['size'])}"
+            label = f"{setting.label}: {shown(row['size'])}"
             lines.append((label, times, middle, (row["t_from"], row["t_to"])))
     return lines
 

@@ -26,16 +26,14 @@ from stickslip.analysis.grid import (
     AT_MOST,
     IN_MOTION,
     MOST_SETTINGS,
-    Axis,
     Point,
-    as_text,
     axes_of,
+    dtype,
     estimate,
     point_of,
     points_at,
     settings,
 )
-from stickslip.analysis.groups import Value
 from stickslip.analysis.measures import AXES, GAMMA, KEYS, MEAN, Measure, measures
 from stickslip.analysis.members import RELATIVE
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
@@ -45,6 +43,8 @@ from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import EXACT, GREY, panel
+from stickslip.pipeline.design.design import Axis, in_words
+from stickslip.pipeline.design.values import Value
 
 ROUNDING = 1e-12  # what sums over a run lose to rounding, at any tolerance
 RISES, FALLS, SAME = "rises", "falls", "the same in all"
@@ -70,8 +70,7 @@ _CONTRASTS: Mapping[str, str] = {"setting": S, "key": S, "first_value": S, "seco
 
 def answer(study: Study) -> Answer | None:
     """How statistics change with each swept key; None where no key is swept."""
-    found = settings(study.groups)
-    axes = axes_of(found)
+    axes, found = axes_of(study.groups), settings(study.groups)
     if not axes:
         return None
     level = study.settings.confidence
@@ -96,7 +95,7 @@ def answer(study: Study) -> Answer | None:
         row["is_told"] = row["verdict"] != UNKNOWN or bool(row["open"])
         row["beyond"] = _beyond(row, contrasts)
         row["at_places"] = row["places"] and "{n} of {of}".format(**row["places"])
-    keys = {key: axis.dtype(k) for axis in axes for k, key in enumerate(axis.keys)}
+    keys = {key: dtype(axis, k) for axis in axes for k, key in enumerate(axis.keys)}
     tables = {"sweep": frame({**_VALUES, **keys}, rows), "sweep_changes": frame(_CONTRASTS, contrasts)}
     recorded = [one for one in asked if one.is_recorded]
     if recorded:
@@ -112,9 +111,7 @@ def answer(study: Study) -> Answer | None:
         "setting": lead,
         "n_settings": len(points),
         "is_by_n": len({some[0].group.key["n"] for some in points.values()}) == len(points),
-        "axes": [
-            {"name": axis.name, "keys": axis.keys, "values": [as_text(v) for v in axis.values]} for axis in axes
-        ],
+        "axes": [{"name": axis.name, "keys": axis.keys, "values": axis.texts} for axis in axes],
         "rows": [row for row in rows if row["setting"] == lead] + [row for row in rows if row["setting"] != lead],
         "columns": [(key, key, "g" if kind == F else None) for key, kind in keys.items()],
         "n_tests": sum(row["p_different"] is not None for row in contrasts),
@@ -136,7 +133,7 @@ def answer(study: Study) -> Answer | None:
     most = max(own, key=lambda row: (row["quantity"] == leading[0], row["is_last"], _weight(row)))["key"]
     in_order = [most, *(row["key"] for row in told), *(axis.name for axis in axes)]
     in_order = sorted(axes, key=lambda axis: in_order.index(axis.name))
-    if len(axes) > 1 and len(in_order[1].values) > max(MOST_LINES, len(in_order[0].values)):
+    if len(axes) > 1 and len(in_order[1].rows) > max(MOST_LINES, len(in_order[0].rows)):
         in_order[:2] = in_order[1::-1]  # a line for each of the few values, not of the many
     drawn = [name for name in leading if name not in still] or leading[:1]
     each = _drawn(points, lead) if len(axes) > 1 else [lead]
@@ -184,9 +181,9 @@ def _contrasts(
     statistics = [*(one.statistic for one in asked), Share(IN_MOTION)]
     largest = {one.name: _largest(one.name, points) for one in statistics}
     for axis, one in product(axes, statistics):
-        n_units = {value: _n_units(one.name, points, axis, value) for value in axis.values}
+        n_units = {value: _n_units(one.name, points, axis, value) for value in axis.rows}
         many = [value for value, n in n_units.items() if n >= enough.LEAST_MATRICES]
-        base, *others = many if len(many) > 1 else axis.values
+        base, *others = many if len(many) > 1 else axis.rows
         for value in others:
             pairs = [
                 (by_place[before], point)
@@ -203,8 +200,8 @@ def _contrasts(
             if one.name in recorded and row["reason"] == enough.FEW_MATRICES:
                 row |= _of_few(one, first, second, level)
             yield row | {
-                "setting": setting, "key": axis.name, "first_value": as_text(base), "second_value": as_text(value),
-                "last_value": as_text(axis.values[-1]), "is_last": value == others[-1],
+                "setting": setting, "key": axis.name, "first_value": in_words(base), "second_value": in_words(value),
+                "last_value": in_words(axis.rows[-1]), "is_last": value == others[-1],
                 "is_same": not one.is_share and _is_same(first, second, one.name, noise * largest[one.name]),
                 "is_part": not one.is_share and row["n_first"] < max(n_units[base], n_units[value]),
                 "places": _places(axis, pairs, n_pairs),
@@ -217,7 +214,7 @@ def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], n_pairs: int) -> R
         return None
     others = [one for one in pairs[0][0].at if one != axis]
     if len(others) == 1:
-        return {"n": n_pairs, "of": len(others[0].values), "name": others[0].name}
+        return {"n": n_pairs, "of": len(others[0].rows), "name": others[0].name}
     return {"n": n_pairs, "of": len(pairs), "name": ""}
 
 
@@ -395,11 +392,12 @@ def _leading(rows: Sequence[Row]) -> tuple[str, ...]:
 def _value_row(point: Point, setting: str, axes: Sequence[Axis], asked: Sequence[Measure], confidence: float) -> Row:
     """What is known at a point: its place, its runs by fate, and its estimates; of measures, by their place."""
     names = [key for axis in axes for key in axis.keys]
-    keys = dict(zip(names, chain.from_iterable(point.at.values()), strict=True))
+    values = (value if isinstance(value, float) else str(value) for value in chain.from_iterable(point.at.values()))
+    keys = dict(zip(names, values, strict=True))
     estimates = [named(name, estimate(of, [point], confidence)) for name, of in _OF.items()]
     measured = [estimate(one.statistic, [point], confidence) for one in asked]
     return {
-        "setting": setting, "group": point.group.label, "at": ", ".join(map(as_text, point.at.values())), **keys,
+        "setting": setting, "group": point.group.label, "at": ", ".join(map(in_words, point.at.values())), **keys,
         "n_units": len(point.group.units), "n_runs": sum(point.fates[name] for name in WATCHED),
         **{f"n_{name}": n for name, n in point.fates.items()},
         **ChainMap(*estimates),
@@ -500,7 +498,7 @@ def _figures(
 ) -> dict[str, Any]:  # fmt: skip
     """A map over the first two axes, and the statistics along the first, in the order of `leading`."""
     main = points[lead]
-    ticks = axes[0].x, [as_text(value) for value in axes[0].values]
+    ticks = axes[0].x, axes[0].texts
     statistics = {of.name: of for of in _OF.values()} | {one.name: one.statistic for one in asked}
     names = {name: f"sweep_{key}" for name, key in KEYS.items()} | {one.name: _figure(one) for one in asked}
     labels = {**AXES, IN_MOTION: IN_MOTION} | {one.name: one.axis for one in asked}
@@ -510,15 +508,15 @@ def _figures(
         of = statistics[leading[0] if may_be_log or leading[0] == IN_MOTION else MEAN]
         some = _throughout(of, main, axes)
         cells = [
-            [estimate(of, points_at(points_at(some, axes[1], y), axes[0], x), level).value for x in axes[0].values]
-            for y in axes[1].values
+            [estimate(of, points_at(points_at(some, axes[1], y), axes[0], x), level).value for x in axes[0].rows]
+            for y in axes[1].rows
         ]
-        across, up = ((axis.name, [as_text(value) for value in axis.values]) for axis in axes[:2])
+        across, up = ((axis.name, axis.texts) for axis in axes[:2])
         if any(value is not None for row in cells for value in row):
             found["sweep_map"] = partial(heat_map, labels[of.name], across, up, cells, may_be_log)
     for name in leading[:MOST_FIGURES]:
         if name == IN_MOTION:
-            at_value = [[point.fates for point in points_at(main, axes[0], value)] for value in axes[0].values]
+            at_value = [[point.fates for point in points_at(main, axes[0], value)] for value in axes[0].rows]
             counts = {end: [sum(fates[end] for fates in some) for some in at_value] for end in FATES}
             if any(any(some) for end, some in counts.items() if end not in MOVING):
                 found["sweep_fates"] = partial(shares, axes[0].name, ticks[1], counts)
@@ -551,7 +549,7 @@ def _lines_drawn(axes: Sequence[Axis]) -> dict[str, Any]:
     """How many values of the second axis have a line, of how many; nothing if there is none."""
     if len(axes) < 2:
         return {}
-    return {"name": axes[1].name, "of": len(axes[1].values), "n": min(len(axes[1].values), MOST_LINES)}
+    return {"name": axes[1].name, "of": len(axes[1].rows), "n": min(len(axes[1].rows), MOST_LINES)}
 
 
 def _lines(
@@ -562,15 +560,15 @@ def _lines(
     parts: list[tuple[str, Sequence[Point]]] = [(name, some) for name, some in points.items() if name in kept]
     if len(axes) > 1:
         along = axes[1]
-        drawn = np.linspace(0, len(along.values) - 1, _lines_drawn(axes)["n"]).round().astype(int).tolist()
+        drawn = np.linspace(0, len(along.rows) - 1, _lines_drawn(axes)["n"]).round().astype(int).tolist()
         held = _throughout(of, points[lead], axes)
         parts = [
-            (f"{along.name} = {as_text(value)}", points_at(held, along, value))
-            for value in (along.values[k] for k in drawn)
+            (f"{along.name} = {in_words(value)}", points_at(held, along, value))
+            for value in (along.rows[k] for k in drawn)
         ]
     found = []
     for name, some in parts[:MOST_LINES]:
-        line = [estimate(of, points_at(some, axes[0], value), level) for value in axes[0].values]
+        line = [estimate(of, points_at(some, axes[0], value), level) for value in axes[0].rows]
         found.append((name, [one if one.value is not None else None for one in line]))
     return found
 

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import Group, engine_name
+from stickslip.analysis.groups import Group
 from stickslip.analysis.models import pool
 from stickslip.analysis.series.cascades import spans
 from stickslip.analysis.stats import enough
@@ -20,6 +20,7 @@ from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, against, me
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices
 from stickslip.analysis.stats.families import gamma_up_to, truncate
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
+from stickslip.pipeline.design.labels import engine_name
 
 #: Relative margin within which gamma counts as that of chance, whatever margin a scene declares between engines.
 GAMMA_MARGIN = 0.01

@@ -118,8 +118,8 @@ def answer(study: Study) -> Answer | None:
         return Answer(warned | {"best": best}, lack=best["basis"], tables=tables)
     lead = _lead(judged)
     leaders = [first for first, *_ in by_system if first.is_judged] or [lead]
-    contrasts, along = against_reference(by_system, level), settings([one.group for one in leaders])
-    is_line = (len(along) > 1) + len(axes_of(along)) < 2  # the ends of several keys would be two corners
+    contrasts, along = against_reference(by_system, level), [one.group for one in leaders]
+    is_line = (len(settings(along)) > 1) + len(axes_of(along)) < 2  # the ends of several keys would be two corners
     changes = _changes(leaders, level) if is_line else []
     compared = by_laws(study, by_system)
     rates = _rates(by_system, lead, _drawn_from(lead, leaders), level)

@@ -12,7 +12,7 @@ from scipy import special
 
 from stickslip.analysis.answer import Answer, F, Question, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.groups import Group, engine_name, short
+from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models import rhythm
 from stickslip.analysis.models.rhythm import (
@@ -33,6 +33,8 @@ from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.style import over_blocks, panel
+from stickslip.pipeline.design.labels import engine_name
+from stickslip.pipeline.design.values import shown
 from stickslip.sim.engines import place
 
 CYCLES = 3.0  # of a block: motion of longer periods is slow
@@ -219,7 +221,7 @@ def _changes(known: Sequence[_Measured], confidence: float) -> list[Row]:
 def _others(one: _Measured, names: Sequence[str], by_engine: bool) -> str | None:
     """The values, as text, that groups which differ in one key share of the other varied keys; None if none vary."""
     of_engine = [engine_name(one.group.key["engine"])] if by_engine else []
-    return ", ".join([f"{name} = {short(one.group.key[name])}" for name in names] + of_engine) or None
+    return ", ".join([f"{name} = {shown(one.group.key[name])}" for name in names] + of_engine) or None
 
 
 def _change(name: str, key: str, some: Sequence[_Measured], confidence: float) -> Row:
@@ -230,7 +232,7 @@ def _change(name: str, key: str, some: Sequence[_Measured], confidence: float) -
     units = sorted({unit for one in (some[0], some[-1]) for unit in one.units})
     logs = np.array(some[-1].logs(name, units)) - np.array(some[0].logs(name, units))
     test = equivalence_test(float(logs[0]), jackknife_error(logs[1:]), len(units) - 1, 0.0)
-    values = [one.group.label if key == ENGINE else short(one.group.key[key]) for one in some]
+    values = [one.group.label if key == ENGINE else shown(one.group.key[key]) for one in some]
     numbers = [float(np.exp(one.logs(name, ())[0])) for one in some]
     return {
         "number": name, "key": key, "values": values, "numbers": numbers, "groups": [one.group.label for one in some],

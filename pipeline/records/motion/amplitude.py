@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import StateRecord
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Samples

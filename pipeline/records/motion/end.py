@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Made, Record
 
 

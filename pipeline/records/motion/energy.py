@@ -7,7 +7,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Made, Member, Record, Sharing
 from stickslip.sim.energy import Energy, TooLongError, energy
 from stickslip.sim.engines import ENGINES

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import StateRecord, mean_in_time
 from stickslip.sim.runs.run import Samples
 from stickslip.sim.systems.system import System

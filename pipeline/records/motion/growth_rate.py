@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Memory, Record, Sharing
 from stickslip.sim.systems.drive import Piecewise
 from stickslip.sim.systems.system import System

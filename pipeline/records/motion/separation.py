@@ -9,7 +9,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Memory, Record, Sharing
 from stickslip.sim.numerics.arguments import Floats, apart
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Self
 
-from stickslip.pipeline.records.column import Column
+from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Made, Record
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Numbers
