@@ -29,7 +29,12 @@ class Constants(Record):
         _of_entry("wholes", "constant_column", "j of each", is_index=True),
         _of_entry("numbers", "constant_stiffness", "K_ij"),
         _of_block("constant_damping", "R of each block: the diagonal of the damping matrix"),
-        Column("numbers", "constant_cross_damping", "the others of a full damping matrix, row by row; else null"),
+        Column(
+            "numbers",
+            "constant_cross_damping",
+            "the others of a full damping matrix, row by row; else null",
+            along="constant_cross_entry",
+        ),
         _of_block("constant_friction", "kinetic friction of each block"),
         _of_block("constant_static", "static friction of each block"),
         _of_block("constant_mass", "mass of each block"),

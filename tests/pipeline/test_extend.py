@@ -71,7 +71,7 @@ STEPS = (
     ({"friction_power": True, "dt": 0.5}, 4),
     ({"separation": 2.0}, 6),
     ({"end": True, "episodes": True, "amplitude": True, "slip_speed": True}, 8),
-    ({"attractor": True, "energy": True}, 0),
+    ({"attractor": True, "energy": True, "constants": True}, 0),
 )
 
 
