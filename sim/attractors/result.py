@@ -27,8 +27,8 @@ class Attractor:
     kind : str
         "rest": all blocks stick for ever; "sliding": all slip for ever, and their velocities go to zero; "periodic";
         "torus": it follows forces that have no common period, so that all starts nearby come to one motion;
-        "irregular": chaotic, perhaps for a time; "escaping": the run diverged; "undecided": the run is too short to
-        tell, or has several frequencies of its own.
+        "irregular": chaotic, perhaps for a time; "escaping": the run diverged, or what follows on it does;
+        "undecided": the run is too short to tell, or has several frequencies of its own.
     reason : str
         How it is known, or why it is not.
     period : float or None

@@ -109,13 +109,20 @@ def attractor(run: Run, system: System, t_burn: float = 0.0, *, engine: str = DE
         return Attractor("undecided", f"a force or a belt changes until t = {max(bends):g}; lengthen the run")
     settings = {name: value for name, value in settings.items() if name != "stop_early"}
     tolerances = as_engine(engine, settings).tolerances
-    return _End(run, system, max([t_burn, *bends]), tolerances, {"engine": engine, **settings}).found()
+    try:
+        return _End(run, system, max([t_burn, *bends]), tolerances, {"engine": engine, **settings}).found()
+    except _Diverges as why:
+        return Attractor("escaping", str(why))
 
 
 def frequencies_of(system: System) -> list[float]:
     """Of the forces, rising, each once."""
     waves = (x for x in system.force if isinstance(x, Harmonic))
     return sorted({abs(f) for x in waves for f in x.frequency[x.amplitude != 0.0].tolist() if f})
+
+
+class _Diverges(Exception):
+    """What follows on a run does not last as long as was asked for."""
 
 
 class _End:
@@ -221,7 +228,11 @@ class _End:
 
     def _follow(self, length: float, times: Floats) -> Run:
         """The run from the end on, with the states at some times."""
-        return self._run_from(self._run.z, self._w, self._mode, (self._start, self._start + length), times)
+        span = self._start, self._start + length
+        run = self._run_from(self._run.z, self._w, self._mode, span, times)
+        if run.outcome == "diverged":
+            raise _Diverges(f"after the end of the run |z| or |w| passes every bound, within {run.t_end - span[0]:.3g}")
+        return run
 
     def _path(self, events: EventSeries, edges: Floats) -> Path:
         length = float(edges.max()) - self._start  # those of one instant are in the order of blocks

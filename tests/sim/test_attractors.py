@@ -30,6 +30,17 @@ def settled(system, z0, w0, t_end, t_burn=0.0, **settings):
     return attractor(simulate(system, z0, w0, t_end, **settings), system, t_burn, **settings)
 
 
+def test_what_diverges_soon_after_its_end_escapes():
+    """Its events repeat for ever; each turn it grows by e^(0.05 period), and passes every bound in the next one."""
+    system, start = System([[1.0]], -0.1, 1.0, -0.2), (0.0, 50.0)
+    diverged = simulate(system, *start, 1e5, stop_early=False)
+    assert diverged.outcome == "diverged"
+    for before in (0.5, 2.0, 4.0):
+        run = simulate(system, *start, diverged.t_end - before, stop_early=False)
+        assert run.outcome == "finished"
+        assert attractor(run, system).kind == "escaping"
+
+
 # ---------------------------------------------------------------------------------------------- closed forms
 
 
