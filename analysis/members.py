@@ -68,6 +68,7 @@ REQUIRED = (
 )
 #: Columns of `Members.own` that tell how a run ended, and of which setting and unit it is.
 _ENDS = ("member_id", "unit", "setting", "outcome", "t_stop", "growth_rate", "attractor")
+_NONE = "members: expected at least one row, got none"
 #: Columns of records that the analysis takes for itself.
 READ = ("growth_rate",)
 
@@ -120,12 +121,14 @@ class Members:
         """
         if design is None:
             table = _complete(pd.concat([*tables], ignore_index=True))
+            if table.empty:
+                raise ValueError(_NONE)
             coordinates, design = designed(table)
             tables = [table.assign(**coordinates._asdict())]
         settings: dict[tuple[Any, ...], dict[str, Any]] = {}
         parts = [_own(_complete(table), design, settings) for table in tables]
         if not settings:
-            raise ValueError("members: expected at least one row, got none")
+            raise ValueError(_NONE)
         found = [*settings.values()]
         own = joined(parts)
         depends = np.array([any(one[name] is not None for name in SPEED_DEPENDENT) for one in found])

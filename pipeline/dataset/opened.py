@@ -45,6 +45,10 @@ class Opened:
     scene: Scene
     manifest: Manifest
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What goes to another process: its tasks, that a worker gets without their numbering, are planned there."""
+        return {name: value for name, value in self.__dict__.items() if name != "tasks"}
+
     @cached_property
     def tasks(self) -> list[Task]:
         """The shards that it consists of, done or not.
