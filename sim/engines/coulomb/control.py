@@ -106,6 +106,10 @@ STALL = 1000
 #: So are as many steps in a row without an event, each below this share of the shortest time scale. Chosen.
 CRAWL = 1e-6
 
+#: Touches are told by so many times the estimate of the error of w (`taylor.error_after`). Measured: the error was
+#: up to 1.9 of it at the first touches of 16,000 runs of three undamped, uncoupled blocks, tolerances 1e-4 to 1e-13.
+TOLD = 4.0
+
 #: Clocks behind those that every engine keeps: decaying sums, for the mean length of a window, of their time, of the
 #: number of windows that were cut short, and of events that were carried over.
 EXPOSURE, CUTS, CARRIED = range(loop.N_CLOCKS, loop.N_CLOCKS + 3)

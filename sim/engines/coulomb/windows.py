@@ -95,7 +95,7 @@ def touch(model, series, i, before, mode, error):  # type: ignore[no-untyped-def
         slope, braked = c1, damping * model.belt_speed[i] + series[0, i] + before * friction
     else:
         slope, braked = 6.0 * series[3, i] + 2.0 * damping * c2, 2.0 * c2 + (mode - before) * friction
-    return loop.touch(before, mode, slope, braked, model.row_sums[i], error)
+    return loop.touch(before, mode, slope, braked, model.row_sums[i], control.TOLD * error)
 
 
 @inner
