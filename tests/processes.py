@@ -18,7 +18,7 @@ import pytest
 from stickslip import pipeline
 
 
-def until(is_so: Callable[[], bool], timeout: float = 60.0) -> None:
+def until(is_so: Callable[[], bool], timeout: float = 500.0) -> None:
     """Wait for something to come true."""
     end = time.monotonic() + timeout
     while not is_so():
@@ -89,4 +89,4 @@ def dask_by_hand(directory: Path, *worker: str, **variables: str) -> Iterator[tu
     finally:
         for process in reversed(running):
             process.terminate()
-            process.wait(timeout=60)
+            process.wait(timeout=500)

@@ -48,10 +48,10 @@ log = logging.getLogger(__name__)
 Scheduling = str | Client | Callable[[], Client] | None
 
 #: Seconds to wait for a scheduler at a given address.
-CONNECT_TIMEOUT = 5.0
+CONNECT_TIMEOUT = 20.0
 
-#: Seconds that workers of this machine have to start, together and each.
-_START_TIMEOUT, _START_EACH = 60.0, 3.0
+#: Seconds that workers of this machine have to start, together and each: on a busy one they take minutes.
+_START_TIMEOUT, _START_EACH = 300.0, 3.0
 
 #: Seconds between two looks at workers that start.
 _LOOK = 0.05

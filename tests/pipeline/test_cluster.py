@@ -40,7 +40,7 @@ def test_nothing_listens_but_on_the_loopback_and_no_web_server_unless_asked_for(
 def test_who_has_not_the_certificate_of_the_run_is_not_answered():
     async def ask(address, security):
         connection = security.get_connection_args("client")
-        async with rpc(address, timeout=60, connection_args=connection) as server:
+        async with rpc(address, timeout=500, connection_args=connection) as server:
             return await asyncio.wait_for(server.identity(), 60)
 
     before = listening([os.getpid()])
@@ -87,7 +87,7 @@ def test_workers_that_cannot_load_the_program_are_refused_by_name(scene, tmp_pat
     (tmp_path / "bad" / "stickslip" / "__init__.py").write_text("raise ImportError('half installed')")
     with dask_by_hand(tmp_path, "--nthreads", "1", PYTHONPATH=str(tmp_path / "bad")) as (address, _):
         with Client(address, set_as_default=False) as client:
-            client.wait_for_workers(1, timeout=120)
+            client.wait_for_workers(1, timeout=500)
         with pytest.raises(
             ScheduleError, match=r"this version .*, got tcp://\S+ with ImportError\('half installed'\)"
         ):
@@ -136,7 +136,7 @@ def test_workers_that_may_not_open_enough_files_are_refused_and_a_soft_limit_is_
     resource.setrlimit(resource.RLIMIT_NOFILE, (40, limits[1]))  # too few for what is open by now
     try:
         with cluster.local(2) as client:
-            client.wait_for_workers(2, timeout=60)
+            client.wait_for_workers(2, timeout=500)
             assert len(list(Path("/proc/self/fd").iterdir())) > 40
         assert resource.getrlimit(resource.RLIMIT_NOFILE)[0] == 40
     finally:

@@ -221,7 +221,7 @@ for name, old, new in json.loads(sys.argv[1]):
 """
     found = subprocess.run(
         [sys.executable, "-c", asked, json.dumps(changes)],
-        cwd=tmp_path, capture_output=True, text=True, check=True, timeout=120,
+        cwd=tmp_path, capture_output=True, text=True, check=True, timeout=500,
     )  # fmt: skip
     programs = found.stdout.split()
     assert len(programs) == len(changes) + 1

@@ -323,7 +323,7 @@ print(any("advance" in str(e.data["dispatcher"]) for _, e in compiled.buffer), w
     ]
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     running = [subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(2)]
-    said = [process.communicate(timeout=120)[0].split() for process in running]
+    said = [process.communicate(timeout=500)[0].split() for process in running]
     assert sorted(said) == [["False", "False"], ["True", "False"]]
     assert len(list(tmp_path.rglob("*.nbc"))) == 1
 
@@ -388,7 +388,7 @@ def test_workers_have_some_time_to_start(no_start, scene, tmp_path, monkeypatch)
 @pytest.mark.parametrize("how", ["dies", "is killed"])
 def test_a_server_of_workers_that_dies_ends_the_command_with_its_last_words(how, no_start, source, tmp_path):
     no_start(how)
-    _, err = (process := run_command(tmp_path / "out", source)).communicate(timeout=100)
+    _, err = (process := run_command(tmp_path / "out", source)).communicate(timeout=500)
     assert process.returncode == 1, err
     assert "could not start them (the process that they are forked from has died)\n    its last words" in err
     assert "Traceback" not in err
@@ -400,7 +400,7 @@ def test_the_first_signal_ends_a_command_whose_workers_never_start(number, no_st
     process = run_command(tmp_path / "out", source)
     until(lambda: (tmp_path / "out" / "manifest.json").exists() and file.exists() and file.read_text() != "")
     process.send_signal(number)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=500)
     assert process.returncode == 128 + number, err
     assert "Resume with:" in err
     until(lambda: not is_running(int(file.read_text())))
@@ -412,7 +412,7 @@ def test_kernels_that_numba_is_told_not_to_compile_are_refused_in_a_line(to, sou
         monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     else:
         (tmp_path / ".numba_config.yaml").write_text("disable_jit: 1\n")
-    _, err = (process := run_command(tmp_path / "out", source)).communicate(timeout=100)
+    _, err = (process := run_command(tmp_path / "out", source)).communicate(timeout=500)
     assert process.returncode == (2 if to == "environment" else 1)
     assert "kernels: expected numba to compile them, got NUMBA_DISABLE_JIT=1; unset it" in err
     assert "Traceback" not in err
@@ -422,7 +422,7 @@ def test_kernels_that_numba_is_told_not_to_compile_are_refused_in_a_line(to, sou
 def test_little_memory_is_refused_in_a_line(source, tmp_path):
     (tmp_path / "small.toml").write_bytes(source)
     words = f'ulimit -v 700000; exec "{sys.executable}" -m stickslip run small.toml --out out --workers 2'
-    done = subprocess.run(["sh", "-c", words], cwd=tmp_path, capture_output=True, text=True, timeout=100)
+    done = subprocess.run(["sh", "-c", words], cwd=tmp_path, capture_output=True, text=True, timeout=500)
     assert done.returncode == 1
     assert "(`ulimit -v`); raise it" in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr

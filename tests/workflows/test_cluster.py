@@ -161,7 +161,7 @@ sys.exit(main({asked}))
 
 def kill_the_job(tmp_path, jobs):
     """Once it has made a shard."""
-    until(lambda: list((tmp_path / "out" / "data").glob("shard-*")), timeout=120)
+    until(lambda: list((tmp_path / "out" / "data").glob("shard-*")))
     (job,) = (int(file.stem) for file in jobs.glob("*.sh"))
     (group,) = {os.getpgid(pid) for pid in children_named(f"{job}.sh")}
     os.killpg(group, signal.SIGKILL)
@@ -171,7 +171,7 @@ def kill_the_job(tmp_path, jobs):
 def test_a_job_that_ends_is_replaced_and_the_report_is_made_by_the_workers(scene_file, reference, tmp_path):
     with in_little(tmp_path, scene_file, SBATCH, n=2) as (process, jobs):
         kill_the_job(tmp_path, jobs)
-        _, err = process.communicate(timeout=300)
+        _, err = process.communicate(timeout=500)
     assert process.returncode == 0, err
     assert len(list(jobs.glob("*.sh"))) > 1
     assert shards(tmp_path / "out") == reference
@@ -184,7 +184,7 @@ def test_a_job_that_ends_is_replaced_and_the_report_is_made_by_the_workers(scene
 
 def test_a_slurm_that_takes_no_job_ends_the_run_with_its_words(scene_file, tmp_path):
     with in_little(tmp_path, scene_file, REFUSES, "--no-report") as (process, _):
-        _, err = process.communicate(timeout=120)
+        _, err = process.communicate(timeout=500)
     assert process.returncode == 1
     assert "expected Slurm to take jobs, got none in: sbatch: error: invalid partition specified: none" in err
 
@@ -211,7 +211,7 @@ def test_what_a_killed_driver_left_goes_with_the_next(scene_file, tmp_path):
 def test_a_job_that_is_refused_is_submitted_again(scene_file, reference, tmp_path):
     with in_little(tmp_path, scene_file, REFUSES_ONCE, "--no-report") as (process, jobs):
         kill_the_job(tmp_path, jobs)
-        _, err = process.communicate(timeout=300)
+        _, err = process.communicate(timeout=500)
     assert process.returncode == 0, err
     assert "a job was refused and is submitted again in 1 s: sbatch: error: controller is away" in err
     assert shards(tmp_path / "out") == reference
@@ -229,9 +229,9 @@ def children_named(name):
 def test_a_run_in_jobs_ends_by_sigterm_with_its_jobs_and_goes_on(scene_file, reference, tmp_path):
     out = tmp_path / "out"
     with in_little(tmp_path, scene_file, SBATCH, "--no-report") as (process, jobs):
-        until(lambda: list(out.glob("data/shard-*")), timeout=120)
+        until(lambda: list(out.glob("data/shard-*")))
         process.send_signal(signal.SIGTERM)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=500)
     assert process.returncode == 143, err
     (again,) = re.findall(r"^  (stickslip run .*)$", err, re.MULTILINE)
     expected = ["--slurm", "1", "--job", "mem-per-cpu=1G", "--no-report"]
@@ -242,7 +242,7 @@ def test_a_run_in_jobs_ends_by_sigterm_with_its_jobs_and_goes_on(scene_file, ref
     n_done = status(out).n_done
     assert 0 < n_done < 2 * N_MATRICES
     with in_little(tmp_path, scene_file, SBATCH, "--no-report") as (process, _):
-        _, err = process.communicate(timeout=300)
+        _, err = process.communicate(timeout=500)
     assert process.returncode == 0, err
     assert f"{n_done} of {2 * N_MATRICES} members are there already" in err
     assert shards(out) == reference
@@ -289,7 +289,7 @@ def test_a_scheduler_and_workers_by_hand(worker, warned, tmp_path, monkeypatch, 
     run_ensemble(parse_scene(source), tmp_path / "reference", workers=0)
     with dask_by_hand(tmp_path, *worker, DASK_TEMPORARY_DIRECTORY=str(scratch.parent)) as (address, _):
         with Client(address, set_as_default=False) as client:
-            client.wait_for_workers(1, timeout=120)
+            client.wait_for_workers(1, timeout=500)
         command = ["run", str(tmp_path / "mine.toml"), "--out", str(tmp_path / "out"), "--scheduler", address]
         assert main([*command, "--no-report"]) == 0
     assert len(shards(tmp_path / "out")) > 3

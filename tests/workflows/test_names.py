@@ -37,6 +37,6 @@ def test_a_users_files_break_nothing(how, users_own, small_scene):
         "-m": [sys.executable, "-m", "stickslip", *run],
         "command": [str(Path(sys.executable).with_name("stickslip")), *run, "--no-report"],
     }[how]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=500)
     assert done.returncode == 0, done.stdout + done.stderr
     assert (users_own / "out" / "manifest.json").exists()
