@@ -50,7 +50,7 @@ def _inject() -> None:
 if _plan and not _is_helper:
     try:
         _inject()
-    except BaseException:  # Python would go on without the faults
+    except BaseException:  # noqa: BLE001  Python would go on without the faults
         import traceback
 
         traceback.print_exc()
