@@ -26,6 +26,7 @@ from distributed import Client, Nanny, Scheduler, Security, SpecCluster, Worker
 from distributed.comm import get_address_host_port
 from distributed.core import Server, Status, rpc
 from distributed.gc import GCDiagnosis
+from distributed.process import AsyncProcess
 from distributed.system import MEMORY_LIMIT
 from distributed.utils import LoopRunner, silence_logging_cmgr
 
@@ -55,6 +56,9 @@ _START_TIMEOUT, _START_EACH = 300.0, 3.0
 
 #: Seconds between two looks at workers that start.
 _LOOK = 0.05
+
+#: Seconds for a process that starts to be there, and for one that is killed to be gone.
+_ENDING = 1.0
 
 #: Bytes of addresses that a process which loads dask, Arrow and SciPy takes, at least.
 _LEAST_SPACE = 800_000_000
@@ -171,7 +175,7 @@ def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
             _check_address_space()
             begun: list[SpecCluster] = []
             starting = _start(workers, dashboard, loop, opened, begun)
-            opened.callback(_abandon, begun, starting)
+            opened.callback(_abandon, begun, loop)
         with errors.instead():
             cluster = _wait_for(starting, loop, workers, errors)
         errors.pass_on()
@@ -326,16 +330,28 @@ def _close(client: Client, cluster: SpecCluster) -> None:
         cluster.close()
 
 
-def _abandon(begun: list[SpecCluster], starting: Future[SpecCluster]) -> None:
-    """Wait no longer for a cluster to start."""
-    starting.cancel()
+def _abandon(begun: list[SpecCluster], loop: LoopRunner) -> None:
+    """Wait no longer for a cluster to start; nothing of it starts any more."""
+    loop.stop()  # it would go on with dask's own configuration, in a directory that nobody removes
     for cluster in begun:
         if cluster.status == Status.closed:
             continue
         cluster.shutdown_on_close = False  # dask would wait for it as this process ends
-        _kill(cluster)
+        for nanny in cluster._created:
+            if nanny.process is not None and nanny.process.process is not None:
+                _end(nanny.process.process)
         if cluster.scheduler is not None and cluster.scheduler._workdir is not None:
             cluster.scheduler._workdir.release()  # at the end of the process dask would complain that it is gone
+
+
+def _end(worker: AsyncProcess) -> None:
+    """Kill a worker's process, even one that a thread is just starting."""
+    process, starting = worker._process, worker._watch_message_thread
+    worker.close()
+    starting.join(_ENDING)  # what it would be forked from may be loading still, and is ended next
+    if process is not None and process.pid is not None:
+        process.kill()
+        process.join(_ENDING)  # dask would speak of one that lives
 
 
 def _kill(cluster: SpecCluster) -> None:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import multiprocessing
 import os
 import resource
 import socket
 import stat
 import threading
+import time
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import dask
 import pytest
-from distributed import Client, Security
+from distributed import Client, Nanny, Security
 from distributed.core import rpc
 from distributed.utils import LoopRunner
 
@@ -62,6 +64,29 @@ def test_dask_looks_for_modules_where_nobody_else_writes(tmp_path):
         (own,) = tmp_path.iterdir()
         assert Path(directory).is_relative_to(own)
         assert stat.S_IMODE(own.stat().st_mode) == 0o700
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("moment", ["__init__", "instantiate"])
+def test_nothing_of_a_start_goes_on_once_it_is_broken_off(moment, monkeypatch, tmp_path):
+    """It would go on with dask's own configuration: in TMPDIR, and with other processes."""
+    begun, act = threading.Event(), getattr(Nanny, moment)
+
+    def slow(*arguments, **settings):
+        begun.set()
+        time.sleep(0.3)  # the loop's thread, while this one leaves
+        return act(*arguments, **settings)
+
+    def broken_off(*_):
+        assert begun.wait(60.0)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Nanny, moment, slow)
+    monkeypatch.setattr(cluster, "_wait_for", broken_off)
+    with dask.config.set({"temporary-directory": str(tmp_path)}), pytest.raises(KeyboardInterrupt), cluster.local(2):
+        pass
+    assert multiprocessing.active_children() == []
+    assert not {thread.name for thread in threading.enumerate()} & {"IO loop"}
     assert list(tmp_path.iterdir()) == []
 
 

@@ -29,18 +29,29 @@ def _die(how: str) -> None:
 with open("/proc/self/cmdline") as _command:
     _is_helper = "resource_tracker" in _command.read()
 
-if _plan and not _is_helper:
+
+def _inject() -> None:
     import time
 
     from stickslip.pipeline.ensemble import member, pack
 
     pack.TARGET_COST = _plan["target_cost"]
-    _task = member.Member.task
+    task = member.Member.task
 
-    def _faulty(self: member.Member, *arguments: object) -> object:
+    def faulty(self: member.Member, *arguments: object) -> object:
         time.sleep(_plan.get("sleep", 0.0))
         if self.member_id in _plan.get("victims", {}):
             _die(_plan["victims"][self.member_id])
-        return _task(self, *arguments)
+        return task(self, *arguments)
 
-    member.Member.task = _faulty
+    member.Member.task = faulty
+
+
+if _plan and not _is_helper:
+    try:
+        _inject()
+    except BaseException:  # noqa: BLE001  Python would go on without the faults
+        import traceback
+
+        traceback.print_exc()
+        os._exit(70)
