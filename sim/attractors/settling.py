@@ -231,9 +231,8 @@ class _End:
         span = self._start, self._start + length
         run = self._run_from(self._run.z, self._w, self._mode, span, times)
         if run.outcome == "diverged":
-            raise _Diverges(
-                f"after the end of the run |z| or |w| passes every bound, within {run.t_end - span[0]:.3g}"
-            )
+            within = run.t_end - span[0]
+            raise _Diverges(f"after the end of the run |z| or |w| passes every bound, within {within:.3g}")
         return run
 
     def _path(self, events: EventSeries, edges: Floats) -> Path:
