@@ -366,7 +366,9 @@ class Ensemble(_Numbered):
         unit = matrices[source % len(matrices), matrix]
         unit = unit if self.unit is Unit.FILE else unit + self.n_matrices * self._seed[at]
         if self.unit is Unit.START:
-            unit = np.where(np.isin(grid, [*design.fixed]), unit, draw)
+            # what is drawn depends on the content of a file: starts of two share nothing
+            file = source % len(matrices) if self._of_files else np.zeros_like(source)
+            unit = np.where(np.isin(grid, [*design.fixed]), unit, max(map(len, self.draws)) * file + draw)
         unchanged = {one.method: k for k, one in enumerate(self.variants) if one.change == Change()}
         base = np.array([unchanged[one.method] for one in self.variants])
         return Coordinates(

@@ -76,6 +76,19 @@ def test_files_without_a_number_of_their_own_are_realisations_too(tmp_path):
     assert len(starts) == 6, "each is drawn for itself"
 
 
+def test_starts_of_two_files_are_no_pairs(tmp_path):
+    """What is drawn depends on the content of a file."""
+    for k in range(2):
+        np.savez(tmp_path / f"K{k}.npz", stiffness=chain(4, 1.0 + k), rewiring=0.1 * k)
+    path = tmp_path / "scene.toml"
+    written(tmp_path)
+    path.write_text(path.read_text().replace('w = "belt"', 'w = "belt"\ndraws = 5'))
+    members = expand(load_scene(path))
+    of, starts = members.ensemble.coordinates(members.places), [tuple(member.start()[0]) for member in members]
+    alike = {(unit, start) for unit, start in zip(of.unit.tolist(), starts, strict=True)}
+    assert len(alike) == len({unit for unit, _ in alike}) == len({*starts}) == 10
+
+
 def test_every_file_carries_the_same_numbers(tmp_path):
     np.savez(tmp_path / "K0.npz", stiffness=chain(4, 1.0), rewiring=0.0)
     np.savez(tmp_path / "K1.npz", stiffness=chain(4, 2.0))
