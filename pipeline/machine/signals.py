@@ -113,7 +113,7 @@ def _raise() -> None:
 
 
 def leave(code: int) -> None:
-    """End the process if a signal asked it to: Python's own end takes seconds, in which no thread can break it off."""
+    """End the process if a signal asked it to: Python's own end takes seconds, and no thread can break it off."""
     if _state.asked is not None:
         atexit._run_exitfuncs()
         for stream in (sys.stdout, sys.stderr):
