@@ -266,6 +266,36 @@ def test_the_first_signal_ends_a_program_whatever_it_is_at(number):
     assert (process.returncode, said) == (128 + number, "last\n")
 
 
+LEAVING = """
+import atexit, hashlib, sys, time
+from stickslip.pipeline.machine import signals
+class Endless:  # as Python ends, in compiled code
+    def __del__(self):
+        hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
+endless = Endless()
+atexit.register(print, "kept")
+try:
+    with signals.interruptible(is_program=True):
+        print("busy", flush=True)
+        time.sleep(999)
+except signals.Interrupted as asked:
+    signals.leave(asked.exit_code)
+"""
+
+
+def test_a_program_that_a_signal_ends_does_not_wait_for_pythons_own_end():
+    with subprocess.Popen(
+        [sys.executable, "-c", LEAVING], env=processes._environment(), stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "busy\n"
+        process.send_signal(signal.SIGTERM)
+        try:
+            said, _ = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert (process.returncode, said) == (128 + signal.SIGTERM, "kept\n")
+
+
 def test_a_hangup_that_is_ignored_stays_so():
     code = BUSY.replace("time.sleep(999)", "input()")
     with subprocess.Popen(

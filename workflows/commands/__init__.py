@@ -11,7 +11,7 @@ from typing import Any
 
 from stickslip.pipeline.errors import AddressError, QueryError, SceneError, ScheduleError, StoreError, remedy
 from stickslip.pipeline.machine.processes import frugal, open_streams
-from stickslip.pipeline.machine.signals import Interrupted, interruptible
+from stickslip.pipeline.machine.signals import Interrupted, interruptible, leave
 from stickslip.workflows.commands.command import UNFINISHED, WRONG, Wrong, listed, scheduler
 from stickslip.workflows.commands.completion import Completion
 from stickslip.workflows.commands.extend import Extend
@@ -96,7 +96,10 @@ def main(argv: list[str] | None = None) -> int:
     if argv is None:
         open_streams()
     with printed():
-        return _done(argv)
+        code = _done(argv)
+    if argv is None:
+        leave(code)
+    return code
 
 
 def _done(argv: list[str] | None) -> int:
