@@ -40,8 +40,8 @@ N_PRODUCTS_THEN, N_COUNTERS = 8, 9
 TIME, CHECK, _CHECK_RIGHT, _LAST_EVENT, LACKING, ERROR, N_CLOCKS = range(7)
 
 #: Steps times blocks after which a run is given up if, at their pace, the rest took more than the most: some seconds,
-#: and some weeks.
-_TRIED, _MOST = 5e5, 1e12
+#: which what a start leaves in most systems takes to die out, and some weeks. Steps of fewer blocks cost as much.
+_TRIED, _FEW, _MOST = 1e7, 20, 1e12
 #: All blocks are to slip, before a collapse is certified, as long as takes this share of what that costs.
 _SEEN = 0.1
 
@@ -439,7 +439,7 @@ def _steps_left(task: Task, counters: NDArray[np.int64], t: float) -> float:
     """How many steps the rest of a run takes at its pace so far, if they are too many to be worth while, else 0."""
     n, steps = task.system.n, float(counters[N_STEPS])
     left = steps * ((task.t_end - t) / max(t - task.t_start, 1e-300))
-    return left if steps * n > _TRIED and left * n > _MOST else 0.0
+    return left if steps * max(n, _FEW) > _TRIED and left * n > _MOST else 0.0
 
 
 def _series(

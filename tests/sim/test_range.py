@@ -94,3 +94,13 @@ def test_a_run_that_ends_is_not_given_up(monkeypatch):
     monkeypatch.setattr(loop, "_TRIED", 1e3)
     assert simulate(System([[1.0]], 0.0, 1.0, -0.2), 3.0, 0.0, 1e5).t_end == 1e5
     assert simulate(System([[1.0]], 0.3, 1.0, 0.0), 3.0, 0.0, 1e300).outcome == "finished"
+
+
+def test_a_run_that_calms_down_is_not_given_up(rng):
+    """Its start takes 2e4 steps to die out, in a time of 500; at that pace 4e13 would follow, where one does."""
+    chain = 2.0 * np.eye(60) - np.eye(60, k=1) - np.eye(60, k=-1)
+    run = simulate(System(chain, 0.01, 1.0, 0.0), 1e3 * rng.normal(size=60), 0.0, 1e12, tol=1e-6)
+    assert run.outcome == "finished"
+    assert (run.events.mode_at(run.t_end) == 0).all()
+    # an expansion for each event, and for each 5 / rate of the time at most; to the end, one
+    assert run.stats.n_steps < 1.5 * len(run.events) + 0.5 * run.events.t[-1] + 10

@@ -292,7 +292,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
             if m < 0:
                 m = list_moving(slips, slips, model.pairs.columns)
             if n_undecided == 0 and _may_be_single(model, k, sizes, target, allowed):
-                is_single = True
+                is_single = is_single or max(sizes[0], sizes[1]) > 0.0  # products of nothing are exact
                 two_single_products(model.pairs, m, series[k : k + 2], sizes, forces[k : k + 2])
             else:
                 two_products(model.columns, model.pairs, m, series[k : k + 2], forces[k : k + 2])
