@@ -367,8 +367,10 @@ class Ensemble(_Numbered):
         unit = unit if self.unit is Unit.FILE else unit + self.n_matrices * self._seed[at]
         if self.unit is Unit.START:
             # what is drawn depends on the content of a file: starts of two share nothing
-            file = source % len(matrices) if self._of_files else np.zeros_like(source)
-            unit = np.where(np.isin(grid, [*design.fixed]), unit, max(map(len, self.draws)) * file + draw)
+            n_files, most = (len(matrices) if self._of_files else 1), max(map(len, self.draws))
+            file = source % n_files
+            is_fixed = np.isin(grid, [*design.fixed])
+            unit = np.where(is_fixed, most * n_files + file, most * file + draw)
         unchanged = {one.method: k for k, one in enumerate(self.variants) if one.change == Change()}
         base = np.array([unchanged[one.method] for one in self.variants])
         return Coordinates(

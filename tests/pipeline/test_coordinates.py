@@ -137,7 +137,11 @@ def test_what_had_a_number_keeps_it(grown):
         ({"matrices": 1, "seed": "7", "draws": 3}, Unit.START, 3),
         ({"matrices": 1, "seed": "7", "draws": 1}, Unit.MATRIX, 1),
         ({"matrices": 1, "draws": 3}, Unit.MATRIX, 2),
-        ({"matrices": 1, "seed": "7", "draws": 3, "z": "[0.1, {uniform = [-0.5, 0.5]}]"}, Unit.START, 3),
+        (
+            {"matrices": 1, "seed": "7", "draws": 3, "z": "[0.1, {uniform = [-0.5, 0.5]}]"},
+            Unit.START,
+            4,
+        ),  # and the matrix
     ],
 )
 def test_the_starts_of_one_system_are_units_where_they_are_drawn(keys, unit, n_units):
