@@ -150,6 +150,19 @@ class ErrorStream:
 _PART, _MOST_HELD, _LAST_LINES, _ENDING = 2**16, 64, 5, 1.0
 
 
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Within: what processes that are started write to their standard error is dropped."""
+    error, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nothing, 2)
+    os.close(nothing)
+    try:
+        yield
+    finally:
+        os.dup2(error, 2)
+        os.close(error)
+
+
 class Forks:
     """The process that local workers are forked from."""
 
@@ -189,6 +202,8 @@ def forked_workers() -> Iterator[None]:
         os.environ |= _environment() | {"PYTHONSAFEPATH": "1", "TMPDIR": own.path}
         settings["tempdir"] = f"/proc/self/fd/{own.descriptor}"  # however long its path, a socket's has 107 bytes
         server.set_forkserver_preload(["stickslip.pipeline.running.preload"])
+        with _silent(), blocked():  # starts what removes semaphores: of those of a process that ends at once, no word
+            pass
         with blocked(), errors.instead():
             server.ensure_running()
         forks = Forks(server._forkserver_pid, errors)

@@ -57,7 +57,7 @@ _START_TIMEOUT, _START_EACH = 300.0, 3.0
 #: Seconds between two looks at workers that start.
 _LOOK = 0.05
 
-#: Seconds for a process that starts to be there, and for one that is killed to be gone.
+#: Seconds for processes that start to be there, and be gone once they are killed: less than a signal's grace.
 _ENDING = 1.0
 
 #: Bytes of addresses that a process which loads dask, Arrow and SciPy takes, at least.
@@ -337,21 +337,24 @@ def _abandon(begun: list[SpecCluster], loop: LoopRunner) -> None:
         if cluster.status == Status.closed:
             continue
         cluster.shutdown_on_close = False  # dask would wait for it as this process ends
-        for nanny in cluster._created:
-            if nanny.process is not None and nanny.process.process is not None:
-                _end(nanny.process.process)
+        _end([nanny.process.process for nanny in cluster._created if nanny.process and nanny.process.process])
         if cluster.scheduler is not None and cluster.scheduler._workdir is not None:
             cluster.scheduler._workdir.release()  # at the end of the process dask would complain that it is gone
 
 
-def _end(worker: AsyncProcess) -> None:
-    """Kill a worker's process, even one that a thread is just starting."""
-    process, starting = worker._process, worker._watch_message_thread
-    worker.close()
-    starting.join(_ENDING)  # what it would be forked from may be loading still, and is ended next
-    if process is not None and process.pid is not None:
+def _end(workers: Sequence[AsyncProcess]) -> None:
+    """Kill workers' processes, even those that a thread is just starting."""
+    end = time.monotonic() + _ENDING
+    begun = [worker._process for worker in workers]
+    for worker in workers:
+        worker.close()
+        # what it would be forked from may be loading still, and is ended next
+        worker._watch_message_thread.join(max(0.0, end - time.monotonic()))
+    started = [process for process in begun if process is not None and process.pid is not None]
+    for process in started:
         process.kill()
-        process.join(_ENDING)  # dask would speak of one that lives
+    for process in started:
+        process.join(max(0.0, end - time.monotonic()))  # dask would speak of one that lives
 
 
 def _kill(cluster: SpecCluster) -> None:

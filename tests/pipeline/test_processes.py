@@ -266,6 +266,22 @@ def test_the_first_signal_ends_a_program_whatever_it_is_at(number):
     assert (process.returncode, said) == (128 + number, "last\n")
 
 
+AT_ONCE = """
+import multiprocessing
+from stickslip.pipeline.machine import processes, signals
+with processes.forked_workers():
+    kept = multiprocessing.get_context("spawn").Queue()
+    signals.end_at_once(2)
+"""
+
+
+def test_a_program_that_ends_at_once_leaves_no_words_of_semaphores():
+    done = subprocess.run(
+        [sys.executable, "-c", AT_ONCE], env=processes._environment(), capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (130, "")
+
+
 LEAVING = """
 import atexit, hashlib, sys, time
 from stickslip.pipeline.machine import signals
