@@ -104,7 +104,7 @@ def _scalar(file: Any, field: pa.Field, values: pa.ChunkedArray) -> None:
 
 
 def _along(file: Any, opened: Opened, source: Any, dimension: str, names: list[str]) -> None:
-    """Lists that have one length each member, end to end, and their lengths."""
+    """Lists that have one length each member, or are null, end to end, and their lengths; a null one is all NaN."""
     file.createDimension(dimension, None)
     found = {}
     for name in names:
@@ -118,11 +118,15 @@ def _along(file: Any, opened: Opened, source: Any, dimension: str, names: list[s
     for fragment in source.get_fragments():
         with reading(opened.place):
             shard = opened.checked(fragment.to_table(columns=["n", *names]))
-        sizes = pc.fill_null(pc.list_value_length(shard[names[0]]), 0).to_numpy()
+        lengths = {name: pc.fill_null(pc.list_value_length(shard[name]), 0).to_numpy() for name in names}
+        sizes = np.max([*lengths.values()], axis=0)
         more = int(sizes.sum())
         counts[row : row + len(sizes)] = sizes
         for name in names if more else ():
-            found[name][written : written + more] = pc.list_flatten(shard[name]).to_numpy()
+            kind = shard[name].type.value_type.to_pandas_dtype()
+            values = np.full(more, np.nan if np.issubdtype(kind, np.floating) else np.iinfo(kind).min, dtype=kind)
+            values[np.repeat(lengths[name] > 0, sizes)] = pc.list_flatten(shard[name]).to_numpy()
+            found[name][written : written + more] = values
         row, written = row + len(sizes), written + more
 
 

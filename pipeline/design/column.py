@@ -38,7 +38,7 @@ class Column(NamedTuple):
         Whether a member may be without.
     along : str
         Of a list: what it has a value for, its dimension in NetCDF. Lists along the same are equally long in each
-        run, and null in the same runs. Empty: it is not written there.
+        run, or null. Empty: it is not written there.
     repeats : bool
         Whether values repeat. Those that do not, as times, are stored without a dictionary and split into bytes.
     is_averaged : bool

@@ -522,7 +522,7 @@ def effective_study(rng, ensembles, t_end=2400.0):
     """
     for name, (shares, _) in WANDERS.items():
         runs = 4 * ensembles  # of few, all ensembles would be alike
-        x = np.rint(100 + 20 * wandering(rng, runs, t_end, **shares)).astype(np.int64)
+        x = np.rint(200 + 20 * wandering(rng, runs, t_end, **shares)).astype(np.int64)
         windows = [window(np.arange(t_end), one, 0.0, t_end) for one in x]
         rows = np.concatenate([effective.rows(one.alone, effective.correlation_times(one.alone)) for one in windows])
         means, answer = x.mean(axis=1), wandering_tau(t_end, **shares)
@@ -530,7 +530,7 @@ def effective_study(rng, ensembles, t_end=2400.0):
         for some in rng.integers(runs, size=(ensembles, MATRICES)):
             taus.append(effective.tau(rows[some].sum(axis=0)))
             half = 1.96 * np.sqrt(rows[some, 0].mean() * 2 * taus[-1] / t_end)
-            held.append(abs(means[some[0]] - 100) <= half)
+            held.append(abs(means[some[0]] - 200) <= half)
         errors = np.array(taus) - answer
         yield Row("effective: tau, mean", name, answer, errors.mean(), errors.std(), np.mean(held), ensembles)
 

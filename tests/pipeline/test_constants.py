@@ -1,5 +1,6 @@
 """The constants of each member as lists: a system is made again from rows alone."""
 
+import netCDF4
 import numpy as np
 import pyarrow.dataset as ds
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from stickslip.pipeline import expand, extend, parse_scene, run_ensemble, verify
 from stickslip.pipeline.running import worker
 from stickslip.sim import Harmonic, System
+from stickslip.workflows import netcdf
 
 SCENE = """
 [system]
@@ -50,6 +52,12 @@ def test_a_system_is_made_again_from_its_row(coupling, more, tmp_path, monkeypat
     monkeypatch.setattr(worker, "_result", run)
     extend(tmp_path, {"constants": True}, workers=0)
     assert verify(tmp_path) == []
+    file = tmp_path.with_suffix(".nc")
+    netcdf.write(tmp_path, file)
+    with netCDF4.Dataset(file) as written:  # of a null list the file has NaN
+        belts, sizes = written["constant_belt_speed"][:].filled(np.nan), written["block_row_size"][:]
+    assert len(belts) == sizes.sum()
+    assert np.isnan(belts).all() == (more == COURSE)
     rows = {row["member_id"]: row for row in ds.dataset(tmp_path / "data").to_table().to_pylist()}
     for member in expand(plain):
         row, system = rows[member.member_id], member.system()

@@ -142,7 +142,7 @@ def test_each_list_has_its_own_lengths_in_netcdf(tmp_path, monkeypatch):
     out, file = tmp_path / "out", tmp_path / "out.nc"
     run_ensemble(parse_scene(MIXED.encode()), out, workers=0)
     assert len(list((out / "data").iterdir())) > 1
-    kept = [name for name in _SAMPLES if not name.startswith("constant_")]  # these are as long in each run
+    kept = [name for name in _SAMPLES if not name.startswith("constant_")]  # see `test_constants.py`
     lists = query.table(out, ["attractor", *kept]).to_pydict()
     assert {"periodic", None} < set(lists.pop("attractor"))
     assert all(any(lengths := [len(one or ()) for one in lists[name]]) and 0 in lengths for name in lists)
