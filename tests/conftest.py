@@ -74,11 +74,14 @@ def pytest_xdist_make_scheduler(config, log):
 
 
 @pytest.fixture(autouse=True, scope="session")
-def answers_to_ctrl_c():
-    """A shell starts what it puts into the background deaf to SIGINT; tests, and what they start, are not."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+def answers_to_signals():
+    """What a shell puts into the background is deaf to SIGINT, and under nohup to SIGHUP; tests, and what they start,
+    are not."""
+    handlers = {signal.SIGINT: signal.default_int_handler, signal.SIGHUP: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     yield
-    signal.signal(signal.SIGINT, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def _seed(node, repetition=""):
