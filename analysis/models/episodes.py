@@ -7,6 +7,7 @@ is a function of sums over systems. All quantities are dimensionless.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -23,7 +24,7 @@ ATOM = 0.5  # share of `atom` above which magnitudes have no slope: a b would de
 #: grows with the square of the width: in classes of 0.1 the exponent of 4e5 exponential moments is off by 0.04, with
 #: a standard error of 0.03.
 FITTED = 0.02
-_LOG10_E = float(np.log10(np.e))
+_LOG10_E = math.log10(math.e)
 
 
 @dataclass(frozen=True)
