@@ -33,7 +33,7 @@ _FIRST, _SAMPLES, _LITTLE, _MUCH, _ENOUGH = 1 / 32, 50, 3.0, 8.0, 30.0
 #: without forces deviations grow as time does, by ln 2 and ln 1.5 there.
 _GROWN = 3.0
 #: And over its standard error, from so many parts of that time (95%, one-sided, by Student's t): a beat of forces
-#: moves deviations to and fro.
+#: moves deviations back and forth.
 _CERTAIN, _PARTS = 1.9, 8
 #: ln of what a distance of zero counts as.
 _NOTHING = -10.0
