@@ -1026,7 +1026,7 @@ def test_events_of_one_instant_may_end_what_is_followed_of_an_irregular_run():
 
 
 def test_growth_within_its_noise_is_none():
-    """ln of a deviation that two beats move back and forth by e^6 rises by 3.5 over two thirds of the time, by chance.
+    """ln of a deviation that two beats move back and forth by e^6 rises by 3.5 over two thirds of time by chance.
 
     One that grows as steadily as chaos does, with the scatter of its own rate, is growth.
     """
