@@ -105,13 +105,24 @@ def test_a_kernel_that_cannot_be_kept_is_used_without(monkeypatch):
     assert not list(cache_directory().glob("test_compile*.nbc"))
 
 
-def test_a_function_that_a_kernel_calls_in_one_place_becomes_part_of_it(monkeypatch):
-    """However long it is: 500 sines are far more than LLVM takes into a caller that may not be the only one."""
+@pytest.fixture
+def uncached(monkeypatch):
+    """Kernels are compiled anew, and not kept."""
     monkeypatch.setattr(CacheFiles, "load", lambda self, key: None)
     monkeypatch.setattr(CacheFiles, "save", lambda self, key, data: None)
+
+
+def chain(arguments, added, length):
+    """A part of kernels: x becomes its sine and what is added, again and again."""
     places = {"math": math, "__name__": __name__}
-    exec("def chain(x):\n" + "    x = math.sin(x) + 0.5\n" * 500 + "    return x", places)
-    part = inner(places["chain"])
+    exec(f"def chain({arguments}):\n" + f"    x = math.sin(x) + {added}\n" * length + "    return x", places)
+    return inner(places["chain"])
+
+
+@pytest.mark.usefixtures("uncached")
+def test_a_function_that_a_kernel_calls_in_one_place_becomes_part_of_it():
+    """However long it is: 500 sines are far more than LLVM takes into a caller that may not be the only one."""
+    part = chain("x", "0.5", 500)
 
     @kernel
     def whole(x):
@@ -125,13 +136,10 @@ def test_a_function_that_a_kernel_calls_in_one_place_becomes_part_of_it(monkeypa
     assert not [line for line in code if line.startswith("define") and "chain" in line]
 
 
-def test_a_part_of_a_kernel_is_whole_for_what_is_compiled_after_it(monkeypatch):
+@pytest.mark.usefixtures("uncached")
+def test_a_part_of_a_kernel_is_whole_for_what_is_compiled_after_it():
     """Within a kernel it loses what it does not use; a function of numba's own calls it with all, not that one."""
-    monkeypatch.setattr(CacheFiles, "load", lambda self, key: None)
-    monkeypatch.setattr(CacheFiles, "save", lambda self, key, data: None)
-    places = {"math": math, "__name__": __name__}
-    exec("def chain(rest, x):\n" + "    x = math.sin(x) + rest[-1]\n" * 50 + "    return x", places)
-    part = inner(places["chain"])
+    part = chain("rest, x", "rest[-1]", 50)
 
     @kernel
     def whole(rest, x):

@@ -68,7 +68,7 @@ def run(task: Task, tol: float, followed: float, otherwise: Callable[[], Run]) -
     block.drag, block.force0, block.row_sum = drag, pull, system.row_sums
     # as if there had been a step of length 1: F goes on along its tangent, or a block let go at once would leave late
     block.kept_f, block.kept_u = pull + np.outer(NODES - 1.0, system.stiffness @ w), (w - v)[np.newaxis]
-    decay = 0.5 * max(0.0, float(system.damping.min()))
+    decay = 0.5 * max(0.0, system.least_damping)
     exact = Exact(limits.EXACT_CALIBRATION * tol, decay, system.fastest_belt)
     scale = max(system.fastest_belt, float(np.abs(w).max()))
     changes = np.abs(np.array([w, system.damping * (w - v) + pull, system.friction]))
