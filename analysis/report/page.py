@@ -17,15 +17,22 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jinja2 import Environment
 from jinja2.runtime import Macro
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
-from stickslip.analysis.answer import LONG, F, I, Long, Recipe, S, Table, frame
+from stickslip.analysis.answer import LONG, F, I, Long, Picture, Recipe, S, Table, frame
 from stickslip.analysis.ensemble import Data, Study
+from stickslip.analysis.findings.alerts import Alert
+from stickslip.analysis.findings.finding import Finding, Lack, Record
+from stickslip.analysis.findings.finding import records as finding_records
+from stickslip.analysis.findings.numbers import number, with_interval
+from stickslip.analysis.findings.words import plural, sentence
 from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.questions import QUESTIONS, is_own, question, refuse_unknown
 from stickslip.analysis.report import AS_TEXT, FORMULA, OF_OWN, PAGE
 from stickslip.analysis.report.formats import environment
+from stickslip.analysis.report.formats import table as as_table
 from stickslip.analysis.settings import AnalysisSettings
+from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import pdf, svg
 from stickslip.analysis.tables import records
 from stickslip.sim.engines import SETTINGS
@@ -69,6 +76,12 @@ class Answered:
     lack: str = ""
     tables: Mapping[str, Table] = field(default_factory=dict)
     figures: Mapping[str, Drawn] = field(default_factory=dict)
+    findings: Sequence[Finding] = ()
+    n_lead: int = 1
+    alerts: Sequence[Alert] = ()
+    method: str = ""
+    captions: Mapping[str, str] = field(default_factory=dict)
+    title: str = ""
 
     def figure(self, name: str, alt: str) -> Markup:
         """A figure as an image that is part of the page."""
@@ -122,8 +135,14 @@ def ask(study: Study, key: str, with_pdf: bool = False) -> Answered | None:
     found = asked.answer(study) if asked.is_asked_of(study) else None
     if found is None:
         return None
-    figures = {name: draw(recipe, with_pdf) for name, recipe in found.figures.items()}
-    return Answered(key, found.facts, found.lack, found.tables, figures)
+    pictures = {
+        name: some if isinstance(some, Picture) else Picture(some, "") for name, some in found.figures.items()
+    }
+    figures = {name: draw(picture.recipe, with_pdf) for name, picture in pictures.items()}
+    captions = {name: picture.caption for name, picture in pictures.items()}
+    told = found.findings, found.n_lead, found.alerts, found.method, captions, asked.title
+    lack = "lack" if found.findings and all(isinstance(some, Lack) for some in found.findings) else found.lack
+    return Answered(key, found.facts, lack, found.tables, figures, *told)
 
 
 def draw(recipe: Recipe, with_pdf: bool) -> Drawn:
@@ -309,8 +328,54 @@ class _Shown(Answered):
 
 
 def _shown(filled: Environment, one: Answered) -> _Shown:
-    words = one.words if isinstance(one, Spoken) else _words(filled, one.key)
-    return _Shown(one.key, one.facts, one.lack, one.tables, one.figures, words)
+    words = _of_findings(one) if one.findings else one.words if isinstance(one, Spoken) else _words(filled, one.key)
+    return _Shown(one.key, one.facts, one.lack, one.tables, one.figures, words=words)
+
+
+def _of_findings(one: Answered) -> SimpleNamespace:
+    """The words of an answer that consists of findings, in the form of those of a template."""
+    names = [*one.figures]
+    shown = _figures(one, names[:2])
+    rows = [record for finding in one.findings for record in finding_records(finding)]
+    table = _findings_table(rows) if rows else Markup("")
+    part = Markup("<p>{}</p>").format(one.method) + _figures(one, names[2:])
+    texts = {
+        "answer": escape(" ".join(sentence(finding) for finding in one.findings[: one.n_lead])),
+        "lack": escape(" ".join(sentence(finding) for finding in one.findings)),
+        "alerts": Markup("\n").join(
+            Markup('<li data-rank="{}">{}</li>').format(alert.code.rank, str(alert)) for alert in one.alerts
+        ),
+        "panels": shown, "main": table, "part": part, "panel_caption": "",
+    }  # fmt: skip
+    macros = {name: _saying(text) for name, text in texts.items()}
+    titles = {"name": one.title, "question": one.title}
+    return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | macros | titles))
+
+
+def _figures(one: Answered, names: Sequence[str]) -> Markup:
+    return Markup("").join(
+        Markup('<figure class="one">{}<figcaption>{}</figcaption></figure>').format(
+            one.figure(name, one.captions[name]), one.captions[name]
+        )
+        for name in names
+    )
+
+
+def _findings_table(rows: Sequence[Record]) -> Markup:
+    """The table of findings, whose columns are left out where they hold nothing."""
+    shown = [
+        {
+            "what": row.quantity,
+            "where": row.setting or None,
+            "estimate": None if row.estimate is None else with_interval(Estimate(*row[2:5]), row.form),
+            "compared with": row.compared_with or None,
+            "difference": row.difference and number(row.difference),
+            "verdict": row.verdict or None,
+            "from": None if row.n is None else plural(row.n, row.unit),
+        }
+        for row in rows
+    ]
+    return as_table(shown, [(name, name, None) for name in shown[0]], kind="stack")
 
 
 def _in_order(study: Study, answered: list[_Shown]) -> tuple[list[_Shown], list[_Shown]]:
