@@ -35,6 +35,7 @@ from stickslip.analysis.stats.estimates import Estimate
 
 GAMMA = Quantity("gamma", "decay rate")
 SHARE = Quantity("share", "share of runs in motion", Form.SHARE)
+NANO = " \u00d7 10\u207b\u2079"
 LATE = Quantity("lifetime", "median lifetime", more="longer", less="shorter")
 
 
@@ -73,7 +74,7 @@ def test_one_of_many_comparisons_needs_an_adjusted_p_value_too():
         (Estimate(206.0, 150.0), Form.NUMBER, "206 (at least 150)"),
         (Estimate(-0.013, -0.02, -0.006), Form.NUMBER, "\u22120.0130 (\u22120.0200 to \u22120.0060)"),
         (Estimate(12345.0, 12000.0, 12700.0), Form.NUMBER, "12,345 (12,000 to 12,700)"),
-        (Estimate(3e-9, 2e-9, 4e-9), Form.NUMBER, "3.0 \u00d7 10\u207b\u2079 (2.0 \u00d7 10\u207b\u2079 to 4.0 \u00d7 10\u207b\u2079)"),
+        (Estimate(3e-9, 2e-9, 4e-9), Form.NUMBER, f"3.0{NANO} (2.0{NANO} to 4.0{NANO})"),
     ],
 )  # fmt: skip
 def test_numbers_have_two_digits_of_their_interval(estimate, form, text):
