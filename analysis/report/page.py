@@ -18,8 +18,9 @@ import pyarrow.parquet as pq
 from jinja2 import Environment
 from jinja2.runtime import Macro
 from markupsafe import Markup, escape
+from matplotlib.figure import Figure
 
-from stickslip.analysis.answer import LONG, F, I, Long, Picture, Recipe, S, Table, frame
+from stickslip.analysis.answer import LONG, Answer, F, I, Long, Picture, Question, Recipe, S, Table, frame
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.alerts import Alert
 from stickslip.analysis.findings.finding import Finding, Lack, Record
@@ -29,6 +30,7 @@ from stickslip.analysis.findings.words import plural, sentence
 from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.questions import QUESTIONS, is_own, package_questions, question, refuse_unknown
 from stickslip.analysis.report import AS_TEXT, FORMULA, OF_OWN, PAGE
+from stickslip.analysis.report.columns import columns_of
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.formats import table as as_table
 from stickslip.analysis.settings import AnalysisSettings
@@ -44,6 +46,7 @@ from stickslip.sim.systems.terms import TERMS
 OPTIONAL_WORDS = ("lack", "alarm", "alerts", "panels", "panel", "panel_caption", "main", "of_data")
 _TICK = 9
 MOST_SAID = 3  # answers on the first screen
+_MOST_ROWS = 20  # of a table that a question beside a scene shows
 _ROWS = 10_000  # of a table that is in the JSON of all; a longer one is read from a file of its own
 MOST_ALERTS = 3  # in order of rank
 _GROUPS: Mapping[str, str] = {
@@ -69,7 +72,19 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Answered:
-    """A question's answer with its figures drawn; made of plain values, so that another process may make it."""
+    """A question's answer with its figures drawn; made of plain values, so that another process may make it.
+
+    Of a question of the user's own it has, besides,
+
+    Attributes
+    ----------
+    sources : mapping of str to str
+        The files that it was made by, and the sha256 of each.
+    problem : str
+        Why there is no answer: what was expected of the function, and what came.
+    missing : tuple of str
+        Figures and tables that could not be made, and why, a line each.
+    """
 
     key: str
     facts: Mapping[str, Any]
@@ -80,42 +95,16 @@ class Answered:
     n_lead: int = 1
     alerts: Sequence[Alert] = ()
     method: str = ""
+    paragraph: str = ""
     captions: Mapping[str, str] = field(default_factory=dict)
     title: str = ""
-
-    def figure(self, name: str, alt: str) -> Markup:
-        """A figure as an image that is part of the page."""
-        return Markup('<img src="{}" alt="{}">').format(self.figures[name].address(), alt)
-
-
-@dataclass(frozen=True)
-class Spoken(Answered):
-    """An answer in words: of a question of the user's own, made where its code may run.
-
-    Attributes
-    ----------
-    said : mapping of str to str
-        The texts of its macros, by name, and its `name` and `question`.
-    sources : mapping of str to str
-        The files that it was made by, and the sha256 of each.
-    problem : str
-        Why there is neither an answer nor a `lack`: what was expected of the function, and what came.
-    missing : tuple of str
-        Figures, tables and the template, as far as they could not be made, and why, a line each.
-    """
-
-    said: Mapping[str, str] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
     problem: str = ""
     missing: tuple[str, ...] = ()
 
-    @property
-    def words(self) -> SimpleNamespace:
-        """Names and macros as those of a template."""
-        macros = {name: _saying(text) for name, text in self.said.items() if text}
-        needed = dict.fromkeys(("answer", "part", "panel_caption"), _saying(""))
-        titles = {name: self.said[name] for name in ("name", "question")}
-        return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | needed | macros | titles))
+    def figure(self, name: str, alt: str) -> Markup:
+        """A figure as an image that is part of the page."""
+        return Markup('<img src="{}" alt="{}">').format(self.figures[name].address(), alt)
 
 
 def _saying(text: str) -> Callable[..., Markup]:
@@ -135,19 +124,23 @@ def ask(study: Study, key: str, with_pdf: bool = False) -> Answered | None:
     found = entry.answer(study) if entry.is_asked_of(study) else None
     if found is None:
         return None
-    pictures = {
-        name: some if isinstance(some, Picture) else Picture(some, "") for name, some in found.figures.items()
-    }
-    figures = {name: draw(picture.recipe, with_pdf) for name, picture in pictures.items()}
-    captions = {name: picture.caption for name, picture in pictures.items()}
-    told = found.findings, found.n_lead, found.alerts, found.method or entry.method, captions, entry.title
-    lack = "lack" if found.findings and all(isinstance(some, Lack) for some in found.findings) else found.lack
-    return Answered(key, found.facts, lack, found.tables, figures, *told)
+    recipes = {name: some.recipe if isinstance(some, Picture) else some for name, some in found.figures.items()}
+    return answered(key, entry, found, {name: draw(recipe, with_pdf) for name, recipe in recipes.items()})
 
 
-def draw(recipe: Recipe, with_pdf: bool) -> Drawn:
+def answered(key: str, entry: Question, answer: Answer, figures: Mapping[str, Drawn]) -> Answered:
+    """An answer to a question, with its figures drawn."""
+    captions = {name: some.caption for name, some in answer.figures.items() if isinstance(some, Picture)}
+    lack = "lack" if answer.findings and all(isinstance(some, Lack) for some in answer.findings) else answer.lack
+    return Answered(
+        key, answer.facts, lack, answer.tables, figures, answer.findings, answer.n_lead, answer.alerts,
+        answer.method or entry.method, answer.paragraph, captions, entry.title,
+    )  # fmt: skip
+
+
+def draw(recipe: Recipe | Figure, with_pdf: bool) -> Drawn:
     """A figure drawn as SVG, and as PDF."""
-    figure = recipe()
+    figure = recipe() if callable(recipe) else recipe
     return Drawn(svg(figure), pdf(figure) if with_pdf else None)
 
 
@@ -248,8 +241,8 @@ def build(
     provenance : mapping of str to str
         Where the data come from, shown as given, escaped.
     answers : callable, optional
-        Returns what `ask` returns for each question of this package that is asked, in their order, and a `Spoken`
-        for each of the user's own that was run; default: asks the former one after the other.
+        Returns what `ask` returns for each question of this package that is asked, in their order, then
+        that of each of the user's own that was run; default: asks the former one after the other.
     made_from : str, optional
         Digest of all this, kept at the head of the page.
 
@@ -261,7 +254,7 @@ def build(
     refuse_unknown(settings.question)
     study = Study(data, settings)
     made = [ask(study, key) for key in package_questions(settings.question)] if answers is None else answers(study)
-    own = {one.key: one for one in made if isinstance(one, Spoken)}
+    own = {one.key: one for one in made if one is not None and is_own(one.key)}
     problems = {key: one.problem for key, one in own.items() if one.problem}
     missing = {key: "; ".join(one.missing) for key, one in own.items() if one.missing}
     not_run = [key for key in settings.question if is_own(key) and key not in own]
@@ -330,17 +323,17 @@ class _Shown(Answered):
 
 
 def _shown(filled: Environment, one: Answered) -> _Shown:
-    words = _of_findings(one) if one.findings else one.words if isinstance(one, Spoken) else _words(filled, one.key)
+    words = _of_findings(one) if one.findings else _words(filled, one.key)
     return _Shown(one.key, one.facts, one.lack, one.tables, one.figures, words=words)
 
 
 def _of_findings(one: Answered) -> SimpleNamespace:
     """The words of an answer that consists of findings, in the form of those of a template."""
     names = [*one.figures]
-    shown = _figures(one, names[:2])
+    shown = _paragraph(one.paragraph) + _figures(one, names[:2])
     rows = [record for finding in one.findings for record in finding_records(finding)]
     table = _findings_table(rows) if rows else Markup("")
-    part = Markup("<p>{}</p>").format(one.method) + _figures(one, names[2:])
+    part = _paragraph(one.method) + _figures(one, names[2:]) + (_tables(one) if ":" in one.key else Markup(""))
     texts = {
         "answer": escape(" ".join(sentence(finding) for finding in one.findings[: one.n_lead])),
         "lack": escape(" ".join(sentence(finding) for finding in one.findings)),
@@ -352,6 +345,19 @@ def _of_findings(one: Answered) -> SimpleNamespace:
     macros = {name: _saying(text) for name, text in texts.items()}
     titles = {"name": one.title, "question": one.title}
     return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | macros | titles))
+
+
+def _paragraph(text: str) -> Markup:
+    return Markup("<p>{}</p>").format(text) if text else Markup("")
+
+
+def _tables(one: Answered) -> Markup:
+    """Tables of a question beside a scene."""
+    return Markup("").join(
+        as_table(records(table), columns_of(table), caption=name, most=_MOST_ROWS, where=name, kind="stack")
+        for name, table in one.tables.items()
+        if isinstance(table, pd.DataFrame) and len(table)
+    )
 
 
 def _figures(one: Answered, names: Sequence[str]) -> Markup:
