@@ -25,7 +25,7 @@ from stickslip.analysis.findings.finding import (
     Share,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import decimals, number, span, with_interval
+from stickslip.analysis.findings.numbers import decimals, limit, number, span, with_interval
 from stickslip.analysis.stats.estimates import Estimate
 
 
@@ -49,7 +49,7 @@ def clause(finding: Finding) -> str:
         case Law():
             return _law(finding)
         case Limit(things=things, predicate=predicate, most=most, where=where):
-            return f"at most {number(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
+            return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
         case Alike(quantity, value, among, where):
             return f"{quantity.name}{_at(where)}: {number(value, quantity.form)}, the same {among}"
         case Outcomes():
@@ -124,10 +124,7 @@ def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = F
     value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
     if value is None:
         return "unknown" if low is None or high is None else interval(difference, form)
-    shape = _form(difference, form)
-    text = number(value, shape, decimals(difference.estimate, shape), sign=True)
-    if low is not None and high is not None:
-        text = f"{text} ({span(low, high, shape, sign=True)})"
+    text = with_interval(difference.estimate, _form(difference, form), sign=True)
     text = _in_points(text, difference, form)
     if verdict is Verdict.EQUAL:
         return f"{text}, equal within {margin(difference, form)}"
