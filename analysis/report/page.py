@@ -314,9 +314,9 @@ def _joined(title: str, about: str) -> str:
 
 def _words(filled: Environment, key: str) -> SimpleNamespace:
     """The names and macros of a question's template; None for each of `OPTIONAL_WORDS` that it lacks."""
-    if title := question(key).title:
-        return SimpleNamespace(name=title, question=title)
-    return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | vars(filled.get_template(f"{key}.html").module)))
+    title = question(key).title
+    words = {"name": title} if title else vars(filled.get_template(f"{key}.html").module)
+    return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | words))
 
 
 @dataclass(frozen=True)
