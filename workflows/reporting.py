@@ -181,7 +181,7 @@ def compared(path: Where, other: Where) -> Report:
             printable(name),
             _data(opened),
             opened.scene.analysis.t_burn,
-            opened.scene.analysis.margins.model_dump(),
+            opened.scene.analysis.margins.declared,
             _provenance(opened),
             opened.manifest.digest,
         )
@@ -207,7 +207,9 @@ def _seeds(scene: Scene) -> tuple[int, ...]:
 
 def _settings(scene: Scene) -> AnalysisSettings:
     with_known_questions(scene, "scene")
-    asked = scene.analysis.model_dump() | {"seed": _seeds(scene)[0], "map_dt": scene.analysis.map_dt or ()}
+    asked = scene.analysis.model_dump() | {
+        "seed": _seeds(scene)[0], "map_dt": scene.analysis.map_dt or (), "margins": scene.analysis.margins.declared,
+    }  # fmt: skip
     return AnalysisSettings(**asked)
 
 
