@@ -320,6 +320,8 @@ class Reason(StrEnum):
     DRIFT = "no steady state"
     NO_MOTION = "no run is in motion"
     SHORT_WINDOW = "the runs are too short"
+    OUT_OF_RANGE = "too few pairs stay in their linear range"
+    NO_REFERENCE = "nothing to compare with"
     NOT_RECORDED = "not recorded"
     NOT_RUN = "not run"
     ALL_FAILED = "all runs failed"
