@@ -182,7 +182,7 @@ def compared(path: Where, other: Where) -> Report:
             printable(name),
             _data(opened),
             opened.scene.analysis.t_burn,
-            opened.scene.analysis.margins.model_dump(),
+            opened.scene.analysis.margins.declared,
             _provenance(opened),
             opened.manifest.digest,
         )
@@ -208,9 +208,12 @@ def _seeds(scene: Scene) -> tuple[int, ...]:
 
 def _settings(scene: Scene) -> AnalysisSettings:
     with_known_questions(scene, "scene")
-    given = scene.analysis
-    changed = {"seed": _seeds(scene)[0], "map_dt": given.map_dt or (), "question": renamed(given.question)}
-    return AnalysisSettings(**(given.model_dump() | changed))
+    declared = scene.analysis
+    changed = {
+        "seed": _seeds(scene)[0], "map_dt": declared.map_dt or (), "margins": declared.margins.declared,
+        "question": renamed(declared.question),
+    }  # fmt: skip
+    return AnalysisSettings(**(declared.model_dump() | changed))
 
 
 def _provenance(opened: Opened) -> dict[str, str]:
