@@ -296,11 +296,11 @@ def build(
     lacking = [part for part in parts if part.is_lack]
     asked = [part for part in lacking if part.key in settings.question]
     notes = [
-        *(f"Not answered: {text}" for part in asked for text in part.lead),
-        *(f"Not answered: {name}: {problem}." for name, problem in problems.items()),
+        *(f"Asked but not answered: {text}" for part in asked for text in part.lead),
+        *(f"Asked but not answered: {name}: {problem}." for name, problem in problems.items()),
         *(f"Left out of the answer: {name}: {lines}." for name, lines in missing.items()),
         *(f"{name} was not run; stickslip report DIR --own runs the code beside the scene." for name in not_run),
-        *(f"Not answered: {question(key).title or key}: nothing that it needs was run or recorded."
+        *(f"Asked but not answered: {question(key).title or key}: nothing that it needs was run or recorded."
           for key in settings.question if not is_own(key) and key not in raised),
     ]  # fmt: skip
     sections = [
