@@ -1,4 +1,4 @@
-"""A question of a report, and its answer: facts, tables and figures. The words are in its template."""
+"""A question of a report, and its answer: findings, tables and figures."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from matplotlib.figure import Figure
 
 from stickslip.analysis import arguments
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.alerts import Alert
+from stickslip.analysis.findings.finding import Finding
 from stickslip.analysis.stats.estimates import Estimate
 
 #: Draws a figure from plain data when called.
@@ -52,11 +54,28 @@ def long(n_rows: int, part: Callable[[slice], pd.DataFrame]) -> Table:
 
 
 @dataclass(frozen=True)
+class Picture:
+    """A figure: its recipe, and a caption that says what to see, then what is drawn."""
+
+    recipe: Recipe
+    caption: str
+
+
+@dataclass(frozen=True)
 class Answer:
     """What a question found on an ensemble.
 
     Attributes
     ----------
+    findings : sequence of Finding
+        The first is the answer. A question that cannot be answered gives a `Lack` alone.
+    n_lead : int
+        How many of them belong on the first screen if the question leads the page: up to three.
+    alerts : sequence of Alert
+    method : str
+        How the findings come about, in two sentences.
+    paragraph : str
+        Of a user's own question: what its findings do not say.
     facts : mapping
         What the template puts into words, by name: numbers, `Estimate`, rows as dictionaries, codes of closed sets.
         A question of a user's own that has no template gives the words itself: `sentence`, the answer, and perhaps
@@ -68,12 +87,18 @@ class Answer:
         Kept whole as Parquet, with nullable types: a missing value is null, never NaN.
     figures : mapping of str to Recipe
         By name; the template says what each shows. A question of a user's own may give a matplotlib Figure as well.
+        With findings, a `Picture` each; the first two stand on the first screen if the question leads.
     """
 
     facts: Mapping[str, Any] = field(default_factory=dict)
     lack: str = ""
     tables: Mapping[str, Table] = field(default_factory=dict)
-    figures: Mapping[str, Recipe] = field(default_factory=dict)
+    figures: Mapping[str, Recipe | Picture] = field(default_factory=dict)
+    findings: Sequence[Finding] = ()
+    n_lead: int = 1
+    alerts: Sequence[Alert] = ()
+    method: str = ""
+    paragraph: str = ""
 
 
 def _always(study: Study) -> bool:
@@ -88,6 +113,10 @@ class Question:
     ----------
     answer : callable
         Maps a `Study` to its answer; to None where such data do not raise the question.
+    title : str
+        The question as a reader would ask it: "How do cascade sizes fall off?".
+    method : str
+        That of its answers which give none.
     share : float
         Its share of the time of a report, as measured on the scenes that ship; the longest questions are begun first.
     of_cascades : bool
@@ -103,6 +132,8 @@ class Question:
     """
 
     answer: Callable[[Study], Answer | None]
+    title: str = ""
+    method: str = ""
     share: float = 0.0
     of_cascades: bool = False
     rank: int | None = None

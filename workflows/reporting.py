@@ -15,6 +15,7 @@ import pyarrow as pa
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
 from stickslip.analysis.ensemble import Numbers, Recorded, Until
 from stickslip.analysis.members import READ, Members
+from stickslip.analysis.questions import renamed
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.page import Answered
@@ -181,7 +182,7 @@ def compared(path: Where, other: Where) -> Report:
             printable(name),
             _data(opened),
             opened.scene.analysis.t_burn,
-            opened.scene.analysis.margins.model_dump(),
+            opened.scene.analysis.margins.declared,
             _provenance(opened),
             opened.manifest.digest,
         )
@@ -207,8 +208,12 @@ def _seeds(scene: Scene) -> tuple[int, ...]:
 
 def _settings(scene: Scene) -> AnalysisSettings:
     with_known_questions(scene, "scene")
-    asked = scene.analysis.model_dump() | {"seed": _seeds(scene)[0], "map_dt": scene.analysis.map_dt or ()}
-    return AnalysisSettings(**asked)
+    declared = scene.analysis
+    changed = {
+        "seed": _seeds(scene)[0], "map_dt": declared.map_dt or (), "margins": declared.margins.declared,
+        "question": renamed(declared.question),
+    }  # fmt: skip
+    return AnalysisSettings(**(declared.model_dump() | changed))
 
 
 def _provenance(opened: Opened) -> dict[str, str]:

@@ -91,7 +91,7 @@ def spoken(
     tables, unreadable = _kept(found.tables, _plain, lambda error: told(error, "a pandas.DataFrame"))
     missing = [f"figures[{name!r}]: {why}" for name, why in undrawn.items()]
     missing += [f"tables[{name!r}]: {why}" for name, why in unreadable.items()]
-    own = _Own(key, found.facts, lack, tables, drawn, undrawn)
+    own = _Own(key, found.facts, lack, tables, drawn, undrawn=undrawn)
     heading, *method = map(_line, re.split(r"\n\s*\n", inspect.cleandoc(doc))) if doc.strip() else (key,)
     theirs, said = dict[str, Any](), dict[str, str]()
     if template is not None:
@@ -115,7 +115,7 @@ def spoken(
     said = _said(own, laid, ours) | said
     titles = {"name": heading, "question": heading} | {name: _line(str(theirs[name])) for name in _TITLES & {*theirs}}
     files = _prefixed(prefix, tables), _prefixed(prefix, drawn)
-    return Spoken(key, {}, lack, *files, titles | said, missing=tuple(missing))
+    return Spoken(key, {}, lack, *files, said=titles | said, missing=tuple(missing))
 
 
 def _kept(

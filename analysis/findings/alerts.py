@@ -1,0 +1,48 @@
+"""Alerts: a closed table of what a reader must know before believing a page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Code(Enum):
+    """What may be wrong: the rank, by which alerts are sorted, and the words, with the names of their numbers.
+
+    Rank 0 stops the reader, 1 says what makes numbers wrong, 2 what they refer to, 3 what weakens them.
+    """
+
+    FAILED = 1, "{n} of {of} runs failed and are left out."
+    DRIFT = 1, "{what} still drifts after t_burn = {t_burn:g}: raise t_burn."
+    DIVERGED = 2, "The motion grew without limit in {n} of {of} runs."
+    SETTLED = 2, "{n} of {of} runs settled into steady sliding; {what} is of the others."
+    UNCERTIFIED = 2, "{n} of {of} runs slide so far, without a certificate that they always will."
+    SHORT = 3, "The runs are short: {what} rests on {n} {things} per run."
+    FEW = 3, "{n} {units} give a wide interval: more {units} would narrow it."
+    ONE_SYSTEM = 2, "One system, many starts: intervals are over starts of this system."
+
+    @property
+    def rank(self) -> int:
+        """Its place among others."""
+        return int(self.value[0])
+
+    @property
+    def words(self) -> str:
+        """Its text, with the names of its numbers in braces."""
+        return str(self.value[1])
+
+
+@dataclass(frozen=True)
+class Alert:
+    """An alert: its code, and the numbers in its words."""
+
+    code: Code
+    numbers: tuple[tuple[str, int | float | str], ...] = ()
+
+    @classmethod
+    def of(cls, code: Code, **numbers: int | float | str) -> Alert:
+        """From the numbers of its words, by name."""
+        return cls(code, tuple(numbers.items()))
+
+    def __str__(self) -> str:
+        return self.code.words.format(**dict(self.numbers))

@@ -1,0 +1,427 @@
+"""Findings: the closed set of what a report can say.
+
+A finding is a quantity, its estimate with an interval, where it holds, and at most one comparison. The sentence on
+the page, the row of a table, the line in a terminal and the entry of ``report/findings.json`` all come from it, and
+from nothing else: `findings.words` says each kind, `records` lays each out as rows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, StrEnum
+from typing import NamedTuple, TypeAlias
+
+from stickslip.analysis.stats.estimates import Estimate
+
+
+class Form(Enum):
+    """How the values of a quantity are written."""
+
+    NUMBER = "number"
+    COUNT = "count"  #: a whole number
+    SHARE = "share"  #: in per cent
+
+
+class Scale(StrEnum):
+    """What a difference is measured in."""
+
+    RELATIVE = "relative"  #: to what it is compared with
+    ABSOLUTE = "absolute"  #: the units of the quantity; percentage points of a share
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A quantity.
+
+    Attributes
+    ----------
+    key : str
+        Its name in files.
+    name : str
+        A noun phrase in the singular, without article: "mean number of sticking blocks".
+    form : Form
+    more, less : str
+        What it is beside something smaller, and beside something larger: "longer", "shorter".
+    definition : str
+        What it is, in a sentence; empty where the name says it.
+    """
+
+    key: str
+    name: str
+    form: Form = Form.NUMBER
+    more: str = "above"
+    less: str = "below"
+    definition: str = ""
+
+
+class Verdict(StrEnum):
+    """What the interval of a difference comes to."""
+
+    MORE = "more"
+    LESS = "less"
+    EQUAL = "equal"  #: within the margin that the scene declares
+    SAME = "same"  #: in every unit, to the accuracy of the runs
+    OPEN = "no difference shown"
+    OPEN_AMONG_MANY = "no difference shown among so many comparisons"
+    UNJUDGED = "no interval"
+
+
+class Family(NamedTuple):
+    """The comparisons that a difference is judged together with, and its p-values adjusted for their number."""
+
+    n: int
+    p_different: float
+    p_equivalent: float = 1.0
+    alpha: float = 0.05
+
+
+@dataclass(frozen=True)
+class Difference:
+    """How far an estimate lies from what it is compared with.
+
+    Attributes
+    ----------
+    estimate : Estimate
+        In units of `scale`, positive if the estimate is the larger one.
+    scale : Scale
+    margin : float, optional
+        The largest difference, in the same units, that the scene declares to be none.
+    family : Family, optional
+    is_same : bool
+        Whether each unit has the same value in both, to the accuracy of its run.
+    """
+
+    estimate: Estimate
+    scale: Scale = Scale.RELATIVE
+    margin: float | None = None
+    family: Family | None = None
+    is_same: bool = False
+
+    @property
+    def verdict(self) -> Verdict:
+        """By the interval alone; in a family, only if the adjusted p-value is below its level too."""
+        low, high = self.estimate.low, self.estimate.high
+        if self.is_same:
+            return Verdict.SAME
+        if low is None or high is None:
+            return Verdict.UNJUDGED
+        family = self.family or Family(1, 0.0, 0.0)
+        if (
+            self.margin is not None
+            and -self.margin < low <= high < self.margin
+            and family.p_equivalent < family.alpha
+        ):
+            return Verdict.EQUAL
+        if low <= 0.0 <= high:
+            return Verdict.OPEN
+        if family.p_different >= family.alpha:
+            return Verdict.OPEN_AMONG_MANY
+        return Verdict.MORE if low > 0.0 else Verdict.LESS
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """With what an estimate is compared, as a noun phrase ("a fair coin's ln 2"), and how far from it it lies."""
+
+    other: str
+    difference: Difference
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What an estimate rests on: a number of independent units, and the noun for one of them."""
+
+    n: int
+    unit: str = "system"
+
+
+@dataclass(frozen=True)
+class Level:
+    """The value of a quantity at a setting.
+
+    Attributes
+    ----------
+    where : str
+        What tells the setting from the others ("n = 100, exact"); empty if there is one.
+    """
+
+    quantity: Quantity
+    estimate: Estimate
+    where: str = ""
+    comparison: Comparison | None = None
+    basis: Basis | None = None
+
+
+@dataclass(frozen=True)
+class Change:
+    """How a quantity changes from one value of a key to another.
+
+    Attributes
+    ----------
+    key : str
+        What is swept: "belt_speed".
+    first, second : str
+        Its values.
+    before, after : Estimate
+        The quantity at these.
+    where : str
+        At which values of the other keys, or averaged over which; empty if there are none.
+    """
+
+    quantity: Quantity
+    key: str
+    first: str
+    second: str
+    before: Estimate
+    after: Estimate
+    difference: Difference
+    where: str = ""
+    basis: Basis | None = None
+
+
+@dataclass(frozen=True)
+class Share:
+    """The share of some things of which something holds.
+
+    Attributes
+    ----------
+    things : str
+        In the plural: "starts", "runs".
+    predicate : str
+        A verb phrase in the plural: "end in steady sliding".
+    """
+
+    key: str
+    things: str
+    predicate: str
+    estimate: Estimate
+    where: str = ""
+    comparison: Comparison | None = None
+    basis: Basis | None = None
+
+
+@dataclass(frozen=True)
+class Lifetime:
+    """The median time until something ends, which the end of a run may cut off.
+
+    Attributes
+    ----------
+    quantity : Quantity
+        The median lifetime.
+    things, predicate : str
+        Which runs, and what those do whose time is cut off: "runs", "still stick and slip".
+    horizon : float
+        The time to which runs were followed.
+    share_left : float
+        The share of runs that were cut off.
+    """
+
+    quantity: Quantity
+    things: str
+    predicate: str
+    estimate: Estimate
+    horizon: float
+    share_left: float
+    where: str = ""
+    comparison: Comparison | None = None
+    basis: Basis | None = None
+
+
+class Fit(StrEnum):
+    """Whether data are what a law says."""
+
+    HOLDS = "holds"  #: no departure is shown, or one within the margin that the scene declares
+    CLOSE = "close"  #: a departure is shown, and `Law.departure` says how large it is
+    FAILS = "fails"
+    OPEN = "open"
+
+
+@dataclass(frozen=True)
+class Law:
+    """A law that something follows, how well, and its parameter.
+
+    Attributes
+    ----------
+    subject : str
+        In the plural: "cascade sizes".
+    predicate : str
+        A verb phrase in the plural: "fall off exponentially".
+    parameter : Level
+    fit : Fit
+    departure : Level, optional
+        How far the data are from the law, if that is shown.
+    """
+
+    subject: str
+    predicate: str
+    parameter: Level
+    fit: Fit = Fit.HOLDS
+    departure: Level | None = None
+
+
+@dataclass(frozen=True)
+class Limit:
+    """An upper limit: a share of some things of which something holds, at most."""
+
+    key: str
+    things: str
+    predicate: str
+    most: float
+    where: str = ""
+    basis: Basis | None = None
+
+
+@dataclass(frozen=True)
+class Alike:
+    """A value that all of some things share, to the accuracy of the runs: no interval belongs to it."""
+
+    quantity: Quantity
+    value: float
+    among: str
+    where: str = ""
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """Settings grouped by the outcome of a comparison.
+
+    Attributes
+    ----------
+    other : str
+        What they are compared with: "the exact engine".
+    equal, different, undecided : tuple of str
+        The settings of each outcome ("h = 0.1 and less").
+    largest : Level, optional
+        The largest difference.
+    """
+
+    other: str
+    equal: tuple[str, ...] = ()
+    different: tuple[str, ...] = ()
+    undecided: tuple[str, ...] = ()
+    largest: Level | None = None
+
+
+class Truth(StrEnum):
+    """The answer to a question of yes or no."""
+
+    YES = "Yes"
+    NO = "No"
+    UNDECIDED = "Undecided"
+
+
+class Reason(StrEnum):
+    """Why there is no answer."""
+
+    FEW_UNITS = "too few independent units for an interval"
+    FEW_CASCADES = "too few cascades"
+    FEW_EPISODES = "too few episodes"
+    FEW_EVENTS = "too few events"
+    DRIFT = "no steady state"
+    NO_MOTION = "no run is in motion"
+    SHORT_WINDOW = "the runs are too short"
+    OUT_OF_RANGE = "too few pairs stay in their linear range"
+    NO_REFERENCE = "nothing to compare with"
+    NOT_RECORDED = "not recorded"
+    NOT_RUN = "not run"
+    ALL_FAILED = "all runs failed"
+    NOTHING_COUNTED = "nothing to count"
+    ONE_VALUE = "all values are the same"
+
+
+@dataclass(frozen=True)
+class Lack:
+    """What could not be told, as a noun phrase, and why; `detail` has the numbers behind the reason."""
+
+    what: str
+    reason: Reason
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class Decided:
+    """The answer to a question of yes or no, and the finding that it rests on."""
+
+    truth: Truth
+    finding: Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Lack
+
+
+Finding: TypeAlias = Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Lack | Decided
+
+
+class Record(NamedTuple):
+    """A finding as a row: what is missing is None, or empty where it is a text."""
+
+    quantity: str = ""
+    setting: str = ""
+    estimate: float | None = None
+    low: float | None = None
+    high: float | None = None
+    compared_with: str = ""
+    difference: float | None = None
+    difference_low: float | None = None
+    difference_high: float | None = None
+    scale: str = ""
+    margin: float | None = None
+    verdict: str = ""
+    n: int | None = None
+    unit: str = ""
+    form: Form = Form.NUMBER
+
+
+def records(finding: Finding) -> list[Record]:
+    """The rows of a finding, none of a lack."""
+    match finding:
+        case Level(quantity, estimate, where, comparison, basis):
+            return [_record(quantity.name, quantity.form, estimate, where, comparison, basis)]
+        case Lifetime(quantity=quantity, estimate=estimate, where=where, comparison=comparison, basis=basis):
+            return [_record(quantity.name, quantity.form, estimate, where, comparison, basis)]
+        case Share(
+            things=things, predicate=predicate, estimate=estimate, where=where, comparison=comparison, basis=basis
+        ):
+            return [_record(f"share of {things} that {predicate}", Form.SHARE, estimate, where, comparison, basis)]
+        case Change(quantity, key, first, second, _, after, difference, where, basis):
+            setting = ", ".join(filter(None, (f"{key} = {second}", where)))
+            return [
+                _record(
+                    quantity.name, quantity.form, after, setting, Comparison(f"{key} = {first}", difference), basis
+                )
+            ]
+        case Law(_, _, parameter, _, departure):
+            return [*records(parameter), *(records(departure) if departure is not None else [])]
+        case Limit(_, things, predicate, most, where, basis):
+            return [
+                _record(f"share of {things} that {predicate}", Form.SHARE, Estimate(high=most), where, None, basis)
+            ]
+        case Alike(quantity, value, among, where):
+            return [
+                _record(
+                    quantity.name, quantity.form, Estimate(value), ", ".join(filter(None, (where, among))), None, None
+                )
+            ]
+        case Outcomes(largest=largest):
+            return [] if largest is None else records(largest)
+        case Decided(_, reason):
+            return records(reason)
+        case Lack():
+            return []
+
+
+def _record(
+    name: str, form: Form, estimate: Estimate, where: str, comparison: Comparison | None, basis: Basis | None
+) -> Record:
+    n, unit = (None, "") if basis is None else (basis.n, basis.unit)
+    row = Record(name, where, estimate.value, estimate.low, estimate.high, n=n, unit=unit, form=form)
+    if comparison is None:
+        return row
+    difference = comparison.difference
+    value = difference.estimate
+    return row._replace(
+        compared_with=comparison.other,
+        difference=value.value,
+        difference_low=value.low,
+        difference_high=value.high,
+        scale=difference.scale.value,
+        margin=difference.margin,
+        verdict=difference.verdict.value,
+    )

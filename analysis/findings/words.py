@@ -1,0 +1,242 @@
+"""Findings in words: one function, with one case a kind."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from stickslip.analysis.findings.finding import (
+    Alike,
+    Basis,
+    Change,
+    Comparison,
+    Decided,
+    Difference,
+    Finding,
+    Fit,
+    Form,
+    Lack,
+    Law,
+    Level,
+    Lifetime,
+    Limit,
+    Outcomes,
+    Quantity,
+    Scale,
+    Share,
+    Verdict,
+)
+from stickslip.analysis.findings.numbers import decimals, limit, number, span, with_interval
+from stickslip.analysis.stats.estimates import Estimate
+
+
+def sentence(finding: Finding) -> str:
+    """A finding as one sentence."""
+    return f"{capital(clause(finding))}."
+
+
+def clause(finding: Finding) -> str:
+    """A finding without capital and full stop."""
+    match finding:
+        case Level():
+            return _level(finding)
+        case Change():
+            return _change(finding)
+        case Share(things=things, predicate=predicate, estimate=estimate, where=where, comparison=comparison):
+            share = with_interval(estimate, Form.SHARE)
+            return f"{share} of {things} {predicate}{_at(where)}{_compared(comparison)}"
+        case Lifetime():
+            return _lifetime(finding)
+        case Law():
+            return _law(finding)
+        case Limit(things=things, predicate=predicate, most=most, where=where):
+            return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
+        case Alike(quantity, value, among, where):
+            return f"{quantity.name}{_at(where)}: {number(value, quantity.form)}, the same {among}"
+        case Outcomes():
+            return _outcomes(finding)
+        case Lack(what, reason, detail):
+            return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
+        case Decided(truth, reason):
+            return f"{truth.value}: {clause(reason)}"
+
+
+def capital(text: str) -> str:
+    """A text with a capital first letter, unless it begins with a symbol: a letter by itself, or a Greek one."""
+    is_symbol = text[:1] > "\x7f" or (text[:1] not in ("a", "A") and not text[1:2].isalpha())
+    return text if is_symbol else text[:1].upper() + text[1:]
+
+
+def listed(names: Sequence[str], last: str = "and") -> str:
+    """Names in a sentence: "a, b and c"."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} {last} {names[-1]}"
+
+
+def plural(n: int, noun: str) -> str:
+    """A number of things: "1 run", "20 systems"."""
+    return f"{n:,} {noun}{'s' * (n != 1)}"
+
+
+def based_on(basis: Basis | None) -> str:
+    """What a finding rests on, for a table: "20 systems"."""
+    return "" if basis is None else plural(basis.n, basis.unit)
+
+
+def _at(where: str) -> str:
+    return f" at {where}" if where else ""
+
+
+def _level(level: Level) -> str:
+    name = level.quantity.name + (f", {level.where}" if level.where else "")
+    return (
+        f"{name}: {with_interval(level.estimate, level.quantity.form)}{_compared(level.comparison, level.quantity)}"
+    )
+
+
+def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -> str:
+    """What a comparison adds to a sentence about an estimate."""
+    if comparison is None:
+        return ""
+    other, difference = comparison.other, comparison.difference
+    more, less = ("above", "below") if quantity is None else (quantity.more, quantity.less)
+    form = Form.SHARE if quantity is None else quantity.form
+    match difference.verdict:
+        case Verdict.MORE:
+            return f", {size(difference, form)} {more} {other}"
+        case Verdict.LESS:
+            return f", {size(difference, form)} {less} {other}"
+        case Verdict.EQUAL:
+            return f", equal to {other} within {margin(difference, form)}"
+        case Verdict.SAME:
+            return f", the same as {other} in every run"
+        case Verdict.OPEN:
+            return f"; no difference from {other} is shown ({interval(difference, form)})"
+        case Verdict.OPEN_AMONG_MANY:
+            return f"; no difference from {other} is shown among {_n_tests(difference)}"
+        case Verdict.UNJUDGED:
+            return f", beside {other}, without an interval"
+
+
+def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = Form.NUMBER) -> str:
+    """A difference as the cell of a table: "+0.9% (+0.6 to +1.3%)", and what it comes to if that is not plain."""
+    difference = comparison.difference
+    if verdict is Verdict.SAME:
+        return "none in any run"
+    value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
+    if value is None:
+        return "unknown" if low is None or high is None else interval(difference, form)
+    text = with_interval(difference.estimate, _form(difference, form), sign=True)
+    text = _in_points(text, difference, form)
+    if verdict is Verdict.EQUAL:
+        return f"{text}, equal within {margin(difference, form)}"
+    return f"{text}, not shown among so many" if verdict is Verdict.OPEN_AMONG_MANY else text
+
+
+def size(difference: Difference, form: Form = Form.NUMBER) -> str:
+    """How large a difference is, without its sign, with its interval: "0.9% (0.6 to 1.3%)"."""
+    value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
+    if value is not None and value < 0:
+        value, low, high = -value, None if high is None else -high, None if low is None else -low
+    return _in_points(with_interval(Estimate(value, low, high), _form(difference, form)), difference, form)
+
+
+def interval(difference: Difference, form: Form = Form.NUMBER) -> str:
+    """The interval of a difference, with signs."""
+    low, high = difference.estimate.low, difference.estimate.high
+    assert low is not None
+    assert high is not None
+    return _in_points(span(low, high, _form(difference, form), sign=True), difference, form)
+
+
+def margin(difference: Difference, form: Form = Form.NUMBER) -> str:
+    """The margin of a difference."""
+    assert difference.margin is not None
+    if _form(difference, form) is Form.SHARE:
+        return _in_points(f"{100 * difference.margin:g}%", difference, form)
+    return f"{difference.margin:g}"
+
+
+def _form(difference: Difference, form: Form) -> Form:
+    return Form.SHARE if difference.scale is Scale.RELATIVE else form
+
+
+def _in_points(text: str, difference: Difference, form: Form) -> str:
+    """A difference of two shares, in which per cent are percentage points."""
+    is_of_shares = difference.scale is Scale.ABSOLUTE and form is Form.SHARE
+    return text.replace("%", "") + " percentage points" if is_of_shares else text
+
+
+def _n_tests(difference: Difference) -> str:
+    assert difference.family is not None
+    return f"{difference.family.n} comparisons"
+
+
+def _change(change: Change) -> str:
+    quantity, difference, key = change.quantity, change.difference, change.key
+    along = f"as {key} goes from {change.first} to {change.second}{_at(change.where)}"
+    match difference.verdict:
+        case Verdict.MORE:
+            return f"{quantity.name} rises {_from_to(change)}, by {size(difference, quantity.form)}, {along}"
+        case Verdict.LESS:
+            return f"{quantity.name} falls {_from_to(change)}, by {size(difference, quantity.form)}, {along}"
+        case Verdict.EQUAL:
+            within = margin(difference, quantity.form)
+            return f"{quantity.name} stays within {within} ({interval(difference, quantity.form)}) {along}"
+        case Verdict.SAME:
+            return f"{quantity.name} is the same in every run {along}"
+        case Verdict.OPEN:
+            return f"no change of the {quantity.name} is shown ({interval(difference, quantity.form)}) {along}"
+        case Verdict.OPEN_AMONG_MANY:
+            return f"no change of the {quantity.name} is shown among {_n_tests(difference)} {along}"
+        case Verdict.UNJUDGED:
+            few = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)} give no interval"
+            return f"{quantity.name} goes {_from_to(change)} {along}{few}"
+
+
+def _from_to(change: Change) -> str:
+    before, after = change.before.value, change.after.value
+    assert before is not None
+    assert after is not None
+    form = change.quantity.form
+    is_absolute = change.difference.scale is Scale.ABSOLUTE
+    places = decimals(change.difference.estimate if is_absolute else Estimate(max(abs(before), abs(after))), form)
+    return f"from {number(before, form, places)} to {number(after, form, places)}"
+
+
+def _lifetime(lifetime: Lifetime) -> str:
+    if lifetime.estimate.value is None:
+        left = number(lifetime.share_left, Form.SHARE)
+        return f"{left} of {lifetime.things} {lifetime.predicate} at t = {lifetime.horizon:g}{_at(lifetime.where)}"
+    name = lifetime.quantity.name + _at(lifetime.where)
+    return f"{name}: {with_interval(lifetime.estimate)}{_compared(lifetime.comparison, lifetime.quantity)}"
+
+
+def _law(law: Law) -> str:
+    level = law.parameter
+    quantity = level.quantity
+    parameter = (
+        f"a {quantity.name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
+    )
+    match law.fit:
+        case Fit.HOLDS:
+            return f"{law.subject}{_at(level.where)} {law.predicate}, with {parameter}"
+        case Fit.CLOSE:
+            return f"{law.subject}{_at(level.where)} nearly {law.predicate}, with {parameter}"
+        case Fit.FAILS:
+            apart = "" if law.departure is None else f": {_level(law.departure)}"
+            return f"{law.subject}{_at(level.where)} do not {law.predicate}{apart}"
+        case Fit.OPEN:
+            return f"whether {law.subject}{_at(level.where)} {law.predicate} is open; {_level(level)}"
+
+
+def _outcomes(outcomes: Outcomes) -> str:
+    said = [
+        f"{listed(settings)} {verb} {outcomes.other}"
+        for settings, verb in (
+            (outcomes.different, "differs from" if len(outcomes.different) == 1 else "differ from"),
+            (outcomes.equal, "agrees with" if len(outcomes.equal) == 1 else "agree with"),
+            (outcomes.undecided, "cannot be told from"),
+        )
+        if settings
+    ]
+    largest = "" if outcomes.largest is None else f"; the largest difference is in the {_level(outcomes.largest)}"
+    return "; ".join(said) + largest

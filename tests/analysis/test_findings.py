@@ -1,0 +1,193 @@
+"""What a finding comes to: its verdict from the interval alone, its sentence, its row, and the digits of numbers."""
+
+import re
+
+import numpy as np
+import pytest
+
+from stickslip.analysis.findings.finding import (
+    Alike,
+    Basis,
+    Change,
+    Comparison,
+    Decided,
+    Difference,
+    Family,
+    Fit,
+    Form,
+    Lack,
+    Law,
+    Level,
+    Lifetime,
+    Limit,
+    Outcomes,
+    Quantity,
+    Reason,
+    Scale,
+    Share,
+    Truth,
+    Verdict,
+    records,
+)
+from stickslip.analysis.findings.numbers import limit, number, span, with_interval
+from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.report.page import _findings_table
+from stickslip.analysis.stats.estimates import Estimate
+
+GAMMA = Quantity("gamma", "decay rate")
+SHARE = Quantity("share", "share of runs in motion", Form.SHARE)
+NANO = " \u00d7 10\u207b\u2079"
+LATE = Quantity("lifetime", "median lifetime", more="longer", less="shorter")
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "margin", "verdict"),
+    [
+        (0.006, 0.013, None, Verdict.MORE),
+        (-0.013, -0.006, None, Verdict.LESS),
+        (-0.001, 0.013, None, Verdict.OPEN),
+        (0.006, 0.013, 0.05, Verdict.EQUAL),
+        (-0.001, 0.06, 0.05, Verdict.OPEN),
+        (0.01, 0.06, 0.05, Verdict.MORE),
+        (None, None, 0.05, Verdict.UNJUDGED),
+    ],
+)
+def test_the_interval_decides(low, high, margin, verdict):
+    middle = None if low is None else (low + high) / 2
+    assert Difference(Estimate(middle, low, high), margin=margin).verdict is verdict
+
+
+def test_one_of_many_comparisons_needs_an_adjusted_p_value_too():
+    shown = Estimate(0.02, 0.01, 0.03)
+    assert Difference(shown, family=Family(7, 0.2)).verdict is Verdict.OPEN_AMONG_MANY
+    assert Difference(shown, family=Family(7, 0.01)).verdict is Verdict.MORE
+    assert Difference(shown, margin=0.05, family=Family(7, 0.2, 0.2)).verdict is not Verdict.EQUAL
+
+
+@pytest.mark.parametrize(
+    ("estimate", "form", "text"),
+    [
+        (Estimate(0.7004, 0.6971, 0.7022), Form.NUMBER, "0.7004 (0.6971 to 0.7022)"),
+        (Estimate(0.3008, 0.288, 0.314), Form.SHARE, "30.1% (28.8 to 31.4%)"),
+        (Estimate(206.3, 150.0, 290.0), Form.NUMBER, "206 (150 to 290)"),
+        (Estimate(0.0, 0.0, 0.161), Form.SHARE, "0.0% (0.0 to 16.1%)"),
+        (Estimate(3.508), Form.NUMBER, "3.51"),
+        (Estimate(2.0), Form.COUNT, "2"),
+        (Estimate(206.0, 150.0), Form.NUMBER, "206 (at least 150)"),
+        (Estimate(-0.013, -0.02, -0.006), Form.NUMBER, "\u22120.0130 (\u22120.0200 to \u22120.0060)"),
+        (Estimate(12345.0, 12000.0, 12700.0), Form.NUMBER, "12,345 (12,000 to 12,700)"),
+        (Estimate(3e-9, 2e-9, 4e-9), Form.NUMBER, f"3.0{NANO} (2.0{NANO} to 4.0{NANO})"),
+    ],
+)  # fmt: skip
+def test_numbers_have_two_digits_of_their_interval(estimate, form, text):
+    assert with_interval(estimate, form) == text
+
+
+@pytest.mark.parametrize(
+    ("most", "form", "text"),
+    [
+        (0.00281, Form.SHARE, "0.29%"),
+        (0.0028, Form.SHARE, "0.28%"),
+        (0.3, Form.SHARE, "30%"),
+        (0.0, Form.SHARE, "0%"),
+    ],
+)
+def test_a_limit_is_rounded_up(most, form, text):
+    assert limit(most, form) == text
+
+
+def test_different_ends_never_look_alike(rng):
+    for _ in range(300):
+        value = rng.choice([-1, 1]) * 10.0 ** rng.uniform(-12, 9)
+        half = abs(value) * 10.0 ** rng.uniform(-6, 1)
+        for form in Form:
+            first, second = span(value - half, value + half, form).split(" to ")
+            assert first.rstrip("%") != second.rstrip("%")
+            assert number(-0.0, form, 2) == number(0.0, form, 2)
+
+
+def test_sentences():
+    ratio = Difference(Estimate(0.0095, 0.0061, 0.0131))
+    law = Level(GAMMA, Estimate(0.6998, 0.697, 0.7022), comparison=Comparison("a fair coin's ln 2", ratio))
+    assert sentence(law) == "Decay rate: 0.6998 (0.6970 to 0.7022), 0.95% (0.61 to 1.31%) above a fair coin's ln 2."
+    assert sentence(Law("cascade sizes", "fall off exponentially", law)) == (
+        "Cascade sizes fall off exponentially, with a decay rate of 0.6998 (0.6970 to 0.7022), "
+        "0.95% (0.61 to 1.31%) above a fair coin's ln 2."
+    )
+    away = Difference(Estimate(-0.3, -0.4, -0.2), Scale.ABSOLUTE)
+    gone = Change(SHARE, "kappa", "0.1", "0.4", Estimate(0.5), Estimate(0.2), away, "eps = 0.03")
+    assert sentence(gone) == (
+        "Share of runs in motion falls from 50% to 20%, by 30 (20 to 40) percentage points, "
+        "as kappa goes from 0.1 to 0.4 at eps = 0.03."
+    )
+    left = Lifetime(LATE, "runs", "still stick and slip", Estimate(), 150.0, 0.75, "n = 100")
+    assert sentence(left) == "75.0% of runs still stick and slip at t = 150 at n = 100."
+    basin = Share("sliding", "starts", "end in steady sliding", Estimate(0.301, 0.288, 0.314))
+    assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts end in steady sliding."
+    assert sentence(Decided(Truth.NO, basin)) == f"No: {sentence(basin)}"
+
+
+def _pick(rng, kind):
+    return [*kind][rng.integers(len(kind))]
+
+
+def _differences(rng):
+    value = rng.normal() * 10.0 ** rng.uniform(-3, 2)
+    half = abs(value) * 10.0 ** rng.uniform(-1, 1)
+    estimate = Estimate(value, value - half, value + half) if rng.random() < 0.8 else Estimate(value)
+    family = Family(int(rng.integers(2, 30)), rng.random(), rng.random()) if rng.random() < 0.5 else None
+    margin = abs(value) * rng.uniform(0.5, 20) if rng.random() < 0.5 else None
+    return Difference(estimate, _pick(rng, Scale), margin, family, rng.random() < 0.1)
+
+
+def _findings(rng):
+    """One of each kind, at random."""
+    difference = _differences(rng)
+    quantity = [GAMMA, SHARE, LATE][rng.integers(3)]
+    value = rng.uniform(0.0, 1.0)
+    estimate = Estimate(value, value / 2, min(2 * value, 1.0))
+    where, basis = ["", "n = 100, exact"][rng.integers(2)], [None, Basis(8), Basis(1, "start")][rng.integers(3)]
+    comparison = [None, Comparison("the exact engine", difference)][rng.integers(2)]
+    level = Level(quantity, estimate, where, comparison, basis)
+    yield level
+    yield Change(quantity, "kappa", "0.1", "0.4", Estimate(0.3), estimate, difference, where, basis)
+    yield (share := Share("sliding", "starts", "end in steady sliding", estimate, where, comparison, basis))
+    yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis)
+    yield Lifetime(LATE, "runs", "still stick", Estimate(), 100.0, 0.7, where, comparison, basis)
+    yield Law("sizes", "fall off exponentially", level, _pick(rng, Fit), level)
+    yield Limit("pairs", "exits", "trigger another", value, where, basis)
+    yield Alike(quantity, value, "from all starts", where)
+    yield Outcomes("the exact engine", ("h = 0.1",), ("h = 0.2", "h = 0.4"), (), level)
+    yield Lack("the decay rate", _pick(rng, Reason), "12 cascades")
+    yield Decided(_pick(rng, Truth), share)
+
+
+def test_every_kind_is_a_sentence_and_rows(rng):
+    kinds = set()
+    for _ in range(40):
+        for finding in _findings(rng):
+            kinds.add(type(finding))
+            said = sentence(finding)
+            assert said.endswith(".")
+            assert not said.endswith("..")
+            assert "  " not in said
+            assert not re.search(r"\bNone\b|\bnan\b|[A-Z]{2,}|\(\)|<|Verdict", said), said
+            for row in records(finding):
+                assert row.quantity
+                assert row.low is None or row.high is None or row.low <= row.high
+                assert row.verdict in {"", *Verdict}
+                assert not any(isinstance(cell, float) and np.isnan(cell) for cell in row)
+    assert len(kinds) == 10
+
+
+def test_the_table_of_findings_has_limits_and_differences_in_their_units():
+    lower = Difference(Estimate(-0.3, -0.4, -0.2), Scale.ABSOLUTE)
+    wider = Difference(Estimate(0.5, 0.25, 0.75), Scale.RELATIVE)
+    rows = [
+        *records(Limit("pairs", "exits", "trigger another", 0.0028)),
+        *records(Level(SHARE, Estimate(0.2), comparison=Comparison("others", lower))),
+        *records(Level(GAMMA, Estimate(0.7), comparison=Comparison("others", wider))),
+    ]
+    table = _findings_table(rows)
+    for cell in ("at most 0.28%", "\u221230% (\u221240 to \u221220%)", "+50% (+25 to +75%)"):
+        assert cell in table
