@@ -1,4 +1,4 @@
-"""The picture of the README: `python docs/slips.py`."""
+"""The left picture of the README: `python docs/slips.py`. The right one is the head of the page of `cascades`."""
 
 from __future__ import annotations
 
@@ -9,18 +9,16 @@ from matplotlib.figure import Figure
 from stickslip import draw_system, simulate
 from stickslip.analysis.style import styled, subplots, svg
 
-SPAN = (600.0, 700.0)
+SPAN = (600.0, 650.0)
 
 
 def slips() -> Figure:
-    """Which block of the first system of the scene `cascades` slips when, and how many stick."""
+    """Which block of the first system of the scene `cascades` slips when."""
     system = draw_system("antisymmetric", n=200, seed=0)
     run = simulate(system, -0.7, -0.4, SPAN[1], tol=1e-10)
     with styled():
-        figure, axes = subplots(2, 1, 4.2)
-        blocks, count = axes.ravel()
-        run.plot("space_time", blocks, span=SPAN)
-        run.plot("n_stick", count, span=SPAN)
+        figure, axes = subplots(1, 1, 4.2)
+        run.plot("space_time", axes.item(), span=SPAN)
     return figure
 
 
