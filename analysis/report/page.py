@@ -125,7 +125,7 @@ def _saying(text: str) -> Callable[..., Markup]:
 def prepare() -> None:
     """Compile the templates in advance, while a process is idle."""
     filled = environment()
-    for name in ("report", *QUESTIONS):
+    for name in ("report", *(key for key in QUESTIONS if not question(key).title)):
         filled.get_template(f"{name}.html")
 
 
@@ -313,7 +313,9 @@ def _joined(title: str, about: str) -> str:
 
 def _words(filled: Environment, key: str) -> SimpleNamespace:
     """The names and macros of a question's template; None for each of `OPTIONAL_WORDS` that it lacks."""
-    return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | vars(filled.get_template(f"{key}.html").module)))
+    title = question(key).title
+    words = {"name": title} if title else vars(filled.get_template(f"{key}.html").module)
+    return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | words))
 
 
 @dataclass(frozen=True)
