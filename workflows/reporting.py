@@ -15,6 +15,7 @@ import pyarrow as pa
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
 from stickslip.analysis.ensemble import Numbers, Recorded, Until
 from stickslip.analysis.members import READ, Members
+from stickslip.analysis.questions import renamed
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.page import Answered
@@ -207,8 +208,9 @@ def _seeds(scene: Scene) -> tuple[int, ...]:
 
 def _settings(scene: Scene) -> AnalysisSettings:
     with_known_questions(scene, "scene")
-    asked = scene.analysis.model_dump() | {"seed": _seeds(scene)[0], "map_dt": scene.analysis.map_dt or ()}
-    return AnalysisSettings(**asked)
+    given = scene.analysis
+    changed = {"seed": _seeds(scene)[0], "map_dt": given.map_dt or (), "question": renamed(given.question)}
+    return AnalysisSettings(**(given.model_dump() | changed))
 
 
 def _provenance(opened: Opened) -> dict[str, str]:
