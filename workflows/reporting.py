@@ -182,7 +182,7 @@ def compared(path: Where, other: Where) -> Report:
             printable(name),
             _data(opened),
             opened.scene.analysis.t_burn,
-            opened.scene.analysis.margins.model_dump(),
+            opened.scene.analysis.margins.declared,
             _provenance(opened),
             opened.manifest.digest,
         )
@@ -208,9 +208,11 @@ def _seeds(scene: Scene) -> tuple[int, ...]:
 
 def _settings(scene: Scene) -> AnalysisSettings:
     with_known_questions(scene, "scene")
-    given = scene.analysis
-    changed = {"seed": _seeds(scene)[0], "map_dt": given.map_dt or (), "question": renamed(given.question)}
-    return AnalysisSettings(**(given.model_dump() | changed))
+    asked = scene.analysis.model_dump() | {
+        "seed": _seeds(scene)[0], "map_dt": scene.analysis.map_dt or (), "margins": scene.analysis.margins.declared,
+        "question": renamed(scene.analysis.question), "published": scene.analysis.published.declared,
+    }  # fmt: skip
+    return AnalysisSettings(**asked)
 
 
 def _provenance(opened: Opened) -> dict[str, str]:

@@ -27,7 +27,7 @@ from stickslip.analysis.findings.finding import (
     Share,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import decimals, number, span, with_interval
+from stickslip.analysis.findings.numbers import decimals, limit, number, span, with_interval
 from stickslip.analysis.stats.estimates import Estimate
 
 
@@ -51,14 +51,15 @@ def clause(finding: Finding) -> str:
         case Law():
             return _law(finding)
         case Limit(things=things, predicate=predicate, most=most, where=where):
-            return f"at most {number(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
+            return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
         case Alike(quantity, value, among, where):
             digits = decimals(Estimate(value), quantity.form) + 1  # it is known to many
             return f"{quantity.name}{_at(where)}: {number(value, quantity.form, digits)}, the same {among}"
         case Outcomes():
             return _outcomes(finding)
         case Regimes(things, regimes, where):
-            return _joined_at(where, "; ".join(_regime(things, regime) for regime in regimes))
+            grouped = "; ".join(_regime(things, regime) for regime in regimes)
+            return f"{_at(where).strip(' ,')}: {grouped}" if where else grouped
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
         case Decided(truth, reason):
@@ -87,7 +88,9 @@ def based_on(basis: Basis | None) -> str:
 
 
 def _at(where: str) -> str:
-    return f" at {where}" if where else ""
+    if not where:
+        return ""
+    return f" at {where}" if "=" in where.partition(",")[0] else f", {where}"
 
 
 def _level(level: Level) -> str:
@@ -230,10 +233,6 @@ def _outcomes(outcomes: Outcomes) -> str:
     ]
     largest = "" if outcomes.largest is None else f"; the largest difference is in the {_level(outcomes.largest)}"
     return "; ".join(said) + largest
-
-
-def _joined_at(where: str, text: str) -> str:
-    return f"at {where}, {text}" if where else text
 
 
 def _regime(things: str, regime: Regime) -> str:

@@ -21,7 +21,9 @@ QUESTIONS: Mapping[str, str] = {
 
 
 #: Names that scenes of earlier versions give, and what they ask for now.
-RENAMED: Mapping[str, str] = {}
+RENAMED: Mapping[str, str] = {
+    "attractors": "fates",
+}
 
 #: Modules of this package, beside the scenes that ship, with questions that only scenes which name them ask:
 #: ``stickslip.workflows.scenes.module:function``. They are as a user's own are, but are always run.

@@ -260,14 +260,43 @@ class RecordTable(_Records):  # type: ignore[misc]
 class MarginsTable(StrictTable):
     """[analysis.margins]: by how much a changed run may differ from its original and count as equivalent.
 
-    Shares of the original's value.
+    Shares of the original's value; without one nothing counts as equivalent.
     """
 
-    mean: Positive = Field(default=0.1, description="margin of the time mean of n_stick")
-    variance: Positive = Field(default=0.25, description="margin of its variance in time")
-    rate: Positive = Field(default=0.1, description="margin of the rate of its changes")
-    gamma: Positive = Field(default=0.05, description="margin of gamma by events")
-    correlation_time: Positive = Field(default=0.5, description="margin of its correlation time")
+    mean: Positive | None = Field(default=None, description="margin of the time mean of n_stick", examples=[0.05])
+    variance: Positive | None = Field(default=None, description="margin of its variance in time", examples=[0.25])
+    rate: Positive | None = Field(default=None, description="margin of the rate of its changes", examples=[0.05])
+    gamma: Positive | None = Field(default=None, description="margin of gamma by events", examples=[0.01])
+    correlation_time: Positive | None = Field(
+        default=None, description="margin of its correlation time", examples=[0.5]
+    )
+
+    @property
+    def declared(self) -> dict[str, float]:
+        """The margins that the scene declares, by quantity."""
+        return {name: margin for name, margin in self if margin is not None}
+
+
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class PublishedTable(StrictTable):
+    """[analysis.published]: shares of runs by what they settle on, as others report them.
+
+    The shares of a record of attractors are set beside them.
+    """
+
+    rest: Share | None = Field(default=None, description="published share that comes to rest", examples=[0.1])
+    sliding: Share | None = Field(default=None, description="published share of steady sliding", examples=[0.3])
+    periodic: Share | None = Field(default=None, description="published share on a cycle", examples=[0.6])
+    torus: Share | None = Field(default=None, description="published share on a torus", examples=[0.1])
+    irregular: Share | None = Field(default=None, description="published share of chaos", examples=[0.1])
+    escaping: Share | None = Field(default=None, description="published share without limit", examples=[0.1])
+
+    @property
+    def declared(self) -> dict[str, float]:
+        """Those that the scene names, by attractor."""
+        return {name: share for name, share in self if share is not None}
 
 
 #: The name of a question, or of a function of the user's own that answers one. The pipeline does not know which there
@@ -292,6 +321,7 @@ class AnalysisTable(StrictTable):
         default=0.95, description="level of the intervals"
     )
     margins: MarginsTable = MarginsTable()
+    published: PublishedTable = PublishedTable()
     question: Annotated[
         tuple[QuestionName, ...],
         BeforeValidator(as_tuple, json_schema_input_type=QuestionName | list[QuestionName]),

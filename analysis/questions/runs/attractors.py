@@ -321,7 +321,8 @@ def _most(numbers: np.ndarray) -> float | None:
 def _findings(study: Study, things: str, where: str, attractors: Sequence[Attractor], runs: Runs) -> list[Finding]:
     """The share of each attractor of a group, and the period that all cycles share."""
     n_cycles = sum(attractor.what.kind == PERIODIC for attractor in attractors)
-    basis = Basis(runs.n_units, "start" if runs.is_one_system else study.unit)
+    unit = "start" if runs.is_one_system else "system" if study.unit == "matrix" else study.unit
+    basis = Basis(runs.n_units, unit)
     shares: list[Finding] = [
         Share(
             attractor.what.kind, things, attractor.predicate(n_cycles == 1), attractor.share, where,

@@ -395,8 +395,8 @@ def _alerts(study: Study, ends: Sequence[Ends], short: Sequence[str]) -> list[Al
         alerts.append(Alert.of(Code.TEMPORARY, n=total[LULL], of=n_runs))
     few = [row for row in ends if row.n_runs and row.basis.code == enough.FEW_MATRICES and row.n_moving]
     if few:
-        units = "matrices" if study.unit == "matrix" else f"{study.unit}s"
-        alerts.append(Alert.of(Code.FEW, n=len(few[0].group.units), units=units))
+        basis = _basis(study, len(few[0].group.units))
+        alerts.append(Alert.of(Code.FEW, n=basis.n, units=f"{basis.unit}s"))
     return alerts[:3]
 
 
