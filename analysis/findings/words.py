@@ -58,7 +58,7 @@ def clause(finding: Finding) -> str:
         case Outcomes():
             return _outcomes(finding)
         case Regimes(things, regimes, where):
-            grouped = "; ".join(_regime(things, regime) for regime in regimes)
+            grouped = "; ".join(_regime(regime, things, k == 0) for k, regime in enumerate(regimes))
             return f"{_at(where).strip(' ,')}: {grouped}" if where else grouped
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
@@ -235,12 +235,13 @@ def _outcomes(outcomes: Outcomes) -> str:
     return "; ".join(said) + largest
 
 
-def _regime(things: str, regime: Regime) -> str:
-    if len(regime.predicates) > 1:
-        *first, last = (f"some {predicate}" for predicate in regime.predicates)
-        return f"{regime.where} {listed([*first, last.replace('some', 'others', 1)])}"
-    (predicate,) = regime.predicates
-    if regime.n < regime.of:
-        return f"{regime.where} all {regime.n:,} decided {things} (of {regime.of:,}) {predicate}"
-    every = {1: "", 2: "both "}.get(regime.n, f"all {regime.n:,} ")
-    return f"{regime.where} {every}{things} {predicate}"
+def _regime(regime: Regime, things: str, is_first: bool) -> str:
+    """What things do at some settings; they are named once in a sentence."""
+    where, n, noun = regime.where, regime.n, f" {things}" * is_first
+    first, *others = regime.predicates
+    if others:
+        parts = [f"some{noun} {first}", *(f"some {predicate}" for predicate in others[:-1]), f"others {others[-1]}"]
+        return f"{where} {listed(parts)}"
+    if n < regime.of:
+        return f"{where} all {n:,} decided {things} (of {regime.of:,}) {first}"
+    return f"{where} all {n:,}{noun} {first}" if n > 1 else f"{where} {things} {first}"

@@ -11,7 +11,7 @@ from stickslip.analysis.stats.compare import wilson
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.labels import Label
 
-MOST = 4  # stretches of values that a sentence names
+MOST = 3  # stretches of values that a sentence names
 _LEAST_UNITS = 4  # for a bound on a share that is 1
 Outcome = TypeVar("Outcome")
 
@@ -55,7 +55,7 @@ def regimes(
     predicate: Callable[[Outcome, Sequence[Place[Outcome]]], str],
     confidence: float,
 ) -> tuple[Regime, ...]:
-    """Settings by what their runs do.
+    """Settings by what their runs do; of many stretches of values only those whose runs all do the same.
 
     Parameters
     ----------
@@ -69,6 +69,8 @@ def regimes(
     confidence : float
     """
     stretches = stretches_of(places) if key else []
+    if len(stretches) > MOST:  # those between have several outcomes
+        stretches = [part for part in stretches if len(places[part.first].outcomes) == 1]
     if 0 < len(stretches) <= MOST:
         parts = [(_stretch(key, values, part), places[part.first : part.last + 1]) for part in stretches]
     else:
