@@ -208,11 +208,12 @@ def _seeds(scene: Scene) -> tuple[int, ...]:
 
 def _settings(scene: Scene) -> AnalysisSettings:
     with_known_questions(scene, "scene")
-    asked = scene.analysis.model_dump() | {
-        "seed": _seeds(scene)[0], "map_dt": scene.analysis.map_dt or (), "margins": scene.analysis.margins.declared,
-        "question": renamed(scene.analysis.question), "published": scene.analysis.published.declared,
+    declared = scene.analysis
+    changed = {
+        "seed": _seeds(scene)[0], "map_dt": declared.map_dt or (), "margins": declared.margins.declared,
+        "question": renamed(declared.question), "published": declared.published.declared,
     }  # fmt: skip
-    return AnalysisSettings(**asked)
+    return AnalysisSettings(**(declared.model_dump() | changed))
 
 
 def _provenance(opened: Opened) -> dict[str, str]:

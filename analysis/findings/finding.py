@@ -316,6 +316,7 @@ class Regime:
         How many things have a known outcome there, and how many there are.
     share : Estimate
         Of one outcome: the share of such things that have it; without a value where several occur.
+    basis : Basis, optional
     """
 
     where: str
@@ -323,6 +324,7 @@ class Regime:
     n: int
     of: int
     share: Estimate = field(default_factory=Estimate)
+    basis: Basis | None = None
 
 
 @dataclass(frozen=True)
@@ -441,7 +443,7 @@ def records(finding: Finding) -> list[Record]:
                     regime.share,
                     ", ".join(filter(None, (where, regime.where))),
                     None,
-                    Basis(regime.n, things.removesuffix("s")),
+                    regime.basis,
                 )
                 for regime in regimes
             ]

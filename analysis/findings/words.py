@@ -124,6 +124,21 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
             return f", beside {other}, without an interval"
 
 
+def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = Form.NUMBER) -> str:
+    """A difference as the cell of a table: "+0.9% (+0.6 to +1.3%)", and what it comes to if that is not plain."""
+    difference = comparison.difference
+    if verdict is Verdict.SAME:
+        return "none in any run"
+    value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
+    if value is None:
+        return "unknown" if low is None or high is None else interval(difference, form)
+    text = with_interval(difference.estimate, _form(difference, form), sign=True)
+    text = _in_points(text, difference, form)
+    if verdict is Verdict.EQUAL:
+        return f"{text}, equal within {margin(difference, form)}"
+    return f"{text}, not shown among so many" if verdict is Verdict.OPEN_AMONG_MANY else text
+
+
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:
     """How large a difference is, without its sign, with its interval: "0.9% (0.6 to 1.3%)"."""
     value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high

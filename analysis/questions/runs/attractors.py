@@ -321,8 +321,7 @@ def _most(numbers: np.ndarray) -> float | None:
 def _findings(study: Study, things: str, where: str, attractors: Sequence[Attractor], runs: Runs) -> list[Finding]:
     """The share of each attractor of a group, and the period that all cycles share."""
     n_cycles = sum(attractor.what.kind == PERIODIC for attractor in attractors)
-    unit = "start" if runs.is_one_system else "system" if study.unit == "matrix" else study.unit
-    basis = Basis(runs.n_units, unit)
+    basis = Basis(runs.n_units, _unit(study, [runs]))
     shares: list[Finding] = [
         Share(
             attractor.what.kind, things, attractor.predicate(n_cycles == 1), attractor.share, where,
@@ -334,6 +333,13 @@ def _findings(study: Study, things: str, where: str, attractors: Sequence[Attrac
     if n_cycles == 1 and cycle is not None and cycle.period is not None and cycle.n_runs > 1:
         shares.append(Alike(PERIOD, cycle.period[1], f"from all {plural(cycle.n_runs, things[:-1])}", where))
     return shares
+
+
+def _unit(study: Study, runs: Sequence[Runs]) -> str:
+    """What is independent of some runs."""
+    if all(part.is_one_system for part in runs):
+        return "start"
+    return "system" if study.unit == "matrix" else study.unit
 
 
 def _published(study: Study, attractor: Attractor, n_cycles: int) -> Comparison | None:
@@ -430,23 +436,19 @@ def _along(study: Study, axis: Axis, lines: Sequence[_Line], has_settings: bool)
     Of a single line also where the exits of its cycle per period change.
     """
     level = study.settings.confidence
-    things = "starts" if all(runs.is_one_system for line in lines for runs in line.runs) else "runs"
+    unit = _unit(study, [runs for line in lines for runs in line.runs])
+    things = "starts" if unit == "start" else "runs"
     kinds: list[Finding] = []
     cycles: list[Finding] = []
     ends = lines if len(lines) < _MOST_LINES else [*lines[: _MOST_LINES - 1], lines[-1]]
     for line in [ends[0], *ends[:0:-1][:1], *ends[1:-1]]:
         where = line.where(has_settings)
         by_kind, by_exits = _places(line, False), _places(line, True)
-        kinds.append(
-            Regimes(
-                things,
-                regimes(axis.name, line.texts, by_kind, lambda what, _: PREDICATES[what.kind], level),
-                where,
-            )
-        )
+        along = regimes(axis.name, line.texts, by_kind, lambda what, _: PREDICATES[what.kind], level, unit)
+        kinds.append(Regimes(things, along, where))
         if stretches_of(by_kind) != stretches_of(by_exits):
-            by_exit = regimes(axis.name, line.texts, by_exits, lambda what, _: what.predicate, level)
-            cycles.append(Regimes(things, by_exit, where))
+            along = regimes(axis.name, line.texts, by_exits, lambda what, _: what.predicate, level, unit)
+            cycles.append(Regimes(things, along, where))
     if len(lines) == 1:
         return [*kinds, *cycles], 1 + len(cycles)
     return [*kinds, *cycles], 2

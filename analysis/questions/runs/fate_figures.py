@@ -362,7 +362,7 @@ def growth(ax: Axes, key: str, values: Sequence[str], runs: Sequence[pd.DataFram
     ax.figure.legend(loc="outside upper left", ncols=2, handletextpad=0.2)
 
 
-@panel()
+@panel(3.4)
 def survival_curves(ax: Axes, curves: Mapping[str, Curve], t_end: float) -> None:
     """Share of runs that have not ended against time with its interval, a hue for each setting."""
     hues = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(curves)))
@@ -371,7 +371,7 @@ def survival_curves(ax: Axes, curves: Mapping[str, Curve], t_end: float) -> None
         left, low, high = (np.append(value, value[-1]) for value in values)
         ax.step(t, left, where="post", color=hue, label=label)
         ax.fill_between(t, low, high, step="post", color=hue, alpha=0.15, linewidth=0)
-    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), xlabel="time t", ylabel="share of runs that have not ended")
+    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), xlabel="time t", ylabel="share of runs not ended")
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     columns = 2 if max(map(len, curves)) <= _SHORT else 1
     if len(curves) > 1:

@@ -243,12 +243,13 @@ def answer(study: Study) -> Answer:
         method = f"{settled.method} {METHOD}" if spoken else settled.method
     if not findings:
         findings = [Lack("what became of the runs", Reason.NOT_RUN, "every run failed")]
-    findings += _means(study, ends)
-    short = [row["group"] for row in tested if row["is_short"]]
-    drawn = next((name for name in (*short, *burn_in.drawable(by_t_burn)) if name in burn_in.drawable(by_t_burn)), "")
-    if drawn:
+    findings += _means(study, spoken)
+    short = [row["group"] for row in tested if row["is_short"] and row["group"] not in known]
+    drawable = burn_in.drawable(by_t_burn)
+    drawn = next((name for name in (*short, *drawable) if name in drawable), "")
+    if drawn and (short or len(pictures) > 1):  # the second stands on the first screen
         pictures["by_t_burn"] = _along_t_burn(study, drawn, [row for row in by_t_burn if row["group"] == drawn])
-    alerts = _alerts(study, ends, short)
+    alerts = _alerts(study, ends, [*(row.group.label for row in spoken if row.is_drifting), *short])
     return Answer(findings=findings, n_lead=n_lead, alerts=alerts, method=method, tables=tables, figures=pictures)
 
 
@@ -296,7 +297,7 @@ def _outcome(study: Study, runs: pd.DataFrame, rows: Sequence[Ends]) -> tuple[li
     def predicate(kind: str, group: Sequence[Place[str]]) -> str:
         return _predicate(kind, [row_of[id(place)] for place in group])
 
-    by_outcome = regimes(key, values, places, predicate, study.settings.confidence)
+    by_outcome = regimes(key, values, places, predicate, study.settings.confidence, _basis(study, 0).unit)
     mixed = [row for row in rows if len(row.kinds) > 1][:MOST_SETTINGS]
     shares: list[Finding] = [_share(study, runs, [row], kind, _where(row)) for row in mixed for kind in row.kinds]
     return [Regimes("runs", by_outcome, method)], shares
@@ -376,14 +377,13 @@ def _means(study: Study, ends: Sequence[Ends]) -> list[Finding]:
     ]
 
 
-def _alerts(study: Study, ends: Sequence[Ends], short: Sequence[str]) -> list[Alert]:
+def _alerts(study: Study, ends: Sequence[Ends], drifting: Sequence[str]) -> list[Alert]:
     total = sum((row.n_of for row in ends), Counter[str]())
     n_runs, n_failed = sum(row.n_runs for row in ends), total[FAILED]
-    drifting = [row.group.label for row in ends if row.is_drifting]
     alerts = []
     if n_failed:
         alerts.append(Alert.of(Code.FAILED, n=n_failed, of=n_runs + n_failed))
-    if names := list(dict.fromkeys([*drifting, *short])):
+    if names := list(dict.fromkeys(drifting)):
         what = f"n_stick ({names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''})"
         alerts.append(Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn))
     n_open, n_decided = attractors.n_undecided(study)

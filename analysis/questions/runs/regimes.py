@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from itertools import groupby
 from typing import Generic, NamedTuple, TypeVar
 
-from stickslip.analysis.findings.finding import Regime
+from stickslip.analysis.findings.finding import Basis, Regime
 from stickslip.analysis.stats.compare import wilson
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.labels import Label
@@ -54,6 +54,7 @@ def regimes(
     places: Sequence[Place[Outcome]],
     predicate: Callable[[Outcome, Sequence[Place[Outcome]]], str],
     confidence: float,
+    unit: str,
 ) -> tuple[Regime, ...]:
     """Settings by what their runs do; of many stretches of values only those whose runs all do the same.
 
@@ -67,6 +68,8 @@ def regimes(
     predicate : callable
         Puts an outcome at some places into words: a verb phrase in the plural.
     confidence : float
+    unit : str
+        What is independent: "system".
     """
     stretches = stretches_of(places) if key else []
     if len(stretches) > MOST:  # those between have several outcomes
@@ -81,7 +84,7 @@ def regimes(
         settings = f"values of {key}" if key else "settings"
         by_number = sorted(alike.values(), key=len, reverse=True)
         parts = [(f"at {len(group)} of {len(places)} {settings}", group) for group in by_number]
-    return tuple(_regime(where, group, predicate, confidence) for where, group in parts)
+    return tuple(_regime(where, group, predicate, confidence, unit) for where, group in parts)
 
 
 def stretches_of(places: Sequence[Place[Outcome]]) -> list[Stretch]:
@@ -109,12 +112,14 @@ def _regime(
     group: Sequence[Place[Outcome]],
     predicate: Callable[[Outcome, Sequence[Place[Outcome]]], str],
     confidence: float,
+    unit: str,
 ) -> Regime:
     outcomes = next(place.outcomes for place in group if place.outcomes)
     n, total = (sum(numbers) for numbers in zip(*((place.n, place.of) for place in group), strict=True))
     low = least_share(group, confidence)
     share = Estimate() if len(outcomes) > 1 else Estimate(1.0, low, None if low is None else 1.0)
-    return Regime(where, tuple(predicate(outcome, group) for outcome in outcomes), n, total, share)
+    basis = Basis(max(place.n_units for place in group), unit)
+    return Regime(where, tuple(predicate(outcome, group) for outcome in outcomes), n, total, share, basis)
 
 
 def _stretch(key: str, values: Sequence[str], part: Stretch) -> str:
