@@ -219,7 +219,7 @@ def _settings(scene: Scene) -> AnalysisSettings:
     declared = scene.analysis
     changed = {
         "seed": _seeds(scene)[0], "map_dt": declared.map_dt or (), "margins": declared.margins.declared,
-        "question": renamed(declared.question),
+        "question": renamed(declared.question), "published": declared.published.declared,
     }  # fmt: skip
     return AnalysisSettings(**(declared.model_dump() | changed))
 

@@ -498,7 +498,7 @@ def _alerts(leading: Sequence[Part], others: Sequence[Part]) -> list[str | Marku
     """The most important alerts: all of the answers that lead, and of the others those that are about the data."""
     warned = [alert for part in leading for alert in part.alerts if alert[0] != STOP]
     warned += [alert for part in others for alert in part.alerts if STOP < alert[0] <= part.upto]
-    return [text for _, text in sorted(warned, key=lambda alert: alert[0])][:MOST_ALERTS]
+    return [text for _, text in sorted(dict.fromkeys(warned), key=lambda alert: alert[0])][:MOST_ALERTS]
 
 
 def _items(text: str) -> list[str]:
