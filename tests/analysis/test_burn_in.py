@@ -125,7 +125,7 @@ def at_rest(planted, rng, data):
 
 
 def test_groups_at_rest_are_not_tested_and_dilute_nothing(planted, settings, rng):
-    """Their first tenth is their last half; were they tested, the p-value of the group that moves would be tenfold."""
+    """Their first tenth is their last half; if they were tested, the p-value of what moves would be tenfold."""
     for t_burn in rng.uniform(50.0, 300.0, size=20):  # sums of rounded times
         data = at_rest(planted, rng, ensemble(planted, rng, 30.0))
         moves, *rests = of_groups(data, replace(settings, t_burn=float(t_burn)))
