@@ -334,12 +334,10 @@ def scheduler_lost(world: World, count: int) -> int:
 
 def _signalled(world: World, count: int, number: signal.Signals, times: int) -> int:
     """Signals to a run that would never end by itself, nor in order if it waited for what its workers are at."""
-    members = expand(world.scene)
-    hung = {member.member_id: "hang" for member in members[len(members) // 2 :]}
     for k in range(count):
         out = world.directory / f"out{k}"
         arguments = ["run", str(world.scene_file), "--out", str(out), "--workers", "2"]
-        process = world.command(*arguments, sleep=0.3, victims=hung)
+        process = world.command(*arguments, sleep=0.3, victims=world.hung)
         until(lambda out=out: (out / "manifest.json").exists())
         time.sleep(world.random.uniform(0.0, 4.0))
         os.killpg(process.pid, number)  # as a terminal does: to the workers too

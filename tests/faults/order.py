@@ -44,7 +44,7 @@ def driver_with_workers_killed_then_another(world: World, count: int) -> int:
     for k in range(count):
         out = world.directory / f"out{k}"
         arguments = ("run", str(world.scene_file), "--out", str(out), "--workers", "2")
-        first = world.command(*arguments, sleep=1.0)
+        first = world.command(*arguments, victims=world.hung)  # it would never end
         until(lambda out=out: any(out.glob("data/shard-*")))
         code, _, err = end_of(world.command(*arguments))
         assert code == 1
@@ -84,12 +84,11 @@ def shuffled(world: World, count: int) -> int:
 
 @fault(quick=0, full=3)
 def one_two_four_workers(world: World, count: int) -> int:
-    """The number of workers does not show;"""
+    """The number of workers does not show."""
     for k, workers in enumerate((4, 2, 1)[:count]):
         out = world.directory / f"out{k}"
-        code, _, err = end_of(
-            world.command("run", str(world.scene_file), "--out", str(out), "--workers", str(workers)), 120
-        )
+        command = world.command("run", str(world.scene_file), "--out", str(out), "--workers", str(workers))
+        code, _, err = end_of(command)
         assert code == 0, err
         world.check(out)
     return count

@@ -76,7 +76,9 @@ class World:
         self.scene = parse_scene(self.source)
         self.scene_file = self.directory / "scene.toml"
         self.scene_file.write_bytes(self.source)
-        for member in expand(self.scene)[:2]:  # kernels are loaded before anything forks
+        members = expand(self.scene)
+        self.hung = {member.member_id: "hang" for member in members[len(members) // 2 :]}  #: victims that never end
+        for member in members[:2]:  # kernels are loaded before anything forks
             member.simulate()
         self.undisturbed = self.directory / "undisturbed"
         assert self.fork(lambda: self.run(self.undisturbed)) == 0
