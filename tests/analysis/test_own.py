@@ -73,7 +73,7 @@ def answered(rng):
     length = Estimate(value, value - 0.05, value + 0.05)
     rows = pd.DataFrame([{"name_of": "a<b", **named("length", length), "n_runs": 5, "at": 0.25, "is_long": True}])
     answer = Answer(
-        findings=[Level(LENGTH, length, "x\x1b = -1\n<long>", basis=Basis(5)), Lack("the & width", Reason.NOT_RUN)],
+        findings=[Level(LENGTH, length, "x\x1b = -1\n<long>", basis=Basis(5)), Level(LENGTH, length, "x = 1")],
         alerts=[Alert.of(Code.FEW, n=5, units="<runs>")],
         paragraph="It is not\n<wide>.",
         tables={"lengths": rows},
@@ -152,8 +152,8 @@ def test_no_answer_is_a_line_and_the_page_stands(study):
     report = page_of(study, lacking, failed)
     page = shown(report.html)
     assert page.startswith("Title</h1>")
-    assert "Not answered: The &lt;length&gt;: no run is in motion.</p>" in page
-    assert "Not answered: own:other: expected &lt;this&gt;, got that.</p>" in page
+    assert "Asked but not answered: The &lt;length&gt;: no run is in motion.</p>" in page
+    assert "Asked but not answered: own:other: expected &lt;this&gt;, got that.</p>" in page
     assert "own:third was not run; stickslip report DIR --own runs the code beside the scene.</p>" in page
     assert report.problems == {"own:other": "expected <this>, got that"}
     assert report.not_run == ["own:third"]
