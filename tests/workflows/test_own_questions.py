@@ -23,8 +23,9 @@ from tests.scenes import COULOMB, ensemble
 MARK = "import pathlib; pathlib.Path(__file__).with_name('ran').touch()\n"
 OWN = MARK + (
     'import beside\n\n\ndef question(study):\n    """How many?"""\n    print("printed")\n'
-    "    from stickslip.analysis import Alike, Answer, Quantity\n"
-    '    return Answer(findings=[Alike(Quantity("n", "number of runs"), beside.count(study), "at any time")])\n'
+    "    from stickslip.analysis import Alike, Answer, Form, Quantity\n"
+    '    runs = Quantity("n", "number of runs", Form.COUNT)\n'
+    '    return Answer(findings=[Alike(runs, beside.count(study), "at any time")])\n'
 )
 BESIDE = "def count(study):\n    return len(study.data.members)\n"
 ASKING = 't_burn = 1.0\ndt = 0.5\nquestion = ["own:question", "fates"]'
@@ -82,7 +83,7 @@ def test_own_answers_it_and_the_page_names_its_files(place, capsys):
     out = str(place / "runs" / "mine")
     assert main(["report", out, "--own"]) == 0
     said = capsys.readouterr().out
-    assert said.startswith("How many?\nNumber of runs: 3.00, the same at any time.\n")
+    assert said.startswith("How many?\nNumber of runs: 3, the same at any time.\n")
     assert "printed" not in said
     assert (place / "ran").exists()
     for name in ("own.py", "beside.py"):
@@ -90,7 +91,7 @@ def test_own_answers_it_and_the_page_names_its_files(place, capsys):
     (place / "ran").unlink()
     assert main(["report", out]) == 0  # what is there is of these data
     assert "unchanged\n" in capsys.readouterr().out
-    assert "Number of runs: 3.00" in made(place)
+    assert "Number of runs: 3" in made(place)
     assert not (place / "ran").exists()
 
 
@@ -125,14 +126,14 @@ def test_a_run_answers_it_and_an_edited_one_is_answered_anew(tmp_path, capsys, m
     (tmp_path / "own.py").write_text(f"{OWN}\n\ndef endless(study):\n    while True: pass\n")
     assert main(["run", str(file), "--out", out, "--workers", "1"]) == 1
     said = capsys.readouterr()
-    assert said.out.startswith("How many?\nNumber of runs: 3.00, the same at any time.\n")
+    assert said.out.startswith("How many?\nNumber of runs: 3, the same at any time.\n")
     assert "failed  own:endless: expected an answer within 5 s, got none; correct the function\n" in said.err
     shown = Path(out, "report.html").read_text()
     assert "Asked but not answered: own:endless: expected an answer within 5 s, got none" in shown
     assert '<details id="fates">' in shown
     (tmp_path / "own.py").write_text(OWN.replace("of runs", "of members") + "\n\nendless = question\n")
     assert main(["run", str(file), "--out", out, "--workers", "1"]) == 0
-    assert capsys.readouterr().out.startswith("How many?\nNumber of members: 3.00")
+    assert capsys.readouterr().out.startswith("How many?\nNumber of members: 3")
 
 
 def test_editing_a_question_makes_no_other_data(place, tmp_path):
