@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stickslip.analysis.answer import Row, named
-from stickslip.analysis.catalogues import MARGIN, Catalogues
-from stickslip.analysis.contrast import Statistic, contrast, judge
+from stickslip.analysis.catalogues import Catalogues
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.models.episodes import QUANTITIES, RATE, Catalogue
+from stickslip.analysis.findings.finding import Comparison, Family
+from stickslip.analysis.findings.finding import Difference as FoundDifference
+from stickslip.analysis.models.episodes import DURATION, QUANTITIES, QUIET, RATE, SIZE, SLIP, SLOW_DRIVE, Catalogue
 from stickslip.analysis.models.laws import Difference, difference_of_order, distance_of_shares, largest_gap
-from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
-from stickslip.analysis.stats.estimates import Estimate, Undefined
+from stickslip.analysis.stats.compare import equivalence_test, relative_difference
+from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
+from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
+from stickslip.analysis.stats.multiplicity import holm
 from stickslip.pipeline.design.labels import Label, Part
 from stickslip.pipeline.design.values import text
 from stickslip.sim.engines import ENGINES
@@ -24,9 +28,6 @@ from stickslip.sim.engines.contract import Engine, Number
 
 #: From which on a number is not shown as a power of ten.
 _SMALL = 0.01
-#: Margins of laws: three episodes in a hundred for a distribution function, a quarter of the shares of first blocks,
-#: 0.1 for a correlation. Twenty systems of a thousand episodes each can exclude differences as large.
-GAP, DISTANCE, CORRELATION = 0.03, 0.25, 0.1
 
 
 @dataclass(frozen=True)
@@ -39,24 +40,166 @@ class Compared:
         From the catalogue of a run and the number of blocks to values.
     difference : callable
         Of the values of pairs of runs, one of `models.laws`.
-    margin : float
     join : callable
         Joins the values of the runs of one system.
     """
 
     of: Callable[[Catalogue, int], np.ndarray]
-    difference: Callable[[list[tuple[np.ndarray, np.ndarray]], float, float, np.random.Generator], Difference]
-    margin: float
+    difference: Callable[[list[tuple[np.ndarray, np.ndarray]], float, np.random.Generator], Difference]
     join: Callable[[list[np.ndarray]], np.ndarray] = np.concatenate
 
 
+MAGNITUDES = "magnitudes"
 LAWS: Mapping[str, Compared] = {
-    "magnitudes": Compared(lambda run, _: run.magnitude, largest_gap, GAP),
-    "sizes": Compared(lambda run, _: run.size, largest_gap, GAP),
-    "quiet times": Compared(lambda run, _: run.quiet, largest_gap, GAP),
-    "first blocks": Compared(Catalogue.first_blocks, distance_of_shares, DISTANCE, lambda runs: np.sum(runs, axis=0)),
-    "order in time": Compared(lambda run, _: run.sizes_and_quiets, difference_of_order, CORRELATION),
+    MAGNITUDES: Compared(lambda run, _: run.magnitude, largest_gap),
+    "sizes": Compared(lambda run, _: run.size, largest_gap),
+    "quiet times": Compared(lambda run, _: run.quiet, largest_gap),
+    "first blocks": Compared(Catalogue.first_blocks, distance_of_shares, lambda runs: np.sum(runs, axis=0)),
+    "order in time": Compared(lambda run, _: run.sizes_and_quiets, difference_of_order),
 }
+STATISTICS = (RATE, SIZE, DURATION, QUIET, SLIP)  # by which methods are compared
+PRIMARY = (RATE, MAGNITUDES)  # how often and how large: tested before the others
+
+
+@dataclass(frozen=True)
+class Apart:
+    """How far a statistic or a law of one setting lies from that of the finest of the same systems.
+
+    Attributes
+    ----------
+    setting, reference : Catalogues
+    name : str
+        One of `STATISTICS` or `LAWS`.
+    estimate : Estimate
+    p, p_adjusted : float, optional
+        Of no difference, alone and in its family by Holm's rule; None if there is no test.
+    n_tests : int
+        Comparisons of its family: the primary ones are one, the others another.
+    law : laws.Difference, optional
+    """
+
+    setting: Catalogues
+    reference: Catalogues
+    name: str
+    estimate: Estimate
+    p: float | None = None
+    p_adjusted: float | None = None
+    n_tests: int = 0
+    law: Difference | None = None
+
+    def is_shown(self, level: float) -> bool:
+        """Whether a difference is shown, among all comparisons of its family."""
+        return self.p_adjusted is not None and self.p_adjusted < 1 - level
+
+    def comparison(self) -> Comparison:
+        """A statistic beside that of the reference, for a finding."""
+        family = Family(self.n_tests, 1.0 if self.p_adjusted is None else self.p_adjusted)
+        return Comparison(called(self.reference), FoundDifference(self.estimate, family=family))
+
+    def row(self) -> Row:
+        """As columns."""
+        row: Row = {"setting": self.setting.label, "reference": self.reference.label}
+        row |= {"p_different": self.p, "p_different_holm": self.p_adjusted, "reason": self.estimate.reason or None}
+        if self.name not in LAWS:
+            return row | {"quantity": self.name} | named("relative", self.estimate)
+        of = {name: self.law and getattr(self.law, name) for name in ("at", "below", "p_floor")}
+        return row | {"law": self.name} | named("size", self.estimate) | of
+
+
+def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apart]:
+    """Every setting beside the first of the same systems, by statistics and by whole laws."""
+    alone = [
+        apart
+        for reference, *others in by_system if reference.is_judged
+        for other in others
+        for apart in (*(_statistic(study, reference, other, name) for name in STATISTICS),
+                      *(_law(study, reference, other, name) for name in LAWS))
+    ]  # fmt: skip
+    for is_primary in (True, False):
+        family = [k for k, one in enumerate(alone) if one.p is not None and (one.name in PRIMARY) is is_primary]
+        for k, p in zip(family, holm([alone[k].p or 0.0 for k in family]).tolist(), strict=True):
+            alone[k] = replace(alone[k], p_adjusted=p, n_tests=len(family))
+    return alone
+
+
+def _statistic(study: Study, first: Catalogues, second: Catalogues, name: str) -> Apart:
+    """The relative difference of a statistic on the systems that both ran."""
+    a, b = first.sample.of(name), second.sample.of(name)
+    change = relative_change(name, a.within(b), b.within(a), True, study.settings.confidence)
+    return Apart(second, first, name, *change)
+
+
+def relative_change(
+    name: str, first: UnitSums, second: UnitSums, is_paired: bool, level: float
+) -> tuple[Estimate, float | None]:
+    """The relative difference of a statistic of episodes, and its p-value."""
+    of = {**QUANTITIES, **SLOW_DRIVE}[name].of
+    if min(len(first), len(second)) < LEAST_MATRICES:
+        return Estimate(reason=FEW_MATRICES), None
+    try:
+        value, error, dof = relative_difference(of, first.rows, second.rows, is_paired)
+    except Undefined as why:
+        return Estimate(reason=str(why)), None
+    test = equivalence_test(value, error, dof, 0.0)
+    return Estimate(value, *test.interval(level)), test.p_different
+
+
+def _law(study: Study, first: Catalogues, second: Catalogues, name: str) -> Apart:
+    """How far a law of two groups lies apart on the systems that both ran."""
+    law, n = LAWS[name], int(first.group.key["n"])
+    pairs = [
+        (
+            law.join([law.of(run, n) for run in first.runs[unit]]),
+            law.join([law.of(run, n) for run in second.runs[unit]]),
+        )
+        for unit in sorted(first.runs.keys() & second.runs.keys())
+    ]
+    try:
+        difference = law.difference(pairs, study.settings.confidence, study.generator(f"{name} {second.label}"))
+    except Undefined as why:
+        return Apart(second, first, name, Estimate(reason=str(why)))
+    return Apart(second, first, name, difference.size, difference.p_different, law=difference)
+
+
+#: A method's name that ends with the setting of its engine.
+_SETTING = re.compile(r"(.*) (\S+) = (\S+)")
+
+
+def called(reference: Catalogues) -> str:
+    """What others are compared with."""
+    method = str(reference.row["method"])
+    return (
+        "exact events"
+        if method == ENGINES[reference.group.key["engine"]].title and reference.group.is_exact
+        else method
+    )
+
+
+def grouped(chosen: Collection[str], methods: Sequence[tuple[str, str]]) -> list[str]:
+    """Names of some methods: "time steps up to h = 0.3" where they are the finest settings of an engine.
+
+    Parameters
+    ----------
+    chosen : collection of str
+        The methods to name.
+    methods : sequence of (str, str)
+        Engine and method of all that are compared on some systems, from the finest on.
+    """
+    texts: list[str] = []
+    for _, group in itertools.groupby(methods, key=lambda pair: pair[0]):
+        every = [method for _, method in group]
+        some = [method for method in every if method in chosen]
+        parts = [_SETTING.fullmatch(method) for method in every]
+        is_row = len(some) > 1 and len({part and part.group(1, 2) for part in parts}) == 1 and None not in parts
+        if is_row and some == every:
+            texts.append(_SETTING.sub(r"\1 at every \2", some[0]))
+        elif is_row and some == every[: len(some)]:
+            texts.append(_SETTING.sub(r"\1 up to \2 = \3", some[-1]))
+        elif is_row and some == every[-len(some) :]:
+            texts.append(_SETTING.sub(r"\1 from \2 = \3 on", some[0]))
+        else:
+            texts += some
+    return texts
 
 
 def names(found: Sequence[Catalogues]) -> list[str]:
@@ -79,7 +222,7 @@ def _method(label: Label, engine: type[Engine], of_one_size: bool, shared: Colle
             said = f"{engine.method} {said}"
             words.pop()
         shown = _power(float(value)) if numbers.get(name) == "\u03b5" else value
-        words.append(f"{said} = {shown}".replace("e-0", "e-").replace(" = ", "\u00a0=\u00a0") if name else value)
+        words.append(f"{said} = {shown}".replace("e-0", "e-") if name else value)
     return ", ".join(words) or engine.title
 
 
@@ -89,129 +232,3 @@ def _power(number: float) -> str:
         return text(number)
     exponent = math.floor(math.log10(number))
     return f"{number / 10.0**exponent:g}e{exponent}"
-
-
-def against_reference(by_system: Sequence[Sequence[Catalogues]], level: float) -> list[list[Row]]:
-    """Contrasts of each setting with the first of the same systems, judged together; a list a setting."""
-    statistics = [Statistic(name, quantity.of, MARGIN) for name, quantity in QUANTITIES.items()]
-    made = []
-    for reference, *others in by_system:
-        if not reference.is_judged:
-            continue
-        some = [
-            [
-                {"setting": other.label, "reference": reference.label}
-                | contrast(statistic, reference.sample, other.sample, True, level)
-                for statistic in statistics
-            ]
-            for other in others
-        ]
-        judge([row for rows in some for row in rows], 1 - level)
-        made += some
-    return made
-
-
-def by_laws(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Row]:
-    """Every law of each setting beside that of the first of the same systems, judged together, setting by setting."""
-    made: list[Row] = []
-    for reference, *others in by_system:
-        rows = [
-            {"setting": other.label, "reference": reference.label, "law": name}
-            | _apart(study, reference, other, name, law)
-            for other in others if reference.is_judged
-            for name, law in LAWS.items()
-        ]  # fmt: skip
-        judge(rows, 1 - study.settings.confidence)
-        made += rows
-    return made
-
-
-def _apart(study: Study, first: Catalogues, second: Catalogues, name: str, law: Compared) -> Row:
-    """How far a law of two groups lies apart on the systems that both ran, not judged yet."""
-    n, both = int(first.group.key["n"]), sorted(first.runs.keys() & second.runs.keys())
-    pairs = [
-        (
-            law.join([law.of(run, n) for run in first.runs[unit]]),
-            law.join([law.of(run, n) for run in second.runs[unit]]),
-        )
-        for unit in both
-    ]
-    row: Row = {"margin": law.margin, "verdict": UNKNOWN, "reason": None}
-    row |= dict.fromkeys(("at", "below", "p_equivalent", "p_different", "p_floor"))
-    try:
-        found = law.difference(
-            pairs, law.margin, study.settings.confidence, study.generator(f"{name} {second.label}")
-        )
-    except Undefined as why:
-        return row | named("size", Estimate()) | {"reason": str(why)}
-    return row | named("size", found.size) | {
-        "at": found.at, "below": found.below, "relative": found.size.value, "p_equivalent": found.p_equivalent,
-        "p_different": found.p_different, "p_floor": found.p_floor,
-    }  # fmt: skip
-
-
-def comparison(
-    contrasts: Sequence[Sequence[Row]], compared: Sequence[Row], methods: Mapping[str, str]
-) -> dict[str, Any]:
-    """Facts of the comparison of methods, for the page.
-
-    Parameters
-    ----------
-    contrasts : sequence of sequence of Row
-        Those of `against_reference`.
-    compared : sequence of Row
-        Those of `by_laws`.
-    methods : mapping of str to str
-        Names of the groups' methods, by label.
-    """
-    settings = [_setting(rows, compared, methods) for rows in contrasts]
-    return {
-        "settings": settings, "has_pairs": bool(settings), "n_settings": len(settings),
-        "agree": [one for one in settings if one["verdict"] == AGREE], "differ": _differing(settings),
-        "untold": [one for one in settings if one["verdict"] == UNKNOWN and one["rows"]],
-        "farthest": max((one for one in settings if one["rate"]["verdict"] == DIFFER), key=_rate_off, default=None),
-        "n_tests": sum(row["p_equivalent"] is not None for row in compared),
-        "references": {rows[0]["reference"] for rows in contrasts},
-        "margins": {name: law.margin for name, law in LAWS.items()},
-    }  # fmt: skip
-
-
-def _setting(contrasts: Sequence[Row], compared: Sequence[Row], methods: Mapping[str, str]) -> Row:
-    """One setting: the contrasts of its laws and of its rate, and the verdict on all laws that could be compared.
-
-    It has no rows if no law could be compared.
-    """
-    label = contrasts[0]["setting"]
-    rows = [row | {"method": methods[label]} for row in compared if row["setting"] == label]
-    known = [row for row in rows if row["p_equivalent"] is not None]
-    by = {verdict: [row["law"] for row in known if row["verdict"] == verdict] for verdict in (AGREE, DIFFER, UNKNOWN)}
-    return {
-        "setting": label, "method": methods[label], "rows": rows if known else [], "n_known": len(known),
-        "agree": by[AGREE], "differ": by[DIFFER], "open": by[UNKNOWN],
-        "verdict": DIFFER if by[DIFFER] else AGREE if known and len(by[AGREE]) == len(known) else UNKNOWN,
-        "rate": next(row for row in contrasts if row["quantity"] == RATE),
-    }  # fmt: skip
-
-
-def _differing(settings: Sequence[Row]) -> list[Row]:
-    """Methods that differ, grouped by the laws in which they do; no laws are named where it is in all compared."""
-    found: dict[tuple[str, ...], list[Row]] = {}
-    for one in settings:
-        if one["differ"]:
-            every = len(one["differ"]) == one["n_known"]
-            found.setdefault(() if every else tuple(one["differ"]), []).append(one)
-    return [
-        {
-            "laws": laws, "methods": [one["method"] for one in some],
-            "is_all": all(one["n_known"] == len(one["rows"]) for one in some),
-            "alone": next((row for row in some[0]["rows"] if row["law"] in laws), None) if len(some) == len(laws) == 1
-            else None,
-        }
-        for laws, some in found.items()
-    ]  # fmt: skip
-
-
-def _rate_off(one: Row) -> float:
-    """How far the rate is off; a setting without any episode comes last, as an alert says so."""
-    off = float(one["rate"]["relative"])
-    return abs(off) if off > -1 else -1.0
