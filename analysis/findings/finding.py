@@ -18,6 +18,7 @@ class Form(Enum):
     """How the values of a quantity are written."""
 
     NUMBER = "number"
+    COUNT = "count"  #: a whole number
     SHARE = "share"  #: in per cent
 
 
@@ -321,6 +322,7 @@ class Reason(StrEnum):
     SHORT_WINDOW = "the runs are too short"
     NOT_RECORDED = "not recorded"
     NOT_RUN = "not run"
+    ALL_FAILED = "all runs failed"
     NOTHING_COUNTED = "nothing to count"
     ONE_VALUE = "all values are the same"
 

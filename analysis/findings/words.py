@@ -25,7 +25,7 @@ from stickslip.analysis.findings.finding import (
     Share,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import decimals, number, span, with_interval
+from stickslip.analysis.findings.numbers import decimals, limit, number, span, with_interval
 from stickslip.analysis.stats.estimates import Estimate
 
 
@@ -49,7 +49,7 @@ def clause(finding: Finding) -> str:
         case Law():
             return _law(finding)
         case Limit(things=things, predicate=predicate, most=most, where=where):
-            return f"at most {number(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
+            return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
         case Alike(quantity, value, among, where):
             return f"{quantity.name}{_at(where)}: {number(value, quantity.form)}, the same {among}"
         case Outcomes():

@@ -22,9 +22,9 @@ from markupsafe import Markup, escape
 from stickslip.analysis.answer import LONG, F, I, Long, Picture, Recipe, S, Table, frame
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.alerts import Alert
-from stickslip.analysis.findings.finding import Finding, Lack, Record
+from stickslip.analysis.findings.finding import Finding, Form, Lack, Record, Scale
 from stickslip.analysis.findings.finding import records as finding_records
-from stickslip.analysis.findings.numbers import number, with_interval
+from stickslip.analysis.findings.numbers import limit, with_interval
 from stickslip.analysis.findings.words import plural, sentence
 from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.questions import QUESTIONS, is_own, question, refuse_unknown
@@ -44,6 +44,7 @@ from stickslip.sim.systems.terms import TERMS
 OPTIONAL_WORDS = ("lack", "alarm", "alerts", "panels", "panel", "panel_caption", "main", "of_data")
 _TICK = 9
 MOST_SAID = 3  # answers on the first screen
+MOST_FIRST = 2  # figures there, of an answer in findings
 _ROWS = 10_000  # of a table that is in the JSON of all; a longer one is read from a file of its own
 MOST_ALERTS = 3  # in order of rank
 _GROUPS: Mapping[str, str] = {
@@ -314,7 +315,7 @@ def _joined(title: str, about: str) -> str:
 def _words(filled: Environment, key: str) -> SimpleNamespace:
     """The names and macros of a question's template; None for each of `OPTIONAL_WORDS` that it lacks."""
     title = question(key).title
-    words = {"name": title} if title else vars(filled.get_template(f"{key}.html").module)
+    words = {"name": title, "question": title} if title else vars(filled.get_template(f"{key}.html").module)
     return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | words))
 
 
@@ -337,10 +338,10 @@ def _shown(filled: Environment, one: Answered) -> _Shown:
 def _of_findings(one: Answered) -> SimpleNamespace:
     """The words of an answer that consists of findings, in the form of those of a template."""
     names = [*one.figures]
-    shown = _figures(one, names[:2])
+    shown = _figures(one, names[:MOST_FIRST])
     rows = [record for finding in one.findings for record in finding_records(finding)]
     table = _findings_table(rows) if rows else Markup("")
-    part = Markup("<p>{}</p>").format(one.method) + _figures(one, names[2:])
+    part = Markup("<p>{}</p>").format(one.method) + _figures(one, names[MOST_FIRST:])
     texts = {
         "answer": escape(" ".join(sentence(finding) for finding in one.findings[: one.n_lead])),
         "lack": escape(" ".join(sentence(finding) for finding in one.findings)),
@@ -355,12 +356,13 @@ def _of_findings(one: Answered) -> SimpleNamespace:
 
 
 def _figures(one: Answered, names: Sequence[str]) -> Markup:
-    return Markup("").join(
+    drawn = Markup("").join(
         Markup('<figure class="one">{}<figcaption>{}</figcaption></figure>').format(
             one.figure(name, one.captions[name]), one.captions[name]
         )
         for name in names
     )
+    return Markup('<div class="panels">{}</div>').format(drawn) if len(names) > 1 else drawn
 
 
 def _findings_table(rows: Sequence[Record]) -> Markup:
@@ -369,15 +371,30 @@ def _findings_table(rows: Sequence[Record]) -> Markup:
         {
             "what": row.quantity,
             "where": row.setting or None,
-            "estimate": None if row.estimate is None else with_interval(Estimate(*row[2:5]), row.form),
+            "estimate": _estimate(row),
             "compared with": row.compared_with or None,
-            "difference": row.difference and number(row.difference),
+            "difference": _difference(row),
             "verdict": row.verdict or None,
             "from": None if row.n is None else plural(row.n, row.unit),
         }
         for row in rows
     ]
     return as_table(shown, [(name, name, None) for name in shown[0]], kind="stack")
+
+
+def _estimate(row: Record) -> str | None:
+    """An estimate with its interval, or an upper limit; None if there is neither."""
+    if row.estimate is not None:
+        return with_interval(Estimate(row.estimate, row.low, row.high), row.form)
+    return None if row.high is None else f"at most {limit(row.high, row.form)}"
+
+
+def _difference(row: Record) -> str | None:
+    """A difference with its interval and its sign, in per cent of what it is compared with unless it is absolute."""
+    if row.difference is None:
+        return None
+    form = Form.SHARE if row.scale == Scale.RELATIVE else row.form
+    return with_interval(Estimate(row.difference, row.difference_low, row.difference_high), form, sign=True)
 
 
 def _in_order(study: Study, answered: list[_Shown]) -> tuple[list[_Shown], list[_Shown]]:
