@@ -249,7 +249,9 @@ class Law:
     parameter : Level
     fit : Fit
     departure : Level, optional
-        How far the data are from the law, if that is shown.
+        How far the data are from the law.
+    nearly : str
+        The predicate of what is `Fit.CLOSE`; by default "nearly", and the predicate.
     """
 
     subject: str
@@ -257,6 +259,7 @@ class Law:
     parameter: Level
     fit: Fit = Fit.HOLDS
     departure: Level | None = None
+    nearly: str = ""
 
 
 @dataclass(frozen=True)
@@ -385,7 +388,7 @@ def records(finding: Finding) -> list[Record]:
                     quantity.name, quantity.form, after, setting, Comparison(f"{key} = {first}", difference), basis
                 )
             ]
-        case Law(_, _, parameter, _, departure):
+        case Law(parameter=parameter, departure=departure):
             return [*records(parameter), *(records(departure) if departure is not None else [])]
         case Limit(_, things, predicate, most, where, basis):
             return [

@@ -205,7 +205,8 @@ def _law(law: Law) -> str:
         case Fit.HOLDS:
             return f"{law.subject}{_at(level.where)} {law.predicate}, with {parameter}"
         case Fit.CLOSE:
-            return f"{law.subject}{_at(level.where)} nearly {law.predicate}, with {parameter}"
+            predicate = law.nearly or f"nearly {law.predicate}"
+            return f"{law.subject}{_at(level.where)} {predicate}, with {parameter}"
         case Fit.FAILS:
             apart = "" if law.departure is None else f": {_level(law.departure)}"
             return f"{law.subject}{_at(level.where)} do not {law.predicate}{apart}"

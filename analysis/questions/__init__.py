@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 #: In the order of the page, with the room of each.
 QUESTIONS: Mapping[str, str] = {
     "sweep": "runs", "attractors": "runs", "episodes": "slips", "cascades": "slips", "counting": "slips",
-    "exponential": "slips", "definitions": "slips", "rhythm": "slips", "clustering": "slips", "fates": "runs",
+    "rhythm": "slips", "clustering": "slips", "fates": "runs",
     "engines": "runs", "sensitivity": "runs", "robustness": "runs", "one_run": "runs",
 }  # fmt: skip
 

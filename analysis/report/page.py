@@ -339,7 +339,7 @@ def _of_findings(one: Answered) -> SimpleNamespace:
     """The words of an answer that consists of findings, in the form of those of a template."""
     names = [*one.figures]
     shown = _figures(one, names[:MOST_FIRST])
-    rows = [record for finding in one.findings for record in finding_records(finding)]
+    rows = [*dict.fromkeys(record for finding in one.findings for record in finding_records(finding))]
     table = _findings_table(rows) if rows else Markup("")
     part = Markup("<p>{}</p>").format(one.method) + _figures(one, names[MOST_FIRST:])
     texts = {

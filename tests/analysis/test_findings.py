@@ -85,7 +85,12 @@ def test_numbers_have_two_digits_of_their_interval(estimate, form, text):
 
 @pytest.mark.parametrize(
     ("most", "form", "text"),
-    [(0.00281, Form.SHARE, "0.29%"), (0.0028, Form.SHARE, "0.28%"), (0.3, Form.SHARE, "30%"), (0.0, Form.SHARE, "0%")],
+    [
+        (0.00281, Form.SHARE, "0.29%"),
+        (0.0028, Form.SHARE, "0.28%"),
+        (0.3, Form.SHARE, "30%"),
+        (0.0, Form.SHARE, "0%"),
+    ],
 )
 def test_a_limit_is_rounded_up(most, form, text):
     assert limit(most, form) == text
