@@ -263,6 +263,14 @@ class Law:
 
 
 @dataclass(frozen=True)
+class Parts:
+    """A value as the sum of its parts, the last of which is the one that is asked about."""
+
+    whole: Level
+    parts: tuple[Level, ...]
+
+
+@dataclass(frozen=True)
 class Limit:
     """An upper limit: a share of some things of which something holds, at most."""
 
@@ -344,10 +352,10 @@ class Decided:
     """The answer to a question of yes or no, and the finding that it rests on."""
 
     truth: Truth
-    finding: Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Lack
+    finding: Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Lack
 
 
-Finding: TypeAlias = Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Lack | Decided
+Finding: TypeAlias = Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Lack | Decided
 
 
 class Record(NamedTuple):
@@ -390,6 +398,8 @@ def records(finding: Finding) -> list[Record]:
             ]
         case Law(parameter=parameter, departure=departure):
             return [*records(parameter), *(records(departure) if departure is not None else [])]
+        case Parts(whole, parts):
+            return [record for level in (whole, *parts) for record in records(level)]
         case Limit(_, things, predicate, most, where, basis):
             return [
                 _record(f"share of {things} that {predicate}", Form.SHARE, Estimate(high=most), where, None, basis)

@@ -257,7 +257,7 @@ def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
 
 
 def _rates(study: Study, sums: Sums, where: str) -> list[Level]:
-    """The decay rate beside ln 2 and, as far as they are known, beside blocks shifted in time and two-state blocks."""
+    """The decay rate beside that of a fair coin and, as far as known, of blocks shifted in time and two-state blocks."""
     level, margin = study.settings.confidence, study.margins.get("gamma")
     nulls: dict[str, Statistic] = {COIN: over_coin}
     if sums.is_shifted:
@@ -275,11 +275,12 @@ def _findings(study: Study, sums: Sums, where: str) -> list[Finding]:
     """The law of a group, what coupling has to do with it, and how far it is from an exponential."""
     level = study.settings.confidence
     rate, *others = _rates(study, sums, where)
-    of = {"an exponential's": over_exponential} | ({SHIFTED: variance_over_shifted} if sums.is_shifted else {})
+    spread = sums.estimate(variance, level)
     departure, *more = (
-        Level(VARIANCE, sums.estimate(variance, level), where, Comparison(null, Difference(sums.estimate(by, level))), rate.basis)
-        for null, by in of.items()
-    )  # fmt: skip
+        Level(VARIANCE, spread, where, Comparison(null, Difference(sums.estimate(of, level))), rate.basis)
+        for null, of in (("an exponential's", over_exponential), (SHIFTED, variance_over_shifted))
+        if null != SHIFTED or sums.is_shifted
+    )
     fit = fit_of(departure, gain(sums.smallest, sums.counts, level))
     law = Law("cascade sizes", "fall off exponentially", rate, fit, departure, "fall off nearly exponentially")
     coupled = _coupling(sums, rate, level)
