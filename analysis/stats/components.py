@@ -162,7 +162,8 @@ def between(values: np.ndarray, errors: np.ndarray, dof: int, confidence: float)
         return Estimate(reason="the errors of single systems are not known")
     f, tail = float(values.var(ddof=1)) / within, (1 - confidence) / 2
     quantiles = (1.0, special.fdtri(g - 1, g * dof, 1 - tail), special.fdtri(g - 1, g * dof, tail))
-    return Estimate(*(1 - quantile / f if f > quantile else 0.0 for quantile in map(float, quantiles)))
+    value, low, high = (1 - quantile / f if f > quantile else 0.0 for quantile in map(float, quantiles))
+    return Estimate(value, low, high)
 
 
 def quotient(top: Statistic, bottom: Statistic, rows: np.ndarray, confidence: float) -> Estimate:

@@ -53,9 +53,9 @@ _TABLE: Mapping[str, str] = {
 def question(study: Study) -> Answer | None:
     """Why is the decay rate not ln 2?
 
-    Finite size is what as many independent two-state blocks, as many of which stick, have over a fair coin's ln 2; own
-    dynamics is what the runs' blocks, each shifted by a random time, have over these; coupling is what the runs have
-    over that. Stretches of more than 20 in which no block sticks are left out.
+    Finite size is the excess of as many independent two-state blocks, as many of which stick, over ln 2;
+    own dynamics is that of the runs' own blocks, each shifted by a random time, over two-state blocks; and coupling
+    that of the runs over shifted blocks. Stretches of more than 20 in which no block sticks are left out.
     """
     if not study.data.events:
         return Answer(findings=[Lack("the parts of the decay rate", Reason.NOT_RECORDED, "events")])
@@ -148,7 +148,7 @@ def _of_run(draws: int, run: Run) -> np.ndarray | None:
 
 
 def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
-    """The excess of the runs and of three nulls against n p (1 - p); if `scaled`, times it, so that finite size is level.
+    """The excess of runs and of three nulls against n p (1 - p); times it if `scaled`, which levels finite size.
 
     Groups that are not judged are faint.
     """

@@ -15,10 +15,10 @@ from matplotlib.ticker import NullFormatter
 from stickslip.analysis.answer import F, I, Picture, Row, S, frame, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Difference, Family, Outcomes, Verdict
-from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.findings.words import listed, sentence
 from stickslip.analysis.groups import Group
 from stickslip.analysis.series import cascades
-from stickslip.analysis.series.cascades import DEFINITIONS, SAMPLED, Law
+from stickslip.analysis.series.cascades import SAMPLED, Law
 from stickslip.analysis.series.nulls import DRAWS, rotations
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats.effects import Effect, over_null, together
@@ -104,15 +104,18 @@ def _difference(effect: Effect, margin: float | None, n_tests: int, alpha: float
 
 
 def _outcomes(verdicts: Mapping[Law, Verdict]) -> Outcomes:
-    """The definitions by the outcome of their comparison; of one with several, the range of its sampling steps."""
-    by_outcome: dict[str, list[str]] = {"equal": [], "different": [], "undecided": []}
-    for definition in DEFINITIONS:
-        laws = sorted(law for law in verdicts if law.definition == definition)
-        runs = [(outcome, [*run]) for outcome, run in groupby(laws, lambda law: _outcome(verdicts[law]))]
-        for outcome, run in runs:
-            ends = dict.fromkeys(f"{law.dt:g}" for law in (run[0], run[-1]) if law.dt is not None)
-            by_outcome[outcome].append(definition + (f" at dt = {' to '.join(ends)}" if len(runs) > 1 else ""))
-    return Outcomes(SHIFTED, **{outcome: tuple(names) for outcome, names in by_outcome.items()})
+    """The sampling steps by the outcome that all definitions have there; undecided where they have no one outcome."""
+    steps = sorted({law.dt for law in verdicts if law.dt is not None})
+    of_step = {dt: {_outcome(verdict) for law, verdict in verdicts.items() if law.dt == dt} for dt in steps}
+    ranges: dict[str, list[str]] = {"equal": [], "different": [], "undecided": []}
+    for outcome, run in groupby(steps, lambda dt: next(iter(of_step[dt])) if len(of_step[dt]) == 1 else "undecided"):
+        every = [f"{dt:g}" for dt in run]
+        ranges[outcome].append(" to ".join(dict.fromkeys((every[0], every[-1]))))
+    equal, different, undecided = (
+        (f"all definitions at dt = {listed(ranges[name])}",) if ranges[name] else ()
+        for name in ("equal", "different", "undecided")
+    )
+    return Outcomes(SHIFTED, equal, different, undecided)
 
 
 def _outcome(verdict: Verdict) -> str:

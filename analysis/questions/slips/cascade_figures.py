@@ -90,8 +90,8 @@ def size_law(axes: Sequence[Axes], laws: Mapping[str, Sequence[Row]], rate: Esti
             grid + smallest, fitted(rate.value) * 2.0 ** (grid + 1), color=EXACT, linewidth=1, label="exponential"
         )
     if rate.low is not None and rate.high is not None:
-        band = (fitted(end) * 2.0 ** (grid + 1) for end in (rate.low, rate.high))
-        below.fill_between(grid + smallest, *band, color=EXACT, alpha=0.2, linewidth=0)
+        first, last = (fitted(end) * 2.0 ** (grid + 1) for end in (rate.low, rate.high))
+        below.fill_between(grid + smallest, first, last, color=EXACT, alpha=0.2, linewidth=0)
     two_state = [row for row in next(iter(laws.values())) if row["pool"] is not None]
     if two_state:
         over = np.array([row["pool"] / row["chance"] for row in two_state])

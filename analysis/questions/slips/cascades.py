@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from stickslip.analysis.answer import Answer, F, I, Picture, Question, Row, S, frame, lack, named, systems
+from stickslip.analysis.answer import Answer, F, I, Picture, Question, Recipe, Row, S, frame, lack, named, systems
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import (
@@ -38,7 +38,7 @@ from stickslip.analysis.questions.slips import cascade_definitions, cascade_figu
 from stickslip.analysis.series.cascades import spans
 from stickslip.analysis.series.nulls import DRAWS, rotations
 from stickslip.analysis.series.runs import Run
-from stickslip.analysis.stats import enough, estimates
+from stickslip.analysis.stats import enough, estimates, student
 from stickslip.analysis.stats.compare import mean_within
 from stickslip.analysis.stats.components import between, quotient
 from stickslip.analysis.stats.dispersion import excess, moments
@@ -183,8 +183,8 @@ def answer(study: Study) -> Answer:
     """How cascade sizes fall off, beside what three nulls would give."""
     level = study.settings.confidence
     judged = study.judged()
-    names = {group.label for group in judged}
-    every = [_sums(study, group, group.label in names) for group in study.groups]
+    labels = {group.label for group in judged}
+    every = [_sums(study, group, group.label in labels) for group in study.groups]
     sums = {one.group.label: one for one in every}
     sizes = [row for one in every for row in _size_rows(one, level)]
     tables = {"law": frame(_LAW, [_law_row(one, level) for one in every]), "sizes": frame(_SIZES, sizes)}
@@ -257,7 +257,7 @@ def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
 
 
 def _rates(study: Study, sums: Sums, where: str) -> list[Level]:
-    """The decay rate beside that of a fair coin and, as far as known, of blocks shifted in time and two-state blocks."""
+    """The decay rate beside that of a fair coin and, as far as known, those of shifted and of two-state blocks."""
     level, margin = study.settings.confidence, study.margins.get("gamma")
     nulls: dict[str, Statistic] = {COIN: over_coin}
     if sums.is_shifted:
@@ -313,10 +313,9 @@ def _coupling(sums: Sums, rate: Level, confidence: float) -> list[Share]:
     if share.low is None or share.high is None:
         return []
     difference = "excess over ln 2" if verdict is Verdict.MORE else "shortfall from ln 2"
-    made = "" if share.low <= 0 else ": coupling makes it" if share.high >= 1 else ": coupling makes part of it"
     at = f" at {rate.where}" if rate.where else ""
-    predicate = f"vanishes when the blocks are shifted in time{made}"
-    return [Share("coupling", f"the {difference}{at}", predicate, share, basis=rate.basis)]
+    how = ": shifting the blocks in time removes it" if share.low > 0.0 else ", by shifting the blocks in time"
+    return [Share("coupling", f"the {difference}{at}", f"is due to coupling{how}", share, basis=rate.basis)]
 
 
 def _each(sums: Sums, confidence: float) -> list[Estimate]:
@@ -325,7 +324,7 @@ def _each(sums: Sums, confidence: float) -> list[Estimate]:
 
 
 def _errors(each: Sequence[Estimate], confidence: float) -> np.ndarray:
-    t = estimates.student.half_width(confidence, PARTS - 1)
+    t = student.half_width(confidence, PARTS - 1)
     return np.array([(one.high - one.low) / (2 * t) for one in each if one.low is not None and one.high is not None])
 
 
@@ -399,7 +398,7 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Sequence[Ro
         str(label or lead.group.label): [row for row in sizes if row["group"] == one.group.label]
         for label, one in zip(labels, drawn, strict=True)
     }
-    row, run = _first_run(study, lead.group)
+    unit, draw_run = _first_run(study, lead.group)
     return {
         "size_law": Picture(
             partial(cascade_figures.size_law, laws, rate),
@@ -412,21 +411,23 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Sequence[Ro
             f"together (diamond, band). Dashed: {COIN}, which tossing a coin between letting go and sticking gives.",
         ),
         "one_run": Picture(
-            partial(cascade_figures.one_run, *run),
-            f"A run of {systems(study)} {row}, with its largest cascade after {burn} enlarged.",
+            draw_run,
+            f"A run of {systems(study)} {unit}, with its largest cascade after {burn} enlarged.",
         ),
     }
 
 
-def _first_run(study: Study, group: Group) -> tuple[int, tuple[object, ...]]:
-    """Unit of the first run of a group, and the arguments of `cascade_figures.one_run`."""
+def _first_run(study: Study, group: Group) -> tuple[int, Recipe]:
+    """Unit of the first run of a group, and what draws it."""
     row, member_id, win = next(iter(study.windows(group)))
     found = spans(win)
     largest = None
     if len(found.size):
         k = int(np.argmax(found.size))
         largest = cascade_figures.Largest(int(found.size[k]), float(found.start[k]), float(found.stop[k]))
-    return group.units[row], (*study.runs.points(member_id), win.t_stop, study.settings.t_burn, largest)
+    t, n_stick = study.runs.points(member_id)
+    draw = partial(cascade_figures.one_run, t, n_stick, win.t_stop, study.settings.t_burn, largest)
+    return group.units[row], draw
 
 
 QUESTION = Question(
