@@ -159,7 +159,7 @@ def between(values: np.ndarray, errors: np.ndarray, dof: int, confidence: float)
     """
     g, within = len(values), float(np.mean(errors**2))
     if g < 2 or within == 0:
-        return Estimate(reason="the errors of single systems are not known")
+        return Estimate(reason="no error of one system")
     f, tail = float(values.var(ddof=1)) / within, (1 - confidence) / 2
     quantiles = (1.0, special.fdtri(g - 1, g * dof, 1 - tail), special.fdtri(g - 1, g * dof, tail))
     value, low, high = (1 - quantile / f if f > quantile else 0.0 for quantile in map(float, quantiles))

@@ -157,17 +157,10 @@ def variance_over_shifted(rows: np.ndarray) -> np.ndarray:
     return (1 + excess(rows[:, :3])) / (1 + excess(rows[:, 3:6])) - 1
 
 
-def gain(smallest: int, counts: np.ndarray, confidence: float) -> Estimate:
-    """By how much an exponential is likelier than a power law, in nats per cascade (Vuong 1989).
-
-    Parameters
-    ----------
-    smallest : int
-    counts : ndarray, shape (G, K)
-        Cascades of each size from the smallest on.
-    confidence : float
-    """
-    sizes, kept = truncate(np.pad(counts, ((0, 0), (smallest, 0))), smallest, smallest + counts.shape[1] - 1)
+def gain(sums: Sums, confidence: float) -> Estimate:
+    """By how much an exponential up to n blocks is likelier than a power law, in nats per cascade (Vuong 1989)."""
+    least = sums.smallest
+    sizes, kept = truncate(np.pad(sums.counts, ((0, 0), (least, 0))), least, max(sums.n, least + 1))
     try:
         fits = [maximise(family, sizes, kept.sum(axis=0)) for family in (EXPONENTIAL, POWER_LAW)]
     except Undefined as undefined:
@@ -196,15 +189,14 @@ def answer(study: Study) -> Answer:
     lead = known[0]
     beside = [one for one in known if _engine(one) == _engine(lead)][:MOST_SETTINGS]
     names = apart([one.group.name for one in beside])
-    findings = _findings(study, lead, names[0])
-    n_lead = sum(isinstance(finding, Share | Law | Level) for finding in findings[:3])
+    leading, findings = _findings(study, lead, names[0])
     for one, name in zip(beside[1:], names[1:], strict=True):
         findings += _rates(study, one, name)
     drawn = [one for one in known if one.n == lead.n][:MOST_DRAWN]
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
-        findings=[*findings, *definitions.findings],
-        n_lead=n_lead,
+        findings=[*leading, *findings, *definitions.findings],
+        n_lead=len(leading),
         alerts=_alerts(study, lead, [one.group for one in every]),
         tables=tables | definitions.tables,
         figures=_figures(study, lead, drawn, sizes) | definitions.figures,
@@ -271,8 +263,8 @@ def _rates(study: Study, sums: Sums, where: str) -> list[Level]:
     ]
 
 
-def _findings(study: Study, sums: Sums, where: str) -> list[Finding]:
-    """The law of a group, what coupling has to do with it, and how far it is from an exponential."""
+def _findings(study: Study, sums: Sums, where: str) -> tuple[list[Finding], list[Finding]]:
+    """The law of a group, what coupling does to it and how far it is from an exponential; and further findings."""
     level = study.settings.confidence
     rate, *others = _rates(study, sums, where)
     spread = sums.estimate(variance, level)
@@ -281,13 +273,14 @@ def _findings(study: Study, sums: Sums, where: str) -> list[Finding]:
         for null, of in (("an exponential's", over_exponential), (SHIFTED, variance_over_shifted))
         if null != SHIFTED or sums.is_shifted
     )
-    fit = fit_of(departure, gain(sums.smallest, sums.counts, level))
+    fit = fit_of(departure, gain(sums, level))
     law = Law("cascade sizes", "fall off exponentially", rate, fit, departure, "fall off nearly exponentially")
     coupled = _coupling(sums, rate, level)
     each = _each(sums, level)
     values, errors = (np.array([one.value for one in each if one.low is not None]), _errors(each, level))
     lasting = Level(LASTING, between(values, errors, PARTS - 1, level), where, basis=rate.basis)
-    return [law, *coupled, departure, *others, *more, *([lasting] if lasting.estimate.value is not None else [])]
+    further: list[Finding] = [*others, *more, *([lasting] if lasting.estimate.value is not None else [])]
+    return [law, *coupled, departure], further
 
 
 def fit_of(departure: Level, gain: Estimate) -> Fit:
@@ -357,14 +350,15 @@ def _law_row(sums: Sums, confidence: float) -> Row:
         "n_cascades": int(sums.rows[:, 0].sum()), "smallest": sums.smallest,
         **named("gamma", sums.estimate(gamma, confidence)), "chance": LN2,
         **named("difference", sums.estimate(lambda rows: gamma(rows) - LN2, confidence)),
-        **named("gain", gain(sums.smallest, sums.counts, confidence) if len(sums.rows) else Estimate()),
+        **named("gain", gain(sums, confidence)),
         "basis": group.basis(confidence).code,
     }  # fmt: skip
     ratios = sums.estimate(lambda rows: 1 + over_exponential(rows), confidence)
     row |= named("variance", ratios)
     if mean is not None:
         row["gamma_pool"] = pool.gamma(sums.n, mean)
-        row |= named("over_pool", sums.estimate(lambda rows: gamma(rows) - of_pool(sums.n, rows), confidence))
+        by_pool = pool.against(sums.n)
+        row |= named("over_pool", sums.estimate(lambda rows: by_pool(rows[:, [1, 0, 6, 7]]), confidence))
     if sums.is_shifted:
         row["gamma_shifted"] = sums.estimate(gamma_shifted, confidence).value
         row |= named("over_shifted", sums.estimate(lambda rows: gamma(rows) - gamma_shifted(rows), confidence))
