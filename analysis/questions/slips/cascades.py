@@ -57,7 +57,7 @@ LASTING = Quantity("between", "share of the scatter over systems that longer run
 _LAW: Mapping[str, str] = {
     "group": S, "n": I, "engine": S, "n_matrices": I, "n_cascades": I, "smallest": I,
     "gamma": F, "gamma_low": F, "gamma_high": F, "chance": F, "difference": F, "difference_low": F,
-    "difference_high": F, "gamma_pool": F, "over_pool": F, "over_pool_low": F, "over_pool_high": F,
+    "difference_high": F, "verdict": S, "gamma_pool": F, "over_pool": F, "over_pool_low": F, "over_pool_high": F,
     "gamma_shifted": F, "over_shifted": F, "over_shifted_low": F, "over_shifted_high": F,
     "variance": F, "variance_low": F, "variance_high": F, "variance_shifted": F,
     "gain": F, "gain_low": F, "gain_high": F, "basis": S,
@@ -180,7 +180,10 @@ def answer(study: Study) -> Answer:
     every = [_sums(study, group, group.label in labels) for group in study.groups]
     sums = {one.group.label: one for one in every}
     sizes = [row for one in every for row in _size_rows(one, level)]
-    tables = {"law": frame(_LAW, [_law_row(one, level) for one in every]), "sizes": frame(_SIZES, sizes)}
+    tables = {
+        "law": frame(_LAW, [_law_row(one, level, study.margins.get("gamma")) for one in every]),
+        "sizes": frame(_SIZES, sizes),
+    }
     if not judged:
         return Answer(findings=[lack(study, "the decay rate of cascade sizes")], tables=tables)
     known = [one for group in judged if (one := sums[group.label]).estimate(gamma, level).low is not None]
@@ -342,14 +345,15 @@ def _alerts(study: Study, lead: Sums, groups: Sequence[Group]) -> list[Alert]:
 # ------------------------------------------------------------------------------------------------- tables and figures
 
 
-def _law_row(sums: Sums, confidence: float) -> Row:
-    """Row of the table `law`."""
+def _law_row(sums: Sums, confidence: float, margin: float | None) -> Row:
+    """Row of the table `law`; its verdict is that of the first comparison of `_rates`."""
     group, mean = sums.group, sums.pool_mean
     row: Row = {
         "group": group.label, "n": sums.n, "engine": group.key["engine"], "n_matrices": len(sums.rows),
         "n_cascades": int(sums.rows[:, 0].sum()), "smallest": sums.smallest,
         **named("gamma", sums.estimate(gamma, confidence)), "chance": LN2,
         **named("difference", sums.estimate(lambda rows: gamma(rows) - LN2, confidence)),
+        "verdict": Difference(sums.estimate(over_coin, confidence), margin=margin).verdict,
         **named("gain", gain(sums, confidence)),
         "basis": group.basis(confidence).code,
     }  # fmt: skip
