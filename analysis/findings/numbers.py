@@ -54,10 +54,13 @@ def _plain(value: float, form: Form, digits: int | None, sign: bool) -> str:
     return ("+" if sign and value > 0 else "") + text.replace("-", MINUS)
 
 
-def span(low: float, high: float, form: Form = Form.NUMBER, sign: bool = False) -> str:
-    """Two ends, "0.697 to 0.702" or "28.8 to 31.4%", with two digits of half their distance."""
-    digits = decimals(Estimate(low=low, high=high), form)
-    ends = (_plain(end, form, digits, sign) for end in (low, high))
+def span(low: float, high: float, form: Form = Form.NUMBER, sign: bool = False, digits: int | None = None) -> str:
+    """Two ends, "0.697 to 0.702" or "28.8 to 31.4%", by default with two digits of half their distance."""
+    least = decimals(Estimate(low=low, high=high), form)
+    places = least if digits is None else digits
+    while places < least and _plain(low, form, places, sign) == _plain(high, form, places, sign):
+        places += 1
+    ends = (_plain(end, form, places, sign) for end in (low, high))
     return " to ".join(ends) + "%" * (form is Form.SHARE)
 
 
@@ -68,14 +71,19 @@ def limit(most: float, form: Form = Form.NUMBER) -> str:
     return number(math.ceil(most * unit * (1.0 - _ROUNDING)) / unit, form, places)
 
 
-def with_interval(estimate: Estimate, form: Form = Form.NUMBER, sign: bool = False) -> str:
-    """An estimate in a sentence: "0.700 (0.697 to 0.702)"; with one end, "206 (at least 150)"; else without."""
+def with_interval(estimate: Estimate, form: Form = Form.NUMBER, digits: int | None = None, sign: bool = False) -> str:
+    """An estimate in a sentence: "0.700 (0.697 to 0.702)"; with one end, "206 (at least 150)"; else without.
+
+    A limit without an estimate is "at most 0.3%".
+    """
     low, high = estimate.low, estimate.high
+    if estimate.value is None and high is not None:
+        return f"at most {limit(high, form)}"
     if estimate.value is None:
         raise ValueError(f"estimate: expected a value, got {estimate!r}; say what is lacking instead")
-    value = number(estimate.value, form, decimals(estimate, form), sign)
+    value = number(estimate.value, form, decimals(estimate, form) if digits is None else digits, sign)
     if low is not None and high is not None:
-        return f"{value} ({span(low, high, form, sign)})"
+        return f"{value} ({span(low, high, form, sign, digits)})"
     if low is not None:
         return f"{value} (at least {number(low, form)})"
     if high is not None:

@@ -22,6 +22,8 @@ from stickslip.analysis.findings.finding import (
     Outcomes,
     Parts,
     Quantity,
+    Regime,
+    Regimes,
     Scale,
     Share,
     Verdict,
@@ -54,9 +56,13 @@ def clause(finding: Finding) -> str:
         case Limit(things=things, predicate=predicate, most=most, where=where):
             return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
         case Alike(quantity, value, among, where):
-            return f"{quantity.name}{_at(where)}: {number(value, quantity.form)}, the same {among}"
+            digits = decimals(Estimate(value), quantity.form) + 1  # it is known to many
+            return f"{quantity.name}{_at(where)}: {number(value, quantity.form, digits)}, the same {among}"
         case Outcomes():
             return _outcomes(finding)
+        case Regimes(things, regimes, where):
+            grouped = "; ".join(_regime(regime, things, k == 0) for k, regime in enumerate(regimes))
+            return f"{_at(where).strip(' ,')}: {grouped}" if where else grouped
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
         case Decided(truth, reason):
@@ -85,7 +91,9 @@ def based_on(basis: Basis | None) -> str:
 
 
 def _at(where: str) -> str:
-    return f" at {where}" if where else ""
+    if not where:
+        return ""
+    return f" at {where}" if "=" in where.partition(",")[0] else f", {where}"
 
 
 def _level(level: Level) -> str:
@@ -117,6 +125,21 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
             return f"; no difference from {other} is shown among {_n_tests(difference)}"
         case Verdict.UNJUDGED:
             return f", beside {other}, without an interval"
+
+
+def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = Form.NUMBER) -> str:
+    """A difference as the cell of a table: "+0.9% (+0.6 to +1.3%)", and what it comes to if that is not plain."""
+    difference = comparison.difference
+    if verdict is Verdict.SAME:
+        return "none in any run"
+    value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
+    if value is None:
+        return "unknown" if low is None or high is None else interval(difference, form)
+    text = with_interval(difference.estimate, _form(difference, form), sign=True)
+    text = _in_points(text, difference, form)
+    if verdict is Verdict.EQUAL:
+        return f"{text}, equal within {margin(difference, form)}"
+    return f"{text}, not shown among so many" if verdict is Verdict.OPEN_AMONG_MANY else text
 
 
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:
@@ -244,3 +267,15 @@ def _outcomes(outcomes: Outcomes) -> str:
     ]
     largest = "" if outcomes.largest is None else f"; the largest difference is in the {_level(outcomes.largest)}"
     return "; ".join(said) + largest
+
+
+def _regime(regime: Regime, things: str, is_first: bool) -> str:
+    """What things do at some settings; they are named once in a sentence."""
+    where, n, noun = regime.where, regime.n, f" {things}" * is_first
+    first, *others = regime.predicates
+    if others:
+        parts = [f"some{noun} {first}", *(f"some {predicate}" for predicate in others[:-1]), f"others {others[-1]}"]
+        return f"{where} {listed(parts)}"
+    if n < regime.of:
+        return f"{where} all {n:,} decided {things} (of {regime.of:,}) {first}"
+    return f"{where} all {n:,}{noun} {first}" if n > 1 else f"{where} {things} {first}"

@@ -14,10 +14,16 @@ if TYPE_CHECKING:
 
 #: In the order of the page, with the room of each.
 QUESTIONS: Mapping[str, str] = {
-    "sweep": "runs", "attractors": "runs", "episodes": "slips", "cascades": "slips",
-    "rhythm": "slips", "clustering": "slips", "fates": "runs",
-    "engines": "runs", "sensitivity": "runs", "robustness": "runs", "one_run": "runs",
-}  # fmt: skip
+    "sweep": "runs",
+    "episodes": "slips",
+    "cascades": "slips",
+    "collective": "slips",
+    "fates": "runs",
+    "engines": "runs",
+    "sensitivity": "runs",
+    "robustness": "runs",
+    "one_run": "runs",
+}
 
 
 #: Names that scenes of earlier versions give, and what they ask for now.
@@ -25,6 +31,9 @@ RENAMED: Mapping[str, str] = {
     "exponential": "cascades",
     "definitions": "cascades",
     "counting": "stickslip.workflows.scenes.counting:question",
+    "clustering": "collective",
+    "rhythm": "collective",
+    "attractors": "fates",
 }
 
 #: Modules of this package, beside the scenes that ship, with questions that only scenes which name them ask:

@@ -24,6 +24,8 @@ from stickslip.analysis.findings.finding import (
     Parts,
     Quantity,
     Reason,
+    Regime,
+    Regimes,
     Scale,
     Share,
     Truth,
@@ -32,7 +34,7 @@ from stickslip.analysis.findings.finding import (
 )
 from stickslip.analysis.findings.numbers import limit, number, span, with_interval
 from stickslip.analysis.findings.words import sentence
-from stickslip.analysis.report.page import _findings_table
+from stickslip.analysis.page.layout import findings_table
 from stickslip.analysis.stats.estimates import Estimate
 
 GAMMA = Quantity("gamma", "decay rate")
@@ -133,6 +135,14 @@ def test_sentences():
     assert sentence(Parts(Level(excess, Estimate(0.009, 0.006, 0.012), "n = 5"), (*parts,))) == (
         "Excess at n = 5: 0.90%, from noise \u22121.20% and pull +2.10% (+1.80 to +2.40%)."
     )
+    few, both = (Regime(f"at v = {v}", said, 5, 5) for v, said in ((1, ("slide",)), (2, ("slide", "stick"))))
+    assert sentence(Regimes("starts", (few, both))) == (
+        "At v = 1 all 5 starts slide; at v = 2 some slide and others stick."
+    )
+    period = Quantity("period", "period of the cycle")
+    assert sentence(Alike(period, 3.50812, "from all 8 starts")) == (
+        "Period of the cycle: 3.508, the same from all 8 starts."
+    )
     assert sentence(Decided(Truth.NO, basin)) == f"No: {sentence(basin)}"
 
 
@@ -168,6 +178,9 @@ def _findings(rng):
     yield Limit("pairs", "exits", "trigger another", value, where, basis)
     yield Alike(quantity, value, "from all starts", where)
     yield Outcomes("the exact engine", ("h = 0.1",), ("h = 0.2", "h = 0.4"), (), level)
+    mixed = Regime("from v = 8 on", ("slide", "stick", "stop"), 9, 10)
+    alone = (Regime("up to v = 7", ("slide",), n, 5, estimate) for n in (1, 2, 4, 5))
+    yield Regimes("starts", (*alone, mixed), where)
     yield Lack("the decay rate", _pick(rng, Reason), "12 cascades")
     yield Decided(_pick(rng, Truth), share)
 
@@ -198,6 +211,6 @@ def test_the_table_of_findings_has_limits_and_differences_in_their_units():
         *records(Level(SHARE, Estimate(0.2), comparison=Comparison("others", lower))),
         *records(Level(GAMMA, Estimate(0.7), comparison=Comparison("others", wider))),
     ]
-    table = _findings_table(rows)
-    for cell in ("at most 0.28%", "\u221230% (\u221240 to \u221220%)", "+50% (+25 to +75%)"):
+    table = str(findings_table(rows))
+    for cell in ("at most 0.28%", "\u221230 (\u221240 to \u221220) percentage points", "+50% (+25 to +75%)"):
         assert cell in table

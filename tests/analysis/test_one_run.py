@@ -42,12 +42,12 @@ def test_it_counts_the_first_run_that_finished(study):
     assert never.estimate.value == 0.5
     assert sticking.estimate.value == pytest.approx((3 + 2 * 2 + 3 + 2) / (4 * 5))
     assert sentence(onsets) == "Number of slip onsets, one run of 4 blocks to t = 5: 2."
-    assert "Run m2 is one of 3, the first that finished" in found.method
+    assert "Run m2 is the first of 3 that finished" in found.method
 
 
 def test_a_run_that_grew_without_limit_is_drawn_as_far_as_it_went(study):
     found = answer(study(n_members=2))
-    assert "Run m1 is one of 2, none of which finished" in found.method
+    assert "Run m1 is the first of 2 that was begun" in found.method
     assert found.findings[0].where == "one run of 4 blocks to t = 4.5"
     (ax,) = found.figures["one_run"].recipe().axes
     assert ax.get_xlim() == (0.0, 4.5)

@@ -64,9 +64,9 @@ def answer(study: Study) -> Answer | None:
     else:
         caption = f"Number of sticking blocks n_stick(t) in run {name}. Recorded events would show which block slips."
         figures = {NAME: Picture(partial(steps, t, n_stick, t_end), caption)}
-    chosen = "the first that finished" if len(finished) else "none of which finished"
+    chosen = "finished" if len(finished) else "was begun"
     method = (
-        f"Run {name} is one of {len(table)}, {chosen}; it stands for no other. "
+        f"Run {name} is the first of {len(table)} that {chosen}, and stands for no other. "
         "The command stickslip plot DIR MEMBER --span T0 T1 --out picture.svg draws any run, or a part of one."
     )
     return Answer(findings=findings, figures=figures, method=method)

@@ -429,5 +429,5 @@ def _first_run(study: Study, group: Group) -> tuple[int, Recipe]:
 
 
 QUESTION = Question(
-    answer, "How do cascade sizes fall off?", share=0.2, of_cascades=True, rank=5, beside=("clustering", "fates")
+    answer, "How do cascade sizes fall off?", share=0.2, of_cascades=True, rank=5, beside=("collective", "fates")
 )
