@@ -70,7 +70,7 @@ def question(study: Study) -> Answer | None:
     alike = sorted(
         (row for row in rows if row["of"] == lead["of"] and row["coupling_low"] is not None), key=lambda row: row["n"]
     )
-    judged = [lead, *(row for row in alike if row is not lead and row in known)]
+    judged = [lead, *(row for row in reversed(alike) if row is not lead and row in known)]
     findings: list[Finding] = [_parts(study, row, len(judged) > 1) for row in judged]
     slope = Difference(_estimate(lead, "over_slope"))
     where, basis = _where(lead, len(judged) > 1), Basis(lead["n_matrices"], systems(study))

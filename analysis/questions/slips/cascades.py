@@ -36,7 +36,7 @@ from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models import fates, pool
 from stickslip.analysis.questions.slips import cascade_definitions, cascade_figures
 from stickslip.analysis.series.cascades import spans
-from stickslip.analysis.series.nulls import DRAWS, rotations
+from stickslip.analysis.series.nulls import rotations
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough, estimates, student
 from stickslip.analysis.stats.compare import mean_within
@@ -47,6 +47,7 @@ from stickslip.analysis.stats.families import EXPONENTIAL, POWER_LAW, log_shares
 from stickslip.analysis.style import forest
 from stickslip.pipeline.design.labels import Label, apart
 
+SHIFTS = 30  # most draws of a run's blocks shifted in time, whose rate is then known better than the run's
 PARTS = 10  # of a run, whose scatter gives the interval of its system
 MOST_SETTINGS = 8  # beside each other on the page; the table `law` has all
 MOST_DRAWN = 2  # groups in a figure
@@ -213,7 +214,7 @@ def _method(study: Study) -> str:
         "A cascade is a run of blocks that let go with no block sticking in between; its size, their number, has the "
         f"law f ∝ exp(−γ s){f' from {least} on' * (least > 1)}, fitted by maximum likelihood with intervals over "
         f"{systems(study)}s. Blocks shifted in time are each run's own, moved by a random time each "
-        f"({min(study.settings.resamples, DRAWS)} draws per run); independent two-state blocks are as many, of which "
+        f"({min(study.settings.resamples, SHIFTS)} draws per run); independent two-state blocks are as many, of which "
         "as many stick on average."
     )
 
@@ -229,7 +230,7 @@ def _sums(study: Study, group: Group, is_judged: bool) -> Sums:
     n_columns = 3 + 2 * PARTS
     found = np.zeros((len(counts), n_columns))
     if is_judged:
-        found = study.sums(group, partial(_of_run, least, min(study.settings.resamples, DRAWS)), n_columns)
+        found = study.sums(group, partial(_of_run, least, min(study.settings.resamples, SHIFTS)), n_columns)
     shifted, parts = found[:, :3], found[:, 3:n_columns].reshape(-1, PARTS, 2)
     seen = counts.sum(axis=1) > 0
     rows = np.hstack([moments(counts), shifted, group.stuck])
