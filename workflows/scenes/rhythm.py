@@ -115,7 +115,7 @@ class Power(NamedTuple):
         return min(self.p_misfit, 1.0 if self.p_apart is None else self.p_apart) >= alpha
 
     def finding(self, alpha: float) -> Law:
-        where = f"|{self.key}| from {shown(self.first_value)} to {shown(self.last_value)}"
+        where = f"|{self.key}| = {shown(self.first_value)} to {shown(self.last_value)}"
         fit = Fit.HOLDS if self.fits(alpha) else Fit.FAILS
         return Law(
             _PLURAL[self.number], f"follow a power law in |{self.key}|", Level(EXPONENT, self.exponent, where), fit
