@@ -7,7 +7,7 @@ from nothing else: `findings.words` says each kind, `records` lays each out as r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from typing import NamedTuple, TypeAlias
 
@@ -302,6 +302,40 @@ class Outcomes:
     largest: Level | None = None
 
 
+@dataclass(frozen=True)
+class Regime:
+    """Settings at which all of some things have the same outcome, or several outcomes occur.
+
+    Attributes
+    ----------
+    where : str
+        Which settings, as an adverbial: "up to belt_speed = 7", "at 3 of 12 settings".
+    predicates : tuple of str
+        Verb phrases in the plural, one for each outcome: "slide steadily".
+    n, of : int
+        How many things have a known outcome there, and how many there are.
+    share : Estimate
+        Of one outcome: the share of such things that have it; without a value where several occur.
+    basis : Basis, optional
+    """
+
+    where: str
+    predicates: tuple[str, ...]
+    n: int
+    of: int
+    share: Estimate = field(default_factory=Estimate)
+    basis: Basis | None = None
+
+
+@dataclass(frozen=True)
+class Regimes:
+    """What some things do at different settings, grouped by what they do; `things` in the plural: "starts"."""
+
+    things: str
+    regimes: tuple[Regime, ...]
+    where: str = ""
+
+
 class Truth(StrEnum):
     """The answer to a question of yes or no."""
 
@@ -321,6 +355,7 @@ class Reason(StrEnum):
     NO_MOTION = "no run is in motion"
     SHORT_WINDOW = "the runs are too short"
     OUT_OF_RANGE = "too few pairs stay in their linear range"
+    NOT_SHOWN = "none is shown"
     NO_REFERENCE = "nothing to compare with"
     NOT_RECORDED = "not recorded"
     NOT_RUN = "not run"
@@ -343,10 +378,10 @@ class Decided:
     """The answer to a question of yes or no, and the finding that it rests on."""
 
     truth: Truth
-    finding: Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Lack
+    finding: Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Regimes | Lack
 
 
-Finding: TypeAlias = Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Lack | Decided
+Finding: TypeAlias = Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Regimes | Lack | Decided
 
 
 class Record(NamedTuple):
@@ -401,6 +436,18 @@ def records(finding: Finding) -> list[Record]:
             ]
         case Outcomes(largest=largest):
             return [] if largest is None else records(largest)
+        case Regimes(things, regimes, where):
+            return [
+                _record(
+                    " and ".join(f"share of {things} that {predicate}" for predicate in regime.predicates),
+                    Form.SHARE,
+                    regime.share,
+                    ", ".join(filter(None, (where, regime.where))),
+                    None,
+                    regime.basis,
+                )
+                for regime in regimes
+            ]
         case Decided(_, reason):
             return records(reason)
         case Lack():

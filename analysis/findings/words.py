@@ -21,6 +21,8 @@ from stickslip.analysis.findings.finding import (
     Limit,
     Outcomes,
     Quantity,
+    Regime,
+    Regimes,
     Scale,
     Share,
     Verdict,
@@ -51,9 +53,13 @@ def clause(finding: Finding) -> str:
         case Limit(things=things, predicate=predicate, most=most, where=where):
             return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
         case Alike(quantity, value, among, where):
-            return f"{quantity.name}{_at(where)}: {number(value, quantity.form)}, the same {among}"
+            digits = decimals(Estimate(value), quantity.form) + 1  # it is known to many
+            return f"{quantity.name}{_at(where)}: {number(value, quantity.form, digits)}, the same {among}"
         case Outcomes():
             return _outcomes(finding)
+        case Regimes(things, regimes, where):
+            grouped = "; ".join(_regime(regime, things, k == 0) for k, regime in enumerate(regimes))
+            return f"{_at(where).strip(' ,')}: {grouped}" if where else grouped
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
         case Decided(truth, reason):
@@ -82,7 +88,9 @@ def based_on(basis: Basis | None) -> str:
 
 
 def _at(where: str) -> str:
-    return f" at {where}" if where else ""
+    if not where:
+        return ""
+    return f" at {where}" if "=" in where.partition(",")[0] else f", {where}"
 
 
 def _level(level: Level) -> str:
@@ -240,3 +248,15 @@ def _outcomes(outcomes: Outcomes) -> str:
     ]
     largest = "" if outcomes.largest is None else f"; the largest difference is in the {_level(outcomes.largest)}"
     return "; ".join(said) + largest
+
+
+def _regime(regime: Regime, things: str, is_first: bool) -> str:
+    """What things do at some settings; they are named once in a sentence."""
+    where, n, noun = regime.where, regime.n, f" {things}" * is_first
+    first, *others = regime.predicates
+    if others:
+        parts = [f"some{noun} {first}", *(f"some {predicate}" for predicate in others[:-1]), f"others {others[-1]}"]
+        return f"{where} {listed(parts)}"
+    if n < regime.of:
+        return f"{where} all {n:,} decided {things} (of {regime.of:,}) {first}"
+    return f"{where} all {n:,}{noun} {first}" if n > 1 else f"{where} {things} {first}"

@@ -23,6 +23,8 @@ from stickslip.analysis.findings.finding import (
     Outcomes,
     Quantity,
     Reason,
+    Regime,
+    Regimes,
     Scale,
     Share,
     Truth,
@@ -124,6 +126,14 @@ def test_sentences():
     assert sentence(left) == "75.0% of runs still stick and slip at t = 150 at n = 100."
     basin = Share("sliding", "starts", "end in steady sliding", Estimate(0.301, 0.288, 0.314))
     assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts end in steady sliding."
+    few, both = (Regime(f"at v = {v}", said, 5, 5) for v, said in ((1, ("slide",)), (2, ("slide", "stick"))))
+    assert sentence(Regimes("starts", (few, both))) == (
+        "At v = 1 all 5 starts slide; at v = 2 some slide and others stick."
+    )
+    period = Quantity("period", "period of the cycle")
+    assert sentence(Alike(period, 3.50812, "from all 8 starts")) == (
+        "Period of the cycle: 3.508, the same from all 8 starts."
+    )
     assert sentence(Decided(Truth.NO, basin)) == f"No: {sentence(basin)}"
 
 
@@ -158,6 +168,9 @@ def _findings(rng):
     yield Limit("pairs", "exits", "trigger another", value, where, basis)
     yield Alike(quantity, value, "from all starts", where)
     yield Outcomes("the exact engine", ("h = 0.1",), ("h = 0.2", "h = 0.4"), (), level)
+    mixed = Regime("from v = 8 on", ("slide", "stick", "stop"), 9, 10)
+    alone = (Regime("up to v = 7", ("slide",), n, 5, estimate) for n in (1, 2, 4, 5))
+    yield Regimes("starts", (*alone, mixed), where)
     yield Lack("the decay rate", _pick(rng, Reason), "12 cascades")
     yield Decided(_pick(rng, Truth), share)
 
@@ -177,7 +190,7 @@ def test_every_kind_is_a_sentence_and_rows(rng):
                 assert row.low is None or row.high is None or row.low <= row.high
                 assert row.verdict in {"", *Verdict}
                 assert not any(isinstance(cell, float) and np.isnan(cell) for cell in row)
-    assert len(kinds) == 10
+    assert len(kinds) == 11
 
 
 def test_the_table_of_findings_has_limits_and_differences_in_their_units():
@@ -189,5 +202,5 @@ def test_the_table_of_findings_has_limits_and_differences_in_their_units():
         *records(Level(GAMMA, Estimate(0.7), comparison=Comparison("others", wider))),
     ]
     table = str(findings_table(rows))
-    for cell in ("at most 0.28%", "\u221230% (\u221240 to \u221220%)", "+50% (+25 to +75%)"):
+    for cell in ("at most 0.28%", "\u221230 (\u221240 to \u221220) percentage points", "+50% (+25 to +75%)"):
         assert cell in table

@@ -248,7 +248,7 @@ def test_too_little_data_is_said_and_breaks_nothing(scarce, settings, name):
 
 def test_what_is_asked_and_has_no_answer_is_said_at_the_top(planted, scarce, settings):
     """Of data without episodes, and of too few matrices for gamma."""
-    said = "Not answered: "
+    said = "Asked but not answered: "
     whole = planted.ensemble({"coulomb": LN2}, 8)
     assert said not in text_of(report_of(whole, replace(settings, question=("cascades",))))
     text = text_of(report_of(whole, replace(settings, question=("episodes", "cascades"))))

@@ -37,7 +37,7 @@ from stickslip.analysis.grid import (
 from stickslip.analysis.measures import AXES, GAMMA, KEYS, MEAN, Measure, measures
 from stickslip.analysis.members import RELATIVE
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
-from stickslip.analysis.questions.runs.fates import FATES, shares
+from stickslip.analysis.questions.runs.fate_figures import FATES, shares
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, ratio
