@@ -202,6 +202,3 @@ def test_the_answer_leads_with_one_number_and_is_the_same_twice(planted, rng):
             assert all(value == value for row in records(table) for value in row.values())  # null, never NaN
 
 
-def test_too_little_data_gives_reasons(planted, rng):
-    one = [studies.blocks_run(rng)]
-    still = [BlockSteps(0.0, SPAN, np.array([30.0]), np.array([0]), np.array([-1]))] * 6
