@@ -16,6 +16,7 @@ class Code(Enum):
     DRIFT = 1, "{what} still drifts after t_burn = {t_burn:g}: raise t_burn."
     DIVERGED = 2, "The motion grew without limit in {n} of {of} runs."
     SETTLED = 2, "{n} of {of} runs settled into steady sliding; {what} is of the others."
+    NOT_MOVING = 2, "{n} of {of} runs are not in motion; {what} is of the others."
     UNCERTIFIED = 2, "{n} of {of} runs slide so far, without a certificate that they always will."
     TEMPORARY = 2, "{n} of {of} runs slide temporarily: sliding is unstable there, and sticking comes back."
     UNDECIDED = 2, "{n} of {of} runs are undecided; the column attractor_reason says why."

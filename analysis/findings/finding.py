@@ -355,6 +355,7 @@ class Reason(StrEnum):
     NO_MOTION = "no run is in motion"
     SHORT_WINDOW = "the runs are too short"
     OUT_OF_RANGE = "too few pairs stay in their linear range"
+    NOT_SHOWN = "none is shown"
     NO_REFERENCE = "nothing to compare with"
     NOT_RECORDED = "not recorded"
     NOT_RUN = "not run"

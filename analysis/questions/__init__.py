@@ -14,14 +14,25 @@ if TYPE_CHECKING:
 
 #: In the order of the page, with the room of each.
 QUESTIONS: Mapping[str, str] = {
-    "sweep": "runs", "episodes": "slips", "cascades": "slips", "counting": "slips",
-    "exponential": "slips", "definitions": "slips", "rhythm": "slips", "clustering": "slips", "fates": "runs",
-    "engines": "runs", "sensitivity": "runs", "robustness": "runs", "one_run": "runs",
-}  # fmt: skip
+    "sweep": "runs",
+    "episodes": "slips",
+    "cascades": "slips",
+    "counting": "slips",
+    "exponential": "slips",
+    "definitions": "slips",
+    "collective": "slips",
+    "fates": "runs",
+    "engines": "runs",
+    "sensitivity": "runs",
+    "robustness": "runs",
+    "one_run": "runs",
+}
 
 
 #: Names that scenes of earlier versions give, and what they ask for now.
 RENAMED: Mapping[str, str] = {
+    "clustering": "collective",
+    "rhythm": "collective",
     "attractors": "fates",
 }
 

@@ -28,7 +28,7 @@ from stickslip.analysis.findings.finding import records as finding_records
 from stickslip.analysis.findings.words import plural, sentence
 from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.page import layout
-from stickslip.analysis.page.layout import MOST_ROWS, Page, Panel, Section, findings_table
+from stickslip.analysis.page.layout import MOST_FIRST, MOST_ROWS, Page, Panel, Section, findings_table
 from stickslip.analysis.page.layout import Table as PageTable
 from stickslip.analysis.questions import QUESTIONS, is_own, package_questions, question, refuse_unknown
 from stickslip.analysis.report import AS_TEXT, FORMULA, PAGE
@@ -296,15 +296,16 @@ def build(
     lacking = [part for part in parts if part.is_lack]
     asked = [part for part in lacking if part.key in settings.question]
     notes = [
-        *(f"Not answered: {text}" for part in asked for text in part.lead),
-        *(f"Not answered: {name}: {problem}." for name, problem in problems.items()),
+        *(f"Asked but not answered: {text}" for part in asked for text in part.lead),
+        *(f"Asked but not answered: {name}: {problem}." for name, problem in problems.items()),
         *(f"Left out of the answer: {name}: {lines}." for name, lines in missing.items()),
         *(f"{name} was not run; stickslip report DIR --own runs the code beside the scene." for name in not_run),
-        *(f"Not answered: {question(key).title or key}: nothing that it needs was run or recorded."
+        *(f"Asked but not answered: {question(key).title or key}: nothing that it needs was run or recorded."
           for key in settings.question if not is_own(key) and key not in raised),
     ]  # fmt: skip
     sections = [
-        _section(part, on_first, is_shown=bool(leading) and part is leading[0]) for part in (*leading, *others)
+        _section(part, on_first, k < len(lead) and part in leading, k == 0 and part in leading)
+        for k, part in enumerate((*leading, *others))
     ]
     sources = {file: digest for one in own.values() for file, digest in one.sources.items()}
     sections.append(_provenance(study, groups, lacking, sources, provenance))
@@ -314,7 +315,7 @@ def build(
         lead,
         stops,
         on_first,
-        leading[0].table if leading else PageTable(),
+        leading[0].head if leading else PageTable(),
         _alerts(leading, [part for part in parts if part not in leading]),
         notes,
         sections,
@@ -335,14 +336,15 @@ def _lead(leading: Sequence[Part]) -> list[str | Markup]:
     return [part.lead[0] for part in leading[:MOST_SAID]]
 
 
-def _section(part: Part, on_first: Sequence[Panel], is_shown: bool) -> Section:
+def _section(part: Part, on_first: Sequence[Panel], is_said: bool, is_shown: bool) -> Section:
+    """The folded part of an answer, without what the first screen says and shows."""
     return Section(
         part.key,
         part.title,
-        part.lead[0],
+        "" if is_said else part.lead[0],
         part.texts,
         [panel for panel in part.panels if panel not in on_first],
-        PageTable() if is_shown else part.table,
+        PageTable() if is_shown and len(part.head.rows) == len(part.table.rows) else part.table,
         part.notes,
         part.inside if is_shown else part.first + part.inside,
     )
@@ -392,6 +394,8 @@ class Part:
         Its sentences, the first of which is the answer, or why there is none.
     alerts : sequence of (int, str)
         With their ranks.
+    head, table : Table
+        Of the first findings, for the first screen, and of all.
     first, inside : Markup
         Of a template: what stands on the first screen if the question leads, and what is folded.
     upto : int
@@ -404,6 +408,7 @@ class Part:
     is_lack: bool = False
     alerts: Sequence[tuple[int, str | Markup]] = ()
     panels: Sequence[Panel] = ()
+    head: PageTable = field(default_factory=PageTable)
     table: PageTable = field(default_factory=PageTable)
     texts: Sequence[str] = ()
     notes: Sequence[str] = ()
@@ -420,6 +425,7 @@ def _part(filled: Environment, one: Answered) -> Part:
 
 def _of_findings(one: Answered) -> Part:
     files = [f"report/{name}.parquet" for name in one.tables]
+    rows = [row for finding in one.findings for row in finding_records(finding)]
     return Part(
         one.key,
         one.title,
@@ -427,7 +433,8 @@ def _of_findings(one: Answered) -> Part:
         all(isinstance(finding, Lack) for finding in one.findings),
         [(alert.code.rank, str(alert)) for alert in one.alerts],
         [Panel(drawn.address(), one.captions[name]) for name, drawn in one.figures.items()],
-        findings_table([row for finding in one.findings for row in finding_records(finding)], FINDINGS),
+        findings_table(rows, most=MOST_FIRST),
+        findings_table(rows, FINDINGS),
         [one.method],
         [f"Tables: {', '.join(files)}."] if files else [],
         findings=one.findings,
