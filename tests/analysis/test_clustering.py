@@ -1,6 +1,5 @@
 """Clustering beyond chance: closed forms against simulation, and what was planted is said."""
 
-import dataclasses
 
 import numpy as np
 import pandas as pd
@@ -200,5 +199,3 @@ def test_the_answer_leads_with_one_number_and_is_the_same_twice(planted, rng):
         for name, table in one.tables.items():
             pd.testing.assert_frame_equal(table, other.tables[name])
             assert all(value == value for row in records(table) for value in row.values())  # null, never NaN
-
-

@@ -23,7 +23,6 @@ import pytest
 import scipy.io
 import scipy.sparse
 
-from stickslip.analysis import Estimate
 from stickslip.analysis.findings.finding import Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.members import OUTCOMES
