@@ -415,7 +415,7 @@ def _part(filled: Environment, one: Answered) -> Part:
 
 def _of_findings(one: Answered) -> Part:
     files = [f"report/{name}.parquet" for name in one.tables]
-    rows = [row for finding in one.findings for row in finding_records(finding)]
+    rows = [*dict.fromkeys(row for finding in one.findings for row in finding_records(finding))]
     return Part(
         one.key,
         one.title,
