@@ -161,8 +161,8 @@ def _law(study: Study, first: Catalogues, second: Catalogues, name: str) -> Apar
     return Apart(second, first, name, difference.size, difference.p_different, law=difference)
 
 
-#: A method's name that ends with the setting of its engine.
-_SETTING = re.compile(r"(.*) (\S+) = (\S+)")
+#: A method's name: engine, symbol and value of its setting, and the rest.
+_SETTING = re.compile(r"(.*?) (\S+) = ([^\s,]+)(.*)")
 
 
 def called(reference: Catalogues) -> str:
@@ -190,12 +190,14 @@ def grouped(chosen: Collection[str], methods: Sequence[tuple[str, str]]) -> list
         every = [method for _, method in group]
         some = [method for method in every if method in chosen]
         parts = [_SETTING.fullmatch(method) for method in every]
-        is_row = len(some) > 1 and len({part and part.group(1, 2) for part in parts}) == 1 and None not in parts
-        if is_row and some == every:
+        is_row = None not in parts and len({part and part.group(1, 2, 4) for part in parts}) == 1
+        if not is_row or len(some) < 2:
+            texts += [_SETTING.sub(r"\1 \2 = \3", method) if is_row else method for method in some]
+        elif some == every:
             texts.append(_SETTING.sub(r"\1 at every \2", some[0]))
-        elif is_row and some == every[: len(some)]:
+        elif some == every[: len(some)]:
             texts.append(_SETTING.sub(r"\1 up to \2 = \3", some[-1]))
-        elif is_row and some == every[-len(some) :]:
+        elif some == every[-len(some) :]:
             texts.append(_SETTING.sub(r"\1 from \2 = \3 on", some[0]))
         else:
             texts += some

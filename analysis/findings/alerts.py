@@ -24,7 +24,7 @@ class Code(Enum):
     FEW = 3, "{n} {units} give a wide interval: more {units} would narrow it."
     OVERLAP = (
         1,
-        "Some block slips {share} of the time ({where}), and episodes that overlap count as one: use {remedy}.",
+        "Some block slips {share} of the time ({where}): episodes that overlap count as one; use {remedy}.",
     )
     BLURRED = 1, "With {what} blocks that do not follow the belt may count as stuck: episodes cannot be counted."
     SPANNING = 2, "{share} of the episodes take all {n} blocks: their sizes are those of the chain."

@@ -266,27 +266,31 @@ def _outcomes(reference: Catalogues, others: Sequence[Catalogues], apart: Sequen
 
 
 def _changes(leaders: Sequence[Catalogues], level: float) -> list[Change]:
-    """From the first of a row of systems to the last: mean size, and episodes per travel of the belt.
-
-    Paired if both share their random draws.
-    """
+    """From the first of a row of systems to the last: mean size, and episodes per travel of the belt."""
     first, last = leaders[0], leaders[-1]
     ends = [dict(group.group.name.parts) for group in (first, last)]
     keys = [key for key in ends[0] if key and ends[0][key] != ends[1].get(key)]
     if len(keys) != 1:
         return []
-    drawn = [[group.group.unit, *(group.group.key[name] for name in DRAWN)] for group in (first, last)]
     changes = []
     for name, quantity in ((SIZE, WORDS[SIZE]), (BY_WAY, BY_TRAVEL)):
         before, after = (group.row["of"][name] for group in (first, last))
-        a, b = (group.sample.of(name) for group in (first, last))
-        if is_paired := drawn[0] == drawn[1]:
-            a, b = a.within(b), b.within(a)
-        difference, _ = relative_change(name, a, b, is_paired, level)
+        difference = along(first, last, name, level)
         if difference.value is not None:
             old, new = (end[keys[0]] for end in ends)
-            changes.append(Change(quantity, keys[0], old, new, before, after, Difference(difference)))
+            is_same = difference.low == difference.high == 0.0
+            shown = Difference(difference, is_same=is_same)
+            changes.append(Change(quantity, keys[0], old, new, before, after, shown))
     return changes
+
+
+def along(first: Catalogues, last: Catalogues, name: str, level: float) -> Estimate:
+    """The relative difference of a statistic of two groups: paired if both share their random draws."""
+    draws = [[group.group.unit, *(group.group.key[key] for key in DRAWN)] for group in (first, last)]
+    a, b = first.sample.of(name), last.sample.of(name)
+    if is_paired := draws[0] == draws[1]:
+        a, b = a.within(b), b.within(a)
+    return relative_change(name, a, b, is_paired, level)[0]
 
 
 def _fits(study: Study, group: Catalogues) -> tuple[list[Row], list[Fitted]]:
