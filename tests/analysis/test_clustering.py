@@ -1,6 +1,5 @@
 """Clustering beyond chance: closed forms against simulation, and what was planted is said."""
 
-import dataclasses
 
 import numpy as np
 import pandas as pd
@@ -10,7 +9,7 @@ from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.findings.finding import Lack, Level, Limit, Reason, Share, Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.clustering import FANO, PAIRS, Part, fano, measure, n_windows, own_gaps, pairs
-from stickslip.analysis.questions.slips import collective, counting, definitions, triggering
+from stickslip.analysis.questions.slips import cascades, collective, triggering
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.series.nulls import BlockSteps, rotated
 from stickslip.analysis.tables import records
@@ -135,9 +134,8 @@ def test_exits_that_follow_others_are_seen(planted, rng):
 
 def test_exits_that_follow_others_make_cascades_larger_than_of_the_same_blocks_made_independent(planted, rng):
     runs = [followers(rng, studies.blocks_run(rng), 0.3) for _ in range(10)]
-    lead = counting.answer(study_of(planted, runs)).facts["lead"]
-    assert lead["coupling_high"] < 0
-    assert lead["verdict"] == "shallower"
+    row = cascades.answer(study_of(planted, runs)).tables["law"].iloc[0]
+    assert row["over_shifted_high"] < 0
 
 
 def planted_pairs(rows, n_exits, gap, confidence):
@@ -201,58 +199,3 @@ def test_the_answer_leads_with_one_number_and_is_the_same_twice(planted, rng):
         for name, table in one.tables.items():
             pd.testing.assert_frame_equal(table, other.tables[name])
             assert all(value == value for row in records(table) for value in row.values())  # null, never NaN
-
-
-def test_too_little_data_gives_reasons(planted, rng):
-    one = [studies.blocks_run(rng)]
-    still = [BlockSteps(0.0, SPAN, np.array([30.0]), np.array([0]), np.array([-1]))] * 6
-    assert "too few matrices" in said("definitions", definitions.answer(study_of(planted, one)))
-    assert "nothing is counted" in said("definitions", definitions.answer(study_of(planted, still)))
-
-
-# ------------------------------------------------------------------------------------------- definitions
-
-
-def test_every_definition_and_step_has_its_row(planted, rng):
-    found = definitions.answer(study_of(planted, [studies.blocks_run(rng) for _ in range(6)]))
-    table = found.tables["definitions"]
-    assert len(table) == 1 + 4 * 2
-    assert table["over"].between(0.8, 1.2).all()
-    assert "against independent blocks" in said("definitions", found)
-
-
-def test_a_difference_beyond_the_margin_is_told_from_one_whose_interval_reaches_within_it():
-    """The margin of gamma is 1%, of the logarithm: below, it ends at 1 / 1.01 = 0.9901."""
-    rows = [
-        {"verdict": verdict, "over_low": low, "over_high": high}
-        for verdict, low, high in (
-            ("steeper", 1.011, 1.03), ("steeper", 1.009, 1.03), ("shallower", 0.97, 0.9902),
-            ("shallower", 0.97, 0.9900), ("shallower", 0.98, 0.995), ("within", 0.995, 1.005),
-            ("cannot be told", 1.02, 1.05),
-        )
-    ]  # fmt: skip
-    found = definitions.counts(rows)
-    assert found == {"n_beyond": 2, "n_about": 3, "n_alike": 1, "n_open": 1}
-
-
-def test_no_definition_is_said_to_lie_within_the_margin_unless_it_is_shown(planted, rng):
-    found = definitions.answer(study_of(planted, [studies.blocks_run(rng) for _ in range(6)]))
-    words = environment().get_template("definitions.html").module
-    facts = found.facts | {"n_beyond": 5, "n_about": 3, "n_alike": 0, "n_open": 1}
-    part = words.part(facts, lambda *_: "")
-    assert "5 differ from them by more than 1% over the whole interval, 3 by about 1%: a difference is shown" in part
-    assert "None is shown to lie within 1%; for 1 it cannot be told." in part
-
-
-def test_without_events_gamma_stands_alone(planted, rng):
-    found = definitions.answer(study_of(planted, [studies.blocks_run(rng) for _ in range(6)], with_events=False))
-    assert found.facts["over"] == []
-    assert list(found.figures) == ["definitions"]
-    assert "how often." in said("definitions", found)
-
-
-def test_more_map_steps_are_in_the_table(planted, rng):
-    study = study_of(planted, [studies.blocks_run(rng) for _ in range(5)])
-    study = Study(study.data, dataclasses.replace(study.settings, map_dt=(0.2, 1.0, 4.0)))
-    table = definitions.answer(study).tables["definitions"]
-    assert sorted(table["dt"].dropna().unique()) == [0.2, 0.5, 1.0, 2.0, 4.0]
