@@ -51,6 +51,14 @@ _PARTING: Mapping[str, str] = {
 _CURVES: Mapping[str, str] = {"setting": S, "change": S, "t": F, "n_pairs": I, "gap": F}
 
 
+_METHOD = (
+    f"The growth rate is the slope of log distance over time from t = {T_FROM:g} on, while all pairs lie between a"
+    f" floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and {CEILING:g}; none is given where more than"
+    " a tenth of the pairs leave that range. Copies have parted when |difference of n_stick|, averaged over"
+    f" {parting.SPAN:g} units of time, first reaches {100 * parting.SHARE:g}% of what two systems show after t_burn."
+)
+
+
 class _Rate(NamedTuple):
     """The growth rate of starts displaced by one size; `law` is None where no distance was recorded."""
 
@@ -213,21 +221,9 @@ def answer(study: Study) -> Answer | None:
         findings = [parting_findings[0], *others, *not_run, *parting_findings[1:]]
     else:
         findings = [*others, *not_run, *parting_findings]
-    figures = _figures(
-        study,
-        compared,
-        [rate for rate in best if rate.is_told],
-        [parted for parted in partings if parted.setting is leading],
-    )
+    told, drawn = [rate for rate in best if rate.is_told], [one for one in partings if one.setting is leading]
+    figures = _figures(study, compared, told, drawn)
     return Answer(findings=findings, n_lead=2, tables=tables, figures=figures, method=_METHOD)
-
-
-_METHOD = (
-    f"The growth rate is the slope of log distance over time from t = {T_FROM:g} on, while all pairs lie between a"
-    f" floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and {CEILING:g}; none is given where more than"
-    " a tenth of the pairs leave that range. Copies have parted when |difference of n_stick|, averaged over"
-    f" {parting.SPAN:g} units of time, first reaches {100 * parting.SHARE:g}% of what two systems show after t_burn."
-)
 
 
 def _size(setting: Setting) -> int:
