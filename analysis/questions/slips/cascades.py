@@ -214,8 +214,8 @@ def _method(study: Study) -> str:
         "A cascade is a run of blocks that let go with no block sticking in between; its size, their number, has the "
         f"law f ∝ exp(−γ s){f' from {least} on' * (least > 1)}, fitted by maximum likelihood with intervals over "
         f"{systems(study)}s. Blocks shifted in time are each run's own, moved by a random time each "
-        f"({min(study.settings.resamples, SHIFTS)} draws per run); independent two-state blocks are as many, of which "
-        "as many stick on average."
+        f"({min(study.settings.resamples, SHIFTS)} draws per run); independent two-state blocks are as many, "
+        "as many of which stick on average."
     )
 
 
