@@ -56,7 +56,9 @@ def clause(finding: Finding) -> str:
         case Limit(things=things, predicate=predicate, most=most, where=where):
             return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
         case Alike(quantity, value, among, where):
-            digits = decimals(Estimate(value), quantity.form) + 1  # it is known to many
+            digits = decimals(Estimate(value), quantity.form) + (
+                quantity.form is not Form.COUNT
+            )  # it is known to many
             return f"{quantity.name}{_at(where)}: {number(value, quantity.form, digits)}, the same {among}"
         case Outcomes():
             return _outcomes(finding)

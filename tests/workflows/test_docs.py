@@ -23,7 +23,6 @@ import pytest
 import scipy.io
 import scipy.sparse
 
-from stickslip.analysis import Estimate
 from stickslip.analysis.members import OUTCOMES
 from stickslip.analysis.models.fates import fate
 from stickslip.analysis.questions import QUESTIONS, question
@@ -414,15 +413,12 @@ def test_a_question_of_ones_own_is_a_function_beside_the_scene(tmp_path, monkeyp
     means = query.members(tmp_path / "out").groupby("belt_speed")["stick_share"].mean()
     table = found.tables["own-question-shares"].set_index("belt_speed")
     np.testing.assert_allclose(table["share"].astype(float), means.loc[table.index], rtol=1e-12)
-    assert found.said["answer"].startswith(
-        f"Blocks stick longest at \u2212{abs(means.idxmax()):g}: {means.max():.3g}"
-    )
-    assert found.said["name"] == "At which belt speed do blocks stick longest?"
-    assert list(found.figures) == ["own-question-shares"]
-    words = environment().from_string(block("own", "jinja")).module
-    assert words.answer({"best": -0.1, "share": Estimate(0.5, 0.4, 0.6)}).endswith(
-        "0.500 (0.400 to 0.600) of its time."
-    )
+    first, *levels = found.findings
+    assert first.estimate.value == pytest.approx(means.max(), rel=1e-12)
+    assert first.where == f"belt speed \u2212{abs(means.idxmax()):g}"
+    assert len(levels) == len(means)
+    assert found.title == "At which belt speed do blocks stick longest?"
+    assert [*found.figures] == [*found.captions] == ["own-question-shares"]
 
 
 def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):
