@@ -288,9 +288,9 @@ def test_what_users_write_is_escaped(planted, settings):
 
 def test_a_question_that_there_is_not_is_refused_by_name(scarce, settings):
     with pytest.raises(
-        ValueError, match=r"question: expected one of sweep, .*, got 'rhythms'; did you mean 'rhythm'"
+        ValueError, match=r"question: expected one of sweep, .*, got 'collectives'; did you mean 'collective'"
     ):
-        report_of(scarce["two matrices"], replace(settings, question=("fates", "rhythms")))
+        report_of(scarce["two matrices"], replace(settings, question=("fates", "collectives")))
 
 
 @pytest.mark.parametrize("key", [key for key in QUESTIONS if not question(key).title])
