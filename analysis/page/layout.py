@@ -37,11 +37,13 @@ class Table:
     rows : sequence of sequence of str
     note : str
         Where the rows are that it leaves out.
+    caption : str
     """
 
     head: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
     note: str = ""
+    caption: str = ""
 
 
 @dataclass(frozen=True)
@@ -50,6 +52,8 @@ class Section:
 
     Attributes
     ----------
+    tables : sequence of Table
+        Of data.
     inside : Markup
         What comes from a template of its own.
     """
@@ -61,6 +65,7 @@ class Section:
     panels: Sequence[Panel] = ()
     table: Table = field(default_factory=Table)
     notes: Sequence[str] = ()
+    tables: Sequence[Table] = ()
     inside: Markup = field(default_factory=Markup)
 
 
@@ -81,6 +86,8 @@ class Page:
     sections : sequence of Section
     meta : mapping of str to str
         At the head of the file, by name.
+    paragraph : str
+        What the answer does not say.
     """
 
     title: str
@@ -94,6 +101,7 @@ class Page:
     sections: Sequence[Section] = ()
     inside: Markup = field(default_factory=Markup)
     meta: Mapping[str, str] = field(default_factory=dict)
+    paragraph: str = ""
 
     @property
     def html(self) -> str:
