@@ -143,10 +143,11 @@ def _picture(drawn: Mapping[str, tuple[list[Row], list[Row]]], motion: Slow | No
         return Picture(partial(spectrum, drawn), caption)
     fit = motion.motion.goodness
     quality = number(motion.estimate("quality").value or 0.0, digits=2)
+    where = motion.group.label
     caption = (
         f"At long periods slow common motion lifts {power} above that of time-shifted blocks (dashed). Bars and"
-        f" bands: intervals; lines through marks: a damped oscillator, which at {motion.group.label} has Q = {quality}"
-        f" and a deviance of {fit.deviance:.0f} on {fit.dof} degrees of freedom (p = {fit.p_value:.2g})."
+        f" bands: intervals; lines through marks: a damped oscillator, which at {where} has Q = {quality} and a"
+        f" deviance of {fit.deviance:.0f} on {fit.dof} degrees of freedom (p = {fit.p_value:.2g})."
     )
     return Picture(partial(spectrum, drawn), caption)
 
