@@ -1,4 +1,4 @@
-"""Slow common motion of blocks in n_stick: a noisy damped oscillator, on top of what independent blocks do.
+"""Slow common motion of blocks in n_stick: a noisy damped oscillator, on top of what time-shifted blocks do.
 
 With S_0 the spectrum of blocks that ignore each other (`nulls.rotated`, in closed form), the one-sided spectrum of
 n_stick is modelled, at periods of several cycles of a block, as
@@ -38,7 +38,7 @@ MOST_STEPS = 100  # of Fisher scoring
 SLOW, NONE, SHORT = "slow", "none shown", "window too short"
 #: What is estimated: the natural period, without damping; the quality Q; the width in frequency, 1 / (period x Q);
 #: the time in which the motion decays to 1 / e; its variance, and its share of the variance of n_stick; the share c
-#: of the blocks' own power; the period of the spectrum's peak, and the power there over that of independent blocks.
+#: of the blocks' own power; the period of the spectrum's peak, and the power there over that of time-shifted blocks.
 NUMBERS = ("period", "quality", "width", "decay", "variance", "share", "left", "peak", "times")
 
 

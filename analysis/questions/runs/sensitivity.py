@@ -13,10 +13,11 @@ from matplotlib.ticker import LogLocator, NullLocator
 from stickslip.analysis.answer import Answer, B, F, I, Picture, Question, S, frame, named
 from stickslip.analysis.ensemble import Separation, Study
 from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Lifetime, Quantity, Reason
+from stickslip.analysis.findings.words import listed
 from stickslip.analysis.members import RELATIVE
 from stickslip.analysis.models.fates import median
 from stickslip.analysis.models.growth import Growth, growth
-from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Followed, Setting, follow, level, settings
+from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, Comparison, Followed, Setting, follow, level, settings
 from stickslip.analysis.series import parting
 from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.stats.estimates import Estimate
@@ -50,6 +51,14 @@ _PARTING: Mapping[str, str] = {
 _CURVES: Mapping[str, str] = {"setting": S, "change": S, "t": F, "n_pairs": I, "gap": F}
 
 
+_METHOD = (
+    f"The growth rate is the slope of log distance over time from t = {T_FROM:g} on, while all pairs lie between a"
+    f" floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and {CEILING:g}; none is given where more than"
+    " a tenth of the pairs leave that range. Copies have parted when |difference of n_stick|, averaged over"
+    f" {parting.SPAN:g} units of time, first reaches {100 * parting.SHARE:g}% of what two systems show after t_burn."
+)
+
+
 class _Rate(NamedTuple):
     """The growth rate of starts displaced by one size; `law` is None where no distance was recorded."""
 
@@ -77,7 +86,7 @@ class _Rate(NamedTuple):
 
     @property
     def length(self) -> float:
-        """How long the range of the rate is: it depends on that range, and the longest leads."""
+        """How long the range of the rate is."""
         return 0.0 if self.law is None else self.law.t_to - self.law.t_from
 
     @property
@@ -123,14 +132,6 @@ class _Parting(NamedTuple):
     pairs: Followed
     half: Estimate
 
-    @property
-    def finding(self) -> Finding:
-        share_left = 1 - float(np.mean(self.pairs.has_parted))
-        where = f"{self.setting.label}, {_with(self.change)}"
-        basis = Basis(len(np.unique(self.pairs.matrix)))
-        horizon = float(self.setting.key["t_end"])
-        return Lifetime(PARTED, "copies", "have not parted", self.half, horizon, share_left, where, basis=basis)
-
     def row(self) -> Mapping[str, object]:
         """Row of the table `parting`."""
         setting, change = self.setting, self.change
@@ -149,10 +150,39 @@ class _Parting(NamedTuple):
             yield t, len(known), float(np.mean(known)) / self.level
 
 
-def _with(change: Change) -> str:
-    if change.kind == CONSTANTS:
-        return f"with constants changed by up to {100 * change.size:g}%"
-    return f"with starts moved by {shown(change.size)}" if change.kind == START else "with other stiffness ratios"
+def _alike(partings: Sequence[_Parting]) -> list[list[_Parting]]:
+    """Partings, where those of displaced starts of a setting of which none has parted are together."""
+    groups: dict[object, list[_Parting]] = {}
+    for k, parted in enumerate(partings):
+        is_open = parted.change.kind == START and not parted.pairs.has_parted.any()
+        groups.setdefault(parted.setting.label if is_open else k, []).append(parted)
+    return [*groups.values()]
+
+
+def _lifetime(alike: Sequence[_Parting]) -> Lifetime:
+    """The median time until copies part, of one change or of several that have the same outcome."""
+    first, sizes = alike[0], listed([shown(parted.change.size) for parted in alike], "or")
+    change = {
+        CONSTANTS: f"constants changed by up to {100 * first.change.size:g}%",
+        START: f"starts moved by {sizes}",
+        RATIOS: "other stiffness ratios",
+    }[first.change.kind]
+    share_left = 1 - float(np.mean(np.concatenate([parted.pairs.has_parted for parted in alike])))
+    where, horizon = f"{first.setting.label}, with {change}", float(first.setting.key["t_end"])
+    basis = Basis(len(np.unique(first.pairs.matrix)))
+    return Lifetime(PARTED, "copies", "have not parted", first.half, horizon, share_left, where, basis=basis)
+
+
+def _by_setting(rates: Sequence[_Rate]) -> dict[str, list[_Rate]]:
+    groups: dict[str, list[_Rate]] = {}
+    for rate in rates:
+        groups.setdefault(rate.setting.label, []).append(rate)
+    return groups
+
+
+def _precedence(rate: _Rate) -> tuple[bool, bool, float]:
+    """The rate depends on the range that it is taken in: the longest stands for a setting."""
+    return rate.is_told, rate.verdict != UNKNOWN, rate.length
 
 
 def answer(study: Study) -> Answer | None:
@@ -176,14 +206,13 @@ def answer(study: Study) -> Answer | None:
             for parted in partings for t, n, gap in parted.curve()
         )),
     }  # fmt: skip
-    told = [rate for rate in rates if rate.is_told]
-    first = [rate for rate in told if rate.setting is told[0].setting]
-    lead = max(first, key=lambda rate: (rate.verdict != UNKNOWN, rate.length), default=None)
+    best = [max(alike, key=_precedence) for alike in _by_setting(rates).values()]  # of each setting
+    lead = next((rate for rate in best if rate.is_told), None)
     leading = lead.setting if lead else max((parted.setting for parted in partings), key=_size, default=None)
     partings.sort(key=lambda parted: (parted.setting is not leading, parted.change.kind == START))
-    others = [rate.finding for rate in rates if rate is not lead]
+    others = [rate.finding for rate in best if rate is not lead]
     not_run = [] if rates else [Lack(RATE.name, Reason.NOT_RUN, "add [twins]")]
-    parting_findings = [parted.finding for parted in partings] or [
+    parting_findings: list[Finding] = [_lifetime(alike) for alike in _alike(partings)] or [
         Lack(PARTED.name, Reason.NO_REFERENCE, "no lasting difference of two systems")
     ]
     if lead is not None:
@@ -192,16 +221,9 @@ def answer(study: Study) -> Answer | None:
         findings = [parting_findings[0], *others, *not_run, *parting_findings[1:]]
     else:
         findings = [*others, *not_run, *parting_findings]
-    figures = _figures(study, compared, told, [parted for parted in partings if parted.setting is leading])
+    told, drawn = [rate for rate in best if rate.is_told], [one for one in partings if one.setting is leading]
+    figures = _figures(study, compared, told, drawn)
     return Answer(findings=findings, n_lead=2, tables=tables, figures=figures, method=_METHOD)
-
-
-_METHOD = (
-    f"The growth rate is the slope of log distance over time from t = {T_FROM:g} on, while all pairs lie between a"
-    f" floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and {CEILING:g}; none is given where more than"
-    " a tenth of the pairs leave that range. Copies have parted when |difference of n_stick|, averaged over"
-    f" {parting.SPAN:g} units of time, first reaches {100 * parting.SHARE:g}% of what two systems show after t_burn."
-)
 
 
 def _size(setting: Setting) -> int:
@@ -277,7 +299,7 @@ def _figures(
 
 
 def _distance_lines(study: Study, compared: Sequence[Setting], told: Sequence[_Rate]) -> list[Stretch]:
-    """Median distance of pairs and the range of its slope, at the smallest size with a rate in each setting."""
+    """Median distance of pairs and the range of its slope, at the size that stands for each setting."""
     lines: list[Stretch] = []
     for setting in compared:
         rate = next((rate for rate in told if rate.setting is setting), None)

@@ -83,7 +83,7 @@ class Slow:
         }
 
     def bands(self, confidence: float) -> list[Row]:
-        """Power over that of independent blocks in bands of harmonics, beside that of the fit: `rhythm_spectrum`."""
+        """Power over that of time-shifted blocks in bands of harmonics, beside that of the fit: `rhythm_spectrum`."""
         data, rows, begin = self.data, list[Row](), 0
         while self.motion is not None and begin < len(data.frequency):
             band = slice(begin, end := min(begin + 1 + begin // 5, len(data.frequency)))
@@ -96,7 +96,7 @@ class Slow:
         return rows
 
     def _model(self, band: slice) -> float | None:
-        """Power of the fit in a band of harmonics, as windows of that length show it, over independent blocks."""
+        """Power of the fit in a band of harmonics, as windows of that length show it, over time-shifted blocks."""
         if not self.is_shown or self.motion is None:
             return None
         names = ("variance", "period", "quality", "left")
