@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from stickslip.analysis.findings.finding import (
     Alike,
@@ -129,19 +130,25 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
             return f", beside {other}, without an interval"
 
 
-def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = Form.NUMBER) -> str:
-    """A difference as the cell of a table: "+0.9% (+0.6 to +1.3%)", and what it comes to if that is not plain."""
+class Cell(NamedTuple):
+    """A difference in a table: its size with its interval, and what that comes to where it is not plain."""
+
+    size: str
+    verdict: str = ""
+
+
+def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = Form.NUMBER) -> Cell:
+    """A difference as the cell of a table: "+0.9% (+0.6 to +1.3%)", "equal within 5%"."""
     difference = comparison.difference
     if verdict is Verdict.SAME:
-        return "none in any run"
+        return Cell("none in any run")
     value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
     if value is None:
-        return "unknown" if low is None or high is None else interval(difference, form)
-    text = with_interval(difference.estimate, _form(difference, form), sign=True)
-    text = _in_points(text, difference, form)
+        return Cell("unknown" if low is None or high is None else interval(difference, form))
+    text = _in_points(with_interval(difference.estimate, _form(difference, form), sign=True), difference, form)
     if verdict is Verdict.EQUAL:
-        return f"{text}, equal within {margin(difference, form)}"
-    return f"{text}, not shown among so many" if verdict is Verdict.OPEN_AMONG_MANY else text
+        return Cell(text, f"equal within {margin(difference, form)}")
+    return Cell(text, "not shown among so many" * (verdict is Verdict.OPEN_AMONG_MANY))
 
 
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:
