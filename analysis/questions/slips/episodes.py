@@ -570,4 +570,4 @@ def one_catalogue(ax: Axes, t: np.ndarray, magnitude: np.ndarray) -> None:
     ax.set(xlabel="time t", ylabel="magnitude, M", ylim=(floor, None))
 
 
-QUESTION = Question(answer, title="How often do episodes come, and how large are they?", share=0.8, rank=2)
+QUESTION = Question(answer, title="How often and how large are episodes?", share=0.8, rank=2)
