@@ -740,7 +740,7 @@ def test_the_page_draws_its_figures(planted_episodes, planted, settings):
     engines = EXACT | {"sigmoid": (planted.sigmoid, 1.2)}
     made = build(planted_episodes(engines), replace(settings, question=("episodes",)), "A chain", "", {})
     assert {"episode_rates", "episode_rates_over"} <= made.figures.keys()
-    assert "one_catalogue" in build(planted_episodes(EXACT), settings, "A chain", "", {}).figures
+    assert "episode_rates" in build(planted_episodes(EXACT), settings, "A chain", "", {}).figures
 
 
 def test_a_catalogue_has_the_columns_of_catalogues():

@@ -76,7 +76,7 @@ from stickslip.analysis.models.episodes import (
     STORED,
 )
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import UNKNOWN, mean_within, relative_difference
+from stickslip.analysis.stats.compare import UNKNOWN, relative_difference
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import parameter
 from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, Goodness, goodness
@@ -92,7 +92,6 @@ SLOW = 0.05  # largest share of time in episodes if the drive is slow for the ch
 TELLING = 0.8
 LEFT_OUT = 0.01  # share of a group's episodes that are too small to be drawn
 FEWEST = 30  # episodes from a magnitude on, for their rate to be drawn
-MOST_STEMS = 300  # episodes of one run that are drawn
 _STEP = 2  # classes between points of the figures
 MOST_OVER = 2.5  # largest rate in a figure, over the reference's
 _METHOD = (
@@ -141,9 +140,6 @@ _METHODS: Mapping[str, str] = {
     "setting": S, "reference": S, "law": S, "size": F, "size_low": F, "size_high": F, "at": F, "below": F,
     "p_floor": F, **_TESTS,
 }  # fmt: skip
-_SIZES: Mapping[str, str] = {
-    "group": S, "size": I, "n_episodes": I, "share": F, "share_low": F, "share_high": F,
-}  # fmt: skip
 _LAWS: Mapping[str, str] = {
     "group": S, "law": S, "least": F, "n_episodes": I, "b": F, "b_low": F, "b_high": F, "parameters": S, "gain": F,
     "gap": F, "p_value": F, "p_floor": F, "fit": S, "reason": S,
@@ -185,13 +181,11 @@ def answer(study: Study) -> Answer | None:
     apart = compare(study, by_system)
     rates = _rates(by_system, lead, _drawn_from(lead, leaders), level)
     fitted = {group.label: _fits(study, group) for group in leaders}
-    sizes = [row for group in leaders for row in _sizes(group, level)]
     tables |= {
         "episode_contrasts": frame(_CONTRASTS, [one.row() for one in apart if one.name not in LAWS]),
         "episode_methods": frame(_METHODS, [one.row() for one in apart if one.name in LAWS]),
         "episode_laws": frame(_LAWS, [row for rows, _ in fitted.values() for row in rows]),
         "episode_rates": frame(_RATES, rates),
-        "episode_sizes": frame(_SIZES, sizes),
     }
     basis = answers.systems(study)
     laws = [_law(study, group, *fitted[group.label], "" if len(leaders) == 1 else group.row["method"])
@@ -206,7 +200,7 @@ def answer(study: Study) -> Answer | None:
         alerts=alerts,
         method=_METHOD,
         tables=tables,
-        figures=_figures(groups, leaders, lead, rates, sizes, bool(apart)),
+        figures=_figures(groups, leaders, rates, bool(apart)),
     )
 
 
@@ -411,19 +405,6 @@ def _slower(row: Row) -> float | None:
     return float(np.ceil(factor / digit) * digit)
 
 
-def _sizes(one: Catalogues, level: float) -> list[Row]:
-    """Shares of the episodes that take at least a number of blocks, for numbers that grow by a factor of 1.5."""
-    rows: list[Row] = []
-    runs = [np.concatenate([run.size for run in some]) for some in one.runs.values()]
-    most = max(int(some.max(initial=0)) for some in runs)
-    for size in np.unique((1.5 ** np.arange(np.log(most) / np.log(1.5))).astype(int)):
-        sums = np.array([[np.count_nonzero(some >= size), len(some)] for some in runs], dtype=np.float64)
-        if sums[:, 0].sum() >= FEWEST:
-            share = named("share", mean_within(sums, 1.0, level))
-            rows.append({"group": one.label, "size": int(size), "n_episodes": int(sums[:, 0].sum()), **share})
-    return rows
-
-
 def _rates(systems: Iterable[Sequence[Catalogues]], lead: Catalogues, first_edge: float, level: float) -> list[Row]:
     """Episodes per unit time from each magnitude on, and their ratio to those of the reference."""
     rows: list[Row] = []
@@ -463,42 +444,22 @@ def _over(first: np.ndarray, second: np.ndarray, level: float) -> Estimate:
 
 
 def _figures(
-    groups: Sequence[Catalogues],
-    leaders: Sequence[Catalogues],
-    lead: Catalogues,
-    rates: Sequence[Row],
-    sizes: Sequence[Row],
-    has_pairs: bool,
+    groups: Sequence[Catalogues], leaders: Sequence[Catalogues], rates: Sequence[Row], has_pairs: bool
 ) -> dict[str, Picture]:
-    """Rates by magnitude over the reference's, or sizes along a sweep, or one run; beside them the rates."""
+    """Rates by magnitude of the settings that lead, after those of all methods over the reference's."""
     labels = {group.label: str(group.row["method"]) for group in groups}
-    of_leaders = {group.label: labels[group.label] for group in leaders}
+    shown = {group.label: labels[group.label] for group in leaders} if has_pairs else labels
     every = Picture(
-        partial(frequencies, rates, labels if not has_pairs else of_leaders),
+        partial(frequencies, rates, shown),
         "Rates fall off with magnitude: episodes per unit time of at least each magnitude, M = log10 moment, with"
         " bands of their intervals.",
     )
-    if has_pairs:
-        over = Picture(
-            partial(over_reference, rates, labels),
-            "Where a line is at 1, a method has as many episodes from that magnitude on as the reference on the same"
-            f" systems; bands are intervals, and triangles at the top are values above {MOST_OVER:g}.",
-        )
-        return {"episode_rates_over": over, "episode_rates": every}
-    if len(leaders) > 1:
-        larger = Picture(
-            partial(shares_of_sizes, sizes, of_leaders),
-            "The tails of sizes differ between settings: share of episodes in which at least so many blocks slip.",
-        )
-        return {"episode_sizes": larger, "episode_rates": every}
-    run = next(run for run in lead.each() if len(run.start))
-    stems = Picture(
-        partial(one_catalogue, run.start[:MOST_STEMS], run.magnitude[:MOST_STEMS]),
-        "Small and large episodes alternate at irregular times: magnitude of the episodes of one run"
-        + f", of {len(run.start):,} the first {MOST_STEMS}." * (len(run.start) > MOST_STEMS)
-        + "." * (len(run.start) <= MOST_STEMS),
+    over = Picture(
+        partial(over_reference, rates, labels),
+        "Where a line is at 1, a method has as many episodes from that magnitude on as the reference on the same"
+        f" systems; bands are intervals, and triangles at the top are values above {MOST_OVER:g}.",
     )
-    return {"episode_rates": every, "one_catalogue": stems}
+    return {"episode_rates_over": over, "episode_rates": every} if has_pairs else {"episode_rates": every}
 
 
 def _looks(labels: Mapping[str, str]) -> dict[str, dict[str, Any]]:
@@ -510,21 +471,19 @@ def _looks(labels: Mapping[str, str]) -> dict[str, dict[str, Any]]:
     }
 
 
-def _lines(
-    ax: Axes, rows: Sequence[Row], labels: Mapping[str, str], key: str, by: str = "magnitude", most: float = np.inf
-) -> None:
+def _lines(ax: Axes, rows: Sequence[Row], labels: Mapping[str, str], key: str, most: float = np.inf) -> None:
     """A line a group with the band of its intervals; triangles mark what lies above the largest value shown."""
     for label, look in _looks(labels).items():
         shown = [row for row in rows if row["group"] == label and row[key] is not None]
         if not shown:
             continue
-        x, y = (np.array([row[name] for row in shown]) for name in (by, key))
+        x, y = (np.array([row[name] for row in shown]) for name in ("magnitude", key))
         ax.plot(x[y <= most], y[y <= most], label=labels[label], **look)
         ax.plot(x[y > most], np.full(np.count_nonzero(y > most), most), **look | {"marker": "^", "linestyle": ""},
                 clip_on=False)  # fmt: skip
         known = [row for row in shown if row[f"{key}_low"] is not None and row[key] <= most]
         low, high = (np.array([row[f"{key}{end}"] for row in known]) for end in ("_low", "_high"))
-        ax.fill_between([row[by] for row in known], low, high, color=look["color"], alpha=0.12, linewidth=0)
+        ax.fill_between([row["magnitude"] for row in known], low, high, color=look["color"], alpha=0.12, linewidth=0)
     ax.set_xlabel("magnitude, M = $\\log_{10}$ moment")
     if len(labels) > 1:
         widest = max(len(method) for method in labels.values())
@@ -550,24 +509,6 @@ def over_reference(ax: Axes, rows: Sequence[Row], labels: Mapping[str, str]) -> 
     _lines(ax, rows, labels, "over", most=MOST_OVER)
     highest = max([1.4, *(1.15 * row["over"] for row in rows if row["over"] is not None)])
     ax.set(ylabel="rate / rate of the reference", ylim=(0, min(MOST_OVER, highest)))
-
-
-@panel(3.8)
-def shares_of_sizes(ax: Axes, rows: Sequence[Row], labels: Mapping[str, str]) -> None:
-    """Shares of episodes by least size; rows of the table `episode_sizes`, labels as in `frequencies`."""
-    _lines(ax, rows, labels, "share", "size")
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set(xlabel="size, blocks that slip", ylabel="share of episodes, $\\geq$ size")
-
-
-@panel()
-def one_catalogue(ax: Axes, t: np.ndarray, magnitude: np.ndarray) -> None:
-    """Magnitude of the episodes of one run against time, each (m,)."""
-    floor = float(magnitude.min()) - 0.1
-    ax.vlines(t, floor, magnitude, color=EXACT, linewidth=0.6)
-    ax.plot(t, magnitude, "o", color=EXACT, markersize=2)
-    ax.set(xlabel="time t", ylabel="magnitude, M", ylim=(floor, None))
 
 
 QUESTION = Question(answer, title="How often and how large are episodes?", share=0.8, rank=2)
