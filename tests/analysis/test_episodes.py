@@ -365,7 +365,7 @@ def test_a_setting_whose_rate_drifts_has_no_law(planted_episodes, settings):
     is_out = is_early & table["member_id"].str.endswith("-0.2") & (np.arange(len(table)) % 2 == 0)
     answer = asked(replace(data, episodes=table[~is_out]), settings)
     (alert,) = (alert for alert in answer.alerts if alert.code is Code.DRIFT)
-    assert dict(alert.numbers)["what"] == "the rate of episodes (belt_speed = -0.2)"
+    assert dict(alert.numbers)["what"] == "The rate of episodes (belt_speed = -0.2)"
     assert len({*answer.tables["episode_laws"]["group"]}) == 1
     assert len(of_kind(answer, Law)) == 1
 

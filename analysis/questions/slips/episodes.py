@@ -192,7 +192,7 @@ def answer(study: Study) -> Answer | None:
             for group in sorted(leaders, key=lambda group: group is not lead)]  # fmt: skip
     outcomes = [_outcomes(first, others, apart, level) for first, *others in by_system if others and first.is_judged]
     first = [_level(lead, RATE, apart, basis), laws[0]]
-    findings: list[Finding] = [*outcomes[:1], *first, *_changes(leaders, level), *outcomes[1:], *laws[1:]]
+    findings: list[Finding] = [*outcomes[:1], *first, *_changes(leaders, level, basis), *outcomes[1:], *laws[1:]]
     findings += _levels(groups, lead, apart, basis)
     return Answer(
         findings=findings,
@@ -259,14 +259,14 @@ def _outcomes(reference: Catalogues, others: Sequence[Catalogues], apart: Sequen
     )
 
 
-def _changes(leaders: Sequence[Catalogues], level: float) -> list[Change]:
+def _changes(leaders: Sequence[Catalogues], level: float, unit: str) -> list[Change]:
     """From the first of a row of systems to the last: mean size, and episodes per travel of the belt."""
     first, last = leaders[0], leaders[-1]
     ends = [dict(group.group.name.parts) for group in (first, last)]
     keys = [key for key in ends[0] if key and ends[0][key] != ends[1].get(key)]
     if len(keys) != 1:
         return []
-    changes = []
+    changes, basis = [], Basis(len(last.runs), unit)
     for name, quantity in ((SIZE, WORDS[SIZE]), (BY_WAY, BY_TRAVEL)):
         before, after = (group.row["of"][name] for group in (first, last))
         difference = along(first, last, name, level)
@@ -274,7 +274,7 @@ def _changes(leaders: Sequence[Catalogues], level: float) -> list[Change]:
             old, new = (end[keys[0]] for end in ends)
             is_same = difference.low == difference.high == 0.0
             shown = Difference(difference, is_same=is_same)
-            changes.append(Change(quantity, keys[0], old, new, before, after, shown))
+            changes.append(Change(quantity, keys[0], old, new, before, after, shown, basis=basis))
     return changes
 
 
@@ -359,7 +359,7 @@ def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Cat
     alerts = []
     drifting = [group for group in groups if group.row["basis"] == enough.DRIFTS]
     if drifting:
-        what = f"the rate of episodes ({', '.join(str(group.row['method']) for group in drifting[:2])})"
+        what = f"The rate of episodes ({', '.join(str(group.row['method']) for group in drifting[:2])})"
         alerts.append(Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn))
     fast = max(references, key=lambda group: group.row[OCCUPANCY] or 0.0).row
     if (fast[OCCUPANCY] or 0.0) > SLOW:
