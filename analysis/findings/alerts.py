@@ -17,6 +17,8 @@ class Code(Enum):
     DIVERGED = 2, "The motion grew without limit in {n} of {of} runs."
     SETTLED = 2, "{n} of {of} runs settled into steady sliding; {what} is of the others."
     UNCERTIFIED = 2, "{n} of {of} runs slide so far, without a certificate that they always will."
+    WITHOUT = 2, "{n} of {of} runs have no {what} and are left out there: {why}."
+    WITHHELD = 2, "{what} is not given at {n} of {of} points: {why}."
     SHORT = 3, "The runs are short: {what} rests on {n} {things} per run."
     FEW = 3, "{n} {units} give a wide interval: more {units} would narrow it."
     ONE_SYSTEM = 2, "One system, many starts: intervals are over starts of this system."

@@ -301,6 +301,29 @@ class Outcomes:
     largest: Level | None = None
 
 
+@dataclass(frozen=True)
+class Threshold:
+    """Between which values of a key something ends in all units, or begins in all.
+
+    Attributes
+    ----------
+    subject : str
+        "stick-slip".
+    is_end : bool
+    key : str
+    last, first : str
+        The last value before, and the first value after.
+    """
+
+    subject: str
+    is_end: bool
+    key: str
+    last: str
+    first: str
+    where: str = ""
+    basis: Basis | None = None
+
+
 class Truth(StrEnum):
     """The answer to a question of yes or no."""
 
@@ -339,10 +362,10 @@ class Decided:
     """The answer to a question of yes or no, and the finding that it rests on."""
 
     truth: Truth
-    finding: Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Lack
+    finding: Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Threshold | Lack
 
 
-Finding: TypeAlias = Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Lack | Decided
+Finding: TypeAlias = Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Threshold | Lack | Decided
 
 
 class Record(NamedTuple):
@@ -397,6 +420,11 @@ def records(finding: Finding) -> list[Record]:
             ]
         case Outcomes(largest=largest):
             return [] if largest is None else records(largest)
+        case Threshold(subject, is_end, key, last, first, where, basis):
+            verb = "ends" if is_end else "begins"
+            n, unit = (None, "") if basis is None else (basis.n, basis.unit)
+            setting = ", ".join(filter(None, (f"{key} = {last} to {first}", where)))
+            return [Record(f"where {subject} {verb}", setting, n=n, unit=unit)]
         case Decided(_, reason):
             return records(reason)
         case Lack():

@@ -23,6 +23,7 @@ from stickslip.analysis.findings.finding import (
     Quantity,
     Scale,
     Share,
+    Threshold,
     Verdict,
 )
 from stickslip.analysis.findings.numbers import decimals, number, span, with_interval
@@ -54,6 +55,9 @@ def clause(finding: Finding) -> str:
             return f"{quantity.name}{_at(where)}: {number(value, quantity.form)}, the same {among}"
         case Outcomes():
             return _outcomes(finding)
+        case Threshold(subject, is_end, key, last, first, where, basis):
+            every = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
+            return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{_at(where)}{every}"
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
         case Decided(truth, reason):
@@ -173,7 +177,7 @@ def _change(change: Change) -> str:
         case Verdict.OPEN_AMONG_MANY:
             return f"no change of the {quantity.name} is shown among {_n_tests(difference)} {along}"
         case Verdict.UNJUDGED:
-            few = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)} give no interval"
+            few = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)}, no interval"
             return f"{quantity.name} goes {_from_to(change)} {along}{few}"
 
 

@@ -25,6 +25,7 @@ from stickslip.analysis.findings.finding import (
     Reason,
     Scale,
     Share,
+    Threshold,
     Truth,
     Verdict,
     records,
@@ -143,6 +144,7 @@ def _findings(rng):
     yield Limit("pairs", "exits", "trigger another", value, where, basis)
     yield Alike(quantity, value, "from all starts", where)
     yield Outcomes("the exact engine", ("h = 0.1",), ("h = 0.2", "h = 0.4"), (), level)
+    yield Threshold("stick-slip", bool(rng.integers(2)), "belt_speed", "0.3", "0.4", where, basis)
     yield Lack("the decay rate", _pick(rng, Reason), "12 cascades")
     yield Decided(_pick(rng, Truth), share)
 
@@ -162,4 +164,4 @@ def test_every_kind_is_a_sentence_and_rows(rng):
                 assert row.low is None or row.high is None or row.low <= row.high
                 assert row.verdict in {"", *Verdict}
                 assert not any(isinstance(cell, float) and np.isnan(cell) for cell in row)
-    assert len(kinds) == 10
+    assert len(kinds) == 11
