@@ -115,6 +115,8 @@ class Question:
         Maps a `Study` to its answer; to None where such data do not raise the question.
     title : str
         The question as a reader would ask it: "How do cascade sizes fall off?".
+    method : str
+        That of its answers which give none.
     share : float
         Its share of the time of a report, as measured on the scenes that ship; the longest questions are begun first.
     of_cascades : bool
@@ -131,6 +133,7 @@ class Question:
 
     answer: Callable[[Study], Answer | None]
     title: str = ""
+    method: str = ""
     share: float = 0.0
     of_cascades: bool = False
     rank: int | None = None

@@ -75,14 +75,15 @@ class Asking:
         What a process fails at is asked again here, so that its error is seen; but for the user's own, whose errors
         are in their answers.
         """
-        from stickslip.analysis.questions import QUESTIONS, question
+        from stickslip.analysis.questions import package_questions, question
         from stickslip.analysis.report.page import ask, prepare
         from stickslip.workflows.on_children import OnChildren
 
-        to_go = deque(sorted(QUESTIONS, key=lambda key: -question(key).share))
+        names = package_questions(study.settings.question)
+        to_go = deque(sorted(names, key=lambda key: -question(key).share))
         found: dict[str, Answered | None] = {}
         tasks = [] if self.own is None else own_questions.tasks(opened, self.own, self.with_pdf)
-        n_asked = len(QUESTIONS) + len(tasks)
+        n_asked = len(names) + len(tasks)
 
         def next_ones() -> Iterator[str]:
             with suppress(IndexError):  # none is left
@@ -128,7 +129,7 @@ class Asking:
         for one in asked:
             one.result()
         here()
-        return [found[key] for key in (*QUESTIONS, *(task.name for task in tasks))]
+        return [found[key] for key in (*names, *(task.name for task in tasks))]
 
 
 @contextmanager

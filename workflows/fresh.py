@@ -13,6 +13,7 @@ from stickslip.pipeline.errors import StoreError
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
 from stickslip.version import __version__
+from stickslip.workflows import scenes
 
 #: The files of a report, one a line, with their sha256; while it is written, the first line says so, and those of
 #: the one before follow.
@@ -34,8 +35,10 @@ def made_from(opened: Opened) -> str:
 @cache
 def program() -> str:
     """The version of the program and a digest of all code that makes a report."""
-    digest, folder = hashlib.sha256(), Path(report.__file__).parents[1]
-    for file in sorted(file for file in folder.rglob("*") if file.suffix in (".py", ".html", ".css")):
+    digest = hashlib.sha256()
+    folders = Path(report.__file__).parents[1], Path(scenes.__file__).parent
+    files = [file for folder in folders for file in folder.rglob("*") if file.suffix in (".py", ".html", ".css")]
+    for file in sorted(files):
         digest.update(file.read_bytes())
     return f"{__version__}-{digest.hexdigest()[:12]}"
 

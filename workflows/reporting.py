@@ -15,6 +15,7 @@ import pyarrow as pa
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
 from stickslip.analysis.ensemble import Numbers, Recorded, Until
 from stickslip.analysis.members import READ, Members
+from stickslip.analysis.questions import renamed
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
 from stickslip.analysis.report.page import Answered
@@ -207,10 +208,12 @@ def _seeds(scene: Scene) -> tuple[int, ...]:
 
 def _settings(scene: Scene) -> AnalysisSettings:
     with_known_questions(scene, "scene")
-    asked = scene.analysis.model_dump() | {
-        "seed": _seeds(scene)[0], "map_dt": scene.analysis.map_dt or (), "margins": scene.analysis.margins.declared,
+    given = scene.analysis
+    changed = {
+        "seed": _seeds(scene)[0], "map_dt": given.map_dt or (), "margins": given.margins.declared,
+        "question": renamed(given.question),
     }  # fmt: skip
-    return AnalysisSettings(**asked)
+    return AnalysisSettings(**(given.model_dump() | changed))
 
 
 def _provenance(opened: Opened) -> dict[str, str]:

@@ -1,13 +1,16 @@
 """The questions that a report can answer: one file each, with a template of the same name in `report/templates`."""
 
-from collections.abc import Iterable, Mapping
+import inspect
+from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from stickslip.sim.numerics.arguments import did_you_mean
 
 if TYPE_CHECKING:
-    from stickslip.analysis.answer import Question
+    from stickslip.analysis.answer import Answer, Question
+    from stickslip.analysis.ensemble import Study
 
 #: In the order of the page, with the room of each.
 QUESTIONS: Mapping[str, str] = {
@@ -17,22 +20,58 @@ QUESTIONS: Mapping[str, str] = {
 }  # fmt: skip
 
 
+#: Names that scenes of earlier versions give, and what they ask for now.
+RENAMED: Mapping[str, str] = {}
+
+#: Modules of this package, beside the scenes that ship, with questions that only scenes which name them ask:
+#: ``stickslip.workflows.scenes.module:function``. They are as a user's own are, but are always run.
+BESIDE_SCENES = "stickslip.workflows.scenes."
+
+
 def question(name: str) -> "Question":
-    """The question of a name in `QUESTIONS`; its module is loaded only now."""
+    """The question of a name in `QUESTIONS`, or of one beside a scene that ships; its module is loaded only now."""
+    module, _, function = name.partition(":")
+    if function:
+        return of_function(getattr(import_module(module), function))
     found: Question = import_module(f"{__name__}.{QUESTIONS[name]}.{name}").QUESTION
     return found
 
 
+def of_function(function: Callable[["Study"], "Answer | None"]) -> "Question":
+    """A question that is a function: its title is the first paragraph of the docstring, its method the rest."""
+    from stickslip.analysis.answer import Question
+
+    title, _, method = inspect.cleandoc(function.__doc__ or "").partition("\n\n")
+    return Question(function, title=" ".join(title.split()) or function.__name__, method=" ".join(method.split()))
+
+
+def package_questions(named: Iterable[str]) -> tuple[str, ...]:
+    """`QUESTIONS`, and those named that lie beside scenes that ship."""
+    return (*QUESTIONS, *dict.fromkeys(name for name in named if name.startswith(BESIDE_SCENES)))
+
+
+def renamed(named: Iterable[str]) -> tuple[str, ...]:
+    """Names as they are now, each once."""
+    return tuple(dict.fromkeys(RENAMED.get(name, name) for name in named))
+
+
 def is_own(name: str) -> bool:
     """Whether a name is that of a question of the user's own, `module:function`."""
-    return ":" in name
+    return ":" in name and not name.startswith(BESIDE_SCENES)
 
 
 def refuse_unknown(names: Iterable[str]) -> None:
-    """Raise a ValueError if a name is neither one of `QUESTIONS` nor of the form of a user's own."""
-    for name in names:
-        if name not in QUESTIONS and not is_own(name):
+    """Raise a ValueError if a name is neither that of a question of this package nor of the form of a user's own."""
+    for name in renamed(names):
+        if name not in QUESTIONS and not is_own(name) and not _is_beside_scenes(name):
             remedy = did_you_mean(name, [*QUESTIONS]) or "; choose one of these"
             raise ValueError(
                 f"question: expected one of {', '.join(QUESTIONS)}, or module:function, got {name!r}{remedy}"
             )
+
+
+def _is_beside_scenes(name: str) -> bool:
+    module, _, function = name.partition(":")
+    if not function or find_spec(module) is None:
+        return False
+    return callable(getattr(import_module(module), function, None))

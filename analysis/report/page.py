@@ -27,7 +27,7 @@ from stickslip.analysis.findings.finding import records as finding_records
 from stickslip.analysis.findings.numbers import number, with_interval
 from stickslip.analysis.findings.words import plural, sentence
 from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
-from stickslip.analysis.questions import QUESTIONS, is_own, question, refuse_unknown
+from stickslip.analysis.questions import QUESTIONS, is_own, package_questions, question, refuse_unknown
 from stickslip.analysis.report import AS_TEXT, FORMULA, OF_OWN, PAGE
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.formats import table as as_table
@@ -125,14 +125,14 @@ def _saying(text: str) -> Callable[..., Markup]:
 def prepare() -> None:
     """Compile the templates in advance, while a process is idle."""
     filled = environment()
-    for name in ("report", *QUESTIONS):
+    for name in ("report", *(key for key in QUESTIONS if not question(key).title)):
         filled.get_template(f"{name}.html")
 
 
 def ask(study: Study, key: str, with_pdf: bool = False) -> Answered | None:
-    """Answer to one of `QUESTIONS`; None if such data do not raise it, as one block has no cascades."""
-    asked = question(key)
-    found = asked.answer(study) if asked.is_asked_of(study) else None
+    """Answer to a question of this package; None if such data do not raise it, as one block has no cascades."""
+    entry = question(key)
+    found = entry.answer(study) if entry.is_asked_of(study) else None
     if found is None:
         return None
     pictures = {
@@ -140,7 +140,7 @@ def ask(study: Study, key: str, with_pdf: bool = False) -> Answered | None:
     }
     figures = {name: draw(picture.recipe, with_pdf) for name, picture in pictures.items()}
     captions = {name: picture.caption for name, picture in pictures.items()}
-    told = found.findings, found.n_lead, found.alerts, found.method, captions, asked.title
+    told = found.findings, found.n_lead, found.alerts, found.method or entry.method, captions, entry.title
     lack = "lack" if found.findings and all(isinstance(some, Lack) for some in found.findings) else found.lack
     return Answered(key, found.facts, lack, found.tables, figures, *told)
 
@@ -248,8 +248,8 @@ def build(
     provenance : mapping of str to str
         Where the data come from, shown as given, escaped.
     answers : callable, optional
-        Returns what `ask` returns for each of `QUESTIONS`, in their order, and a `Spoken` for each question of the
-        user's own that was run; default: asks `QUESTIONS` one after the other.
+        Returns what `ask` returns for each question of this package that is asked, in their order, and a `Spoken`
+        for each of the user's own that was run; default: asks the former one after the other.
     made_from : str, optional
         Digest of all this, kept at the head of the page.
 
@@ -260,7 +260,7 @@ def build(
     """
     refuse_unknown(settings.question)
     study = Study(data, settings)
-    made = [ask(study, key) for key in QUESTIONS] if answers is None else answers(study)
+    made = [ask(study, key) for key in package_questions(settings.question)] if answers is None else answers(study)
     own = {one.key: one for one in made if isinstance(one, Spoken)}
     problems = {key: one.problem for key, one in own.items() if one.problem}
     missing = {key: "; ".join(one.missing) for key, one in own.items() if one.missing}
@@ -313,7 +313,9 @@ def _joined(title: str, about: str) -> str:
 
 def _words(filled: Environment, key: str) -> SimpleNamespace:
     """The names and macros of a question's template; None for each of `OPTIONAL_WORDS` that it lacks."""
-    return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | vars(filled.get_template(f"{key}.html").module)))
+    title = question(key).title
+    words = {"name": title} if title else vars(filled.get_template(f"{key}.html").module)
+    return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | words))
 
 
 @dataclass(frozen=True)
@@ -380,8 +382,8 @@ def _findings_table(rows: Sequence[Record]) -> Markup:
 
 def _in_order(study: Study, answered: list[_Shown]) -> tuple[list[_Shown], list[_Shown]]:
     """The answers that lead the page, in their order, and the others in the order of the page."""
-    asked = {one.key for one in answered}
-    primary = [key for key in study.settings.question if key in asked] or _primary(study, answered)
+    known = {one.key for one in answered}
+    primary = [key for key in study.settings.question if key in known] or _primary(study, answered)
     leading = [one for key in primary for one in answered if one.key == key] or answered[:1]
     return leading, [one for one in answered if one not in leading]
 
@@ -414,12 +416,12 @@ def plain(text: str) -> str:
 
 def _primary(study: Study, answered: Sequence[_Shown]) -> tuple[str, ...]:
     """Questions that lead where the scene names none: that of the lowest rank that may, and those beside it."""
-    asked = {one.key: question(one.key) for one in answered if not is_own(one.key)}
-    ranked = [(one.rank, key) for key, one in asked.items() if one.rank is not None and one.leads(study)]
+    ours = {one.key: question(one.key) for one in answered if not is_own(one.key)}
+    ranked = [(one.rank, key) for key, one in ours.items() if one.rank is not None and one.leads(study)]
     if not ranked:
         return ()
     first = min(ranked)[1]
-    return (first, *asked[first].beside)
+    return (first, *ours[first].beside)
 
 
 def group_columns() -> list[tuple[str, str, str | None]]:

@@ -1,8 +1,11 @@
 """Questions of a user's own: planted answers on the page, laid out or in a template's words, and what is refused."""
 
 import re
+import sys
 from dataclasses import replace
 from functools import partial
+from importlib.machinery import ModuleSpec
+from importlib.util import module_from_spec
 
 import numpy as np
 import pandas as pd
@@ -11,8 +14,10 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from stickslip.analysis import Answer, Data, Estimate, Study, build, named, panel, wilson, with_interval
+from stickslip.analysis.answer import Picture
 from stickslip.analysis.ensemble import Recorded
-from stickslip.analysis.questions import QUESTIONS
+from stickslip.analysis.findings.finding import Level, Quantity
+from stickslip.analysis.questions import BESIDE_SCENES, QUESTIONS, RENAMED, refuse_unknown, renamed
 from stickslip.analysis.report.own import OwnError, spoken
 from stickslip.analysis.report.page import Spoken, ask
 from tests.analysis.reports import contents
@@ -142,6 +147,39 @@ def test_no_answer_is_a_line_and_the_page_stands(study):
     assert report.not_run == ["own:third"]
     asked_nothing = build(study.data, study.settings, "Title", "", {})
     assert asked_nothing.not_run == [KEY, "own:other", "own:third"]
+
+
+def shortest(study):
+    """How short is it?
+
+    It is measured,
+    twice."""
+    length = Level(Quantity("length", "least length"), Estimate(0.25, 0.2, 0.3))
+    return Answer(findings=(length,), figures={"lengths": Picture(partial(drawn, [1, 2]), "A line.")})
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_question_beside_a_scene_that_ships_is_always_run_where_it_is_named(study, monkeypatch):
+    module = module_from_spec(ModuleSpec(f"{BESIDE_SCENES}planted", None))
+    module.shortest, module.nothing = shortest, lambda _: None
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(RENAMED, "planted", f"{module.__name__}:shortest")
+    names = renamed(["planted", f"{module.__name__}:nothing"])
+    assert names == (f"{module.__name__}:shortest", f"{module.__name__}:nothing")
+    object.__setattr__(study.settings, "question", names)
+    report = build(study.data, study.settings, "Title", "About it.", {})
+    page = shown(report.html)
+    assert page.startswith("Title</h1>")
+    assert "How short is it?" in page
+    assert "<p>It is measured, twice.</p>" in page
+    assert report.headline == ["Title", "Least length: 0.250 (0.200 to 0.300)."]
+    assert set(report.figures) >= {"lengths"}
+    assert report.not_run == []
+    refuse_unknown(["planted", *names])
+    for wrong in (f"{module.__name__}:shorter", f"{BESIDE_SCENES}other:shortest"):
+        with pytest.raises(ValueError, match=f"question: expected .* or module:function, got '{wrong}'"):
+            refuse_unknown([wrong])
+    assert names[0] not in {answer.key for answer in map(partial(ask, study), QUESTIONS) if answer}
 
 
 def told(error, expected):

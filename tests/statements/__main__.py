@@ -16,7 +16,7 @@ from pathlib import Path
 import matplotlib
 import pandas as pd
 
-from stickslip.analysis.questions import QUESTIONS
+from stickslip.analysis.questions import package_questions
 from stickslip.analysis.report import comparison, page
 from stickslip.pipeline import load_scene, run_ensemble
 from stickslip.pipeline.ensemble import pack
@@ -113,7 +113,7 @@ def _broken_off(n_shards: int | None) -> Iterator[Callable[[object], None] | Non
 
 def _answers(opened, study, on_answer):
     own = [own_questions.answer(task) for task in own_questions.tasks(opened, opened.folder, with_pdf=False)]
-    return [*(page.ask(study, key) for key in QUESTIONS), *own]
+    return [*(page.ask(study, key) for key in package_questions(study.settings.question)), *own]
 
 
 def write(report: page.Report, folder: Path) -> None:
