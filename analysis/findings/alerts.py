@@ -19,6 +19,8 @@ class Code(Enum):
     UNCERTIFIED = 2, "{n} of {of} runs slide so far, without a certificate that they always will."
     WITHOUT = 2, "{n} of {of} runs have no {what} and are left out there: {why}."
     WITHHELD = 2, "{what} is not given at {n} of {of} points: {why}."
+    TEMPORARY = 2, "{n} of {of} runs slide temporarily: sliding is unstable there, and sticking comes back."
+    UNDECIDED = 2, "{n} of {of} runs are undecided; the column attractor_reason says why."
     SHORT = 3, "The runs are short: {what} rests on {n} {things} per run."
     FEW = 3, "{n} {units} give a wide interval: more {units} would narrow it."
     ONE_SYSTEM = 2, "One system, many starts: intervals are over starts of this system."

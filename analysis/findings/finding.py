@@ -7,7 +7,7 @@ from nothing else: `findings.words` says each kind, `records` lays each out as r
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from typing import NamedTuple, TypeAlias
 
@@ -324,6 +324,38 @@ class Threshold:
     basis: Basis | None = None
 
 
+@dataclass(frozen=True)
+class Regime:
+    """Settings at which all of some things have the same outcome, or several outcomes occur.
+
+    Attributes
+    ----------
+    where : str
+        Which settings, as an adverbial: "up to belt_speed = 7", "at 3 of 12 settings".
+    predicates : tuple of str
+        Verb phrases in the plural, one for each outcome: "slide steadily".
+    n, of : int
+        How many things have a known outcome there, and how many there are.
+    share : Estimate
+        Of one outcome: the share of such things that have it; without a value where several occur.
+    """
+
+    where: str
+    predicates: tuple[str, ...]
+    n: int
+    of: int
+    share: Estimate = field(default_factory=Estimate)
+
+
+@dataclass(frozen=True)
+class Regimes:
+    """What some things do at different settings, grouped by what they do; `things` in the plural: "starts"."""
+
+    things: str
+    regimes: tuple[Regime, ...]
+    where: str = ""
+
+
 class Truth(StrEnum):
     """The answer to a question of yes or no."""
 
@@ -362,10 +394,12 @@ class Decided:
     """The answer to a question of yes or no, and the finding that it rests on."""
 
     truth: Truth
-    finding: Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Threshold | Lack
+    finding: Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Regimes | Threshold | Lack
 
 
-Finding: TypeAlias = Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Threshold | Lack | Decided
+Finding: TypeAlias = (
+    Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Regimes | Threshold | Lack | Decided
+)
 
 
 class Record(NamedTuple):
@@ -425,6 +459,18 @@ def records(finding: Finding) -> list[Record]:
             n, unit = (None, "") if basis is None else (basis.n, basis.unit)
             setting = ", ".join(filter(None, (f"{key} = {last} to {first}", where)))
             return [Record(f"where {subject} {verb}", setting, n=n, unit=unit)]
+        case Regimes(things, regimes, where):
+            return [
+                _record(
+                    " and ".join(f"share of {things} that {predicate}" for predicate in regime.predicates),
+                    Form.SHARE,
+                    regime.share,
+                    ", ".join(filter(None, (where, regime.where))),
+                    None,
+                    Basis(regime.n, things.removesuffix("s")),
+                )
+                for regime in regimes
+            ]
         case Decided(_, reason):
             return records(reason)
         case Lack():

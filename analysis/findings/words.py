@@ -21,6 +21,8 @@ from stickslip.analysis.findings.finding import (
     Limit,
     Outcomes,
     Quantity,
+    Regime,
+    Regimes,
     Scale,
     Share,
     Threshold,
@@ -52,12 +54,15 @@ def clause(finding: Finding) -> str:
         case Limit(things=things, predicate=predicate, most=most, where=where):
             return f"at most {number(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
         case Alike(quantity, value, among, where):
-            return f"{quantity.name}{_at(where)}: {number(value, quantity.form)}, the same {among}"
+            digits = decimals(Estimate(value), quantity.form) + 1  # it is known to many
+            return f"{quantity.name}{_at(where)}: {number(value, quantity.form, digits)}, the same {among}"
         case Outcomes():
             return _outcomes(finding)
         case Threshold(subject, is_end, key, last, first, where, basis):
             every = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
             return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{_at(where)}{every}"
+        case Regimes(things, regimes, where):
+            return _joined_at(where, "; ".join(_regime(things, regime) for regime in regimes))
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
         case Decided(truth, reason):
@@ -229,3 +234,18 @@ def _outcomes(outcomes: Outcomes) -> str:
     ]
     largest = "" if outcomes.largest is None else f"; the largest difference is in the {_level(outcomes.largest)}"
     return "; ".join(said) + largest
+
+
+def _joined_at(where: str, text: str) -> str:
+    return f"at {where}, {text}" if where else text
+
+
+def _regime(things: str, regime: Regime) -> str:
+    if len(regime.predicates) > 1:
+        *first, last = (f"some {predicate}" for predicate in regime.predicates)
+        return f"{regime.where} {listed([*first, last.replace('some', 'others', 1)])}"
+    (predicate,) = regime.predicates
+    if regime.n < regime.of:
+        return f"{regime.where} all {regime.n:,} decided {things} (of {regime.of:,}) {predicate}"
+    every = {1: "", 2: "both "}.get(regime.n, f"all {regime.n:,} ")
+    return f"{regime.where} {every}{things} {predicate}"

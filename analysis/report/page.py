@@ -350,7 +350,7 @@ def _of_findings(one: Answered) -> SimpleNamespace:
         "panels": shown, "main": table, "part": part, "panel_caption": "",
     }  # fmt: skip
     macros = {name: _saying(text) for name, text in texts.items()}
-    titles = {"name": one.title, "question": one.title}
+    titles = {"name": one.title, "question": one.title, "of_data": 1}
     return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | macros | titles))
 
 
@@ -392,7 +392,7 @@ def _alerts(leading: Sequence[_Shown], others: Sequence[_Shown]) -> list[str]:
     """The most important alerts, as list items: all of the answers that lead, and those of data of the others."""
     warned = [(item, _TICK) for one in leading for item in _items(one)]
     warned += [(item, one.words.of_data) for one in others if one.words.of_data for item in _items(one)]
-    return sorted((item for item, upto in warned if _rank(item) <= upto), key=_rank)[:MOST_ALERTS]
+    return sorted(dict.fromkeys(item for item, upto in warned if _rank(item) <= upto), key=_rank)[:MOST_ALERTS]
 
 
 def _items(one: _Shown) -> list[str]:

@@ -23,6 +23,8 @@ from stickslip.analysis.findings.finding import (
     Outcomes,
     Quantity,
     Reason,
+    Regime,
+    Regimes,
     Scale,
     Share,
     Threshold,
@@ -110,6 +112,14 @@ def test_sentences():
     assert sentence(left) == "75.0% of runs still stick and slip at t = 150 at n = 100."
     basin = Share("sliding", "starts", "end in steady sliding", Estimate(0.301, 0.288, 0.314))
     assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts end in steady sliding."
+    few, both = (Regime(f"at v = {v}", said, 5, 5) for v, said in ((1, ("slide",)), (2, ("slide", "stick"))))
+    assert sentence(Regimes("starts", (few, both))) == (
+        "At v = 1 all 5 starts slide; at v = 2 some slide and others stick."
+    )
+    period = Quantity("period", "period of the cycle")
+    assert sentence(Alike(period, 3.50812, "from all 8 starts")) == (
+        "Period of the cycle: 3.508, the same from all 8 starts."
+    )
     assert sentence(Decided(Truth.NO, basin)) == f"No: {sentence(basin)}"
 
 
@@ -145,6 +155,9 @@ def _findings(rng):
     yield Alike(quantity, value, "from all starts", where)
     yield Outcomes("the exact engine", ("h = 0.1",), ("h = 0.2", "h = 0.4"), (), level)
     yield Threshold("stick-slip", bool(rng.integers(2)), "belt_speed", "0.3", "0.4", where, basis)
+    mixed = Regime("from v = 8 on", ("slide", "stick", "stop"), 9, 10)
+    alone = (Regime("up to v = 7", ("slide",), n, 5, estimate) for n in (1, 2, 4, 5))
+    yield Regimes("starts", (*alone, mixed), where)
     yield Lack("the decay rate", _pick(rng, Reason), "12 cascades")
     yield Decided(_pick(rng, Truth), share)
 
@@ -164,4 +177,4 @@ def test_every_kind_is_a_sentence_and_rows(rng):
                 assert row.low is None or row.high is None or row.low <= row.high
                 assert row.verdict in {"", *Verdict}
                 assert not any(isinstance(cell, float) and np.isnan(cell) for cell in row)
-    assert len(kinds) == 11
+    assert len(kinds) == 12
