@@ -12,6 +12,10 @@ class Code(Enum):
     Rank 0 stops the reader, 1 says what makes numbers wrong, 2 what they refer to, 3 what weakens them.
     """
 
+    SUSPECT = (
+        0,
+        "The numerics are suspect: {what} differs by more than smoothing explains ({where}).",
+    )
     FAILED = 1, "{n} of {of} runs failed and are left out."
     DRIFT = 1, "{what} still drifts after t_burn = {t_burn:g}: raise t_burn."
     DIVERGED = 2, "The motion grew without limit in {n} of {of} runs."
