@@ -16,6 +16,7 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
+from stickslip.analysis.stats.estimates import Estimate
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.runs.pictures import BLUE as BLUE
 from stickslip.sim.runs.pictures import CYCLE as CYCLE
@@ -145,10 +146,41 @@ def panel(
     return of
 
 
+_MOST_MARKS = 400  # of a forest: more are drawn as an image
+
+
 def size_axis(ax: Axes, largest: int) -> None:
     """Make x an axis of sizes from 1 to `largest`, with ticks at whole numbers, even if there is only one."""
     ax.set_xlim(0.5, largest + 0.5)
     ax.xaxis.set_major_locator(MaxNLocator(nbins="auto", integer=True, min_n_ticks=1))
+
+
+@panel()
+def forest(
+    ax: Axes, systems: Sequence[Estimate], pooled: Estimate, xlabel: str, null: tuple[float, str] | None = None
+) -> None:
+    """Estimates of systems by size, one mark each with its interval; below, the pooled one, whose interval is a band.
+
+    Systems without a value are left out. `null` is a value to compare with, and its name: a dashed line.
+    """
+    known = [(one.value, one.low, one.high) for one in systems if one.value is not None]
+    value, low, high = np.array(sorted(known), dtype=np.float64).reshape(-1, 3).T  # None is NaN, which is not drawn
+    rows, is_image = np.arange(len(value)), len(value) > _MOST_MARKS
+    ax.hlines(rows, low, high, color=EXACT, alpha=0.45, linewidth=0.9, rasterized=is_image)
+    ax.plot(value, rows, "o", color=EXACT, markersize=1.5 if is_image else 3, rasterized=is_image)
+    below = -max(2.0, 0.08 * len(rows))
+    if pooled.low is not None and pooled.high is not None:
+        ax.axvspan(pooled.low, pooled.high, color=EXACT, alpha=0.15, linewidth=0)
+        ax.hlines(below, pooled.low, pooled.high, color=EXACT, linewidth=2)
+    if pooled.value is not None:
+        ax.plot(pooled.value, below, "D", color=EXACT, markersize=5)
+    if null is not None:
+        ax.axvline(null[0], linestyle="--", color=GREY, linewidth=1)
+        ax.annotate(null[1], (null[0], 1.01), xycoords=("data", "axes fraction"), ha="center", color=GREY)
+    ax.set(xlabel=xlabel, ylim=(2 * below, len(rows)))
+    ax.set_yticks([below, (len(rows) - 1) / 2], ["all", "each"])
+    ax.tick_params(axis="y", length=0)
+    ax.spines["left"].set_visible(False)
 
 
 def over_blocks(

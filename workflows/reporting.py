@@ -208,12 +208,12 @@ def _seeds(scene: Scene) -> tuple[int, ...]:
 
 def _settings(scene: Scene) -> AnalysisSettings:
     with_known_questions(scene, "scene")
-    given = scene.analysis
+    declared = scene.analysis
     changed = {
-        "seed": _seeds(scene)[0], "map_dt": given.map_dt or (), "margins": given.margins.declared,
-        "question": renamed(given.question),
+        "seed": _seeds(scene)[0], "map_dt": declared.map_dt or (), "margins": declared.margins.declared,
+        "question": renamed(declared.question),
     }  # fmt: skip
-    return AnalysisSettings(**(given.model_dump() | changed))
+    return AnalysisSettings(**(declared.model_dump() | changed))
 
 
 def _provenance(opened: Opened) -> dict[str, str]:

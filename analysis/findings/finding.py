@@ -18,6 +18,7 @@ class Form(Enum):
     """How the values of a quantity are written."""
 
     NUMBER = "number"
+    COUNT = "count"  #: a whole number
     SHARE = "share"  #: in per cent
 
 
@@ -374,8 +375,11 @@ class Reason(StrEnum):
     DRIFT = "no steady state"
     NO_MOTION = "no run is in motion"
     SHORT_WINDOW = "the runs are too short"
+    OUT_OF_RANGE = "too few pairs stay in their linear range"
+    NO_REFERENCE = "nothing to compare with"
     NOT_RECORDED = "not recorded"
     NOT_RUN = "not run"
+    ALL_FAILED = "all runs failed"
     NOTHING_COUNTED = "nothing to count"
     ONE_VALUE = "all values are the same"
 

@@ -11,6 +11,7 @@ from stickslip.analysis.stats.estimates import Estimate
 MINUS = "\u2212"
 DIGITS = 3  # of a number without an interval
 MOST_DECIMALS = 6  # beyond, a number is written with a power of ten
+_ROUNDING = 1e-12
 _SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
 
 
@@ -19,6 +20,8 @@ def decimals(estimate: Estimate, form: Form = Form.NUMBER) -> int:
     scale = _scale(form)
     if estimate.low is not None and estimate.high is not None and estimate.high > estimate.low:
         return max(0, 1 - _exponent((estimate.high - estimate.low) / 2 * scale))
+    if form is Form.COUNT:
+        return 0
     size = max((abs(x) for x in (estimate.value, estimate.low, estimate.high) if x is not None), default=0.0)
     return max(0, DIGITS - 1 - _exponent(size * scale)) if size else 0
 
@@ -51,21 +54,36 @@ def _plain(value: float, form: Form, digits: int | None, sign: bool) -> str:
     return ("+" if sign and value > 0 else "") + text.replace("-", MINUS)
 
 
-def span(low: float, high: float, form: Form = Form.NUMBER, sign: bool = False) -> str:
-    """Two ends, "0.697 to 0.702" or "28.8 to 31.4%", with two digits of half their distance."""
-    digits = decimals(Estimate(low=low, high=high), form)
-    ends = (_plain(end, form, digits, sign) for end in (low, high))
+def span(low: float, high: float, form: Form = Form.NUMBER, sign: bool = False, digits: int | None = None) -> str:
+    """Two ends, "0.697 to 0.702" or "28.8 to 31.4%", by default with two digits of half their distance."""
+    least = decimals(Estimate(low=low, high=high), form)
+    places = least if digits is None else digits
+    while places < least and _plain(low, form, places, sign) == _plain(high, form, places, sign):
+        places += 1
+    ends = (_plain(end, form, places, sign) for end in (low, high))
     return " to ".join(ends) + "%" * (form is Form.SHARE)
 
 
-def with_interval(estimate: Estimate, form: Form = Form.NUMBER) -> str:
-    """An estimate in a sentence: "0.700 (0.697 to 0.702)"; with one end, "206 (at least 150)"; else without."""
+def limit(most: float, form: Form = Form.NUMBER) -> str:
+    """An upper limit with two digits, rounded up, so that it holds."""
+    places = max(0, decimals(Estimate(most), form) - 1)
+    unit = _scale(form) * 10.0**places
+    return number(math.ceil(most * unit * (1.0 - _ROUNDING)) / unit, form, places)
+
+
+def with_interval(estimate: Estimate, form: Form = Form.NUMBER, digits: int | None = None, sign: bool = False) -> str:
+    """An estimate in a sentence: "0.700 (0.697 to 0.702)"; with one end, "206 (at least 150)"; else without.
+
+    A limit without an estimate is "at most 0.3%".
+    """
     low, high = estimate.low, estimate.high
+    if estimate.value is None and high is not None:
+        return f"at most {limit(high, form)}"
     if estimate.value is None:
         raise ValueError(f"estimate: expected a value, got {estimate!r}; say what is lacking instead")
-    value = number(estimate.value, form, decimals(estimate, form))
+    value = number(estimate.value, form, decimals(estimate, form) if digits is None else digits, sign)
     if low is not None and high is not None:
-        return f"{value} ({span(low, high, form)})"
+        return f"{value} ({span(low, high, form, sign, digits)})"
     if low is not None:
         return f"{value} (at least {number(low, form)})"
     if high is not None:

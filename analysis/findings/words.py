@@ -28,7 +28,7 @@ from stickslip.analysis.findings.finding import (
     Threshold,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import decimals, number, span, with_interval
+from stickslip.analysis.findings.numbers import decimals, limit, number, span, with_interval
 from stickslip.analysis.stats.estimates import Estimate
 
 
@@ -52,7 +52,7 @@ def clause(finding: Finding) -> str:
         case Law():
             return _law(finding)
         case Limit(things=things, predicate=predicate, most=most, where=where):
-            return f"at most {number(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
+            return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
         case Alike(quantity, value, among, where):
             digits = decimals(Estimate(value), quantity.form) + 1  # it is known to many
             return f"{quantity.name}{_at(where)}: {number(value, quantity.form, digits)}, the same {among}"
@@ -123,6 +123,21 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
             return f"; no difference from {other} is shown among {_n_tests(difference)}"
         case Verdict.UNJUDGED:
             return f", beside {other}, without an interval"
+
+
+def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = Form.NUMBER) -> str:
+    """A difference as the cell of a table: "+0.9% (+0.6 to +1.3%)", and what it comes to if that is not plain."""
+    difference = comparison.difference
+    if verdict is Verdict.SAME:
+        return "none in any run"
+    value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
+    if value is None:
+        return "unknown" if low is None or high is None else interval(difference, form)
+    text = with_interval(difference.estimate, _form(difference, form), sign=True)
+    text = _in_points(text, difference, form)
+    if verdict is Verdict.EQUAL:
+        return f"{text}, equal within {margin(difference, form)}"
+    return f"{text}, not shown among so many" if verdict is Verdict.OPEN_AMONG_MANY else text
 
 
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:

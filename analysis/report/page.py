@@ -7,6 +7,7 @@ import html
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from types import SimpleNamespace
@@ -15,26 +16,27 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
-from jinja2 import Environment
+from jinja2 import Environment, TemplateNotFound
 from jinja2.runtime import Macro
-from markupsafe import Markup, escape
+from markupsafe import Markup
 
 from stickslip.analysis.answer import LONG, F, I, Long, Picture, Recipe, S, Table, frame
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.alerts import Alert
 from stickslip.analysis.findings.finding import Finding, Lack, Record
 from stickslip.analysis.findings.finding import records as finding_records
-from stickslip.analysis.findings.numbers import number, with_interval
 from stickslip.analysis.findings.words import plural, sentence
 from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
+from stickslip.analysis.page import layout
+from stickslip.analysis.page.layout import MOST_ROWS, Page, Panel, Section, findings_table
+from stickslip.analysis.page.layout import Table as PageTable
 from stickslip.analysis.questions import QUESTIONS, is_own, package_questions, question, refuse_unknown
-from stickslip.analysis.report import AS_TEXT, FORMULA, OF_OWN, PAGE
-from stickslip.analysis.report.formats import environment
-from stickslip.analysis.report.formats import table as as_table
+from stickslip.analysis.report import AS_TEXT, FORMULA, PAGE
+from stickslip.analysis.report.formats import capital, environment
 from stickslip.analysis.settings import AnalysisSettings
-from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import pdf, svg
 from stickslip.analysis.tables import records
+from stickslip.pipeline.design.design import Unit
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
 from stickslip.sim.systems.terms import TERMS
@@ -43,6 +45,9 @@ from stickslip.sim.systems.terms import TERMS
 #: shown whatever question leads; a tick has the last.
 OPTIONAL_WORDS = ("lack", "alarm", "alerts", "panels", "panel", "panel_caption", "main", "of_data")
 _TICK = 9
+STOP, OF_DATA = 0, 2  # ranks of alerts
+UNITS: Mapping[str, str] = {Unit.MATRIX: "systems", Unit.START: "starts of one system", Unit.FILE: "files"}
+FINDINGS = "report/findings.json"
 MOST_SAID = 3  # answers on the first screen
 _ROWS = 10_000  # of a table that is in the JSON of all; a longer one is read from a file of its own
 MOST_ALERTS = 3  # in order of rank
@@ -124,9 +129,11 @@ def _saying(text: str) -> Callable[..., Markup]:
 
 def prepare() -> None:
     """Compile the templates in advance, while a process is idle."""
+    layout.prepare()
     filled = environment()
-    for name in ("report", *(key for key in QUESTIONS if not question(key).title)):
-        filled.get_template(f"{name}.html")
+    for name in QUESTIONS:
+        with suppress(TemplateNotFound):
+            filled.get_template(f"{name}.html")
 
 
 def ask(study: Study, key: str, with_pdf: bool = False) -> Answered | None:
@@ -168,6 +175,8 @@ class Report:
         Why questions of the user's own have no answer, or not all of it, by name.
     not_run : list of str
         Questions of the user's own that were not run.
+    findings : mapping
+        What the page says, in plain values.
     """
 
     html: str
@@ -176,6 +185,7 @@ class Report:
     figures: dict[str, Drawn] = field(default_factory=dict)
     problems: dict[str, str] = field(default_factory=dict)
     not_run: list[str] = field(default_factory=list)
+    findings: Mapping[str, Any] = field(default_factory=dict)
 
     def files(self) -> dict[str, Callable[[], bytes]]:
         """What makes the contents of each of the report's files, by path: all at once may be large.
@@ -188,6 +198,8 @@ class Report:
             if not isinstance(table, Long) and len(table) <= LONG:
                 made[f"report/{name}.csv"] = partial(_csv, table)
         made["report/tables.json"] = partial(_json, self.tables)
+        if self.findings:
+            made[FINDINGS] = partial(_plain_json, self.findings)
         for name, drawn in self.figures.items():
             made[f"report/figures/{name}.svg"] = drawn.svg.encode
             if drawn.pdf is not None:
@@ -225,6 +237,10 @@ def _json(tables: Mapping[str, Table]) -> bytes:
             rows = ",\n".join(map(encode, records(table)))
             listed.append(f"{encode(name)}: [\n{rows}\n]")
     return ("{\n" + ",\n".join(listed) + "\n}\n").encode()
+
+
+def _plain_json(value: Mapping[str, Any]) -> bytes:
+    return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=False) + "\n").encode()
 
 
 def build(
@@ -269,41 +285,96 @@ def build(
     groups = groups_table(study)
     filled = environment()
     filled.globals["unit"] = study.unit
-    shown = [_shown(filled, one) for one in found]
-    leading, others = _in_order(study, [one for one in shown if not one.lack])
+    parts = [_part(filled, one) for one in found]
+    leading, others = _in_order(study, [part for part in parts if not part.is_lack])
     if leading and leading[0].key in own:  # the page is the user's
-        title, about = leading[0].words.name, _joined(title, about)
-    said = [one.says(one.words.answer) for one in leading[:MOST_SAID]]
-    alarms = [text for one in (*leading, *others) if (text := one.says(one.words.alarm))]
-    raised = {one.key for one in shown}
-    page = filled.get_template("report.html").render(
-        title=title,
-        about=about,
-        leading=leading,
-        leading_answers=_safe(said),
-        answered=[*leading, *others],
-        lacking=[one for one in shown if one.lack],
-        asked_in_vain=[one for one in shown if one.lack and one.key in settings.question],
-        not_raised=[_words(filled, key) for key in settings.question if not is_own(key) and key not in raised],
-        problems=problems,
-        missing=missing,
-        not_run=not_run,
-        mark_of_own=Markup(OF_OWN),
-        sources={file: digest for one in own.values() for file, digest in one.sources.items()},
-        alarms=_safe(alarms),
-        alerts=_safe(_alerts(leading, [one for one in shown if one not in leading])),
-        primary=[one.words.name for one in leading],
-        settings=settings,
-        members=len(data.table),
-        groups=records(groups),
-        group_columns=group_columns(),
-        provenance=provenance,
-        made_from=made_from,
+        title, about = leading[0].title, _joined(title, about)
+    lead = _lead(leading)
+    stops = [text for part in (*leading, *others) for rank, text in part.alerts if rank == STOP]
+    on_first = [panel for part in leading[:2] for panel in part.panels[: 2 if len(leading) == 1 else 1]]
+    raised = {part.key for part in parts}
+    lacking = [part for part in parts if part.is_lack]
+    asked = [part for part in lacking if part.key in settings.question]
+    notes = [
+        *(f"Not answered: {text}" for part in asked for text in part.lead),
+        *(f"Not answered: {name}: {problem}." for name, problem in problems.items()),
+        *(f"Left out of the answer: {name}: {lines}." for name, lines in missing.items()),
+        *(f"{name} was not run; stickslip report DIR --own runs the code beside the scene." for name in not_run),
+        *(f"Not answered: {question(key).title or key}: nothing that it needs was run or recorded."
+          for key in settings.question if not is_own(key) and key not in raised),
+    ]  # fmt: skip
+    sections = [
+        _section(part, on_first, is_shown=bool(leading) and part is leading[0]) for part in (*leading, *others)
+    ]
+    sources = {file: digest for one in own.values() for file, digest in one.sources.items()}
+    sections.append(_provenance(study, groups, lacking, sources, provenance))
+    page = Page(
+        title,
+        about or (leading[0].title if leading else ""),
+        lead,
+        stops,
+        on_first,
+        leading[0].table if leading else PageTable(),
+        _alerts(leading, [part for part in parts if part not in leading]),
+        notes,
+        sections,
+        inside=leading[0].first if leading else Markup(),
+        meta={"made-from": made_from} | ({"own-questions": "run"} if sources else {}),
     )
     tables = {"groups": groups} | {name: table for one in found for name, table in one.tables.items()}
     figures = {name: drawn for one in found for name, drawn in one.figures.items()}
-    headline = [*(plain(text) for text in alarms), title, *(plain(text) for text in said)]
-    return Report(page, tables, headline, figures, problems | missing, not_run)
+    headline = [*map(plain, stops), title, *map(plain, lead)]
+    told = _findings_json(title, leading, [*others, *lacking])
+    return Report(page.html, tables, headline, figures, problems | missing, not_run, told)
+
+
+def _lead(leading: Sequence[Part]) -> list[str | Markup]:
+    """The answer: of one question up to three findings, of several the first of each."""
+    if len(leading) == 1:
+        return [*leading[0].lead[:MOST_SAID]]
+    return [part.lead[0] for part in leading[:MOST_SAID]]
+
+
+def _section(part: Part, on_first: Sequence[Panel], is_shown: bool) -> Section:
+    return Section(
+        part.key,
+        part.title,
+        part.lead[0],
+        part.texts,
+        [panel for panel in part.panels if panel not in on_first],
+        PageTable() if is_shown else part.table,
+        part.notes,
+        part.inside if is_shown else part.first + part.inside,
+    )
+
+
+def _provenance(
+    study: Study,
+    groups: pd.DataFrame,
+    lacking: Sequence[Part],
+    sources: Mapping[str, str],
+    origin: Mapping[str, str],
+) -> Section:
+    """How the page was made: settings, what could not be answered, and where the data come from."""
+    settings = study.settings
+    texts = [
+        f"Statistics use t = {settings.t_burn:g} to the end of each run. Intervals are at "
+        f"{100 * settings.confidence:g}%, over {UNITS[study.unit]}, which are independent; of shares they are "
+        "Wilson's, of survival Greenwood's, else from leaving out one of these at a time. Quantities are "
+        "dimensionless.",
+        *(f"Not answered: {text}" for part in lacking for text in part.lead),
+    ]
+    notes = [
+        "".join(f"{name}: {value}. " for name, value in origin.items()),
+        *(f"Code beside the scene: {file} (sha256 {digest})." for file, digest in sources.items()),
+        "Findings: report/findings.json. Tables: report/*.parquet. Figures: report/figures/.",
+    ]
+    shown = ("group", "members", "finished", "matrices", "starts")
+    rows = [[str(row[name] or "") for name in shown] for row in records(groups)[:MOST_ROWS]]
+    table = PageTable(("setting", "runs", "finished", "systems", "starts"), rows)
+    return Section(
+        "made", "How was it made?", f"{plural(len(study.data.table), 'run')}.", texts, table=table, notes=notes
+    )
 
 
 def _joined(title: str, about: str) -> str:
@@ -311,76 +382,111 @@ def _joined(title: str, about: str) -> str:
     return f"{title}{' ' if title.endswith('?') else ': '}{about}" if title and about else title or about
 
 
-def _words(filled: Environment, key: str) -> SimpleNamespace:
-    """The names and macros of a question's template; None for each of `OPTIONAL_WORDS` that it lacks."""
-    title = question(key).title
-    words = {"name": title} if title else vars(filled.get_template(f"{key}.html").module)
-    return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | words))
-
-
 @dataclass(frozen=True)
-class _Shown(Answered):
-    """An answer with the words of its template."""
+class Part:
+    """An answer as a page has it.
 
-    words: SimpleNamespace = field(default_factory=SimpleNamespace)
+    Attributes
+    ----------
+    lead : sequence of str
+        Its sentences, the first of which is the answer, or why there is none.
+    alerts : sequence of (int, str)
+        With their ranks.
+    first, inside : Markup
+        Of a template: what stands on the first screen if the question leads, and what is folded.
+    upto : int
+        The largest rank of the alerts that are shown although the question does not lead.
+    """
 
-    def says(self, macro: Macro | None) -> str:
-        """Text of a macro of the template on the facts; empty if the template lacks the macro."""
-        return "" if macro is None else str(macro(self.facts)).strip()
-
-
-def _shown(filled: Environment, one: Answered) -> _Shown:
-    words = _of_findings(one) if one.findings else one.words if isinstance(one, Spoken) else _words(filled, one.key)
-    return _Shown(one.key, one.facts, one.lack, one.tables, one.figures, words=words)
-
-
-def _of_findings(one: Answered) -> SimpleNamespace:
-    """The words of an answer that consists of findings, in the form of those of a template."""
-    names = [*one.figures]
-    shown = _figures(one, names[:2])
-    rows = [record for finding in one.findings for record in finding_records(finding)]
-    table = _findings_table(rows) if rows else Markup("")
-    part = Markup("<p>{}</p>").format(one.method) + _figures(one, names[2:])
-    texts = {
-        "answer": escape(" ".join(sentence(finding) for finding in one.findings[: one.n_lead])),
-        "lack": escape(" ".join(sentence(finding) for finding in one.findings)),
-        "alerts": Markup("\n").join(
-            Markup('<li data-rank="{}">{}</li>').format(alert.code.rank, str(alert)) for alert in one.alerts
-        ),
-        "panels": shown, "main": table, "part": part, "panel_caption": "",
-    }  # fmt: skip
-    macros = {name: _saying(text) for name, text in texts.items()}
-    titles = {"name": one.title, "question": one.title, "of_data": 1}
-    return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | macros | titles))
+    key: str
+    title: str
+    lead: Sequence[str | Markup]
+    is_lack: bool = False
+    alerts: Sequence[tuple[int, str | Markup]] = ()
+    panels: Sequence[Panel] = ()
+    table: PageTable = field(default_factory=PageTable)
+    texts: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    first: Markup = field(default_factory=Markup)
+    inside: Markup = field(default_factory=Markup)
+    upto: int = OF_DATA
+    findings: Sequence[Finding] = ()
+    told: Sequence[Alert] = ()
 
 
-def _figures(one: Answered, names: Sequence[str]) -> Markup:
-    return Markup("").join(
-        Markup('<figure class="one">{}<figcaption>{}</figcaption></figure>').format(
-            one.figure(name, one.captions[name]), one.captions[name]
-        )
-        for name in names
+def _part(filled: Environment, one: Answered) -> Part:
+    return _of_findings(one) if one.findings else _of_template(filled, one)
+
+
+def _of_findings(one: Answered) -> Part:
+    files = [f"report/{name}.parquet" for name in one.tables]
+    return Part(
+        one.key,
+        one.title,
+        [sentence(finding) for finding in one.findings[: max(one.n_lead, 1)]],
+        all(isinstance(finding, Lack) for finding in one.findings),
+        [(alert.code.rank, str(alert)) for alert in one.alerts],
+        [Panel(drawn.address(), one.captions[name]) for name, drawn in one.figures.items()],
+        findings_table([row for finding in one.findings for row in finding_records(finding)], FINDINGS),
+        [one.method],
+        [f"Tables: {', '.join(files)}."] if files else [],
+        findings=one.findings,
+        told=one.alerts,
     )
 
 
-def _findings_table(rows: Sequence[Record]) -> Markup:
-    """The table of findings, whose columns are left out where they hold nothing."""
-    shown = [
-        {
-            "what": row.quantity,
-            "where": row.setting or None,
-            "estimate": None if row.estimate is None else with_interval(Estimate(*row[2:5]), row.form),
-            "compared with": row.compared_with or None,
-            "difference": row.difference and number(row.difference),
-            "verdict": row.verdict or None,
-            "from": None if row.n is None else plural(row.n, row.unit),
-        }
-        for row in rows
+def _of_template(filled: Environment, one: Answered) -> Part:
+    """The part of an answer that a template puts into words."""
+    if isinstance(one, Spoken):
+        words = one.words
+    else:
+        words = SimpleNamespace(
+            **(dict.fromkeys(OPTIONAL_WORDS) | vars(filled.get_template(f"{one.key}.html").module))
+        )
+
+    def says(name: str, *given: Any) -> Markup:
+        macro: Macro | None = getattr(words, name)
+        return Markup() if macro is None else Markup(str(macro(one.facts, *given)).strip())
+
+    if one.lack:
+        return Part(one.key, words.name, [Markup(f"{words.name} {capital(says('lack', one.lack))}")], is_lack=True)
+    alerts = [(_rank(item), Markup(re.sub(r"</?li[^>]*>", "", item))) for item in _items(says("alerts"))]
+    stop = says("alarm")
+    first = Markup("")
+    if words.panels or words.panel:
+        first = says("panels", one.figure) or says("panel", one.figure) + says("panel_caption")
+    return Part(
+        one.key,
+        words.name,
+        [says("answer")],
+        alerts=[*([(STOP, stop)] if stop else []), *(pair for pair in alerts if pair[0] < _TICK)],
+        first=first + says("main"),
+        inside=says("part", one.figure),
+        upto=words.of_data or 0,
+    )
+
+
+def _findings_json(title: str, leading: Sequence[Part], others: Sequence[Part]) -> dict[str, Any]:
+    """What the page says, all of it."""
+    rows = [
+        {"question": part.key, "leads": part in leading and k < len(part.lead), "kind": type(finding).__name__,
+         "sentence": sentence(finding), "rows": [_row(row) for row in finding_records(finding)]}
+        for part in (*leading, *others)
+        for k, finding in enumerate(part.findings)
+    ]  # fmt: skip
+    alerts = [
+        {"question": part.key, "code": alert.code.name, "words": str(alert), **dict(alert.numbers)}
+        for part in (*leading, *others)
+        for alert in part.told
     ]
-    return as_table(shown, [(name, name, None) for name in shown[0]], kind="stack")
+    return {"title": title, "findings": rows, "alerts": alerts}
 
 
-def _in_order(study: Study, answered: list[_Shown]) -> tuple[list[_Shown], list[_Shown]]:
+def _row(record: Record) -> dict[str, Any]:
+    return record._asdict() | {"form": record.form.value}
+
+
+def _in_order(study: Study, answered: list[Part]) -> tuple[list[Part], list[Part]]:
     """The answers that lead the page, in their order, and the others in the order of the page."""
     known = {one.key for one in answered}
     primary = [key for key in study.settings.question if key in known] or _primary(study, answered)
@@ -388,15 +494,15 @@ def _in_order(study: Study, answered: list[_Shown]) -> tuple[list[_Shown], list[
     return leading, [one for one in answered if one not in leading]
 
 
-def _alerts(leading: Sequence[_Shown], others: Sequence[_Shown]) -> list[str]:
-    """The most important alerts, as list items: all of the answers that lead, and those of data of the others."""
-    warned = [(item, _TICK) for one in leading for item in _items(one)]
-    warned += [(item, one.words.of_data) for one in others if one.words.of_data for item in _items(one)]
-    return sorted(dict.fromkeys(item for item, upto in warned if _rank(item) <= upto), key=_rank)[:MOST_ALERTS]
+def _alerts(leading: Sequence[Part], others: Sequence[Part]) -> list[str | Markup]:
+    """The most important alerts: all of the answers that lead, and of the others those that are about the data."""
+    warned = [alert for part in leading for alert in part.alerts if alert[0] != STOP]
+    warned += [alert for part in others for alert in part.alerts if STOP < alert[0] <= part.upto]
+    return [text for _, text in sorted(warned, key=lambda alert: alert[0])][:MOST_ALERTS]
 
 
-def _items(one: _Shown) -> list[str]:
-    return re.findall(r"<li.*?</li>", one.says(one.words.alerts), re.DOTALL)
+def _items(text: str) -> list[str]:
+    return re.findall(r"<li.*?</li>", text, re.DOTALL)
 
 
 def _rank(alert: str) -> int:
@@ -405,16 +511,12 @@ def _rank(alert: str) -> int:
     return int(given[1]) if given else _TICK
 
 
-def _safe(texts: Sequence[str]) -> list[Markup]:
-    return [Markup(text) for text in texts]  # made by templates, which escape
-
-
 def plain(text: str) -> str:
     """Text of a template's result without tags, for a terminal."""
     return html.unescape(re.sub(r"\s+", " ", re.sub(r"<[^>]*>", "", text.replace("<sub>", "_")))).strip()
 
 
-def _primary(study: Study, answered: Sequence[_Shown]) -> tuple[str, ...]:
+def _primary(study: Study, answered: Sequence[Part]) -> tuple[str, ...]:
     """Questions that lead where the scene names none: that of the lowest rank that may, and those beside it."""
     ours = {one.key: question(one.key) for one in answered if not is_own(one.key)}
     ranked = [(one.rank, key) for key, one in ours.items() if one.rank is not None and one.leads(study)]

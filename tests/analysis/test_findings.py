@@ -32,8 +32,9 @@ from stickslip.analysis.findings.finding import (
     Verdict,
     records,
 )
-from stickslip.analysis.findings.numbers import number, span, with_interval
+from stickslip.analysis.findings.numbers import limit, number, span, with_interval
 from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.report.page import _findings_table
 from stickslip.analysis.stats.estimates import Estimate
 
 GAMMA = Quantity("gamma", "decay rate")
@@ -74,6 +75,7 @@ def test_one_of_many_comparisons_needs_an_adjusted_p_value_too():
         (Estimate(206.3, 150.0, 290.0), Form.NUMBER, "206 (150 to 290)"),
         (Estimate(0.0, 0.0, 0.161), Form.SHARE, "0.0% (0.0 to 16.1%)"),
         (Estimate(3.508), Form.NUMBER, "3.51"),
+        (Estimate(2.0), Form.COUNT, "2"),
         (Estimate(206.0, 150.0), Form.NUMBER, "206 (at least 150)"),
         (Estimate(-0.013, -0.02, -0.006), Form.NUMBER, "\u22120.0130 (\u22120.0200 to \u22120.0060)"),
         (Estimate(12345.0, 12000.0, 12700.0), Form.NUMBER, "12,345 (12,000 to 12,700)"),
@@ -82,6 +84,19 @@ def test_one_of_many_comparisons_needs_an_adjusted_p_value_too():
 )  # fmt: skip
 def test_numbers_have_two_digits_of_their_interval(estimate, form, text):
     assert with_interval(estimate, form) == text
+
+
+@pytest.mark.parametrize(
+    ("most", "form", "text"),
+    [
+        (0.00281, Form.SHARE, "0.29%"),
+        (0.0028, Form.SHARE, "0.28%"),
+        (0.3, Form.SHARE, "30%"),
+        (0.0, Form.SHARE, "0%"),
+    ],
+)
+def test_a_limit_is_rounded_up(most, form, text):
+    assert limit(most, form) == text
 
 
 def test_different_ends_never_look_alike(rng):
@@ -178,3 +193,16 @@ def test_every_kind_is_a_sentence_and_rows(rng):
                 assert row.verdict in {"", *Verdict}
                 assert not any(isinstance(cell, float) and np.isnan(cell) for cell in row)
     assert len(kinds) == 12
+
+
+def test_the_table_of_findings_has_limits_and_differences_in_their_units():
+    lower = Difference(Estimate(-0.3, -0.4, -0.2), Scale.ABSOLUTE)
+    wider = Difference(Estimate(0.5, 0.25, 0.75), Scale.RELATIVE)
+    rows = [
+        *records(Limit("pairs", "exits", "trigger another", 0.0028)),
+        *records(Level(SHARE, Estimate(0.2), comparison=Comparison("others", lower))),
+        *records(Level(GAMMA, Estimate(0.7), comparison=Comparison("others", wider))),
+    ]
+    table = _findings_table(rows)
+    for cell in ("at most 0.28%", "\u221230% (\u221240 to \u221220%)", "+50% (+25 to +75%)"):
+        assert cell in table

@@ -7,8 +7,9 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import Data, Study, build
+from stickslip.analysis.findings.finding import Lack, Reason
+from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.questions.runs.one_run import MOST_MEMBERS, answer
-from stickslip.analysis.report.formats import environment
 from stickslip.analysis.report.page import ask
 
 #: Four blocks: 0 lets go at 1, sticks at 3, lets go at 4; 1 slips throughout; 2 and 3 never do.
@@ -35,20 +36,20 @@ def study(planted, settings):
 
 
 def test_it_counts_the_first_run_that_finished(study):
-    facts = answer(study()).facts
-    assert facts["run"] == "m2"
-    assert facts["events"] == {"n_exits": 2, "n_never": 2, "block": 0, "of_block": 2}
-    assert facts["sticks"] == pytest.approx((3 + 2 * 2 + 3 + 2) / (4 * 5))
-    said = environment().get_template("one_run.html").module.answer(facts)
-    assert " ".join(said.split()) == (
-        "In one run of 4 blocks to t = 5, blocks let go 2 times, block 0 most often (2); 2 of 4 never slip."
-    )
+    found = answer(study())
+    onsets, never, sticking = found.findings
+    assert onsets.estimate.value == 2
+    assert never.estimate.value == 0.5
+    assert sticking.estimate.value == pytest.approx((3 + 2 * 2 + 3 + 2) / (4 * 5))
+    assert sentence(onsets) == "Number of slip onsets, one run of 4 blocks to t = 5: 2."
+    assert "Run m2 is the first of 3 that finished" in found.method
 
 
-def test_a_run_that_ran_away_is_drawn_as_far_as_it_went(study):
+def test_a_run_that_grew_without_limit_is_drawn_as_far_as_it_went(study):
     found = answer(study(n_members=2))
-    assert (found.facts["run"], found.facts["t_end"], found.facts["is_finished"]) == ("m1", 4.5, False)
-    (ax,) = found.figures["one_run"]().axes
+    assert "Run m1 is the first of 2 that was begun" in found.method
+    assert found.findings[0].where == "one run of 4 blocks to t = 4.5"
+    (ax,) = found.figures["one_run"].recipe().axes
     assert ax.get_xlim() == (0.0, 4.5)
 
 
@@ -61,17 +62,16 @@ def test_it_is_left_out_unless_few_runs_record_events_or_it_is_asked(study):
 
 def test_without_events_it_is_the_series(study):
     found = answer(study(events=False, question=("one_run",)))
-    (ax,) = found.figures["one_run"]().axes
+    (ax,) = found.figures["one_run"].recipe().axes
     t, n_stick = ax.lines[0].get_data()
     assert (t.tolist(), n_stick.tolist()) == ([0, 1, 3, 4, 5], [3, 2, 3, 2, 2])
-    assert (found.facts["least"], found.facts["most"], found.facts["events"]) == (2, 3, None)
+    assert [finding.quantity.key for finding in found.findings] == ["stick_share"]
 
 
-def test_where_no_run_was_completed_it_says_so(study):
-    assert answer(study(n_members=2, question=("one_run",))).lack == ""
+def test_where_all_runs_failed_it_says_so(study):
     only = study(n_members=2)
     only = replace(only, data=replace(only.data, table=only.data.members.assign(outcome="failed")))
-    assert answer(only).lack == "none ran"
+    assert answer(only).findings == [Lack("the picture of a run", Reason.ALL_FAILED)]
 
 
 def test_the_largest_episode_after_burning_in_is_drawn_beside(study):
@@ -80,14 +80,14 @@ def test_the_largest_episode_after_burning_in_is_drawn_beside(study):
         ("m2", 0.2, 0.6, 4, 9.0), ("m2", 1.0, 2.0, 2, -3.0), ("m2", 2.2, 2.4, 2, 1.0), ("m2", 2.3, 4.9, 4, 7.0),
         ("m2", 3.0, 3.1, 1, 8.0), ("m1", 1.0, 1.5, 3, 5.0),
     ]  # fmt: skip
-    found = answer(study(episodes=pd.DataFrame(rows, columns=columns)))
-    assert found.facts["episode"] == {"start": 1.0, "end": 2.0, "size": 2, "moment": -3.0, "span": (0.9, 2.1)}
-    (ax,) = found.figures["one_episode"]().axes
+    picture = answer(study(episodes=pd.DataFrame(rows, columns=columns))).figures["one_episode"]
+    assert picture.caption == "The largest episode after t = 0.5, in which 2 blocks slip, from t = 1.00 to 2.00."
+    (ax,) = picture.recipe().axes
     assert ax.get_xlim() == (0.9, 2.1)
 
 
 def test_a_grid_is_drawn_in_rows(study):
-    (ax,) = answer(study(coupling="grid")).figures["one_run"]().axes
+    (ax,) = answer(study(coupling="grid")).figures["one_run"].recipe().axes
     assert ax.get_ylabel() == "row of the grid, 2 blocks each"
 
 
@@ -96,5 +96,7 @@ def test_the_page_shows_it_and_is_the_same_twice(study, events):
     asked = study(events=events, question=("one_run",))
     pages = {build(asked.data, asked.settings, "T", "", {}).html for _ in range(2)}
     assert len(pages) == 1
-    assert pages.pop().count("which block slips when" if events else "n_stick against time, in one run") >= 1
+    page = pages.pop()
+    assert ("Which block slips when" if events else "Number of sticking blocks") in page
+    assert "one run of 4 blocks to t = 5" in page
     assert ask(asked, "one_run").figures["one_run"].svg.startswith("<?xml")

@@ -7,12 +7,13 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis.ensemble import Data, Study
+from stickslip.analysis.findings.finding import Lack, Level, Lifetime, Reason
+from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.fates import median
 from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, level
 from stickslip.analysis.pairs import settings as sorted_settings
 from stickslip.analysis.questions.runs.sensitivity import GROWS, SHRINKS, UNKNOWN, answer
-from stickslip.analysis.report.formats import environment
 from stickslip.analysis.series import parting
 
 T_END = 1000.0
@@ -51,18 +52,19 @@ def test_the_level_is_of_all_matrices_however_they_end(rng, planted, settings):
 
 
 def test_what_was_not_measured_is_not_said_to_be_unknown(rng, planted, settings):
-    words = environment().get_template("sensitivity.html").module
     data = ensemble(rng, planted, 0.01, t_part=2 * T_END)
     copies = data.members["twin_size"].notna()
     changed = data.members.assign(twin_size=None, perturbation_size=np.where(copies, 0.01, 0.0))
-    said = words.answer(answer(Study(Data(changed, data.series), settings)).facts)
-    assert (
-        "was not measured; of copies with every constant changed by up to 1%, none of 12 have been apart by" in said
+    parted, rate = answer(Study(Data(changed, data.series), settings)).findings
+    assert (parted.estimate.value, parted.share_left, rate.reason) == (None, 1.0, Reason.NOT_RUN)
+    assert sentence(parted) == (
+        "100% of copies have not parted at t = 1000 at n = 200, exact, with constants changed by up to 1%."
     )
-    settled = Data(changed.assign(outcome="collapsed"), data.series)
-    found = answer(Study(settled, settings))
-    assert found.lack
-    assert "The growth of small differences was not measured" in words.lack(found.facts, found.lack)
+    settled = answer(Study(Data(changed.assign(outcome="collapsed"), data.series), settings)).findings
+    assert [finding.reason for finding in settled] == [Reason.NOT_RUN, Reason.NO_REFERENCE]
+    unrecorded = answer(Study(replace(data, separations={}), settings)).findings
+    assert [type(finding) for finding in unrecorded] == [Lifetime, Lack]
+    assert unrecorded[1].reason is Reason.NOT_RECORDED
 
 
 def test_a_run_has_parted_when_the_mean_of_the_last_span_reaches_half_of_the_level():
@@ -116,6 +118,18 @@ def test_rates_have_their_sign(rng, planted, settings, rate, verdict):
     assert row["rate"] == pytest.approx(rate, abs=0.002)
     assert row["verdict"] == verdict
     assert row["e_fold_low"] < 1 / abs(row["rate"]) < row["e_fold_high"]
+    lead, parted = found.findings
+    assert lead.quantity.name == f"time in which small differences {verdict} by a factor e"
+    assert lead.estimate.low < 1 / abs(rate) < lead.estimate.high
+    assert isinstance(parted, Lifetime)
+    assert list(found.figures) == ["growth", "parting"]
+
+
+def test_a_rate_that_may_be_zero_is_a_rate(rng, planted, settings):
+    lead = answer(Study(ensemble(rng, planted, 0.0), settings)).findings[0]
+    assert isinstance(lead, Level)
+    assert lead.quantity.key in ("rate", "e_fold")
+    assert (lead.quantity.key == "rate") == (lead.estimate.low <= 0.0 <= lead.estimate.high)
 
 
 def test_runs_too_short_for_a_rate_have_none():
@@ -130,6 +144,7 @@ def test_displacements_below_the_errors_of_a_smoothed_law_tell_nothing(rng, plan
     found = answer(Study(ensemble(rng, planted, 0.001, size=1e-8, **smoothed), settings))
     row = found.tables["growth"].iloc[0]
     assert (row["n_used"], row["n_floor"], row["verdict"]) == (0, 12, UNKNOWN)
+    assert Reason.OUT_OF_RANGE in [finding.reason for finding in found.findings if isinstance(finding, Lack)]
 
 
 def test_pairs_that_are_a_selection_tell_nothing(rng, planted, settings):

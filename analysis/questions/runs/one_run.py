@@ -6,16 +6,19 @@ no statistic of them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, Question, Row
+from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.finding import Finding, Form, Lack, Level, Quantity, Reason, Share
+from stickslip.analysis.findings.numbers import span
+from stickslip.analysis.findings.words import plural
 from stickslip.analysis.models.fates import DIVERGED, FAILED
+from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import EXACT, panel
 from stickslip.sim.runs import pictures
 from stickslip.sim.runs.series import EventSeries
@@ -23,9 +26,18 @@ from stickslip.sim.systems.graphs import grid_width
 
 NAME = "one_run"
 MOST_MEMBERS = 12  # of an ensemble in which a run is drawn unasked
-NONE_RAN = "none ran"
+ONSETS = Quantity("n_exits", "number of slip onsets", Form.COUNT)
+STICKING = Quantity("stick_share", "mean share of time that a block sticks", Form.SHARE)
 _BESIDE = 0.1  # of the duration of an episode, which is drawn before and after it
 _LONG = 0.5  # of the run
+
+
+class _Episode(NamedTuple):
+    """An episode of slip."""
+
+    start: float
+    end: float
+    size: int
 
 
 def answer(study: Study) -> Answer | None:
@@ -36,58 +48,76 @@ def answer(study: Study) -> Answer | None:
     table = data.table.at(data.table.unchanged).together
     ran = table[table["outcome"] != FAILED]
     if ran.empty:
-        return Answer(lack=NONE_RAN)
+        return Answer(findings=[Lack("the picture of a run", Reason.ALL_FAILED)])
     finished = ran[ran["outcome"] == "finished"]
     run = (ran if finished.empty else finished).iloc[0]
     name, n, t_end = str(run["member_id"]), int(run["n"]), float(run["t_end"])
     if run["outcome"] == DIVERGED:
         t_end = float(run["t_stop"])
     t, n_stick = study.runs.points(name)
-    mean = float(np.diff(np.append(t, t_end)) @ n_stick / (t_end * n)) if t_end else None
-    facts: dict[str, Any] = {
-        "run": name, "n": n, "n_runs": len(table), "t_end": t_end, "sticks": mean, "least": int(n_stick.min()),
-        "most": int(n_stick.max()), "events": None, "episode": None,
-        "is_finished": not finished.empty, "t_burn": study.settings.t_burn,
-    }  # fmt: skip
-    if name not in data.events:
-        return Answer(facts, figures={NAME: partial(steps, t, n_stick, t_end)})
-    events = EventSeries(*data.events[name], t_start=0.0, t_end=t_end)
-    width = grid_width(n) if run["coupling"] == "grid" else None
-    figures = {NAME: partial(space_time, events, None, width)}
-    facts |= {"events": _counts(events), "width": width, "episode": _largest(study, name, t_end)}
-    if facts["episode"] is not None:
-        figures["one_episode"] = partial(space_time, events, facts["episode"]["span"], width)
-    return Answer(facts, figures=figures)
+    where = f"one run of {plural(n, 'block')} to t = {t_end:g}"
+    findings: list[Finding] = [_sticking(t, n_stick / n, t_end, where)]
+    if name in data.events:
+        events = EventSeries(*data.events[name], t_start=0.0, t_end=t_end)
+        findings = [*_slips(events, where), *findings]
+        figures = _pictures(study, name, events, grid_width(n) if run["coupling"] == "grid" else None)
+    else:
+        caption = f"Number of sticking blocks n_stick(t) in run {name}. Recorded events would show which block slips."
+        figures = {NAME: Picture(partial(steps, t, n_stick, t_end), caption)}
+    chosen = "finished" if len(finished) else "was begun"
+    method = (
+        f"Run {name} is the first of {len(table)} that {chosen}, and stands for no other. "
+        "The command stickslip plot DIR MEMBER --span T0 T1 --out picture.svg draws any run, or a part of one."
+    )
+    return Answer(findings=findings, figures=figures, method=method)
 
 
-def _counts(events: EventSeries) -> Mapping[str, int]:
-    """Numbers of exits and of blocks that never slip, and the block with most exits."""
+def _sticking(t: np.ndarray, share: np.ndarray, t_end: float, where: str) -> Finding:
+    if not t_end:
+        return Lack(STICKING.name, Reason.SHORT_WINDOW)
+    return Level(STICKING, Estimate(float(np.diff(np.append(t, t_end)) @ share / t_end)), where)
+
+
+def _slips(events: EventSeries, where: str) -> list[Finding]:
+    """How often blocks begin to slip, and how many never slip."""
     slips = events.initial_mode != 0
     slips[events.block[events.mode != 0]] = True
-    exits = np.bincount(events.block[events.is_exit], minlength=events.n)
-    return {
-        "n_exits": int(exits.sum()), "n_never": int((~slips).sum()), "block": int(exits.argmax()),
-        "of_block": int(exits.max()),
-    }  # fmt: skip
+    return [
+        Level(ONSETS, Estimate(int(events.is_exit.sum())), where),
+        Share("never_slip", "blocks", "never slip", Estimate(float(np.mean(~slips)))),
+    ]
 
 
-def _largest(study: Study, name: str, t_end: float) -> Row | None:
-    """The episode after t_burn with the largest moment, and the time to draw; None if there is none to look into.
+def _pictures(study: Study, name: str, events: EventSeries, width: int | None) -> dict[str, Picture]:
+    """Which block slips when, in the run and in its largest episode."""
+    rows = "; in a grid, the blocks of a row lie side by side" if width else ""
+    caption = f"Which block slips when, and which way, in run {name}: each row is a block{rows}."
+    figures = {NAME: Picture(partial(space_time, events, None, width), caption)}
+    if (episode := _largest(study, name, events.t_end)) is not None:
+        beside = _BESIDE * (episode.end - episode.start)
+        around = max(episode.start - beside, 0.0), min(episode.end + beside, events.t_end)
+        caption = (
+            f"The largest episode after t = {study.settings.t_burn:g}, in which {episode.size} blocks slip,"
+            f" from t = {span(episode.start, episode.end)}."
+        )
+        figures["one_episode"] = Picture(partial(space_time, events, around, width), caption)
+    return figures
+
+
+def _largest(study: Study, name: str, t_end: float) -> _Episode | None:
+    """The episode after t_burn with the largest moment; None if there is none to look into.
 
     An episode of one block, or one that takes most of the run, shows nothing that is not seen already.
     """
     if study.data.episodes is None:
         return None
-    own = study.data.episodes[study.data.episodes["member_id"] == name]
-    is_short = own["end"] - own["start"] < _LONG * t_end
-    own = own[is_short & (own["start"] >= study.settings.t_burn) & (own["size"] > 1)]
-    if own.empty:
+    episodes = study.data.episodes[study.data.episodes["member_id"] == name]
+    is_short = episodes["end"] - episodes["start"] < _LONG * t_end
+    episodes = episodes[is_short & (episodes["start"] >= study.settings.t_burn) & (episodes["size"] > 1)]
+    if episodes.empty:
         return None
-    row = own.iloc[int(own["moment"].abs().to_numpy().argmax())]
-    start, end = float(row["start"]), float(row["end"])
-    beside = _BESIDE * (end - start)
-    return {"start": start, "end": end, "size": int(row["size"]), "moment": float(row["moment"]),
-            "span": (max(start - beside, 0.0), min(end + beside, t_end))}  # fmt: skip
+    row = episodes.iloc[int(episodes["moment"].abs().to_numpy().argmax())]
+    return _Episode(float(row["start"]), float(row["end"]), int(row["size"]))
 
 
 @panel()
@@ -104,4 +134,4 @@ def steps(ax: Axes, t: np.ndarray, n_stick: np.ndarray, t_end: float) -> None:
     ax.set_xlabel("time t")
 
 
-QUESTION = Question(answer)
+QUESTION = Question(answer, title="What does one run look like?")

@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
-from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
+from stickslip.analysis.answer import Answer, B, F, I, Picture, Question, S, frame, named
 from stickslip.analysis.ensemble import Separation, Study
+from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Lifetime, Quantity, Reason
 from stickslip.analysis.members import RELATIVE
 from stickslip.analysis.models.fates import median
-from stickslip.analysis.models.growth import growth
-from stickslip.analysis.pairs import START, Comparison, Followed, Setting, follow, level, settings
+from stickslip.analysis.models.growth import Growth, growth
+from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Followed, Setting, follow, level, settings
 from stickslip.analysis.series import parting
 from stickslip.analysis.stats.compare import UNKNOWN
+from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import CYCLE, GREY, panel
+from stickslip.pipeline.design.design import Change
 from stickslip.pipeline.design.values import shown
 from stickslip.sim.engines import ENGINES
 
@@ -27,10 +30,18 @@ T_FROM, LEAST = 100.0, 100.0  # where the range of a growth rate begins, and the
 CEILING = 3e-2  # of distances that still grow in proportion
 SMALL = 0.1  # largest displacement of a start for a growth rate, as a share of the ceiling
 FLOOR, TOLERANCES = 1e-13, 10.0  # floor of exact engines; that of others is so many times their relative tolerance
+RATE = Quantity("rate", "growth rate of small differences, per unit of time")
+FOLDS = {
+    GROWS: Quantity("e_fold", "time in which small differences grow by a factor e"),
+    SHRINKS: Quantity(
+        "e_fold", "time in which small differences shrink by a factor e", more="longer", less="shorter"
+    ),
+}
+PARTED = Quantity("parted", "median time until copies part from their base")
 _GROWTH: Mapping[str, str] = {
     "setting": S, "n": I, "engine": S, "size": F, "rate": F, "rate_low": F, "rate_high": F, "e_fold": F,
     "e_fold_low": F, "e_fold_high": F, "t_from": F, "t_to": F, "n_pairs": I, "n_used": I, "n_floor": I,
-    "n_ceiling": I, "is_selected": "boolean", "verdict": S,
+    "n_ceiling": I, "is_selected": B, "verdict": S,
 }  # fmt: skip
 _PARTING: Mapping[str, str] = {
     "setting": S, "n": I, "engine": S, "change": S, "kind": S, "reading": S, "size": F, "level": F, "n_pairs": I,
@@ -39,91 +50,192 @@ _PARTING: Mapping[str, str] = {
 _CURVES: Mapping[str, str] = {"setting": S, "change": S, "t": F, "n_pairs": I, "gap": F}
 
 
+class _Rate(NamedTuple):
+    """The growth rate of starts displaced by one size; `law` is None where no distance was recorded."""
+
+    setting: Setting
+    size: float
+    n_pairs: int
+    law: Growth | None
+
+    @property
+    def is_told(self) -> bool:
+        """Whether enough pairs stay in their linear range."""
+        return self.law is not None and self.law.rate.low is not None and not self.law.is_selected
+
+    @property
+    def verdict(self) -> str:
+        """Whether small differences grow or shrink, by the interval of their rate."""
+        if self.law is None or self.law.rate.low is None or self.law.rate.high is None or self.law.is_selected:
+            return UNKNOWN
+        return GROWS if self.law.rate.low > 0 else SHRINKS if self.law.rate.high < 0 else UNKNOWN
+
+    @property
+    def n_used(self) -> int:
+        """How many pairs stay in their linear range."""
+        return 0 if self.law is None else self.law.n_pairs - self.law.n_floor - self.law.n_ceiling
+
+    @property
+    def length(self) -> float:
+        """How long the range of the rate is: it depends on that range, and the longest leads."""
+        return 0.0 if self.law is None else self.law.t_to - self.law.t_from
+
+    @property
+    def e_fold(self) -> Estimate:
+        """The time in which differences change by a factor e; nothing if the rate may be zero."""
+        rate = Estimate() if self.law is None else self.law.rate
+        if not rate.value or rate.low is None or rate.high is None or rate.low <= 0 <= rate.high:
+            return Estimate()
+        low, high = sorted((abs(1 / rate.low), abs(1 / rate.high)))
+        return Estimate(abs(1 / rate.value), low, high)
+
+    @property
+    def finding(self) -> Finding:
+        where = f"{self.setting.label}, with starts moved by {shown(self.size)}"
+        if self.law is None:
+            return Lack(f"{RATE.name}, {where}", Reason.NOT_RECORDED, "add separation under [record]")
+        if not self.is_told:
+            used = f"{self.n_used} of {self.n_pairs}"
+            return Lack(f"{RATE.name}, {where}", Reason.OUT_OF_RANGE, used)
+        basis = Basis(self.n_used, "pair")
+        if self.verdict == UNKNOWN:
+            return Level(RATE, self.law.rate, where, basis=basis)
+        return Level(FOLDS[self.verdict], self.e_fold, where, basis=basis)
+
+    def row(self) -> Mapping[str, object]:
+        """Row of the table `growth`."""
+        identity = {"setting": self.setting.label, "n": self.setting.key["n"], "engine": self.setting.key["engine"]}
+        known = {"size": self.size, "n_pairs": self.n_pairs, "n_used": self.n_used, "verdict": self.verdict}
+        if (law := self.law) is None:
+            return identity | known
+        return identity | known | named("rate", law.rate) | named("e_fold", self.e_fold) | {
+            "t_from": law.t_from, "t_to": law.t_to, "n_floor": law.n_floor, "n_ceiling": law.n_ceiling,
+            "is_selected": law.is_selected,
+        }  # fmt: skip
+
+
+class _Parting(NamedTuple):
+    """When the copies with one change have parted from their base."""
+
+    setting: Setting
+    change: Change
+    level: float
+    pairs: Followed
+    half: Estimate
+
+    @property
+    def finding(self) -> Finding:
+        share_left = 1 - float(np.mean(self.pairs.has_parted))
+        where = f"{self.setting.label}, {_with(self.change)}"
+        basis = Basis(len(np.unique(self.pairs.matrix)))
+        horizon = float(self.setting.key["t_end"])
+        return Lifetime(PARTED, "copies", "have not parted", self.half, horizon, share_left, where, basis=basis)
+
+    def row(self) -> Mapping[str, object]:
+        """Row of the table `parting`."""
+        setting, change = self.setting, self.change
+        return {
+            "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "change": str(change),
+            "kind": change.kind, "reading": change.reading, "size": change.size, "level": self.level,
+            "n_pairs": len(self.pairs), "n_parted": int(self.pairs.has_parted.sum()), **named("median", self.half),
+        }  # fmt: skip
+
+    def curve(self) -> Iterator[tuple[float, int, float]]:
+        """Times, pairs that are still followed, and their mean gap, in units of the level."""
+        for t, means in zip(self.pairs.times.tolist(), self.pairs.means.T, strict=True):
+            known = means[~np.isnan(means)]
+            if 2 * len(known) < len(self.pairs):
+                break
+            yield t, len(known), float(np.mean(known)) / self.level
+
+
+def _with(change: Change) -> str:
+    if change.kind == CONSTANTS:
+        return f"with constants changed by up to {100 * change.size:g}%"
+    return f"with starts moved by {shown(change.size)}" if change.kind == START else "with other stiffness ratios"
+
+
 def answer(study: Study) -> Answer | None:
     """Growth rates of displaced starts, and when the copies with each change have parted from their base."""
-    found = [one for one in settings(study.data.table) if one.comparisons]
-    if not found:
+    compared = [setting for setting in settings(study.data.table) if setting.comparisons]
+    if not compared:
         return None
-    growths, partings, curves = [], [], []
-    for setting in found:
-        for comparison in setting.comparisons:
-            if comparison.change.kind == START and comparison.change.size <= SMALL * CEILING:
-                growths.append(_growth_row(study, setting, comparison))
-        apart = level(study, setting)
-        if apart is None:
-            continue
-        every = follow(study, setting.comparisons, apart, float(setting.key["t_end"]))
-        for comparison, followed in zip(setting.comparisons, every, strict=True):
-            if len(followed):
-                partings.append(_parting_row(study, setting, comparison, followed, apart))
-                curves += _curve_rows(setting, comparison, followed, apart)
-    growths.sort(key=lambda row: -row["n"])
+    rates = [
+        _rate(study, setting, comparison)
+        for setting in compared
+        for comparison in setting.comparisons
+        if comparison.change.kind == START and comparison.change.size <= SMALL * CEILING
+    ]
+    rates.sort(key=lambda rate: -rate.setting.key["n"])
+    partings = [parted for setting in compared for parted in _partings(study, setting)]
     tables = {
-        "growth": frame(_GROWTH, growths),
-        "parting": frame(_PARTING, partings),
-        "parting_curves": frame(_CURVES, curves),
-    }
-    told = [row for row in growths if row["verdict"] != UNKNOWN]
-    largest = max((row["n"] for row in (*told, *partings)), default=None)
-    facts: dict[str, Any] = {
-        "span": parting.SPAN,
-        "share": parting.SHARE,
-        "t_burn": study.settings.t_burn,
-        "ceiling": CEILING,
-        "floor": FLOOR,
-        "tolerances": TOLERANCES,
-        "n_moved": len(growths),
-        "n_displaced": sum(row["n_floor"] is not None for row in growths),
-    }
-    if largest is None:
-        return Answer(facts, "no pairs", tables)
-    of_first = [row for row in told if row["n"] == largest and row["setting"] == told[0]["setting"]]
-    lead = max(of_first, key=lambda row: row["t_to"] - row["t_from"], default=None)
-    label = next(row["setting"] for row in (*([lead] if lead else []), *partings) if row["n"] == largest)
-    facts |= {
-        "lead": lead,
-        "setting": label,
-        "parting": [row for row in partings if row["setting"] == label],
-        "small": SMALL * CEILING,
-        "rates": [row for row in growths if row["rate"] is not None],
-    }
-    some = [row for row in curves if row["setting"] == label]
-    facts["has_curves"] = bool(some)
-    lines = _distance_lines(study, found, told)
-    figures = {"parting": partial(parting_curves, _by_change(some))} if some else {}
-    if lines:
-        figures["growth"] = partial(distances, lines)
-    return Answer(facts, tables=tables, figures=figures)
+        "growth": frame(_GROWTH, (rate.row() for rate in rates)),
+        "parting": frame(_PARTING, (parted.row() for parted in partings)),
+        "parting_curves": frame(_CURVES, (
+            {"setting": parted.setting.label, "change": str(parted.change), "t": t, "n_pairs": n, "gap": gap}
+            for parted in partings for t, n, gap in parted.curve()
+        )),
+    }  # fmt: skip
+    told = [rate for rate in rates if rate.is_told]
+    first = [rate for rate in told if rate.setting is told[0].setting]
+    lead = max(first, key=lambda rate: (rate.verdict != UNKNOWN, rate.length), default=None)
+    leading = lead.setting if lead else max((parted.setting for parted in partings), key=_size, default=None)
+    partings.sort(key=lambda parted: (parted.setting is not leading, parted.change.kind == START))
+    others = [rate.finding for rate in rates if rate is not lead]
+    not_run = [] if rates else [Lack(RATE.name, Reason.NOT_RUN, "add [twins]")]
+    parting_findings = [parted.finding for parted in partings] or [
+        Lack(PARTED.name, Reason.NO_REFERENCE, "no lasting difference of two systems")
+    ]
+    if lead is not None:
+        findings = [lead.finding, *parting_findings, *others]
+    elif partings:
+        findings = [parting_findings[0], *others, *not_run, *parting_findings[1:]]
+    else:
+        findings = [*others, *not_run, *parting_findings]
+    figures = _figures(study, compared, told, [parted for parted in partings if parted.setting is leading])
+    return Answer(findings=findings, n_lead=2, tables=tables, figures=figures, method=_METHOD)
 
 
-def _growth_row(study: Study, setting: Setting, comparison: Comparison) -> Row:
-    """Growth rate of starts displaced by one size, with its verdict."""
-    size = comparison.change.size
-    identity = {"setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "size": size}
-    row: Row = dict.fromkeys(_GROWTH) | identity | {"verdict": UNKNOWN, "n_pairs": len(comparison.pairs), "n_used": 0}
-    separations = _separations(study, comparison)
+_METHOD = (
+    f"The growth rate is the slope of log distance over time from t = {T_FROM:g} on, while all pairs lie between a"
+    f" floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and {CEILING:g}; none is given where more than"
+    " a tenth of the pairs leave that range. Copies have parted when |difference of n_stick|, averaged over"
+    f" {parting.SPAN:g} units of time, first reaches {100 * parting.SHARE:g}% of what two systems show after t_burn."
+)
+
+
+def _size(setting: Setting) -> int:
+    return int(setting.key["n"])
+
+
+def _rate(study: Study, setting: Setting, comparison: Comparison) -> _Rate:
+    """Growth rate of starts displaced by one size."""
+    size, separations = comparison.change.size, _separations(study, comparison)
     pairs = [pair for pair in comparison.pairs if len(separations.get(pair.changed, ((),))[0])]
     if not pairs:
-        return row
+        return _Rate(setting, size, len(comparison.pairs), None)
     known = [separations[pair.changed] for pair in pairs]
     times = max((t for t, _ in known), key=len)
-    floor = _floor(setting.key)
-    found = growth(
+    law = growth(
         times, [distance for _, distance in known], [pair.matrix for pair in pairs],
-        T_FROM, LEAST, (floor, CEILING), study.settings.confidence,
+        T_FROM, LEAST, (_floor(setting.key), CEILING), study.settings.confidence,
     )  # fmt: skip
-    rate = found.rate
-    row |= {
-        **named("rate", rate), "t_from": found.t_from, "t_to": found.t_to,
-        "n_used": found.n_pairs - found.n_floor - found.n_ceiling, "n_floor": found.n_floor,
-        "n_ceiling": found.n_ceiling, "is_selected": found.is_selected,
-    }  # fmt: skip
-    if rate.low is not None and rate.high is not None and rate.value and not rate.low <= 0 <= rate.high:
-        ends = sorted((abs(1 / rate.low), abs(1 / rate.high)))
-        row |= {"e_fold": abs(1 / rate.value), "e_fold_low": ends[0], "e_fold_high": ends[1]}
-        if not found.is_selected:
-            row["verdict"] = GROWS if rate.value > 0 else SHRINKS
-    return row
+    return _Rate(setting, size, len(comparison.pairs), law)
+
+
+def _partings(study: Study, setting: Setting) -> Iterator[_Parting]:
+    """When half of the systems' copies have parted, for each change."""
+    apart = level(study, setting)
+    if apart is None:
+        return
+    every = follow(study, setting.comparisons, apart, float(setting.key["t_end"]))
+    for comparison, pairs in zip(setting.comparisons, every, strict=True):
+        if not len(pairs):
+            continue
+        _, first = np.unique(pairs.matrix, return_index=True)  # of several draws: systems are the independent units
+        has_parted = pairs.has_parted[first]
+        times = np.where(has_parted, pairs.t[first], pairs.t_stop[first])
+        yield _Parting(setting, comparison.change, apart, pairs, median(times, has_parted, study.settings.confidence))
 
 
 def _floor(key: Mapping[str, Any]) -> float:
@@ -139,72 +251,59 @@ def _separations(study: Study, comparison: Comparison) -> dict[int, Separation]:
     return {row: known[name] for row, name in zip(names.index.tolist(), names, strict=True) if name in known}
 
 
-def _parting_row(study: Study, setting: Setting, comparison: Comparison, followed: Followed, apart: float) -> Row:
-    """When half of the matrices' copies have parted."""
-    change = comparison.change
-    _, first = np.unique(followed.matrix, return_index=True)  # of several draws: matrices are the independent units
-    has_parted = followed.has_parted[first]
-    times = np.where(has_parted, followed.t[first], followed.t_stop[first])
-    half = median(times, has_parted, study.settings.confidence)
-    return {
-        "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "change": str(change),
-        "of": change, "t_end": float(setting.key["t_end"]),
-        "kind": change.kind, "reading": change.reading, "size": change.size, "level": apart,
-        "n_pairs": len(followed), "n_parted": int(followed.has_parted.sum()), **named("median", half),
-    }  # fmt: skip
-
-
-def _curve_rows(setting: Setting, comparison: Comparison, followed: Followed, apart: float) -> list[Row]:
-    """Mean gap over the pairs, in units of the level, in intervals of time whose length grows with time."""
-    rows = []
-    for t, means in zip(followed.times.tolist(), followed.means.T, strict=True):
-        still = means[~np.isnan(means)]
-        if 2 * len(still) < len(followed):
-            break
-        rows.append({
-            "setting": setting.label, "change": str(comparison.change), "t": t, "n_pairs": len(still),
-            "gap": float(np.mean(still)) / apart,
-        })  # fmt: skip
-    return rows
-
-
 Line = tuple[str, np.ndarray, np.ndarray]  # name, times, values
 Stretch = tuple[str, np.ndarray, np.ndarray, tuple[float, float]]  # and from when to when its slope is taken
 
 
-def _by_change(rows: Sequence[Row]) -> list[Line]:
-    names = list(dict.fromkeys(row["change"] for row in rows))
-    return [(name, *np.array([[row["t"], row["gap"]] for row in rows if row["change"] == name]).T) for name in names]
+def _figures(
+    study: Study, compared: Sequence[Setting], told: Sequence[_Rate], partings: Sequence[_Parting]
+) -> dict[str, Picture]:
+    """Distances in all settings, and gaps in the one that leads."""
+    figures = {}
+    if lines := _distance_lines(study, compared, told):
+        figures["growth"] = Picture(
+            partial(distances, lines),
+            "How fast runs leave their base, whose start differs by the size named: median distance of the pairs."
+            " Heavy: the range of the growth rate. Grey: too far apart to grow in proportion.",
+        )
+    points = {str(parted.change): np.array([*parted.curve()]) for parted in partings}
+    if curves := [(name, curve[:, 0], curve[:, 2]) for name, curve in points.items() if len(curve)]:
+        figures["parting"] = Picture(
+            partial(parting_curves, curves),
+            f"When copies part from their base at {partings[0].setting.label}: mean gap in n_stick, in units of what"
+            " two systems show after t_burn.",
+        )
+    return figures
 
 
-def _distance_lines(study: Study, found: Sequence[Setting], told: Sequence[Row]) -> list[Stretch]:
-    """Median distance of pairs and the range of its slope, at the smallest size with a verdict in each setting."""
+def _distance_lines(study: Study, compared: Sequence[Setting], told: Sequence[_Rate]) -> list[Stretch]:
+    """Median distance of pairs and the range of its slope, at the smallest size with a rate in each setting."""
     lines: list[Stretch] = []
-    for setting in found:
-        row = next((row for row in told if row["setting"] == setting.label), None)
-        for comparison in setting.comparisons if row is not None else ():
-            if comparison.change.kind != START or row is None or comparison.change.size != row["size"]:
+    for setting in compared:
+        rate = next((rate for rate in told if rate.setting is setting), None)
+        for comparison in setting.comparisons:
+            if rate is None or rate.law is None or comparison.change != Change(START, size=rate.size):
                 continue
-            some = [*_separations(study, comparison).values()]
-            m = int(np.median([len(distance) for _, distance in some]))
-            times = max((t for t, _ in some), key=len)[:m]
-            middle = np.array([np.median([d[k] for _, d in some if len(d) > k]) for k in range(m)])
-            label = f"{setting.label}: {shown(row['size'])}"
-            lines.append((label, times, middle, (row["t_from"], row["t_to"])))
+            known = [*_separations(study, comparison).values()]
+            m = int(np.median([len(distance) for _, distance in known]))
+            times = max((t for t, _ in known), key=len)[:m]
+            middle = np.array([np.median([d[k] for _, d in known if len(d) > k]) for k in range(m)])
+            label = f"{setting.label}: {shown(rate.size)}"
+            lines.append((label, times, middle, (rate.law.t_from, rate.law.t_to)))
     return lines
 
 
 @panel(3.4)
 def parting_curves(ax: Axes, lines: Sequence[Line]) -> None:
-    """Gap of n_stick between copy and base, over that between two matrices, against time."""
+    """Gap of n_stick between copy and base, over that between two systems, against time."""
     colours = ("#08306b", "#2171b5", "#6baed6", "#f0a860", "#c4561a", "#8c2d04")
     for k, (name, t, gaps) in enumerate(lines):
         ax.plot(t, gaps, color=colours[k % len(colours)], linestyle="-" if k < len(colours) else ":", label=name)
     ax.axhline(1.0, linestyle="--", color=GREY, linewidth=0.9)
-    ax.text(0.02, 1.03, "two matrices", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
+    ax.text(0.02, 1.03, "two systems", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
     ax.axhline(parting.SHARE, linestyle=":", color=GREY, linewidth=0.9)
     ax.text(0.02, parting.SHARE + 0.03, "apart", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
-    ax.set(xscale="log", ylim=(0, None), xlabel="time t", ylabel="gap (two matrices: 1)")
+    ax.set(xscale="log", ylim=(0, None), xlabel="time t", ylabel="gap in $n_{stick}$ (two systems: 1)")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
     ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     ax.xaxis.set_minor_locator(NullLocator())
@@ -216,12 +315,12 @@ def distances(ax: Axes, lines: Sequence[Stretch]) -> None:
     """Median distance of displaced runs from their base, on a logarithmic axis; heavy where its slope is taken."""
     for k, (name, t, distance, (start, stop)) in enumerate(lines):
         colour, form = CYCLE[k % len(CYCLE)], ("-", "--", ":")[k // len(CYCLE) % 3]
-        ax.plot(t, np.maximum(distance, FLOOR), form, color=colour, linewidth=0.8)
+        ax.plot(t, np.where(distance > FLOOR, distance, np.nan), form, color=colour, linewidth=0.8)
         some = (t >= start) & (t <= stop)
         ax.plot(t[some], distance[some], form, color=colour, linewidth=2.2, label=name)
     ax.axhspan(CEILING, 1e3, color=GREY, alpha=0.13, linewidth=0)
-    ax.set(yscale="log", ylim=(FLOOR, 10.0), xlabel="time t", ylabel="distance, median of pairs")
-    ax.figure.legend(loc="outside lower center", ncols=1, fontsize=7)
+    ax.set(yscale="log", ylim=(FLOOR, 10.0), xlabel="time t", ylabel="median distance")
+    ax.figure.legend(loc="outside lower center", ncols=1)
 
 
-QUESTION = Question(answer, share=0.3)
+QUESTION = Question(answer, title="How fast do nearby runs part?", share=0.3)
