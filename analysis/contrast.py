@@ -300,6 +300,10 @@ class Contrast:
         return self.verdict in (Verdict.MORE, Verdict.LESS)
 
     @property
+    def has_margin(self) -> bool:
+        return self.difference.margin is not None
+
+    @property
     def weight(self) -> tuple[bool, float]:
         """Sorts contrasts: differences that are shown come last, and large ones."""
         estimate = self.difference.estimate

@@ -27,11 +27,28 @@ MOST_ROWS = 16  # in one figure
 
 
 class Setting(NamedTuple):
-    """What is set beside a reference: a noun phrase, and the number that tells it from others of that name."""
+    """What is set beside a reference.
+
+    Attributes
+    ----------
+    name : str
+        A noun phrase.
+    symbol : str
+        What tells it from others of that name by its value; empty if there are none.
+    value : float, optional
+    suffix : str
+        What follows the value, as a unit.
+    """
 
     name: str
     symbol: str = ""
     value: float | None = None
+    suffix: str = ""
+
+    @property
+    def text(self) -> str:
+        """The value."""
+        return "" if self.value is None else f"{self.value:g}{self.suffix}"
 
 
 class Beside(NamedTuple):
@@ -64,37 +81,39 @@ def outcome(contrasts: Sequence[Contrast]) -> str:
 
 
 def largest(other: str, every: Sequence[Beside], unit: str) -> Level | None:
-    """The largest difference that is shown or, if none is, of all relative ones."""
+    """The largest difference that is shown or, if none is, of those with a margin, or of all relative ones."""
     ratios = [one for one in every if one.contrast.is_shown or in_per_cent(one.contrast)]
     if not ratios:
         return None
-    best = max(ratios, key=lambda one: one.contrast.weight)
+    best = max(ratios, key=lambda one: (one.contrast.is_shown, one.contrast.has_margin, one.contrast.weight))
     return best.contrast.level(best.where, other, unit)
 
 
 def in_words(by_setting: Mapping[Setting, str], name: str) -> tuple[str, ...]:
     """The settings with an outcome; of settings that differ in one number, ranges of it."""
     found: list[str] = []
-    for (method, symbol), some in groupby(by_setting, key=lambda setting: (setting.name, setting.symbol)):
-        values = [(setting.value, by_setting[setting] == name) for setting in some]
-        found += _ranges(method, symbol, values)
+    for _, some in groupby(by_setting, key=lambda setting: (setting.name, setting.symbol)):
+        found += _ranges([(setting, by_setting[setting] == name) for setting in some])
     return tuple(found)
 
 
-def _ranges(method: str, symbol: str, values: Sequence[tuple[float | None, bool]]) -> Iterator[str]:
-    """Of values in ascending order, the ranges of those that are wanted."""
+def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
+    """Of settings with ascending values, the ranges of those that are wanted."""
     start = 0
-    for is_wanted, some in groupby(values, key=lambda pair: pair[1]):
-        numbers = [value for value, _ in some]
-        end = start + len(numbers)
-        if is_wanted:
-            first, last = (f"{number:g}" if number is not None else "" for number in (numbers[0], numbers[-1]))
-            said = f"{symbol} = {first}"
-            if len(numbers) > 1:
-                said = f"{symbol} up to {last}" if start == 0 else f"{symbol} from {first} on"
-                if start and end < len(values):
-                    said = f"{symbol} = {first} to {last}"
-            yield said if not method else f"{method} with {said}" if symbol else method
+    for is_wanted, some in groupby(settings, key=lambda pair: pair[1]):
+        part = [setting for setting, _ in some]
+        first, last, end = part[0], part[-1], start + len(part)
+        if is_wanted and not first.symbol:
+            yield from (setting.name for setting in part)
+        elif is_wanted:
+            value = f"= {first.text}"
+            if len(part) > 1:
+                value = f"= {first.text} to {last.text}"
+                if start == 0:
+                    value = f"up to {last.text}"
+                elif end == len(settings):
+                    value = f"from {first.text} on"
+            yield f"{first.name} with {first.symbol} {value}"
         start = end
 
 

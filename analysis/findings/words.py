@@ -247,8 +247,26 @@ def _outcomes(outcomes: Outcomes) -> str:
         )
         if settings
     ]
-    largest = "" if outcomes.largest is None else f"; the largest difference is in the {_level(outcomes.largest)}"
-    return "; ".join(said) + largest
+    return "; ".join(said) + ("" if outcomes.largest is None else _most_apart(outcomes.largest))
+
+
+def _most_apart(level: Level) -> str:
+    """The largest difference of several."""
+    assert level.comparison is not None
+    difference, quantity = level.comparison.difference, level.quantity
+    where = f" ({level.where})" if level.where else ""
+    match difference.verdict:
+        case Verdict.MORE:
+            apart = f"{size(difference, quantity.form)} {quantity.more}"
+        case Verdict.LESS:
+            apart = f"{size(difference, quantity.form)} {quantity.less}"
+        case Verdict.EQUAL:
+            apart = f"within {margin(difference, quantity.form)} ({interval(difference, quantity.form)})"
+        case Verdict.OPEN | Verdict.OPEN_AMONG_MANY:
+            apart = interval(difference, quantity.form)
+        case Verdict.SAME | Verdict.UNJUDGED:
+            return ""
+    return f", most apart in the {quantity.name}{where}: {apart}"
 
 
 def _joined_at(where: str, text: str) -> str:

@@ -20,7 +20,7 @@ from jinja2 import Environment, TemplateNotFound
 from jinja2.runtime import Macro
 from markupsafe import Markup
 
-from stickslip.analysis.answer import LONG, F, I, Long, Picture, Recipe, S, Table, frame
+from stickslip.analysis.answer import LONG, Answer, F, I, Long, Picture, Recipe, S, Table, frame
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.alerts import Alert
 from stickslip.analysis.findings.finding import Finding, Lack, Record
@@ -142,14 +142,19 @@ def ask(study: Study, key: str, with_pdf: bool = False) -> Answered | None:
     found = entry.answer(study) if entry.is_asked_of(study) else None
     if found is None:
         return None
+    return answered(key, found, entry.title, entry.method, with_pdf)
+
+
+def answered(key: str, answer: Answer, title: str, method: str = "", with_pdf: bool = False) -> Answered:
+    """An answer with its figures drawn."""
     pictures = {
-        name: some if isinstance(some, Picture) else Picture(some, "") for name, some in found.figures.items()
+        name: some if isinstance(some, Picture) else Picture(some, "") for name, some in answer.figures.items()
     }
     figures = {name: draw(picture.recipe, with_pdf) for name, picture in pictures.items()}
     captions = {name: picture.caption for name, picture in pictures.items()}
-    told = found.findings, found.n_lead, found.alerts, found.method or entry.method, captions, entry.title
-    lack = "lack" if found.findings and all(isinstance(some, Lack) for some in found.findings) else found.lack
-    return Answered(key, found.facts, lack, found.tables, figures, *told)
+    told = answer.findings, answer.n_lead, answer.alerts, answer.method or method, captions, title
+    is_lack = answer.findings and all(isinstance(some, Lack) for some in answer.findings)
+    return Answered(key, answer.facts, "lack" if is_lack else answer.lack, answer.tables, figures, *told)
 
 
 def draw(recipe: Recipe, with_pdf: bool) -> Drawn:
@@ -324,7 +329,7 @@ def build(
     tables = {"groups": groups} | {name: table for one in found for name, table in one.tables.items()}
     figures = {name: drawn for one in found for name, drawn in one.figures.items()}
     headline = [*map(plain, stops), title, *map(plain, lead)]
-    told = _findings_json(title, leading, [*others, *lacking])
+    told = findings_json(title, leading, [*others, *lacking])
     return Report(page.html, tables, headline, figures, problems | missing, not_run, told)
 
 
@@ -415,10 +420,10 @@ class Part:
 
 
 def _part(filled: Environment, one: Answered) -> Part:
-    return _of_findings(one) if one.findings else _of_template(filled, one)
+    return of_findings(one) if one.findings else _of_template(filled, one)
 
 
-def _of_findings(one: Answered) -> Part:
+def of_findings(one: Answered) -> Part:
     files = [f"report/{name}.parquet" for name in one.tables]
     return Part(
         one.key,
@@ -466,7 +471,7 @@ def _of_template(filled: Environment, one: Answered) -> Part:
     )
 
 
-def _findings_json(title: str, leading: Sequence[Part], others: Sequence[Part]) -> dict[str, Any]:
+def findings_json(title: str, leading: Sequence[Part], others: Sequence[Part]) -> dict[str, Any]:
     """What the page says, all of it."""
     rows = [
         {"question": part.key, "leads": part in leading and k < len(part.lead), "kind": type(finding).__name__,

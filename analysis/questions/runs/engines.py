@@ -19,10 +19,10 @@ from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.contrast import CHANGES, Contrast, Sample, contrast, judged, sample, shares, statistics
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
-from stickslip.analysis.findings.finding import Finding, Lack, Outcomes, Reason, Verdict
+from stickslip.analysis.findings.finding import Finding, Lack, Reason, Verdict
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS, noun
-from stickslip.analysis.outcomes import Beside, Setting, forest, outcomes
+from stickslip.analysis.outcomes import DIFFERENT, Beside, Setting, forest, in_words, outcomes
 from stickslip.analysis.stats.estimates import UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.pipeline.design.labels import apart, engine_name
@@ -90,7 +90,7 @@ def answer(study: Study) -> Answer | None:
     drawn: list[Beside] = []
     for kind in (FRICTION, TOLERANCE, THRESHOLD):
         of_kind = [one for one in known if one.pair.kind == kind]
-        for other, some in _by_reference(of_kind):
+        for other, some in _by_reference(of_kind, study.groups):
             placed = {
                 setting: [Beside(one.contrast, _where(one.pair, names)) for one in rows] for setting, rows in some
             }
@@ -98,7 +98,6 @@ def answer(study: Study) -> Answer | None:
             every = [one for rows in placed.values() for one in rows]
             levels += [one.contrast.level(one.where, other, unit) for one in every]
             drawn = drawn or every
-    lead.sort(key=lambda one: not (isinstance(one, Outcomes) and one.different))  # what disagrees leads
     caption = "Differences from the reference, with 95% intervals; bands are the margins that the scene declares."
     return Answer(
         tables=tables, figures=forest(drawn, caption), findings=[*lead, *levels], n_lead=min(3, len(lead)),
@@ -126,41 +125,51 @@ def _judged(
             mine = sample(pair.reference, [statistic.name])
             family.append(_Compared(pair, contrast(statistic, mine, theirs, True, level)))
     return [
-        _Compared(one.pair, judged)
+        _Compared(one.pair, found)
         for family in families.values()
-        for one, judged in zip(family, judged([one.contrast for one in family], 1 - level), strict=True)
+        for one, found in zip(family, judged([one.contrast for one in family], 1 - level), strict=True)
     ]
 
 
-def _by_reference(found: Sequence[_Compared]) -> Iterator[tuple[str, list[tuple[Setting, list[_Compared]]]]]:
+def _by_reference(
+    found: Sequence[_Compared], groups: Sequence[Group]
+) -> Iterator[tuple[str, list[tuple[Setting, list[_Compared]]]]]:
     """Comparisons of one kind by the name of their reference, and by setting, finer ones first."""
     by_other: dict[str, dict[Setting, list[_Compared]]] = {}
     for one in found:
-        by_other.setdefault(_other(one.pair), {}).setdefault(_setting(one.pair, found), []).append(one)
+        by_other.setdefault(_other(one.pair, groups), {}).setdefault(_setting(one.pair, groups), []).append(one)
     for other, some in by_other.items():
         in_order = sorted(some.items(), key=lambda item: (item[0].name, item[0].symbol, item[0].value or 0.0))
         yield other, in_order
 
 
-def _other(pair: _Pair) -> str:
+def _other(pair: _Pair, groups: Sequence[Group]) -> str:
     """What a pair is compared with, as a noun phrase."""
     if pair.kind == TOLERANCE:
         return "its tightest tolerance"
     if pair.kind == THRESHOLD and pair.reference is pair.other:
         return "the engine's own definition of sticking"
-    return f"the {engine_name(pair.reference.key['engine'])} engine"
+    (name,) = in_words({_engine(pair.reference, groups): DIFFERENT}, DIFFERENT)
+    return name
 
 
-def _setting(pair: _Pair, found: Sequence[_Compared]) -> Setting:
+def _setting(pair: _Pair, groups: Sequence[Group]) -> Setting:
     """What is compared: an engine, and what tells it from others of that engine."""
-    engine, key = pair.other.key["engine"], pair.other.key
-    name = f"the {engine_name(engine)} engine"
+    key = pair.other.key
+    name = f"the {engine_name(key['engine'])} engine"
     if pair.threshold is not None:
         return Setting(name, THRESHOLD, pair.threshold)
     if pair.kind == TOLERANCE:
         tolerance = next(name for name in TOLERANCES if key[name] is not None)
         return Setting(name, symbol(tolerance), float(key[tolerance]))
-    others = [one.pair.other.key for one in found if one.pair.other.key["engine"] == engine]
+    return _engine(pair.other, groups)
+
+
+def _engine(group: Group, groups: Sequence[Group]) -> Setting:
+    """An engine, with the number that tells its settings apart, or several."""
+    key = group.key
+    name = f"the {engine_name(key['engine'])} engine"
+    others = [other.key for other in groups if other.key["engine"] == key["engine"]]
     differ = [name for name in (*WIDTHS, *STEPS) if len({other[name] for other in others}) > 1]
     if len(differ) == 1 and key[differ[0]] is not None:
         return Setting(name, symbol(differ[0]), float(key[differ[0]]))

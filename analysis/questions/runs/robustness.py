@@ -5,7 +5,7 @@ Replicates of a system are its base and the copies that differ in the start only
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -28,7 +28,7 @@ from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.style import GREY, SMOOTHED, panel
-from stickslip.pipeline.design.design import Change, Kind
+from stickslip.pipeline.design.design import DEFAULT_READING, Change, Kind
 
 PRIMARY = ("mean", "rate", "gamma")
 UNCHANGED = "the unchanged system"
@@ -85,27 +85,27 @@ def answer(study: Study) -> Answer | None:
     return Answer(tables=tables, figures=figures, findings=[*lead, *rest], n_lead=min(3, len(lead)), method=_METHOD)
 
 
-def _name(change: Change) -> str:
-    """A changed system as a noun phrase."""
+def _named(change: Change) -> Named:
+    """A changed system, with the size of the change."""
     if change.kind == Kind.RATIOS:
-        return "the system with other stiffness ratios"
-    return f"the system with its {change}".replace("constants by", "constants changed by")
+        return Named("the system with other stiffness ratios")
+    how = "" if change.reading in (None, DEFAULT_READING) else f" ({change.reading})"
+    return Named("the system", f"a change of constants{how}", 100.0 * change.size, "%")
 
 
-def _ends_in_words(row: Row, where: str, unit: str) -> list[Finding]:
+def _ends_in_words(row: Row, where: str, unit: str) -> Iterator[Finding]:
     """How many copies of runs that ended end differently, and by how much the last event shifts."""
-    found: list[Finding] = []
+    at = ", ".join(filter(None, (where, row["change"])))
     if row["counts"]:
         share, low, high, _ = share_over_matrices(row["counts"], row["confidence"])
-        found.append(
-            Share("otherwise", f"copies with {row['change']}", "end differently from their original",
-                  Estimate(share, low, high), where, None, Basis(len(row["counts"]), unit))
+        yield Share(
+            "otherwise", "changed copies", "end differently from their original", Estimate(share, low, high), at,
+            basis=Basis(len(row["counts"]), unit),
         )  # fmt: skip
     if row["shift"] is not None:
         shift = Estimate(row["shift"], row["shift_low"], row["shift_high"])
-        quantity = Quantity("shift", f"median shift of the last event by {row['change']}")
-        found.append(Level(quantity, shift, where, None, Basis(row["n_matrices"], unit)))
-    return found
+        quantity = Quantity("shift", "median shift of the last event")
+        yield Level(quantity, shift, at, None, Basis(row["n_matrices"], unit))
 
 
 def _ends(study: Study, setting: Setting) -> list[Row]:
@@ -235,12 +235,13 @@ class _Judged:
     def leading(self, where: str, unit: str) -> list[Finding]:
         """How changed systems come out beside unchanged ones, and the effect of the largest change on one system."""
         known = [(change, one) for change, _, one in self.contrasts if one.is_known and not one.reason]
+        known.sort(key=lambda pair: (pair[0].kind, pair[0].reading or "", pair[0].size))
         if not known:
             return []
         placed: dict[Named, list[Beside]] = {}
         for change, one in known:
             at = ", ".join(filter(None, (where, str(change))))
-            placed.setdefault(Named(_name(change)), []).append(Beside(one, at))
+            placed.setdefault(_named(change), []).append(Beside(one, at))
         effects = [row for row in self.effects if row["quantity"] == PRIMARY[0] and row["theta"] is not None]
         return [outcomes(UNCHANGED, placed, unit), *(self._effect(row, where, unit) for row in effects[-1:])]
 

@@ -78,6 +78,12 @@ _MEASURES: Mapping[str, str] = {
 _MISSING: Mapping[str, str] = {"setting": S, "measure": S, "member_id": S, "reason": S}
 
 
+#: Why gamma is withheld, in words.
+_REASONS = {
+    enough.FEW_MATRICES: "too few systems", enough.FEW_CASCADES: "too few cascades", enough.DRIFTS: "n_stick drifts",
+}  # fmt: skip
+
+
 class Step(NamedTuple):
     """A statistic at a value of a key beside the first value, and at which points of the other keys.
 
@@ -135,7 +141,7 @@ def answer(study: Study) -> Answer | None:
               for name, some in found.items()}  # fmt: skip
     steps = [step for name, some in points.items() for step in _steps(name, axes, some, asked, study)]
     contrasts = judged([step.contrast for step in steps], 1 - level)
-    steps = [step._replace(contrast=judged) for step, judged in zip(steps, contrasts, strict=True)]
+    steps = [step._replace(contrast=found) for step, found in zip(steps, contrasts, strict=True)]
     lead = max(points, key=lambda name: sum(int(point.group.is_finished.sum()) for point in points[name]))
     told = [step for step in steps if step.contrast.is_known]
     alerts = _alerts(points, asked, study)
@@ -144,7 +150,10 @@ def answer(study: Study) -> Answer | None:
         n_units = max(len(point.group.units) for some in points.values() for point in some)
         keys = " and ".join(axis.name for axis in axes)
         reason = Reason.FEW_UNITS if n_units else Reason.NO_MOTION
-        return Answer(findings=[Lack(f"what changes with {keys}", reason)], tables=tables, alerts=alerts)
+        detail = ""
+        if n_units >= enough.LEAST_MATRICES and not any(step.contrast.n_first for step in steps):
+            reason, detail = Reason.NOT_RUN, "no two settings differ in one key alone"
+        return Answer(findings=[Lack(f"what changes with {keys}", reason, detail)], tables=tables, alerts=alerts)
     leading = _leading(asked, [step for step in told if step.setting == lead] or told)
     findings, n_lead = _findings(points, lead, axes, leading, told, study)
     first = next((step for step in told if step.name == leading[0] and step.setting == lead), told[0])
@@ -200,7 +209,9 @@ def _findings(
         for name in in_order
         for step in _largest_changes(axes, [s for s in told if (s.name, s.setting) == (statistic, name)])
     ]
-    found += [step.change(where[step.setting], unit) for step in chosen or told[:1]]
+    if not (found or chosen):
+        chosen = told[:1]
+    found += [step.change(where[step.setting], unit) for step in chosen]
     n_lead = min(MOST_LEADING, len(found))
     for name in leading:
         some = [step for step in told if step.name == name]
@@ -338,8 +349,8 @@ def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], n_pairs: int) -> s
         return ""
     others = [one for one in pairs[0][0].at if one != axis]
     if len(others) == 1:
-        return f"over {n_pairs} of {len(others[0].rows)} values of {others[0].name}"
-    return f"over {n_pairs} of {len(pairs)} points of the other keys"
+        return f"{n_pairs} of {len(others[0].rows)} values of {others[0].name}"
+    return f"{n_pairs} of {len(pairs)} points of the other keys"
 
 
 def _is_same(first: Sample, second: Sample, name: str, noise: float) -> bool:
@@ -498,18 +509,11 @@ def _alerts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure], stu
             what = names[0] if len(names) == 1 else f"{names[0]} nor {len(names) - 1} more"
             found.append(Alert.of(Code.WITHOUT, n=len(missing), of=n_members, what=what, why=missing[0][1]))
     for measure in asked:
-        for why, some in _withheld(measure, every).items():
+        why = [point.values[measure.name].withheld for point in every if point.values[measure.name].withheld]
+        if why and (measure.is_recorded or len(why) < len(every)):
             what = capital(measure.statistic.quantity.name)
-            found.append(Alert.of(Code.WITHHELD, what=what, n=len(some), of=len(every), why=why))
-    return found
-
-
-def _withheld(one: Measure, points: Sequence[Point]) -> dict[str, list[Point]]:
-    """The points at which a measure is not given although runs have it, by the reason."""
-    found: dict[str, list[Point]] = {}
-    for point in points:
-        if why := point.values[one.name].withheld:
-            found.setdefault(why, []).append(point)
+            reasons = " or ".join(_REASONS.get(reason, reason) for reason in dict.fromkeys(why))
+            found.append(Alert.of(Code.WITHHELD, what=what, n=len(why), of=len(every), why=reasons))
     return found
 
 
