@@ -12,7 +12,10 @@ from matplotlib.figure import Figure
 from stickslip.analysis import arguments
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert
-from stickslip.analysis.findings.finding import Finding
+from stickslip.analysis.findings.finding import Finding, Lack, Reason
+from stickslip.analysis.findings.words import plural
+from stickslip.analysis.members import MATRIX
+from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate
 
 #: Draws a figure from plain data when called.
@@ -145,6 +148,28 @@ class Question:
         return not self.of_cascades or (
             study.data.episodes is None and any(one["n"] > 2 for one in study.data.table.settings)
         )
+
+
+def systems(study: Study) -> str:
+    """What the independent units are called, in the singular."""
+    return "system" if study.unit == MATRIX else study.unit
+
+
+_REASONS = {
+    enough.FEW_MATRICES: Reason.FEW_UNITS,
+    enough.FEW_CASCADES: Reason.FEW_CASCADES,
+    enough.DRIFTS: Reason.DRIFT,
+}
+
+
+def lack(study: Study, what: str) -> Lack:
+    """Why no group allows a statistic of a steady state, where `Study.judged` gives none."""
+    basis = max((group.basis(study.settings.confidence) for group in study.groups), key=lambda one: one.n_cascades)
+    reason = _REASONS[basis.code] if basis.n_matrices else Reason.NO_MOTION
+    detail = f"{plural(basis.n_matrices, systems(study))}, {plural(basis.n_cascades, 'cascade')}"
+    if reason is Reason.DRIFT:
+        detail = f"n_stick still drifts after t = {study.settings.t_burn:g}"
+    return Lack(what, reason, detail * bool(basis.n_matrices))
 
 
 S, I, F, B = "string", "Int64", "Float64", "boolean"  # noqa: E741  nullable types: a null, never NaN

@@ -52,7 +52,8 @@ def averaged(study: Study, group: Group) -> np.ndarray:
 def geweke(study: Study, groups: Sequence[Group]) -> list[Row]:
     """Rows of the table `burn_in`: by group the first tenth of the window less its last half, and whether that shows.
 
-    p-values are adjusted for the number of groups by Holm's rule. `t_enough` is left open: see `estimates`.
+    p-values are adjusted for the number of groups by Holm's rule; a group whose runs are all at rest has none.
+    `t_enough` is left open: see `estimates`.
     """
     level, rows = study.settings.confidence, list[Row]()
     for group in groups:
@@ -119,11 +120,11 @@ def with_enough(rows: Sequence[Row], by_t_burn: Sequence[Row], alpha: float) -> 
     found: list[Row] = []
     for row in rows:
         p_values = {
-            other["t_burn"]: other["p_value"] or 0.0
+            other["t_burn"]: other["p_value"]
             for other in by_t_burn
             if other["group"] == row["group"] and other["t_burn"] > row["t_burn"]
         }
-        last_shown = max((t for t, p in p_values.items() if p < alpha), default=row["t_burn"])
+        last_shown = max((t for t, p in p_values.items() if p is not None and p < alpha), default=row["t_burn"])
         later = (t for t in p_values if t > last_shown)
         found.append(row | {"t_enough": min(later, default=None) if row["is_short"] else None})
     return found
@@ -140,6 +141,8 @@ def _early(sums: np.ndarray, level: float) -> Row:
     row: Row = named("early", Estimate()) | {"p_value": None, "reason": None}
     if len(sums) < LEAST_MATRICES:
         return row | {"reason": "few matrices"}
+    if (sums[:, 0] == sums[:, 1]).all():
+        return row | {"early": 0.0, "reason": "at rest"}
     try:
         test = against(_difference, sums, 0.0)
     except Undefined as why:

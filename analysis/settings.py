@@ -32,6 +32,8 @@ class AnalysisSettings:
     margins : mapping of str to float
         The largest difference of two runs that counts as equivalence, by name of ``QUANTITIES`` in
         ``analysis.stats.quantities``.
+    published : mapping of str to float
+        Shares of runs that are known from elsewhere, by kind of attractor; estimates are set beside them.
     question : tuple of str
         Primary questions, in the order in which they lead the report; default: chosen from what the data hold.
 
@@ -51,6 +53,7 @@ class AnalysisSettings:
     smallest: int = 1
     margins: Mapping[str, float] = field(default_factory=dict)
     question: tuple[str, ...] = ()
+    published: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "dt", tuple(float(dt) for dt in self.dt))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from functools import wraps
 from types import MappingProxyType
@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.sim.engines import ENGINES
@@ -181,31 +181,3 @@ def forest(
     ax.set_yticks([below, (len(rows) - 1) / 2], ["all", "each"])
     ax.tick_params(axis="y", length=0)
     ax.spines["left"].set_visible(False)
-
-
-def over_blocks(
-    ax: Axes, groups: Mapping[str, Sequence[Mapping[str, Any]]]
-) -> Iterator[tuple[str, list[Mapping[str, Any]], np.ndarray, np.ndarray, np.ndarray, np.ndarray, str]]:
-    """Prepare axes for power relative to independent blocks against the period, and yield what to draw on them.
-
-    A row has `above` and `upto`, the ends of a band of periods, and `ratio`, `low`, `high`.
-
-    Yields
-    ------
-    label, rows, period, ratio, low, high, colour
-        Of each group, of three at most, the rows that have an interval; the arrays have shape (m,).
-    """
-    ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
-    for k, (label, rows) in enumerate(groups.items()):
-        seen = [row for row in rows if row["low"] is not None]
-        period = np.array([np.sqrt(row["above"] * row["upto"]) for row in seen])
-        ratio, low, high = (np.array([row[key] for row in seen]) for key in ("ratio", "low", "high"))
-        yield label, seen, period, ratio, low, high, (EXACT, SMOOTHED, GREEN)[k % 3]
-    ax.set(xscale="log", yscale="log", xlabel="period", ylabel="power / independent blocks")
-    for axis in (ax.xaxis, ax.yaxis):
-        ends = axis.get_view_interval()
-        axis.set_major_locator(LogLocator(subs=(1.0, 3.0) if ends[1] > 20 * ends[0] else (1.0, 2.0, 3.0, 5.0)))
-        axis.set_major_formatter(lambda x, _: f"{x:g}")
-        axis.set_minor_locator(NullLocator())
-    columns = 2 if max(map(len, groups), default=0) < 24 else 1
-    ax.figure.legend(loc="outside upper center", ncols=columns, fontsize=7)

@@ -117,7 +117,7 @@ def _added(name: str) -> str:
     if "run" in needs:
         return ""
     of = f" where there are {kept}" if kept else ""
-    return f", which is [added](sweeps.md#adding-to-a-finished-dataset) without a run{of}"
+    return f", which is [added](scenes.md#adding-to-a-finished-dataset) without a run{of}"
 
 
 def _columns(head: str, fields: Iterable[pa.Field]) -> list[str]:

@@ -12,7 +12,7 @@ from stickslip.analysis.style import styled, subplots, svg
 
 
 def pictures() -> Figure:
-    """The chain of `guide/notebook.md`: a picture of each kind but n_stick."""
+    """The chain of `guide/python.md`: a picture of each kind but n_stick."""
     chain = draw_system(
         "chain", n=40, seed=1, kappa=4.0, leaf=0.3, damping=0.3, belt_speed=-0.02, weakening=Rational(2.0)
     )

@@ -1,4 +1,4 @@
-"""What many members cost the driver: `python docs/scale.py plan`, `commit` or `tasks`; see guide/scale.md."""
+"""What many members cost the driver: `python docs/scale.py plan`, `commit` or `tasks`; see guide/large-runs.md."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def ensemble(
 
 def own_law() -> str:
     """The guide's law of friction, `Lorentz`, as the text of its module."""
-    page = (Path(__file__).parents[1] / "docs" / "guide" / "own-system.md").read_text()
+    page = (Path(__file__).parents[1] / "docs" / "guide" / "systems.md").read_text()
     return next(
         block for block in re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL) if "class Lorentz" in block
     )

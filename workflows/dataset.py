@@ -115,6 +115,25 @@ class Dataset:
             extend(self.path, record, workers, on_progress=watch)
         return self
 
+    def findings(self) -> pd.DataFrame:
+        """What the page of the report says, one row a quantity at a setting.
+
+        Returns
+        -------
+        DataFrame
+            question, leads (whether it stands on the first screen), sentence, quantity, setting, estimate, low, high,
+            compared_with, difference, difference_low, difference_high, scale ("relative" to what it is compared with,
+            or "absolute"), margin, verdict, n and unit (of the independent units); null where there is none.
+
+        Raises
+        ------
+        StoreError
+            If there is no report yet, or it is one of an earlier version.
+        """
+        from stickslip.workflows.reporting import findings
+
+        return findings(self.path)
+
     def report(self, own: bool = False, pdf: bool = False) -> str:
         """Write the report, unless it is up to date; returns the name of its page.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import re
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
@@ -13,12 +14,14 @@ import pandas as pd
 import pyarrow as pa
 
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
+from stickslip.analysis.answer import B, F, I, S, frame
 from stickslip.analysis.ensemble import Numbers, Recorded, Until
+from stickslip.analysis.findings.finding import Record
 from stickslip.analysis.members import READ, Members
 from stickslip.analysis.questions import renamed
 from stickslip.analysis.report import PAGE
 from stickslip.analysis.report.comparison import Ensemble, compare
-from stickslip.analysis.report.page import Answered
+from stickslip.analysis.report.page import FINDINGS, Answered
 from stickslip.analysis.session import defaults
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
@@ -52,6 +55,11 @@ _UNASKED = (
     "perturbation_draw", "picked_for", "reproduce", "n_stick_end", "n_events", "n_entries", "n_exits", "n_crossings",
     "n_steps", "n_rejected", "n_products", *(column.name for column in DESIGN),
 )  # fmt: skip
+
+_FINDINGS = dict.fromkeys(("question", "leads", "sentence", *Record._fields[:-1]), F) | {
+    "leads": B, "n": I, **dict.fromkeys(("question", "sentence", "quantity", "setting", "compared_with"), S),
+    **dict.fromkeys(("scale", "verdict", "unit"), S),
+}  # fmt: skip
 
 #: Who puts the questions of a dataset: the dataset, its study, and whom to tell how many are answered.
 Asking = Callable[[Opened, Study, Callable[[int, int], None]], list[Answered | None]]
@@ -211,7 +219,7 @@ def _settings(scene: Scene) -> AnalysisSettings:
     declared = scene.analysis
     changed = {
         "seed": _seeds(scene)[0], "map_dt": declared.map_dt or (), "margins": declared.margins.declared,
-        "question": renamed(declared.question),
+        "question": renamed(declared.question), "published": declared.published.declared,
     }  # fmt: skip
     return AnalysisSettings(**(declared.model_dump() | changed))
 
@@ -224,6 +232,23 @@ def _provenance(opened: Opened) -> dict[str, str]:
         "seed": ", ".join(map(str, _seeds(scene))),
         "members": f"{opened.n_done} of {opened.n_members}",
     }
+
+
+@defaults()
+def findings(where: Where) -> pd.DataFrame:
+    """The findings of a report, as `stickslip.Dataset.findings` has them."""
+    opened = open_dataset(where)
+    (written,) = opened.place.read_each([FINDINGS])
+    if written is None:
+        raise StoreError(f"{opened.place}: expected {FINDINGS}, got no such file; `stickslip report DIR` writes it")
+    try:
+        told = json.loads(written)["findings"]
+        rows = [{**finding, **row} for finding in told for row in finding["rows"]]
+        return frame(_FINDINGS, rows)
+    except (ValueError, KeyError, TypeError) as error:
+        raise StoreError(
+            f"{opened.place}: {FINDINGS} is damaged ({error}); `stickslip report DIR` writes it"
+        ) from None
 
 
 @defaults()

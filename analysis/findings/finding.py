@@ -339,6 +339,7 @@ class Regime:
         How many things have a known outcome there, and how many there are.
     share : Estimate
         Of one outcome: the share of such things that have it; without a value where several occur.
+    basis : Basis, optional
     """
 
     where: str
@@ -346,6 +347,7 @@ class Regime:
     n: int
     of: int
     share: Estimate = field(default_factory=Estimate)
+    basis: Basis | None = None
 
 
 @dataclass(frozen=True)
@@ -376,6 +378,7 @@ class Reason(StrEnum):
     NO_MOTION = "no run is in motion"
     SHORT_WINDOW = "the runs are too short"
     OUT_OF_RANGE = "too few pairs stay in their linear range"
+    NOT_SHOWN = "none is shown"
     NO_REFERENCE = "nothing to compare with"
     NOT_RECORDED = "not recorded"
     NOT_RUN = "not run"
@@ -471,7 +474,7 @@ def records(finding: Finding) -> list[Record]:
                     regime.share,
                     ", ".join(filter(None, (where, regime.where))),
                     None,
-                    Basis(regime.n, things.removesuffix("s")),
+                    regime.basis,
                 )
                 for regime in regimes
             ]

@@ -62,7 +62,8 @@ def clause(finding: Finding) -> str:
             every = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
             return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{_at(where)}{every}"
         case Regimes(things, regimes, where):
-            return _joined_at(where, "; ".join(_regime(things, regime) for regime in regimes))
+            grouped = "; ".join(_regime(regime, things, k == 0) for k, regime in enumerate(regimes))
+            return f"{_at(where).strip(' ,')}: {grouped}" if where else grouped
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
         case Decided(truth, reason):
@@ -91,7 +92,9 @@ def based_on(basis: Basis | None) -> str:
 
 
 def _at(where: str) -> str:
-    return f" at {where}" if where else ""
+    if not where:
+        return ""
+    return f" at {where}" if "=" in where.partition(",")[0] else f", {where}"
 
 
 def _level(level: Level) -> str:
@@ -269,16 +272,13 @@ def _most_apart(level: Level) -> str:
     return f", most apart in the {quantity.name}{where}: {apart}"
 
 
-def _joined_at(where: str, text: str) -> str:
-    return f"at {where}, {text}" if where else text
-
-
-def _regime(things: str, regime: Regime) -> str:
-    if len(regime.predicates) > 1:
-        *first, last = (f"some {predicate}" for predicate in regime.predicates)
-        return f"{regime.where} {listed([*first, last.replace('some', 'others', 1)])}"
-    (predicate,) = regime.predicates
-    if regime.n < regime.of:
-        return f"{regime.where} all {regime.n:,} decided {things} (of {regime.of:,}) {predicate}"
-    every = {1: "", 2: "both "}.get(regime.n, f"all {regime.n:,} ")
-    return f"{regime.where} {every}{things} {predicate}"
+def _regime(regime: Regime, things: str, is_first: bool) -> str:
+    """What things do at some settings; they are named once in a sentence."""
+    where, n, noun = regime.where, regime.n, f" {things}" * is_first
+    first, *others = regime.predicates
+    if others:
+        parts = [f"some{noun} {first}", *(f"some {predicate}" for predicate in others[:-1]), f"others {others[-1]}"]
+        return f"{where} {listed(parts)}"
+    if n < regime.of:
+        return f"{where} all {n:,} decided {things} (of {regime.of:,}) {first}"
+    return f"{where} all {n:,}{noun} {first}" if n > 1 else f"{where} {things} {first}"

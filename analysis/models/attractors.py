@@ -1,4 +1,4 @@
-"""What runs settle on, told apart within a system, and where along a key that changes.
+"""What runs settle on, told apart within a system.
 
 Kinds are those of `stickslip.sim.attractors`. Cycles of one system are told apart by their events and exits a period,
 their period, and the state at their section. States of rest are not: a block may stick anywhere between two bounds.
@@ -6,9 +6,7 @@ their period, and the state at their section. States of rest are not: a block ma
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
-from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -121,61 +119,3 @@ def on_grid(points: Floats) -> tuple[Floats, Floats, NDArray[np.int64]] | None:
     place = np.full((len(y), len(x)), -1, dtype=np.int64)
     place[row, column] = np.arange(len(points))
     return None if (place < 0).any() else (x, y, place)
-
-
-class Range(NamedTuple):
-    """Neighbouring values of a key at which runs settle on the same: the first, the last, and on what."""
-
-    first: int
-    last: int
-    on: tuple[str, ...]
-
-
-def ranges(found: Sequence[tuple[str, ...]]) -> list[Range]:
-    """Where along a key runs settle on the same, from what they settle on at each of its values.
-
-    Values at which that is not known, with an empty tuple, are in a range only if it goes on beyond them.
-    """
-    known = [(k, on) for k, on in enumerate(found) if on]
-    listed = []
-    for on, some in groupby(known, lambda one: one[1]):
-        values = [k for k, _ in some]
-        listed.append(Range(values[0], values[-1], on))
-    return listed
-
-
-class Turn(NamedTuple):
-    """Where along a key runs begin, or cease, to settle on one thing alone, on several lines along it.
-
-    `is_last`: they do so from `places` on, to the end of each line; else up to `places`, from its beginning. A place
-    is None on a line where there is no such range, and on the `n_whole` lines where they do so throughout.
-    """
-
-    kind: str
-    is_last: bool
-    places: tuple[int | None, ...]
-    n_whole: int
-
-
-class Along(NamedTuple):
-    """A line along a key: its ranges, by places among the values of all lines, and the first and last place on it."""
-
-    found: Sequence[Range]
-    bounds: tuple[int, int]
-
-
-def turn(lines: Sequence[Along], is_last: bool) -> Turn | None:
-    """The turn to, or from, what most lines end, or begin, with; None if no line turns."""
-    ends = [found[-1 if is_last else 0] if found else None for found, _ in lines]
-    # what reaches the other end of its line turns nowhere: beside it is what is not known alone
-    far = [(bounds[0] if is_last else bounds[1]) for _, bounds in lines]
-    is_whole = [end is not None and (end.first if is_last else end.last) == one
-                for end, one in zip(ends, far, strict=True)]  # fmt: skip
-    turning = [None if whole else end for end, whole in zip(ends, is_whole, strict=True)]
-    n_of = Counter(end.on[0] for end in turning if end is not None and len(end.on) == 1)
-    if not n_of:
-        return None
-    kind = n_of.most_common(1)[0][0]
-    places = (None if end is None or end.on != (kind,) else end.first if is_last else end.last for end in turning)
-    n_whole = sum(whole and end is not None and end.on == (kind,) for end, whole in zip(ends, is_whole, strict=True))
-    return Turn(kind, is_last, tuple(places), n_whole)

@@ -1,12 +1,13 @@
-"""The slow rhythm of n_stick: a noisy damped oscillator, on top of what independent blocks do.
+"""Slow common motion of blocks in n_stick: a noisy damped oscillator, on top of what independent blocks do.
 
 With S_0 the spectrum of blocks that ignore each other (`nulls.rotated`, in closed form), the one-sided spectrum of
 n_stick is modelled, at periods of several cycles of a block, as
 
     S(f) = c S_0(f) + P s(f),     s(f) = 8 g w0^2 / ((w0^2 - w^2)^2 + 4 g^2 w^2),     w = 2 pi f, g = w0 / (2 Q),
 
-The integral of s is 1, so P is the variance of the rhythm. Q is its quality: up to 1 / 2 nothing oscillates, and
-above 1 / sqrt(2) the spectrum has a peak, at w^2 = w0^2 - 2 g^2. An oscillation decays to 1 / e in the time 1 / g.
+The integral of s is 1, so P is the variance of the common motion. Up to Q = 1 / 2 nothing oscillates, and above
+1 / sqrt(2) the spectrum has a peak, at w^2 = w0^2 - 2 g^2: at Q = 1 it is a broad hump, and the motion decays to
+1 / e, in the time 1 / g, before a third of a period is over.
 
 The four numbers P, w0, Q and c are fitted to periodograms of whole windows, averaged over matrices, by Whittle's
 likelihood with the expected periodogram in place of the spectrum (Sykulski, Olhede, Guillaumin, Lilly and Early 2019,
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from scipy import special
@@ -26,7 +28,6 @@ from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error
 
-SWINGING = 0.5  # quality above which a damped oscillator oscillates
 QUALITIES = (0.2, 20.0)  # range of the fit
 LEAST_HARMONICS = 10  # in the band
 LEAST_PERIODS = 2.0  # of the oscillator in a window
@@ -34,11 +35,10 @@ SURROGATES = 999
 P_FLOOR = 1 / (1 + SURROGATES)  # the least p-value that so many can give
 MOST_STEPS = 100  # of Fisher scoring
 
-OSCILLATES, SLOW, NONE, SHORT = "oscillates", "slow", "none shown", "window too short"
-#: What is estimated: the natural period, without damping; the quality; the width in frequency, 1 / (period x
-#: quality); the time in which an oscillation decays to 1 / e; the rhythm's variance, and its share of the variance of
-#: n_stick; the share c of the blocks' own power; the period at which the spectrum peaks, and the power there over
-#: that of independent blocks.
+SLOW, NONE, SHORT = "slow", "none shown", "window too short"
+#: What is estimated: the natural period, without damping; the quality Q; the width in frequency, 1 / (period x Q);
+#: the time in which the motion decays to 1 / e; its variance, and its share of the variance of n_stick; the share c
+#: of the blocks' own power; the period of the spectrum's peak, and the power there over that of independent blocks.
 NUMBERS = ("period", "quality", "width", "decay", "variance", "share", "left", "peak", "times")
 
 
@@ -190,37 +190,65 @@ def best(span: float, observed: np.ndarray, independent: np.ndarray) -> np.ndarr
     return at[value.argmin()]
 
 
+class Goodness(NamedTuple):
+    """How far mean periodograms lie from a fit.
+
+    Attributes
+    ----------
+    deviance : float
+        Twice what the fit lacks in log likelihood (Whittle's); its mean is `dof` if it is the spectrum of all runs.
+    dof : int
+        Harmonics less parameters.
+    """
+
+    deviance: float
+    dof: int
+
+    @property
+    def p_value(self) -> float:
+        """The chance of a deviance as large, by chi-squared."""
+        return float(special.chdtrc(self.dof, self.deviance))
+
+
+def goodness(observed: np.ndarray, model: np.ndarray, n_runs: float) -> Goodness:
+    """Deviance of a mean of periodograms of so many runs from a fit, both of shape (m,)."""
+    ratio = observed / model
+    return Goodness(float(2 * n_runs * np.sum(ratio - 1 - np.log(ratio))), len(observed) - 4)
+
+
 # ------------------------------------------------------------------------------------------- what is concluded
 
 
 @dataclass(frozen=True)
 class Rhythm:
-    """The rhythm of an ensemble.
+    """The slow common motion of an ensemble.
 
     Attributes
     ----------
     verdict : str
-        `OSCILLATES`; `SLOW`, for a common slow motion that is not shown to oscillate; `NONE`; or `SHORT`, for a
-        motion that is too slow for the windows.
+        `SLOW`; `NONE`; or `SHORT`, for a motion that is too slow for the windows.
     p : float
         The share of surrogates without coupling whose slow power is as concentrated.
-    found : dict of str to Estimate
+    estimates : dict of str to Estimate
         By the names of `NUMBERS`; empty for `NONE` and `SHORT`.
     values : dict of str to ndarray, shape (1 + G,)
         The same numbers, from all matrices and with each left out; NaN for the peak if the spectrum has none.
     period : float or None
         The natural period that fits best.
+    goodness : Goodness or None
+        Of the fit to the mean of all matrices.
     """
 
     verdict: str
     p: float
-    found: Mapping[str, Estimate] = field(default_factory=dict)
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
     values: Mapping[str, np.ndarray] = field(default_factory=dict)
     period: float | None = None
+    goodness: Goodness | None = None
 
 
 def rhythm(data: Spectra, confidence: float, rng: np.random.Generator) -> Rhythm:
-    """The slow rhythm of n_stick, if there is one, with jackknife-t intervals over matrices.
+    """The slow common motion, if there is one, with jackknife-t intervals over matrices.
 
     Parameters
     ----------
@@ -245,10 +273,11 @@ def rhythm(data: Spectra, confidence: float, rng: np.random.Generator) -> Rhythm
     variance = np.append(data.variance.mean(), (data.variance.sum() - data.variance) / (g - 1))
     independent = np.vstack([whole[1], own])
     numbers = _numbers(np.exp(np.vstack([start, left_out])), data, independent, variance)
-    found = {name: _estimate(values, confidence, name == "share") for name, values in numbers.items()}
-    quality = found["quality"]
-    verdict = OSCILLATES if quality.low is not None and quality.low > SWINGING else SLOW
-    return Rhythm(verdict, p, found, numbers, natural)
+    estimates = {name: _estimate(values, confidence, name == "share") for name, values in numbers.items()}
+    power, period, quality, left = np.exp(start)
+    model = power * expected(data.frequency, data.span, period, quality) + left * whole[1]
+    n_runs = g**2 / np.sum(1 / data.n_runs)  # of a mean of means
+    return Rhythm(SLOW, p, estimates, numbers, natural, goodness(whole[0], model, n_runs))
 
 
 def _numbers(at: np.ndarray, data: Spectra, independent: np.ndarray, variance: np.ndarray) -> dict[str, np.ndarray]:

@@ -14,14 +14,27 @@ if TYPE_CHECKING:
 
 #: In the order of the page, with the room of each.
 QUESTIONS: Mapping[str, str] = {
-    "sweep": "runs", "attractors": "runs", "episodes": "slips", "cascades": "slips", "counting": "slips",
-    "exponential": "slips", "definitions": "slips", "rhythm": "slips", "clustering": "slips", "fates": "runs",
-    "engines": "runs", "sensitivity": "runs", "robustness": "runs", "one_run": "runs",
-}  # fmt: skip
+    "sweep": "runs",
+    "episodes": "slips",
+    "cascades": "slips",
+    "counting": "slips",
+    "exponential": "slips",
+    "definitions": "slips",
+    "collective": "slips",
+    "fates": "runs",
+    "engines": "runs",
+    "sensitivity": "runs",
+    "robustness": "runs",
+    "one_run": "runs",
+}
 
 
 #: Names that scenes of earlier versions give, and what they ask for now.
-RENAMED: Mapping[str, str] = {}
+RENAMED: Mapping[str, str] = {
+    "clustering": "collective",
+    "rhythm": "collective",
+    "attractors": "fates",
+}
 
 #: Modules of this package, beside the scenes that ship, with questions that only scenes which name them ask:
 #: ``stickslip.workflows.scenes.module:function``. They are as a user's own are, but are always run.

@@ -301,11 +301,11 @@ def build(
     lacking = [part for part in parts if part.is_lack]
     asked = [part for part in lacking if part.key in settings.question]
     notes = [
-        *(f"Not answered: {text}" for part in asked for text in part.lead),
-        *(f"Not answered: {name}: {problem}." for name, problem in problems.items()),
+        *(f"Asked but not answered: {text}" for part in asked for text in part.lead),
+        *(f"Asked but not answered: {name}: {problem}." for name, problem in problems.items()),
         *(f"Left out of the answer: {name}: {lines}." for name, lines in missing.items()),
         *(f"{name} was not run; stickslip report DIR --own runs the code beside the scene." for name in not_run),
-        *(f"Not answered: {question(key).title or key}: nothing that it needs was run or recorded."
+        *(f"Asked but not answered: {question(key).title or key}: nothing that it needs was run or recorded."
           for key in settings.question if not is_own(key) and key not in raised),
     ]  # fmt: skip
     sections = [
@@ -503,7 +503,7 @@ def _alerts(leading: Sequence[Part], others: Sequence[Part]) -> list[str | Marku
     """The most important alerts: all of the answers that lead, and of the others those that are about the data."""
     warned = [alert for part in leading for alert in part.alerts if alert[0] != STOP]
     warned += [alert for part in others for alert in part.alerts if STOP < alert[0] <= part.upto]
-    return [text for _, text in sorted(warned, key=lambda alert: alert[0])][:MOST_ALERTS]
+    return [text for _, text in sorted(dict.fromkeys(warned), key=lambda alert: alert[0])][:MOST_ALERTS]
 
 
 def _items(text: str) -> list[str]:

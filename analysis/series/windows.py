@@ -179,11 +179,14 @@ class Windows:
     def means(self, count: int) -> np.ndarray:
         """Exact time means of n_stick over `count` equal parts of each window, shape (R, count)."""
         length = self.span / count
+        base = self.level[self.first[:-1]]  # areas are those above it, so that what is constant has no rounding
+        height = self.level - base[self.run]
         holds = self.at(count)  # at each edge of a part
         edges = self.t_start + length[:, None] * np.arange(count + 1)
-        after = self.level[holds] * (self.t[holds] + self.lasted[holds] - edges)  # the level's area behind the edge
-        begun = np.bincount(self._cell(count), self.level * self.lasted, len(self) * (count + 1))
-        return (after[:, :-1] - after[:, 1:] + begun.reshape(len(self), -1)[:, 1:]) / length[:, None]
+        after = height[holds] * (self.t[holds] + self.lasted[holds] - edges)  # the level's area behind the edge
+        begun = np.bincount(self._cell(count), height * self.lasted, len(self) * (count + 1))
+        areas = after[:, :-1] - after[:, 1:] + begun.reshape(len(self), -1)[:, 1:]
+        return np.asarray(base[:, None] + areas / length[:, None])
 
     def at(self, count: int) -> np.ndarray:
         """Place of the level that holds at t_start + k span / count, k = 0, ..., count, shape (R, count + 1)."""

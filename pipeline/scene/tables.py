@@ -277,6 +277,28 @@ class MarginsTable(StrictTable):
         return {name: margin for name, margin in self if margin is not None}
 
 
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class PublishedTable(StrictTable):
+    """[analysis.published]: shares of runs by what they settle on, as others report them.
+
+    The shares of a record of attractors are set beside them.
+    """
+
+    rest: Share | None = Field(default=None, description="published share that comes to rest", examples=[0.1])
+    sliding: Share | None = Field(default=None, description="published share of steady sliding", examples=[0.3])
+    periodic: Share | None = Field(default=None, description="published share on a cycle", examples=[0.6])
+    torus: Share | None = Field(default=None, description="published share on a torus", examples=[0.1])
+    irregular: Share | None = Field(default=None, description="published share of chaos", examples=[0.1])
+    escaping: Share | None = Field(default=None, description="published share without limit", examples=[0.1])
+
+    @property
+    def declared(self) -> dict[str, float]:
+        """Those that the scene names, by attractor."""
+        return {name: share for name, share in self if share is not None}
+
+
 #: The name of a question, or of a function of the user's own that answers one. The pipeline does not know which there
 #: are: whoever makes the report refuses others.
 QuestionName = Annotated[str, Field(pattern=rf"^[a-z]\w*$|{PATTERN}")]
@@ -299,6 +321,7 @@ class AnalysisTable(StrictTable):
         default=0.95, description="level of the intervals"
     )
     margins: MarginsTable = MarginsTable()
+    published: PublishedTable = PublishedTable()
     question: Annotated[
         tuple[QuestionName, ...],
         BeforeValidator(as_tuple, json_schema_input_type=QuestionName | list[QuestionName]),

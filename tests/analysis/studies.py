@@ -460,7 +460,7 @@ def rhythm_study(rng, ensembles):
         power, at, q, _ = np.exp(rhythm.best(span, mean + LEFT * OWN, np.full(m, OWN)))
         answers = {"period": at, "quality": q, "width": 1 / (at * q), "share": power / (11.0 + noise)}
         every = [
-            rhythm.rhythm(one, CONFIDENCE, rng).found
+            rhythm.rhythm(one, CONFIDENCE, rng).estimates
             for one in rhythmic(rng, ensembles, span, period, quality, spread=spread)
         ]
         for name, answer in answers.items():

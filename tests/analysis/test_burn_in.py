@@ -113,6 +113,43 @@ def test_what_is_averaged_is_tested(planted, settings, rng):
     assert fates.answer(study).tables["burn_in"]["n_runs"].tolist() == [20]
 
 
+def at_rest(planted, rng, data):
+    """The same runs, and nine groups of twenty that never move, each run at a level of its own; all are averaged."""
+    rows, series = data.members.to_dict("records"), dict(data.series)
+    for group in range(9):
+        for k in range(20):
+            name = f"rest{group}-m{k}"
+            rows.append(planted.member(name, k, n=N, t_end=T_END, t_stop=T_END, kappa=2.0 + group))
+            series[name] = (np.zeros(1), rng.integers(0, N, size=1, endpoint=True))
+    return Data(pd.DataFrame(rows), series, recorded={"heat": Recorded("heat", dict.fromkeys(series, 1.0))})
+
+
+def test_groups_at_rest_are_not_tested_and_dilute_nothing(planted, settings, rng):
+    """Their first tenth is their last half; if they were tested, the p-value of what moves would be tenfold."""
+    for t_burn in rng.uniform(50.0, 300.0, size=20):  # sums of rounded times
+        data = at_rest(planted, rng, ensemble(planted, rng, 30.0))
+        moves, *rests = of_groups(data, replace(settings, t_burn=float(t_burn)))
+        assert moves["p_adjusted"] == moves["p_value"] > 0.0
+        assert [(row["p_value"], row["early"], row["is_short"], row["reason"]) for row in rests] == 9 * [
+            (None, 0.0, False, "at rest")
+        ]
+
+
+def test_runs_that_come_to_rest_later_show_nothing_from_then_on(planted, settings, rng):
+    """100 exp(-t / 80) rounds to 0 from t = 424 on: an early tenth from 325 on has it, one from 550 on has not."""
+    rows, series = [], {}
+    left = np.rint(100.0 * np.exp(-np.arange(T_END) / DECAY)).astype(int)
+    for k, level in enumerate(rng.integers(0, 100, size=20)):
+        rows.append(planted.member(f"m{k}", k, n=N, t_end=T_END, t_stop=T_END))
+        series[f"m{k}"] = (np.arange(T_END), level + left)
+    recorded = {"heat": Recorded("heat", dict.fromkeys(series, 1.0))}
+    study = Study(Data(pd.DataFrame(rows), series, recorded=recorded), settings)
+    by_t_burn = estimates(study, study.groups)
+    assert {row["t_burn"] for row in by_t_burn if row["p_value"] is None} == {550.0}
+    (row,) = with_enough(geweke(study, study.groups), by_t_burn, 1 - settings.confidence)
+    assert (row["is_short"], row["t_enough"]) == (True, 550.0)
+
+
 def gamma_of(group):
     slipped, cascades = group.sums("gamma").rows.sum(axis=0)
     return float(np.log(slipped / (slipped - cascades)))

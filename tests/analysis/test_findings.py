@@ -34,7 +34,7 @@ from stickslip.analysis.findings.finding import (
 )
 from stickslip.analysis.findings.numbers import limit, number, span, with_interval
 from stickslip.analysis.findings.words import sentence
-from stickslip.analysis.report.page import _findings_table
+from stickslip.analysis.page.layout import findings_table
 from stickslip.analysis.stats.estimates import Estimate
 
 GAMMA = Quantity("gamma", "decay rate")
@@ -203,6 +203,6 @@ def test_the_table_of_findings_has_limits_and_differences_in_their_units():
         *records(Level(SHARE, Estimate(0.2), comparison=Comparison("others", lower))),
         *records(Level(GAMMA, Estimate(0.7), comparison=Comparison("others", wider))),
     ]
-    table = _findings_table(rows)
-    for cell in ("at most 0.28%", "\u221230% (\u221240 to \u221220%)", "+50% (+25 to +75%)"):
+    table = str(findings_table(rows))
+    for cell in ("at most 0.28%", "\u221230 (\u221240 to \u221220) percentage points", "+50% (+25 to +75%)"):
         assert cell in table

@@ -31,7 +31,7 @@ from tests.faults.world import INJECT, ROOT, TARGET_COST, World, children, conte
 from tests.processes import dask_by_hand, until
 
 
-@fault(quick=3, full=200, timeout=600)
+@fault(quick=3, full=200)
 def driver_killed_at_random(world: World, count: int) -> int:
     """SIGKILL at a random moment, five at most for one run, which is then resumed."""
     done, out = 0, world.directory / "out"
@@ -104,13 +104,13 @@ def _torn(opened: Callable[..., Any], calls: list[int]) -> Callable[..., Any]:
     return call
 
 
-@fault(quick=4, full=10_000, timeout=1200)
+@fault(quick=4, full=10_000)
 def driver_killed_at_each_step(world: World, count: int) -> int:
     """Dead before and after each call of the system that a run makes; the full count is all of them."""
     return _killed_at_each_step(world, world.run, count)
 
 
-@fault(quick=6, full=10_000, timeout=1200)
+@fault(quick=6, full=10_000)
 def driver_killed_amid_shards_that_come_together(world: World, count: int) -> int:
     """The same where results are there three at a time, in whatever order their threads get on."""
 
@@ -170,7 +170,7 @@ def _with_an_earlier_report(world: World, told: Path) -> Path:
     return out
 
 
-@fault(quick=0, full=60, timeout=3600)
+@fault(quick=0, full=60)
 def report_killed_at_random(world: World, count: int) -> int:
     """SIGKILL to a report and its processes, four at most; then it is made."""
     done, told = 0, world.copy("told")
@@ -191,7 +191,7 @@ def report_killed_at_random(world: World, count: int) -> int:
     return done
 
 
-@fault(quick=6, full=10_000, timeout=3600)
+@fault(quick=6, full=10_000)
 def report_killed_at_each_step(world: World, count: int) -> int:
     """Dead before and after each call of the system by which a report takes the place of an earlier one."""
     told = world.copy("told")
@@ -215,7 +215,7 @@ def report_killed_at_each_step(world: World, count: int) -> int:
     return len(moments)
 
 
-@fault(quick=4, full=10_000, timeout=2400)
+@fault(quick=4, full=10_000)
 def extension_killed_at_each_step(world: World, count: int) -> int:
     """Dead before and after each call of the system while a record is added: the old or the new is left, whole."""
 
@@ -247,7 +247,7 @@ def extension_killed_at_each_step(world: World, count: int) -> int:
     return len(moments)
 
 
-@fault(quick=1, full=6, timeout=400)
+@fault(quick=1, full=6)
 def workers_killed_by_a_member(world: World, count: int) -> int:
     """Exit, signal, segfault: the member gets a row that says so, its neighbours theirs; then it is tried again."""
     ends = [("segfault", "signal SIGSEGV"), ("exit", "exit code 3"), ("kill", "signal SIGKILL")]
@@ -257,19 +257,19 @@ def workers_killed_by_a_member(world: World, count: int) -> int:
         out = world.directory / f"{how}{k}"
         victims = world.random.sample(names, 1 + k // len(ends))
         arguments = ["run", str(world.scene_file), "--out", str(out), "--workers", "1" if k < len(ends) else "2"]
-        code, _, err = end_of(world.command(*arguments, victims=dict.fromkeys(victims, how)), 120)
+        code, _, err = end_of(world.command(*arguments, victims=dict.fromkeys(victims, how)))
         assert code == 1, err
         assert f"failed  {len(victims)}: its worker died ({words})" in err, err
         assert "--retry-failed" in err
         assert f"stickslip run {out / 'scene.toml'} --only {min(victims, key=names.index)}" in err
         world.check_no_strays(out)
-        code, _, err = end_of(world.command(*arguments, "--retry-failed"), 120)
+        code, _, err = end_of(world.command(*arguments, "--retry-failed"))
         assert code == 0, err
         world.check(out)
     return count
 
 
-@fault(quick=0, full=6, timeout=400)
+@fault(quick=0, full=6)
 def workers_killed_from_outside(world: World, count: int) -> int:
     """A worker gets a signal in the middle of its work: nobody is blamed, nothing is missing."""
     for k in range(count):
@@ -282,13 +282,13 @@ def workers_killed_from_outside(world: World, count: int) -> int:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(world.random.choice(workers), number)
             time.sleep(0.5)
-        code, _, err = end_of(process, 120)
+        code, _, err = end_of(process)
         assert code == 0, err
         world.check(out)
     return count
 
 
-@fault(quick=0, full=2, timeout=300)
+@fault(quick=0, full=2)
 def worker_killed_again_as_it_comes_back(world: World, count: int) -> int:
     """Again 15 seconds after the first time, when dask looks whether it has come back."""
     for k in range(count):
@@ -300,13 +300,13 @@ def worker_killed_again_as_it_comes_back(world: World, count: int) -> int:
         until(lambda process=process: bool(children(process.pid)))
         time.sleep(max(0.0, again - time.monotonic()))
         os.kill(children(process.pid)[0], signal.SIGKILL)
-        code, _, err = end_of(process, 120)
+        code, _, err = end_of(process)
         assert code == 0, err
         world.check(out)
     return count
 
 
-@fault(quick=0, full=2, timeout=400)
+@fault(quick=0, full=2)
 def scheduler_lost(world: World, count: int) -> int:
     """A cluster whose scheduler is killed: one clear message, what is done is kept, and another goes on."""
     variables = {
@@ -320,13 +320,13 @@ def scheduler_lost(world: World, count: int) -> int:
             driver = world.command(*arguments, address)
             until(lambda out=out: len(list(out.glob("data/shard-*"))) > 1)
             scheduler.kill()
-            code, _, err = end_of(driver, 120)
+            code, _, err = end_of(driver)
         assert code == 1, err
         assert "expected the scheduler to stay until the end, lost it" in err, err
         assert "Traceback" not in err, err
         world.check_no_strays(out)
         with dask_by_hand(world.directory, "--nthreads", "1", **variables) as (address, _):
-            code, _, err = end_of(world.command(*arguments, address), 120)
+            code, _, err = end_of(world.command(*arguments, address))
         assert code == 0, err
         world.check(out)
     return count
@@ -334,12 +334,10 @@ def scheduler_lost(world: World, count: int) -> int:
 
 def _signalled(world: World, count: int, number: signal.Signals, times: int) -> int:
     """Signals to a run that would never end by itself, nor in order if it waited for what its workers are at."""
-    members = expand(world.scene)
-    hung = {member.member_id: "hang" for member in members[len(members) // 2 :]}
     for k in range(count):
         out = world.directory / f"out{k}"
         arguments = ["run", str(world.scene_file), "--out", str(out), "--workers", "2"]
-        process = world.command(*arguments, sleep=0.3, victims=hung)
+        process = world.command(*arguments, sleep=0.3, victims=world.hung)
         until(lambda out=out: (out / "manifest.json").exists())
         time.sleep(world.random.uniform(0.0, 4.0))
         os.killpg(process.pid, number)  # as a terminal does: to the workers too
@@ -347,7 +345,7 @@ def _signalled(world: World, count: int, number: signal.Signals, times: int) -> 
             time.sleep(world.random.uniform(0.0, 0.3))
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(process.pid, number)
-        code, _, err = end_of(process, 100)
+        code, _, err = end_of(process)
         # by the signal itself, which a shell shows as the same number, if Python was all but gone
         assert code in (128 + number, -number)[:times], (code, err)
         assert f"Resume with:\n  stickslip {' '.join(arguments)}\n" in err, err
@@ -357,25 +355,25 @@ def _signalled(world: World, count: int, number: signal.Signals, times: int) -> 
     return count
 
 
-@fault(quick=1, full=10, timeout=400)
+@fault(quick=1, full=10)
 def interrupted_once(world: World, count: int) -> int:
     """SIGINT ends a run in order, whatever its workers are at."""
     return _signalled(world, count, signal.SIGINT, 1)
 
 
-@fault(quick=0, full=10, timeout=400)
+@fault(quick=0, full=10)
 def interrupted_twice(world: World, count: int) -> int:
     """A second SIGINT ends it at once."""
     return _signalled(world, count, signal.SIGINT, 2)
 
 
-@fault(quick=0, full=10, timeout=400)
+@fault(quick=0, full=10)
 def terminated(world: World, count: int) -> int:
     """SIGTERM, as SIGINT."""
     return _signalled(world, count, signal.SIGTERM, 1)
 
 
-@fault(quick=1, full=10, timeout=400)
+@fault(quick=1, full=10)
 def hung_up(world: World, count: int) -> int:
     """SIGHUP, as SIGINT: the terminal is closed."""
     return _signalled(world, count, signal.SIGHUP, 1)
@@ -392,7 +390,7 @@ def _in_room(world: World, count: int) -> Iterator[tuple[Path, Path, Callable[[]
         assert not any(room.iterdir()), [*room.rglob("*")]
 
 
-@fault(quick=3, full=30, timeout=600)
+@fault(quick=3, full=30)
 def signalled_as_it_starts(world: World, count: int) -> int:
     """A first signal, at any moment until the first shard is there: it ends, and leaves nothing in TMPDIR."""
     for k, (room, out, start) in enumerate(_in_room(world, count)):
@@ -401,14 +399,14 @@ def signalled_as_it_starts(world: World, count: int) -> int:
         until(lambda room=room: any(room.iterdir()))  # before, Python loads what this package injects
         time.sleep(world.random.uniform(0.0, 5.0))
         process.send_signal(number)
-        code, _, err = end_of(process, 60)
+        code, _, err = end_of(process)
         assert code == 128 + number, err
         assert not any(word in err for word in ("Traceback", "distributed", "leaked")), err
         world.resume(out)
     return count
 
 
-@fault(quick=1, full=5, timeout=400)
+@fault(quick=1, full=5)
 def driver_killed_leaves_room(world: World, count: int) -> int:
     """What a killed driver left in TMPDIR goes with the next."""
     for room, out, start in _in_room(world, count):
@@ -418,7 +416,7 @@ def driver_killed_leaves_room(world: World, count: int) -> int:
         killed.kill()
         end_of(killed)
         assert any(room.iterdir())
-        code, _, err = end_of(start(), 120)
+        code, _, err = end_of(start())
         assert code == 0, err
         world.check(out)
     return count

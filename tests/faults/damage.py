@@ -37,7 +37,7 @@ def _remove(world: World, file: Path) -> None:
 _WAYS: tuple[Callable[[World, Path], None], ...] = (_truncate, _empty, _flip)
 
 
-@fault(quick=6, full=300, timeout=900)
+@fault(quick=6, full=300)
 def damaged_shards(world: World, count: int) -> int:
     """One to three shards of a copy truncated, emptied or with a bit flipped: found, they alone computed again."""
     done = 0
@@ -59,7 +59,7 @@ def damaged_shards(world: World, count: int) -> int:
     return done
 
 
-@fault(quick=4, full=60, timeout=300)
+@fault(quick=4, full=60)
 def damaged_manifest(world: World, count: int) -> int:
     """The manifest truncated, emptied, with a bit flipped, or missing: made again, nothing computed."""
     ways = (*_WAYS, _remove)
@@ -72,7 +72,7 @@ def damaged_manifest(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=0, full=40, timeout=300)
+@fault(quick=0, full=40)
 def damaged_manifest_and_record(world: World, count: int) -> int:
     """Manifest and record both damaged: what neither confirms is computed again."""
     ways = (*_WAYS, _remove)
@@ -84,7 +84,7 @@ def damaged_manifest_and_record(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=0, full=40, timeout=300)
+@fault(quick=0, full=40)
 def damaged_scene_and_record(world: World, count: int) -> int:
     """The copy of the scene and the record damaged: written again."""
     ways = (*_WAYS, _remove)
@@ -123,7 +123,7 @@ def _ask(out: Path) -> list[str]:
 def _asked(world: World, outs: list[Path]) -> list[list[str]]:
     """What each dataset's questions are told, in a process that has seen none of them before."""
     said = world.directory / "told.json"
-    assert world.fork(lambda: said.write_text(json.dumps([_ask(out) for out in outs])), timeout=300.0) == 0
+    assert world.fork(lambda: said.write_text(json.dumps([_ask(out) for out in outs]))) == 0
     return json.loads(said.read_text())
 
 
@@ -146,7 +146,7 @@ def _right_or_refused(world: World, count: int, spoil: Callable[[Path], Path]) -
     return count
 
 
-@fault(quick=10, full=500, timeout=900)
+@fault(quick=10, full=500)
 def flipped_footer_asked(world: World, count: int) -> int:
     """A bit flipped in the footer of a shard, which Parquet's checksums do not cover."""
 
@@ -161,7 +161,7 @@ def flipped_footer_asked(world: World, count: int) -> int:
     return _right_or_refused(world, count, spoil)
 
 
-@fault(quick=10, full=500, timeout=900)
+@fault(quick=10, full=500)
 def flipped_anywhere_asked(world: World, count: int) -> int:
     """A bit flipped anywhere in a dataset."""
 
@@ -174,7 +174,7 @@ def flipped_anywhere_asked(world: World, count: int) -> int:
     return _right_or_refused(world, count, spoil)
 
 
-@fault(quick=2, full=40, timeout=300)
+@fault(quick=2, full=40)
 def swapped_shard_asked(world: World, count: int) -> int:
     """A shard of the same members under another seed, or a neighbour, in the place of one."""
     other = world.directory / "other"
@@ -196,7 +196,7 @@ def swapped_shard_asked(world: World, count: int) -> int:
     return _right_or_refused(world, count, spoil)
 
 
-@fault(quick=3, full=60, timeout=600)
+@fault(quick=3, full=60)
 def damaged_record_of_a_killed_run(world: World, count: int) -> int:
     """A run is killed and its record truncated or flipped: what is told holds of a run that goes on; then it does."""
     for k in range(count):
@@ -227,7 +227,7 @@ def damaged_record_of_a_killed_run(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=1, full=1, timeout=60)
+@fault(quick=1, full=1)
 def foreign_files(world: World, count: int) -> int:
     """Files of others: named by the audit where shards are, never touched; leftovers of ours are removed."""
     out = world.copy()

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 from tests.faults.registry import fault
-from tests.faults.world import World, end_of, remount, small_disk
+from tests.faults.world import PATIENCE, World, end_of, remount, small_disk
 from tests.processes import until
 
 
@@ -22,7 +22,7 @@ def _one_clear_refusal(words: str, reason: str) -> None:
     assert "rerun the scene: finished shards are kept" in last, words
 
 
-@fault(quick=3, full=60, timeout=300)
+@fault(quick=3, full=60)
 def disk_full(world: World, count: int) -> int:
     """No space left at some write of a shard, the manifest, the record or the scene, by how much room there is."""
     # what a finished dataset takes; to be made, it needs more
@@ -44,7 +44,7 @@ def disk_full(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=2, full=8, timeout=120)
+@fault(quick=2, full=8)
 def disk_read_only(world: World, count: int) -> int:
     """A directory that cannot be written, new or half done: refused, unchanged, resumed when it can be."""
     said = world.directory / "said"
@@ -62,7 +62,7 @@ def disk_read_only(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=0, full=3, timeout=300)
+@fault(quick=0, full=3)
 def cache_disk(world: World, count: int) -> int:
     """The disk of the compile cache is too small, full, or read-only: kernels are compiled and not kept."""
     with small_disk("300k") as disk:
@@ -72,7 +72,7 @@ def cache_disk(world: World, count: int) -> int:
             if k == 2:
                 remount(disk, "ro")
             out = world.directory / f"out{k}"
-            code, _, err = end_of(_cold(world, disk, out), 200)
+            code, _, err = end_of(_cold(world, disk, out))
             assert code == 0, err
             assert "kernels are compiled anew in every process" in err, err
             world.check(out)
@@ -84,7 +84,7 @@ def _cold(world: World, cache: Path, out: Path, workers: int = 1) -> subprocess.
     return world.command(*arguments, environment={"NUMBA_CACHE_DIR": str(cache)})
 
 
-@fault(quick=0, full=4, timeout=400)
+@fault(quick=0, full=4)
 def cache_spoilt(world: World, count: int) -> int:
     """The driver is killed while kernels are compiled; then kept kernels are truncated, emptied, flipped: healed."""
     cache = world.directory / "cache"
@@ -96,7 +96,7 @@ def cache_spoilt(world: World, count: int) -> int:
             until(lambda out=out: (out / "manifest.json").exists())
             time.sleep(6.0)
             os.killpg(process.pid, signal.SIGKILL)
-            process.communicate(timeout=20)
+            process.communicate(timeout=PATIENCE)
         for file in kernels:
             if k == 1:
                 os.truncate(file, file.stat().st_size // 2)
@@ -106,7 +106,7 @@ def cache_spoilt(world: World, count: int) -> int:
                 spoilt = bytearray(file.read_bytes())
                 spoilt[world.random.randrange(len(spoilt))] ^= 1 << world.random.randrange(8)
                 file.write_bytes(spoilt)
-        code, _, err = end_of(_cold(world, cache, out, workers=2), 200)
+        code, _, err = end_of(_cold(world, cache, out, workers=2))
         assert code == 0, err
         world.check(out)
         # each kernel was compiled by one process for both: one file a kernel, nothing half-written

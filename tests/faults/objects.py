@@ -82,7 +82,7 @@ def _cloud(world: World) -> Iterator[Cloud]:
         yield Cloud(world, address)
 
 
-@fault(quick=1, full=20, timeout=600)
+@fault(quick=1, full=20)
 def object_store_with_errors(world: World, count: int) -> int:
     """A share of all requests is answered with an error, before or after it took effect: the run goes on."""
     with _cloud(world) as cloud:
@@ -94,7 +94,7 @@ def object_store_with_errors(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=0, full=10, timeout=600)
+@fault(quick=0, full=10)
 def object_store_lost(world: World, count: int) -> int:
     """From some moment on every request fails: one clear refusal, and the next run goes on."""
     said = world.directory / "said"
@@ -116,7 +116,7 @@ def object_store_lost(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=0, full=60, timeout=1200)
+@fault(quick=0, full=60)
 def object_store_driver_killed(world: World, count: int) -> int:
     """SIGKILL at a random moment, on a steady store or one that fails now and then; the lock runs out."""
     done = 0
@@ -134,7 +134,7 @@ def object_store_driver_killed(world: World, count: int) -> int:
     return done
 
 
-@fault(quick=0, full=30, timeout=900)
+@fault(quick=0, full=30)
 def object_store_two_drivers(world: World, count: int) -> int:
     """Three drivers at once, where nothing is or where a crash left a lock that has run out: one writes."""
     with _cloud(world) as cloud:
@@ -161,7 +161,7 @@ def object_store_two_drivers(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=1, full=5, timeout=200)
+@fault(quick=1, full=5)
 def object_store_lock_left_by_a_crash(world: World, count: int) -> int:
     """Whoever comes before the lease has run out is told when it does; after it, the run goes on."""
     said: Path = world.directory / "said"
@@ -183,7 +183,7 @@ def object_store_lock_left_by_a_crash(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=0, full=20, timeout=600)
+@fault(quick=0, full=20)
 def object_store_driver_stopped(world: World, count: int) -> int:
     """SIGSTOP for longer than the lease, while another driver does it all: who wakes up sees that, and ends."""
     said = world.directory / "said"
@@ -203,7 +203,7 @@ def object_store_driver_stopped(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=0, full=6, timeout=400)
+@fault(quick=0, full=6)
 def object_store_interrupted(world: World, count: int) -> int:
     """SIGINT or SIGTERM to the command and its workers: nothing is left of it, and the next run need not wait."""
     with _cloud(world) as cloud:
@@ -214,7 +214,7 @@ def object_store_interrupted(world: World, count: int) -> int:
             until(lambda name=name: "manifest.json" in cloud.content(name))
             time.sleep(world.random.uniform(0.0, 4.0))
             os.killpg(process.pid, number)
-            code, _, err = end_of(process, 30)
+            code, _, err = end_of(process)
             assert code == 128 + number, (code, err)
             assert f"Resume with:\n  stickslip {' '.join(arguments)}\n" in err, err
             assert "Traceback" not in err, err

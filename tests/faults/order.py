@@ -10,11 +10,11 @@ import time
 
 from stickslip.pipeline.dataset.writer import Store
 from tests.faults.registry import fault
-from tests.faults.world import World, end_of, wait
+from tests.faults.world import PATIENCE, World, end_of, wait
 from tests.processes import until
 
 
-@fault(quick=4, full=60, timeout=300)
+@fault(quick=4, full=60)
 def two_drivers(world: World, count: int) -> int:
     """Three drivers at once: one writes, the others are refused; or the owner is killed, and another goes on."""
     out = world.directory / "out"
@@ -38,26 +38,26 @@ def two_drivers(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=0, full=4, timeout=400)
+@fault(quick=0, full=4)
 def driver_with_workers_killed_then_another(world: World, count: int) -> int:
     """A driver is refused while another runs with workers; that one is killed; the next goes on at once."""
     for k in range(count):
         out = world.directory / f"out{k}"
         arguments = ("run", str(world.scene_file), "--out", str(out), "--workers", "2")
-        first = world.command(*arguments, sleep=1.0)
+        first = world.command(*arguments, victims=world.hung)  # it would never end
         until(lambda out=out: any(out.glob("data/shard-*")))
-        code, _, err = end_of(world.command(*arguments), 60)
+        code, _, err = end_of(world.command(*arguments))
         assert code == 1
         assert f"lock held by process {first.pid} on" in err, err
         first.kill()
-        code, _, err = end_of(world.command(*arguments), 60)  # while the orphans may still be dying
+        code, _, err = end_of(world.command(*arguments))  # while the orphans may still be dying
         assert code == 0, err
-        first.communicate(timeout=20)
+        first.communicate(timeout=PATIENCE)
         world.check(out)
     return count
 
 
-@fault(quick=2, full=40, timeout=300)
+@fault(quick=2, full=40)
 def shuffled(world: World, count: int) -> int:
     """Batches come in in any order."""
     out = world.directory / "out"
@@ -82,14 +82,13 @@ def shuffled(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=0, full=3, timeout=200)
+@fault(quick=0, full=3)
 def one_two_four_workers(world: World, count: int) -> int:
-    """The number of workers does not show;"""
+    """The number of workers does not show."""
     for k, workers in enumerate((4, 2, 1)[:count]):
         out = world.directory / f"out{k}"
-        code, _, err = end_of(
-            world.command("run", str(world.scene_file), "--out", str(out), "--workers", str(workers)), 120
-        )
+        command = world.command("run", str(world.scene_file), "--out", str(out), "--workers", str(workers))
+        code, _, err = end_of(command)
         assert code == 0, err
         world.check(out)
     return count

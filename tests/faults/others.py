@@ -17,7 +17,7 @@ from stickslip.pipeline import QueryError, SceneError, StoreError, query, run_en
 from stickslip.pipeline.places.directory import Directory
 from stickslip.workflows.export import whole
 from tests.faults.registry import fault
-from tests.faults.world import Unshown, World, wait
+from tests.faults.world import PATIENCE, Unshown, World, wait
 
 #: Two users without rights, who need no entry in a list of users.
 USER, OTHER = 64_001, 64_002
@@ -26,8 +26,6 @@ MARKER = b"for-my-eyes-only"
 _Act = Callable[[random.Random], object]
 #: Acts on one copy of a dataset, which an attack may spoil for good.
 _ROUND = 20
-#: Seconds in which a command ends that waits for nothing.
-SECONDS = 60
 
 
 def _become(user: int) -> None:
@@ -81,7 +79,7 @@ def _attacked(
         _become(USER)
         chance = random.Random(seed)
         for _ in range(count):
-            signal.alarm(SECONDS)
+            signal.alarm(int(PATIENCE))
             try:
                 told = str(act(chance))
                 os.write(writer, b"1")
@@ -93,7 +91,7 @@ def _attacked(
     seed, (reader, writer) = world.random.random(), os.pipe()
     attacker = world.start(others)
     try:
-        assert wait(world.start(work), timeout=SECONDS * 10) == 0
+        assert wait(world.start(work), _ROUND * PATIENCE) == 0
     finally:
         os.kill(attacker, signal.SIGKILL)
         os.waitpid(attacker, 0)
@@ -105,7 +103,7 @@ def _attacked(
     return n_done
 
 
-@fault(quick=60, full=1000, timeout=1800)
+@fault(quick=60, full=1000)
 def parts_of_others(world: World, count: int) -> int:
     """Parts exchanged for links to what is private, and for pipes, while the owner reads and writes."""
     out, private = _shared(world)
@@ -171,7 +169,7 @@ def parts_of_others(world: World, count: int) -> int:
     return count
 
 
-@fault(quick=60, full=1000, timeout=600)
+@fault(quick=60, full=1000)
 def names_of_others(world: World, count: int) -> int:
     """Links and pipes under the names of an answer and of its unfinished copy, and in their places."""
     _, private = _shared(world)
@@ -210,6 +208,6 @@ def names_of_others(world: World, count: int) -> int:
     assert _tree(private) == before
     for left in group.iterdir():
         left.unlink()
-    assert wait(world.start(alone), timeout=SECONDS) == 0
+    assert wait(world.start(alone)) == 0
     assert out.read_bytes() == b"mine"
     return count

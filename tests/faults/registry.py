@@ -1,4 +1,4 @@
-"""The list of faults: name, how often, in how many seconds at the most."""
+"""The list of faults: name, and how often."""
 
 from __future__ import annotations
 
@@ -16,19 +16,16 @@ class Fault:
     make: Callable[[World, int], int]
     quick: int  #: how often in the quick subset; 0: not there
     full: int
-    timeout: float  #: seconds, in full
 
 
 FAULTS: dict[str, Fault] = {}
 
 
-def fault(
-    quick: int, full: int, timeout: float
-) -> Callable[[Callable[[World, int], int]], Callable[[World, int], int]]:
+def fault(quick: int, full: int) -> Callable[[Callable[[World, int], int]], Callable[[World, int], int]]:
     """List a function as a fault, under its own name."""
 
     def listed(make: Callable[[World, int], int]) -> Callable[[World, int], int]:
-        FAULTS[make.__name__] = Fault(make.__name__, make, quick, full, timeout)
+        FAULTS[make.__name__] = Fault(make.__name__, make, quick, full)
         return make
 
     return listed

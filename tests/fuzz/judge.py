@@ -26,7 +26,7 @@ from tests.independent import Case, Floats, Path, Ramp, Undecided, follow
 from tests.systems import made
 
 #: Error over tol times sensitivity beyond which a run is wrong, by method. The sigmoid engine's errors add up where
-#: nothing damps them: `docs/guide/sigmoid-engine.md` states its bound.
+#: nothing damps them: `docs/guide/engines.md` states its bound.
 LIMIT = {"coulomb": 100.0, "waves": 20.0, "sigmoid": 1000.0}
 _FADED = 1e-8  # of the size of the state
 _PATIENCE = 10.0  # seconds of this process for one run, or all of the reference's

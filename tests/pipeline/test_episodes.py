@@ -59,22 +59,24 @@ def test_a_row_an_episode_of_every_member(scene, tmp_path):
 
 
 def test_slip_and_strain_are_the_whole_travel_by_the_exact_law(scene):
-    """No block creeps by the exact law; smoothed, all that is stuck does, by what the samples say it does."""
+    """No block creeps by the exact law; smoothed, all that is stuck does, by what the samples say it does.
+
+    Both are identities of the numbers that a run records, whatever its error: they hold to rounding, which is below
+    the number of terms, some thousands, times eps. They were within 6e-16.
+    """
     for member in expand(scene.changed(run={"t_end": 400.0})):
-        if member.term("static") != 1.4:
-            continue
         run = member.simulate()
         found = episodes(run, -0.05)
+        if len(found) == 0:  # as without the larger static friction: all come to slip
+            continue
         travel = 5 * 0.05 * (found.start[-1] - found.start[0])
         rest = travel - found.moment[:-1].sum() + found.z_sum[-1] - found.z_sum[0]
-        if member.engine == "coulomb":
-            assert abs(rest) < 1e-9 * travel
-        else:
-            times = np.column_stack([found.end[:-1], found.start[1:]]).ravel()
-            total = member.simulate(times).samples.z.sum(axis=1).reshape(-1, 2)
-            crept = np.diff(total, axis=1)[:, 0] + 5 * 0.05 * (found.start[1:] - found.end[:-1])
-            assert rest == pytest.approx(crept.sum(), rel=0.02)
-            assert rest > 0
+        times = np.column_stack([found.end[:-1], found.start[1:]]).ravel()
+        total = member.simulate(times).samples.z.sum(axis=1).reshape(-1, 2)
+        crept = np.diff(total, axis=1)[:, 0] + 5 * 0.05 * (found.start[1:] - found.end[:-1])
+        rounding = 1e-12 * (travel + np.abs(found.z_sum).max() + found.moment.sum())
+        assert rest == pytest.approx(crept.sum(), rel=0, abs=rounding)
+        assert crept.all() if member.engine == "sigmoid" else abs(rest) <= rounding
 
 
 def test_stopped_and_resumed_is_as_never_stopped(scene, content, tmp_path):

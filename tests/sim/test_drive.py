@@ -257,6 +257,18 @@ def test_bends_at_events_change_nothing(rng):
     assert_same(whole, simulate(cut, z, cut.belt_speed_at(0.0), 10.0, **EXACT))
 
 
+@pytest.mark.parametrize("jump", [1e-1, 1e-3, 1e-5])
+def test_a_block_that_has_left_before_its_belt_brakes_does_not_stick_again(jump):
+    """Its F falls below the static friction, not the kinetic, at an instant at which it has hardly gained speed."""
+    v, static = 0.3, 0.5 + jump
+    leaves = 3.0
+    for apart in range(-200, 2000, 20):
+        bend = leaves + apart * np.spacing(leaves)
+        belt = Piecewise([bend, bend + 1.0], [v, v - 0.1 * jump])
+        events = simulate(System([[1.0]], 0.0, 0.5, belt, static), static - leaves * v, v, 3.5, **EXACT).events
+        assert events.mode.tolist() == [-1]
+
+
 @pytest.mark.parametrize("settings", [EXACT, FINE])
 def test_a_driven_run_goes_on_from_its_end(rng, settings):
     system, z, w = driven(rng)

@@ -65,13 +65,20 @@ def test_what_rests_at_its_bound_leaves_with_the_block_that_it_is_tied_to():
         assert run.events.mode.tolist() == [1, 1]
 
 
-def n_told(*runs):
-    """How many events there are, but for stretches so short that the tolerance cannot tell them from a touch."""
-    t, block = (np.concatenate([getattr(run.events, name) for run in runs]) for name in ("t", "block"))
-    return len(t) - 2 * sum(np.count_nonzero(np.diff(t[block == i]) < 3 * np.sqrt(TOL)) for i in np.unique(block))
+def time_apart(whole, *parts):
+    """The time for which a block has another mode in a run than in its parts, at most."""
+    t = np.unique(np.concatenate([run.t for run in (whole, *parts)] + [[run.t_start, run.t_end] for run in parts]))
+    middle = 0.5 * (t[1:] + t[:-1])
+    modes = [run.modes_at(middle[(run.t_start < middle) & (middle < run.t_end)]) for run in parts]
+    return (np.diff(t) @ (whole.modes_at(middle) != np.concatenate(modes))).max()
 
 
 def test_samples_and_a_split_run_change_nothing(rng):
+    """What the tolerance cannot tell from a touch may be an event of one run alone, for the root of some of them.
+
+    Of 7,843 draws the largest difference of z was 5e-13 and the longest time apart 2e-11. A graze makes both larger,
+    with a chance that falls as their root at least: to 1e-7 at what is allowed.
+    """
     sparse, _, z0, w0 = pair(rng)
     times = np.sort(rng.uniform(0.0, T, 50))
     plain = simulate(sparse, z0, w0, T, tol=TOL, stop_early=False)
@@ -80,8 +87,8 @@ def test_samples_and_a_split_run_change_nothing(rng):
     np.testing.assert_array_equal(plain.z, sampled.z)
     first = simulate(sparse, z0, w0, T / 2, tol=TOL, stop_early=False)
     second = simulate(sparse, first.z, first.w, T, t_start=T / 2, tol=TOL, stop_early=False)
-    np.testing.assert_allclose(second.z, plain.z, atol=1e-6)
-    assert n_told(first, second) == n_told(plain)
+    np.testing.assert_allclose(second.z, plain.z, rtol=0, atol=1e-6)
+    assert time_apart(plain.events, first.events, second.events) < 1e-4
 
 
 def test_no_certificate_is_asked_of_many_blocks(monkeypatch):

@@ -19,11 +19,15 @@ from tests import independent
 V, MU = 0.2, 1.0
 
 
-def planted(depth, stiffness, tol, t_end=300.0):
-    """The run of a block whose first stick is so deep, over |v|, and the times of its two events."""
+def planted(depth, stiffness, tol, t_end=300.0, walls=()):
+    """The run of a block whose first stick is so deep, over |v|, and the times of its two events.
+
+    Beside it blocks of other R slip, which nothing but friction pulls: as walls, where R is large.
+    """
     omega, speed = math.sqrt(stiffness), V * (1.0 + depth)
-    system = System([[stiffness]], 0.0, MU, -V)
-    run = simulate(system, -MU / stiffness + speed / omega, 0.0, t_end / omega, tol=tol, stop_early=False)
+    system = System(np.diag([stiffness, *np.ones(len(walls))]), [0.0, *walls], MU, -V)
+    start = np.append(-MU / stiffness + speed / omega, np.zeros(len(walls)))
+    run = simulate(system, start, 0.0, t_end / omega, tol=tol, stop_early=False)
     entry = math.asin(V / speed) / omega
     return run, (entry, entry + math.sqrt(speed**2 - V**2) / (omega * V))
 
@@ -32,6 +36,15 @@ def planted(depth, stiffness, tol, t_end=300.0):
 @pytest.mark.parametrize(("tol", "depth"), [(1e-3, 5e-6), (1e-5, 5e-6), (1e-8, 5e-9), (1e-10, 5e-11)])
 def test_a_stick_half_a_tolerance_deep_counts_and_the_touches_after_it_do_not(stiffness, tol, depth):
     run, times = planted(depth, stiffness, tol)
+    assert run.events.mode.tolist() == [0, 1]
+    np.testing.assert_allclose(run.events.t, times, rtol=0, atol=0.1 * (times[1] - times[0]))
+
+
+@pytest.mark.parametrize(("tol", "depth"), [(1e-3, 5e-6), (1e-8, 5e-9)])
+@pytest.mark.parametrize("damping", [1e4, 1e10])
+def test_a_heavily_damped_block_makes_no_error_of_which_others_would_have_touches(damping, tol, depth):
+    """Its series have no transient that they could leave out."""
+    run, times = planted(depth, 1.0, tol, walls=[damping])
     assert run.events.mode.tolist() == [0, 1]
     np.testing.assert_allclose(run.events.t, times, rtol=0, atol=0.1 * (times[1] - times[0]))
 

@@ -23,7 +23,7 @@ from stickslip.workflows.commands import main
 from tests.processes import dask_by_hand, listening, until
 from tests.scenes import COULOMB, ensemble
 
-GUIDE = Path(__file__).parents[2] / "workflows" / "guide" / "cluster.md"
+GUIDE = Path(__file__).parents[2] / "docs" / "guide" / "large-runs.md"
 N_MATRICES = 30
 SOURCE = ensemble([100, 5], 300.0, N_MATRICES, COULOMB, seed=11, analysis="t_burn = 20.0\ndt = 1.0").encode()
 
@@ -332,7 +332,7 @@ def in_group(group):
 @pytest.mark.long
 def test_the_commands_of_the_guide_run_a_scene_by_hand_and_nobody_else_is_answered(tmp_path, scene_file, reference):
     """As they stand, on this machine alone: with TLS, and with no port open to other machines."""
-    section = GUIDE.read_text().partition("## By hand\n")[2].partition("\n## ")[0]
+    section = GUIDE.read_text().partition("### By hand\n")[2].partition("\n## ")[0]
     certificate, scheduler, workers, run = re.findall(r"^```sh\n(.*?)^```", section, re.MULTILINE | re.DOTALL)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = str(free.getsockname()[1])

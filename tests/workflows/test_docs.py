@@ -43,7 +43,7 @@ from tests.processes import computed_here
 from tests.scenes import own_law
 
 ROOT = Path(__file__).parents[2]
-GUIDE = ROOT / "docs" / "guide"
+PAGES = {file.stem: file for file in (ROOT / "docs").rglob("*.md")}
 TEXTS = sorted(
     file
     for pattern in ("*.md", "docs/**/*.md", "workflows/**/*.md")
@@ -57,7 +57,7 @@ ADDED = {"largest", "pauses", "width"}
 
 
 def page(name: str) -> str:
-    return (GUIDE / f"{name}.md").read_text()
+    return PAGES[name].read_text()
 
 
 def blocks(text: str, language: str) -> list[str]:
@@ -66,9 +66,15 @@ def blocks(text: str, language: str) -> list[str]:
     return [re.sub(rf"^{indent}", "", code, flags=re.MULTILINE) for indent, code in found]
 
 
-def run_python(name: str, number: int = 0) -> dict[str, object]:
+def block(name: str, language: str, words: str = "") -> str:
+    """The only code of a page that is in this language and has these words."""
+    (code,) = (code for code in blocks(page(name), language) if words in code)
+    return code
+
+
+def run_python(name: str, words: str = "") -> dict[str, object]:
     sys.modules["guide"] = guide = types.ModuleType("guide")  # where a dataclass looks for its module
-    exec(compile(blocks(page(name), "python")[number], f"{name}.md, block {number + 1}", "exec"), guide.__dict__)
+    exec(compile(block(name, "python", words), f"{name}.md", "exec"), guide.__dict__)
     return guide.__dict__
 
 
@@ -90,12 +96,12 @@ def edited(scene: str, changes: str) -> str:
 def first(tmp_path_factory):
     """A directory in which the newcomer's page has been worked through, with fewer matrices and shuffles."""
     place = tmp_path_factory.mktemp("first")
-    (changes,) = blocks(page("first-scene"), "toml")
+    changes = block("first-run", "toml")
     assert changes.count("matrices = 6") == 1
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
         computed_here(patch)
-        begin, *rest = commands("first-scene")
+        begin, *rest = commands("first-run")
         assert main(begin) == 0
         scene = edited(Path("mine.toml").read_text(), changes)
         Path("six.toml").write_text(scene)
@@ -107,7 +113,7 @@ def first(tmp_path_factory):
 # ---------------------------------------------------------------------------------------------- the pages
 
 
-@pytest.mark.parametrize("name", [file.stem for file in sorted(GUIDE.glob("*.md")) if ">>> " in file.read_text()])
+@pytest.mark.parametrize("name", sorted(name for name, file in PAGES.items() if ">>> " in file.read_text()))
 def test_sessions(name):
     """What follows >>> gives what is printed under it."""
     test = doctest.DocTestParser().get_doctest("\n".join(blocks(page(name), "pycon")), {}, name, f"{name}.md", 0)
@@ -115,21 +121,29 @@ def test_sessions(name):
 
 
 def test_first_scene_does_what_the_page_says(first):
-    said = [words[0] for words in commands("first-scene")]
+    said = [words[0] for words in commands("first-run")]
     assert {"init", "run", "status", "query"} <= set(said)
     assert (first / "runs" / "mine" / "report.html").stat().st_size > 10_000
 
 
 @pytest.mark.long
+def test_scenes_do_what_the_page_says(here, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = re.findall(r"[Tt]his is `(\w+\.toml)`", page("scenes"))
+    for name, scene in zip(names, blocks(page("scenes"), "toml"), strict=True):
+        Path(name).write_text(scene)
+    run_python("scenes", "K.npz")
+    Path("own.py").write_text(block("scenes", "python", "def draw"))
+    assert [main(command) for command in commands("scenes")] == [0] * 11
+    assert query.members("runs/settled").attractor.notna().all()
+
+
+@pytest.mark.long
 def test_sweeps_do_what_the_page_says(here, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    for name, scene in zip(
-        ("sweep", "starts", "settled", "on", "chain", "own", "made"), blocks(page("sweeps"), "toml"), strict=True
-    ):
-        Path(f"{name}.toml").write_text(scene)
-    run_python("sweeps")
-    Path("own.py").write_text(blocks(page("sweeps"), "python")[1])
-    assert [main(command) for command in commands("sweeps")] == [0] * 16
+    for name in ("sweep", "starts"):
+        Path(f"{name}.toml").write_text(block("sweeps", "toml", {"sweep": "belt_speed", "starts": "draws"}[name]))
+    assert [main(command) for command in commands("sweeps")] == [0] * 5
     said = capsys.readouterr().out
     (grid,) = re.findall(r"`(grid +.*?)`", page("sweeps"))
     assert f"\n{grid}\n" in said
@@ -138,23 +152,23 @@ def test_sweeps_do_what_the_page_says(here, tmp_path, monkeypatch, capsys):
     (name,) = re.findall(r"`(n20-m.*?)`", page("sweeps"))
     assert name in set(members.member_id)
     assert members.groupby(["friction", "belt_speed"]).size().tolist() == [2] * 6
-    groups = study_of("runs/sweep").groups  # the report tells the points apart
+    groups = study_of("runs/sweep").groups  # the page tells the settings apart
     assert len({(group.key["friction"], group.key["belt_speed"]) for group in groups}) == len(groups) == 6
 
 
 def test_first_scene_in_python(first, monkeypatch):
     monkeypatch.chdir(first)
-    names = run_python("first-scene")
+    names = run_python("first-run", "import members")
     assert len(names["table"]) == 8
     assert len(names["t"]) == len(names["count"]) > 1
     monkeypatch.setitem(matplotlib.rcParams, "backend", "agg")
-    assert run_python("first-scene", 2)["run"].outcome == "finished"
+    assert run_python("first-run", "draw_system")["run"].outcome == "finished"
 
 
 @pytest.mark.long
 def test_first_scene_as_a_script(first, tmp_path):
     script = tmp_path / "script.py"
-    script.write_text(blocks(page("first-scene"), "python")[1])
+    script.write_text(block("first-run", "python", "__main__"))
     (tmp_path / "mine.toml").write_bytes((first / "mine.toml").read_bytes())
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
@@ -162,7 +176,7 @@ def test_first_scene_as_a_script(first, tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("8 members {")
-    outcomes = re.findall(r"^\| `(\w+)` \|", page("first-scene"), flags=re.MULTILINE)
+    outcomes = re.findall(r"^\| `(\w+)` \|", page("first-run"), flags=re.MULTILINE)
     assert set(outcomes) == set(OUTCOMES)
     assert next((tmp_path / "runs" / "mine" / "data").iterdir()).read_bytes() == (
         next((first / "runs" / "mine" / "data").iterdir()).read_bytes()
@@ -172,8 +186,8 @@ def test_first_scene_as_a_script(first, tmp_path):
 def test_first_scene_counts_the_members(first):
     """The page's numbers are those of the scene that it makes."""
     scene = parse_scene((first / "six.toml").read_bytes())
-    assert f"make {scene.n_members} members" in page("first-scene")
-    table = blocks(page("first-scene"), "text")[0].splitlines()[1:]
+    assert f"make {scene.n_members} members" in page("first-run")
+    table = blocks(page("first-run"), "text")[0].splitlines()[1:]
     assert sum(int(row.split()[-1]) for row in table) == scene.n_members
 
 
@@ -181,9 +195,9 @@ def test_first_scene_gets_the_answer_that_the_page_gives(first, tmp_path):
     """With its six matrices: the table of outcomes, and who still moves at the end."""
     source = (first / "six.toml").read_bytes()
     run_ensemble(parse_scene(source), tmp_path / "mine", workers=0)
-    (command,) = (words for words in commands("first-scene") if words[0] == "query")
+    (command,) = (words for words in commands("first-run") if words[0] == "query")
     rows = [tuple(map(str, row)) for row in query.sql(tmp_path / "mine", command[2]).itertuples(index=False)]
-    assert rows == [tuple(line.split()) for line in blocks(page("first-scene"), "text")[0].splitlines()[1:]]
+    assert rows == [tuple(line.split()) for line in blocks(page("first-run"), "text")[0].splitlines()[1:]]
     series = query.series(tmp_path / "mine")
     fates = Counter(
         (row.n, fate(row.outcome, series[row.member_id], 200.0))
@@ -193,7 +207,7 @@ def test_first_scene_gets_the_answer_that_the_page_gives(first, tmp_path):
 
 
 def test_the_questions_are_those_of_a_report():
-    listed = re.findall(r"^\| ([^|]+\?) \| `(\w+)` \|", page("report"), flags=re.MULTILINE)
+    listed = re.findall(r"^\| ([^|]+\?) \| `(\w+)` \|", page("reading"), flags=re.MULTILINE)
     titles = {key: question(key).title or environment().get_template(f"{key}.html").module.name for key in QUESTIONS}
     assert {key: name for name, key in listed} == titles
 
@@ -201,7 +215,8 @@ def test_the_questions_are_those_of_a_report():
 def test_the_verdicts_are_those_of_the_analysis():
     templates = (ROOT / "analysis" / "report" / "templates").glob("*.html")
     source = "\n".join(file.read_text() for file in (*(ROOT / "analysis").rglob("*.py"), *templates))
-    verdicts = re.findall(r"\*([a-z ]+)\*", page("report").partition("**Verdicts**")[2].partition("**Collapsed**")[0])
+    paragraph = page("reading").partition("**Verdicts**")[2].partition("**Collapsed**")[0]
+    verdicts = re.findall(r"\*([a-z ]+)\*", paragraph)
     assert {"steeper", "agree", "stays", "cannot be told"} <= set(verdicts)
     assert [words for words in verdicts if words not in source] == []
 
@@ -210,10 +225,10 @@ def test_a_scene_of_a_function_in_si_units(tmp_path, monkeypatch):
     """The first exit is when the belt has stretched the springs of one block by its static friction."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
-    Path("brake.py").write_text(blocks(page("own-system"), "python")[3])
-    Path("brake.toml").write_text(blocks(page("own-system"), "toml")[0])
+    Path("brake.py").write_text(block("systems", "python", "SCALES = "))
+    Path("brake.toml").write_text(block("systems", "toml"))
     assert main(["run", "brake.toml", "--no-report", "--workers", "1"]) == 0
-    found = run_python("own-system", 4)
+    found = run_python("systems", "from brake import")
     for row in found["table"].itertuples():
         first = found["seconds"][row.member_id][1]
         low, high = (
@@ -225,11 +240,10 @@ def test_a_scene_of_a_function_in_si_units(tmp_path, monkeypatch):
 def test_a_record_of_a_function(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     computed_here(monkeypatch)
-    Path("mine.py").write_text(blocks(page("own-records"), "python")[0])
-    Path("quiet.toml").write_text(blocks(page("own-records"), "toml")[0])
-    assert [main(command) for command in commands("own-records")] == [0] * 3
+    Path("mine.py").write_text(block("own", "python", "class Measured"))
+    Path("quiet.toml").write_text(block("own", "toml", "mine:quiet"))
+    assert [main(command) for command in commands("own")] == [0] * 3
     assert "let go after t_burn) rises from 0.675 to 1" in capsys.readouterr().out
-    assert "rises from 0.675 to 1 as" in page("own-records")
     table = query.members("runs/quiet")
     assert table.own_problem.isna().all()
     assert 0 < table.never_left.mean() < 1
@@ -240,14 +254,14 @@ def test_a_law_of_friction_in_a_file(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     Path("lorentz.py").write_text(own_law())
-    found = run_python("own-system", 6)
+    found = run_python("systems", "from lorentz import")
     assert found["stops"] == pytest.approx(26.0, rel=1e-12)
     assert abs(float(capsys.readouterr().out)) < 1e-10
 
 
 def test_the_numbers_of_a_report_in_python(first, monkeypatch):
     monkeypatch.chdir(first)
-    names = run_python("report")
+    names = run_python("reading")
     assert len(names["events"]) == 4
     assert "law" in names["tables"]
 
@@ -259,12 +273,12 @@ def test_matrices_from_files(tmp_path, monkeypatch):
     np.savez("several.npz", K=k)
     scipy.sparse.save_npz("sparse.npz", scipy.sparse.csc_array(k))
     scipy.io.mmwrite("matrix.mtx", scipy.sparse.csc_array(k))
-    np.testing.assert_array_equal(run_python("own-system", 2)["K"].toarray(), k)
+    np.testing.assert_array_equal(run_python("systems", "load_npz")["K"].toarray(), k)
 
 
 def test_from_a_function_to_a_report(here, tmp_path, monkeypatch, capsys):
     """What becomes of the script without its second last line, `tests/pipeline/test_driver.py` has."""
-    module, script, *_ = blocks(page("own-system"), "python")
+    module, script = (block("systems", "python", words) for words in ("pull * np.triu", "run_scene"))
     (tmp_path / "own.py").write_text(module)
     (tmp_path / "mine.py").write_text(script)
     monkeypatch.chdir(tmp_path)
@@ -305,7 +319,8 @@ def test_a_term_is_a_row(tree):
     """What follows from it, but the physics, which the guide does not have."""
     root, python = tree
     file, end = root / "sim" / "systems" / "terms.py", "\n)\n\n#: The arguments"
-    file.write_text(file.read_text().replace(end, f"\n{blocks(page('extending'), 'python')[0].strip()},{end}", 1))
+    row = block("extending", "python", "drag").strip()
+    file.write_text(file.read_text().replace(end, f"\n{row},{end}", 1))
     keys = python("-m", "stickslip", "schema", "--keys")
     assert "system.drag" in keys
     assert "drag of every block, a force -drag |w| w" in keys
@@ -329,7 +344,8 @@ print(*("drag" in some for some in known[:3]), sorted(known[3]), columns["drag"]
 @pytest.mark.long
 def test_a_record_is_a_file_and_a_line(tree):
     root, python = tree
-    (root / "pipeline" / "records" / "motion" / "largest.py").write_text(blocks(page("extending"), "python")[1])
+    record = block("extending", "python", "class Largest")
+    (root / "pipeline" / "records" / "motion" / "largest.py").write_text(record)
     file, before = root / "pipeline" / "records" / "__init__.py", "from stickslip.pipeline.records.outcome"
     line = "from stickslip.pipeline.records.motion.largest import Largest\n"
     text = file.read_text().replace(before, line + before)
@@ -346,7 +362,7 @@ def test_a_record_is_a_file_and_a_line(tree):
 
 
 def test_a_coupling_is_one_line(monkeypatch):
-    line = blocks(page("extending"), "python")[2]
+    line = block("extending", "python", '"row"')
     new = eval(f"{{{line}}}", vars(couplings))
     ((name, coupling),) = new.items()
     monkeypatch.setitem(couplings.COUPLINGS, name, coupling)
@@ -378,8 +394,8 @@ def test_a_graph_is_one_line(has_degree, monkeypatch):
 
 def test_a_question_is_a_file_and_a_template(first):
     study = study_of(str(first / "runs" / "mine"))
-    found = run_python("extending", 3)["QUESTION"].answer(study)
-    words = environment().from_string(blocks(page("extending"), "jinja")[0]).module
+    found = run_python("extending", "QUESTION")["QUESTION"].answer(study)
+    words = environment().from_string(block("extending", "jinja", "longest pause")).module
     assert len(found.tables["pauses"]) == sum(group.n_runs for group in study.groups) > 0
     assert "The longest pause of a run is" in words.answer(found.facts)
     assert "<table" in words.part(found.facts, None)
@@ -388,8 +404,8 @@ def test_a_question_is_a_file_and_a_template(first):
 
 def test_a_question_of_ones_own_is_a_function_beside_the_scene(tmp_path, monkeypatch):
     """Its sentence is that of the dataset: the means over matrices, by another way."""
-    Path(tmp_path / "mine.toml").write_text(blocks(page("own-questions"), "toml")[0])
-    Path(tmp_path / "own.py").write_text(blocks(page("own-questions"), "python")[0])
+    Path(tmp_path / "mine.toml").write_text(block("own", "toml", "own:question"))
+    Path(tmp_path / "own.py").write_text(block("own", "python", "def question"))
     run_ensemble(load_scene(tmp_path / "mine.toml"), tmp_path / "out", workers=0)
     monkeypatch.setattr(sys, "stdin", sys.stdin)  # restored at the end
     (task,) = own_questions.tasks(open_dataset(tmp_path / "out"), tmp_path / "out", with_pdf=False)
@@ -403,7 +419,7 @@ def test_a_question_of_ones_own_is_a_function_beside_the_scene(tmp_path, monkeyp
     )
     assert found.said["name"] == "At which belt speed do blocks stick longest?"
     assert list(found.figures) == ["own-question-shares"]
-    words = environment().from_string(blocks(page("own-questions"), "jinja")[0]).module
+    words = environment().from_string(block("own", "jinja")).module
     assert words.answer({"best": -0.1, "share": Estimate(0.5, 0.4, 0.6)}).endswith(
         "0.500 (0.400 to 0.600) of its time."
     )
@@ -411,9 +427,9 @@ def test_a_question_of_ones_own_is_a_function_beside_the_scene(tmp_path, monkeyp
 
 def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):
     named = re.search(r'`"width": "stickslip.workflows.gallery.charts.(width:\w+)"`', page("extending"))[1]
-    (tmp_path / "width.py").write_text(blocks(page("extending"), "python")[4])
-    (tmp_path / "width.html").write_text(blocks(page("extending"), "jinja")[1])
-    scene = blocks(page("extending"), "toml")[0]
+    (tmp_path / "width.py").write_text(block("extending", "python", "class WidthScene"))
+    (tmp_path / "width.html").write_text(block("extending", "jinja", "chart.html"))
+    scene = block("extending", "toml")
     (tmp_path / "width.toml").write_text(scene)
     assert {"about", "minutes"} <= set(tomllib.loads(scene))  # without which no scene ships
     assert all("#" in line for line in scene.strip().splitlines())
@@ -429,7 +445,7 @@ def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):
 
 
 def test_an_engine_is_a_class_with_its_settings(monkeypatch):
-    engine = run_python("extending", 5)["FixedStep"]
+    engine = run_python("extending", "class FixedStep")["FixedStep"]
     monkeypatch.setitem(ENGINES, engine.name, engine)
     system = draw_system("antisymmetric", 5, 3)
     run = simulate(system, -0.7, -0.4, 2.0, engine="fixed_step", eps=0.1, step=0.001, t_eval=[1.0, 2.0])

@@ -1,4 +1,4 @@
-"""The guide to queries: each of its ten questions is asked of a small dataset, and the answers make sense."""
+"""The guide's queries: each of its ten questions is asked of a small dataset, and the answers make sense."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from stickslip.analysis.series.cascades import spans, window
 from stickslip.pipeline import parse_scene, query, run_ensemble
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
-GUIDE = (Path(__file__).parents[2] / "workflows" / "guide" / "queries.md").read_text()
-SECTIONS = re.findall(r"^## (\d+)\. (.*?)\n(.*?)(?=^## |\Z)", GUIDE, flags=re.DOTALL | re.MULTILINE)
+PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "large-runs.md").read_text()
+GUIDE = PAGE.partition("## Ten queries\n")[2]
+SECTIONS = re.findall(r"^### (\d+)\. (.*?)\n(.*?)(?=^### |\Z)", GUIDE, flags=re.DOTALL | re.MULTILINE)
 SOURCE = ensemble(
     [12, 60],
     80.0,
@@ -66,7 +67,7 @@ def counted(kept) -> pd.DataFrame:
 
 
 def test_the_questions_fit_the_guides_own_scene():
-    page = (Path(__file__).parents[2] / "docs" / "guide" / "first-scene.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "guide" / "first-run.md").read_text()
     assert {float(t) for t in re.findall(r"(?:greatest\(t, |t_to > |rise_before > )(\d+)", GUIDE)} == {
         float(re.search(r"^t_burn = (\S+)", page, flags=re.MULTILINE)[1])
     }

@@ -13,7 +13,7 @@ from stickslip import Dataset
 from stickslip.pipeline import QueryError, verify
 
 pytestmark = pytest.mark.long  # a kernel of its own, and workers
-PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "notebook.md").read_text()
+PAGE = (Path(__file__).parents[2] / "docs" / "guide" / "python.md").read_text()
 CELLS = re.findall(r"^```python\n(.*?)^```", PAGE, flags=re.DOTALL | re.MULTILINE)
 
 

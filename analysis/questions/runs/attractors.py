@@ -1,4 +1,4 @@
-"""What runs settle on: shares, basins in the plane of the starts, and what changes along swept keys.
+"""What runs settle on, where that is recorded: shares, basins, and what changes along swept keys. Part of `fates`.
 
 Starts are no part of a setting here: runs that differ in their start alone are one group, drawn or swept.
 """
@@ -6,51 +6,56 @@ Starts are no part of a setting here: runs that differ in their start alone are 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
-from stickslip.analysis.answer import Answer, F, I, Question, Recipe, Row, S, frame
+from stickslip.analysis.answer import Answer, F, I, Picture, Recipe, Row, S, Table, frame, named
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.finding import (
+    Alike,
+    Basis,
+    Comparison,
+    Difference,
+    Finding,
+    Quantity,
+    Regimes,
+    Scale,
+    Share,
+)
+from stickslip.analysis.findings.words import plural
 from stickslip.analysis.grid import MOST_SETTINGS, axes_of, dtype, place_of, settings
 from stickslip.analysis.groups import Group
 from stickslip.analysis.models.attractors import (
     ESCAPING,
     IRREGULAR,
     KINDS,
-    ONE_CYCLE,
     PERIODIC,
+    REST,
+    SLIDING,
     TORUS,
     UNDECIDED,
-    Along,
     Cycle,
-    Range,
-    Turn,
     alike,
-    on_grid,
     plane,
-    ranges,
-    turn,
 )
-from stickslip.analysis.questions.runs import attractor_figures as figures_of
-from stickslip.analysis.questions.runs.attractor_figures import Look, Points, Scale, Sections
+from stickslip.analysis.questions.runs import fate_figures as figures
+from stickslip.analysis.questions.runs.fate_figures import CYCLES, LOOKS, OTHERS, Look, Points, Sections
+from stickslip.analysis.questions.runs.regimes import Place, least_share, regimes, stretches_of
 from stickslip.analysis.series.runs import by_number
-from stickslip.analysis.stats.compare import share_over_matrices, wilson
+from stickslip.analysis.stats.compare import share_over_matrices
+from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.design import Axis, in_words
 from stickslip.pipeline.design.labels import labels
 from stickslip.pipeline.design.values import Value, ranks
 
-NO_RECORD = "no record"  # in this ensemble
-NONE_EXACT = "none exact"  # no run that has one
-_MOST_BARS = 24
+_MOST_BARS, _MOST_LINES = 24, 12
 _MOST_CYCLES = 4  # that are named apart
 _MOST_DIAGRAMS = 3  # of bifurcations, at values of a second key
 _ONE_DOT = 1e-3  # of the range of values: what is closer is drawn once
-_LEAST_UNITS = 4  # for a bound on a share that is 1
 _SCHEMA = {
     "group": S, "attractor": S, "cycle": I, "n_runs": I, "of": I, "share": F, "share_low": F, "share_high": F,
     "exits": I, "period_least": F, "period_median": F, "period_most": F, "multiplier": F,
@@ -60,21 +65,48 @@ _RANGES = {
     "multiplier_first": F, "multiplier_last": F,
 }  # fmt: skip
 _NUMBERS = ("period", "multiplier", "exits_per_period", "events_per_period")
-#: A kind, and the number of the cycle among those of its system: 0 for those that are not told apart.
-_What = tuple[str, int]
+PERIOD = Quantity("period", "period of the cycle")
+PREDICATES = {
+    REST: "come to rest", SLIDING: "end in steady sliding", PERIODIC: "settle on a cycle", TORUS: "settle on a torus",
+    IRREGULAR: "stay irregular", ESCAPING: "grow without limit", UNDECIDED: "are undecided",
+}  # fmt: skip
+METHOD = (
+    "Each run is followed on from its end: a cycle repeats its events and comes back to its state, steady sliding and"
+    " rest are certified, and small deviations grow at a steady rate in irregular motion. Shares have Wilson's"
+    " interval, for as many independent runs as the scatter between systems allows."
+)
+
+
+class Settled(NamedTuple):
+    """What a run settles on: the kind and, of a cycle, its exits per period and its number among those of its system.
+
+    The number is 0 for cycles that are not told apart.
+    """
+
+    kind: str
+    exits: int = 0
+    cycle: int = 0
+
+    @property
+    def predicate(self) -> str:
+        """A verb phrase in the plural."""
+        if self.kind != PERIODIC:
+            return PREDICATES[self.kind]
+        return f"settle on a cycle of {plural(self.exits, 'exit')} per period"
+
+    @property
+    def words(self) -> str:
+        """For a table."""
+        return f"{self.kind}, {plural(self.exits, 'exit')} per period" if self.kind == PERIODIC else self.kind
 
 
 class Runs(NamedTuple):
-    """Runs that have an attractor: arrays of a length.
-
-    Numbers of a cycle are NaN for what is none; `cycle` tells apart the cycles of one system, 0 where they are not.
-    """
+    """Runs that have an attractor: arrays of a length; numbers of a cycle are NaN for what is none."""
 
     member_id: np.ndarray
     matrix: np.ndarray
     unit: np.ndarray
     attractor: np.ndarray
-    reason: np.ndarray
     period: np.ndarray
     multiplier: np.ndarray
     exits_per_period: np.ndarray
@@ -90,15 +122,67 @@ class Runs(NamedTuple):
         return bool((self.matrix == self.matrix[0]).all())
 
     @property
-    def what(self) -> list[_What]:
-        """What each run settles on."""
-        return list(zip(self.attractor.tolist(), self.cycle.tolist(), strict=True))
+    def n_units(self) -> int:
+        """How many are independent: starts of one system, or else units."""
+        return self.n if self.is_one_system else len(np.unique(self.unit))
+
+    @property
+    def cycles(self) -> list[Settled]:
+        """What each settles on, with cycles told apart by their numbers."""
+        return [Settled(kind, 0, int(cycle)) for kind, cycle in zip(self.attractor, self.cycle, strict=True)]
+
+    @property
+    def exits(self) -> list[Settled]:
+        """What each settles on, with cycles told apart by their exits per period."""
+        pairs = zip(self.attractor, np.nan_to_num(self.exits_per_period), strict=True)
+        return [Settled(kind, int(exits)) for kind, exits in pairs]
 
     def at(self, which: np.ndarray) -> Runs:
         return Runs(*(column[which] for column in self))
 
     def n_of(self, kind: str) -> int:
         return int((self.attractor == kind).sum())
+
+
+@dataclass(frozen=True)
+class Attractor:
+    """An attractor of a group: its share of the runs, and what its cycles are like; None for what is no cycle.
+
+    Attributes
+    ----------
+    what : Settled
+    n_runs, of : int
+    share : Estimate
+    exits : int, optional
+        Per period, if all have as many.
+    period : tuple of float, optional
+        The least, the median and the largest.
+    multiplier : float, optional
+        The largest.
+    """
+
+    what: Settled
+    n_runs: int
+    of: int
+    share: Estimate
+    exits: int | None
+    period: tuple[float, float, float] | None
+    multiplier: float | None
+
+    def predicate(self, is_only_cycle: bool) -> str:
+        if self.what.kind != PERIODIC or is_only_cycle:
+            return PREDICATES[self.what.kind]
+        if not self.what.cycle or self.period is None:
+            return "settle on other cycles"
+        return f"settle on the cycle of period {self.period[1]:.4g}"
+
+    def row(self, group: str) -> Row:
+        periods = self.period or (None, None, None)
+        return {
+            "group": group, "attractor": self.what.kind, "cycle": self.what.cycle or None, "n_runs": self.n_runs,
+            "of": self.of, **named("share", self.share), "exits": self.exits, "multiplier": self.multiplier,
+            **dict(zip(("period_least", "period_median", "period_most"), periods, strict=True)),
+        }  # fmt: skip
 
 
 class _Line(NamedTuple):
@@ -108,51 +192,53 @@ class _Line(NamedTuple):
     is_exact: bool
     others: dict[Axis, tuple[Value, ...]]
     along: list[tuple[Value, ...]]
-    own: list[Runs]
+    runs: list[Runs]
 
     @property
-    def ticks(self) -> list[str]:
+    def texts(self) -> list[str]:
         return [in_words(value) for value in self.along]
 
+    def where(self, has_settings: bool) -> str:
+        """At which values of the other keys it lies, and in which of several settings."""
+        at = [f"{axis.name} = {in_words(value)}" for axis, value in self.others.items()]
+        return ", ".join([*([self.setting] if has_settings else []), *at])
 
-def answer(study: Study) -> Answer | None:
-    if "attractor" not in study.data.table.own:
-        return Answer(lack=NO_RECORD) if "attractors" in study.settings.question else None
-    groups = _regardless_of_start(study)
+
+def settled(study: Study) -> Answer | None:
+    """What runs settle on; None where no run has a record of it."""
+    groups = _regardless_of_start(study) if "attractor" in study.data.table.own else []
     if not groups:
-        return Answer(lack=NONE_EXACT)
+        return None
     runs = {group.label: _runs(study, group) for group in groups}
-    by_group = {name: list(_rows(study, name, some)) for name, some in runs.items()}
-    rows = [row for some in by_group.values() for row in some]
-    found = [{"group": name, "of": some.n, "rows": by_group[name], "is_one_system": some.is_one_system}
-             for name, some in runs.items()]  # fmt: skip
-    basin, along = _basin(study, runs), _along(study, groups, runs)
-    facts: dict[str, Any] = {
-        "groups": found, "rows": rows, "t_burn": study.settings.t_burn,
-        "n_undecided": sum(row["n_runs"] for row in rows if row["attractor"] == UNDECIDED),
-        "why_undecided": _reasons([some.reason[some.attractor == UNDECIDED] for some in runs.values()]),
-        "n_runs": sum(some.n for some in runs.values()), "most_bars": _MOST_BARS,
-        "level": f"{100 * study.settings.confidence:g}%", "basin": _without(basin, "drawn"),
-        "along": _without(along, "drawn", "keys"), "one_cycle": ONE_CYCLE,
-    }  # fmt: skip
-    tables = {"attractors": frame(_SCHEMA, rows)}
-    figures: dict[str, Recipe] = {}
-    if basin is not None:
-        figures["basin_of_attractors"] = basin["drawn"]
-    if along is not None:
-        tables["attractor_ranges"] = frame(along["keys"] | _RANGES, along["ranges"])
-        figures |= along["drawn"]
-    elif len(runs) > 1 or basin is None:
-        shares: dict[str, dict[str, float]] = {name: dict.fromkeys(KINDS, 0.0) for name in runs}
-        for row in rows:
-            shares[row["group"]][row["attractor"]] += row["share"]
-        figures["attractors"] = partial(figures_of.bars, dict(list(shares.items())[:_MOST_BARS]))
-    return Answer(facts | {"figures": list(figures)}, tables=tables, figures=figures)
+    attractors = {name: list(_attractors(study, part)) for name, part in runs.items()}
+    tables: dict[str, Table] = {
+        "attractors": frame(_SCHEMA, (row.row(name) for name, rows in attractors.items() for row in rows))
+    }
+    by_setting, axes = settings(groups), axes_of(groups)
+    pictures = _basin(study, runs)
+    if axes:
+        lines = [line for setting, part in by_setting.items() for line in _lines(setting, part, axes, runs)]
+        findings, n_lead = _along(study, axes[0], lines, len(by_setting) > 1)
+        columns, rows = _range_rows(study, axes, lines, len(by_setting) > 1)
+        tables["attractor_ranges"] = frame(columns | _RANGES, rows)
+        pictures |= _pictures_along(study, axes, lines)
+    else:
+        things = "starts" if pictures and runs[groups[0].label].is_one_system else "runs"
+        shares = [_findings(study, things, name if len(runs) > 1 else "", attractors[name], runs[name])
+                  for name in list(runs)[:_MOST_LINES]]  # fmt: skip
+        findings, n_lead = [finding for part in shares for finding in part], min(2, len(shares[0]))
+        if len(runs) > 1:
+            pictures["attractors"] = _bars(runs)
+    return Answer(findings=findings, n_lead=n_lead, tables=tables, figures=pictures, method=METHOD)
 
 
-def _without(row: Row | None, *names: str) -> Row | None:
-    """A row without what only figures and tables need."""
-    return None if row is None else {name: value for name, value in row.items() if name not in names}
+def n_undecided(study: Study) -> tuple[int, int]:
+    """How many runs that have an attractor are undecided, and how many have one."""
+    members = study.data.table.own
+    if "attractor" not in members:
+        return 0, 0
+    kinds = members["attractor"].iloc[study.data.table.unchanged]
+    return int((kinds == UNDECIDED).sum()), int(kinds.notna().sum())
 
 
 # ------------------------------------------------------------------------------------------------- runs and shares
@@ -160,17 +246,17 @@ def _without(row: Row | None, *names: str) -> Row | None:
 
 def _regardless_of_start(study: Study) -> list[Group]:
     """The groups of the study, those that differ in their starts alone as one, of the runs that have an attractor."""
-    found: dict[tuple[Any, ...], list[Group]] = {}
+    alike_but_start: dict[tuple[Any, ...], list[Group]] = {}
     for group in study.groups:
-        found.setdefault(tuple((group.key | {"z0": None, "w0": None}).values()), []).append(group)
+        alike_but_start.setdefault(tuple((group.key | {"z0": None, "w0": None}).values()), []).append(group)
     known, swept = [], []
-    for key, some in found.items():
-        rows = np.concatenate([one.rows for one in some])
+    for values, groups in alike_but_start.items():
+        rows = np.concatenate([group.rows for group in groups])
         has = study.data.table.own["attractor"].iloc[rows].notna().to_numpy()
         if has.any():
-            known.append((dict(zip(study.groups[0].key, key, strict=True)), rows[has]))
-            values = study.data.table.design.swept(some[0].point)
-            swept.append({name: value for name, value in values.items() if name not in ("z", "w")})
+            known.append((dict(zip(study.groups[0].key, values, strict=True)), rows[has]))
+            at = study.data.table.design.swept(groups[0].point)
+            swept.append({name: value for name, value in at.items() if name not in ("z", "w")})
     names = labels([key for key, _ in known], swept)
     return [Group(name, key, study.data.table, rows) for name, (key, rows) in zip(names, known, strict=True)]
 
@@ -180,13 +266,11 @@ def _runs(study: Study, group: Group) -> Runs:
     members = group.members
     names = members["member_id"].to_numpy(object)
     period, multiplier, exits, events = (study.number(name)[group.rows] for name in _NUMBERS)
-    reason = members["attractor_reason"]
-    found = Runs(
+    runs = Runs(
         names, members["matrix"].to_numpy(), members["unit"].to_numpy(), members["attractor"].to_numpy(object),
-        reason.astype(object).where(reason.notna(), None).to_numpy(), period, multiplier, exits, events,
-        np.zeros(len(names), dtype=np.int64),
+        period, multiplier, exits, events, np.zeros(len(names), dtype=np.int64),
     )  # fmt: skip
-    return _numbered(study, found) if found.is_one_system else found
+    return _numbered(study, runs) if runs.is_one_system else runs
 
 
 def _numbered(study: Study, runs: Runs) -> Runs:
@@ -198,34 +282,31 @@ def _numbered(study: Study, runs: Runs) -> Runs:
     cycles = [Cycle(int(events), int(exits), float(period), section_z[name], section_w[name])
               for name, events, exits, period in rows]  # fmt: skip
     number = np.zeros(runs.n, dtype=np.int64)
-    number[which] = [one if one <= _MOST_CYCLES else 0 for one in alike(cycles)]
+    number[which] = [cycle if cycle <= _MOST_CYCLES else 0 for cycle in alike(cycles)]
     return runs._replace(cycle=number)
 
 
-def _rows(study: Study, name: str, runs: Runs) -> Iterator[Row]:
-    """A row for each attractor of a group: its share of the runs, and what its cycles are like."""
+def _attractors(study: Study, runs: Runs) -> Iterator[Attractor]:
+    """The attractors of a group, in the order of the page."""
     units = np.arange(runs.n) if runs.is_one_system else np.unique(runs.unit, return_inverse=True)[1]
     of = np.bincount(units)
-    for what in _attractors(runs):
-        kind, cycle = what
-        has = (runs.attractor == kind) & (runs.cycle == cycle)
+    for what in _in_order(runs.cycles):
+        has = (runs.attractor == what.kind) & (runs.cycle == what.cycle)
         counts = np.column_stack([np.bincount(units, has), of])
         share, low, high, _ = share_over_matrices(counts, study.settings.confidence)
-        own = runs.at(has)
-        exits = np.unique(_known(own.exits_per_period))
-        known = _known(own.period)
-        least, median, most = np.percentile(known, (0, 50, 100)).tolist() if len(known) else 3 * [None]
-        yield {
-            "group": name, "attractor": kind, "cycle": cycle or None, "n_runs": own.n, "of": runs.n,
-            "share": share, "share_low": low, "share_high": high, "exits": int(exits[0]) if len(exits) == 1 else None,
-            "period_least": least, "period_median": median, "period_most": most,
-            "multiplier": _most(own.multiplier), "what": what,
-        }  # fmt: skip
+        part = runs.at(has)
+        exits, periods = np.unique(_known(part.exits_per_period)), _known(part.period)
+        least, median, most = np.percentile(periods, (0, 50, 100)).tolist() if len(periods) else 3 * [0.0]
+        yield Attractor(
+            what, part.n, runs.n, Estimate(share, low, high), int(exits[0]) if len(exits) == 1 else None,
+            (least, median, most) if len(periods) else None, _most(part.multiplier),
+        )  # fmt: skip
 
 
-def _attractors(runs: Runs) -> list[_What]:
-    """What runs settle on, in the order of the page; cycles in the order of their numbers, the others last."""
-    return sorted(set(runs.what), key=lambda what: (KINDS.index(what[0]), what[1] or _MOST_CYCLES + 1))
+def _in_order(settled_on: Sequence[Settled]) -> list[Settled]:
+    """Each once, in the order of the page: cycles by their exits and numbers, those without a number last."""
+    order = {what: (KINDS.index(what.kind), what.exits, what.cycle or _MOST_CYCLES + 1) for what in settled_on}
+    return sorted(order, key=order.__getitem__)
 
 
 def _known(numbers: np.ndarray) -> np.ndarray:
@@ -237,100 +318,94 @@ def _most(numbers: np.ndarray) -> float | None:
     return float(known.max()) if len(known) else None
 
 
-def _reasons(reasons: Sequence[np.ndarray]) -> list[tuple[str, int]]:
-    """Why runs are undecided, the commonest reason first, with how many.
+def _findings(study: Study, things: str, where: str, attractors: Sequence[Attractor], runs: Runs) -> list[Finding]:
+    """The share of each attractor of a group, and the period that all cycles share."""
+    n_cycles = sum(attractor.what.kind == PERIODIC for attractor in attractors)
+    basis = Basis(runs.n_units, _unit(study, [runs]))
+    shares: list[Finding] = [
+        Share(
+            attractor.what.kind, things, attractor.predicate(n_cycles == 1), attractor.share, where,
+            _published(study, attractor, n_cycles), basis,
+        )
+        for attractor in attractors
+    ]  # fmt: skip
+    cycle = next((attractor for attractor in attractors if attractor.what == Settled(PERIODIC, 0, 1)), None)
+    if n_cycles == 1 and cycle is not None and cycle.period is not None and cycle.n_runs > 1:
+        shares.append(Alike(PERIOD, cycle.period[1], f"from all {plural(cycle.n_runs, things[:-1])}", where))
+    return shares
 
-    What differs from run to run, in brackets, is left out; dots stand for other numbers that do.
-    """
-    words = pd.Series([str(one) for some in reasons for one in some if one is not None], dtype=object)
-    words = words.str.removesuffix("; lengthen the run").str.replace(r" \([^)]*\)$", "", regex=True)
-    kinds = words.groupby(words.str.replace(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", "…", regex=True))
-    found = [(str(some.iloc[0] if len(some.unique()) == 1 else plain), len(some)) for plain, some in kinds]
-    return sorted(found, key=lambda one: -one[1])
+
+def _unit(study: Study, runs: Sequence[Runs]) -> str:
+    """What is independent of some runs."""
+    if all(part.is_one_system for part in runs):
+        return "start"
+    return "system" if study.unit == "matrix" else study.unit
+
+
+def _published(study: Study, attractor: Attractor, n_cycles: int) -> Comparison | None:
+    """The share of an attractor beside the one that the scene names as published."""
+    value = study.settings.published.get(attractor.what.kind)
+    share = attractor.share
+    if value is None or share.value is None or share.low is None or share.high is None or n_cycles > 1:
+        return None
+    difference = Estimate(share.value - value, share.low - value, share.high - value)
+    return Comparison(f"the published {100 * value:g}%", Difference(difference, Scale.ABSOLUTE))
+
+
+def _bars(runs: Mapping[str, Runs]) -> Picture:
+    drawn = list(runs.items())[:_MOST_BARS]
+    counts = {kind: [part.n_of(kind) for _, part in drawn] for kind in KINDS}
+    more = f", of the first {_MOST_BARS} settings" if len(runs) > _MOST_BARS else ""
+    recipe = partial(figures.shares, "", [name for name, _ in drawn], counts, LOOKS)
+    return Picture(recipe, f"Bars of one colour settle on one kind of attractor. Shares of runs by setting{more}.")
 
 
 # ------------------------------------------------------------------------------------------------- basins
 
 
-def _basin(study: Study, runs: Mapping[str, Runs]) -> Row | None:
-    """The starts of one system by what they settle on; None if all settle on one, or not one or two numbers vary.
+def _basin(study: Study, runs: Mapping[str, Runs]) -> dict[str, Recipe | Picture]:
+    """The starts of one system by what they settle on; nothing if all settle on one, or not one or two numbers vary.
 
     Of several systems, that of which most runs settle on others than the commonest.
     """
     lists = study.data.lists
-    if not lists.get("start_z"):  # a dataset of before
-        return None
     systems = [
-        (name, some.at(rows)) for name, some in runs.items() for rows in by_number(some.matrix) if len(rows) > 1
+        (name, part.at(rows)) for name, part in runs.items() for rows in by_number(part.matrix) if len(rows) > 1
     ]
-    if not systems:
-        return None
-    name, own = max(systems, key=lambda one: one[1].n - max(Counter(one[1].what).values()))
-    own = _numbered(study, own)
-    found = _attractors(own)
-    z, w = (np.array([lists[key][one] for one in own.member_id]) for key in ("start_z", "start_w"))
-    varies = plane(z, w)
-    if len(found) == 1 or varies is None:
-        return None
-    number = np.array([found.index(one) for one in own.what])
-    row_of = {row["what"]: row for row in _rows(study, name, own)}
-    entries = [(_look(what), _entry(row_of[what])) for what in found]
-    grid = on_grid(varies.points) if len(varies.names) == 2 else None
-    if len(varies.names) == 1:
-        drawn = partial(figures_of.strip, varies.names[0], varies.points[:, 0], number, entries)
-    elif grid is not None:
-        drawn = partial(figures_of.cells, varies.names, grid, number, entries)
-    else:
-        drawn = partial(figures_of.scatter, varies.names, varies.points, number, entries)
-    return {
-        "group": name, "n": own.n, "is_grid": grid is not None, "names": varies.names, "n_systems": len(systems),
-        "drawn": drawn,
-    }  # fmt: skip
+    if not systems or not lists.get("start_z"):  # a dataset of before
+        return {}
+    name, system = max(systems, key=lambda pair: pair[1].n - max(Counter(pair[1].cycles).values()))
+    system = _numbered(study, system)
+    z, w = (np.array([lists[key][member] for member in system.member_id]) for key in ("start_z", "start_w"))
+    starts, attractors = plane(z, w), list(_attractors(study, system))
+    if len(attractors) == 1 or starts is None:
+        return {}
+    kinds = [attractor.what for attractor in attractors]
+    number = np.array([kinds.index(what) for what in system.cycles])
+    entries = [_entry(attractor) for attractor in attractors]
+    which = f" ({name})" if len(runs) > 1 else ""
+    which += f", of the one of {len(systems):,} systems whose starts differ most" if len(systems) > 1 else ""
+    place = "in the plane of" if len(starts.names) == 2 else "along"
+    caption = f"Each colour is a basin of attraction. Attractors {place} the start{which}, with their shares."
+    return {"basin_of_attractors": Picture(figures.basin(starts, number, entries), caption)}
 
 
-def _look(what: _What) -> Look:
-    kind, cycle = what
-    if kind != PERIODIC:
-        return figures_of.LOOKS[kind]
-    return figures_of.CYCLES[cycle - 1] if cycle else figures_of.OTHERS
-
-
-def _entry(row: Row) -> str:
-    """An attractor in a legend, with its share and the interval."""
-    words = figures_of.WORDS[row["attractor"]]
-    if row["cycle"] is not None:
-        words = f"cycle, period {row['period_median']:.4g}"
-        if row["exits"] is not None and row["exits"] > 1:
-            words += f", {row['exits']} exits"
-    elif row["attractor"] == PERIODIC:
+def _entry(attractor: Attractor) -> tuple[Look, str]:
+    """How an attractor is drawn, and its entry in a legend, with its share and the interval."""
+    what, share = attractor.what, attractor.share
+    look = LOOKS[what.kind]
+    words = look.words
+    if what.kind == PERIODIC:
+        look = CYCLES[what.cycle - 1] if what.cycle else OTHERS
         words = "other cycles"
-    low, high = (f"{100 * row[f'share_{end}']:.1f}" for end in ("low", "high"))
-    return f"{words}: {100 * row['share']:.1f}% ({low} to {high})"
+        if what.cycle and attractor.period is not None:
+            exits = attractor.exits or 0
+            words = f"cycle, period {attractor.period[1]:.4g}" + (f", {exits} exits" if exits > 1 else "")
+    value, low, high = (f"{100 * (end or 0.0):.1f}" for end in (share.value, share.low, share.high))
+    return look, f"{words}: {value}% ({low} to {high})"
 
 
 # ------------------------------------------------------------------------------------------------- along a key
-
-
-def _along(study: Study, groups: Sequence[Group], runs: Mapping[str, Runs]) -> Row | None:
-    """What runs settle on along the swept key of most values, a line for each value of the others; None without."""
-    by_setting, axes = settings(groups), axes_of(groups)
-    if not axes:
-        return None
-    axis, *others = axes
-    lines = [line for setting, some in by_setting.items() for line in _lines(setting, some, axes, runs)]
-    told = [_told(study, axis, line, len(by_setting) > 1) for line in lines]
-    name_of = {key: dtype(axis, k) for axis in others for k, key in enumerate(axis.keys)}
-    found = {
-        "name": axis.name, "others": [one.name for one in others],
-        "columns": [(key, key, "g" if kind == F else None) for key, kind in name_of.items()],
-        "has_settings": len(by_setting) > 1, "lines": told, "turns": _turns_by_setting(axis, others, lines, told),
-        "is_of_starts": all(some.is_one_system for line in lines for some in line.own), "tally": _tally(lines),
-        "ranges": [row | {"key": axis.name, "setting": line.setting if len(by_setting) > 1 else None}
-                   | {key: value for one, at in line.others.items() for key, value in zip(one.keys, at, strict=True)}
-                   for line, one_told in zip(lines, told, strict=True) for row in one_told["ranges"]],
-        "keys": name_of,
-    }  # fmt: skip
-    return found | _figures(study, axes, lines, told)
 
 
 def _lines(setting: str, groups: Sequence[Group], axes: Sequence[Axis], runs: Mapping[str, Runs]) -> Iterator[_Line]:
@@ -339,252 +414,156 @@ def _lines(setting: str, groups: Sequence[Group], axes: Sequence[Axis], runs: Ma
     at_others: dict[tuple[tuple[Value, ...], ...], list[tuple[tuple[Value, ...], Runs]]] = {}
     for group in groups:
         at = place_of(axes, group)
-        at_others.setdefault(tuple(at[one] for one in others), []).append((at[axis], runs[group.label]))
+        at_others.setdefault(tuple(at[other] for other in others), []).append((at[axis], runs[group.label]))
     for here in sorted(at_others, key=lambda at: [*map(ranks, at)]):
-        values, own = zip(*sorted(at_others[here], key=lambda one: ranks(one[0])), strict=True)
-        yield _Line(setting, groups[0].is_exact, dict(zip(others, here, strict=True)), list(values), list(own))
+        values, line = zip(*sorted(at_others[here], key=lambda pair: ranks(pair[0])), strict=True)
+        yield _Line(setting, groups[0].is_exact, dict(zip(others, here, strict=True)), list(values), list(line))
 
 
-def _told(study: Study, axis: Axis, line: _Line, has_settings: bool) -> Row:
-    """What is said of a line: its place, its values, and where along it runs settle on something else."""
-    ticks, x = line.ticks, _numbers(line.along)
-    by_exits = _ranges(study, ticks, line.own, _kind_and_exits)
-    at = [f"{one.name} = {in_words(value)}" for one, value in line.others.items()]
-    return {
-        "at": ", ".join([*([line.setting] if has_settings else []), *at]), "within": ", ".join(at), "ticks": ticks,
-        "told": _ranges(study, ticks, line.own, lambda runs: runs.attractor.tolist()), "ranges": by_exits,
-        "changes": _changes_of_exits(by_exits, ticks, x) if x is not None else [],
-        "places": [axis.rows.index(value) for value in line.along],
-    }  # fmt: skip
+def _places(line: _Line, has_exits: bool) -> list[Place[Settled]]:
+    """What runs settle on at each value of a line: kinds alone, or cycles by their exits too."""
+    places = []
+    for runs in line.runs:
+        outcomes = _in_order(runs.exits if has_exits else [Settled(kind) for kind in runs.attractor])
+        decided = tuple(what for what in outcomes if what.kind != UNDECIDED)
+        places.append(Place(decided, runs.n - runs.n_of(UNDECIDED), runs.n, runs.n_units))
+    return places
 
 
-def _numbers(values: Sequence[tuple[Value, ...]]) -> list[float] | None:
-    """Values of an axis as numbers; None where one is a distribution."""
-    found = [value[0] for value in values if isinstance(value[0], float)]
-    return found if len(found) == len(values) else None
+def _along(study: Study, axis: Axis, lines: Sequence[_Line], has_settings: bool) -> tuple[list[Finding], int]:
+    """Where along a key what runs settle on changes, and how many of these findings lead: of the first and the last.
 
-
-def _kind_and_exits(runs: Runs) -> list[str]:
-    """What each run settles on, and of a cycle the exits a period."""
-    return [f"{kind}, {exits:g} exit{'' if exits == 1 else 's'} a period" if kind == PERIODIC else kind
-            for kind, exits in zip(runs.attractor.tolist(), runs.exits_per_period.tolist(), strict=True)]  # fmt: skip
-
-
-def _decided(found: Sequence[str]) -> tuple[str, ...]:
-    """On what runs settle, each once, but for those that are undecided."""
-    return tuple(sorted(set(found) - {UNDECIDED}, key=lambda one: (KINDS.index(one.split(",")[0]), len(one), one)))
-
-
-def _ranges(
-    study: Study, ticks: Sequence[str], own: Sequence[Runs], of: Callable[[Runs], Sequence[str]]
-) -> list[Row]:
-    """Rows of ranges of a key; where all runs settle on one attractor, with the least share that has this in reach.
-
-    The share is over starts, of one system, or else over systems; all values share their draws, which count once.
+    Of a single line also where the exits of its cycle per period change.
     """
+    level = study.settings.confidence
+    unit = _unit(study, [runs for line in lines for runs in line.runs])
+    things = "starts" if unit == "start" else "runs"
+    kinds: list[Finding] = []
+    cycles: list[Finding] = []
+    ends = lines if len(lines) < _MOST_LINES else [*lines[: _MOST_LINES - 1], lines[-1]]
+    for line in [ends[0], *ends[:0:-1][:1], *ends[1:-1]]:
+        where = line.where(has_settings)
+        by_kind, by_exits = _places(line, False), _places(line, True)
+        along = regimes(axis.name, line.texts, by_kind, lambda what, _: PREDICATES[what.kind], level, unit)
+        kinds.append(Regimes(things, along, where))
+        if stretches_of(by_kind) != stretches_of(by_exits):
+            along = regimes(axis.name, line.texts, by_exits, lambda what, _: what.predicate, level, unit)
+            cycles.append(Regimes(things, along, where))
+    if len(lines) == 1:
+        return [*kinds, *cycles], 1 + len(cycles)
+    return [*kinds, *cycles], 2
+
+
+def _range_rows(
+    study: Study, axes: Sequence[Axis], lines: Sequence[_Line], has_settings: bool
+) -> tuple[dict[str, str], list[Row]]:
+    """The table `attractor_ranges`: columns of the other keys, and rows."""
+    axis, *others = axes
+    columns = {key: dtype(other, k) for other in others for k, key in enumerate(other.keys)}
     rows: list[Row] = []
-    for one in ranges([_decided(of(some)) for some in own]):
-        listed = own[one.first : one.last + 1]
-        n_undecided = sum(some.n_of(UNDECIDED) for some in listed)
-        n_units = max(some.n if some.is_one_system else len(np.unique(some.unit)) for some in listed)
-        is_all = len(one.on) == 1 and not n_undecided and n_units >= _LEAST_UNITS
-        multipliers = [_most(some.multiplier) for some in listed]
-        by_run = [np.array(of(some), dtype=object) for some in listed]
-        rows.append({
-            "shares": [_bounds([float((found == kind).mean()) for found in by_run]) for kind in one.on],
-            "is_by_system": all(map(_is_by_system, listed, by_run)),
-            "first": ticks[one.first], "last": ticks[one.last], "on": one.on, "attractors": "; ".join(one.on),
-            "n_cycles": max(int(some.cycle.max(initial=0)) for some in listed),
-            "n_values": len(listed), "n_runs": sum(some.n for some in listed), "n_undecided": n_undecided,
-            "least_share": wilson(n_units, n_units, study.settings.confidence)[0] if is_all else None,
-            "place": (one.first, one.last), "multipliers": multipliers, "multiplier_first": multipliers[0],
-            "multiplier_last": multipliers[-1],
-        })  # fmt: skip
-    return rows
-
-
-def _bounds(shares: Sequence[float]) -> tuple[float, float]:
-    return min(shares), max(shares)
-
-
-def _is_by_system(runs: Runs, found: np.ndarray) -> bool:
-    """Whether runs are of several systems, some of them with several starts, and all of a system do the same."""
-    if runs.is_one_system:
-        return False
-    n_runs, n_kinds = (pd.Series(found).groupby(runs.unit).agg(how) for how in ("size", "nunique"))
-    return bool(n_runs.max() > 1 and n_kinds.max() == 1)
-
-
-def _changes_of_exits(found: Sequence[Row], ticks: Sequence[str], x: Sequence[float]) -> list[Row]:
-    """Where along a key the cycle of all runs gets another number of exits, and where its multiplier comes to one.
-
-    The latter by a line through the last two values before it, if that is where it has to be.
-    """
-    rows = []
-    for one, other in pairwise(found):
-        if any(len(some["on"]) > 1 or not some["on"][0].startswith(PERIODIC) for some in (one, other)):
-            continue
-        (_, last), (first, _) = one["place"], other["place"]
-        at, before = None, one["multipliers"][-2:]
-        if len(before) == 2 and None not in before and before[0] < before[1] < 1.0:
-            at = x[last] + (1.0 - before[1]) * (x[last] - x[last - 1]) / (before[1] - before[0])
-        exits = [some["on"][0].removeprefix(f"{PERIODIC}, ").split()[0] for some in (one, other)]
-        rows.append({
-            "before": exits[0], "after": exits[1], "last": ticks[last], "first": ticks[first],
-            "at": at if at is not None and at <= x[first] else None,
-        })  # fmt: skip
-    return rows
-
-
-def _turns_by_setting(axis: Axis, others: Sequence[Axis], lines: Sequence[_Line], told: Sequence[Row]) -> list[Row]:
-    """The turns of each of few settings, or those of all lines together."""
-    named = dict.fromkeys(line.setting for line in lines)
-    if not 1 < len(named) <= MOST_SETTINGS or len(lines) == len(named):
-        return [row | {"setting": ""} for row in _turns(axis, others, told, len(named) > 1)]
-    return [
-        row | {"setting": name}
-        for name in named
-        for row in _turns(axis, others, [one for line, one in zip(lines, told, strict=True) if line.setting == name])
-    ]
-
-
-def _turns(axis: Axis, others: Sequence[Axis], told: Sequence[Row], has_settings: bool = False) -> list[Row]:
-    """How the value up to which, and that from which on, all runs settle on one thing moves from line to line."""
-    ends = []
-    for row in told:
-        places = row["places"]
-        found = [Range(places[one["place"][0]], places[one["place"][1]], one["on"]) for one in row["told"]]
-        ends.append(Along(found, (places[0], places[-1])))
-    turns = [turn(ends, is_last) for is_last in (False, True)] if len(told) > 1 else []
-    return [_turn_row(axis, others, told, one, has_settings) for one in turns if one is not None]
-
-
-def _turn_row(axis: Axis, others: Sequence[Axis], told: Sequence[Row], one: Turn, has_settings: bool) -> Row:
-    is_in_order = len(others) == 1 and not has_settings
-    known = [(line, place) for line, place in enumerate(one.places) if place is not None]
-    least, most = (of(known, key=lambda pair: pair[1]) for of in (min, max))
-    steps = [second[1] - first[1] for first, second in pairwise(known)]
-    way = "" if not is_in_order else "rises" if min(steps, default=0) >= 0 else "falls" if max(steps) <= 0 else ""
-    ends = (known[0], known[-1]) if way else (least, most)
-    return {
-        "kind": one.kind, "is_last": one.is_last, "way": way, "is_same": least[1] == most[1],
-        "ends": [{"value": axis.texts[place], "at": told[line]["at" if has_settings else "within"]}
-                 for line, place in ends],
-        "n": len(known), "n_whole": one.n_whole, "of": len(told),
-        "lines": f"values of {others[0].name}" if is_in_order else "lines",
-    }  # fmt: skip
-
-
-def _tally(lines: Sequence[_Line]) -> Row:
-    """At how many settings all decided runs settle on one thing, by kind; on several; and none is decided."""
-    on = [_decided(some.attractor.tolist()) for line in lines for some in line.own]
-    alone = Counter(one[0] for one in on if len(one) == 1)
-    return {
-        "n": len(on), "alone": [(kind, alone[kind]) for kind in KINDS if alone[kind]],
-        "several": sum(len(one) > 1 for one in on), "none": sum(not one for one in on),
-    }  # fmt: skip
+    for line in lines:
+        keys = {key: value for other, at in line.others.items() for key, value in zip(other.keys, at, strict=True)}
+        places = _places(line, True)
+        for stretch in stretches_of(places):
+            here = places[stretch.first : stretch.last + 1]
+            multipliers = [_most(runs.multiplier) for runs in line.runs[stretch.first : stretch.last + 1]]
+            n_runs = sum(place.of for place in here)
+            rows.append(keys | {
+                "setting": line.setting if has_settings else None, "key": axis.name,
+                "first": line.texts[stretch.first], "last": line.texts[stretch.last],
+                "attractors": "; ".join(what.words for what in here[0].outcomes), "n_runs": n_runs,
+                "n_undecided": n_runs - sum(place.n for place in here),
+                "least_share": least_share(here, study.settings.confidence),
+                "multiplier_first": multipliers[0], "multiplier_last": multipliers[-1],
+            })  # fmt: skip
+    return columns, rows
 
 
 # ------------------------------------------------------------------------------------------------- figures
 
 
-def _figures(study: Study, axes: Sequence[Axis], lines: Sequence[_Line], told: Sequence[Row]) -> Row:
-    """Shares along the one key or a map over the first two, and bifurcation diagrams; and which values they are at.
+def _pictures_along(study: Study, axes: Sequence[Axis], lines: Sequence[_Line]) -> dict[str, Picture]:
+    """Shares along the one key or a map over the first two, and bifurcation diagrams.
 
-    Each setting has its own: those of the exact law first, and of these those of most lines.
+    Each of few settings has its own: those of the exact law first, and of these those of most lines.
     """
     n_lines = Counter(line.setting for line in lines)
     is_exact = {line.setting: line.is_exact for line in lines}
-    named = sorted(n_lines, key=lambda name: (not is_exact[name], -n_lines[name]))
-    drawn: dict[str, Recipe] = {}
-    maps, diagrams = list[Row](), list[Row]()
-    for name in named[:MOST_SETTINGS]:
-        own = [k for k, line in enumerate(lines) if line.setting == name]
-        one = _pictures(study, axes, [lines[k] for k in own], [told[k]["at"] for k in own], len(named) > 1)
-        maps.append({"figure": _nth("attractors", len(maps)), "at": one.at})
-        drawn[maps[-1]["figure"]] = one.map
-        for recipe, facts in one.diagrams:
-            diagrams.append({"figure": _nth("bifurcation", len(diagrams)), **facts})
-            drawn[diagrams[-1]["figure"]] = recipe
-    return {"drawn": drawn, "maps": maps, "diagrams": diagrams, "n_undrawn": len(named) - len(maps)}
+    names = sorted(n_lines, key=lambda name: (not is_exact[name], -n_lines[name]))[:MOST_SETTINGS]
+    maps, diagrams = dict[str, Picture](), dict[str, Picture]()
+    for name in names:
+        part = [line for line in lines if line.setting == name]
+        further = [(axis, min((line.others[axis] for line in part), key=ranks)) for axis in axes[2:]]
+        chosen = [line for line in part if all(line.others[axis] == value for axis, value in further)]
+        at = [name] * (len(n_lines) > 1) + [f"{axis.name} = {in_words(value)}" for axis, value in further]
+        maps[_nth("attractors", len(maps))] = _map(axes, chosen, f" ({', '.join(at)})" if at else "")
+        for k in np.unique(np.linspace(0, len(chosen) - 1, min(len(chosen), _MOST_DIAGRAMS)).round()).astype(int):
+            diagram = _diagram(study, axes[0], chosen[k], chosen[k].where(len(n_lines) > 1))
+            if diagram is not None:
+                diagrams[_nth("bifurcation", len(diagrams))] = diagram
+    return maps | diagrams
 
 
 def _nth(name: str, n_before: int) -> str:
     return f"{name}_{n_before + 1}" if n_before else name
 
 
-class _Pictures(NamedTuple):
-    """What is drawn of one setting: shares along the one key, or a map, and where that is; and diagrams."""
-
-    map: Recipe
-    at: str
-    diagrams: list[tuple[Recipe, Row]]
-
-
-def _pictures(
-    study: Study, axes: Sequence[Axis], lines: Sequence[_Line], named: Sequence[str], has_settings: bool
-) -> _Pictures:
-    """The pictures of the lines of one setting, at the first values of further keys than two."""
+def _map(axes: Sequence[Axis], lines: Sequence[_Line], at: str) -> Picture:
+    """What runs settle on along the one key, or what most of them settle on over two."""
     axis, *others = axes
-    further = [(one, min((line.others[one] for line in lines), key=ranks)) for one in others[1:]]
-    chosen = [k for k, line in enumerate(lines) if all(line.others[one] == value for one, value in further)]
-    if others:
-        whole = _map(axis, others[0], [lines[k] for k in chosen])
-    else:
-        line = lines[chosen[0]]
-        whole = partial(
-            figures_of.shares_along, Scale(axis.name, _numbers(line.along), line.ticks), _stacked(line.own)
-        )
-    at = [lines[0].setting] * has_settings + [f"{one.name} = {in_words(value)}" for one, value in further]
-    if len(chosen) > _MOST_DIAGRAMS:
-        chosen = [chosen[round(k)] for k in np.linspace(0, len(chosen) - 1, _MOST_DIAGRAMS)]
-    diagrams: list[tuple[Recipe, Row]] = []
-    for k in chosen:
-        own, x = lines[k].own, _numbers(lines[k].along)
-        sections = None if x is None else _sections(study, x, own)
-        if sections is not None:
-            along = Scale(axis.name, x, lines[k].ticks)
-            recipe = partial(figures_of.bifurcation, along, sections, named[k])
-            away = sum(some.n_of(ESCAPING) for some in own)
-            diagrams.append((recipe, {"at": named[k], "n_left_out": _n_left_out(study, own), "n_away": away}))
-    return _Pictures(whole, ", ".join(at), diagrams)
-
-
-def _stacked(own: Sequence[Runs]) -> dict[str, list[float]]:
-    """The share of each kind at each value of a key."""
-    return {kind: shares for kind in KINDS if any(shares := [some.n_of(kind) / some.n for some in own])}
-
-
-def _map(axis: Axis, up: Axis, lines: Sequence[_Line]) -> Recipe:
-    """The picture of what most runs settle on over two keys."""
+    if not others:
+        (line,) = lines
+        shares = {kind: [runs.n_of(kind) / runs.n for runs in line.runs] for kind in KINDS}
+        along = figures.Scale(axis.name, _numbers(line.along), line.texts)
+        recipe = partial(figures.shares_along, along, {kind: part for kind, part in shares.items() if any(part)})
+        return Picture(recipe, f"Colours change where another attractor takes over. Share of runs by attractor{at}.")
+    up = others[0]
     what = np.full((len(up.texts), len(axis.texts)), -1)
     is_mixed = np.zeros(what.shape, dtype=np.bool_)
     for line in lines:
         row = up.rows.index(line.others[up])
-        for value, some in zip(line.along, line.own, strict=True):
-            counts = [some.n_of(kind) for kind in KINDS]
+        for value, runs in zip(line.along, line.runs, strict=True):
+            counts = [runs.n_of(kind) for kind in KINDS]
             place = row, axis.rows.index(value)
             what[place], is_mixed[place] = int(np.argmax(counts)), np.count_nonzero(counts) > 1
-    across, upwards = (Scale(one.name, one.x, one.texts) for one in (axis, up))
-    return partial(figures_of.over_two_keys, across, upwards, what, is_mixed)
+    across, upwards = (figures.Scale(key.name, key.x, key.texts) for key in (axis, up))
+    recipe = partial(figures.over_two_keys, across, upwards, what, is_mixed)
+    return Picture(recipe, f"Dots mark settings with several attractors. Attractor of most runs{at}.")
 
 
-def _n_left_out(study: Study, own: Sequence[Runs]) -> int:
-    """Number of runs that a bifurcation diagram has nothing of: those that are undecided or run away."""
-    exits_z, section_z = study.data.lists["exits_z"], study.data.lists["section_z"]
-    return sum(name not in exits_z and name not in section_z for some in own for name in some.member_id)
+def _numbers(values: Sequence[tuple[Value, ...]]) -> list[float] | None:
+    """Values of an axis as numbers; None where one is a distribution."""
+    numbers = [value[0] for value in values if isinstance(value[0], float)]
+    return numbers if len(numbers) == len(values) else None
 
 
-def _sections(study: Study, x: Sequence[float], own: Sequence[Runs]) -> Sections | None:
+def _diagram(study: Study, axis: Axis, line: _Line, at: str) -> Picture | None:
+    """The bifurcation diagram of a line; None if there is nothing to show, or the values are no numbers."""
+    x = _numbers(line.along)
+    sections = None if x is None else _sections(study, x, line.runs)
+    if x is None or sections is None:
+        return None
+    lists = (study.data.lists["exits_z"], study.data.lists["section_z"])
+    names = [name for runs in line.runs for name in runs.member_id]
+    n_left_out = sum(all(name not in listed for listed in lists) for name in names)
+    left_out = f" Left out: {plural(n_left_out, 'run')}, undecided or without limit." if n_left_out else ""
+    caption = (
+        f"Branches split where a cycle gets more exits. z of the block with most exits, at its exits;"
+        f" below, the largest multiplier and the period of each cycle{f' ({at})' if at else ''}.{left_out}"
+    )
+    return Picture(partial(figures.bifurcation, figures.Scale(axis.name, x, line.texts), sections, at), caption)
+
+
+def _sections(study: Study, x: Sequence[float], line: Sequence[Runs]) -> Sections | None:
     """What a bifurcation diagram shows; None if no run is on a cycle or a torus, or irregular."""
-    if not any(some.n_of(PERIODIC) + some.n_of(TORUS) + some.n_of(IRREGULAR) for some in own):
+    if not any(runs.n_of(PERIODIC) + runs.n_of(TORUS) + runs.n_of(IRREGULAR) for runs in line):
         return None
     exits_z, section_z = study.data.lists["exits_z"], study.data.lists["section_z"]
     members = study.data.table.own
     block_of = dict(zip(members["member_id"], members["exits_block"], strict=True))
     at: dict[tuple[int, str], tuple[list[float], list[float]]] = {}
     without: list[tuple[float, str, str]] = []
-    for value, runs in zip(x, own, strict=True):
+    for value, runs in zip(x, line, strict=True):
         for name, kind in zip(runs.member_id, runs.attractor, strict=True):
             if name in exits_z:
                 xs, zs = at.setdefault((int(block_of[name]), kind), ([], []))
@@ -601,12 +580,12 @@ def _sections(study: Study, x: Sequence[float], own: Sequence[Runs]) -> Sections
         xs, zs = states.setdefault(kind, ([], []))
         xs.append(value)
         zs.append(float(section_z[name][block]))
-    both = [np.concatenate([getattr(some, name) for some in own]) for name in ("multiplier", "period")]
-    every = np.repeat(x, [some.n for some in own])
+    numbers = [np.concatenate([getattr(runs, name) for runs in line]) for name in ("multiplier", "period")]
+    every = np.repeat(x, [runs.n for runs in line])
     return Sections(
-        {key: _apart(*some) for key, some in sorted(at.items())},
+        {key: _apart(*points) for key, points in sorted(at.items())},
         {kind: _apart(*states[kind]) for kind in KINDS if kind in states}, block,
-        *(_apart(every[~np.isnan(one)], _known(one)) for one in both),
+        *(_apart(every[~np.isnan(column)], _known(column)) for column in numbers),
     )  # fmt: skip
 
 
@@ -617,6 +596,3 @@ def _apart(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray) -> 
     near = np.round(both[:, 1] / (_ONE_DOT * max(extent, 1e-9 * np.abs(both[:, 1]).max(initial=1.0))))
     _, first = np.unique(np.column_stack([both[:, 0], near]), axis=0, return_index=True)
     return Points(*both[np.sort(first)].T)
-
-
-QUESTION = Question(answer, rank=2, beside=("fates",))

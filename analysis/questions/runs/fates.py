@@ -1,35 +1,62 @@
-"""What became of the runs: how many stay in motion, how and when the others end, whether lasting motion is steady.
+"""How runs end, how long stick-slip lasts, and what runs settle on.
 
-Survival is by Kaplan and Meier. Certified runs and runaways ended (`models.fates.ends_at` says when). All others, in
-motion, in a lull or quiet, are censored at t_end.
+Survival is by Kaplan and Meier. Certified runs, and those whose motion grew without limit, ended: see
+`models.fates.ends_at`. Runs that slide so far without a certificate count as ended at their last events, and the
+upper ends of intervals take them as not ended. All others are censored at t_end. `attractors` answers of runs of
+which it is recorded what they settle on.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple
 
-import matplotlib
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 
 from stickslip.analysis import burn_in
-from stickslip.analysis.answer import Answer, F, I, Question, Row, S, columns, frame, long, named
+from stickslip.analysis.answer import (
+    Answer,
+    F,
+    I,
+    Picture,
+    Question,
+    Recipe,
+    Row,
+    S,
+    Table,
+    columns,
+    frame,
+    long,
+    named,
+)
 from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.alerts import Alert, Code
+from stickslip.analysis.findings.finding import (
+    Basis,
+    Finding,
+    Lack,
+    Level,
+    Lifetime,
+    Quantity,
+    Reason,
+    Regimes,
+    Share,
+)
+from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.groups import Group
-from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SPEED_DEPENDENT, SYSTEM_KEYS, joined
+from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SYSTEM_KEYS, joined
+from stickslip.analysis.models.attractors import plane
 from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
     ENDS,
     FAILED,
-    LAST_SHARE,
     LULL,
     MOVING,
     QUIET,
@@ -46,31 +73,32 @@ from stickslip.analysis.models.fates import (
     median,
     survival,
 )
+from stickslip.analysis.questions.runs import attractors
+from stickslip.analysis.questions.runs import fate_figures as figures
+from stickslip.analysis.questions.runs.fate_figures import FATES, Look
+from stickslip.analysis.questions.runs.regimes import Place, key_of, regimes
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.effective import tau
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PANEL, PURPLE, panel
-from stickslip.pipeline.design.labels import apart, engine_name
+from stickslip.pipeline.design.labels import Label, apart
 
 MOST_CURVES = 8  # in one figure
 MOST_RUNS = 200  # in one figure; more lines hide each other
 MOST_STEPS = 2000  # of one curve: each is then a quarter of a dot wide
-_LETTERS, _LETTER = 42, 0.05  # below an axis, side by side; inches that one takes, upright
-_MOST_TICKS = 40  # upright
-_SHORT = 28  # of names in a legend of two columns
+MOST_SETTINGS = 12  # with findings of their own; tables have them all
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
-FATES = {
-    COLLAPSED: ("slips for good", BLUE, "s"), QUIET: ("quiet", "#56B4E9", "D"),
-    SUSTAINED: ("in motion", GREEN, "o"), LULL: ("in a lull", PURPLE, "v"), DIVERGED: ("ran away", ORANGE, "^"),
-    UNMOVED: ("not moved", GREY, "x"),
-}  # fmt: skip
-#: What runs from different starts do at the end: the fates that belong to each kind, its colour and its mark.
-KINDS = {
-    "no late stick": (SETTLED, BLUE, "s"), "sticks and slips": (MOVING, "#E69F00", "o"),
-    "ran away": ((DIVERGED,), GREY, "^"), "does not move": ((UNMOVED,), "#000000", "x"),
-}  # fmt: skip
-FROM_ZERO = 0.8  # least over largest n_stick up to which its axis begins at 0
+LIFETIME = Quantity("lifetime", "median lifetime", more="longer", less="shorter")
+DELAY = Quantity("last_event", "median delay of the last event")
+MEAN = Quantity("mean", "mean number of sticking blocks")
+METHOD = (
+    "A run ends at its last event, if it is certified that no block sticks again, or when its motion has left every"
+    " bound; survival and medians are by Kaplan and Meier. Runs that slide so far without a certificate count as"
+    " ended at their last events, and the upper ends of intervals take them as not ended."
+)
+#: What runs do, beyond what is certain of their fates: a closed set.
+SLIDE, STICK_SLIP, GROW, STUCK = KINDS = ("slide", "stick-slip", "grow", "stuck")
+_LOOK = {SLIDE: FATES[COLLAPSED], STICK_SLIP: FATES[SUSTAINED], GROW: FATES[DIVERGED], STUCK: FATES[UNMOVED]}
 _COUNTS = (*(f"n_{name}" for name in (*WATCHED, FAILED)), "n_moving")
 _GROUP: Mapping[str, str] = {
     "group": S, "n": I, "kappa_n": F, "engine": S, "n_runs": I, **dict.fromkeys(_COUNTS, I), "n_held": I, "t_end": F,
@@ -87,139 +115,356 @@ _RUN = {
 }  # fmt: skip
 
 
+class Shift(NamedTuple):
+    """How much later the last event of a system comes by another method: the median over systems."""
+
+    setting: str
+    reference: str
+    n_systems: int
+    n_open: int
+    shift: Estimate
+
+
+class Ends(NamedTuple):
+    """The runs of a group: how many have each fate, when they ended, and their mean n_stick.
+
+    Attributes
+    ----------
+    group : Group
+    label : Label
+        What tells it from the other groups of its method.
+    method : str
+        What tells its method from others; empty if there is one.
+    n_of : Counter
+        Runs by fate.
+    n_held : int
+        Runs that count as sustained, of which all blocks have stuck for the last quarter.
+    last_event : float, optional
+        Of the runs in which no block sticks at the end, the latest.
+    last_end, last_quiet : float, optional
+        The latest end, and the latest last event of runs that slide so far.
+    """
+
+    group: Group
+    label: Label
+    method: str
+    n_of: Counter[str]
+    n_held: int
+    moving: Estimate
+    settled: Estimate
+    lifetime: Estimate
+    median_most: float | None
+    left: float
+    last_event: float | None
+    last_end: float | None
+    last_quiet: float | None
+    mean: Estimate
+    drift: Estimate
+    basis: enough.Basis
+
+    @property
+    def n_runs(self) -> int:
+        """That did not fail."""
+        return sum(self.n_of[name] for name in WATCHED)
+
+    @property
+    def n_moving(self) -> int:
+        return sum(self.n_of[name] for name in MOVING)
+
+    @property
+    def kinds(self) -> dict[str, int]:
+        """How many runs do what, of `KINDS` those that occur."""
+        n_of = self.n_of
+        counts = (n_of[COLLAPSED] + n_of[QUIET], self.n_moving - self.n_held, n_of[DIVERGED])
+        numbers = dict(zip(KINDS, (*counts, n_of[UNMOVED] + self.n_held), strict=True))
+        return {kind: n for kind, n in numbers.items() if n}
+
+    @property
+    def t_end(self) -> float:
+        return float(self.group.key["t_end"])
+
+    @property
+    def is_drifting(self) -> bool:
+        """Whether a drift is shown, and is not harmless: few runs may show one of 1e-7."""
+        low, high, size = self.drift.low, self.drift.high, self.basis.drift.value
+        if low is None or high is None or low <= 0 <= high:
+            return False
+        return self.basis.code != enough.ENOUGH and (size is None or not abs(size) <= enough.MARGIN)
+
+    def row(self, t_burn: float) -> Row:
+        key, memory = self.group.key, tau(self.group.effective)
+        return {
+            "group": self.group.label, "n": key["n"], "kappa_n": _kappa_n(key), "engine": key["engine"],
+            "n_runs": self.n_runs, **{f"n_{name}": self.n_of[name] for name in (*WATCHED, FAILED)},
+            "n_moving": self.n_moving, "n_held": self.n_held, "t_end": self.t_end, **named("moving", self.moving),
+            **named("settled", self.settled), **named("median", self.lifetime), "median_most": self.median_most,
+            "last_end": self.last_end, "last_quiet": self.last_quiet, **named("mean", self.mean),
+            **named("drift", self.drift), "basis": self.basis.code,
+            "effective_samples": memory and len(self.group.units) * (self.t_end - t_burn) / (2 * memory),
+        }  # fmt: skip
+
+
 def answer(study: Study) -> Answer:
-    """What became of the unchanged runs, and whether what lasts is steady."""
-    level = study.settings.confidence
-    runs = _runs(study.groups)
-    groups, curves = list[Row](), dict[str, Curve]()
-    for group in study.groups:
+    """How the unchanged runs end and when, what they settle on, and whether what lasts is steady."""
+    level, groups = study.settings.confidence, study.groups
+    runs, names = _runs(groups), _names(groups)
+    ends, curves = list[Ends](), dict[str, Curve]()
+    for group, (method, label) in zip(groups, names, strict=True):
         ran = _Ran.of(group)
-        groups.append(_group_row(study, group, ran))
-        if len(ran.fates):
-            curves[group.label] = _thinned(survival(*ran[:4], level, ran.units))
+        curve = _thinned(survival(*ran[:4], level, ran.units)) if len(ran.fates) else None
+        ends.append(_ends(study, group, label, method, ran, 1.0 if curve is None else float(curve[1][-1])))
+        if curve is not None:
+            curves[group.label] = curve
         del ran  # which takes more memory than what is kept of it
-    moving = sorted((row for row in groups if row["n_moving"]), key=lambda row: -row["n"])
-    systems = _brief(groups)
-    is_one_engine = len({tuple(group.key[name] for name in ENGINE_KEYS) for group in study.groups}) == 1
-    members = study.data.table.own
-    failed = members[members["outcome"] == FAILED]
-    followed = runs[runs["fate"] != FAILED] if len(failed) else runs
-    drawn = _of_draws(study.groups, DRAWN, followed, members["unit"])
-    shifts = _shifts(study.groups, level)
-    averaged = [group for group in study.groups if len(burn_in.averaged(study, group))]
+    shifts = _shifts(groups, level)
+    averaged = [group for group in groups if len(burn_in.averaged(study, group))]
     averaged.sort(key=lambda group: -int(group.key["n"]))
     by_t_burn = burn_in.estimates(study, averaged)
     tested = burn_in.with_enough(burn_in.geweke(study, averaged), by_t_burn, 1 - level)
-    short = [row for row in tested if row["is_short"]]
-    drawable = burn_in.drawable(by_t_burn)
-    facts: dict[str, Any] = {
-        "shifts": shifts,
-        "short": short,
-        "along_t_burn": next(
-            (name for name in (*(row["group"] for row in short), *drawable) if name in drawable), None
-        ),
-        "systems": systems,
-        "groups": groups,
-        "moving": moving,
-        "total": {**_counts(runs["fate"]), "runs": len(followed), "held": sum(row["n_held"] for row in groups)},
-        "share": _share(followed["fate"], drawn, MOVING, level),
-        "level": f"{100 * level:g}%",
-        "n_systems": int(drawn.max(initial=-1)) + 1,
-        "has_copies": len(members) > len(runs),
-        "t_end": sorted({float(group.key["t_end"]) for group in study.groups}),
-        "last_share": LAST_SHARE,
-        "failed": {"n": len(failed), "of": len(members), "why": _commonest(failed["reason"])},
-        "is_one_engine": is_one_engine,
-        "partly": [row for row in systems if 0 < row["n_moving"] < row["n_runs"]],
-        "lasting": [row for row in systems if is_one_engine and row["n_moving"] == row["n_runs"]],
-        "endless": [row for row in systems if not row["n_collapsed"] and not row["n_diverged"]],
-        "linear": _linear(followed, members["growth_rate"]),
-        "rated": [row for row in systems if row["is_rated"]],
-        "is_certified": "t_collapse" in members,
-        "n_on_cycle": _n_on_cycle(study, runs),
-        "untold": Counter(runs.loc[runs["fate"] == QUIET, "untold"]),
-        "has_ends": bool((runs["fate"].isin(ENDS) & (runs["t"] > 0.0)).any()),
-        "basin": None if "attractor" in members else _basin(study.groups, followed, members),  # drawn there
-        "few": [row for row in moving if row["basis"] == enough.FEW_MATRICES],
-        "drifting": [row for row in moving if row["is_drifting"]],
-        "unsure": [row for row in moving if row["basis"] == enough.DRIFT_UNKNOWN],
-        "t_burn": study.settings.t_burn,
-        "drift_margin": enough.MARGIN,
-        "block": BLOCK,
-        "most_drawn": MOST_RUNS,
-    }
-    tables = {
-        "fates": frame(_GROUP, groups),
-        "survival_curves": pd.concat([frame(_CURVE, []), *(_curve_table(*one) for one in curves.items())]),
-        "runs": long(len(runs), partial(_listed, study.groups, runs)),
-        "last_events": frame(_SHIFT, shifts),
+    tables: dict[str, Table] = {
+        "fates": frame(_GROUP, (row.row(study.settings.t_burn) for row in ends)),
+        "survival_curves": pd.concat([frame(_CURVE, []), *(_curve_table(*item) for item in curves.items())]),
+        "runs": long(len(runs), partial(_listed, groups, runs)),
+        "last_events": frame(_SHIFT, map(_shift_row, shifts)),
         "burn_in": frame(burn_in.TESTS, tested),
         "by_t_burn": frame(burn_in.ESTIMATES, by_t_burn),
     }
-    figures = _figures(study, facts, runs, curves)
-    if facts["along_t_burn"]:
-        rows = [row for row in by_t_burn if row["group"] == facts["along_t_burn"]]
-        figures["by_t_burn"] = partial(burn_in.by_t_burn, rows, study.settings.t_burn)
-    return Answer(facts, tables=tables, figures=figures)
+    settled = attractors.settled(study)
+    known = _with_attractors(study)
+    spoken = [row for row in ends if row.n_runs and row.group.label not in known]
+    findings, n_lead = _findings(study, runs, spoken, shifts)
+    pictures = _pictures(study, runs, spoken, curves)
+    method = METHOD
+    if settled is not None:
+        lasting = [finding for finding in findings if isinstance(finding, Lifetime)] if not spoken else findings
+        findings, n_lead = [*settled.findings, *lasting], settled.n_lead
+        tables |= settled.tables
+        pictures = {**settled.figures, **pictures}
+        method = f"{settled.method} {METHOD}" if spoken else settled.method
+    if not findings:
+        findings = [Lack("what became of the runs", Reason.NOT_RUN, "every run failed")]
+    findings += _means(study, spoken)
+    short = [row["group"] for row in tested if row["is_short"] and row["group"] not in known]
+    drawable = burn_in.drawable(by_t_burn)
+    drawn = next((name for name in (*short, *drawable) if name in drawable), "")
+    if drawn and (short or len(pictures) > 1):  # the second stands on the first screen
+        pictures["by_t_burn"] = _along_t_burn(study, drawn, [row for row in by_t_burn if row["group"] == drawn])
+    alerts = _alerts(study, ends, [*(row.group.label for row in spoken if row.is_drifting), *short])
+    return Answer(findings=findings, n_lead=n_lead, alerts=alerts, method=method, tables=tables, figures=pictures)
 
 
-def _figures(
-    study: Study, facts: Mapping[str, Any], runs: pd.DataFrame, curves: Mapping[str, Curve]
-) -> dict[str, Any]:
-    """Shares by fate and times of ends if some runs ended; else n_stick of all runs of the largest group."""
-    shown = {}
-    if facts["total"]["n_moving"] < facts["total"]["runs"]:
-        places = np.linspace(0, max(len(curves) - 1, 0), MOST_CURVES).round().astype(int)
-        some = [one for k, one in enumerate(curves.items()) if k in places]
-        if len(facts["systems"]) > 1 or facts["linear"]:
-            systems = facts["systems"]
-            counts = {name: [row[f"n_{name}"] for row in systems] for name in FATES}
-            shown["fates"] = partial(shares, *_by_system(systems), counts)
-        if facts["has_ends"]:
-            shown["survival"] = partial(survival_curves, some, max(facts["t_end"]))
-        if facts["linear"]:
-            ran = runs[runs["fate"] != FAILED]
-            rates = study.data.table.own["growth_rate"].to_numpy()[ran["row"]]
-            known = ran[["group", "fate"]].assign(growth_rate=rates)[~np.isnan(rates)]
-            shown["growth"] = partial(growth, facts["rated"], known)
-        if facts["basin"] is not None:
-            shown["basin"] = partial(basin, facts["basin"]["points"])
-    else:
-        most = max(
-            (group for group in study.groups if group.n_runs), key=lambda group: int(group.key["n"]), default=None
+# ------------------------------------------------------------------------------------------------- findings
+
+
+def _findings(
+    study: Study, runs: pd.DataFrame, ends: Sequence[Ends], shifts: Sequence[Shift]
+) -> tuple[list[Finding], int]:
+    """What the runs of each method do, its lifetimes, and how much later last events come by another method."""
+    leading: list[Finding] = []
+    others: list[Finding] = []
+    outcomes: list[list[dict[str, int]]] = []
+    for method in dict.fromkeys(row.method for row in ends):
+        rows = [row for row in ends if row.method == method]
+        outcome, details = _outcome(study, runs, rows)
+        lifetimes = _lifetimes(study, rows)
+        is_other = [row.kinds for row in rows] not in outcomes
+        outcomes.append([row.kinds for row in rows])
+        leading += [*outcome[: 1 if is_other else 0], *lifetimes[:1]]
+        others += [*outcome[1 if is_other else 0 :], *details, *lifetimes[1:]]
+    delays = [
+        Level(DELAY, shift.shift, f"{shift.setting} after {shift.reference}", None, _basis(study, shift.n_systems))
+        for shift in shifts
+        if shift.shift.value is not None
+    ]
+    stable = _stability(study, runs, ends)
+    return [*leading, *others, *delays[:MOST_SETTINGS], *stable], min(3, len(leading))
+
+
+def _outcome(study: Study, runs: pd.DataFrame, rows: Sequence[Ends]) -> tuple[list[Finding], list[Finding]]:
+    """What the runs of a method do: shares where all settings are alike, else settings by outcome; and details."""
+    method = rows[0].method
+    kinds = {tuple(row.kinds) for row in rows}
+    if len(rows) == 1 or (len(kinds) == 1 and len(rows[0].kinds) == 1):
+        present = rows[0].kinds
+        first = sorted(present, key=lambda kind: -present[kind])
+        return [_share(study, runs, rows, kind, method) for kind in first], []
+    key, values = key_of([row.label for row in rows])
+    places = [
+        Place(tuple(row.kinds), row.n_runs, row.n_runs, int(row.group.column("unit").nunique())) for row in rows
+    ]
+    row_of = {id(place): row for place, row in zip(places, rows, strict=True)}
+
+    def predicate(kind: str, group: Sequence[Place[str]]) -> str:
+        return _predicate(kind, [row_of[id(place)] for place in group])
+
+    by_outcome = regimes(key, values, places, predicate, study.settings.confidence, _basis(study, 0).unit)
+    mixed = [row for row in rows if len(row.kinds) > 1][:MOST_SETTINGS]
+    shares: list[Finding] = [_share(study, runs, [row], kind, _where(row)) for row in mixed for kind in row.kinds]
+    return [Regimes("runs", by_outcome, method)], shares
+
+
+def _share(study: Study, runs: pd.DataFrame, rows: Sequence[Ends], kind: str, where: str) -> Share:
+    """The share of runs that do something; whether a run that slides so far sticks again cannot be told."""
+    labels = [row.group.label for row in rows]
+    part = runs[runs["group"].isin(labels) & (runs["fate"] != FAILED)]
+    untold = (QUIET,) if kind == STICK_SLIP else ()
+    estimate = _estimate(part["kind"] == kind, part["fate"].isin(untold), part["drawn"], study.settings.confidence)
+    things = "starts" if study.unit == "start" else "runs"
+    return Share(kind, things, _predicate(kind, rows), estimate, where, None, _basis(study, part["drawn"].nunique()))
+
+
+def _estimate(has: pd.Series, untold: pd.Series, drawn: pd.Series, confidence: float) -> Estimate:
+    """Share of runs that have something, which is unknown of others; runs of one unit are dependent."""
+    units = np.unique(drawn.to_numpy(), return_inverse=True)[1]
+    counts = [np.bincount(units, column.to_numpy()) for column in (has, untold)]
+    return bounded_share(np.column_stack([*counts, np.bincount(units)]), confidence)
+
+
+def _predicate(kind: str, rows: Sequence[Ends]) -> str:
+    """What runs at some settings do: a verb phrase in the plural."""
+    if kind == SLIDE and any(row.n_of[QUIET] for row in rows):
+        last = max(row.last_event for row in rows if row.last_event is not None)
+        return f"stop sticking by t = {number(last)}"
+    ends = {row.t_end for row in rows}
+    until = f"at t = {ends.pop():g}" if len(ends) == 1 else "at their end"
+    return {
+        SLIDE: "end in steady sliding", STICK_SLIP: f"still stick and slip {until}", GROW: "grow without limit",
+        STUCK: f"are stuck {until}",
+    }[kind]  # fmt: skip
+
+
+def _lifetimes(study: Study, rows: Sequence[Ends]) -> list[Finding]:
+    """The median lifetime where half of the runs have ended, at the settings of the longest first."""
+    reached = [row for row in rows if row.lifetime.value is not None]
+    reached.sort(key=lambda row: -(row.lifetime.value or 0.0))
+    return [
+        Lifetime(
+            LIFETIME, "runs", "still stick and slip", row.lifetime, row.t_end, row.left, _where(row), None,
+            _basis(study, int(row.group.column("unit").nunique())),
         )
-        if most is not None:
-            first = islice(study.windows(most), MOST_RUNS)
-            shown["runs"] = partial(all_runs, [_means(win) for _, _, win in first])
-    return shown
+        for row in reached[:MOST_SETTINGS]
+    ]  # fmt: skip
+
+
+def _stability(study: Study, runs: pd.DataFrame, ends: Sequence[Ends]) -> list[Finding]:
+    """What runs do whose state in which all blocks slip is linearly stable, and those of which it is unstable."""
+    part = runs[runs["group"].isin([row.group.label for row in ends]) & (runs["fate"] != FAILED)]
+    rates = study.data.table.own["growth_rate"].to_numpy(np.float64)[part["row"]]
+    is_known, is_open = ~np.isnan(rates), np.asarray(is_unstable(rates))
+    shares: list[Finding] = []
+    for state, of, fate, predicate in (
+        ("stable", is_known & ~is_open, COLLAPSED, "end in steady sliding"),
+        ("unstable", is_known & is_open, DIVERGED, "grow without limit"),
+    ):
+        table = part[of]
+        if len(table) and (part["fate"] == fate).any():
+            has = table["fate"] == fate
+            estimate = _estimate(has, table["fate"].isin(()), table["drawn"], study.settings.confidence)
+            things = f"runs with a linearly {state} all-slip state"
+            basis = _basis(study, table["drawn"].nunique())
+            shares.append(Share(f"{state}_{fate}", things, predicate, estimate, "", None, basis))
+    return shares
+
+
+def _means(study: Study, ends: Sequence[Ends]) -> list[Finding]:
+    """Mean n_stick of the runs that stick and slip."""
+    if study.unit == "start":
+        return []
+    moving = sorted((row for row in ends if row.mean.value is not None), key=lambda row: -int(row.group.key["n"]))
+    return [
+        Level(MEAN, row.mean, row.group.label, None, _basis(study, len(row.group.units)))
+        for row in moving[:MOST_SETTINGS]
+    ]
+
+
+def _alerts(study: Study, ends: Sequence[Ends], drifting: Sequence[str]) -> list[Alert]:
+    total = sum((row.n_of for row in ends), Counter[str]())
+    n_runs, n_failed = sum(row.n_runs for row in ends), total[FAILED]
+    alerts = []
+    if n_failed:
+        alerts.append(Alert.of(Code.FAILED, n=n_failed, of=n_runs + n_failed))
+    if names := list(dict.fromkeys(drifting)):
+        what = f"n_stick ({names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''})"
+        alerts.append(Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn))
+    n_open, n_decided = attractors.n_undecided(study)
+    if n_open > 0.1 * n_decided:
+        alerts.append(Alert.of(Code.UNDECIDED, n=n_open, of=n_decided))
+    elif not n_decided and total[QUIET]:
+        alerts.append(Alert.of(Code.UNCERTIFIED, n=total[QUIET], of=n_runs))
+    if total[LULL]:
+        alerts.append(Alert.of(Code.TEMPORARY, n=total[LULL], of=n_runs))
+    few = [row for row in ends if row.n_runs and row.basis.code == enough.FEW_MATRICES and row.n_moving]
+    if few:
+        basis = _basis(study, len(few[0].group.units))
+        alerts.append(Alert.of(Code.FEW, n=basis.n, units=f"{basis.unit}s"))
+    return alerts[:3]
+
+
+def _basis(study: Study, n: int) -> Basis:
+    return Basis(n, "system" if study.unit == "matrix" else study.unit)
+
+
+def _where(row: Ends) -> str:
+    return ", ".join(filter(None, (row.label, row.method)))
+
+
+# ------------------------------------------------------------------------------------------------- groups and runs
+
+
+def _names(groups: Sequence[Group]) -> list[tuple[str, Label]]:
+    """What tells the method of each group from the others, and what tells its system."""
+    parts = [label.parts for label in apart([group.name for group in groups])]
+    of_method = {"", *ENGINE_KEYS}
+    methods = [Label.of([part for part in label if part[0] in of_method]) for label in parts]
+    return [
+        (str(method), Label.of([part for part in label if part[0] not in of_method]))
+        for method, label in zip(methods, parts, strict=True)
+    ]
+
+
+def _with_attractors(study: Study) -> set[str]:
+    """Names of groups of which it is recorded what runs settle on."""
+    members = study.data.table.own
+    if "attractor" not in members:
+        return set()
+    has = members["attractor"].notna().to_numpy()
+    return {group.label for group in study.groups if has[group.rows].any()}
 
 
 def _runs(groups: Sequence[Group]) -> pd.DataFrame:
-    """A row a run, group by group: its row among the members, its fate, and until when it was in motion."""
+    """A row a run, group by group: its row among the members, its fate, what it does, and until when it moved.
+
+    `drawn` numbers what was drawn: runs of one number are dependent.
+    """
     labels = [group.label for group in groups]
-    return joined([_of_group(group, k, labels) for k, group in enumerate(groups)])
+    runs = joined([_of_group(group, k, labels) for k, group in enumerate(groups)])
+    values = [tuple(group.key[name] for name in DRAWN) for group in groups]
+    setting = np.array([*map(values.index, values)])[runs["group"].cat.codes]
+    units = pd.factorize(groups[0].table.own["unit"].to_numpy()[runs["row"]])[0]  # they may be any numbers
+    return runs.assign(drawn=pd.factorize(setting + len(values) * units)[0])
 
 
 def _of_group(group: Group, number: int, labels: Sequence[str]) -> pd.DataFrame:
-    fates, size = group.fates, len(group)
-    t_stop, rates = (group.column(name).to_numpy(np.float64, na_value=np.nan) for name in ("t_stop", "growth_rate"))
-    t, _ = ends_at(fates, group.last[:, 0], t_stop, np.broadcast_to(float(group.key["t_end"]), size))
-    is_speed_dependent = any(group.key[name] is not None for name in SPEED_DEPENDENT)
-    untold = np.full(size, "law") if is_speed_dependent else np.where(np.isnan(rates), "rate", "stable")
+    fates, size, t_end = group.fates, len(group), float(group.key["t_end"])
+    t_stop = group.column("t_stop").to_numpy(np.float64, na_value=np.nan)
+    t_last, n_last = group.last.T
+    t, _ = ends_at(fates, t_last, t_stop, np.broadcast_to(t_end, size))
+    is_stuck = (fates == UNMOVED) | ((fates == SUSTAINED) & is_held(t_last, n_last, int(group.key["n"]), t_end))
+    is_kind = [np.isin(fates, SETTLED), np.isin(fates, MOVING) & ~is_stuck, fates == DIVERGED, is_stuck]
     return pd.DataFrame({
         "row": group.rows.astype(np.int32),
         "t": np.where(fates == FAILED, np.nan, t),
         "group": pd.Categorical.from_codes(np.full(size, number), pd.Index(labels)),
         "fate": pd.Categorical(fates, (*WATCHED, FAILED)),
-        "untold": pd.Categorical(untold, ("law", "rate", "stable")),
+        "kind": pd.Categorical.from_codes(np.select(is_kind, range(len(KINDS)), -1), pd.Index(KINDS)),
     }, copy=False)  # fmt: skip
 
 
-def _listed(groups: Sequence[Group], runs: pd.DataFrame, some: slice) -> pd.DataFrame:
+def _listed(groups: Sequence[Group], runs: pd.DataFrame, rows: slice) -> pd.DataFrame:
     """Some rows of the table of runs."""
-    part = runs.iloc[some]
-    own, of_group = groups[0].table.own.iloc[part["row"]], part["group"].cat.codes.to_numpy()
-    of_members = {name: own[name].array for name in _RUN if name in own}
+    part = runs.iloc[rows]
+    members, of_group = groups[0].table.own.iloc[part["row"]], part["group"].cat.codes.to_numpy()
+    of_members = {name: members[name].array for name in _RUN if name in members}
     more = {
         "n": np.array([group.key["n"] for group in groups])[of_group],
         "kappa_n": np.array([_kappa_n(group.key) for group in groups], dtype=np.float64)[of_group],
@@ -227,18 +472,10 @@ def _listed(groups: Sequence[Group], runs: pd.DataFrame, some: slice) -> pd.Data
     return columns(_RUN, [part.assign(**of_members, **more)])
 
 
-def _of_draws(groups: Sequence[Group], keys: Collection[str], followed: pd.DataFrame, drawn: pd.Series) -> np.ndarray:
-    """Of each run, the number of the values that its group has of some keys, and of what was drawn for the run."""
-    values = [tuple(group.key[name] for name in keys) for group in groups]
-    number = np.array([*map(values.index, values)])[followed["group"].cat.codes]
-    own = pd.factorize(drawn.to_numpy()[followed["row"]])[0]  # they may be any numbers
-    return np.asarray(pd.factorize(number + len(values) * own)[0])
-
-
 def _thinned(curve: Curve) -> Curve:
     """A curve of survival with at most `MOST_STEPS` of its steps, the first and the last among them."""
-    some = np.unique(np.linspace(0, len(curve[0]) - 1, MOST_STEPS).astype(np.int64))
-    t, share, low, high = (x[some] for x in curve)
+    steps = np.unique(np.linspace(0, len(curve[0]) - 1, MOST_STEPS).astype(np.int64))
+    t, share, low, high = (x[steps] for x in curve)
     return t, share, low, high
 
 
@@ -268,115 +505,62 @@ def _kappa_n(key: Mapping[str, Any]) -> float | None:
     return None if key["kappa"] is None or key["n"] == 1 else key["n"] * key["kappa"]
 
 
-def _counts(fates: pd.Series | np.ndarray) -> dict[str, int]:
-    """Number of runs of each fate, and of those in motion."""
-    how = Counter(pd.Series(fates).value_counts().to_dict())
-    return {**{f"n_{name}": how[name] for name in (*WATCHED, FAILED)}, "n_moving": sum(how[name] for name in MOVING)}
-
-
-def _share(
-    fates: pd.Series, drawn: np.ndarray, of: Sequence[str], confidence: float, untold: Sequence[str] = (QUIET,)
-) -> Estimate:
-    """Share of runs with one of some fates; runs with one number of `drawn`, of one unit, are dependent.
-
-    For the fates in `untold` it is unknown whether the run belongs to them, and the interval covers both cases; with
-    () every run counts as it is seen.
-    """
-    if not len(fates):
-        return Estimate(reason="every run failed")
-    counts = [np.bincount(drawn, fates.isin(some)) for some in (of, untold)]
-    return bounded_share(np.column_stack([*counts, np.bincount(drawn)]), confidence)
-
-
-def _basin(groups: Sequence[Group], followed: pd.DataFrame, members: pd.DataFrame) -> Row | None:
-    """Starts of the runs of one system by what they do at the end (`KINDS`); None if all do the same.
-
-    A start must be given by two numbers, and both must vary; else None. Of several such systems or engines, the one
-    with most runs.
-    """
-    start = members[["z_start", "w_start"]]
-    if start.isna().all().any() or (start.min() == start.max()).any():
-        return None
-    others = [name for name in groups[0].key if name not in ("z0", "w0")]
-    setting = _of_draws(groups, others, followed, members["matrix"])
-    followed = followed.assign(**{str(name): start[name].to_numpy()[followed["row"]] for name in start})
-    start = followed[["z_start", "w_start"]]
-    is_known = start.notna().all(axis=1).to_numpy()
-    by_setting = start[is_known].groupby(setting[is_known])
-    varies = (by_setting.min() < by_setting.max()).all(axis=1)
-    found: list[Row] = []
-    for one in varies.index[varies]:
-        own = followed[setting == one]
-        known = own[is_known[setting == one]]
-        points = {
-            kind: known.loc[known["fate"].isin(fates), ["z_start", "w_start"]].to_numpy()
-            for kind, (fates, _, _) in KINDS.items()
-        }
-        if sum(map(bool, map(len, points.values()))) > 1:
-            found.append({"points": points, "n": len(known), "of": len(own), "group": str(known["group"].iloc[0])})
-    return max(found, key=lambda one: int(one["n"]), default=None)
-
-
-def _group_row(study: Study, group: Group, ran: _Ran) -> Row:
-    """Row of the table `fates`: the runs of a group by fate, when they end, and their mean n_stick."""
+def _ends(study: Study, group: Group, label: Label, method: str, ran: _Ran, left: float) -> Ends:
     level, t_end = study.settings.confidence, float(group.key["t_end"])
-    mean, drift, basis = group.mean(level), group.drift(level), group.basis(level)
-    memory = tau(group.effective)
-    fates, t_last, t_stop, ends, unit = ran
-    half, most = (
-        half_ended(some, t_last, t_stop, ends, level, unit) if len(fates) else Estimate()
-        for some in (fates, np.where(fates == QUIET, SUSTAINED, fates))
+    fates, t_last, t_stop, ends, units = ran
+    lifetime, most = (
+        half_ended(taken, t_last, t_stop, ends, level, units) if len(fates) else Estimate()
+        for taken in (fates, np.where(fates == QUIET, SUSTAINED, fates))
     )
     t, _ = ends_at(fates, t_last, t_stop, ends)
     n_last = group.last[group.fates != FAILED, 1]
-    followed = pd.Series(pd.Categorical(fates, WATCHED))
-    share, settled = _share(followed, unit, MOVING, level), _share(followed, unit, SETTLED, level, untold=())
     n_held = np.count_nonzero(is_held(t_last, n_last, int(group.key["n"]), t_end) & (fates == SUSTAINED))
-    return {
-        "group": group.label, "n": group.key["n"], "kappa_n": _kappa_n(group.key),
-        "engine": group.key["engine"], "law": engine_name(group.key["engine"]) + " law" * group.is_exact,
-        "n_runs": len(fates), "t_end": t_end,
-        **_counts(group.fates), **named("moving", share), **named("settled", settled),
-        "n_held": n_held, "is_rated": bool(group.column("growth_rate").notna().any()),
-        "half": half, **named("median", half), "median_most": most.value,
-        "last_end": _latest(t[np.isin(fates, ENDS)]), "last_quiet": _latest(t_last[fates == QUIET]),
-        **named("mean", mean), "drifts": drift, **named("drift", drift),
-        "effective_samples": memory and len(group.units) * (t_end - study.settings.t_burn) / (2 * memory),
-        "basis": basis.code, "is_drifting": _is_drifting(drift, basis),
-    }  # fmt: skip
+    drawn, is_quiet = pd.Series(units), pd.Series(fates == QUIET)
+    moving, settled = Estimate(reason="every run failed"), Estimate(reason="every run failed")
+    if len(fates):
+        moving = _estimate(pd.Series(np.isin(fates, MOVING)), is_quiet, drawn, level)
+        settled = _estimate(pd.Series(np.isin(fates, SETTLED)), is_quiet & False, drawn, level)
+    return Ends(
+        group, label, method, Counter(group.fates.tolist()), int(n_held), moving, settled, lifetime, most.value, left,
+        _latest(t_last[np.isin(fates, SETTLED)]), _latest(t[np.isin(fates, ENDS)]), _latest(t_last[fates == QUIET]),
+        group.mean(level), group.drift(level), group.basis(level),
+    )  # fmt: skip
 
 
-def _shifts(groups: Sequence[Group], level: float) -> list[Row]:
-    """Rows of the table `last_events`: how much later the last event of a system comes under another method.
+def _shifts(groups: Sequence[Group], level: float) -> list[Shift]:
+    """How much later the last event of a system comes by another method than by the finest.
 
     Whether a certificate came in time makes no difference to an event, and systems are compared with themselves.
     """
     of_system: dict[tuple[Any, ...], list[Group]] = {}
     for group in sorted(groups, key=fineness):
         of_system.setdefault(tuple(group.key[name] for name in SYSTEM_KEYS), []).append(group)
-    found: list[Row] = []
+    shifts = []
     for reference, *others in of_system.values():
         before = _last_events(reference)
         for other in others:
             both = pd.concat([before, _last_events(other)], axis=1, join="inner").to_numpy()
             known = both[~np.isnan(both).any(axis=1)]
-            shifts = known[:, 1] - known[:, 0]
-            shift = median(shifts, np.full(len(shifts), True), level)
-            if len(shifts):
-                shift = replace(shift, value=float(np.median(shifts)))
-            found.append({
-                "setting": other.label, "reference": reference.label, "is_exact": reference.is_exact,
-                "n_systems": len(known),
-                "n_open": len(both) - len(known), **named("shift", shift),
-            })  # fmt: skip
-    return found
+            delays = known[:, 1] - known[:, 0]
+            shift = median(delays, np.full(len(delays), True), level)
+            if len(delays):
+                shift = replace(shift, value=float(np.median(delays)))
+            shifts.append(Shift(other.label, reference.label, len(known), len(both) - len(known), shift))
+    return shifts
+
+
+def _shift_row(shift: Shift) -> Row:
+    return {
+        "setting": shift.setting, "reference": shift.reference, "n_systems": shift.n_systems,
+        "n_open": shift.n_open, **named("shift", shift.shift),
+    }  # fmt: skip
 
 
 def _last_events(group: Group) -> pd.Series:
     """The mean time of the last events of each unit's runs; NaN if one of them goes on, or failed."""
     has_ended = np.isin(group.fates, (*ENDS, QUIET))
     times = pd.Series(np.where(has_ended, group.last[:, 0], np.nan), index=group.column("unit").to_numpy())
-    return times.groupby(level=0).agg(lambda some: some.mean(skipna=False))
+    return times.groupby(level=0).agg(lambda unit: unit.mean(skipna=False))
 
 
 def _latest(times: np.ndarray) -> float | None:
@@ -384,155 +568,113 @@ def _latest(times: np.ndarray) -> float | None:
     return float(times.max()) if len(times) else None
 
 
-def _is_drifting(drift: Estimate, basis: enough.Basis) -> bool:
-    """Whether a drift is shown, and is not harmless: few runs may show one of 1e-7."""
-    if drift.low is None or drift.high is None or drift.low <= 0 <= drift.high:
-        return False
-    size = basis.drift.value
-    return basis.code != enough.ENOUGH and (size is None or not abs(size) <= enough.MARGIN)
+# ------------------------------------------------------------------------------------------------- figures
 
 
-def _brief(groups: Sequence[Row]) -> list[Row]:
-    """Groups with runs that did not fail, in order of n and kappa n, named by n and what else tells them apart."""
-    names = apart([row["group"] for row in groups], always=1)
-    found = [row | {"system": name} for row, name in zip(groups, names, strict=True)]
-    return sorted((row for row in found if row["n_runs"]), key=lambda row: (row["n"], row["kappa_n"]))
+def _pictures(
+    study: Study, runs: pd.DataFrame, ends: Sequence[Ends], curves: Mapping[str, Curve]
+) -> dict[str, Recipe | Picture]:
+    """Survival if some runs ended, and shares by fate; else n_stick of all runs of the largest group."""
+    if not ends:
+        return {}
+    level, pictures = f"{100 * study.settings.confidence:g}%", dict[str, Recipe | Picture]()
+    if any(row.n_of[name] for row in ends for name in (*ENDS, QUIET)):
+        places = np.unique(np.linspace(0, len(ends) - 1, MOST_CURVES).round().astype(int))
+        chosen = {_where(ends[k]): curves[ends[k].group.label] for k in places}
+        left_out = f" {len(places)} of {len(ends)} settings are drawn." if len(places) < len(ends) else ""
+        pictures["survival"] = Picture(
+            partial(figures.survival_curves, chosen, max(row.t_end for row in ends)),
+            "Curves fall as runs end, and level off where motion lasts. Share of runs that have not ended, with"
+            f" {level} intervals.{left_out}",
+        )
+    starts = _basin(ends, runs)
+    if starts is not None:
+        pictures["basin"] = starts
+    key, values = key_of([row.label for row in ends]) if len({row.method for row in ends}) == 1 else ("", [])
+    values = values or [_where(row) for row in ends]
+    if len(ends) > 1 and any(row.n_moving < row.n_runs for row in ends):
+        counts = {name: [row.n_of[name] for row in ends] for name in FATES}
+        pictures["fates"] = Picture(
+            partial(figures.shares, key, values, counts),
+            "Bars of one colour have one outcome. Shares of runs by what they do at the end, at each setting.",
+        )
+    rates = study.data.table.own["growth_rate"].to_numpy(np.float64)
+    rated = [k for k, row in enumerate(ends) if not np.isnan(rates[row.group.rows]).all()]
+    if rated and pictures:
+        tables = [runs[(runs["group"] == ends[k].group.label) & (runs["fate"] != FAILED)] for k in rated]
+        known = [table.assign(growth_rate=rates[table["row"]]) for table in tables]
+        pictures["growth"] = Picture(
+            partial(figures.growth, key, [values[k] for k in rated], known),
+            "Left of the line, the state in which all blocks slip is stable. Its largest growth rate, a mark a run.",
+        )
+    if not pictures:
+        row = max(ends, key=lambda row: int(row.group.key["n"]))
+        paths = [_averaged(win) for _, _, win in islice(study.windows(row.group), MOST_RUNS)]
+        if paths:
+            pictures["runs"] = Picture(
+                partial(figures.all_runs, paths),
+                f"Each line is a run. Number of sticking blocks, in means over {BLOCK:g} units of time"
+                f"{f' ({_where(row)})' if _where(row) else ''}.",
+            )
+    return pictures
 
 
-def _linear(followed: pd.DataFrame, growth_rates: pd.Series) -> list[Row]:
-    """Number of runs of each fate where slipping all together is linearly stable, and where it is unstable.
+def _basin(ends: Sequence[Ends], runs: pd.DataFrame) -> Picture | None:
+    """Starts of one system by what their runs do; None if all do the same, or not one or two numbers vary.
 
-    Empty if no growth rate is known.
+    Of several systems or methods, the one with most runs.
     """
-    rates = growth_rates.to_numpy(np.float64)[followed["row"]]
-    has, is_known = np.asarray(is_unstable(rates)), ~np.isnan(rates)
-    parts = {"stable": followed["fate"][is_known & ~has], "unstable": followed["fate"][is_known & has]}
-    return [{"state": state, "n_runs": len(some), **_counts(some)} for state, some in parts.items() if len(some)]
+    members, key_but_start = ends[0].group.table.own, Counter[tuple[Any, ...]]()
+    setting_of = {}
+    for row in ends:
+        setting = tuple(value for name, value in row.group.key.items() if name not in ("z0", "w0"))
+        setting_of[row.group.label] = setting
+        key_but_start[setting] += len(row.group)
+    (setting, _), *_ = key_but_start.most_common(1)
+    labels = [label for label, key in setting_of.items() if key == setting]
+    part = runs[runs["group"].isin(labels) & (runs["fate"] != FAILED)]
+    columns = (members[name].to_numpy(np.float64, na_value=np.nan)[part["row"]] for name in ("z_start", "w_start"))
+    z, w = columns
+    is_known = ~(np.isnan(z) | np.isnan(w))
+    matrices = members["matrix"].to_numpy()[part["row"]]
+    if not is_known.any() or (matrices != matrices[0]).any():
+        return None
+    starts = plane(z[is_known, np.newaxis], w[is_known, np.newaxis])
+    number = part["kind"].cat.codes.to_numpy()[is_known]
+    if starts is None or len(starts.names) < 2 or (number == number[0]).all():
+        return None
+    entries: list[tuple[Look, str]] = [(_LOOK[kind], _LOOK[kind].words) for kind in KINDS]
+    caption = "Each colour is a basin. What a run does at the end, in the plane of its start"
+    few = f"; drawn are the {len(number):,} of {len(part):,} runs whose starts are stored"
+    return Picture(figures.basin(starts, number, entries), f"{caption}{few if len(number) < len(part) else ''}.")
 
 
-def _n_on_cycle(study: Study, runs: pd.DataFrame) -> int:
-    """How many quiet runs are on a cycle without exits, where that is recorded; exits are null on none."""
-    if "exits_per_period" not in study.data.recorded:
-        return 0
-    exits = study.data.recorded["exits_per_period"].values  # noqa: PD011  a named tuple, no data frame
-    quiet = study.data.table.own["member_id"].iloc[runs.loc[runs["fate"] == QUIET, "row"]]
-    return sum(exits.get(name) == 0.0 for name in quiet)
-
-
-def _commonest(reasons: pd.Series) -> str:
-    return str(reasons.value_counts().index[0]) if len(reasons) else ""
-
-
-def _means(win: Window) -> tuple[np.ndarray, np.ndarray]:
+def _averaged(win: Window) -> tuple[np.ndarray, np.ndarray]:
     """Middles of blocks of `BLOCK` units of time, and the means of n_stick over them."""
     n_blocks = max(int((win.t_stop - win.t_start) // BLOCK), 1)
     return win.t_start + (np.arange(n_blocks) + 0.5) * (win.t_stop - win.t_start) / n_blocks, win.means(n_blocks)
 
 
-@panel()
-def shares(ax: Axes, key: str, ticks: Sequence[str], counts: Mapping[str, Sequence[int]]) -> None:
-    """Shares of runs by fate, one bar for each value of a key; `counts` are the runs at each value, by fate."""
-    total, floor = np.maximum(np.sum([*counts.values()], axis=0), 1), np.zeros(len(ticks))
-    for name, some in counts.items():
-        if any(some):
-            label, colour, _ = FATES[name]
-            ax.bar(range(len(ticks)), some / total, 0.7, floor, color=colour, label=label)
-            floor += some / total
-    ax.set(xlabel=key, ylabel="share of runs")
-    _set_ticks(ax, ticks)
-    ax.figure.legend(loc="outside upper center", ncols=4, fontsize=7, handlelength=1.2)
+def _along_t_burn(study: Study, name: str, rows: Sequence[Row]) -> Picture:
+    t_burn = study.settings.t_burn
+    return Picture(
+        partial(burn_in.by_t_burn, rows, t_burn),
+        f"Level curves say that t_burn is long enough. Estimates with other values of t_burn over those with"
+        f" {t_burn:g} ({name}).",
+    )
 
 
-def _by_system(systems: Sequence[Row]) -> tuple[str, list[str]]:
-    """Label and ticks of an axis of systems."""
-    if len({row["n"] for row in systems}) == len(systems):
-        return "blocks, n", [str(row["n"]) for row in systems]
-    if len(systems) > _MOST_TICKS:
-        return f"{len(systems)} settings", [""] * len(systems)
-    texts, same = [str(row["system"]) for row in systems], f"n = {systems[0]['n']}, "
-    return "", [text.removeprefix(same) for text in texts] if all(same in text for text in texts) else texts
+def _leads(study: Study) -> bool:
+    """Whether it is recorded what runs settle on, or most have ended."""
+    members = study.data.table.own
+    return "attractor" in members or bool(members["outcome"].isin(["collapsed", "diverged"]).mean() > 0.5)
 
 
-def _set_ticks(ax: Axes, ticks: Sequence[str]) -> None:
-    """One tick a system, its words below each other; upright where there is no room for them side by side.
-
-    Of more than can be told apart there are some.
-    """
-    ax.set_xlim(-0.6, len(ticks) - 0.4)
-    stacked = [text.replace(", ", "\n") for text in ticks]
-    widest = max(len(line) for text in stacked for line in text.split("\n"))
-    if not widest:
-        ax.set_xticks([])
-    elif widest * len(ticks) <= _LETTERS:
-        ax.set_xticks(range(len(ticks)), stacked)
-    else:
-        step = -(-len(ticks) // _MOST_TICKS)
-        ticks = ticks[::step]
-        ax.set_xticks(range(0, step * len(ticks), step), ticks, rotation=90, fontsize=6)
-        figure = ax.get_figure(root=True)
-        assert figure is not None  # it is drawn on one
-        figure.set_figheight(PANEL[1] + _LETTER * max(map(len, ticks)))
-
-
-@panel()
-def growth(ax: Axes, systems: Sequence[Row], runs: pd.DataFrame) -> None:
-    """Linear growth rate of the all-slip state of each run, marked by its fate and sorted within a system."""
-    in_order = [runs[runs["group"] == system["group"]].sort_values("growth_rate") for system in systems]
-    x = [k + 0.6 * (np.arange(len(own)) / max(len(own) - 1, 1) - 0.5) for k, own in enumerate(in_order)]
-    drawn = pd.concat(in_order).assign(x=np.concatenate(x))
-    ax.axhline(0, color=GREY, linewidth=0.8)
-    for name, (label, colour, marker) in FATES.items():
-        some = drawn[drawn["fate"] == name]
-        if len(some):
-            ax.plot(some["x"], some["growth_rate"], marker, color=colour, markersize=3, label=label)
-    key, ticks = _by_system(systems)
-    ax.set(xlabel=key, ylabel="linear growth rate, all slip")
-    _set_ticks(ax, ticks)
-    ax.figure.legend(loc="outside upper center", ncols=4, fontsize=7, handlelength=1.2)
-
-
-@panel()
-def basin(ax: Axes, points: Mapping[str, np.ndarray]) -> None:
-    """Starts in their plane, one mark a run, by what the run does at the end."""
-    size = float(np.clip(120.0 / np.sqrt(sum(map(len, points.values()))), 1.5, 6.0))  # marks fill the plane
-    for kind, some in points.items():
-        if len(some):
-            # of thousands of marks, a bitmap inside the SVG keeps the report small
-            ax.plot(*some.T, KINDS[kind][2], color=KINDS[kind][1], markersize=size,
-                    markeredgewidth=0, label=kind, rasterized=True)  # fmt: skip
-    ax.margins(0.01)
-    ax.set(xlabel="displacement z at start", ylabel="velocity w at start")
-    ax.figure.legend(loc="outside upper center", ncols=4, fontsize=7, markerscale=4.0 / size, handletextpad=0.2)
-
-
-@panel()
-def survival_curves(ax: Axes, curves: Sequence[tuple[str, Curve]], t_end: float) -> None:
-    """Share of runs that have not ended against time, one curve a group, with intervals for one or two groups."""
-    colours = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(curves)))
-    for (label, (times, *shares)), colour in zip(curves, colours, strict=True):
-        t = np.append(times, t_end)
-        alive, low, high = (np.append(y, y[-1]) for y in shares)
-        ax.step(t, alive, where="post", color=colour, label=label)
-        if len(curves) <= 2:
-            ax.fill_between(t, low, high, step="post", color=colour, alpha=0.15, linewidth=0)
-    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), xlabel="time t", ylabel="share not ended")
-    columns = 2 if max(len(label) for label, _ in curves) <= _SHORT else 1
-    ax.figure.legend(loc="outside upper center", ncols=columns, fontsize=7, handlelength=1.2)
-
-
-@panel()
-def all_runs(ax: Axes, paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
-    """n_stick of runs, in means over blocks of time."""
-    for t, mean in paths:
-        ax.plot(t, mean, color=EXACT, alpha=0.35, linewidth=0.7)
-    ax.set(xlabel="time t", ylabel="$n_{stick}$")
-    least, most = ax.dataLim.intervaly
-    if least <= FROM_ZERO * most:  # else it would be a flat line at the top
-        ax.set_ylim(0, None)
-
-
-def _most_have_ended(study: Study) -> bool:
-    return bool(study.data.table.own["outcome"].isin(["collapsed", "diverged"]).mean() > 0.5)
-
-
-QUESTION = Question(answer, share=0.01, rank=3, leads=_most_have_ended, beside=("robustness",))
+QUESTION = Question(
+    answer,
+    title="How do runs end, and what do they settle on?",
+    share=0.01,
+    rank=2,
+    leads=_leads,
+    beside=("robustness",),
+)

@@ -50,7 +50,7 @@ from stickslip.analysis.grid import (
 from stickslip.analysis.measures import KEYS, Measure, measures
 from stickslip.analysis.members import RELATIVE, noun
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
-from stickslip.analysis.questions.runs.fates import FATES, shares
+from stickslip.analysis.questions.runs.fate_figures import FATES, shares
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.analysis.style import EXACT, GREY, panel

@@ -252,4 +252,4 @@ def size_law(axes: Sequence[Axes], laws: Sequence[tuple[str, Sequence[Row]]], fi
     below.legend(loc="lower left", fontsize=7)
 
 
-QUESTION = Question(answer, share=0.05, of_cascades=True, rank=5, beside=("exponential", "clustering", "fates"))
+QUESTION = Question(answer, share=0.05, of_cascades=True, rank=5, beside=("exponential", "collective", "fates"))

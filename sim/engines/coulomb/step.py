@@ -70,18 +70,26 @@ def _first_event(model, expansion, search, order, h):  # type: ignore[no-untyped
 
 
 @inner
-def _on_the_edge(model, expansion, near, z_max, w, block, has_forces):  # type: ignore[no-untyped-def]
+def _on_the_edge(model, expansion, near, z_max, w, block, order, step, has_forces):  # type: ignore[no-untyped-def]
     """Mark the slipping blocks with w = v up to rounding; returns how many blocks this instant concerns.
 
-    If the forces at this instant are known, sticking blocks with |F| = m count too.
+    Of them, with a static friction above the kinetic, a block that has just left goes on: w' is the difference of the
+    two then, and at most 0 if it comes. The instant is a `step` into the series. If the forces at it are known,
+    sticking blocks with |F| = m count too.
     """
-    v, mode, touching = model.belt_speed, expansion.mode, expansion.touching
+    v, mode, touching, series = model.belt_speed, expansion.mode, expansion.touching, expansion.series
     count = 0
     for i in range(len(mode)):
         touching[i] = mode[i] != 0 and mode[i] * (w[i] - v[i]) <= near[i]
+        jump = model.static[i] - model.friction[i]
+        if touching[i] and jump > 0.0:
+            w_dot = 0.0
+            for k in range(order, 1, -1):
+                w_dot = w_dot * step + k * (k - 1) * series[k, i]
+            expansion.leaves[i] = mode[i] if mode[i] * w_dot > 0.5 * jump else 0
         concerned = touching[i] or i == block
         if mode[i] == 0 and has_forces:
-            force = model.damping[i] * v[i] + expansion.series[0, i]
+            force = model.damping[i] * v[i] + series[0, i]
             noise = known(model.forcing, 0, i)
             slack = force_rounding(model.damping[i] * v[i], model.row_sums[i] * z_max, model.static[i], noise)
             concerned = concerned or push(model.closed[i], force) >= model.static[i] - slack
@@ -166,7 +174,7 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
                 sticks = mode[i] == 0
                 z[i], w[i] = (expansion.held[i], v[i]) if sticks else (series[0, i], series[1, i])
             h, z_max = 0.0, largest(z)
-            if _on_the_edge(model, expansion, near, z_max, w, block, True) == 1:
+            if _on_the_edge(model, expansion, near, z_max, w, block, order, 0.0, True) == 1:
                 window = Window(order, span, allowed, z_max)
                 h, n_products = correct(model, expansion, block, window, left, rate, clock)
                 counters[loop.N_PRODUCTS] += n_products
@@ -176,7 +184,7 @@ def _advance(model, goal, state, expansion, search, slow, events, precheck):  # 
             clock[control.CARRIED] += 1.0 if is_open else 0.0
         else:
             evaluate(expansion, v, None, order, step, z, w)
-            _on_the_edge(model, expansion, near, 0.0, w, block, False)
+            _on_the_edge(model, expansion, near, 0.0, w, block, order, step, False)
             is_open = False
             is_cut = is_cut or block >= 0
         clock[loop.TIME], clock[loop.LACKING] = t_next, lacking

@@ -358,18 +358,20 @@ def error_after(model, expansion, goal, window, step, error):  # type: ignore[no
     """The error of w a step into a window, from that before it: what the series leave out by then, and rounding.
 
     The terms left out first follow from the last two, which have come to the error allowed at most, wherever in the
-    window a block's series begins. What an event that was carried over leaves out, and the rounding of products in
-    single precision, grow like the fifth power of the time, at least.
+    window a block's series begins. A window is at most `control.SPAN` long at the rates of its series, which leave
+    the transients of heavily damped blocks out (`overdamped`). What an event that was carried over leaves out, and
+    the rounding of products in single precision, grow like the fifth power of the time, at least.
     """
     series, damping, order = expansion.series, model.damping, window.order
-    left_out, coupled = 0.0, (goal.rate * step) ** 2 / (order * (order - 1))
+    reach = min(goal.rate * step, control.SPAN)
+    left_out, coupled = 0.0, reach * reach / (order * (order - 1))
     power = step ** (order - 2)
     for i in range(len(damping)):
         low, high = abs(series[order - 1, i]), abs(series[order, i])
         if low + high > 0.0:
             low = min((order - 1) * power * low, window.allowed)
             high = min(order * power * step * high, window.allowed)
-            left_out = max(left_out, abs(damping[i]) * step / order * high + coupled * (low + high))
+            left_out = max(left_out, min(abs(damping[i]) * step, reach) / order * high + coupled * (low + high))
     share = control.PASSED_ON + (control.LIKELY * control.ROUNDED_OFF if len(model.pairs.single_panels) > 0 else 0.0)
     carried = share * window.allowed * min(1.0, step / window.span) ** 5
     rounding = ROUNDING * window.allowed / goal.tol

@@ -1,8 +1,8 @@
 """The control of steps: all constants that their lengths and errors depend on, and how one step follows another.
 
 A constant without a unit is a share or a number. Where nothing else is said, it was chosen and not measured alone:
-all together are tested against a method of order 13 on random systems (`tests/sim/test_sigmoid_accuracy.py`; the
-figures are in `docs/guide/sigmoid-engine.md`).
+all together are tested against a method of order 13 on random systems (`tests/sim/test_sigmoid_accuracy.py`, which
+prints the errors).
 """
 
 from __future__ import annotations

@@ -1,12 +1,15 @@
-"""Pictures of what runs settle on: basins, shares and maps along swept keys, bifurcation diagrams."""
+"""Pictures of how runs end and of what they settle on: survival, shares, basins, maps and bifurcation diagrams."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from itertools import chain
 from typing import Any, NamedTuple
 
+import matplotlib
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap
@@ -14,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
+from stickslip.analysis.answer import Recipe
 from stickslip.analysis.models.attractors import (
     ESCAPING,
     IRREGULAR,
@@ -23,35 +27,46 @@ from stickslip.analysis.models.attractors import (
     SLIDING,
     TORUS,
     UNDECIDED,
+    Plane,
     edges,
+    on_grid,
 )
-from stickslip.analysis.style import GREY, panel
+from stickslip.analysis.models.fates import COLLAPSED, DIVERGED, LULL, QUIET, SUSTAINED, UNMOVED, Curve
+from stickslip.analysis.style import EXACT, GREY, PANEL, panel
 from stickslip.sim.numerics.arguments import Floats
 
+FROM_ZERO = 0.8  # least over largest n_stick up to which its axis begins at 0
 _VECTORS = 2000  # more marks than this are a bitmap inside the SVG
 _DECADES = 30.0  # largest over least value from which an axis is logarithmic
 _MOST_TICKS = 12  # of values that are no numbers
+_MOST_NAMES, _NAME = 40, 0.16  # bars with names of their own; inches that each takes
+_SHORT = 24  # of names in a legend of two columns
 
 
 class Look(NamedTuple):
-    """How an attractor is drawn: colours differ in lightness as well, for black and white."""
+    """How an outcome is drawn, and its name: colours differ in lightness as well, for black and white."""
 
     colour: str
     mark: str
     hatch: str
+    words: str = ""
 
 
 LOOKS = {
-    REST: Look("#9ECAE1", "D", "..."), SLIDING: Look("#0072B2", "s", ""), PERIODIC: Look("#E69F00", "o", ""),
-    TORUS: Look("#009E73", "h", "++"), IRREGULAR: Look("#6A3D9A", "X", "xxx"), ESCAPING: Look("black", "*", ""),
-    UNDECIDED: Look("#D9D9D9", ".", "///"),
+    REST: Look("#9ECAE1", "D", "...", "rest"), SLIDING: Look("#0072B2", "s", "", "steady sliding"),
+    PERIODIC: Look("#E69F00", "o", "", "cycle"), TORUS: Look("#009E73", "h", "++", "torus"),
+    IRREGULAR: Look("#6A3D9A", "X", "xxx", "irregular"), ESCAPING: Look("black", "*", "", "growth without limit"),
+    UNDECIDED: Look("#D9D9D9", ".", "///", "undecided"),
 }  # fmt: skip
 #: Of the cycles of one system, and of all that come after these.
 CYCLES = (LOOKS[PERIODIC], Look("#7F2704", "^", ""), Look("#F0E442", "v", ""), Look("#D55E00", "P", ""))
 OTHERS = Look("#FDD0A2", "p", "\\\\\\")
-WORDS = {
-    REST: "come to rest", SLIDING: "slide steadily", PERIODIC: "settle on a cycle", TORUS: "settle on a torus",
-    IRREGULAR: "stay irregular", ESCAPING: "run away", UNDECIDED: "undecided",
+#: Of the fates of runs whose attractors are not known.
+FATES = {
+    COLLAPSED: LOOKS[SLIDING], QUIET: Look("#56B4E9", "D", "...", "sliding so far"),
+    SUSTAINED: Look("#E69F00", "o", "", "sticking and slipping"),
+    LULL: Look("#CC79A7", "v", "xxx", "temporarily sliding"), DIVERGED: LOOKS[ESCAPING],
+    UNMOVED: Look("#D9D9D9", "X", "///", "not moved"),
 }  # fmt: skip
 #: How exits of one block are drawn in a bifurcation diagram, by the order of the blocks: colour and mark.
 _BLOCKS = (("black", "o"), ("#D55E00", "s"), ("#0072B2", "^"), ("#CC79A7", "D"))
@@ -91,6 +106,16 @@ class Sections(NamedTuple):
 
 
 # ------------------------------------------------------------------------------------------------- basins
+
+
+def basin(starts: Plane, number: np.ndarray, entries: Sequence[tuple[Look, str]]) -> Recipe:
+    """Starts by the outcome of their runs, an index of `entries`: along a line, in cells of a grid, or scattered."""
+    if len(starts.names) == 1:
+        return partial(strip, starts.names[0], starts.points[:, 0], number, entries)
+    grid = on_grid(starts.points)
+    if grid is not None:
+        return partial(cells, starts.names, grid, number, entries)
+    return partial(scatter, starts.names, starts.points, number, entries)
 
 
 @panel(3.5)
@@ -160,7 +185,7 @@ def strip(ax: Axes, name: str, start: Floats, number: np.ndarray, entries: Seque
 
 def _explain(ax: Axes, handles: Sequence[Any]) -> None:
     """One entry a line above the axes: shares and intervals are long."""
-    ax.figure.legend(handles=handles, loc="outside upper left", ncols=1, fontsize=7, handletextpad=0.4)
+    ax.figure.legend(handles=handles, loc="outside upper left", ncols=1, handletextpad=0.4)
 
 
 # ------------------------------------------------------------------------------------------------- along keys
@@ -194,13 +219,13 @@ def shares_along(ax: Axes, along: Scale, shares: Mapping[str, Sequence[float]]) 
     for kind, some in shares.items():
         look = LOOKS[kind]
         ax.bar(bounds[:-1], some, np.diff(bounds), floor, align="edge", color=look.colour, hatch=look.hatch,
-               edgecolor="white", linewidth=0.3, label=WORDS[kind])  # fmt: skip
+               edgecolor="white", linewidth=0.3, label=look.words)  # fmt: skip
         floor += some
     if along.x is None:
         ax.set_xticks(range(len(along.ticks)), along.ticks, rotation=30, ha="right")
     ax.set(xscale=scale, xlim=(bounds[0], bounds[-1]), ylim=(0, 1), xlabel=along.name, ylabel="share of runs")
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
-    ax.figure.legend(loc="outside upper left", ncols=3, fontsize=7, handlelength=1.2)
+    ax.figure.legend(loc="outside upper left", ncols=3, handlelength=1.2)
 
 
 @panel(3.4)
@@ -228,12 +253,12 @@ def over_two_keys(ax: Axes, across: Scale, up: Scale, what: np.ndarray, is_mixed
             axis.set_ticks(range(0, len(one.ticks), step), one.ticks[::step])
     ax.set(xscale=of_x, yscale=of_y, xlim=(left[0], left[-1]), ylim=(low[0], low[-1]), xlabel=across.name,
            ylabel=up.name)  # fmt: skip
-    handles: list[Any] = [_patch(look, WORDS[KINDS[k]]) for k, look in zip(seen, looks, strict=True)]
+    handles: list[Any] = [_patch(look, look.words) for k, look in zip(seen, looks, strict=True)]
     if len(rows):
         handles.append(_handle("white", "o", "not all alike", edge=0.4))
     if (what < 0).any():
         handles.append(Patch(facecolor="white", edgecolor="black", linewidth=0.3, label="no run"))
-    ax.figure.legend(handles=handles, loc="outside upper left", ncols=3, fontsize=7, handlelength=1.2)
+    ax.figure.legend(handles=handles, loc="outside upper left", ncols=3, handlelength=1.2)
 
 
 def _handle(colour: str, mark: str, words: str, edge: float = 0.0) -> Line2D:
@@ -269,7 +294,7 @@ def bifurcation(axes: Sequence[Axes], along: Scale, found: Sections, title: str 
     if len(blocks) == 1:
         of_blocks = [_handle(*_BLOCKS[0], "at exits")]
     if len(of_blocks) + len(handles) > 1:
-        above.figure.legend(handles=[*of_blocks, *handles], loc="outside upper left", ncols=3, fontsize=7,
+        above.figure.legend(handles=[*of_blocks, *handles], loc="outside upper left", ncols=3,
                             handletextpad=0.1)  # fmt: skip
     is_one = {*blocks} <= {found.block}
     above.set_ylabel(f"z of block {found.block}" if is_one else "z")
@@ -286,20 +311,79 @@ def bifurcation(axes: Sequence[Axes], along: Scale, found: Sections, title: str 
     above.figure.align_ylabels(list(axes))
 
 
-# ------------------------------------------------------------------------------------------------- by group
+# ------------------------------------------------------------------------------------------------- by setting
 
 
 @panel()
-def bars(ax: Axes, shares: Mapping[str, Mapping[str, float]]) -> None:
-    """A stacked bar a group, from below in the order of the page."""
-    labels: Sequence[str] = list(shares)[::-1]
-    left = np.zeros(len(labels))
-    for kind, look in LOOKS.items():
-        width = np.array([shares[label].get(kind, 0.0) for label in labels])
-        if width.any():
-            ax.barh(labels, width, left=left, color=look.colour, hatch=look.hatch, edgecolor="white", linewidth=0.3,
-                    label=WORDS[kind])  # fmt: skip
-        left += width
-    ax.set(xlim=(0, 1), xlabel="share of runs")
+def shares(
+    ax: Axes,
+    key: str,
+    values: Sequence[str],
+    counts: Mapping[str, Sequence[float]],
+    looks: Mapping[str, Look] = FATES,
+) -> None:
+    """Shares of runs by outcome, a bar for each value of a key, from above; `counts` are the runs at each value."""
+    total, left = np.maximum(np.sum([*counts.values()], axis=0), 1), np.zeros(len(values))
+    for outcome, numbers in counts.items():
+        if any(numbers):
+            look, width = looks[outcome], np.array(numbers) / total
+            ax.barh(range(len(values)), width, 0.8, left, color=look.colour, hatch=look.hatch, edgecolor="white",
+                    linewidth=0.3, label=look.words)  # fmt: skip
+            left += width
+    ax.set(xlim=(0, 1), ylim=(len(values) - 0.4, -0.6), xlabel="share of runs", ylabel=key)
     ax.xaxis.set_major_formatter(PercentFormatter(1.0))
-    ax.figure.legend(loc="outside upper left", ncols=3, fontsize=7, handlelength=1.2)
+    _name(ax, values)
+    ax.figure.legend(loc="outside upper left", ncols=2, handlelength=1.2)
+
+
+def _name(ax: Axes, names: Sequence[str]) -> None:
+    """Names of settings beside an axis that goes down, on a figure that has room for them; none beside very many."""
+    is_few = len(names) <= _MOST_NAMES
+    ax.set_yticks(range(len(names)) if is_few else [], names if is_few else [])
+    figure = ax.get_figure(root=True)
+    assert figure is not None  # it is drawn on one
+    figure.set_figheight(max(PANEL[1], 1.0 + _NAME * len(names) * is_few))
+
+
+@panel()
+def growth(ax: Axes, key: str, values: Sequence[str], runs: Sequence[pd.DataFrame]) -> None:
+    """Linear growth rate of the state in which all blocks slip, of each run at each value of a key, by its fate."""
+    for k, (name, look) in enumerate(FATES.items()):
+        places, rates = [], []
+        for row, table in enumerate(runs):
+            of_fate = table.loc[table["fate"] == name, "growth_rate"]
+            rates += of_fate.tolist()
+            places += [row + 0.12 * (k - 2)] * len(of_fate)
+        if rates:
+            ax.plot(rates, places, look.mark, color=look.colour, markersize=3, label=look.words)
+    ax.axvline(0, color=GREY, linewidth=0.8)
+    ax.set(xlabel="growth rate of the all-slip state", ylabel=key, ylim=(len(values) - 0.4, -0.6))
+    _name(ax, values)
+    ax.figure.legend(loc="outside upper left", ncols=2, handletextpad=0.2)
+
+
+@panel(3.4)
+def survival_curves(ax: Axes, curves: Mapping[str, Curve], t_end: float) -> None:
+    """Share of runs that have not ended against time with its interval, a hue for each setting."""
+    hues = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(curves)))
+    for (label, (times, *values)), hue in zip(curves.items(), hues, strict=True):
+        t = np.append(times, t_end)
+        left, low, high = (np.append(value, value[-1]) for value in values)
+        ax.step(t, left, where="post", color=hue, label=label)
+        ax.fill_between(t, low, high, step="post", color=hue, alpha=0.15, linewidth=0)
+    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), xlabel="time t", ylabel="share of runs not ended")
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
+    columns = 2 if max(map(len, curves)) <= _SHORT else 1
+    if len(curves) > 1:
+        ax.figure.legend(loc="outside upper left", ncols=columns, handlelength=1.2)
+
+
+@panel()
+def all_runs(ax: Axes, paths: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
+    """n_stick of runs, in means over blocks of time."""
+    for t, mean in paths:
+        ax.plot(t, mean, color=EXACT, alpha=0.35, linewidth=0.7)
+    ax.set(xlabel="time t", ylabel="$n_{stick}$")
+    least, most = ax.dataLim.intervaly
+    if least <= FROM_ZERO * most:  # else it would be a flat line at the top
+        ax.set_ylim(0, None)

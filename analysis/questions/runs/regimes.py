@@ -1,0 +1,135 @@
+"""Settings grouped by what their runs do: neighbouring values of one key, or else how many of all settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import groupby
+from typing import Generic, NamedTuple, TypeVar
+
+from stickslip.analysis.findings.finding import Basis, Regime
+from stickslip.analysis.stats.compare import wilson
+from stickslip.analysis.stats.estimates import Estimate
+from stickslip.pipeline.design.labels import Label
+
+MOST = 3  # stretches of values that a sentence names
+_LEAST_UNITS = 4  # for a bound on a share that is 1
+Outcome = TypeVar("Outcome")
+
+
+class Place(NamedTuple, Generic[Outcome]):
+    """What the runs at a setting do.
+
+    Attributes
+    ----------
+    outcomes : tuple
+        What those do of which it is known, each once.
+    n, of, n_units : int
+        Runs of which it is known, all runs, and independent units.
+    """
+
+    outcomes: tuple[Outcome, ...]
+    n: int
+    of: int
+    n_units: int
+
+
+class Stretch(NamedTuple):
+    """Neighbouring values of a key, by the places of the first and the last."""
+
+    first: int
+    last: int
+
+
+def key_of(labels: Sequence[Label]) -> tuple[str, list[str]]:
+    """The one key that tells some settings apart, and its value at each; an empty name if there is no such key."""
+    names = {name for label in labels for name, _ in label.parts}
+    if len(names) == 1 and all(len(label.parts) == 1 for label in labels):
+        return names.pop(), [label.parts[0][1] for label in labels]
+    return "", [*map(str, labels)]
+
+
+def regimes(
+    key: str,
+    values: Sequence[str],
+    places: Sequence[Place[Outcome]],
+    predicate: Callable[[Outcome, Sequence[Place[Outcome]]], str],
+    confidence: float,
+    unit: str,
+) -> tuple[Regime, ...]:
+    """Settings by what their runs do; of many stretches of values only those whose runs all do the same.
+
+    Parameters
+    ----------
+    key : str
+        What alone tells the settings apart; empty if several keys do.
+    values : sequence of str
+        The value at each, in order.
+    places : sequence of Place
+    predicate : callable
+        Puts an outcome at some places into words: a verb phrase in the plural.
+    confidence : float
+    unit : str
+        What is independent: "system".
+    """
+    stretches = stretches_of(places) if key else []
+    if len(stretches) > MOST:  # those between have several outcomes
+        stretches = [part for part in stretches if len(places[part.first].outcomes) == 1]
+    if 0 < len(stretches) <= MOST:
+        parts = [(_stretch(key, values, part), places[part.first : part.last + 1]) for part in stretches]
+    else:
+        alike: dict[tuple[Outcome, ...], list[Place[Outcome]]] = {}
+        for place in places:
+            if place.outcomes:
+                alike.setdefault(place.outcomes, []).append(place)
+        settings = f"values of {key}" if key else "settings"
+        by_number = sorted(alike.values(), key=len, reverse=True)
+        parts = [(f"at {len(group)} of {len(places)} {settings}", group) for group in by_number]
+    return tuple(_regime(where, group, predicate, confidence, unit) for where, group in parts)
+
+
+def stretches_of(places: Sequence[Place[Outcome]]) -> list[Stretch]:
+    """Neighbouring places of the same outcomes; what is not known is in one only if it goes on beyond."""
+    known = [(k, place.outcomes) for k, place in enumerate(places) if place.outcomes]
+    stretches = []
+    for _, group in groupby(known, lambda pair: pair[1]):
+        numbers = [k for k, _ in group]
+        stretches.append(Stretch(numbers[0], numbers[-1]))
+    return stretches
+
+
+def least_share(places: Sequence[Place[Outcome]], confidence: float) -> float | None:
+    """Of one outcome at all of some places: the least share of units that have it; None for few or some undecided.
+
+    All places share their draws, which count once.
+    """
+    n_units = max(place.n_units for place in places)
+    is_whole = all(len(place.outcomes) == 1 and place.n == place.of for place in places)
+    return wilson(n_units, n_units, confidence)[0] if is_whole and n_units >= _LEAST_UNITS else None
+
+
+def _regime(
+    where: str,
+    group: Sequence[Place[Outcome]],
+    predicate: Callable[[Outcome, Sequence[Place[Outcome]]], str],
+    confidence: float,
+    unit: str,
+) -> Regime:
+    outcomes = next(place.outcomes for place in group if place.outcomes)
+    n, total = (sum(numbers) for numbers in zip(*((place.n, place.of) for place in group), strict=True))
+    low = least_share(group, confidence)
+    share = Estimate() if len(outcomes) > 1 else Estimate(1.0, low, None if low is None else 1.0)
+    basis = Basis(max(place.n_units for place in group), unit)
+    return Regime(where, tuple(predicate(outcome, group) for outcome in outcomes), n, total, share, basis)
+
+
+def _stretch(key: str, values: Sequence[str], part: Stretch) -> str:
+    """Where a stretch of values lies: "up to belt_speed = 7"."""
+    first, last = values[part.first], values[part.last]
+    begins, ends = part.first == 0, part.last == len(values) - 1
+    if part.first == part.last:
+        return f"at {key} = {first}"
+    if begins and ends:
+        return f"at all {len(values)} values of {key}"
+    if begins:
+        return f"up to {key} = {last}"
+    return f"from {key} = {first} on" if ends else f"from {key} = {first} to {last}"

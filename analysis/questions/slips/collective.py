@@ -1,0 +1,179 @@
+"""How much blocks act together: slow common motion, and exits that trigger others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullLocator
+
+from stickslip.analysis.answer import Answer, Picture, Question, Row, frame, lack, systems
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.alerts import Alert, Code
+from stickslip.analysis.findings.finding import Basis, Finding, Fit, Lack, Law, Level, Quantity, Reason, Share
+from stickslip.analysis.findings.numbers import number
+from stickslip.analysis.models.rhythm import NONE, SURROGATES
+from stickslip.analysis.questions.slips import slow_motion, triggering
+from stickslip.analysis.questions.slips.slow_motion import CYCLES, Slow
+from stickslip.analysis.questions.slips.triggering import Exits, exits_of, triggered
+from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
+
+WHAT = "collective motion"
+MOST_DRAWN = 3  # groups in the figure
+Q = Quantity("quality", "Q", definition="pi times the time in which the motion decays to 1 / e, in natural periods")
+PERIOD = Quantity("period", "natural period of slow common motion")
+DEVIANCE = Quantity("deviance", "deviance of the slow spectrum from the fit")
+_METHOD = (
+    "Independent blocks are each block's own history, shifted in time by a random amount; slow common motion, with"
+    f" periods over {CYCLES:g} of a block's own cycles, is shown if its power is more concentrated than in 95% of"
+    f" {SURROGATES} such surrogates, and is fitted as a damped oscillator beside a share of the blocks' own power."
+    " Up to Q = 1/2 it is overdamped, and Q = 1 is a broad hump of the spectrum and no oscillation; comparisons"
+    " behind the first are adjusted for their number."
+)
+
+
+def answer(study: Study) -> Answer:
+    """How much of the variance slow common motion accounts for, and how many exits trigger others."""
+    if not study.data.events:
+        return Answer(findings=[Lack(WHAT, Reason.NOT_RECORDED, "set events = true under [record]")])
+    judged = study.judged()
+    if not judged:
+        return Answer(findings=[lack(study, WHAT)])
+    slow = [motion for group in judged if (motion := slow_motion.slow_motion(study, group)) is not None]
+    exits = [found for group in judged if (found := exits_of(study, group)) is not None]
+    if not exits:
+        return Answer(findings=[Lack(WHAT, Reason.FEW_EVENTS)])
+    level, t_burn = study.settings.confidence, study.settings.t_burn
+    bands = {one.group.label: one.bands(level) for one in slow}
+    tables = {
+        "rhythm": frame(slow_motion.TABLE, (one.row(t_burn) for one in slow)),
+        "rhythm_spectrum": frame(slow_motion.SPECTRUM, (row for rows in bands.values() for row in rows)),
+        "clustering": frame(
+            triggering.TABLE, (one.row(found.group.label) for found in exits for one in found.compared)
+        ),
+        "spectrum": frame(triggering.SPECTRUM, (row for found in exits for row in found.spectrum())),
+    }
+    of_group = {one.group.label: one for one in slow}
+    exits.sort(key=lambda found: not _is_shown(of_group.get(found.group.label)))  # of like ones the first leads
+    lead, *others = exits
+    findings = _leading(study, lead, of_group.get(lead.group.label))
+    for found in others:
+        where = found.group.label
+        if (common := of_group.get(where)) is not None and common.is_shown:
+            findings.append(_share(common, where, systems(study)))
+    drawn = {found.group.label: (found.spectrum(), bands.get(found.group.label, [])) for found in exits[:MOST_DRAWN]}
+    picture = _picture(drawn, of_group.get(lead.group.label))
+    alerts = []
+    if lead.group.n_moving < len(lead.group):
+        n_left = len(lead.group) - lead.group.n_moving
+        alerts.append(Alert.of(Code.NOT_MOVING, n=n_left, of=len(lead.group), what="collective motion"))
+    return Answer(
+        findings=findings, n_lead=3, alerts=alerts, method=_METHOD, tables=tables, figures={"collective": picture}
+    )
+
+
+def _is_shown(motion: Slow | None) -> bool:
+    return motion is not None and motion.is_shown
+
+
+def _leading(study: Study, exits: Exits, motion: Slow | None) -> list[Finding]:
+    """What one group shows: first the share of slow common motion or, if none is shown, the primary comparison."""
+    unit, where = systems(study), exits.group.label if len(study.groups) > 1 else ""
+    basis = Basis(exits.n_units, unit)
+    levels: list[Finding] = [one.level(where, basis) for one in exits.compared if one.observed.low is not None]
+    share = triggered(exits, where, unit)
+    findings = [] if share is None else [share]
+    if motion is None or not motion.is_shown:
+        return [*levels[:1], *findings, *_lacking(study, motion), *levels[1:]]
+    return [_share(motion, where, unit), *findings, *_law(motion, study.settings.confidence, where, unit), *levels]
+
+
+def _share(motion: Slow, where: str, unit: str) -> Share:
+    predicate = "is due to slow common motion"
+    basis = Basis(len(motion.units), unit)
+    return Share("share", "the variance of n_stick", predicate, motion.estimate("share"), where, basis=basis)
+
+
+def _law(motion: Slow, confidence: float, where: str, unit: str) -> list[Finding]:
+    """Q of slow common motion with the goodness of its fit, and its natural period."""
+    basis = Basis(len(motion.units), unit)
+    assert motion.motion is not None
+    fit = motion.motion.goodness
+    assert fit is not None
+    law = Law(
+        "slow spectra of n_stick", "follow that of a damped oscillator",
+        Level(Q, motion.estimate("quality"), where, basis=basis),
+        Fit.HOLDS if fit.p_value >= 1 - confidence else Fit.FAILS,
+        Level(DEVIANCE, Estimate(fit.deviance), ", ".join(filter(None, (where, f"{fit.dof} degrees of freedom")))),
+    )  # fmt: skip
+    return [law, Level(PERIOD, motion.estimate("period"), where, basis=basis)]
+
+
+def _lacking(study: Study, motion: Slow | None) -> list[Finding]:
+    """Why no slow common motion is shown."""
+    what = "slow common motion"
+    if motion is None:
+        return []
+    if motion.verdict == NONE and motion.motion is not None:
+        return [Lack(what, Reason.NOT_SHOWN, f"p = {motion.motion.p:.2g}")]
+    needed = motion.needed(study.settings.t_burn)
+    return [Lack(what, Reason.SHORT_WINDOW, f"runs to t = {needed:,.0f} may suffice")]
+
+
+# ---------------------------------------------------------------------------------------------- the figure
+
+
+def _picture(drawn: Mapping[str, tuple[list[Row], list[Row]]], motion: Slow | None) -> Picture:
+    """Power at all periods, with the fit of slow common motion and, of the group that leads, its goodness."""
+    caption = (
+        "Slow common motion lifts the power of n_stick above that of independent blocks (dashed), with intervals;"
+        " lines through marks: the fitted damped oscillator"
+    )
+    if motion is None or motion.motion is None or motion.motion.goodness is None:
+        caption = "Power of n_stick over that of independent blocks (dashed), with intervals"
+    else:
+        fit = motion.motion.goodness
+        caption += (
+            f", at {motion.group.label} of Q = {number(motion.estimate('quality').value or 0.0, digits=2)}, deviance"
+            f" {fit.deviance:.0f} on {fit.dof} degrees of freedom (p = {fit.p_value:.2g})"
+        )
+    return Picture(partial(spectrum, drawn), f"{caption}.")
+
+
+@panel(3.4)
+def spectrum(ax: Axes, groups: Mapping[str, tuple[list[Row], list[Row]]]) -> None:
+    """Power of n_stick over that of independent blocks against the period, fast and slow, with the fit."""
+    ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
+    for k, (label, (fast, slow)) in enumerate(groups.items()):
+        colour, mark, face = (EXACT, SMOOTHED, GREEN)[k], "os^"[k], ((EXACT, "white", "white")[k])
+        period, ratio, low, high = _points(fast)
+        ax.fill_between(period, low, high, color=colour, alpha=0.18, linewidth=0)
+        ax.plot(period, ratio, color=colour, linewidth=0.9)
+        period, ratio, low, high = _points(slow)
+        ax.errorbar(period, ratio, yerr=[ratio - low, high - ratio], color=colour, fmt=mark, markersize=3,
+                    linewidth=0.9, label=label, markerfacecolor=face)  # fmt: skip
+        if slow and all(row["model"] is not None for row in slow):
+            ax.plot([_middle(row) for row in slow], [row["model"] for row in slow], color=colour)
+    ax.set(xscale="log", yscale="log", xlabel="period", ylabel="power / independent blocks")
+    for axis in (ax.xaxis, ax.yaxis):
+        ends = axis.get_view_interval()
+        axis.set_major_locator(LogLocator(subs=(1.0, 3.0) if ends[1] > 20 * ends[0] else (1.0, 2.0, 3.0, 5.0)))
+        axis.set_major_formatter(lambda x, _: f"{x:g}")
+        axis.set_minor_locator(NullLocator())
+    ax.figure.legend(loc="outside upper center", ncols=2 if max(map(len, groups)) < 24 else 1)
+
+
+def _middle(row: Row) -> float:
+    return float(np.sqrt(row["above"] * row["upto"]))
+
+
+def _points(rows: Sequence[Row]) -> np.ndarray:
+    """Period, ratio and the ends of its interval, shape (4, m), of the bands that have one."""
+    known = [(_middle(row), row["ratio"], row["low"], row["high"]) for row in rows if row["low"] is not None]
+    return np.array(known, dtype=np.float64).reshape(-1, 4).T
+
+
+QUESTION = Question(answer, title="How much do blocks act together?", share=0.31, of_cascades=True)

@@ -1,0 +1,26 @@
+"""The left picture of the README: `python docs/slips.py`. The right one is the head of the page of `cascades`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from stickslip import draw_system, simulate
+from stickslip.analysis.style import styled, subplots, svg
+
+SPAN = (600.0, 650.0)
+
+
+def slips() -> Figure:
+    """Which block of the first system of the scene `cascades` slips when."""
+    system = draw_system("antisymmetric", n=200, seed=0)
+    run = simulate(system, -0.7, -0.4, SPAN[1], tol=1e-10)
+    with styled():
+        figure, axes = subplots(1, 1, 4.2)
+        run.plot("space_time", axes.item(), span=SPAN)
+    return figure
+
+
+if __name__ == "__main__":
+    (Path(__file__).parent / "slips.svg").write_text(svg(slips()), encoding="utf-8")
