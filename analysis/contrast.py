@@ -54,6 +54,14 @@ SHORT_WINDOW = "short window"  # a reason, like those of `stats.enough` and of t
 #: Engines certify a collapse more or less often, so runs are compared by what is seen in all of them: whether a block
 #: sticks in the last quarter.
 ALL_SLIP, RUN_AWAY = "share of runs with no late stick", "share of runs that run away"
+#: What findings call `QUANTITIES`.
+TITLES: Mapping[str, str] = {
+    "mean": "mean number of sticking blocks",
+    "variance": "variance of the number of sticking blocks",
+    "rate": "rate of slip onsets",
+    "gamma": "decay rate of cascade sizes",
+    "correlation_time": "correlation time",
+}
 #: Columns of a table of contrasts.
 SCHEMA: Mapping[str, str] = {
     "quantity": S, "n_first": I, "n_second": I,
@@ -200,7 +208,7 @@ class Sample:
 def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(QUANTITIES)) -> list[Statistic]:
     """The named quantities as statistics, each with its margin if one is declared."""
     return [
-        Statistic(quantity.label, quantity.of, margins.get(name), least=0.0, title=quantity.title)
+        Statistic(quantity.label, quantity.of, margins.get(name), least=0.0, title=TITLES[name])
         for name, quantity in QUANTITIES.items()
         if name in of
     ]

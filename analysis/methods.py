@@ -102,6 +102,7 @@ def against_reference(by_system: Sequence[Sequence[Catalogues]], level: float) -
             [
                 {"setting": other.label, "reference": reference.label}
                 | contrast(statistic, reference.sample, other.sample, True, level).row()
+                | {"is_share": False}
                 for statistic in statistics
             ]
             for other in others

@@ -86,7 +86,8 @@ def largest(other: str, every: Sequence[Beside], unit: str) -> Level | None:
     if not ratios:
         return None
     best = max(ratios, key=lambda one: (one.contrast.is_shown, one.contrast.has_margin, one.contrast.weight))
-    return best.contrast.level(best.where, other, unit)
+    where = best.where if len({one.where for one in every}) > 1 else ""
+    return best.contrast.level(where, other, unit)
 
 
 def in_words(by_setting: Mapping[Setting, str], name: str) -> tuple[str, ...]:

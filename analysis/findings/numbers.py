@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 
 from stickslip.analysis.findings.finding import Form
@@ -14,6 +15,11 @@ SAME = 1e-9  # relative width of an interval that is none: all units have the sa
 MOST_DECIMALS = 6  # beyond, a number is written with a power of ten
 _ROUNDING = 1e-12
 _SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
+
+
+def signs(text: str) -> str:
+    """A text with hyphens before numbers as minus signs."""
+    return re.sub(r"(?<!\w)-(?=[\d.])", MINUS, text)
 
 
 def decimals(estimate: Estimate, form: Form = Form.NUMBER) -> int:

@@ -28,13 +28,13 @@ from stickslip.analysis.findings.finding import (
     Threshold,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import decimals, limit, number, span, with_interval
+from stickslip.analysis.findings.numbers import decimals, limit, number, signs, span, with_interval
 from stickslip.analysis.stats.estimates import Estimate
 
 
 def sentence(finding: Finding) -> str:
     """A finding as one sentence."""
-    return f"{capital(clause(finding))}."
+    return f"{capital(signs(clause(finding)))}."
 
 
 def clause(finding: Finding) -> str:
@@ -54,7 +54,9 @@ def clause(finding: Finding) -> str:
         case Limit(things=things, predicate=predicate, most=most, where=where):
             return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
         case Alike(quantity, value, among, where):
-            digits = decimals(Estimate(value), quantity.form) + 1  # it is known to many
+            digits = decimals(Estimate(value), quantity.form) + (
+                quantity.form is not Form.COUNT
+            )  # it is known to many
             return f"{quantity.name}{_at(where)}: {number(value, quantity.form, digits)}, the same {among}"
         case Outcomes():
             return _outcomes(finding)
@@ -255,7 +257,8 @@ def _outcomes(outcomes: Outcomes) -> str:
 
 def _most_apart(level: Level) -> str:
     """The largest difference of several."""
-    assert level.comparison is not None
+    if level.comparison is None:
+        return ""
     difference, quantity = level.comparison.difference, level.quantity
     where = f" ({level.where})" if level.where else ""
     match difference.verdict:

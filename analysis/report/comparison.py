@@ -177,9 +177,9 @@ def _notes(
     for which in (first, second):
         lost = [str(row["member_id"]) for row in alone if row["dataset"] == which.name]
         if lost:
-            has = "member has" if len(lost) == 1 else "members have"
+            has = "has" if len(lost) == 1 else "have"
             shown = ", ".join(lost[:MOST_NAMED]) + (", ..." if len(lost) > MOST_NAMED else "")
-            notes.append(f"{len(lost)} {has} no partner in {which.name} and are left out: {shown}.")
+            notes.append(f"{plural(len(lost), 'member')} of {which.name} {has} no partner: {shown}.")
     if first.t_burn != second.t_burn:
         notes.append(f"t_burn = {first.t_burn:g} is that of {first.name}; {second.name} declares {second.t_burn:g}.")
     others = sorted(name for name, margin in second.margins.items() if settings.margins.get(name, margin) != margin)

@@ -37,12 +37,11 @@ SUMS: Mapping[tuple[str, ...], Sums] = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity: its name in tables, the names of its two sums, the statistic of these, and its name on pages."""
+    """A quantity: its name in tables, the names of its two sums, and the statistic of these."""
 
     label: str
     parts: tuple[str, str]
     of: Statistic = ratio
-    title: str = ""
 
     def sums(self, runs: Windows) -> np.ndarray:
         """Its two sums over each window, shape (R, 2)."""
@@ -55,11 +54,9 @@ class Quantity:
 
 #: By the name under which a scene declares a margin.
 QUANTITIES: Mapping[str, Quantity] = {
-    "mean": Quantity("mean n_stick", ("mean", "runs"), title="mean number of sticking blocks"),
-    "variance": Quantity(
-        "variance of n_stick in time", ("variance", "runs"), title="variance of the number of sticking blocks"
-    ),
-    "rate": Quantity("exit rate", ("rate", "runs"), title="rate of slip onsets"),
-    "gamma": Quantity("gamma", ("slipped", "cascades"), gamma, "decay rate of cascade sizes"),
+    "mean": Quantity("mean n_stick", ("mean", "runs")),
+    "variance": Quantity("variance of n_stick in time", ("variance", "runs")),
+    "rate": Quantity("exit rate", ("rate", "runs")),
+    "gamma": Quantity("gamma", ("slipped", "cascades"), gamma),
     "correlation_time": Quantity("correlation time", ("tau", "timed")),
 }

@@ -643,7 +643,7 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
 
 @pytest.mark.parametrize(
     ("question", "table", "left_out"),
-    [(engines, "engines", {"gamma"}), (sweep, "sweep_changes", {"gamma", "mean n_stick"})],
+    [(engines, "changes", {"gamma"}), (sweep, "changes", {"gamma", "mean n_stick"})],
 )
 def test_where_episodes_are_recorded_gamma_is_not_asked_about(
     question, table, left_out, planted_episodes, planted, settings

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from stickslip.analysis.answer import Answer, F, I, Picture, Question, Row, S, frame, named
-from stickslip.analysis.contrast import CHANGES, Contrast, Sample, contrast, judged, statistics
+from stickslip.analysis.contrast import CHANGES, TITLES, Contrast, Sample, contrast, judged, statistics
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Finding, Form, Lack, Level, Quantity, Reason, Share
 from stickslip.analysis.members import noun
@@ -256,14 +256,14 @@ class _Judged:
         for row in self.matrices:
             value = Estimate(row["correlation"], row["correlation_low"], row["correlation_high"])
             if value.value is not None:
-                name = f"share of the variance of the {QUANTITIES[row['quantity']].title} between systems"
+                name = f"share of the variance of the {TITLES[row['quantity']]} between systems"
                 quantity = Quantity("correlation", name, Form.SHARE)
                 found.append(Level(quantity, value, where, None, Basis(row["n_matrices"], unit)))
         return found
 
     def _effect(self, row: Row, where: str, unit: str) -> Level:
         """The mean square effect of a change on a quantity, as a share of that of another system."""
-        name = f"effect of {row['change']} on the {QUANTITIES[row['quantity']].title} of one system"
+        name = f"effect of {row['change']} on the {TITLES[row['quantity']]} of one system"
         quantity = Quantity("theta", f"{name}, as a share of another system's", Form.SHARE)
         value = Estimate(row["theta"], row["theta_low"], row["theta_high"])
         return Level(quantity, value, where, None, Basis(row["n_matrices"], unit))

@@ -33,7 +33,6 @@ from stickslip.analysis.findings.finding import (
     Threshold,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import MINUS
 from stickslip.analysis.findings.words import capital
 from stickslip.analysis.grid import (
     AT_MOST,
@@ -115,19 +114,13 @@ class Step(NamedTuple):
     def change(self, where: str, unit: str) -> Change:
         """As a finding."""
         at = ", ".join(filter(None, (where, self.places)))
-        return self.contrast.change(self.axis.name, _text(self.first), _text(self.second), at, unit)
+        return self.contrast.change(self.axis.name, in_words(self.first), in_words(self.second), at, unit)
 
     def row(self) -> Row:
         return {
             "kind": "key", "setting": self.setting, "key": self.axis.name, "first_value": in_words(self.first),
             "second_value": in_words(self.second), **self.contrast.row(),
         }  # fmt: skip
-
-
-def _text(value: tuple[Value, ...]) -> str:
-    """A value of an axis in a sentence."""
-    text = in_words(value)
-    return text.replace("-", MINUS, 1) if text.startswith("-") else text
 
 
 def answer(study: Study) -> Answer | None:
@@ -273,10 +266,10 @@ def _thresholds(points: Sequence[Point], axes: Sequence[Axis], where: str, unit:
         first = min(k for k, is_moving in enumerate(moves) if is_moving == moves[-1])
         if last > first:
             continue  # more than once
-        at = [f"{other.name} = {_text(value)}" for other, value in zip(others, place, strict=True)]
+        at = [f"{other.name} = {in_words(value)}" for other, value in zip(others, place, strict=True)]
         n_units = min(point.group.column("unit").nunique() for point in some)
         yield Threshold(
-            "stick-slip", bool(moves[0]), axis.name, _text(told[last][0]), _text(told[first][0]),
+            "stick-slip", bool(moves[0]), axis.name, in_words(told[last][0]), in_words(told[first][0]),
             ", ".join(filter(None, (where, *at))), Basis(n_units, unit),
         )  # fmt: skip
 
@@ -299,7 +292,7 @@ def _levels(
         at = points_at(points[name], axis, step.first)
         value = estimate(step.contrast.statistic, at, level)
         if value.value is not None:
-            place = ", ".join(filter(None, (f"{axis.name} = {_text(step.first)}", where[name])))
+            place = ", ".join(filter(None, (f"{axis.name} = {in_words(step.first)}", where[name])))
             yield Level(step.contrast.statistic.quantity, value, place, basis=step.contrast.basis(unit))
 
 
@@ -349,8 +342,8 @@ def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], n_pairs: int) -> s
         return ""
     others = [one for one in pairs[0][0].at if one != axis]
     if len(others) == 1:
-        return f"{n_pairs} of {len(others[0].rows)} values of {others[0].name}"
-    return f"{n_pairs} of {len(pairs)} points of the other keys"
+        return f"over {n_pairs} of {len(others[0].rows)} values of {others[0].name}"
+    return f"over {n_pairs} of {len(pairs)} points of the other keys"
 
 
 def _is_same(first: Sample, second: Sample, name: str, noise: float) -> bool:

@@ -221,6 +221,7 @@ def _changes(leaders: Sequence[Catalogues], level: float) -> list[Row]:
     rows: list[Row] = [
         {"setting": last.label, "reference": first.label}
         | contrast(one, first.sample, last.sample, a == b, level).row()
+        | {"is_share": False}
         for one in asked
     ]
     judge(rows, 1 - level, Words(WITHIN, RISES, FALLS))
