@@ -58,9 +58,9 @@ def long(n_rows: int, part: Callable[[slice], pd.DataFrame]) -> Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure: its recipe, and a caption that says what to see, then what is drawn."""
+    """A figure: its recipe, or itself, and a caption that says what to see, then what is drawn."""
 
-    recipe: Recipe
+    recipe: Recipe | Figure
     caption: str
 
 
@@ -81,16 +81,13 @@ class Answer:
         Of a user's own question: what its findings do not say.
     facts : mapping
         What the template puts into words, by name: numbers, `Estimate`, rows as dictionaries, codes of closed sets.
-        A question of a user's own that has no template gives the words itself: `sentence`, the answer, and perhaps
-        `caption`, what its figures show.
     lack : str
-        A code for why there is no answer, which the template puts into words; empty if there is an answer. Without a
-        template, the words.
+        A code for why there is no answer, which the template puts into words; empty if there is an answer.
     tables : mapping of str to Table
         Kept whole as Parquet, with nullable types: a missing value is null, never NaN.
     figures : mapping of str to Recipe
-        By name; the template says what each shows. A question of a user's own may give a matplotlib Figure as well.
-        With findings, a `Picture` each; the first two stand on the first screen if the question leads.
+        By name; the template says what each shows. With findings, a `Picture` each; the first two stand on the first
+        screen if the question leads.
     """
 
     facts: Mapping[str, Any] = field(default_factory=dict)

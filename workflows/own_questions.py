@@ -9,6 +9,7 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -22,7 +23,7 @@ from stickslip.pipeline.own.trial import LONGEST_TRIAL
 
 if TYPE_CHECKING:
     from stickslip.analysis.ensemble import Study
-    from stickslip.analysis.report.page import Spoken
+    from stickslip.analysis.report.page import Answered
     from stickslip.pipeline import Scene
     from stickslip.pipeline.dataset.opened import Opened
 
@@ -45,7 +46,7 @@ class Task(NamedTuple):
     folder : str
         Where the scene lies, or its copy: the module is looked for there, above, and where Python finds it.
     opened : Opened, optional
-        The dataset that it is asked of; if None, code and template are only loaded.
+        The dataset that it is asked of; if None, the code is only loaded.
     with_pdf : bool
         Whether to draw figures as PDF too.
     """
@@ -88,9 +89,9 @@ def check(scene: Scene, folder: Path, name: str) -> None:
         raise SceneError("\n".join(problems))
 
 
-def put(child: Child, task: Task, longest: float | None = None) -> Spoken:
+def put(child: Child, task: Task, longest: float | None = None) -> Answered:
     """What a child answers to a task, or why it does not, within a number of seconds (default: `LONGEST`)."""
-    from stickslip.analysis.report.page import Spoken
+    from stickslip.analysis.report.page import Answered
 
     longest = LONGEST if longest is None else longest
     is_late = threading.Event()
@@ -102,10 +103,12 @@ def put(child: Child, task: Task, longest: float | None = None) -> Spoken:
     limit = threading.Timer(longest, end)
     limit.start()
     try:
-        found: Spoken = child(task)
+        found: Answered = child(task)
     except ChildDied as death:
         how = "got none" if is_late.is_set() else f"its process ended ({death})"
-        found = Spoken(task.name, {}, problem=f"expected an answer within {longest:g} s, {how}; correct the function")
+        found = Answered(
+            task.name, {}, problem=f"expected an answer within {longest:g} s, {how}; correct the function"
+        )
     finally:
         limit.cancel()
     return found
@@ -114,24 +117,23 @@ def put(child: Child, task: Task, longest: float | None = None) -> Spoken:
 # ---------------------------------------------------------------------------------------------- in the child
 
 
-def answer(task: Task) -> Spoken:
+def answer(task: Task) -> Answered:
     """In a child: load the code of a question and, if there is a dataset, ask it."""
     sys.stdin = open(os.devnull)  # its own is what it is asked by  # noqa: SIM115
     import matplotlib
 
     matplotlib.use("agg")
-    from stickslip.analysis.report.page import Spoken
+    from stickslip.analysis.report.page import Answered
 
-    function, template, before = None, None, set(sys.modules)
+    function, before = None, set(sys.modules)
     try:
         function = own.resolve(task.name, _place(task), _KEY)
-        template = _template(function)
-        found = _asked(task, function, template)
+        found = _asked(task, function)
     except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
-        found = Spoken(task.name, {}, problem=_told(error, _ANSWER, function, template))
+        found = Answered(task.name, {}, problem=_told(error, _ANSWER, function))
     if function is None:
         return found
-    return Spoken(**(vars(found) | {"sources": _sources(function, template, set(sys.modules) - before)}))
+    return replace(found, sources=_sources(function, set(sys.modules) - before))
 
 
 def _place(task: Task) -> Path:
@@ -139,46 +141,36 @@ def _place(task: Task) -> Path:
     return folder_with(task.name.partition(":")[0], Path(task.folder))
 
 
-def _template(function: own.OwnFunction) -> Path | None:
-    """The file with the words of a question, beside its module, if there is one."""
-    file = own.module_file(function).with_name(f"{function.attribute}.html")
-    return file if file.is_file() else None
-
-
-def _asked(task: Task, function: own.OwnFunction, template: Path | None) -> Spoken:
-    from stickslip.analysis.report.formats import environment
-    from stickslip.analysis.report.own import spoken
-    from stickslip.analysis.report.page import Spoken
+def _asked(task: Task, function: own.OwnFunction) -> Answered:
+    from stickslip.analysis.report.own import own_answer
+    from stickslip.analysis.report.page import Answered
     from stickslip.sim.runs.pictures import by_defaults
     from stickslip.workflows.reporting import study_of
 
     if task.opened is None:
         own.use(function, callable, is_trial=True)  # loads it
-        if template is not None:
-            environment().parse(template.read_text(encoding="utf-8"), filename=str(template))
-        return Spoken(task.name, {})
+        return Answered(task.name, {})
     study = study_of(task.opened, whole=True)
 
-    def ask(found: Callable[[Study], object]) -> Spoken:
-        told = partial(_told, function=function, template=template)
-        return spoken(study, task.name, found(study), found.__doc__ or "", template, told, task.with_pdf)
+    def ask(found: Callable[[Study], object]) -> Answered:
+        return own_answer(task.name, found, found(study), partial(_told, function=function), task.with_pdf)
 
     with by_defaults():
-        asked: Spoken = own.use(function, ask, is_trial=True)  # its figures and words may load modules too
+        asked: Answered = own.use(function, ask, is_trial=True)  # its figures may load modules too
     return asked
 
 
-def _sources(function: own.OwnFunction, template: Path | None, loaded: Iterable[str]) -> Mapping[str, str]:
-    """The files of a question, and the sha256 of each: its module, its template, and modules beside them."""
+def _sources(function: own.OwnFunction, loaded: Iterable[str]) -> Mapping[str, str]:
+    """The files of a question, and the sha256 of each: its module, and modules beside it."""
     file = own.module_file(function)
     modules = {found for name in loaded if (found := getattr(sys.modules.get(name), "__file__", None))}
-    files = [file, *([template] if template else []), *map(Path, sorted(modules - {str(file)}))]
+    files = [file, *map(Path, sorted(modules - {str(file)}))]
     named = {one: name_beside(str(one), function.root) for one in files}
     named[file] = named[file] or str(file)  # it may be installed
     return {name: digest(content_of(one, _KEY)) for one, name in named.items() if name is not None}
 
 
-def _told(error: BaseException, expected: str, function: own.OwnFunction | None, template: Path | None) -> str:
+def _told(error: BaseException, expected: str, function: own.OwnFunction | None) -> str:
     """An error in a line, with the last line of the user's code that it went through."""
     from stickslip.analysis.report.own import OwnError
 
@@ -186,8 +178,8 @@ def _told(error: BaseException, expected: str, function: own.OwnFunction | None,
         return str(error).removeprefix(f"{_KEY}: ")
     if isinstance(error, OwnError):
         return shortened(str(error), _MOST)
-    files = set() if function is None else {str(own.module_file(function)), str(template)}
-    lines = [one for one in traceback.extract_tb(error.__traceback__) if one.filename in files]
+    file = "" if function is None else str(own.module_file(function))
+    lines = [line for line in traceback.extract_tb(error.__traceback__) if line.filename == file]
     where = [f"{Path(lines[-1].filename).name}, line {lines[-1].lineno}"] if lines else []
     where = [*(shortened(str(note), _MOST) for note in getattr(error, "__notes__", ())), *where]
     said = f"expected {expected}, but it raised {foreign(error)}"

@@ -249,7 +249,9 @@ class Law:
     parameter : Level
     fit : Fit
     departure : Level, optional
-        How far the data are from the law, if that is shown.
+        How far the data are from the law.
+    nearly : str
+        The predicate of what is `Fit.CLOSE`; by default "nearly", and the predicate.
     """
 
     subject: str
@@ -257,6 +259,15 @@ class Law:
     parameter: Level
     fit: Fit = Fit.HOLDS
     departure: Level | None = None
+    nearly: str = ""
+
+
+@dataclass(frozen=True)
+class Parts:
+    """A value as the sum of its parts, the last of which is the one that is asked about."""
+
+    whole: Level
+    parts: tuple[Level, ...]
 
 
 @dataclass(frozen=True)
@@ -401,11 +412,11 @@ class Decided:
     """The answer to a question of yes or no, and the finding that it rests on."""
 
     truth: Truth
-    finding: Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Regimes | Threshold | Lack
+    finding: Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regimes | Threshold | Lack
 
 
 Finding: TypeAlias = (
-    Level | Change | Share | Lifetime | Law | Limit | Alike | Outcomes | Regimes | Threshold | Lack | Decided
+    Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regimes | Threshold | Lack | Decided
 )
 
 
@@ -447,8 +458,10 @@ def records(finding: Finding) -> list[Record]:
                     quantity.name, quantity.form, after, setting, Comparison(f"{key} = {first}", difference), basis
                 )
             ]
-        case Law(_, _, parameter, _, departure):
+        case Law(parameter=parameter, departure=departure):
             return [*records(parameter), *(records(departure) if departure is not None else [])]
+        case Parts(whole, parts):
+            return [record for level in (whole, *parts) for record in records(level)]
         case Limit(_, things, predicate, most, where, basis):
             return [
                 _record(f"share of {things} that {predicate}", Form.SHARE, Estimate(high=most), where, None, basis)

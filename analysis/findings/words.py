@@ -20,6 +20,7 @@ from stickslip.analysis.findings.finding import (
     Lifetime,
     Limit,
     Outcomes,
+    Parts,
     Quantity,
     Regime,
     Regimes,
@@ -51,6 +52,8 @@ def clause(finding: Finding) -> str:
             return _lifetime(finding)
         case Law():
             return _law(finding)
+        case Parts():
+            return _parts(finding)
         case Limit(things=things, predicate=predicate, most=most, where=where):
             return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
         case Alike(quantity, value, among, where):
@@ -234,12 +237,28 @@ def _law(law: Law) -> str:
         case Fit.HOLDS:
             return f"{law.subject}{_at(level.where)} {law.predicate}, with {parameter}"
         case Fit.CLOSE:
-            return f"{law.subject}{_at(level.where)} nearly {law.predicate}, with {parameter}"
+            predicate = law.nearly or f"nearly {law.predicate}"
+            return f"{law.subject}{_at(level.where)} {predicate}, with {parameter}"
         case Fit.FAILS:
             apart = "" if law.departure is None else f": {_level(law.departure)}"
             return f"{law.subject}{_at(level.where)} do not {law.predicate}{apart}"
         case Fit.OPEN:
             return f"whether {law.subject}{_at(level.where)} {law.predicate} is open; {_level(level)}"
+
+
+def _parts(sum_of: Parts) -> str:
+    whole, *others, last = sum_of.whole, *sum_of.parts
+    form, places = whole.quantity.form, decimals(whole.estimate, whole.quantity.form)
+    said = [
+        f"{part.quantity.name} {number(part.estimate.value, form, places, sign=True)}"
+        for part in others
+        if part.estimate.value is not None
+    ]
+    said.append(f"{last.quantity.name} {with_interval(last.estimate, form, sign=True)}")
+    assert whole.estimate.value is not None
+    return (
+        f"{whole.quantity.name}{_at(whole.where)}: {number(whole.estimate.value, form, places)}, from {listed(said)}"
+    )
 
 
 def _outcomes(outcomes: Outcomes) -> str:

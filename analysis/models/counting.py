@@ -87,7 +87,7 @@ def run_sums(win: Window, steps: BlockSteps, draws: int, rng: np.random.Generato
     rng : Generator
     """
     span = win.t_stop - win.t_start
-    observed, rotated = sums(win.step)[EVENTS], rotations(steps, (), draws, rng)[EVENTS]
+    observed, rotated = sums(win.step)[EVENTS], rotations(steps, (), draws, rng).sums[EVENTS]
     return np.concatenate([observed, rotated, [win.time_mean() * span, span], slope_sums(win)])
 
 

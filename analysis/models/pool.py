@@ -36,7 +36,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-from stickslip.analysis.stats import dispersion, estimates
+from stickslip.analysis.stats import estimates
 from stickslip.analysis.stats.estimates import Statistic
 
 
@@ -105,18 +105,5 @@ def against(n: int) -> Statistic:
 
     def difference(sums: np.ndarray) -> np.ndarray:
         return estimates.gamma(sums[:, :2]) - np.array([gamma(n, mean) for mean in estimates.ratio(sums[:, 2:])])
-
-    return difference
-
-
-def excess_against(n: int) -> Statistic:
-    """Statistic: `dispersion.excess` minus that of the pool with the same mean n_stick.
-
-    Its sums, shape (m, 5): `dispersion.moments` by `events`, integral of n_stick (or mean), time (or 1).
-    """
-
-    def difference(sums: np.ndarray) -> np.ndarray:
-        means = estimates.ratio(sums[:, 3:])
-        return dispersion.excess(sums[:, :3]) - np.array([excess(n, mean) for mean in means])
 
     return difference

@@ -17,6 +17,7 @@ from stickslip.analysis.findings.words import difference_in_words, plural
 from stickslip.analysis.stats.estimates import Estimate
 
 MOST_ROWS = 24  # of a table on a page
+MOST_FIRST = 8  # of the table on the first screen
 
 
 class Panel(NamedTuple):
@@ -36,11 +37,13 @@ class Table:
     rows : sequence of sequence of str
     note : str
         Where the rows are that it leaves out.
+    caption : str
     """
 
     head: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
     note: str = ""
+    caption: str = ""
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,8 @@ class Section:
 
     Attributes
     ----------
+    tables : sequence of Table
+        Of data.
     inside : Markup
         What comes from a template of its own.
     """
@@ -60,6 +65,7 @@ class Section:
     panels: Sequence[Panel] = ()
     table: Table = field(default_factory=Table)
     notes: Sequence[str] = ()
+    tables: Sequence[Table] = ()
     inside: Markup = field(default_factory=Markup)
 
 
@@ -80,6 +86,8 @@ class Page:
     sections : sequence of Section
     meta : mapping of str to str
         At the head of the file, by name.
+    paragraph : str
+        What the answer does not say.
     """
 
     title: str
@@ -93,6 +101,7 @@ class Page:
     sections: Sequence[Section] = ()
     inside: Markup = field(default_factory=Markup)
     meta: Mapping[str, str] = field(default_factory=dict)
+    paragraph: str = ""
 
     @property
     def html(self) -> str:
@@ -117,14 +126,16 @@ def prepare() -> None:
     _template()
 
 
-def findings_table(records: Sequence[Record], where: str = "") -> Table:
+def findings_table(records: Sequence[Record], where: str = "", most: int = MOST_ROWS) -> Table:
     """The table of some findings; columns that hold nothing are left out, and so is a column of one quantity.
 
     Parameters
     ----------
     records : sequence of Record
     where : str
-        The name of the file with all of them.
+        The name of the file with all of them; empty if the others are shown elsewhere.
+    most : int
+        Rows that are shown.
     """
     shown = [record for record in records if record.estimate is not None or record.high is not None]
     places = {name: alike(map(_estimate, rows), rows[0].form) for name, rows in _by_quantity(shown).items()}
@@ -135,14 +146,14 @@ def findings_table(records: Sequence[Record], where: str = "") -> Table:
             "estimate": _level(record, places[record.quantity]),
             "compared with": signs(record.compared_with),
             "difference": _difference(record),
-            "from": "" if record.n is None else plural(record.n, record.unit),
+            "from": "" if record.n is None else _unbroken(plural(record.n, record.unit)),
         }
-        for record in shown[:MOST_ROWS]
+        for record in shown[:most]
     ]
     head = [name for name in (cells[0] if cells else ()) if any(cell[name] for cell in cells)]
     if len(cells) > 1 and len({cell["what"] for cell in cells}) == 1 and "where" in head:
         head.remove("what")
-    n_more = len(shown) - MOST_ROWS
+    n_more = len(shown) - most
     note = f"{plural(n_more, 'more row')} in {where}." if n_more > 0 and where else ""
     return Table(head, [[cell[name] for name in head] for cell in cells], note)
 
@@ -157,7 +168,12 @@ def _estimate(record: Record) -> Estimate:
 
 
 def _level(record: Record, digits: int) -> str:
-    return with_interval(_estimate(record), record.form, digits)
+    return _unbroken(with_interval(_estimate(record), record.form, digits))
+
+
+def _unbroken(text: str) -> str:
+    """A text that is broken only before a bracket."""
+    return text.replace(" ", "\u00a0").replace("\u00a0(", " (")
 
 
 def _difference(record: Record) -> str:
@@ -165,4 +181,6 @@ def _difference(record: Record) -> str:
         return ""
     value = Estimate(record.difference, record.difference_low, record.difference_high)
     difference = Difference(value, Scale(record.scale), record.margin)
-    return difference_in_words(Comparison(record.compared_with, difference), Verdict(record.verdict), record.form)
+    said = difference_in_words(Comparison(record.compared_with, difference), Verdict(record.verdict), record.form)
+    interval, comma, verdict = said.partition(", ")
+    return _unbroken(interval) + comma + verdict

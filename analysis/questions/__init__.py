@@ -17,9 +17,6 @@ QUESTIONS: Mapping[str, str] = {
     "sweep": "runs",
     "episodes": "slips",
     "cascades": "slips",
-    "counting": "slips",
-    "exponential": "slips",
-    "definitions": "slips",
     "collective": "slips",
     "fates": "runs",
     "engines": "runs",
@@ -31,6 +28,9 @@ QUESTIONS: Mapping[str, str] = {
 
 #: Names that scenes of earlier versions give, and what they ask for now.
 RENAMED: Mapping[str, str] = {
+    "exponential": "cascades",
+    "definitions": "cascades",
+    "counting": "stickslip.workflows.scenes.counting:question",
     "clustering": "collective",
     "rhythm": "collective",
     "attractors": "fates",

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from stickslip.analysis.answer import Answer, B, I, Row, S, frame
+from stickslip.analysis.answer import Answer, B, I, Picture, Question, Row, S, frame
 from stickslip.analysis.contrast import CHANGES, Contrast, contrast, judged, sample, shares, statistics
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.finding import Alike, Decided, Form, Lack, Quantity, Reason, Truth
@@ -18,7 +18,8 @@ from stickslip.analysis.measures import KEYS, Measure, measures
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
 from stickslip.analysis.outcomes import Beside, Setting, forest, outcomes
 from stickslip.analysis.page.layout import Page, Section
-from stickslip.analysis.report.page import Report, answered, findings_json, of_findings
+from stickslip.analysis.report import page
+from stickslip.analysis.report.page import Report
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.pipeline.design.labels import apart
 
@@ -200,8 +201,10 @@ def _both(one: Study, other: Study) -> list[tuple[Measure, Measure]]:
 
 def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[str] = ()) -> Report:
     title = f"{first.name} beside {second.name}"
-    drawn = answered("compare", answer, "Do two datasets agree?", with_pdf=True)
-    part = of_findings(drawn)
+    pictures = {name: picture for name, picture in answer.figures.items() if isinstance(picture, Picture)}
+    figures = {name: page.draw(picture.recipe, True) for name, picture in pictures.items()}
+    entry = Question(lambda _: answer, title="Do two datasets agree?")
+    part = page.of_findings(page.answered("compare", entry, answer, figures))
     origin = [
         f"{which.name}: " + "".join(f"{name}: {value}. " for name, value in which.provenance.items())
         for which in (first, second)
@@ -209,7 +212,7 @@ def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[s
     made = Section(
         "made", "How was it made?", f"{first.name} and {second.name}.", [*part.texts, *origin], notes=part.notes
     )
-    page = Page(title, part.title, part.lead, (), part.panels, part.table, notes=notes, sections=[made])
+    whole = Page(title, part.title, part.lead, (), part.panels, part.table, notes=notes, sections=[made])
     return Report(
         page.html,
         answer.tables,

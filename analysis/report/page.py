@@ -6,7 +6,7 @@ import base64
 import html
 import json
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -19,8 +19,9 @@ import pyarrow.parquet as pq
 from jinja2 import Environment, TemplateNotFound
 from jinja2.runtime import Macro
 from markupsafe import Markup
+from matplotlib.figure import Figure
 
-from stickslip.analysis.answer import LONG, Answer, F, I, Long, Picture, Recipe, S, Table, frame
+from stickslip.analysis.answer import LONG, Answer, F, I, Long, Picture, Question, Recipe, S, Table, frame
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.alerts import Alert
 from stickslip.analysis.findings.finding import Finding, Lack, Record
@@ -28,7 +29,8 @@ from stickslip.analysis.findings.finding import records as finding_records
 from stickslip.analysis.findings.words import plural, sentence
 from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, SYSTEM_KEYS, TOLERANCES
 from stickslip.analysis.page import layout
-from stickslip.analysis.page.layout import MOST_ROWS, Page, Panel, Section, findings_table
+from stickslip.analysis.page.data import data_table
+from stickslip.analysis.page.layout import MOST_FIRST, MOST_ROWS, Page, Panel, Section, findings_table
 from stickslip.analysis.page.layout import Table as PageTable
 from stickslip.analysis.questions import QUESTIONS, is_own, package_questions, question, refuse_unknown
 from stickslip.analysis.report import AS_TEXT, FORMULA, PAGE
@@ -74,7 +76,17 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Answered:
-    """A question's answer with its figures drawn; made of plain values, so that another process may make it."""
+    """A question's answer with its figures drawn; made of plain values, so that another process may make it.
+
+    Attributes
+    ----------
+    sources : mapping of str to str
+        The files of a user's own question, and the sha256 of each.
+    problem : str
+        Why a user's own question has no answer: what was expected of the function, and what came.
+    missing : tuple of str
+        Figures and tables of it that could not be made, and why, a line each.
+    """
 
     key: str
     facts: Mapping[str, Any]
@@ -85,46 +97,16 @@ class Answered:
     n_lead: int = 1
     alerts: Sequence[Alert] = ()
     method: str = ""
+    paragraph: str = ""
     captions: Mapping[str, str] = field(default_factory=dict)
     title: str = ""
-
-    def figure(self, name: str, alt: str) -> Markup:
-        """A figure as an image that is part of the page."""
-        return Markup('<img src="{}" alt="{}">').format(self.figures[name].address(), alt)
-
-
-@dataclass(frozen=True)
-class Spoken(Answered):
-    """An answer in words: of a question of the user's own, made where its code may run.
-
-    Attributes
-    ----------
-    said : mapping of str to str
-        The texts of its macros, by name, and its `name` and `question`.
-    sources : mapping of str to str
-        The files that it was made by, and the sha256 of each.
-    problem : str
-        Why there is neither an answer nor a `lack`: what was expected of the function, and what came.
-    missing : tuple of str
-        Figures, tables and the template, as far as they could not be made, and why, a line each.
-    """
-
-    said: Mapping[str, str] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
     problem: str = ""
     missing: tuple[str, ...] = ()
 
-    @property
-    def words(self) -> SimpleNamespace:
-        """Names and macros as those of a template."""
-        macros = {name: _saying(text) for name, text in self.said.items() if text}
-        needed = dict.fromkeys(("answer", "part", "panel_caption"), _saying(""))
-        titles = {name: self.said[name] for name in ("name", "question")}
-        return SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | needed | macros | titles))
-
-
-def _saying(text: str) -> Callable[..., Markup]:
-    return lambda *_: Markup(text)  # made by a template, which escapes
+    def figure(self, name: str, alt: str) -> Markup:
+        """A figure as an image that is part of the page."""
+        return Markup('<img src="{}" alt="{}">').format(self.figures[name].address(), alt)
 
 
 def prepare() -> None:
@@ -142,24 +124,23 @@ def ask(study: Study, key: str, with_pdf: bool = False) -> Answered | None:
     found = entry.answer(study) if entry.is_asked_of(study) else None
     if found is None:
         return None
-    return answered(key, found, entry.title, entry.method, with_pdf)
+    recipes = {name: some.recipe if isinstance(some, Picture) else some for name, some in found.figures.items()}
+    return answered(key, entry, found, {name: draw(recipe, with_pdf) for name, recipe in recipes.items()})
 
 
-def answered(key: str, answer: Answer, title: str, method: str = "", with_pdf: bool = False) -> Answered:
-    """An answer with its figures drawn."""
-    pictures = {
-        name: some if isinstance(some, Picture) else Picture(some, "") for name, some in answer.figures.items()
-    }
-    figures = {name: draw(picture.recipe, with_pdf) for name, picture in pictures.items()}
-    captions = {name: picture.caption for name, picture in pictures.items()}
-    told = answer.findings, answer.n_lead, answer.alerts, answer.method or method, captions, title
-    is_lack = answer.findings and all(isinstance(some, Lack) for some in answer.findings)
-    return Answered(key, answer.facts, "lack" if is_lack else answer.lack, answer.tables, figures, *told)
+def answered(key: str, entry: Question, answer: Answer, figures: Mapping[str, Drawn]) -> Answered:
+    """An answer to a question, with its figures drawn."""
+    captions = {name: some.caption for name, some in answer.figures.items() if isinstance(some, Picture)}
+    lack = "lack" if answer.findings and all(isinstance(some, Lack) for some in answer.findings) else answer.lack
+    return Answered(
+        key, answer.facts, lack, answer.tables, figures, answer.findings, answer.n_lead, answer.alerts,
+        answer.method or entry.method, answer.paragraph, captions, entry.title,
+    )  # fmt: skip
 
 
-def draw(recipe: Recipe, with_pdf: bool) -> Drawn:
+def draw(recipe: Recipe | Figure, with_pdf: bool) -> Drawn:
     """A figure drawn as SVG, and as PDF."""
-    figure = recipe()
+    figure = recipe() if callable(recipe) else recipe
     return Drawn(svg(figure), pdf(figure) if with_pdf else None)
 
 
@@ -269,8 +250,8 @@ def build(
     provenance : mapping of str to str
         Where the data come from, shown as given, escaped.
     answers : callable, optional
-        Returns what `ask` returns for each question of this package that is asked, in their order, and a `Spoken`
-        for each of the user's own that was run; default: asks the former one after the other.
+        Returns what `ask` returns for each question of this package that is asked, in their order, then
+        that of each of the user's own that was run; default: asks the former one after the other.
     made_from : str, optional
         Digest of all this, kept at the head of the page.
 
@@ -282,7 +263,7 @@ def build(
     refuse_unknown(settings.question)
     study = Study(data, settings)
     made = [ask(study, key) for key in package_questions(settings.question)] if answers is None else answers(study)
-    own = {one.key: one for one in made if isinstance(one, Spoken)}
+    own = {one.key: one for one in made if one is not None and is_own(one.key)}
     problems = {key: one.problem for key, one in own.items() if one.problem}
     missing = {key: "; ".join(one.missing) for key, one in own.items() if one.missing}
     not_run = [key for key in settings.question if is_own(key) and key not in own]
@@ -309,7 +290,8 @@ def build(
           for key in settings.question if not is_own(key) and key not in raised),
     ]  # fmt: skip
     sections = [
-        _section(part, on_first, is_shown=bool(leading) and part is leading[0]) for part in (*leading, *others)
+        _section(part, on_first, k < len(lead) and part in leading, k == 0 and part in leading)
+        for k, part in enumerate((*leading, *others))
     ]
     sources = {file: digest for one in own.values() for file, digest in one.sources.items()}
     sections.append(_provenance(study, groups, lacking, sources, provenance))
@@ -319,10 +301,11 @@ def build(
         lead,
         stops,
         on_first,
-        leading[0].table if leading else PageTable(),
+        leading[0].head if leading else PageTable(),
         _alerts(leading, [part for part in parts if part not in leading]),
         notes,
         sections,
+        paragraph=leading[0].paragraph if leading else "",
         inside=leading[0].first if leading else Markup(),
         meta={"made-from": made_from} | ({"own-questions": "run"} if sources else {}),
     )
@@ -340,15 +323,17 @@ def _lead(leading: Sequence[Part]) -> list[str | Markup]:
     return [part.lead[0] for part in leading[:MOST_SAID]]
 
 
-def _section(part: Part, on_first: Sequence[Panel], is_shown: bool) -> Section:
+def _section(part: Part, on_first: Sequence[Panel], is_said: bool, is_shown: bool) -> Section:
+    """The folded part of an answer, without what the first screen says and shows."""
     return Section(
         part.key,
         part.title,
-        part.lead[0],
-        part.texts,
+        "" if is_said else part.lead[0],
+        part.texts if is_shown else [part.paragraph, *part.texts],
         [panel for panel in part.panels if panel not in on_first],
-        PageTable() if is_shown else part.table,
+        PageTable() if is_shown and len(part.head.rows) == len(part.table.rows) else part.table,
         part.notes,
+        part.tables,
         part.inside if is_shown else part.first + part.inside,
     )
 
@@ -397,6 +382,8 @@ class Part:
         Its sentences, the first of which is the answer, or why there is none.
     alerts : sequence of (int, str)
         With their ranks.
+    head, table : Table
+        Of the first findings, for the first screen, and of all.
     first, inside : Markup
         Of a template: what stands on the first screen if the question leads, and what is folded.
     upto : int
@@ -409,6 +396,7 @@ class Part:
     is_lack: bool = False
     alerts: Sequence[tuple[int, str | Markup]] = ()
     panels: Sequence[Panel] = ()
+    head: PageTable = field(default_factory=PageTable)
     table: PageTable = field(default_factory=PageTable)
     texts: Sequence[str] = ()
     notes: Sequence[str] = ()
@@ -417,6 +405,8 @@ class Part:
     upto: int = OF_DATA
     findings: Sequence[Finding] = ()
     told: Sequence[Alert] = ()
+    paragraph: str = ""
+    tables: Sequence[PageTable] = ()
 
 
 def _part(filled: Environment, one: Answered) -> Part:
@@ -425,6 +415,7 @@ def _part(filled: Environment, one: Answered) -> Part:
 
 def of_findings(one: Answered) -> Part:
     files = [f"report/{name}.parquet" for name in one.tables]
+    rows = [*dict.fromkeys(row for finding in one.findings for row in finding_records(finding))]
     return Part(
         one.key,
         one.title,
@@ -432,22 +423,27 @@ def of_findings(one: Answered) -> Part:
         all(isinstance(finding, Lack) for finding in one.findings),
         [(alert.code.rank, str(alert)) for alert in one.alerts],
         [Panel(drawn.address(), one.captions[name]) for name, drawn in one.figures.items()],
-        findings_table([row for finding in one.findings for row in finding_records(finding)], FINDINGS),
+        findings_table(rows, most=MOST_FIRST),
+        findings_table(rows, FINDINGS),
         [one.method],
         [f"Tables: {', '.join(files)}."] if files else [],
         findings=one.findings,
         told=one.alerts,
+        paragraph=one.paragraph,
+        tables=[data_table(*pair) for pair in _data(one)],
     )
+
+
+def _data(one: Answered) -> Iterator[tuple[str, pd.DataFrame]]:
+    """The tables of a question beside a scene, which are for readers."""
+    for name, table in one.tables.items():
+        if ":" in one.key and isinstance(table, pd.DataFrame):
+            yield name, table
 
 
 def _of_template(filled: Environment, one: Answered) -> Part:
     """The part of an answer that a template puts into words."""
-    if isinstance(one, Spoken):
-        words = one.words
-    else:
-        words = SimpleNamespace(
-            **(dict.fromkeys(OPTIONAL_WORDS) | vars(filled.get_template(f"{one.key}.html").module))
-        )
+    words = SimpleNamespace(**(dict.fromkeys(OPTIONAL_WORDS) | vars(filled.get_template(f"{one.key}.html").module)))
 
     def says(name: str, *given: Any) -> Markup:
         macro: Macro | None = getattr(words, name)
@@ -516,8 +512,10 @@ def _rank(alert: str) -> int:
     return int(given[1]) if given else _TICK
 
 
-def plain(text: str) -> str:
-    """Text of a template's result without tags, for a terminal."""
+def plain(text: str | Markup) -> str:
+    """A text for a terminal: without tags, if it is markup."""
+    if not isinstance(text, Markup):
+        return text
     return html.unescape(re.sub(r"\s+", " ", re.sub(r"<[^>]*>", "", text.replace("<sub>", "_")))).strip()
 
 

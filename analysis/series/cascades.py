@@ -260,6 +260,22 @@ def spans(win: Window) -> Spans:
     return Spans(path[start] - path[stop], win.t[start], win.t[stop - 1])
 
 
+def moments(steps: np.ndarray, least: int = 1) -> np.ndarray:
+    """Number, sum and sum of squares of the sizes by `events` from a least one on, which counts as 1; shape (3,).
+
+    Parameters
+    ----------
+    steps : ndarray of int, shape (m,)
+        The changes of n_stick, none of them zero.
+    least : int, optional
+    """
+    path = np.concatenate(([0], np.cumsum(steps)))
+    start, stop = falls(path)
+    size = path[start] - path[stop] - (least - 1)
+    size = size[size > 0]
+    return np.array([len(size), size.sum(), size @ size], dtype=np.float64)
+
+
 def sums(steps: np.ndarray, dt: float | None = None) -> dict[Law, np.ndarray]:
     """Total size and number of the complete cascades by law: the two columns that `estimates.gamma` takes.
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -137,13 +138,26 @@ def rotated(steps: BlockSteps, rng: np.random.Generator) -> tuple[np.ndarray, np
     return (places >> np.uint32(1)) * (steps.span / _PLACES), 1 - 2 * (places & np.uint32(1)).astype(np.int64)
 
 
-def rotations(steps: BlockSteps, dts: Sequence[float], draws: int, rng: np.random.Generator) -> Sums:
-    """Sums over the cascades of `draws` surrogates of `rotated`: what blocks that ignore each other would do."""
+class Rotations(NamedTuple):
+    """Sums over the cascades of some surrogates by law, and their `cascades.moments`, shape (3,)."""
+
+    sums: Sums
+    moments: np.ndarray
+
+
+def rotations(
+    steps: BlockSteps, dts: Sequence[float], draws: int, rng: np.random.Generator, least: int = 1
+) -> Rotations:
+    """What blocks that ignore each other would do: sums over `draws` surrogates of `rotated`.
+
+    `least` is the smallest size that the moments are of.
+    """
     found: Sums = {law: np.zeros(2) for law in cascades.laws(dts)}
-    steps_of = {dt: int(steps.span / dt * (1 + 1e-12)) for dt in dts}
+    steps_of, moments = {dt: int(steps.span / dt * (1 + 1e-12)) for dt in dts}, np.zeros(3)
     for _ in range(draws):
         t, step = rotated(steps, rng)
         drawn, nets = cascades.sums(step), dict[float, np.ndarray]()
+        moments += cascades.moments(step, least)
         for dt in sorted(dts):
             finer, k = _divisor(dt, nets)
             if k:
@@ -154,7 +168,7 @@ def rotations(steps: BlockSteps, dts: Sequence[float], draws: int, rng: np.rando
             drawn |= cascades.sums(nets[dt][: steps_of[dt]], dt)
         for law, one in drawn.items():
             found[law] += one
-    return found
+    return Rotations(found, moments)
 
 
 def _divisor(dt: float, finer: Iterable[float]) -> tuple[float, int]:

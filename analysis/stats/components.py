@@ -25,7 +25,7 @@ import numpy as np
 from scipy import special
 
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.estimates import Estimate
+from stickslip.analysis.stats.estimates import Estimate, Statistic
 
 BOUNDED, UNBOUNDED = "bounded", "unbounded"
 
@@ -141,6 +141,51 @@ def against_redraw(values: np.ndarray, changed: np.ndarray, confidence: float) -
     if interval is None:
         return Against(Estimate(value, reason="matrices cannot be told apart"), UNBOUNDED, *sides)
     return Against(Estimate(value, *interval), BOUNDED, *sides)
+
+
+def between(values: np.ndarray, errors: np.ndarray, dof: int, confidence: float) -> Estimate:
+    """Share of the variance over systems that lies between them, and that longer runs would not reduce.
+
+    It is 1 - 1 / F, with F the variance of the values over their mean squared error; the interval is exact for normal
+    values (Fisher 1925), but for what is beyond 0 and 1.
+
+    Parameters
+    ----------
+    values, errors : ndarray, shape (G,)
+        Of each system its value, and the standard error from its own run alone.
+    dof : int
+        Degrees of freedom of each error.
+    confidence : float
+    """
+    g, within = len(values), float(np.mean(errors**2))
+    if g < 2 or within == 0:
+        return Estimate(reason="no error of one system")
+    f, tail = float(values.var(ddof=1)) / within, (1 - confidence) / 2
+    quantiles = (1.0, special.fdtri(g - 1, g * dof, 1 - tail), special.fdtri(g - 1, g * dof, tail))
+    value, low, high = (1 - quantile / f if f > quantile else 0.0 for quantile in map(float, quantiles))
+    return Estimate(value, low, high)
+
+
+def quotient(top: Statistic, bottom: Statistic, rows: np.ndarray, confidence: float) -> Estimate:
+    """One statistic over another, with Fieller's interval from leaving out one row at a time.
+
+    Without an interval if it is unbounded, as the statistic below may be zero.
+
+    Parameters
+    ----------
+    top, bottom : callable
+    rows : ndarray, shape (G, c)
+        Sums, one row a matrix; G >= 3.
+    confidence : float
+    """
+    g, whole = len(rows), rows.sum(axis=0, keepdims=True)
+    above, below = float(top(whole)[0]), float(bottom(whole)[0])
+    if below == 0:
+        return Estimate(reason="nothing to compare")
+    sign, t2 = np.sign(below), student.half_width(confidence, g - 1) ** 2
+    covariance = (g - 1) ** 2 / g * np.cov([of(whole - rows) for of in (top, bottom)])
+    interval = _fieller(sign * above, sign * below, t2 * covariance)
+    return Estimate(above / below, *(interval or (None, None)))
 
 
 def _fieller(top: float, bottom: float, v: np.ndarray) -> tuple[float, float] | None:

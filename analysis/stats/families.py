@@ -180,14 +180,6 @@ def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
     return replace(fit, log_likelihood=total * fit.log_likelihood)
 
 
-def gamma_up_to(sizes: np.ndarray, counts: np.ndarray) -> float | None:
-    """gamma of the exponential on these sizes alone which fits best; None if there is none. Shapes (K,)."""
-    try:
-        return maximise(EXPONENTIAL, sizes, counts).parameters["gamma"]
-    except Undefined:
-        return None
-
-
 def _climb(family: Family, sizes: np.ndarray, shares: np.ndarray, free: list[int]) -> Fit:
     """Maximise the mean log likelihood, which is concave, by Newton's method; the other parameters are zero."""
 

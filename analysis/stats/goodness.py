@@ -1,4 +1,4 @@
-"""Goodness of fit of a law of sizes, usually the exponential: the largest gap, and the ratio at each size.
+"""Goodness of fit of a law of sizes, usually the exponential: the largest gap.
 
 Everything here takes histograms, one row a matrix, [g, k] cascades of size k. The matrices are the independent units;
 the cascades of one matrix are not independent.
@@ -7,11 +7,10 @@ the cascades of one matrix are not independent.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from stickslip.analysis.stats import flips, student
+from stickslip.analysis.stats import flips
 from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.families import EXPONENTIAL, Family, Fit, maximise
@@ -19,7 +18,6 @@ from stickslip.analysis.stats.families import EXPONENTIAL, Family, Fit, maximise
 #: A size is judged if so many cascades are expected above it. The data do not say where to cut the tail, so the test
 #: is repeated at each of these; p_value is that of the second.
 CUTS = (200, 60, 20)
-FEWEST_SHOWN = 10  # expected cascades of a size for it to be drawn
 REJECTED, NOT_REJECTED, UNDECIDED = "rejected", "not rejected", "undecided"
 
 
@@ -132,35 +130,3 @@ def goodness(
         largest = flipped[:, : max(2, np.count_nonzero(above >= cut))].max(axis=1)
         p_values.append(flips.p_value(largest, p_floor))
     return Goodness(gap, at, tuple(p_values), p_floor)
-
-
-def quotients(sizes: np.ndarray, counts: np.ndarray, confidence: float) -> list[dict[str, Any]]:
-    """Observed over fitted share for each size of which at least `FEWEST_SHOWN` cascades are expected.
-
-    The columns are `size`, `n_cascades`, `share`, `fit`, `value`, and `low` and `high`, an interval over matrices
-    that allows for the estimation of gamma; None for one matrix.
-
-    Raises
-    ------
-    Undefined
-        If there is no fit.
-    """
-    seen = counts[counts.sum(axis=1) > 0]
-    n, total = len(seen), seen.sum()
-    fit = maximise(EXPONENTIAL, sizes, seen.sum(axis=0))
-    shares = fit.shares()
-    judged = np.flatnonzero(total * shares >= FEWEST_SHOWN)
-    parts = effective(seen, (sizes[:, None] == sizes[judged]).astype(np.float64), fit)
-    parts /= total * shares[judged]
-    values = 1.0 + parts.sum(axis=0)
-    half = None if n < 2 else student.half_width(confidence, n - 1) * np.sqrt(n) * parts.std(axis=0, ddof=1)
-    pooled = seen.sum(axis=0)
-    return [
-        {
-            "size": int(sizes[k]), "n_cascades": int(pooled[k]), "share": float(pooled[k] / total),
-            "fit": float(shares[k]), "value": float(values[i]),
-            "low": None if half is None else float(values[i] - half[i]),
-            "high": None if half is None else float(values[i] + half[i]),
-        }
-        for i, k in enumerate(judged)
-    ]  # fmt: skip

@@ -363,7 +363,7 @@ def definitions_study(rng, ensembles):
         observed = sums(win.step)
         for dt in dts:
             observed |= sums(win.sampled(dt), dt)
-        chance = rotations(steps, dts, DRAWS, rng)
+        chance = rotations(steps, dts, DRAWS, rng).sums
         for law, rows in runs.items():
             rows.append(np.concatenate([observed[law], chance[law]]))
     picks = rng.integers(POOL * ensembles, size=(ensembles, MATRICES))

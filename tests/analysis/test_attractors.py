@@ -8,16 +8,18 @@ import pandas as pd
 import pytest
 from scipy.stats import norm
 
-from stickslip.analysis import Data, Study, build
+from stickslip.analysis import Data, Study
 from stickslip.analysis.ensemble import Recorded
+from stickslip.analysis.findings.alerts import Code
+from stickslip.analysis.findings.finding import Alike, Regimes, Share, Verdict
+from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import attractors
-from stickslip.analysis.models.attractors import Cycle, Range, alike, plane, ranges
-from stickslip.analysis.questions.runs.attractor_figures import LOOKS, WORDS
-from stickslip.analysis.questions.runs.attractors import answer
-from stickslip.analysis.report.formats import environment
+from stickslip.analysis.models.attractors import Cycle, alike, plane
+from stickslip.analysis.questions.runs import fates
+from stickslip.analysis.questions.runs.attractors import PREDICATES, settled
+from stickslip.analysis.questions.runs.fate_figures import LOOKS
+from stickslip.analysis.questions.runs.regimes import Place, Stretch, stretches_of
 from stickslip.sim.attractors.result import Kind
-
-pytestmark = pytest.mark.usefixtures("undrawn")
 
 SERIES = (np.array([0.0, 150.0]), np.array([3, 2]))
 KINDS = 3 * ["sliding"] + 5 * ["periodic"] + ["irregular", "undecided"]
@@ -68,59 +70,52 @@ def wilson(has, of):
     return np.sort(np.roots([a, b, c]))
 
 
+def shares(answered):
+    return {share.key: share for share in answered.findings if isinstance(share, Share)}
+
+
+def said(answered):
+    return [sentence(finding) for finding in answered.findings[: answered.n_lead]]
+
+
 def test_shares_and_periods(data, settings):
-    found = answer(Study(data(), settings))
-    rows = {row["attractor"]: row for row in found.facts["rows"]}
-    assert {kind: (row["n_runs"], row["of"]) for kind, row in rows.items()} == {
-        "sliding": (3, 10), "periodic": (5, 10), "irregular": (1, 10), "undecided": (1, 10),
-    }  # fmt: skip
-    for row in rows.values():
-        assert row["share"] == row["n_runs"] / 10
-        np.testing.assert_allclose([row["share_low"], row["share_high"]], wilson(row["n_runs"], 10), rtol=1e-9)
-    assert [rows["periodic"][f"period_{one}"] for one in ("least", "median", "most")] == [2.0, 6.0, 9.0]
-    assert rows["sliding"]["period_median"] is None
-    table = found.tables["attractors"]
-    assert table["n_runs"].sum() == 10
+    answered = settled(Study(data(), settings))
+    n_of = {"sliding": 3, "periodic": 5, "irregular": 1, "undecided": 1}
+    assert {key: round(10 * share.estimate.value) for key, share in shares(answered).items()} == n_of
+    for key, share in shares(answered).items():
+        np.testing.assert_allclose([share.estimate.low, share.estimate.high], wilson(n_of[key], 10), rtol=1e-9)
+        assert share.basis.n == 10
+    table = answered.tables["attractors"].set_index("attractor")
+    assert table["n_runs"].to_dict() == n_of
+    assert table.loc["periodic", ["period_least", "period_median", "period_most"]].tolist() == [2.0, 6.0, 9.0]
     assert table["period_median"].notna().sum() == 1
+    assert said(answered)[0] == "30% (11 to 60%) of runs end in steady sliding."
 
 
 def test_runs_of_one_matrix_are_no_independent_trials(planted, data, settings):
     """Two matrices of ten runs each, all of one kind: the interval is that of two trials."""
     whole = data(10 * ["rest"] + 10 * ["periodic"], 20 * [None])
     whole = replace(whole, table=whole.members.assign(matrix=[0] * 10 + [1] * 10 + [2]))
-    rows = answer(Study(whole, settings)).facts["rows"]
-    np.testing.assert_allclose([rows[0]["share_low"], rows[0]["share_high"]], wilson(1, 2), rtol=1e-9)
+    estimate = shares(settled(Study(whole, settings)))["rest"].estimate
+    np.testing.assert_allclose([estimate.low, estimate.high], wilson(1, 2), rtol=1e-9)
 
 
-def test_it_is_asked_where_attractors_are_kept(data, settings):
+def test_the_question_is_of_attractors_where_they_are_recorded(data, settings):
     kept = data()
-    assert answer(Study(Data(kept.members.drop(columns="attractor"), kept.series), settings)) is None
-    asking = replace(settings, question=("attractors",))
-    assert answer(Study(Data(kept.members.drop(columns="attractor"), kept.series), asking)).lack == "no record"
-    smoothed = data([None] * 10)
-    assert answer(Study(smoothed, settings)).lack == "none exact"
-
-
-def test_it_leads_the_page(data, settings):
-    page = build(data(), settings, "Planted", "", {})
-    said = page.headline[1]
-    assert "Of 10 runs, 30.0% slide steadily (10.8% to 60.3%), 50.0% settle on a cycle (23.7% to 76.3%)" in said
-    assert "10.0% stay irregular" in said
-    assert "What do runs settle on?" in page.html
+    assert settled(Study(Data(kept.members.drop(columns="attractor"), kept.series), settings)) is None
+    assert settled(Study(data([None] * 10), settings)) is None
+    study = Study(kept, settings)
+    assert fates.QUESTION.leads(study)
+    answered = fates.answer(study)
+    assert {"attractors", "fates"} <= answered.tables.keys()
+    assert [finding for finding in answered.findings if isinstance(finding, Share)] == settled(study).findings
+    undecided = fates.answer(Study(data(2 * ["undecided"] + 8 * ["rest"], 10 * [None]), settings))
+    assert {alert.code: dict(alert.numbers) for alert in undecided.alerts}[Code.UNDECIDED] == {"n": 2, "of": 10}
 
 
 def test_every_kind_of_attractor_has_words_and_a_look():
     assert get_args(Kind) == attractors.KINDS
-    does = environment("stickslip.analysis.report").get_template("attractors.html").module.does
-    for kind in attractors.KINDS:
-        assert WORDS[kind] in does(kind).strip()
-        assert kind in LOOKS
-
-
-@pytest.mark.parametrize("reason", ["no record", "none exact"])
-def test_words_of_what_is_lacking(reason):
-    module = environment("stickslip.analysis.report").get_template("attractors.html").module
-    assert module.lack({}, reason).strip()
+    assert [*PREDICATES] == [*LOOKS] == [*attractors.KINDS]
 
 
 # ---------------------------------------------------------------------------------------------- basins
@@ -152,34 +147,51 @@ def basin(planted_runs, rng):
 
 def test_cycles_of_one_system_are_told_apart_with_their_shares(basin, settings):
     data, starts = basin
-    found = answer(Study(data, settings))
-    rows = {(row["attractor"], row["period_median"]): row for row in found.facts["rows"]}
+    answered = settled(Study(data, settings))
+    rows = answered.tables["attractors"].set_index("period_median")
     fast, slow = (starts[:, 0] >= 1).sum(), (starts[:, 0] <= -1).sum()
-    assert rows["periodic", 3.0]["n_runs"] == fast
-    assert rows["periodic", 7.0]["n_runs"] == slow
-    assert {row["cycle"] for row in rows.values()} == {None, 1, 2}
-    row = rows["periodic", 7.0]
-    np.testing.assert_allclose([row["share_low"], row["share_high"]], wilson(slow, 400), rtol=1e-9)
-    page = build(data, replace(settings, question=("attractors",)), "Planted", "", {}).html
-    assert "Of 400 starts, " in page
-    assert "settle on the cycle of period 3.000" in page
+    assert (rows.loc[3.0, "n_runs"], rows.loc[7.0, "n_runs"]) == (fast, slow)
+    assert set(rows["cycle"].dropna()) == {1, 2}
+    (share,) = [finding for finding in answered.findings if finding.predicate == "settle on the cycle of period 7"]
+    np.testing.assert_allclose([share.estimate.low, share.estimate.high], wilson(slow, 400), rtol=1e-9)
+    assert (share.things, share.basis.n, share.basis.unit) == ("starts", 400, "start")
+
+
+def test_a_period_that_all_starts_share_has_no_interval(planted_runs, settings):
+    starts = [started(0.1 * k, 0.0, start_draw=k, drawn="z = uniform(0, 1)") for k in range(8)]
+    answered = settled(Study(planted_runs([start | cycle(3.5081, 0.5) for start in starts]), settings))
+    (period,) = [finding for finding in answered.findings if isinstance(finding, Alike)]
+    assert (period.value, period.among) == (3.5081, "from all 8 runs")
+    other = [start | cycle(3.5081 + 0.1 * (k == 0), 0.5) for k, start in enumerate(starts)]
+    assert not [finding for finding in settled(Study(planted_runs(other), settings)).findings
+                if isinstance(finding, Alike)]  # fmt: skip
+
+
+def test_a_share_is_set_beside_the_published_one(basin, settings):
+    data, starts = basin
+    has = np.abs(starts[:, 0]) < 1
+    low, high = wilson(has.sum(), 400)
+    for value, verdict in ((has.mean(), Verdict.OPEN), (low - 0.01, Verdict.MORE), (high + 0.01, Verdict.LESS)):
+        study = Study(data, replace(settings, published={"sliding": value}))
+        comparison = shares(settled(study))["sliding"].comparison
+        assert comparison.difference.verdict is verdict
+        assert comparison.difference.estimate.low == pytest.approx(low - value)
 
 
 def test_the_basin_has_a_mark_for_each_start_and_shares_in_its_legend(basin, settings):
     data, starts = basin
-    found = answer(Study(data, settings))
-    (ax,) = found.figures["basin_of_attractors"]().axes
+    answered = settled(Study(data, settings))
+    (ax,) = answered.figures["basin_of_attractors"].recipe().axes
     shown = {len(line.get_xdata()): line for line in ax.lines}
     z = starts[:, 0]
     assert set(shown) == {(abs(z) < 1).sum(), (z >= 1).sum(), (z <= -1).sum()}
-    marks = {line.get_marker() for line in ax.lines}
-    assert len(marks) == 3
+    assert len({line.get_marker() for line in ax.lines}) == 3
     (sliding,) = [line for line in ax.lines if line.get_color() == "#0072B2"]
     assert sorted(sliding.get_xdata()) == sorted(z[abs(z) < 1])
     words = [text.get_text() for text in ax.figure.legends[0].get_texts()]
     low, high = 100 * wilson((abs(z) < 1).sum(), 400)
-    assert f"slide steadily: {25 * (abs(z) < 1).mean() * 4:.1f}% ({low:.1f} to {high:.1f})" in words
-    assert any(one.startswith("cycle, period 7, 2 exits: ") for one in words)
+    assert f"steady sliding: {25 * (abs(z) < 1).mean() * 4:.1f}% ({low:.1f} to {high:.1f})" in words
+    assert any(entry.startswith("cycle, period 7, 2 exits: ") for entry in words)
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("displacement z at start", "velocity w at start")
 
 
@@ -187,23 +199,22 @@ def test_starts_on_a_grid_are_cells_of_one_picture(planted_runs, settings):
     """Each start is swept, so that it is a group elsewhere; here all are one."""
     z, w = np.linspace(-1, 1, 5), np.linspace(0, 3, 4)
     rows = [started(a, b) | (SLIDES if a + b > 1 else cycle(3.0, 0.5)) for a in z for b in w]
-    found = answer(Study(planted_runs(rows), settings))
-    assert len(found.facts["groups"]) == 1
-    assert found.facts["basin"]["is_grid"]
-    (ax,) = found.figures["basin_of_attractors"]().axes
+    answered = settled(Study(planted_runs(rows), settings))
+    assert set(answered.tables["attractors"]["of"]) == {20}
+    (ax,) = answered.figures["basin_of_attractors"].recipe().axes
     mesh = ax.collections[0]
     slides = np.add.outer(w, z) > 1
     assert (mesh.get_array().reshape(4, 5) == np.where(slides, 0, 1)).all()
     # cells are centred on the starts; a line runs between cells that differ
     assert ax.dataLim.intervalx == pytest.approx([-1.25, 1.25])
     assert len(ax.collections[1].get_segments()) == (np.diff(slides, axis=0) != 0).sum() + np.diff(slides).sum()
-    assert found.facts["along"] is None
+    assert "attractor_ranges" not in answered.tables
 
 
 def test_starts_along_a_line_are_a_strip(planted_runs, settings):
     rows = [started(a, 0.5) | (SLIDES if a < 0.5 else cycle(3.0, 0.5)) for a in (0.0, 1.0, 2.0, 4.0)]
-    found = answer(Study(planted_runs(rows), settings))
-    (ax,) = found.figures["basin_of_attractors"]().axes
+    answered = settled(Study(planted_runs(rows), settings))
+    (ax,) = answered.figures["basin_of_attractors"].recipe().axes
     bars = sorted((bar.get_x(), bar.get_x() + bar.get_width()) for bar in ax.patches)
     assert bars == [(-0.5, 0.5), (0.5, 1.5), (1.5, 3.0), (3.0, 5.0)]
     assert ax.get_xlabel() == "displacement z at start"
@@ -257,40 +268,51 @@ def swept(planted_runs):
 
 
 def test_where_along_a_key_attractors_change(swept, settings):
-    found = answer(Study(swept, settings))
-    told = [(row["first"], row["last"], row["on"]) for row in found.facts["along"]["lines"][0]["told"]]
-    assert told == [("1", "7", ("periodic",)), ("9", "12", ("sliding",))]
-    ranges = found.tables["attractor_ranges"]
-    assert ranges["attractors"].tolist() == ["periodic, 1 exit a period", "periodic, 2 exits a period", "sliding"]
-    np.testing.assert_allclose(ranges["least_share"].astype(float), wilson(5, 5)[0], rtol=1e-9)  # of five starts
-    (change,) = found.facts["along"]["lines"][0]["changes"]
-    assert (change["before"], change["after"], change["last"], change["first"]) == ("1", "2", "4", "5")
-    assert change["at"] == pytest.approx(4.5)
-    page = build(swept, replace(settings, question=("attractors",)), "Planted", "", {})
-    assert page.headline[1] == (
-        "Up to belt_speed = 7 all 35 runs settle on a cycle (95%: at least 56.6% of such starts); from belt_speed = 9"
-        " on all 20 runs slide steadily (95%: at least 56.6% of such starts). The cycle's exits a period go from 1 to"
-        " 2 between belt_speed = 4 and 5; its multiplier comes to one at 4.5000."
-    )
-    assert found.facts["why_undecided"] == [("few events, at 8", 5)]
+    answered = settled(Study(swept, settings))
+    assert said(answered) == [
+        "Up to belt_speed = 7 all 35 starts settle on a cycle; from belt_speed = 9 on all 20 end in steady sliding.",
+        "Up to belt_speed = 4 all 20 starts settle on a cycle of 1 exit per period; from belt_speed = 5 to 7 all 15"
+        " settle on a cycle of 2 exits per period; from belt_speed = 9 on all 20 end in steady sliding.",
+    ]  # fmt: skip
+    for regime in answered.findings[0].regimes:
+        assert regime.share.low == pytest.approx(wilson(5, 5)[0])  # of five starts
+    ranges = answered.tables["attractor_ranges"]
+    assert ranges["attractors"].tolist() == [
+        "periodic, 1 exit per period", "periodic, 2 exits per period", "sliding",
+    ]  # fmt: skip
+    np.testing.assert_allclose(ranges["least_share"].astype(float), wilson(5, 5)[0], rtol=1e-9)
+    np.testing.assert_allclose(ranges["multiplier_last"].astype(float), [0.9, 0.5, np.nan])
+
+
+def test_where_both_attract(planted_runs, settings):
+    """A cycle from all starts up to v = 2, from some at 3 and 4, from none beyond."""
+    data = planted_runs([
+        started(0.1 * k, 0.0, start_draw=k, drawn="z = uniform(0, 1)", belt_speed=float(v))
+        | (cycle(3.0, 0.1) if v <= 2 or (v <= 4 and k < 2) else SLIDES) for v in range(1, 7) for k in range(5)
+    ])  # fmt: skip
+    answered = settled(Study(data, settings))
+    assert said(answered) == [
+        "Up to belt_speed = 2 all 10 starts settle on a cycle; from belt_speed = 3 to 4 some end in steady sliding"
+        " and others settle on a cycle; from belt_speed = 5 on all 10 end in steady sliding."
+    ]  # fmt: skip
 
 
 def test_the_figures_along_a_key(swept, settings):
-    found = answer(Study(swept, settings))
-    (ax,) = found.figures["attractors"]().axes
+    figures = settled(Study(swept, settings)).figures
+    (ax,) = figures["attractors"].recipe().axes
     assert [bar.get_height() for bar in ax.containers[0]] == [0.0] * 8 + [1.0] * 4  # sliding
-    above, middle, below = found.figures["bifurcation"]().axes
+    above, middle, below = figures["bifurcation"].recipe().axes
     (line,) = above.lines
     expected = [(v, 0.5) for v in range(1, 5)] + [(v, 0.5 + s * v / 10) for v in range(5, 8) for s in (1, -1)]
     np.testing.assert_allclose(sorted(zip(*line.get_data(), strict=True)), sorted(expected))  # five runs, one dot
     np.testing.assert_allclose(middle.lines[0].get_ydata(), [0.3, 0.5, 0.7, 0.9, 0.5, 0.5, 0.5])
     np.testing.assert_allclose(below.lines[0].get_ydata(), [3.0] * 4 + [6.0] * 3)
+    assert "Left out: 25 runs" in figures["bifurcation"].caption
 
 
-def test_ranges_bridge_what_is_not_known_only_between_alikes():
-    assert ranges([(), ("a",), (), ("a",), (), ("b",), ("a", "b")]) == [
-        Range(1, 3, ("a",)), Range(5, 5, ("b",)), Range(6, 6, ("a", "b"))
-    ]  # fmt: skip
+def test_stretches_bridge_what_is_not_known_only_between_alikes():
+    outcomes = [(), ("a",), (), ("a",), (), ("b",), ("a", "b")]
+    assert stretches_of([Place(on, 1, 1, 1) for on in outcomes]) == [Stretch(1, 3), Stretch(5, 5), Stretch(6, 6)]
 
 
 # ---------------------------------------------------------------------------------------------- over two keys
@@ -309,63 +331,44 @@ def over_two(planted_runs):
     ])  # fmt: skip
 
 
-@pytest.mark.drawn
-def test_the_page_covers_each_value_of_a_second_key(over_two, settings):
-    page = build(over_two, replace(settings, question=("attractors",)), "Planted", "", {})
-    said = page.headline[1]
-    assert said.startswith(
-        "The belt_speed up to which all runs settle on a cycle rises from 1 at static = 1.2 to 3 at static = 1.6. "
-        "The belt_speed from which on all runs slide steadily rises from 2 at static = 1.2 to 4 at static = 1.6. "
-    )
-    assert said.endswith("all runs slide steadily at 9 and settle on a cycle at 6.")
-    ranges = page.tables["attractor_ranges"]
+def test_each_value_of_a_second_key_has_its_regimes_and_the_ends_lead(over_two, settings):
+    answered = settled(Study(over_two, settings))
+    assert said(answered) == [
+        "At static = 1.2: at belt_speed = 1 all 5 starts settle on a cycle; from belt_speed = 2 on all 20 end in"
+        " steady sliding.",
+        "At static = 1.6: up to belt_speed = 3 all 15 starts settle on a cycle; from belt_speed = 4 on all 10 end in"
+        " steady sliding.",
+    ]  # fmt: skip
+    assert [regimes.where for regimes in answered.findings if isinstance(regimes, Regimes)] == [
+        "static = 1.2", "static = 1.6", "static = 1.4",
+    ]  # fmt: skip
+    ranges = answered.tables["attractor_ranges"]
     assert ranges[["static", "first", "last"]].to_numpy().tolist() == [
         [1.2, "1", "1"], [1.2, "2", "5"], [1.4, "1", "2"], [1.4, "3", "5"], [1.6, "1", "3"], [1.6, "4", "5"],
     ]  # fmt: skip
 
 
-def test_each_of_few_settings_has_its_own_sentences_and_pictures(planted_runs, settings):
-    """The first n turns at v = 1, 2, 3 of the three static frictions, the second at 2, 3, 4."""
+def test_each_of_few_settings_has_its_own_pictures(planted_runs, settings):
     data = planted_runs([
         started(0.1 * s, 0.0, start_draw=s, drawn="z = uniform(0, 1)", belt_speed=float(v), static=1.2 + 0.2 * k, n=n)
         | (cycle(3.0, 0.1, 1) | {"exits_z": [0.5]} if v <= k + n else SLIDES | {"section_z": [0.0]})
         for n in (1, 2) for v in range(1, 6) for k in range(3) for s in range(5)
     ])  # fmt: skip
-    said = build(data, replace(settings, question=("attractors",)), "Planted", "", {}).headline[1]
-    for n in (1, 2):
-        up_to = f"At n = {n}, exact, the belt_speed up to which all runs settle on a cycle rises from {n} at static"
-        on = f"There the belt_speed from which on all runs slide steadily rises from {n + 1} at static = 1.2"
-        assert f"{up_to} = 1.2 to {n + 2} at static = 1.6. {on} to {n + 3} at static = 1.6." in said
-    figures = answer(Study(data, settings)).figures
+    figures = settled(Study(data, settings)).figures
     assert [name for name in figures if name.startswith("attractors")] == ["attractors", "attractors_2"]
     assert len([name for name in figures if name.startswith("bifurcation")]) == 6
 
 
-def test_a_line_that_does_the_same_throughout_turns_nowhere(planted_runs, settings):
-    """A cycle up to v = 1 and 3, at the third static friction at all belts."""
-    data = planted_runs([
-        started(0.1 * s, 0.0, start_draw=s, drawn="z = uniform(0, 1)", belt_speed=float(v), static=1.2 + 0.2 * k)
-        | (cycle(3.0, 0.1, 1) | {"exits_z": [0.5]} if v <= last else SLIDES | {"section_z": [0.0]})
-        for v in range(1, 6) for k, last in enumerate((1, 3, 5)) for s in range(5)
-    ])  # fmt: skip
-    said = build(data, replace(settings, question=("attractors",)), "Planted", "", {}).headline[1]
-    assert said.startswith(
-        "The belt_speed up to which all runs settle on a cycle rises from 1 at static = 1.2 to 3 at static = 1.4; at "
-        "1 of the 3 values of static they do so throughout. The belt_speed from which on all runs slide steadily "
-        "rises from 2 at static = 1.2 to 4 at static = 1.4; at 1 of the 3 values of static there is none. "
-    )
-
-
 def test_the_figures_over_two_keys(over_two, settings):
-    figures = answer(Study(over_two, settings)).figures
+    figures = settled(Study(over_two, settings)).figures
     assert [name for name in figures if name != "basin_of_attractors"] == [
         "attractors", "bifurcation", "bifurcation_2", "bifurcation_3",
     ]  # fmt: skip
-    (ax,) = figures["attractors"]().axes
+    (ax,) = figures["attractors"].recipe().axes
     cells = np.ma.filled(ax.collections[0].get_array(), -1).reshape(3, 5)
     assert [len(set(row[: k + 1])) for k, row in enumerate(cells)] == [1, 1, 1]
     assert [(row[k + 1 :] != row[0]).all() for k, row in enumerate(cells)] == [True] * 3
-    above, *_ = figures["bifurcation"]().axes
+    above, *_ = figures["bifurcation"].recipe().axes
     drawn = {tuple(line.get_xdata()) for line in above.lines}
     assert drawn == {(1.0,), (2.0, 3.0, 4.0, 5.0)}  # exits of the cycle, and the slides
 
@@ -385,19 +388,20 @@ def test_values_that_differ_in_their_seventh_digit_are_told_apart(planted_runs, 
         | (SLIDES | {"section_z": [0.0]} if v == belts[-1] else cycle(3.0, 0.1, 1) | {"exits_z": [0.5]})
         for v in belts for s in range(5)
     ])  # fmt: skip
-    page = build(data, replace(settings, question=("attractors",)), "Planted", "", {})
-    assert page.headline[1].startswith("Up to belt_speed = 3.210572 all 10 runs settle on a cycle (")
-    assert "; at belt_speed = 3.210573 all 5 runs slide steadily (" in page.headline[1]
-    assert page.tables["fates"]["n_runs"].tolist() == [5, 5, 5]
-    assert len(page.tables["groups"]) == 3
+    assert said(settled(Study(data, settings))) == [
+        "Up to belt_speed = 3.210572 all 10 starts settle on a cycle; at belt_speed = 3.210573 all 5 end in steady"
+        " sliding."
+    ]  # fmt: skip
+    answered = fates.answer(Study(data, settings))
+    assert answered.tables["fates"]["n_runs"].tolist() == [5, 5, 5]
 
 
-def test_over_two_keys_runs_that_are_undecided_are_not_among_all(planted_runs, settings):
+def test_runs_that_are_undecided_are_not_among_all(planted_runs, settings):
     data = planted_runs([
-        started(0.1 * s, 0.0, start_draw=s, drawn="z = uniform(0, 1)", belt_speed=float(v), static=1.2 + 0.2 * k)
-        | (cycle(3.0, 0.1, 1) | {"exits_z": [0.5]} if s == 0 else dict(attractor="undecided", attractor_reason="few"))
-        for v in (1, 2) for k in (0, 1) for s in range(5)
+        started(0.1 * s, 0.0, start_draw=s, drawn="z = uniform(0, 1)", belt_speed=float(v))
+        | (cycle(3.0, 0.1, 1) | {"exits_z": [0.5]} if s < 2 else dict(attractor="undecided", attractor_reason="few"))
+        for v in (1, 2) for s in range(5)
     ])  # fmt: skip
-    page = build(data, replace(settings, question=("attractors",)), "Planted", "", {})
-    assert "all runs that are decided settle on a cycle" in page.headline[1]
-    assert "all runs settle" not in page.headline[1]
+    answered = settled(Study(data, settings))
+    assert said(answered)[0] == "At all 2 values of belt_speed all 4 decided starts (of 10) settle on a cycle."
+    assert answered.findings[0].regimes[0].share.low is None

@@ -103,7 +103,7 @@ def test_rotation_breaks_what_blocks_share(rng):
     one = alternating(1, 40, 100.0, 5)
     both = BlockSteps(0.0, 100.0, np.repeat(one.t, 2), np.tile([0, 1], 40), np.repeat(one.step, 2))
     assert sizes(both.window(), EVENTS).min() == 2
-    total, count = rotations(both, (), 200, rng)[EVENTS]
+    total, count = rotations(both, (), 200, rng).sums[EVENTS]
     assert total / count < 1.8
 
 
@@ -115,7 +115,7 @@ def test_rotation_of_many_slow_blocks_is_what_independence_gives(dt, rng):
     length: chance gives a different gamma for each definition and dt, which is why none stands without them.
     """
     steps = alternating(4000, 2, 2000.0, 6)
-    draws = [rotations(steps, (dt,), 1, rng) for _ in range(40)]
+    draws = [rotations(steps, (dt,), 1, rng).sums for _ in range(40)]
     assert set(draws[0]) == set(laws((dt,)))
     step = stats.skellam(2 * dt, 2 * dt)
     falls = -np.arange(-60, 0)

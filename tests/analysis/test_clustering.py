@@ -1,19 +1,17 @@
 """Clustering beyond chance: closed forms against simulation, and what was planted is said."""
 
-import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis.findings.finding import Lack, Level, Limit, Reason, Share, Verdict
+from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.clustering import FANO, PAIRS, Part, fano, measure, n_windows, own_gaps, pairs
-from stickslip.analysis.questions.slips import clustering, counting, definitions
+from stickslip.analysis.questions.slips import cascades, collective, triggering
 from stickslip.analysis.report.formats import environment
 from stickslip.analysis.series.nulls import BlockSteps, rotated
-from stickslip.analysis.stats.compare import WITHIN
-from stickslip.analysis.stats.effects import MORE
 from stickslip.analysis.tables import records
 from tests.analysis import studies
 from tests.chance import agrees
@@ -102,148 +100,102 @@ def followers(rng, steps, share):
     return BlockSteps(steps.t_start, steps.t_stop, t[order], steps.block[order], steps.step[order])
 
 
-def test_independent_blocks_are_not_said_to_cluster(planted, rng):
-    runs = [studies.blocks_run(rng) for _ in range(10)]
-    found = clustering.answer(study_of(planted, runs))
-    first = found.facts["first"]
-    assert first["p_value"] == first["p_adjusted"]  # the primary question
-    assert 0.5 < first["ratio"] < 2
-    assert 0 < found.facts["close"]["share"] < 0.1
-    if found.facts["pairs"] == WITHIN and found.facts["apart"] is None:
-        assert "o excess of exits close in time is shown" in said("clustering", found)
+def exits_of(planted, runs):
+    study = study_of(planted, runs)
+    return triggering.exits_of(study, study.judged()[0])
 
 
-def test_a_common_slow_mode_leads_and_exits_do_not_set_each_other_off(planted, rng):
-    runs = [studies.blocks_run(rng, depth=0.6) for _ in range(10)]
-    found = clustering.answer(study_of(planted, runs))
-    assert found.facts["lead"] is found.facts["first"]
-    assert found.facts["lead"]["verdict"] == MORE
-    assert "move slowly together: the number of exits in windows of 20" in said("clustering", found)
+def test_the_primary_comparison_of_independent_blocks_is_not_adjusted(planted, rng):
+    exits = exits_of(planted, [studies.blocks_run(rng) for _ in range(10)])
+    first, *others = exits.compared
+    assert first.part == Part(FANO, 20.0)  # 580 units hold twenty windows of 20, not of 40
+    assert first.difference.family is None
+    assert 0.5 < first.effect.ratio.value < 2
+    assert {one.difference.family.n for one in others} == {len(others)}
+    (found,), _ = triggering.triggered(exits, "", "system")
+    assert found.predicate == "trigger another within 0.05"
+    assert found.most < 0.1 if isinstance(found, Limit) else found.estimate.low < 0.05
+    assert sentence(Limit("", "slip onsets", found.predicate, 0.0028)) == (
+        "At most 0.28% of slip onsets trigger another within 0.05."
+    )
+
+
+def test_a_common_slow_mode_has_more_exits_in_some_windows(planted, rng):
+    exits = exits_of(planted, [studies.blocks_run(rng, depth=0.6) for _ in range(10)])
+    assert exits.compared[0].difference.verdict is Verdict.MORE
 
 
 def test_exits_that_follow_others_are_seen(planted, rng):
     runs = [followers(rng, studies.blocks_run(rng), 0.3) for _ in range(10)]
-    found = clustering.answer(study_of(planted, runs))
-    assert found.facts["pairs"] == MORE
-    assert said("clustering", found).strip().startswith("Exits set each other off")
+    (found,), _ = triggering.triggered(exits_of(planted, runs), "", "system")
+    assert isinstance(found, Share)
+    assert 0 < found.estimate.low < found.estimate.value < 0.5
 
 
 def test_exits_that_follow_others_make_cascades_larger_than_of_the_same_blocks_made_independent(planted, rng):
     runs = [followers(rng, studies.blocks_run(rng), 0.3) for _ in range(10)]
-    lead = counting.answer(study_of(planted, runs)).facts["lead"]
-    assert lead["coupling_high"] < 0
-    assert lead["verdict"] == "shallower"
+    row = cascades.answer(study_of(planted, runs)).tables["law"].iloc[0]
+    assert row["over_shifted_high"] < 0
 
 
-def test_the_share_of_followers_that_is_not_excluded_holds_the_planted_one(rng):
-    """Each follower is a pair more; of an exponential delay 0.865 is below twice its mean."""
+def planted_pairs(rows, n_exits, gap, confidence):
+    compared = triggering.compare(rows, [Part(FANO, 20.0), Part(PAIRS, 0.2)], confidence)
+    return triggering.Exits(None, compared, [], len(rows), n_exits, gap)
+
+
+def test_the_share_of_exits_that_trigger_others_holds_the_planted_one(rng):
+    """Each triggered exit is a pair more; of an exponential delay 0.865 is below twice its mean."""
     runs = [studies.triggered(studies.blocks_run(rng), 0.1, 0.1, rng) for _ in range(10)]
-    part, n_exits = Part(PAIRS, 0.2), float(np.mean([np.sum(steps.step < 0) for steps in runs]))
-    rows = np.array([measure(steps, [part]) for steps in runs])
-    measured = clustering._Measured(SimpleNamespace(label=""), [part], [], rows, n_exits, gap=1.0)
-    pairs = clustering._rows(measured, 0.99999, 0.25)
-    close = clustering._closest(pairs, measured, 0.99999, 5)
-    assert 0.0865 < close["share"] < 0.25
-    assert clustering._closest(pairs, dataclasses.replace(measured, gap=2.0), 0.99999, 5) is None
+    n_exits = float(np.mean([np.sum(steps.step < 0) for steps in runs]))
+    rows = np.array([measure(steps, [Part(FANO, 20.0), Part(PAIRS, 0.2)]) for steps in runs])
+    (found,), _ = triggering.triggered(planted_pairs(rows, n_exits, 1.0, 0.99999), "", "system")
+    most = found.most if isinstance(found, Limit) else found.estimate.high
+    assert 0.0865 < most < 0.25
+    if isinstance(found, Limit):
+        assert triggering.triggered(planted_pairs(rows, n_exits, 2.0, 0.99999), "", "system") == ([], None)
 
 
-def test_the_bound_of_followers_is_not_tight_by_luck(rng):
-    """Pairs of true ratio 1 + share / pairs an exit: the bound holds the share, never falls below the error, and
-    what is said to be seen is shown by the first of Holm's tests in four of five data sets."""
-    error, pairs_an_exit, n_exits, n_tests, sets = 0.003, 0.275, 1000.0, 10, 400
-    measured = clustering._Measured(
-        SimpleNamespace(label=""), [Part(PAIRS, 0.2)], [], np.zeros((20, 1, 2)), n_exits, gap=1.0
-    )
-
-    def closest(share):
-        ratio = np.log1p(share / pairs_an_exit) + error * np.sqrt(20) * rng.standard_normal(20)
+def test_the_limit_is_not_tight_by_luck(rng):
+    """Pairs of true ratio 1 + share / pairs an exit: the limit holds the share, and never falls below the error."""
+    error, pairs_an_exit, n_exits, sets = 0.003, 0.275, 1000.0, 400
+    held = 0
+    for _ in range(sets):
+        ratio = np.log1p(0.0006 / pairs_an_exit) + error * np.sqrt(20) * rng.standard_normal(20)
         by_rotation = np.full(20, pairs_an_exit * n_exits)
-        rows = np.stack([by_rotation * np.exp(ratio), by_rotation], axis=1)[:, None]
-        (row,) = clustering._rows(dataclasses.replace(measured, runs=rows), 0.95, 0.25)
-        return clustering._closest([row], measured, 0.95, n_tests), row["p_value"]
-
-    every = [closest(0.0006)[0] for _ in range(sets)]
-    assert agrees(sum(row["share"] >= 0.0006 for row in every), sets, 0.95, 1.0)
-    own_errors = [np.sqrt(row["high"] / row["low"]) - 1.0 for row in every]  # half of the interval of the logarithm
-    assert all(row["share"] >= 0.999 * own * pairs_an_exit for row, own in zip(every, own_errors, strict=True))
-    seen = np.mean([row["seen"] for row in every])
-    assert agrees(sum(closest(seen)[1] <= 0.05 / n_tests for _ in range(sets)), sets, 0.7, 0.88)
+        pairs_rows = np.stack([by_rotation * np.exp(ratio), by_rotation], axis=1)
+        exits = planted_pairs(np.stack([pairs_rows, pairs_rows], axis=1), n_exits, 1.0, 0.95)
+        (found,), _ = triggering.triggered(exits, "", "system")
+        held += (found.most if isinstance(found, Limit) else found.estimate.high) >= 0.0006
+        if isinstance(found, Limit):
+            effect = exits.compared[1].effect.ratio
+            half = np.sqrt(effect.high / effect.low) - 1.0  # of the interval of the logarithm
+            assert found.most >= 0.999 * half * pairs_an_exit
+    assert agrees(held, sets, 0.95, 1.0)
 
 
 def test_without_events_it_says_what_to_record(planted, rng):
     runs = [studies.blocks_run(rng) for _ in range(5)]
-    found = clustering.answer(study_of(planted, runs, with_events=False))
-    assert "events = true" in said("clustering", found)
+    (lack,) = collective.answer(study_of(planted, runs, with_events=False)).findings
+    assert (lack.reason, lack.detail) == (Reason.NOT_RECORDED, "set events = true under [record]")
 
 
-def test_too_little_data_gives_reasons(planted, rng):
-    one = [studies.blocks_run(rng)]
+def test_too_little_data_has_its_reason(planted, rng):
     still = [BlockSteps(0.0, SPAN, np.array([30.0]), np.array([0]), np.array([-1]))] * 6
-    for question in (clustering, definitions):
-        name = question.__name__.rpartition(".")[2]
-        assert "too few matrices" in said(name, question.answer(study_of(planted, one)))
-        assert "nothing is counted" in said(name, question.answer(study_of(planted, still)))
+    for runs, reason in (([studies.blocks_run(rng)], Reason.FEW_UNITS), (still, Reason.NO_MOTION)):
+        (lack,) = collective.answer(study_of(planted, runs)).findings
+        assert lack.reason is reason
 
 
-def test_an_answer_is_the_same_twice(planted, rng):
-    runs = [studies.blocks_run(rng) for _ in range(5)]
-    for question in (clustering, definitions):
-        one, other = (question.answer(study_of(planted, runs)) for _ in range(2))
+def test_the_answer_leads_with_one_number_and_is_the_same_twice(planted, rng):
+    for depth in (0.0, 0.6):
+        runs = [studies.blocks_run(rng, depth=depth) for _ in range(6)]
+        one, other = (collective.answer(study_of(planted, runs)) for _ in range(2))
+        assert one.findings == other.findings
+        assert len(sentence(one.findings[0]).split()) <= 25
+        lead = one.findings[0]
+        assert isinstance(lead, Share | Level)
+        assert isinstance(lead, Share) or any(isinstance(found, Lack) for found in one.findings)
+        assert set(one.tables) == {"rhythm", "rhythm_spectrum", "clustering", "spectrum"}
         for name, table in one.tables.items():
             pd.testing.assert_frame_equal(table, other.tables[name])
             assert all(value == value for row in records(table) for value in row.values())  # null, never NaN
-
-
-# ------------------------------------------------------------------------------------------- definitions
-
-
-def test_every_definition_and_step_has_its_row(planted, rng):
-    found = definitions.answer(study_of(planted, [studies.blocks_run(rng) for _ in range(6)]))
-    table = found.tables["definitions"]
-    assert len(table) == 1 + 4 * 2
-    assert table["over"].between(0.8, 1.2).all()
-    assert "against independent blocks" in said("definitions", found)
-
-
-def test_a_difference_beyond_the_margin_is_told_from_one_whose_interval_reaches_within_it():
-    """The margin of gamma is 1%, of the logarithm: below, it ends at 1 / 1.01 = 0.9901."""
-    rows = [
-        {"verdict": verdict, "over_low": low, "over_high": high}
-        for verdict, low, high in (
-            ("steeper", 1.011, 1.03), ("steeper", 1.009, 1.03), ("shallower", 0.97, 0.9902),
-            ("shallower", 0.97, 0.9900), ("shallower", 0.98, 0.995), ("within", 0.995, 1.005),
-            ("cannot be told", 1.02, 1.05),
-        )
-    ]  # fmt: skip
-    found = definitions.counts(rows)
-    assert found == {"n_beyond": 2, "n_about": 3, "n_alike": 1, "n_open": 1}
-
-
-def test_no_definition_is_said_to_lie_within_the_margin_unless_it_is_shown(planted, rng):
-    found = definitions.answer(study_of(planted, [studies.blocks_run(rng) for _ in range(6)]))
-    words = environment().get_template("definitions.html").module
-    facts = found.facts | {"n_beyond": 5, "n_about": 3, "n_alike": 0, "n_open": 1}
-    part = words.part(facts, lambda *_: "")
-    assert "5 differ from them by more than 1% over the whole interval, 3 by about 1%: a difference is shown" in part
-    assert "None is shown to lie within 1%; for 1 it cannot be told." in part
-
-
-def test_without_events_gamma_stands_alone(planted, rng):
-    found = definitions.answer(study_of(planted, [studies.blocks_run(rng) for _ in range(6)], with_events=False))
-    assert found.facts["over"] == []
-    assert list(found.figures) == ["definitions"]
-    assert "how often." in said("definitions", found)
-
-
-def test_more_map_steps_are_in_the_table(planted, rng):
-    study = study_of(planted, [studies.blocks_run(rng) for _ in range(5)])
-    study = Study(study.data, dataclasses.replace(study.settings, map_dt=(0.2, 1.0, 4.0)))
-    table = definitions.answer(study).tables["definitions"]
-    assert sorted(table["dt"].dropna().unique()) == [0.2, 0.5, 1.0, 2.0, 4.0]
-
-
-def test_a_fano_factor_says_its_window(planted, rng):
-    found = clustering.answer(study_of(planted, [studies.blocks_run(rng) for _ in range(5)]))
-    rows = found.facts["of"][FANO]
-    assert [row["upto"] for row in rows] == [20.0, 5.0, 1.0, 0.5]  # 580 units hold twenty windows of 20, not of 40
-    assert found.facts["first"] is rows[0]

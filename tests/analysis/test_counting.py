@@ -4,20 +4,21 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy import stats
 
-from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis import Data, Study
+from stickslip.analysis.findings.finding import Lack, Parts, Reason
+from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import counting, pool
 from stickslip.analysis.questions.slips import cascades
-from stickslip.analysis.questions.slips import counting as question
-from stickslip.analysis.report.formats import environment
-from stickslip.analysis.report.page import plain
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats.estimates import LN2
+from stickslip.workflows.scenes import counting as counting_scene
+from stickslip.workflows.scenes.counting import question as counting_of
 from tests.analysis import studies
+from tests.analysis.blocks import coupled_blocks
 from tests.chance import agrees
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -95,81 +96,60 @@ def test_intervals_of_the_parts_hold_the_planted_ones(rng):
 PLENTY = {"matrices": 20, "changes": 9000}
 
 
-def study_of(planted, n, pull, rng, matrices=8, changes=3000):
-    """Two-state blocks as an ensemble, for each of some n; 0.3 n stick."""
-    rows, series, events = [], {}, {}
-    for size in n:
-        for matrix, (win, steps) in enumerate(studies.two_state_blocks(rng, size, 0.3, pull, changes, matrices)):
-            name = f"{size}-{matrix}"
-            rows.append(planted.member(name, matrix, n=size, t_end=win.t_stop, t_stop=win.t_stop))
-            sticks = np.zeros(size, dtype=bool)
-            blocks, first = np.unique(steps.block, return_index=True)
-            sticks[blocks] = steps.step[first] < 0
-            sticks[np.setdiff1d(np.arange(size), blocks)[: win.level - sticks.sum()]] = True
-            series[name] = np.append(0.0, win.t), win.path()
-            mode = np.where(steps.step > 0, 0, 1).astype(np.int8)
-            events[name] = steps.t, steps.block, mode, np.where(sticks, 0, 1).astype(np.int8)
-    members = pd.DataFrame(rows)
-    members["t_end"] = members["t_end"].min()
-    settings = AnalysisSettings(1.0, (0.5,), 10, 0.95, 0)
-    return Study(Data(members, series, events), settings)
+def estimates(finding):
+    """The parts of a decomposition, by name."""
+    return {level.quantity.key: level.estimate for level in (finding.whole, *finding.parts)}
 
 
-def said(answer, macro="answer"):
-    words = environment().get_template("counting.html").module
-    return plain(str(words.lack(answer.facts, answer.lack) if answer.lack else getattr(words, macro)(answer.facts)))
-
-
-def test_independent_blocks_are_counting_alone(planted, rng):
-    found = [question.answer(study_of(planted, (40,), 0.0, rng)) for _ in range(8)]
-    leads = [one.facts["lead"] for one in found if not one.lack]
-    assert {one.lack for one in found if one.lack} <= {"drifts"}  # a false alarm of 5%: more than 3 of 8 are 4e-4
-    assert len(leads) > 4
-    assert agrees(sum(lead["verdict"] in ("within", "cannot be told") for lead in leads), len(leads), 0.95, 1.0)
-    lead = leads[0]
-    assert lead["counting"] == pytest.approx(pool.gamma(40, lead["mean"]) / LN2 - 1)
-    assert lead["slope_of_pool"] == pytest.approx(0.03, rel=0.1)
+def test_independent_blocks_are_finite_size_alone(planted, rng):
+    answers = [counting_of(coupled_blocks(planted, (40,), 0.0, rng)) for _ in range(8)]
+    known = [answer.findings[0] for answer in answers if not isinstance(answer.findings[0], Lack)]
+    assert {answer.findings[0].reason for answer in answers if isinstance(answer.findings[0], Lack)} <= {Reason.DRIFT}
+    assert len(known) > 4  # a false alarm of drift has 5%: more than 3 of 8 are 4e-4
+    parts = [estimates(finding) for finding in known]
+    assert agrees(sum(part["coupling"].low <= 0 <= part["coupling"].high for part in parts), len(parts), 0.95)
+    row = next(answer.tables["counting"].iloc[0] for answer in answers if answer.findings[0] is known[0])
+    assert parts[0]["counting"].value == pytest.approx(pool.gamma(40, row["mean"]) / LN2 - 1)
+    assert row["slope_of_pool"] == pytest.approx(0.03, rel=0.1)
 
 
 def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
-    study = study_of(planted, (20, 40), 0.1, rng, **PLENTY)
-    found = question.answer(study)
-    assert [row["n"] for row in found.facts["alike"]] == [20, 40]
-    assert [row["verdict"] for row in found.facts["alike"]] == ["steeper", "steeper"]
-    assert found.facts["lead"]["slope_verdict"] == "steeper"
-    words = said(found)
-    assert words.startswith("At n = 40, exact, γ is ")
-    assert "the memoryless null of 40 blocks, contributes +" in words
-    assert re.search(r"Coupling contributes \+[0-9.]+ \(.*\) at n = 20", words)
-    figure = found.figures["counting"]()
-    assert [ax.get_ylabel() for ax in figure.axes] == [question.EXCESS, question.SCALED]
-    (one,) = question.answer(study_of(planted, (40,), 0.1, rng)).figures["counting"]().axes
+    answer = counting_of(coupled_blocks(planted, (20, 40), 0.1, rng, **PLENTY))
+    sums = [finding for finding in answer.findings if isinstance(finding, Parts)]
+    assert [finding.whole.where for finding in sums] == ["n = 40", "n = 20"]
+    for finding in sums:
+        each = estimates(finding)
+        assert each["coupling"].low > 0.0
+        assert each["excess"].value == pytest.approx(
+            sum(each[name].value for name in ("counting", "habits", "coupling"))
+        )
+    assert re.fullmatch(
+        r"Excess over ln 2 at n = 40: [0-9.]+%, from finite size \+[0-9.]+%, "
+        r"each block's own dynamics [+\u2212][0-9.]+% and coupling \+[0-9.]+% \(\+[0-9.]+ to \+[0-9.]+%\)\.",
+        sentence(sums[0]),
+    )
+    figure = answer.figures["counting"].recipe()
+    assert [ax.get_ylabel() for ax in figure.axes] == [counting_scene.EXCESS, counting_scene.SCALED]
+    (one,) = counting_of(coupled_blocks(planted, (40,), 0.1, rng)).figures["counting"].recipe().axes
     labels = {text.get_text() for text in one.get_legend().texts}
-    assert labels == {"fair-coin null", "memoryless null", "independent blocks", "runs"}
-
-
-def test_within_the_margin_is_said_with_it_though_coupling_is_shown(planted, rng, monkeypatch):
-    monkeypatch.setattr(question, "GAMMA_MARGIN", 0.3)
-    found = question.answer(study_of(planted, (40,), 0.1, rng, **PLENTY))
-    assert found.facts["lead"]["coupling_low"] > 0
-    assert found.facts["lead"]["verdict"] == "within"
-    assert "within 30%" in said(found, "main")
+    assert labels == {"fair coin", "two-state blocks", "shifted in time", "runs"}
 
 
 def test_what_is_missing_is_said(planted, rng):
-    study = study_of(planted, (40,), 0.0, rng, matrices=2)
-    assert "too few matrices" in said(question.answer(study))
-    assert question.answer(Study(replace(study.data, events={}), study.settings)) is None
+    study = coupled_blocks(planted, (40,), 0.0, rng, matrices=2)
+    assert counting_of(study).findings[0].reason is Reason.FEW_UNITS
+    unrecorded = Study(replace(study.data, events={}), study.settings)
+    assert counting_of(unrecorded).findings[0].reason is Reason.NOT_RECORDED
 
 
-def test_gamma_is_held_against_one_pool_lulls_or_none(planted, rng):
+def test_the_rate_is_held_against_one_pool_lulls_or_none(planted, rng):
     """Of four blocks, slowed down so that n_stick rests at zero for long: both questions take the same mean."""
-    study = study_of(planted, (4,), 0.0, rng)
+    study = coupled_blocks(planted, (4,), 0.0, rng)
     slow = 100.0
     series = {name: (slow * t, n_stick) for name, (t, n_stick) in study.data.series.items()}
     events = {name: (slow * t, *rest) for name, (t, *rest) in study.data.events.items()}
     members = study.data.members.assign(t_end=slow * study.data.members["t_end"])
     study = Study(Data(members.assign(t_stop=members["t_end"]), series, events), study.settings)
-    row, law = (question.answer(study).tables["counting"].iloc[0], cascades.answer(study).tables["law"].iloc[0])
+    row, law = counting_of(study).tables["counting"].iloc[0], cascades.answer(study).tables["law"].iloc[0]
     assert row["in_lulls"] > 0.05
     assert law["over_pool"] / LN2 == pytest.approx(row["excess"] - row["counting"], abs=1e-9)

@@ -1,15 +1,16 @@
 """Fates and survival: textbook numbers, identities, planted hazards, and what is never called an end."""
 
 import math
-import re
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Data, Study, build
-from stickslip.analysis.ensemble import Recorded
+from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis.findings.alerts import Code
+from stickslip.analysis.findings.finding import Lack, Level, Lifetime, Regimes, Share
+from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
@@ -25,17 +26,12 @@ from stickslip.analysis.models.fates import (
     median,
     survival,
 )
-from stickslip.analysis.questions.runs.fates import answer
-from stickslip.analysis.report.formats import environment
-from stickslip.analysis.report.page import MOST_ALERTS, _primary, _Shown
+from stickslip.analysis.questions.runs.fates import DELAY, QUESTION, answer
 from stickslip.analysis.stats.compare import share_over_matrices, wilson
 from tests.analysis import studies
 
-pytestmark = pytest.mark.usefixtures("undrawn")
-
 EPS = np.finfo(float).eps
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0)
-WORDS = environment().get_template("fates.html").module
 
 
 def test_survival_against_the_textbook():
@@ -212,46 +208,65 @@ def data_of(planted, outcomes, n=200):
     return Data(pd.DataFrame(rows), series)
 
 
+def beside(data, other, **columns):
+    """Two ensembles as one, the second one's members with other values of some columns."""
+    more = other.members.assign(member_id="s" + other.members["member_id"], **columns)
+    series = dict(data.series) | {f"s{name}": points for name, points in other.series.items()}
+    return Data(pd.concat([data.members, more], ignore_index=True), series)
+
+
 def asked(data):
     return answer(Study(data, SETTINGS))
 
 
+def shares(answered):
+    return {(finding.key, finding.where): finding for finding in answered.findings if isinstance(finding, Share)}
+
+
+def of_kind(answered, kind):
+    return [finding for finding in answered.findings if isinstance(finding, kind)]
+
+
+def codes(answered):
+    return {alert.code: dict(alert.numbers) for alert in answered.alerts}
+
+
+def ends(estimate):
+    return pytest.approx((estimate.value, estimate.low, estimate.high), abs=1e-3)
+
+
 def test_fates_are_kept_apart(planted):
     plan = [COLLAPSED] * 4 + [QUIET] * 2 + [DIVERGED] * 3 + [SUSTAINED] * 9 + [LULL] * 2 + ["failed"]
-    found = asked(data_of(planted, plan))
-    row = found.tables["fates"].iloc[0]
+    answered = asked(data_of(planted, plan))
+    row = answered.tables["fates"].iloc[0]
     assert [row[f"n_{end}"] for end in (COLLAPSED, QUIET, DIVERGED, SUSTAINED, LULL)] == [4, 2, 3, 9, 2]
     assert (row["n_moving"], row["n_runs"], row["n_failed"]) == (11, 20, 1)
-    assert row["moving"] == pytest.approx(11 / 20)
-    said = WORDS.answer(found.facts)
     # Wilson's of 11 in 20 begins at 0.342, that of 13 in 20 ends at 0.819
-    assert "11 of 20 runs at n = 200 are in motion at t = 1000 (34% to 82%); " in said
-    assert "4 slip for good, 3 ran away and 2 are quiet" in said
-    alerts = WORDS.alerts(found.facts)
-    assert "1 of 21 runs failed" in alerts
-    assert "2 of 11 runs in motion are in a lull: no block has stuck for the last quarter" in alerts
-    assert (
-        "2 of 20 runs are quiet: a certificate is still missing at t = 1000; no block has stuck since t = 55"
-        in alerts
-    )
-    assert (
-        "cannot be told, as slipping all together is stable, but not certified to last. They are in no mean" in alerts
-    )
-    assert "are of the runs that are in motion at t = 1000: 11 of 20 at n = 200." in alerts
-    assert 'class="ok"' not in alerts
+    found = shares(answered)
+    assert ends(found["stick-slip", ""].estimate) == (11 / 20, 0.342, 0.819)
+    assert found["slide", ""].estimate.value == pytest.approx(6 / 20)
+    assert found["grow", ""].estimate.value == pytest.approx(3 / 20)
+    assert sentence(answered.findings[0]) == "55% (34 to 82%) of runs still stick and slip at t = 1000."
+    assert found["slide", ""].predicate == "stop sticking by t = 55.0"
+    assert codes(answered)[Code.FAILED] == {"n": 1, "of": 21}
+    assert codes(answered)[Code.UNCERTIFIED] == {"n": 2, "of": 20}
 
 
-def test_survival_counts_certified_ends_and_run_away_alone(planted):
-    found = asked(data_of(planted, [COLLAPSED] * 4 + [SUSTAINED] * 5 + [DIVERGED] * 3 + [LULL] * 8))
-    curve = found.tables["survival_curves"]
+def test_survival_counts_certified_ends_and_growth_alone(planted):
+    answered = asked(data_of(planted, [COLLAPSED] * 4 + [SUSTAINED] * 5 + [DIVERGED] * 3 + [LULL] * 8))
+    curve = answered.tables["survival_curves"]
     assert curve["t"].tolist() == [0, 50, 51, 52, 53, 400]  # last events, and when three left every bound
     assert curve["survival"].tolist() == pytest.approx([1, 0.95, 0.9, 0.85, 0.8, 0.65])
-    assert found.tables["runs"].groupby("fate")["t"].max().to_dict() == {
+    assert answered.tables["runs"].groupby("fate")["t"].max().to_dict() == {
         COLLAPSED: 53, DIVERGED: 400, LULL: 1000, SUSTAINED: 1000,
     }  # fmt: skip
+    (ax,) = answered.figures["survival"].recipe().axes
+    (line,) = ax.lines
+    assert line.get_ydata()[-1] == pytest.approx(0.65)
+    assert len(ax.collections) == 1, "with its interval"
 
 
-def test_survival_takes_quiet_runs_either_way(planted):
+def test_survival_takes_runs_without_a_certificate_either_way(planted):
     """Four of ten ended by t = 53; five more did by t = 58, or not at all."""
     curve = asked(data_of(planted, [COLLAPSED] * 4 + [QUIET] * 5 + [SUSTAINED])).tables["survival_curves"]
     least, most = (kaplan_meier(np.arange(50.0, 60.0), np.arange(10) < n_ended, 0.95) for n_ended in (9, 4))
@@ -266,41 +281,35 @@ def test_survival_takes_quiet_runs_either_way(planted):
 
 def test_a_certificate_that_is_late_is_no_other_fate(planted):
     """Two laws whose runs all slip from the same events on; under one of them few are certified in time."""
-    data, other = data_of(planted, [COLLAPSED] * 20), data_of(planted, [COLLAPSED] * 9 + [QUIET] * 11)
-    late = other.members.assign(member_id="s" + other.members["member_id"], **planted.sigmoid)
-    series = dict(data.series) | {f"s{name}": points for name, points in other.series.items()}
-    found = asked(Data(pd.concat([data.members, late]), series))
-    said = WORDS.answer(found.facts)
-    assert "At t = 1000 no block sticks in any of the 40 runs." in said
-    half = "59.0 (55.0 to 64.0) under the exact law, 59.0 (55.0 or later) under the sigmoid"
-    assert f"had their last event by t = {half}." in said
-    assert "slip for good" not in said
-    rows = found.tables["fates"].set_index("engine")
+    late = data_of(planted, [COLLAPSED] * 9 + [QUIET] * 11)
+    answered = asked(beside(data_of(planted, [COLLAPSED] * 20), late, **planted.sigmoid))
+    exact, smooth = of_kind(answered, Lifetime)
+    assert (exact.estimate.value, exact.estimate.low, exact.estimate.high) == (59.0, 55.0, 64.0)
+    assert (smooth.estimate.value, smooth.estimate.low, smooth.estimate.high) == (59.0, 55.0, None)
+    rows = answered.tables["fates"].set_index("engine")
     assert rows["median"].tolist() == [59.0, 59.0]
     assert pd.isna(rows.loc["sigmoid", "median_most"]), "not half are certified"
-    part = WORDS.part(found.facts, lambda *_: "")
-    assert "quiet runs count as ended at their last events" in part
-    assert "Ran away" not in part
-    assert "11 under the sigmoid" in WORDS.alerts(found.facts)
-    assert [row["engine"] for row in found.facts["rated"]] == ["coulomb"], "the rate is that of constant friction"
+    assert [share.predicate for share in of_kind(answered, Share)][:2] == [
+        "end in steady sliding", "stop sticking by t = 69.0",
+    ]  # fmt: skip
+    assert codes(answered)[Code.UNCERTIFIED] == {"n": 11, "of": 40}
 
 
 def test_last_events_are_compared_system_by_system(planted, rng):
     """Under the sigmoid each comes 3 later, but for scatter; few have a certificate there, and one goes on."""
     data = data_of(planted, [COLLAPSED] * 40)
     other = data_of(planted, [COLLAPSED] * 10 + [QUIET] * 29 + [SUSTAINED])
-    late = other.members.assign(member_id="s" + other.members["member_id"], **planted.sigmoid)
     shifts = 3.0 + rng.uniform(-1.0, 1.0, 40)
-    series = dict(data.series)
-    for (name, (t, n_stick)), shift in zip(other.series.items(), shifts, strict=True):
-        series[f"s{name}"] = t + np.array([0.0, shift]), n_stick
-    (row,) = asked(Data(pd.concat([data.members, late]), series)).tables["last_events"].to_dict("records")
+    for (name, (t, n_stick)), shift in zip([*other.series.items()], shifts, strict=True):
+        other.series[name] = t + np.array([0.0, shift]), n_stick
+    answered = asked(beside(data, other, **planted.sigmoid))
+    (row,) = answered.tables["last_events"].to_dict("records")
     assert (row["n_systems"], row["n_open"]) == (39, 1)
     assert row["shift"] == pytest.approx(np.median(shifts[:39]))
-    in_order = np.sort(shifts[:39])
-    assert (row["shift_low"], row["shift_high"]) == pytest.approx(
-        (in_order[12], in_order[26])
-    )  # 13th of 39 by tosses
+    in_order = np.sort(shifts[:39])  # 13th of 39 by tosses
+    assert (row["shift_low"], row["shift_high"]) == pytest.approx((in_order[12], in_order[26]))
+    (delay,) = [level for level in of_kind(answered, Level) if level.quantity is DELAY]
+    assert (delay.estimate.value, delay.basis.n) == (row["shift"], 39)
 
 
 def test_a_run_that_has_not_moved_is_not_in_motion(planted):
@@ -310,55 +319,46 @@ def test_a_run_that_has_not_moved_is_not_in_motion(planted):
         name: (np.array([0.0]), np.array([200])) if k < 15 else (np.array([0.0, 30.0]), np.array([199, 200]))
         for k, name in enumerate(data.series)
     }
-    found = asked(Data(data.members, series))
-    row = found.tables["fates"].iloc[0]
+    answered = asked(Data(data.members, series))
+    row = answered.tables["fates"].iloc[0]
     assert (row["n_unmoved"], row["n_moving"], row["n_held"]) == (15, 5, 5)
     assert row["moving"] == pytest.approx(0.25)
     assert row["moving_high"] < 0.5
-    assert "15 have not moved" in WORDS.answer(found.facts)
-    none = asked(Data(data.members, dict.fromkeys(series, (np.array([0.0]), np.array([200])))))
-    assert "No block of 20 runs has moved by t = 1000" in WORDS.answer(none.facts)
+    assert sentence(answered.findings[0]) == "100.0% (83.9 to 100.0%) of runs are stuck at t = 1000."
     assert fate("finished", series["200-0"], 1000.0, n=200) == UNMOVED
     assert fate("finished", series["200-0"], 1000.0, n=201) == SUSTAINED
 
 
-def test_half_that_may_have_ended_is_not_said_to_be_fewer(planted):
-    """Where all are quiet, half may well have ended: only certificates are missing."""
-    for plan, words in (
-        ([QUIET] * 4, "51.0 (no interval)"),
-        ([COLLAPSED] * 2 + [DIVERGED] + [QUIET] * 4, "54.0 (50.0 or later)"),
-        ([COLLAPSED] + [QUIET] + [SUSTAINED] * 4, "not reached: 1 certified, 1 quiet"),
-        ([COLLAPSED] + [SUSTAINED] * 4, "not reached<"),
-    ):
-        main = WORDS.main(asked(data_of(planted, plan)).facts)
-        assert f">{words}" in main
-        assert "fewer than half" not in main
+@pytest.mark.parametrize(
+    ("plan", "value", "low"),
+    [
+        ([QUIET] * 4, 51.0, None),
+        ([COLLAPSED] * 2 + [DIVERGED] + [QUIET] * 4, 54.0, 50.0),
+        ([COLLAPSED] + [QUIET] + [SUSTAINED] * 4, None, None),
+    ],
+)
+def test_half_that_may_have_ended_is_not_said_to_be_fewer(planted, plan, value, low):
+    """Where all slide so far, half may well have ended: only certificates are missing."""
+    lifetimes = of_kind(asked(data_of(planted, plan)), Lifetime)
+    assert [(found.estimate.value, found.estimate.low) for found in lifetimes] == [(value, low)] * bool(value)
 
 
 def test_without_a_growth_rate_a_lull_cannot_be_told(planted):
     """Nor where friction hangs on the speed of slip, of which the rate says nothing."""
     data = data_of(planted, [LULL] * 5 + [SUSTAINED] * 5)
-    constant = "as where friction depends on the speed of slip, blocks may move on without a stick"
-    for changes, why in (
-        ({"growth_rate": None}, "as no growth rate of the all-slip state is recorded"),
-        ({"weakening_speed": 0.5}, constant),
-        (planted.sigmoid, constant),
-    ):
-        found = asked(Data(data.members.assign(**changes), data.series))
-        assert found.tables["fates"][["n_quiet", "n_lull"]].iloc[0].tolist() == [5, 0]
-        assert f"cannot be told, {why}" in WORDS.alerts(found.facts)
+    assert codes(asked(data))[Code.TEMPORARY] == {"n": 5, "of": 10}
+    for changes in ({"growth_rate": None}, {"weakening_speed": 0.5}, planted.sigmoid):
+        answered = asked(Data(data.members.assign(**changes), data.series))
+        assert answered.tables["fates"][["n_quiet", "n_lull"]].iloc[0].tolist() == [5, 0]
+        assert codes(answered)[Code.UNCERTIFIED] == {"n": 5, "of": 10}
 
 
 def test_what_all_runs_do_has_a_bound(planted):
     """Wilson's interval of 20 in 20 begins at 0.839."""
-    found = asked(data_of(planted, [SUSTAINED] * 20))
-    said = "came to slip for good or ran away by t = 1000 (95%: at most 16% of such systems)"
-    assert f"Not one of 20 systems {said}." in WORDS.answer(found.facts)
-    assert '<li class="ok">All 20 runs reached t = 1000' in WORDS.alerts(found.facts)
-    none = asked(data_of(planted, [DIVERGED] * 20))
-    assert "No run of 20 sticks and slips at t = 1000 (at most 16% of such systems do)" in WORDS.answer(none.facts)
-    failed = asked(data_of(planted, ["failed"] * 2))
-    assert "all 2 runs failed" in WORDS.answer(failed.facts)
+    for fate_of, key in ((SUSTAINED, "stick-slip"), (DIVERGED, "grow")):
+        answered = asked(data_of(planted, [fate_of] * 20))
+        assert ends(shares(answered)[key, ""].estimate) == (1.0, 0.839, 1.0)
+    assert [type(finding) for finding in asked(data_of(planted, ["failed"] * 2)).findings] == [Lack]
 
 
 @pytest.mark.parametrize("n_held", [20, 5, 1])
@@ -369,64 +369,40 @@ def test_runs_whose_blocks_all_stick_are_not_said_to_move(planted, n_held):
     late = {
         f"200-{k}": (np.array([0.0, 760.0]), np.array([3, 200])) for k in range(n_held, 20)
     }  # for too short a time
-    found = asked(replace(data, series=dict(data.series) | held | late))
-    assert found.tables["fates"]["n_held"].tolist() == [n_held]
-    said, alerts = WORDS.answer(found.facts), WORDS.alerts(found.facts)
-    assert ("Not one of 20 systems" in said) == (n_held < 20)
-    assert ("In all 20 runs every block has stuck to its belt for the last quarter" in said) == (n_held == 20)
-    assert f"{n_held} of 20 runs that count as in motion {'is' if n_held == 1 else 'are'} held" in alerts
-    assert "held" not in WORDS.alerts(asked(data_of(planted, [SUSTAINED] * 20)).facts)
+    answered = asked(replace(data, series=dict(data.series) | held | late))
+    assert answered.tables["fates"]["n_held"].tolist() == [n_held]
+    assert shares(answered)["stuck", ""].estimate.value == pytest.approx(n_held / 20)
+    assert shares(answered).keys() == {("stuck", ""), *([("stick-slip", "")] if n_held < 20 else [])}
 
 
-def test_two_engines_on_one_matrix_are_one_system(planted):
+def test_methods_that_agree_are_said_once_and_are_one_system(planted):
     data = data_of(planted, [SUSTAINED] * 20)
-    twice = data.members.assign(member_id="s" + data.members["member_id"], **planted.sigmoid)
-    series = dict(data.series) | {f"s{name}": points for name, points in data.series.items()}
-    found = asked(Data(pd.concat([data.members, twice]), series))
-    assert found.facts["total"]["runs"] == 40
-    assert found.facts["share"].low == pytest.approx(0.839, abs=1e-3)
-
-
-@pytest.mark.parametrize("kinds", [[SUSTAINED] * 5, [COLLAPSED] * 5, [COLLAPSED] * 3 + [SUSTAINED] * 2])
-@pytest.mark.parametrize("unit", ["matrix", "start"])
-def test_intervals_are_called_by_their_level(planted, kinds, unit):
-    study = Study(data_of(planted, kinds), replace(SETTINGS, confidence=0.999))
-    words = environment()
-    words.globals["unit"] = unit
-    template, facts = words.get_template("fates.html").module, answer(study).facts
-    said = template.answer(facts) + template.main(facts)
-    assert "99.9%" in said
-    assert "95%" not in said
+    answered = asked(beside(data, data, **planted.sigmoid))
+    assert answered.n_lead == 1
+    assert [share.basis.n for share in of_kind(answered, Share)] == [20, 20]
 
 
 def test_points_of_a_sweep_share_their_matrices(planted):
     data = data_of(planted, [SUSTAINED] * 20)
-    other = data.members.assign(member_id="s" + data.members["member_id"], belt_speed=-0.4)
-    series = dict(data.series) | {f"s{name}": points for name, points in data.series.items()}
-    found = asked(Data(pd.concat([data.members, other]), series))
-    said = WORDS.answer(found.facts)
-    assert "Not one of 40 runs of 20 systems came to slip for good" in said
-    assert "(95%: at most 16% of such systems)" in said
+    answered = asked(beside(data, data, belt_speed=-0.4))
+    (share,) = of_kind(answered, Share)
+    assert ends(share.estimate) == (1.0, 0.839, 1.0)
+    assert share.basis.n == 20
 
 
 def test_the_fates_of_two_laws_are_not_added_up(planted):
     data = data_of(planted, [SUSTAINED] * 12)
-    other = data_of(planted, [SUSTAINED] * 4 + [DIVERGED] * 8)
-    away = other.members.assign(member_id="s" + other.members["member_id"], **planted.sigmoid)
-    series = dict(data.series) | {f"s{name}": points for name, points in other.series.items()}
-    found = asked(Data(pd.concat([data.members, away]), series))
-    counts = {row["system"].split(", ")[1]: (row["n_moving"], row["n_diverged"]) for row in found.facts["systems"]}
-    assert counts == {"exact": (12, 0), "sigmoid": (4, 8)}
-    said = WORDS.answer(found.facts)
-    assert (
-        "12 of 12 runs at n = 200, exact are in motion at t = 1000 (76% to 100%); 4 of 12 at n = 200, sigmoid" in said
-    )
-    assert "16" not in said
-    assert "8 ran away" not in said
+    answered = asked(beside(data, data_of(planted, [SUSTAINED] * 4 + [DIVERGED] * 8), **planted.sigmoid))
+    found = {(key, where.partition(",")[0]): share.estimate.value for (key, where), share in shares(answered).items()}
+    assert {pair: value for pair, value in found.items() if pair[1]} == {
+        ("stick-slip", "exact"): 1.0, ("stick-slip", "sigmoid"): pytest.approx(1 / 3),
+        ("grow", "sigmoid"): pytest.approx(2 / 3),
+    }  # fmt: skip
+    assert answered.n_lead == 3, "what the two do, and how long the second lasts"
 
 
 @pytest.mark.parametrize(("rate", "how"), [(1e-4, LULL), (-1e-4, QUIET)])
-def test_a_lull_is_part_of_the_mean_and_a_quiet_run_is_not(planted, rng, rate, how):
+def test_a_lull_is_part_of_the_mean_and_a_run_that_slides_so_far_is_not(planted, rng, rate, how):
     """Half of the runs stop sticking at t = 300; their window begins at t = 100."""
     rows, series = [], {}
     for matrix in range(16):
@@ -437,7 +413,7 @@ def test_a_lull_is_part_of_the_mean_and_a_quiet_run_is_not(planted, rng, rate, h
         rows.append(planted.member(f"m{matrix}", matrix, growth_rate=rate))
         series[f"m{matrix}"] = t, n_stick
     every, alone, still = (
-        Study(Data(pd.DataFrame(some), series), SETTINGS).groups[0] for some in (rows, rows[::2], rows[1::2])
+        Study(Data(pd.DataFrame(part), series), SETTINGS).groups[0] for part in (rows, rows[::2], rows[1::2])
     )
     assert every.fates.tolist() == [SUSTAINED, how] * 8
     n_moving = 16 if how == LULL else 8
@@ -450,52 +426,56 @@ def test_a_lull_is_part_of_the_mean_and_a_quiet_run_is_not(planted, rng, rate, h
         assert every.mean(0.95).value == pytest.approx((alone.mean(0.95).value + still.mean(0.95).value) / 2)
 
 
-def test_sizes_are_set_side_by_side_with_the_linear_growth_rate(planted):
-    plan = {20: [COLLAPSED] * 3 + [QUIET] * 2, 100: [SUSTAINED] * 5, 250: [DIVERGED] * 4 + [SUSTAINED]}
+def of_sizes(planted, plan):
     parts = [data_of(planted, outcomes, n) for n, outcomes in plan.items()]
     members = pd.concat([part.members for part in parts], ignore_index=True)
-    found = asked(Data(members, {name: points for part in parts for name, points in part.series.items()}))
-    said = WORDS.answer(found.facts)
-    assert "every run at n = 100 still sticks and slips (5 of 5, 95% interval 57% to 100%). At n = 20, 3 of 5" in said
-    assert "3 of 5 slip for good and 2 of 5 are quiet; at n = 250, 4 of 5 have run away by t = 1000." in said
-    noted = WORDS.main(found.facts)
-    assert "3 of 5 runs with a stable all-slip state were certified to slip for good; a certificate needs" in noted
-    assert "so the 10 others could not be." in noted
-    assert "n = 100 lie" not in WORDS.survival_caption(found.facts), "one group is one line"
-    assert [(row["state"], row["n_runs"], row["n_collapsed"]) for row in found.facts["linear"]] == [
-        ("stable", 5, 3),
-        ("unstable", 10, 0),
-    ]
-    assert found.tables["runs"]["fate"].tolist()[:5] == [COLLAPSED] * 3 + [QUIET] * 2
-    for recipe in found.figures.values():
-        assert recipe().axes
+    return Data(members, {name: points for part in parts for name, points in part.series.items()})
+
+
+def test_sizes_are_grouped_by_what_all_their_runs_do(planted):
+    plan = {20: [COLLAPSED] * 5, 50: [COLLAPSED] * 5, 100: [SUSTAINED] * 5, 250: [DIVERGED] * 4 + [SUSTAINED]}
+    answered = asked(of_sizes(planted, plan))
+    regimes = answered.findings[0]
+    assert isinstance(regimes, Regimes)
+    assert sentence(regimes) == (
+        "Up to n = 50 all 10 runs end in steady sliding; at n = 100 all 5 still stick and slip at t = 1000;"
+        " at n = 250 some still stick and slip at t = 1000 and others grow without limit."
+    )
+    # Wilson's of 5 in 5: the systems of 20 and of 50 blocks are not counted together
+    assert [regime.share.low for regime in regimes.regimes] == [pytest.approx(0.566, abs=1e-3)] * 2 + [None]
+    found = shares(answered)
+    assert found["grow", "n = 250"].estimate.value == pytest.approx(0.8)
+    assert (found["stable_collapsed", ""].estimate.value, found["unstable_diverged", ""].basis.n) == (1.0, 10)
+    assert answered.tables["runs"]["fate"].tolist()[:5] == [COLLAPSED] * 5
+    for picture in answered.figures.values():
+        assert picture.recipe().axes
+
+
+def test_many_changes_along_a_key_are_counted(planted):
+    by_turns = {n: [COLLAPSED if k % 2 else SUSTAINED] * 4 for k, n in enumerate(range(10, 80, 10))}
+    assert sentence(asked(of_sizes(planted, by_turns)).findings[0]) == (
+        "At 4 of 7 values of n all 16 runs still stick and slip at t = 1000; at 3 of 7 values of n all 12 end in"
+        " steady sliding."
+    )
+
+
+def test_of_many_stretches_only_those_of_one_outcome_are_named(planted):
+    mixed = [COLLAPSED, SUSTAINED] * 2
+    plan = {1: [COLLAPSED] * 4, 2: mixed, 3: [SUSTAINED] * 4, 4: [*mixed[:3], DIVERGED], 5: [DIVERGED] * 4}
+    (regimes,) = of_kind(asked(of_sizes(planted, {10 * n: outcomes for n, outcomes in plan.items()})), Regimes)
+    assert [regime.where for regime in regimes.regimes] == ["at n = 10", "at n = 30", "at n = 50"]
 
 
 def test_a_drift_is_an_alert_even_of_few_cascades(planted):
     t = np.arange(0.0, 1000.0)
     rising = {f"200-{k}": (t, np.arange(1000) // 10 + k) for k in range(5)}
     data = data_of(planted, [SUSTAINED] * 5)
-    alerts = WORDS.alerts(asked(Data(data.members, rising)).facts)
-    assert "drifts after t = 100, by +45" in alerts
-    assert "without drift" not in alerts
+    assert codes(asked(Data(data.members, rising)))[Code.DRIFT]["t_burn"] == 100.0
 
 
-def test_fates_lead_a_report_whose_runs_mostly_ended(planted):
-    shown = [_Shown("fates", {}), _Shown("robustness", {})]
-    for outcomes, leads in (
-        ([COLLAPSED] * 6 + [SUSTAINED] * 4, "fates"),
-        ([COLLAPSED] * 4 + [SUSTAINED] * 6, "robustness"),
-    ):
-        assert _primary(Study(data_of(planted, outcomes), SETTINGS), shown)[0] == leads
-
-
-@pytest.mark.drawn
-def test_a_page_has_few_alerts_and_what_is_well_comes_last(planted):
-    outcomes = ["failed"] + [COLLAPSED] + [SUSTAINED] * 2
-    report = build(data_of(planted, outcomes), SETTINGS, "A study", "", {})
-    (alerts,) = re.findall(r'<ul class="alerts".*?</ul>', report.html, re.DOTALL)
-    assert 1 <= alerts.count("<li") <= MOST_ALERTS
-    assert "1 of 4 runs failed" in alerts
+def test_the_question_leads_where_most_runs_ended(planted):
+    for outcomes, leads in (([COLLAPSED] * 6 + [SUSTAINED] * 4, True), ([COLLAPSED] * 4 + [SUSTAINED] * 6, False)):
+        assert QUESTION.leads(Study(data_of(planted, outcomes), SETTINGS)) == leads
 
 
 def starts(planted, rng, n_starts, **columns):
@@ -512,52 +492,34 @@ def starts(planted, rng, n_starts, **columns):
 
 def test_starts_of_one_block_show_their_basin(planted, rng):
     data, z, w = starts(planted, rng, 400)
-    found = asked(data)
-    assert len(found.tables["fates"]) == 1, "starts that are drawn tell no groups apart"
+    answered = asked(data)
+    assert len(answered.tables["fates"]) == 1, "starts that are drawn tell no groups apart"
     slides = np.abs(z) < 1
     low, high = wilson(slides.sum(), 400, 0.95)
-    page = build(data, replace(SETTINGS, question=("fates",)), "Starts", "", {})
-    assert page.headline[1] == (
-        f"{slides.sum()} of 400 starts ({100 * slides.mean():.1f}%, {100 * low:.1f}% to {100 * high:.1f}%) "
-        "came to slip for good or had no stick from t = 750 to t = 1000; the others stick and slip."
-    )
-    points = found.facts["basin"]["points"]
-    assert sorted(map(tuple, points["no late stick"])) == sorted(zip(z[slides], w[slides], strict=True))
-    assert sum(map(len, points.values())) == 400
-    (ax,) = found.figures["basin"]().axes
-    assert sorted(len(line.get_xdata()) for line in ax.lines) == sorted([slides.sum(), (~slides).sum()])
-    assert "no late stick: none from t = 750 to t = 1000" in page.html
-    assert "basin" in page.figures
-    assert found.tables["fates"]["kappa_n"].isna().all(), "one block has no springs to others"
-    assert "κ n" not in page.html
-    assert "effective samples" not in page.html, "starts of one system share its cycle"
-    assert "γ" not in re.sub(r"<details id=.made.*", "", page.html, flags=re.DOTALL), "one block has no cascades"
+    share = shares(answered)["slide", ""]
+    assert (slides.mean(), low, high) == ends(share.estimate)
+    assert (share.things, share.basis.n) == ("starts", 400)
+    (ax,) = answered.figures["basin"].recipe().axes
+    drawn = {
+        line.get_color(): sorted(zip(*line.get_data(), strict=True)) for line in ax.lines if len(line.get_xdata())
+    }
+    assert sorted(zip(z[slides], w[slides], strict=True)) == drawn["#0072B2"]
+    assert sum(map(len, drawn.values())) == 400
+    assert answered.tables["fates"]["kappa_n"].isna().all(), "one block has no springs to others"
 
 
 def test_a_grid_of_starts_shows_its_basin_too(planted, rng):
     """Swept, not drawn: each start is a group, and all are one picture; of n blocks that start alike as of one."""
-    data, *_ = starts(planted, rng, 30, n=20, drawn=None, start_draw=None)
-    basin = asked(data).facts["basin"]
-    assert (basin["n"], basin["of"]) == (30, 30)
-
-
-def test_swept_starts_are_counted_together_and_quiet_ones_on_a_cycle_are_said(planted, rng):
-    """Each start is a setting of one run: what every run of one does is nothing to tell."""
-    data, z, _ = starts(planted, rng, 30, drawn=None, start_draw=None)
-    is_quiet = (np.abs(z) < 1) & (data.members["outcome"] == "finished").to_numpy()
-    exits = {name: 0.0 if quiet else 1.0 for name, quiet in zip(data.members["member_id"], is_quiet, strict=True)}
-    own = {"exits_per_period": Recorded("exits in a period", exits)}
-    facts = asked(Data(data.members, data.series, recorded=own)).facts
-    assert facts["n_on_cycle"] == is_quiet.sum()
-    words = environment().get_template("fates.html").module
-    said = re.sub(r"\s+", " ", str(words.answer(facts))).strip()
-    assert said.startswith(f"{(np.abs(z) >= 1).sum()} of 30 runs, one at each setting, are in motion at t = ")
-    assert f"{is_quiet.sum()} of them" in str(words.alerts(facts)) or not is_quiet.any()
+    data, z, _ = starts(planted, rng, 30, n=20, drawn=None, start_draw=None)
+    answered = asked(data)
+    assert "drawn are" not in answered.figures["basin"].caption
+    regimes = answered.findings[0]
+    assert {regime.n for regime in regimes.regimes} == {(np.abs(z) < 1).sum(), (np.abs(z) >= 1).sum()}
 
 
 @pytest.mark.parametrize("columns", [{"z0": None, "w0": None}, {"w0": 0.5}])
 def test_starts_that_are_not_known_or_do_not_vary_show_no_basin(planted, rng, columns):
     """Datasets of before have no numbers of starts that were drawn."""
-    page = build(starts(planted, rng, 50, **columns)[0], replace(SETTINGS, question=("fates",)), "Starts", "", {})
-    assert " of 50 starts (" in page.headline[1]
-    assert "basin" not in page.figures
+    answered = asked(starts(planted, rng, 50, **columns)[0])
+    assert ("slide", "") in shares(answered)
+    assert "basin" not in answered.figures

@@ -21,6 +21,7 @@ from stickslip.analysis.findings.finding import (
     Lifetime,
     Limit,
     Outcomes,
+    Parts,
     Quantity,
     Reason,
     Regime,
@@ -127,6 +128,14 @@ def test_sentences():
     assert sentence(left) == "75.0% of runs still stick and slip at t = 150 at n = 100."
     basin = Share("sliding", "starts", "end in steady sliding", Estimate(0.301, 0.288, 0.314))
     assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts end in steady sliding."
+    excess = Quantity("excess", "excess", Form.SHARE)
+    parts = [
+        Level(Quantity(name, name), Estimate(*of))
+        for name, of in (("noise", (-0.012,)), ("pull", (0.021, 0.018, 0.024)))
+    ]
+    assert sentence(Parts(Level(excess, Estimate(0.009, 0.006, 0.012), "n = 5"), (*parts,))) == (
+        "Excess at n = 5: 0.90%, from noise \u22121.20% and pull +2.10% (+1.80 to +2.40%)."
+    )
     few, both = (Regime(f"at v = {v}", said, 5, 5) for v, said in ((1, ("slide",)), (2, ("slide", "stick"))))
     assert sentence(Regimes("starts", (few, both))) == (
         "At v = 1 all 5 starts slide; at v = 2 some slide and others stick."
@@ -166,6 +175,7 @@ def _findings(rng):
     yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis)
     yield Lifetime(LATE, "runs", "still stick", Estimate(), 100.0, 0.7, where, comparison, basis)
     yield Law("sizes", "fall off exponentially", level, _pick(rng, Fit), level)
+    yield Parts(level, (level, level))
     yield Limit("pairs", "exits", "trigger another", value, where, basis)
     yield Alike(quantity, value, "from all starts", where)
     yield Outcomes("the exact engine", ("h = 0.1",), ("h = 0.2", "h = 0.4"), (), level)

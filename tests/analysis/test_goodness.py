@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 
-from stickslip.analysis.stats.estimates import Undefined, gamma
+from stickslip.analysis.stats.estimates import gamma
 from stickslip.analysis.stats.families import truncate
-from stickslip.analysis.stats.goodness import REJECTED, UNKNOWN, goodness, quotients
+from stickslip.analysis.stats.goodness import REJECTED, UNKNOWN, goodness
 from tests.analysis import studies
 from tests.chance import agrees
 
@@ -65,33 +64,6 @@ def test_few_matrices_or_cascades_are_not_enough():
     assert few.reason == "few cascades"
 
 
-def test_quotients_are_one_for_the_fitted_law_and_their_intervals_cover():
-    held = total = 0
-    ones = []
-    for one in range(60):
-        rng = np.random.default_rng([7, one])
-        for quotient in quotients(*studies.counted(studies.TRUE["serial 0.3"](rng, 20)), 0.95):
-            held += quotient["low"] <= 1 <= quotient["high"]
-            total += 1
-            if quotient["size"] == 1:
-                ones.append((quotient["value"], quotient["high"] - quotient["value"]))
-    # Sizes of one ensemble depend on each other: at worst as if each of the 60 were one trial.
-    assert abs(held / total - 0.95) <= 3 * np.sqrt(0.05 * 0.95 / 60)
-    values, halves = np.array(ones).T  # 60 know a standard deviation to 9%
-    assert halves.mean() / (stats.t.ppf(0.975, 19) * values.std(ddof=1)) == pytest.approx(1, abs=0.28)
-
-
-def test_the_interval_of_a_quotient_by_hand():
-    """Three matrices of one mean and number: nothing is projected off, and each has its own quotient."""
-    sizes, counts = np.arange(1.0, 5.0), np.array([[850, 350, 150, 150], [720, 520, 200, 60], [785, 435, 175, 105.0]])
-    first = quotients(sizes, counts, 0.95)[0]
-    own = counts[:, 0] / 800  # 1500 cascades each, of which 8 in 15 have size 1 at rate ln 2
-    assert first["value"] == pytest.approx(own.mean())
-    assert first["high"] - first["value"] == pytest.approx(4.302652730 * own.std(ddof=1) / np.sqrt(3))  # t, 2 degrees
-
-
 def test_histograms_of_no_cascade_have_reasons():
     sizes, counts = truncate(np.zeros((3, 5), dtype=int), 1, 10)
     assert goodness(sizes, counts, 0.95, np.random.default_rng(0)).reason
-    with pytest.raises(Undefined):
-        quotients(sizes, counts, 0.95)

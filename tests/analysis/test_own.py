@@ -1,4 +1,4 @@
-"""Questions of a user's own: planted answers on the page, laid out or in a template's words, and what is refused."""
+"""Questions of a user's own: planted answers on the page, and what is refused."""
 
 import re
 import sys
@@ -13,13 +13,33 @@ import pytest
 from matplotlib.figure import Figure
 from scipy import stats
 
-from stickslip.analysis import Answer, Data, Estimate, Study, build, named, panel, wilson, with_interval
-from stickslip.analysis.answer import Picture
+from stickslip.analysis import (
+    Alert,
+    Answer,
+    Basis,
+    Code,
+    Comparison,
+    Data,
+    Difference,
+    Estimate,
+    Lack,
+    Level,
+    Lifetime,
+    Outcomes,
+    Picture,
+    Quantity,
+    Reason,
+    Study,
+    build,
+    named,
+    panel,
+    wilson,
+)
 from stickslip.analysis.ensemble import Recorded
-from stickslip.analysis.findings.finding import Level, Quantity
+from stickslip.analysis.findings.finding import Family
 from stickslip.analysis.questions import BESIDE_SCENES, QUESTIONS, RENAMED, refuse_unknown, renamed
-from stickslip.analysis.report.own import OwnError, spoken
-from stickslip.analysis.report.page import Spoken, ask
+from stickslip.analysis.report.own import OwnError, own_answer
+from stickslip.analysis.report.page import Answered, ask
 from tests.analysis.reports import contents
 
 KEY = "own:question"
@@ -44,13 +64,32 @@ def drawn(ax, y):
     ax.plot(y)
 
 
+LENGTH = Quantity("length", "length of <it>")
+
+
 def answered(rng):
     """An answer, with the number that it states."""
     value = float(rng.uniform(0.1, 0.9))
     length = Estimate(value, value - 0.05, value + 0.05)
     rows = pd.DataFrame([{"name_of": "a<b", **named("length", length), "n_runs": 5, "at": 0.25, "is_long": True}])
-    facts = {"sentence": f"It is {with_interval(length)} &\x1b -1\n<long>.", "caption": "A line."}
-    return Answer(facts, tables={"lengths": rows}, figures={"line": partial(drawn, [1, 2])}), value
+    answer = Answer(
+        findings=[Level(LENGTH, length, "x\x1b = -1\n<long>", basis=Basis(5)), Level(LENGTH, length, "x = 1")],
+        alerts=[Alert.of(Code.FEW, n=5, units="<runs>")],
+        paragraph="It is not\n<wide>.",
+        tables={"lengths": rows},
+        figures={"line": Picture(partial(drawn, [1, 2]), "A <line>.")},
+    )
+    return answer, value
+
+
+def own(given, key=KEY, doc=DOC):
+    """What `own_answer` makes of an answer of a function with a docstring."""
+
+    def question(study):
+        return given
+
+    question.__doc__ = doc
+    return own_answer(key, question, given, told)
 
 
 def page_of(study, *own):
@@ -66,28 +105,29 @@ def shown(page):
 @pytest.mark.usefixtures("undrawn")
 def test_a_planted_answer_leads_the_page(study, rng):
     found, value = answered(rng)
-    report = page_of(study, spoken(study, KEY, found, DOC, None, told))
+    report = page_of(study, own(found))
     page = shown(report.html)
-    first, figure, table, rest = (
-        page.index(one) for one in ("&amp; \u22121 &lt;long&gt;.</li>", "<figcaption>A line.", "a&lt;b", "<nav>")
-    )
+    said = f"{value:.3f} ({value - 0.05:.3f} to {value + 0.05:.3f})"
     assert page.startswith("How long is it?</h1>")
-    assert '<p class="question">Title: About it.</p>' in page
-    assert 0 < page.index(f"It is {value:.3f} ({value - 0.05:.3f} to {value + 0.05:.3f})") < first
-    assert first < figure < table < rest
-    assert "<figure" not in page[: figure - 200]
-    shown_table = page[page.rindex("<table", 0, table) :].partition("</table>")[0]
-    heads = re.findall(r"<th(?: [^>]*)?>(.*?)</th>", shown_table)
-    assert heads == ["name of", "length", "interval", "n runs", "at", "is long"]
-    cells = re.findall(r"<td[^>]*>(.*?)</td>", shown_table)
-    assert cells == ["a&lt;b", f"{value:.3f}", f"{value - 0.05:.3f} to {value + 0.05:.3f}", "5", "0.25", "yes"]
-    part = page[page.index('<details id="own:question">') :].partition("</details>")[0]
-    assert re.findall(r"<p>(.*?)</p>", part) == ["A length is measured.", "It is not a time."]
-    assert "Kept as report/own-question-lengths.parquet and report/figures/own-question-line.svg." in part
-    assert report.headline[:2] == [
-        "How long is it?",
-        f"It is {with_interval(Estimate(value, value - 0.05, value + 0.05))} & \u22121 <long>.",
-    ]
+    assert '<p class="about">Title: About it.</p>' in page
+    places = [
+        page.index(text)
+        for text in (
+            f"Length of &lt;it&gt;, x = \u22121 &lt;long&gt;: {said}.",
+            "It is not &lt;wide&gt;.",
+            "<figcaption>A &lt;line&gt;.",
+            "5\u00a0systems", "5 &lt;runs&gt; give a wide interval", '<details id="own:question">',
+            "A length is measured. It is not a time.", "a&lt;b",
+        )
+    ]  # fmt: skip
+    assert places == sorted(places)
+    part = page[places[-3] :].partition("</details>")[0]
+    heads = re.findall(r"<th(?: [^>]*)?>(.*?)</th>", part)
+    assert heads == ["name of", "length", "n runs", "at", "is long"]
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", part)
+    assert cells == ["a&lt;b", said, "5", "0.25", "yes"]
+    assert "<long>" not in page + "<wide>" + "<it>"
+    assert report.headline[:2] == ["How long is it?", f"Length of <it>, x = \u22121 <long>: {said}."]
     assert {"own-question-lengths"} <= set(report.tables)
     assert {"report/own-question-lengths.parquet", "report/figures/own-question-line.svg"} <= set(contents(report))
     assert report.problems == {}
@@ -97,52 +137,24 @@ def test_a_planted_answer_leads_the_page(study, rng):
 @pytest.mark.usefixtures("undrawn")
 def test_it_stands_where_the_scene_asks_it(study, rng):
     object.__setattr__(study.settings, "question", ("cascades", KEY))
-    found, _ = answered(rng)
-    page = shown(page_of(study, spoken(study, KEY, found, DOC, None, told)).html)
+    page = shown(page_of(study, own(answered(rng)[0])).html)
     assert page.startswith("Title</h1>")
-    said = re.findall(r"<li>(.*?)</li>", page.partition('<ul class="answer">')[2].partition("</ul>")[0], re.DOTALL)
-    assert said[1].startswith("It is ")
-    assert len(said) == 2
-    part = page[page.index('<details id="own:question">') :].partition("</details>")[0]
-    assert "<figure" in part
-    assert "a&lt;b" in part
-
-
-@pytest.mark.usefixtures("undrawn")
-def test_a_template_has_the_words_and_escapes(study, rng, tmp_path):
-    (tmp_path / "beside.html").write_text("{% macro twice(x) %}{{ x }}{{ x }}{% endmacro %}")
-    (tmp_path / "question.html").write_text(
-        '{% import "beside.html" as beside %}{% set name = "How <wide>?" %}'
-        "{% macro answer(a) %}{{ beside.twice(a.word) }} at {{ a.mean|with_interval }} over {{ unit|plural }}"
-        "{% endmacro %}"
-        '{% macro panel(a, figure) %}{{ figure("line", a.word) }}{% endmacro %}'
-        '{% macro alerts(a) %}<li data-rank="1">{{ a.word }} beware</li>{% endmacro %}'
-    )
-    found, _ = answered(rng)
-    own = Answer({"word": "<i>'&", "mean": Estimate(2.0, 1.0, 3.0)}, tables=found.tables, figures=found.figures)
-    page = shown(page_of(study, spoken(study, KEY, own, DOC, tmp_path / "question.html", told)).html)
-    assert page.startswith("How &lt;wide&gt;?</h1>")
-    assert "<li>&lt;i&gt;&#39;&amp;&lt;i&gt;&#39;&amp; at 2.00 (1.00 to 3.00) over matrices</li>" in page
-    assert 'alt="&lt;i&gt;&#39;&amp;"' in page
-    assert "&lt;i&gt;&#39;&amp; beware</li>" in page
-    assert "<i>&" not in page
-    assert "<i>'" not in page
-    assert "a&lt;b" in page  # the table, of which the template says nothing
+    said = re.findall(r'<p class="lead">(.*?)</p>', page, re.DOTALL)
+    assert said[1].startswith("Length of ")
+    assert page.index("A &lt;line&gt;.") < page.index("<details") < page.index("a&lt;b")
 
 
 @pytest.mark.usefixtures("undrawn")
 def test_no_answer_is_a_line_and_the_page_stands(study):
-    lacking = spoken(study, KEY, Answer(lack="No run is <long>."), DOC, None, told)
-    failed = Spoken("own:other", {}, problem="expected <this>, got that")
+    lacking = own(Answer(findings=[Lack("the <length>", Reason.NO_MOTION)]))
+    failed = Answered("own:other", {}, problem="expected <this>, got that")
     object.__setattr__(study.settings, "question", (KEY, "own:other", "own:third"))
     report = page_of(study, lacking, failed)
     page = shown(report.html)
     assert page.startswith("Title</h1>")
-    assert "Asked, but not answered: How long is it? No run is &lt;long&gt;.</p>" in page
-    assert "Asked, but not answered: own:other: expected &lt;this&gt;, got that.</p>" in page
-    assert (
-        "own:third was not run; <code>stickslip report DIR --own</code> runs the code beside the scene.</p>" in page
-    )
+    assert "Asked but not answered: The &lt;length&gt;: no run is in motion.</p>" in page
+    assert "Asked but not answered: own:other: expected &lt;this&gt;, got that.</p>" in page
+    assert "own:third was not run; stickslip report DIR --own runs the code beside the scene.</p>" in page
     assert report.problems == {"own:other": "expected <this>, got that"}
     assert report.not_run == ["own:third"]
     asked_nothing = build(study.data, study.settings, "Title", "", {})
@@ -191,48 +203,88 @@ def figure_of_nothing():
     return 3
 
 
-S = {"sentence": "Yes."}
+SIZE = Quantity("size", "size")
+YES = Level(SIZE, Estimate(3.0))
+A = partial(Answer, findings=[YES])
 
 
 @pytest.mark.parametrize(
     ("found", "words"),
     [
-        (None, r"expected a stickslip.analysis.Answer, got None; return Answer\(lack='why'\)"),
-        ("It is long.", r"expected a stickslip.analysis.Answer, got a str; return one"),
-        (Answer(), r"facts\['sentence'\]: expected a text, .*, got facts of nothing; add it, or .* of a template"),
-        (Answer({"mean": 3}), r"facts\['sentence'\]: .*, got facts of mean"),
-        (Answer({"sentence": 3}), r"facts\['sentence'\]: .*, got a int"),
-        (Answer({"sentence": "Yes.", "caption": 3}), r"facts\['caption'\]: expected a text, .*, got a int"),
-        (Answer("Yes."), r"facts: expected a dictionary, got a str"),
-        (Answer(S, lack=3), r"lack: expected text, got a int"),
-        (Answer(S, tables=pd.DataFrame()), r"tables: expected a dictionary, got a DataFrame"),
-        (Answer(S, tables={"a/b": pd.DataFrame()}), r"tables: expected names of letters, .*, got 'a/b'; rename it"),
-        (Answer(S, figures={"..": 3}), r"figures: expected names of letters, digits and underscores, got '\.\.'"),
+        (None, r"expected a stickslip.analysis.Answer, got None; if .* return Answer\(findings=\[Lack\("),
+        ("It is long.", r"expected a stickslip.analysis.Answer, got a str; return Answer\(findings=\[Level\("),
+        (Answer(), r"findings: expected the answer first, got none; return Answer\(findings=\[Level\("),
+        (Answer({"sentence": "Yes."}), r"facts: expected findings in its place; return Answer\(findings=\[Level\("),
+        (Answer(lack="Why."), r"lack: expected findings in its place; return Answer\(findings=\[Lack\("),
+        (Answer(findings=YES), r"findings: expected a list, got a Level; put it into brackets"),
+        (A(n_lead=4), r"n_lead: expected 1 to 3, got 4; correct it"),
+        (Answer(findings=["Yes."]), r"findings\[0\]: expected Level or Change or .*, got a str"),
+        (
+            Answer(findings=[YES, Level("size", Estimate(3.0))]),
+            r"\[1\].quantity: expected Quantity, got a str",
+        ),
+        (Answer(findings=[Level(SIZE, 3.0)]), r"findings\[0\].estimate: expected Estimate, got a float"),
+        (Answer(findings=[Level(SIZE, Estimate())]), r"\[0\].estimate: expected a value, got Estimate\(no .* a Lack"),
+        (
+            Answer(findings=[Level(SIZE, Estimate(np.inf))]),
+            r"estimate.value: expected a finite number, got inf",
+        ),
+        (Answer(findings=[Lack("it", "why")]), r"findings\[0\].reason: expected Reason, got a str"),
+        (
+            Answer(findings=[Level(SIZE, Estimate(3.0), basis=Basis(True))]),
+            r"n: expected an integer, got a bool",
+        ),
+        (Answer(findings=[Level(SIZE, Estimate(3.0), 4)]), r"findings\[0\].where: expected a text, got an int"),
+        (Answer(findings=[Outcomes("it", "h")]), r"findings\[0\].equal: expected a tuple, got a str"),
+        (A(alerts=["!"]), r"alerts\[0\]: expected an Alert, got a str; write Alert.of\(Code.FEW, n=3"),
+        (A(alerts=[Alert.of(Code.FEW, n=3)]), r"alerts\[0\]: expected the numbers of '.*', got 'units'; add them"),
+        (A(paragraph=3), r"paragraph: expected a text, got an int"),
+        (A(tables=pd.DataFrame()), r"tables: expected a dictionary, got a DataFrame"),
+        (A(tables={"a/b": pd.DataFrame()}), r"tables: expected names of letters, .*, got 'a/b'; rename it"),
+        (A(figures={"..": 3}), r"figures: expected names of letters, digits and underscores, got '\.\.'"),
+        (A(figures={"a" * 250: 3}), r"figures: expected names of at most 40 letters, got aaa.*; shorten it"),
     ],
 )
-def test_what_is_no_answer_is_refused(study, found, words):
+def test_what_is_no_answer_is_refused(found, words):
     with pytest.raises(OwnError, match=words):
-        spoken(study, KEY, found, DOC, None, told)
+        own(found)
 
 
 @pytest.mark.parametrize(
     ("found", "words"),
     [
-        (Answer(S, tables={"a": [1]}), r"tables\['a'\]: expected a pandas.DataFrame, got a list"),
-        (Answer(S, tables={"a": pd.DataFrame([[1]])}), r"tables\['a'\]: expected columns with different names, got"),
-        (Answer(S, tables={"a": pd.DataFrame({"x": [1, "b"]})}), r"tables\['a'\]: column 'x': .*, got int, str"),
-        (Answer(S, tables={"a": pd.DataFrame({"x": [[1]]})}), r"tables\['a'\]: column 'x': .*, got list"),
-        (Answer(S, tables={"a": pd.DataFrame({"x": [np.inf]})}), r"expected finite numbers, got inf; write None"),
-        (Answer(S, figures={"a": figure_of_nothing}), r"figures\['a'\]: expected a matplotlib Figure, .*, got a int"),
+        (A(tables={"a": [1]}), r"tables\['a'\]: expected a pandas.DataFrame, got a list"),
+        (A(tables={"a": pd.DataFrame([[1]])}), r"tables\['a'\]: expected columns with different names, got"),
+        (A(tables={"a": pd.DataFrame({"x": [1, "b"]})}), r"tables\['a'\]: column 'x': .*, got int, str"),
+        (A(tables={"a": pd.DataFrame({"x": [[1]]})}), r"tables\['a'\]: column 'x': .*, got list"),
+        (A(tables={"a": pd.DataFrame({"x": [np.inf]})}), r"expected finite numbers, got inf; write None"),
+        (
+            A(figures={"a": Picture(figure_of_nothing, "A")}),
+            r"figures\['a'\]: expected a .*Figure, .* an int",
+        ),
+        (
+            A(figures={"a": figure_of_nothing}),
+            r"expected a Picture\(recipe, caption\), got a function",
+        ),
     ],
 )
-def test_a_figure_or_table_that_cannot_be_shown_is_left_out(study, found, words):
-    made = spoken(study, KEY, found, DOC, None, told)
-    assert made.said["answer"] == "Yes."
+def test_a_figure_or_table_that_cannot_be_shown_is_left_out(found, words):
+    made = own(found)
     (line,) = made.missing
     assert re.search(words, line), line
     assert not made.tables
     assert not made.figures
+
+
+def test_numbers_of_numpy_become_plain():
+    level = Level(SIZE, Estimate(np.float32(3.0), np.int64(1), 4.0), basis=Basis(np.int64(5)))
+    (found,) = own(Answer(findings=(level,))).findings
+    numbers = [found.estimate.value, found.estimate.low, found.basis.n]
+    assert [(type(number), number) for number in numbers] == [(float, 3.0), (float, 1.0), (int, 5)]
+    difference = Difference(Estimate(0.1, 0.05, 0.2), is_same=np.False_, family=Family(3, 0.01))
+    level = Level(SIZE, Estimate(3.0), comparison=Comparison("it", difference))
+    assert own(Answer(findings=[level])).findings == [level]
+    assert own(Answer(findings=[Lifetime(SIZE, "runs", "last", Estimate(), 9.0, 0.7)])).findings[0].horizon == 9.0
 
 
 def leaves():
@@ -244,32 +296,29 @@ def test_foreign_bytes_stay_out_of_page_and_files(study):
     figure.suptitle("a\x00\x1b[31m")
     words = pd.Series(["a\ud800\x07"], dtype=object)
     table = pd.DataFrame({"x\x1b": words, "x\x1b_low": [1.0], "x\x1b_high": [2.0], "is": [True], "is_low": [0.1]})
-    found = Answer(S, tables={"t": table}, figures={"f": figure, "left": leaves})
-    made = spoken(study, KEY, found, DOC, None, told)
+    made = own(A(tables={"t": table}, figures={"f": Picture(figure, "F"), "left": Picture(leaves, "L")}))
     (line,) = made.missing
     assert line.startswith("figures['left']: ")
-    report = page_of(study, made, spoken(study, "own:other", Answer(lack="why\ud800\x1b"), "", None, told))
+    report = page_of(study, made, own(Answer(findings=[Lack("why\ud800\x1b", Reason.DRIFT)]), "own:other", ""))
     for content in contents(report).values():
         assert not {0x00, 0x1B} & {*content} or content[:4] == b"PAR1"
     assert report.tables["own-question-t"].iloc[0, 0] == "a"
-    with pytest.raises(OwnError, match="at most 40 letters, got aaa"):
-        spoken(study, KEY, Answer(S, figures={"a" * 250: figure}), DOC, None, told)
 
 
-def test_a_figure_may_be_one_that_is_drawn_already(study):
+def test_a_figure_may_be_one_that_is_drawn_already():
     figure = Figure()
     figure.subplots().plot([1, 2])
-    made = spoken(study, KEY, Answer(S, figures={"line": figure}), "", None, told)
+    made = own(A(figures={"line": Picture(figure, "A line.")}), doc="")
     assert made.figures["own-question-line"].svg.lstrip().startswith("<?xml")
-    assert made.said["name"] == KEY  # it has no docstring
+    assert made.title == "question"  # it has no docstring
 
 
-def test_numbers_of_a_table_have_nulls_and_a_named_index_stays(study):
+def test_numbers_of_a_table_have_nulls_and_a_named_index_stays():
     given = pd.DataFrame(
         {"x": [1.5, np.nan], "k": [3, 4], "t": [None, "b"], "none": [None, None], "is": [np.True_, None]},
         index=pd.Index([10, 20], name="belt"),
     )
-    made = spoken(study, "a.b:c", Answer(S, tables={"t": given}), DOC, None, told).tables["a.b-c-t"]
+    made = own(A(tables={"t": given}), "a.b:c").tables["a-b-c-t"]
     assert {name: str(dtype) for name, dtype in made.dtypes.items()} == {
         "belt": "Int64", "x": "Float64", "k": "Int64", "t": "string", "none": "string", "is": "boolean",
     }  # fmt: skip

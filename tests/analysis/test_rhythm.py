@@ -1,4 +1,4 @@
-"""The slow rhythm: closed forms against integrals, what was planted comes back, and what is not there is told so."""
+"""Slow common motion: closed forms against integrals; what was planted comes back, and nothing else."""
 
 import dataclasses
 from types import SimpleNamespace
@@ -8,11 +8,14 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis.findings.finding import Fit, Lack, Law, Reason, Share, Verdict
+from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import rhythm
-from stickslip.analysis.questions.slips import rhythm as question
-from stickslip.analysis.report.formats import environment
+from stickslip.analysis.questions.slips import collective
+from stickslip.analysis.questions.slips.slow_motion import Slow, slow_motion
 from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.workflows.scenes import rhythm as scene
 from tests.analysis import studies
 from tests.chance import ERRORS, agrees
 
@@ -99,8 +102,10 @@ def test_the_fit_finds_what_there_is_whatever_the_length_of_the_window(period, q
 
 def test_numbers_of_a_known_oscillator(rng):
     found = rhythm.rhythm(exact(SPAN, 470.0, 1.2), 0.95, rng)
-    assert found.verdict == rhythm.OSCILLATES
-    value = {name: estimate.value for name, estimate in found.found.items()}
+    assert found.verdict == rhythm.SLOW
+    assert found.goodness.deviance == pytest.approx(0.0, abs=1e-3)
+    assert found.goodness.dof == 22 - 4
+    value = {name: estimate.value for name, estimate in found.estimates.items()}
     assert value["width"] == pytest.approx(1 / 470 / 1.2, rel=1e-3)
     assert value["decay"] == pytest.approx(1.2 * 470 / np.pi, rel=1e-3)
     at_mean = integral([0.0], SPAN, 470.0, 1.2)[0] / (2 * SPAN)  # variance of the mean of a window
@@ -118,14 +123,14 @@ def test_an_interval_of_three_matrices_is_that_of_t_with_two_degrees_of_freedom(
     found = rhythm.rhythm(data, 0.95, rng)
     logs = np.log(found.values["variance"])  # noqa: PD011
     half = 4.302652729696142 * np.sqrt(2 / 3 * np.sum((logs[1:] - logs[1:].mean()) ** 2))
-    ends = found.found["variance"].low, found.found["variance"].high
+    ends = found.estimates["variance"].low, found.estimates["variance"].high
     assert np.log(ends) == pytest.approx([logs[0] - half, logs[0] + half], rel=1e-9)
 
 
 def test_overdamped_motion_is_slow_and_a_motion_slower_than_the_window_is_said_to_be(rng):
     overdamped = rhythm.rhythm(exact(SPAN, 470.0, 0.45), 0.95, rng)
     assert overdamped.verdict == rhythm.SLOW
-    assert overdamped.found["peak"] == Estimate(reason="no peak")
+    assert overdamped.estimates["peak"] == Estimate(reason="no peak")
     slow = rhythm.rhythm(exact(SPAN, 1800.0, 2.0), 0.95, rng)
     assert (slow.verdict, slow.period) == (rhythm.SHORT, pytest.approx(1800.0, rel=0.01))
 
@@ -133,12 +138,24 @@ def test_overdamped_motion_is_slow_and_a_motion_slower_than_the_window_is_said_t
 def test_intervals_hold_what_was_planted(rng):
     """A small version of the study `rhythm`; the answers are exact where all matrices are alike."""
     answers = {"period": 470.0, "quality": 1.2, "width": 1 / 470 / 1.2, "share": 11 / (11 + 4.95)}
-    every = [rhythm.rhythm(one, 0.95, rng).found for one in studies.rhythmic(rng, 20, SPAN, 470.0, 1.2)]
+    every = [rhythm.rhythm(one, 0.95, rng).estimates for one in studies.rhythmic(rng, 20, SPAN, 470.0, 1.2)]
     for name, answer in answers.items():
         assert agrees(sum(one[name].low <= answer <= one[name].high for one in every), 20, 0.92, 0.98), name
 
 
-def test_blocks_without_a_rhythm_are_told_so(rng):
+def test_the_deviance_is_that_of_chance_if_the_fit_is_the_spectrum_and_large_if_it_is_not(rng):
+    """Its mean is that of chi-squared; beside a line that no damped oscillator has, it is beyond."""
+    fits = [rhythm.rhythm(one, 0.95, rng).goodness for one in studies.rhythmic(rng, 40, SPAN, 470.0, 1.2)]
+    assert agrees(sum(fit.p_value < 0.05 for fit in fits), 40, 0.01, 0.1)
+    deviance = np.array([fit.deviance for fit in fits])
+    assert abs(deviance.mean() - fits[0].dof) < 1.5 + ERRORS * np.sqrt(2 * fits[0].dof / 40)
+    for one in studies.rhythmic(rng, 3, SPAN, 470.0, 1.2):
+        observed = one.observed.copy()
+        observed[:, 12] += 4 * observed[:, 5]
+        assert rhythm.rhythm(dataclasses.replace(one, observed=observed), 0.95, rng).goodness.p_value < 1e-4
+
+
+def test_blocks_without_a_common_motion_are_told_so(rng):
     p = np.array([rhythm.p_value(one, rng) for one in studies.rhythmic(rng, 40, SPAN, 470.0, 1.2, variance=0.0)])
     assert agrees(int(np.sum(p <= 0.05)), 40, 0.05)
 
@@ -157,77 +174,72 @@ def point(keys, period, rng, error=0.03):
     """A group whose periods without one matrix each have an error of that size."""
     off = error / np.sqrt(19) * rng.standard_normal(20)
     logs = np.log(period) + np.concatenate(([error * rng.standard_normal()], off))
-    numbers = {name: np.exp(logs) for name in question.SCALED}
-    found = rhythm.Rhythm(rhythm.OSCILLATES, 0.001, values=numbers)
+    values = {name: np.exp(logs) for name in scene.NUMBERS}
+    estimates = {name: Estimate(float(np.exp(logs[0]))) for name in scene.NUMBERS}
+    found = rhythm.Rhythm(rhythm.SLOW, 0.001, estimates, values)
     keys = {"n": 200, "kappa": 0.2, "rho": 3.5, "belt_speed": -0.2, "engine": "coulomb"} | keys
     label = f"n = {keys['n']}, {keys['engine']}, belt_speed = {keys['belt_speed']:g}"
-    return question._Measured(SimpleNamespace(key=keys, label=label), list(range(20)), None, 36.0, found)
+    return Slow(SimpleNamespace(key=keys, label=label), list(range(20)), None, 36.0, found)
 
 
-def power(points):
-    """What `answer` makes of a law by itself: the law of the period with n, and whether it is said as a power."""
-    law = question._power_law("period", "n", points, 0.95)
-    return law, question._is_power(law | {"p_adjusted": law["p_value"]}, 0.05)
+def power(name, key, points):
+    return scene.power_law(name, key, scene.along(key, points), 0.95)
 
 
 def test_a_law_is_the_exponent_that_was_planted(rng):
     held = 0
     for _ in range(100):
         points = [point({"belt_speed": -v}, 800 * v**0.4, rng) for v in (0.05, 0.1, 0.2)]
-        law = question._power_law("period", "belt_speed", points, 0.95)
-        held += law["low"] <= 0.4 <= law["high"]
+        law = power("period", "belt_speed", points)
+        held += law.exponent.low <= 0.4 <= law.exponent.high
     assert agrees(held, 100, 0.85, 0.99)
-    assert (law["first_value"], law["last_value"], law["n_points"]) == (0.05, 0.2, 3)
-    assert question._power_law("period", "kappa", points, 0.95) is None
+    assert (law.first_value, law.last_value, law.n_points) == (0.05, 0.2, 3)
+    assert power("period", "kappa", points) is None
 
 
-def test_a_power_is_said_over_a_wide_range_and_where_it_is_one(rng):
-    """At two belt speeds, with one exponent or two; 150 to 200 is too narrow for any."""
+def test_a_power_is_said_where_it_is_one(rng):
+    """At two belt speeds, with one exponent or two."""
 
-    def said_of(n, exponents):
+    def law_of(exponents):
         points = [
             point({"n": size, "belt_speed": speed}, 450 * (size / 150) ** exponent, rng)
             for speed, exponent in zip((-0.1, -0.2), exponents, strict=True)
-            for size in n
+            for size in (50, 100, 200)
         ]
-        return power(points)
+        return power("period", "n", points)
 
-    wide = [said_of((50, 100, 200), (-0.8, -0.8)) for _ in range(60)]
-    assert agrees(sum(said for _, said in wide), 60, 0.82, 0.96)  # each of the two tests refuses one in twenty
-    apart = [law["p_apart"] for law, _ in wide]
-    assert agrees(sum(p < 0.05 for p in apart), 60, 0.05)
-    law, said = said_of((50, 100, 200), (-0.9, -0.1))
-    assert law["p_apart"] < 0.01
-    assert not said
-    law, said = said_of((150, 175, 200), (-0.8, -0.8))
-    assert law["p_value"] < 0.05
-    assert not said
+    alike = [law_of((-0.8, -0.8)) for _ in range(60)]
+    assert agrees(sum(law.fits(0.05) for law in alike), 60, 0.82, 0.96)  # each of two tests refuses one in twenty
+    assert agrees(sum(law.p_apart < 0.05 for law in alike), 60, 0.05)
+    apart = law_of((-0.9, -0.1))
+    assert apart.p_apart < 0.01
+    assert apart.finding(0.05).fit is Fit.FAILS
+    said = sentence(dataclasses.replace(apart.finding(0.05), fit=Fit.HOLDS))
+    assert said.startswith("Natural periods at |n| = 50 to 200 follow a power law in |n|, with a power of ")
 
 
-def test_a_change_is_told_with_the_numbers_of_the_named_group_and_where_it_is_not_shown(rng):
+def test_changes_are_those_planted(rng):
     periods = {(150, -0.1): 440, (175, -0.1): 400, (200, -0.1): 360, (150, -0.2): 500, (175, -0.2): 504,
                (200, -0.2): 508}  # fmt: skip
     points = [point({"n": n, "belt_speed": v}, period, rng, 0.005) for (n, v), period in periods.items()]
-    changes = question._changes(points, 0.95)
-    told = question._told(changes, "n = 200, coulomb, belt_speed = -0.1")
-    assert [(row["key"], row["at"], row["not_at"]) for row in told] == [
-        ("n", "belt_speed = -0.1", ["belt_speed = -0.2"]), ("belt_speed", "n = 200", []),
+    lines = [line for key in scene.KEYS for line in scene.along(key, points)]
+    assert [(line.key, line.at, len(line.groups)) for line in lines] == [
+        ("n", "belt_speed = -0.1", 3), ("n", "belt_speed = -0.2", 3),
+        ("belt_speed", "n = 150", 2), ("belt_speed", "n = 175", 2), ("belt_speed", "n = 200", 2),
     ]  # fmt: skip
-    assert told[0]["numbers"] == pytest.approx([440, 400, 360], rel=0.03)
-    words = str(environment().get_template("rhythm.html").module.change(told[0]))
-    assert words.strip().startswith("from n = 150 to 200 (4")
-    assert words.strip().endswith("; at belt_speed = \N{MINUS SIGN}0.2 no fall is shown)")
+    found = [one for one in scene.changes(lines, 0.95) if one.number == "period"]
+    assert found[0].difference.verdict is Verdict.LESS
+    assert found[0].difference.estimate.value == pytest.approx(360 / 440 - 1, abs=0.05)
+    assert found[0].row()["first_value"] == "150"
+    assert found[0].difference.family.n == 3 * len(lines)
 
 
-def test_changes_hold_the_planted_ones_between_engines_too(rng):
+def test_intervals_of_changes_hold_the_planted_one(rng):
     held = 0
     for _ in range(100):
-        points = [point({"engine": engine}, period, rng) for engine, period in (("sigmoid", 540), ("coulomb", 450))]
-        (row,) = (row for row in question._changes(points, 0.95) if row["number"] == "period")
-        held += row["low"] <= 0.2 <= row["high"]
-        assert row["key"] == "engine"
-        assert row["verdict"] in (question.LARGER, "cannot be told")
-        assert row["groups"][0].startswith("n = 200, coulomb")
+        points = [point({"n": n}, period, rng) for n, period in ((100, 450), (200, 540))]
+        change = scene.changes(scene.along("n", points), 0.95)[0].difference.estimate
+        held += change.low <= 0.2 <= change.high
     assert agrees(held, 100, 0.85, 0.99)
 
 
@@ -245,34 +257,36 @@ def run_of(steps, matrix):
     )
 
 
-def said(planted_member, runs, t_burn=20.0, with_events=True):
+def study_of(planted, runs, t_burn=20.0):
     rows, series, events = [], {}, {}
     for matrix, steps in enumerate(runs):
-        rows.append(planted_member.member(f"run-{matrix}", matrix, t_end=studies.SPAN, t_stop=studies.SPAN))
-        series[f"run-{matrix}"], one = run_of(steps, matrix)
-        if with_events:
-            events[f"run-{matrix}"] = one
-    study = Study(Data(pd.DataFrame(rows), series, events), AnalysisSettings(t_burn, (0.5,), 5, 0.95, 0))
-    found = question.answer(study)
-    words = environment().get_template("rhythm.html").module
-    return found, str(words.lack(found.facts, found.lack) if found.lack else words.answer(found.facts)).strip()
+        name = f"run-{matrix}"
+        rows.append(planted.member(name, matrix, t_end=studies.SPAN, t_stop=studies.SPAN))
+        series[name], events[name] = run_of(steps, matrix)
+    return Study(Data(pd.DataFrame(rows), series, events), AnalysisSettings(t_burn, (0.5,), 5, 0.95, 0))
 
 
-def test_a_common_mode_of_blocks_is_said_with_its_share(planted, rng):
-    found, text = said(planted, [studies.blocks_run(rng, depth=0.6, period=80.0) for _ in range(12)])
-    row = found.facts["lead"]
-    assert row["verdict"] in (rhythm.OSCILLATES, rhythm.SLOW)
-    assert "together slowly" in text or "slowly together" in text
-    assert "of the variance" in text
-    assert set(found.tables) == {"rhythm", "rhythm_changes", "rhythm_laws", "rhythm_spectrum"}
-    assert all(
-        value == value for table in found.tables.values() for value in table.to_numpy().ravel() if value is not pd.NA
-    )
+def test_a_common_mode_of_blocks_is_said_with_its_share_and_the_goodness_of_its_fit(planted, rng):
+    study = study_of(planted, [studies.blocks_run(rng, depth=0.6, period=80.0) for _ in range(12)])
+    found = collective.answer(study)
+    share = found.findings[0]
+    assert isinstance(share, Share)
+    assert "of the variance of n_stick is due to slow common motion" in sentence(share)
+    (law,) = (finding for finding in found.findings if isinstance(finding, Law))
+    row = found.tables["rhythm"].iloc[0]
+    assert (row["share"], row["deviance"]) == (share.estimate.value, law.departure.estimate.value)
+    assert (law.fit is Fit.HOLDS) == (row["p_fit"] >= 0.05)
+    assert f"{row['dof']:g} degrees of freedom" in found.figures["collective"].caption
+    assert found.figures["collective"].recipe().axes
+    (alone,) = scene.question(study).findings
+    assert alone.reason is Reason.ONE_VALUE
 
 
-def test_what_cannot_be_told_is_said(planted, rng):
-    runs = [studies.blocks_run(rng) for _ in range(8)]
-    assert "events = true" in said(planted, runs, with_events=False)[1]
-    found, text = said(planted, runs, t_burn=studies.SPAN - 120.0)
-    assert found.lack == "short"
-    assert f"reach t = {found.facts['lead']['needed']:,.0f}"[:9] in text
+def test_windows_that_are_too_short_are_said_to_be(planted, rng):
+    study = study_of(planted, [studies.blocks_run(rng) for _ in range(8)], t_burn=studies.SPAN - 120.0)
+    motion = slow_motion(study, study.groups[0])
+    assert (motion.motion, motion.verdict) == (None, rhythm.SHORT)
+    if study.judged():
+        lacks = [one for one in collective.answer(study).findings if isinstance(one, Lack)]
+        assert [lack.reason for lack in lacks] == [Reason.SHORT_WINDOW]
+        assert f"{motion.needed(study.settings.t_burn):,.0f}" in lacks[0].detail

@@ -183,19 +183,35 @@ READERS = {
 }
 
 
-@pytest.mark.parametrize("way", ["another shard", "a flip in its footer", "missing"])
-@pytest.mark.parametrize("reader", READERS)
-def test_a_shard_is_what_was_written_or_no_answer(way, reader, copy, rng):
-    """Parquet's checksums cover its pages alone, and none says which shard a file is."""
-    READERS[reader](copy)  # and what was found whole is looked at again
-    victim, other = sorted((copy / "data").iterdir())[-1:-3:-1]
-    spoilt = bytearray(victim.read_bytes())
-    spoilt[-8 - int(rng.integers(int.from_bytes(spoilt[-8:-4], "little")))] ^= 1 << int(rng.integers(8))
+def refuse(reader, dataset, spoil):
+    """Read a dataset, and again without its last shard, or with what its bytes and another's are spoilt to."""
+    READERS[reader](dataset)  # and what was found whole is looked at again
+    victim, other = sorted((dataset / "data").iterdir())[-1:-3:-1]
+    spoilt = spoil(victim.read_bytes(), other.read_bytes())
     victim.unlink()
-    if way != "missing":
-        victim.write_bytes(other.read_bytes() if way == "another shard" else spoilt)
+    if spoilt:
+        victim.write_bytes(spoilt)
     with pytest.raises(StoreError, match=rf"^[^\n]*{victim.name}: (expected|missing)[^\n]*; rerun the scene[^\n]*$"):
-        READERS[reader](copy)
+        READERS[reader](dataset)
+
+
+@pytest.mark.parametrize("spoilt", ["another shard", "missing"])
+@pytest.mark.parametrize("reader", READERS)
+def test_a_shard_is_what_was_written_or_no_answer(spoilt, reader, copy):
+    """Nothing in a shard says which it is."""
+    refuse(reader, copy, lambda _, other: other if spoilt == "another shard" else b"")
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_a_flip_in_a_footer_is_no_answer(reader, copy, rng):
+    """Parquet's checksums cover its pages alone."""
+
+    def flipped(content, _):
+        spoilt = bytearray(content)
+        spoilt[-8 - int(rng.integers(int.from_bytes(spoilt[-8:-4], "little")))] ^= 1 << int(rng.integers(8))
+        return bytes(spoilt)
+
+    refuse(reader, copy, flipped)
 
 
 def test_columns_that_share_a_name_are_told_apart(finished):

@@ -1,5 +1,7 @@
 """The parts of the sigmoid engine by their definitions, and what its steps of a block's own must not miss."""
 
+from functools import cache
+
 import numba
 import numpy as np
 import pytest
@@ -37,16 +39,29 @@ def test_the_method_by_its_definition(rng):
     np.testing.assert_allclose(radau.ALL_AT_PLACES @ q(radau.ALL_NODES), q(radau.PLACES), atol=1e-12)
 
 
+@cache
+def in_panels(n_vectors, single):
+    """Products, compiled."""
+    multiply = panels.products(n_vectors, single)
+    return numba.njit(lambda k, x, y: multiply(k, x, y))
+
+
+@cache
+def of_pairs(single):
+    """Those of pairs of vectors over some columns, compiled."""
+    multiply = panels.pair_products(single)
+    return numba.njit(lambda k, x, y, columns, m: multiply(k, x, y, columns, m))
+
+
 @pytest.mark.parametrize("n", [1, 7, 8, 33, 200])
 @pytest.mark.parametrize("single", [False, True])
 def test_products_in_panels_are_plain_products(n, single, rng):
-    multiply, dtype = panels.products(5, single), np.float32 if single else np.float64
-    apply = numba.njit(lambda k, x, y: multiply(k, x, y))
+    dtype = np.float32 if single else np.float64
     matrix, width = rng.normal(size=(n, n)), -(-n // 16) * 16
     packed = panels.panels(matrix, panels.SINGLE_HEIGHT if single else panels.HEIGHT, dtype)
     x, y = np.zeros((5, width), dtype), np.zeros((5, width), dtype)
     x[:, :n] = rng.normal(size=(5, n))
-    apply(packed, x, y)
+    in_panels(5, single)(packed, x, y)
     np.testing.assert_allclose(y[:, :n], x[:, :n] @ matrix.T, atol=n * (1e-5 if single else 1e-14))
 
 
@@ -55,8 +70,7 @@ def test_the_error_of_products_in_single_precision_is_as_large_as_told(rng):
     matrix, x = rng.uniform(0.5, 1.0, size=(200, 200)), np.zeros((1, 208), np.float32)
     x[:, :200] = rng.uniform(0.5, 1.0, 200)
     y = np.zeros((1, 208), np.float32)
-    multiply = panels.products(1, True)
-    numba.njit(lambda k, x, y: multiply(k, x, y))(panels.panels(matrix, panels.SINGLE_HEIGHT, np.float32), x, y)
+    in_panels(1, True)(panels.panels(matrix, panels.SINGLE_HEIGHT, np.float32), x, y)
     error = np.abs(y[0, :200] - matrix @ x[0, :200].astype(np.float64))
     bound = panels.SINGLE_ERROR * matrix.sum(axis=1) * x.max()
     assert 0.02 < (error / bound).max() < 1.0
@@ -65,12 +79,11 @@ def test_the_error_of_products_in_single_precision_is_as_large_as_told(rng):
 @pytest.mark.parametrize("n", [1, 7, 33, 200])
 @pytest.mark.parametrize("single", [False, True])
 def test_products_of_pairs_are_plain_products_over_the_columns_listed(n, single, rng):
-    multiply, dtype = panels.pair_products(single), np.float32 if single else np.float64
-    apply = numba.njit(lambda k, x, y, columns, m: multiply(k, x, y, columns, m))
+    dtype = np.float32 if single else np.float64
     matrix, height = rng.normal(size=(n, n)), panels.SINGLE_PAIR_HEIGHT if single else panels.PAIR_HEIGHT
     listed = rng.permutation(n)[: (n + 1) // 2]
     x, y = rng.normal(size=(2, n)).astype(dtype), np.zeros((2, -(-n // height) * height), dtype)
-    apply(panels.panels(matrix, height, dtype), x, y, listed, len(listed))
+    of_pairs(single)(panels.panels(matrix, height, dtype), x, y, listed, len(listed))
     np.testing.assert_allclose(y[:, :n], x[:, listed] @ matrix[:, listed].T, atol=n * (1e-5 if single else 1e-14))
 
 

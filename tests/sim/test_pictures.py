@@ -148,7 +148,8 @@ def test_pixels_in_which_blocks_slip_either_way_have_both_colours():
 
 
 def test_a_span_cuts_rectangles(rng, monkeypatch):
-    monkeypatch.setattr(pictures, "_SEEN", np.inf)  # slips too short to be seen are no wider than they are
+    """Where none is drawn wider than it is, so as to be seen, nothing is left to chance: areas add up to rounding."""
+    monkeypatch.setattr(pictures, "_SEEN", np.inf)
     series = random_series(rng, 4, 30)
     ax = series.plot(ax=axes(), span=(4.0, 5.0))
     boxes_of = {

@@ -15,7 +15,7 @@ OWN = '''\
 from typing import Annotated, NamedTuple
 
 from stickslip import System
-from stickslip.analysis import Answer, named, with_interval
+from stickslip.analysis import Answer, Form, Level, Quantity, named
 
 import numpy as np
 import pandas as pd
@@ -52,8 +52,8 @@ def question(study):
     shares = {group.at["belt_speed"]: study.mean(group, "stick_share") for group in study.groups}
     best = max(shares, key=lambda belt: shares[belt].value)
     rows = pd.DataFrame([{"belt_speed": belt, **named("share", share)} for belt, share in shares.items()])
-    sentence = f"Blocks stick longest at {best:g}: {with_interval(shares[best])} of the time."
-    return Answer({"sentence": sentence}, tables={"shares": rows})
+    share = Quantity("stick_share", "largest share of the time that a block sticks", Form.SHARE)
+    return Answer(findings=[Level(share, shares[best], f"belt speed {best:g}")], tables={"shares": rows})
 '''
 
 EXACT, LOOSE = 'name = "coulomb"\ntol = 1e-6', 'name = "coulomb"\ntol = 1e-4'

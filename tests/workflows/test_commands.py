@@ -382,8 +382,8 @@ def check_bad(content, words, folder, capsys):
         ("n = 12", "n = 0\ncolour = 1", ["bad.toml: system.n", "greater than or equal to 1"]),
         (
             "[analysis]",
-            '[analysis]\nquestion = "rhythms"',
-            ["bad.toml: analysis.question: expected one of", "'rhythm'"],
+            '[analysis]\nquestion = "collectives"',
+            ["bad.toml: analysis.question: expected one of", "'collective'"],
         ),
     ],
 )

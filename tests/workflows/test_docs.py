@@ -23,7 +23,8 @@ import pytest
 import scipy.io
 import scipy.sparse
 
-from stickslip.analysis import Estimate
+from stickslip.analysis.findings.finding import Verdict
+from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.members import OUTCOMES
 from stickslip.analysis.models.fates import fate
 from stickslip.analysis.questions import QUESTIONS, question
@@ -212,13 +213,12 @@ def test_the_questions_are_those_of_a_report():
     assert {key: name for name, key in listed} == titles
 
 
-def test_the_verdicts_are_those_of_the_analysis():
-    templates = (ROOT / "analysis" / "report" / "templates").glob("*.html")
-    source = "\n".join(file.read_text() for file in (*(ROOT / "analysis").rglob("*.py"), *templates))
-    paragraph = page("reading").partition("**Verdicts**")[2].partition("**Collapsed**")[0]
-    verdicts = re.findall(r"\*([a-z ]+)\*", paragraph)
-    assert {"steeper", "agree", "stays", "cannot be told"} <= set(verdicts)
-    assert [words for words in verdicts if words not in source] == []
+def test_the_words_of_a_difference_are_those_of_findings():
+    table = page("reading").partition("| interval of the difference | words |")[2].partition("\n\n")[0]
+    words = re.findall(r"\*([a-z ]+)\*", table)
+    source = "\n".join(file.read_text() for file in (ROOT / "analysis").rglob("*.py"))
+    assert {"above", "below", "equal to", "no difference"} <= set(words)
+    assert [word for word in words if f" {word} " not in source and f'"{word}"' not in source] == []
 
 
 def test_a_scene_of_a_function_in_si_units(tmp_path, monkeypatch):
@@ -243,7 +243,7 @@ def test_a_record_of_a_function(tmp_path, monkeypatch, capsys):
     Path("mine.py").write_text(block("own", "python", "class Measured"))
     Path("quiet.toml").write_text(block("own", "toml", "mine:quiet"))
     assert [main(command) for command in commands("own")] == [0] * 3
-    assert "let go after t_burn) rises from 0.675 to 1" in capsys.readouterr().out
+    assert "share of blocks that never slip after t_burn" in capsys.readouterr().out
     table = query.members("runs/quiet")
     assert table.own_problem.isna().all()
     assert 0 < table.never_left.mean() < 1
@@ -261,9 +261,10 @@ def test_a_law_of_friction_in_a_file(tmp_path, monkeypatch, capsys):
 
 def test_the_numbers_of_a_report_in_python(first, monkeypatch):
     monkeypatch.chdir(first)
-    names = run_python("reading")
-    assert len(names["events"]) == 4
-    assert "law" in names["tables"]
+    answer = run_python("reading")["answer"]
+    assert set(answer.verdict) <= {"", *Verdict}
+    assert answer.sentence.str.endswith(".").all()
+    assert len(answer) > 0
 
 
 def test_matrices_from_files(tmp_path, monkeypatch):
@@ -392,14 +393,16 @@ def test_a_graph_is_one_line(has_degree, monkeypatch):
     assert (few, many) == (12 + 12 * 2, 12 + 12 * 4)
 
 
-def test_a_question_is_a_file_and_a_template(first):
+def test_a_question_is_a_file(first):
     study = study_of(str(first / "runs" / "mine"))
     found = run_python("extending", "QUESTION")["QUESTION"].answer(study)
-    words = environment().from_string(block("extending", "jinja", "longest pause")).module
-    assert len(found.tables["pauses"]) == sum(group.n_runs for group in study.groups) > 0
-    assert "The longest pause of a run is" in words.answer(found.facts)
-    assert "<table" in words.part(found.facts, None)
-    assert words.lack({}, "no changes").startswith("No run")
+    pauses = found.tables["pauses"]
+    assert len(pauses) == sum(group.n_runs for group in study.groups) > 0
+    means = pauses.groupby("group").pause.mean()  # each system has one run
+    assert {level.where: level.estimate.value for level in found.findings} == pytest.approx(
+        means.to_dict(), rel=1e-12
+    )
+    assert sentence(found.findings[0]).startswith("Longest time without a change of n_stick, ")
 
 
 def test_a_question_of_ones_own_is_a_function_beside_the_scene(tmp_path, monkeypatch):
@@ -414,15 +417,12 @@ def test_a_question_of_ones_own_is_a_function_beside_the_scene(tmp_path, monkeyp
     means = query.members(tmp_path / "out").groupby("belt_speed")["stick_share"].mean()
     table = found.tables["own-question-shares"].set_index("belt_speed")
     np.testing.assert_allclose(table["share"].astype(float), means.loc[table.index], rtol=1e-12)
-    assert found.said["answer"].startswith(
-        f"Blocks stick longest at \u2212{abs(means.idxmax()):g}: {means.max():.3g}"
-    )
-    assert found.said["name"] == "At which belt speed do blocks stick longest?"
-    assert list(found.figures) == ["own-question-shares"]
-    words = environment().from_string(block("own", "jinja")).module
-    assert words.answer({"best": -0.1, "share": Estimate(0.5, 0.4, 0.6)}).endswith(
-        "0.500 (0.400 to 0.600) of its time."
-    )
+    first, *levels = found.findings
+    assert first.estimate.value == pytest.approx(means.max(), rel=1e-12)
+    assert first.where == f"belt speed \u2212{abs(means.idxmax()):g}"
+    assert len(levels) == len(means)
+    assert found.title == "At which belt speed do blocks stick longest?"
+    assert [*found.figures] == [*found.captions] == ["own-question-shares"]
 
 
 def test_a_chart_is_a_file_and_a_template(tmp_path, monkeypatch, capsys):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stickslip.analysis import measures
-from stickslip.analysis.questions.runs import fates, sweep
+from stickslip.analysis.questions.runs import sweep
 from stickslip.pipeline import parse_scene, query, run_ensemble
 from stickslip.workflows.reporting import study_of
 
@@ -65,4 +65,3 @@ def test_a_sweep_with_certificates_is_about_the_motion_and_not_about_when_they_c
         table = sweep.answer(study).tables["changes"]
         assert measures.MEAN in set(table["quantity"])
         assert not table["quantity"].str.contains("collapse").any()
-        assert fates.answer(study).facts["is_certified"] is (k == 0)

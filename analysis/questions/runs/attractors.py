@@ -346,7 +346,8 @@ def _published(study: Study, attractor: Attractor, n_cycles: int) -> Comparison 
     """The share of an attractor beside the one that the scene names as published."""
     value = study.settings.published.get(attractor.what.kind)
     share = attractor.share
-    if value is None or share.value is None or share.low is None or share.high is None or n_cycles > 1:
+    is_part = attractor.what.kind == PERIODIC and n_cycles > 1
+    if value is None or share.value is None or share.low is None or share.high is None or is_part:
         return None
     difference = Estimate(share.value - value, share.low - value, share.high - value)
     return Comparison(f"the published {100 * value:g}%", Difference(difference, Scale.ABSOLUTE))

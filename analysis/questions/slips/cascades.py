@@ -1,38 +1,67 @@
-"""The law of cascade sizes: gamma event by event, against fair order and against a finite pool of blocks."""
+"""The law of cascade sizes: its decay rate beside those of three nulls, and whether it is exponential.
+
+The nulls are a fair coin, whose rate is ln 2, independent two-state blocks (`models.pool`) and the runs' own blocks,
+shifted in time (`series.nulls`). The variance of the sizes decides whether they are exponential (`stats.dispersion`),
+and the likelihood whether they are nearer to that than to a power law.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator, NullLocator
 
-from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Picture, Question, Recipe, Row, S, frame, lack, named, systems
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.alerts import Alert, Code
+from stickslip.analysis.findings.finding import (
+    Basis,
+    Comparison,
+    Difference,
+    Finding,
+    Fit,
+    Form,
+    Lack,
+    Law,
+    Level,
+    Quantity,
+    Reason,
+    Share,
+    Verdict,
+)
 from stickslip.analysis.groups import Group
-from stickslip.analysis.models import pool
+from stickslip.analysis.members import ENGINE_KEYS
+from stickslip.analysis.models import fates, pool
+from stickslip.analysis.questions.slips import cascade_definitions, cascade_figures
 from stickslip.analysis.series.cascades import spans
-from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, against, mean_within
-from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices
-from stickslip.analysis.stats.families import gamma_up_to, truncate
-from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
-from stickslip.pipeline.design.labels import engine_name
+from stickslip.analysis.series.nulls import rotations
+from stickslip.analysis.series.runs import Run
+from stickslip.analysis.stats import enough, estimates, student
+from stickslip.analysis.stats.compare import mean_within
+from stickslip.analysis.stats.components import between, quotient
+from stickslip.analysis.stats.dispersion import excess, moments
+from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, over_matrices, ratio
+from stickslip.analysis.stats.families import EXPONENTIAL, POWER_LAW, log_shares, maximise, truncate
+from stickslip.analysis.style import forest
+from stickslip.pipeline.design.labels import Label, apart
 
-#: Relative margin within which gamma counts as that of chance, whatever margin a scene declares between engines.
-GAMMA_MARGIN = 0.01
-PAPER_GAMMA = 0.74  # figure 5 of the paper, where f is proportional to exp(-gamma dn)
-STEEPER, SHALLOWER = "steeper", "shallower"
-STEEP = Words(WITHIN, STEEPER, SHALLOWER)
-MOST_DRAWN = 2  # groups in the figure
-SHOWN = 0.06  # largest relative error of a share that is drawn over the coin's
+SHIFTS = 30  # most draws of a run's blocks shifted in time, whose rate is then known better than the run's
+PARTS = 10  # of a run, whose scatter gives the interval of its system
+MOST_SETTINGS = 8  # beside each other on the page; the table `law` has all
+MOST_DRAWN = 2  # groups in a figure
+COIN, TWO_STATE, SHIFTED = "ln 2", "independent two-state blocks", "the same blocks shifted in time"
+RATE = Quantity("gamma", "decay rate", definition="γ of f ∝ exp(−γ s), the share of cascades of s blocks")
+VARIANCE = Quantity("variance", "variance of cascade sizes")
+LASTING = Quantity("between", "share of the scatter over systems that longer runs would not reduce", Form.SHARE)
 _LAW: Mapping[str, str] = {
-    "group": S, "n": I, "engine": S, "n_matrices": I, "n_cascades": I, "gamma": F, "gamma_low": F, "gamma_high": F,
-    "chance": F, "difference": F, "difference_low": F, "difference_high": F, "verdict": S, "gamma_pool": F,
-    "over_pool": F, "over_pool_low": F, "over_pool_high": F, "pool_verdict": S, "basis": S,
+    "group": S, "n": I, "engine": S, "n_matrices": I, "n_cascades": I, "smallest": I,
+    "gamma": F, "gamma_low": F, "gamma_high": F, "chance": F, "difference": F, "difference_low": F,
+    "difference_high": F, "verdict": S, "gamma_pool": F, "over_pool": F, "over_pool_low": F, "over_pool_high": F,
+    "gamma_shifted": F, "over_shifted": F, "over_shifted_low": F, "over_shifted_high": F,
+    "variance": F, "variance_low": F, "variance_high": F, "variance_shifted": F,
+    "gain": F, "gain_low": F, "gain_high": F, "basis": S,
 }  # fmt: skip
 _SIZES: Mapping[str, str] = {
     "group": S, "size": I, "n_cascades": I, "share": F, "share_low": F, "share_high": F, "fit": F, "chance": F,
@@ -40,216 +69,366 @@ _SIZES: Mapping[str, str] = {
 }  # fmt: skip
 
 
+@dataclass(frozen=True)
+class Sums:
+    """What the runs of a group add up to, one row a system that has cascades.
+
+    Attributes
+    ----------
+    group : Group
+    smallest : int
+        The least size that counts, as 1.
+    rows : ndarray, shape (G, 8)
+        `dispersion.moments` of the sizes, in the runs and with their blocks shifted in time (0 if that is not known);
+        integral of n_stick, and time.
+    parts : ndarray, shape (G, PARTS, 2)
+        Total size and number of cascades in each part of the runs; 0 if that is not known.
+    counts : ndarray, shape (G, K)
+        Number of cascades of each size from the smallest on.
+    """
+
+    group: Group
+    smallest: int
+    rows: np.ndarray
+    parts: np.ndarray
+    counts: np.ndarray
+
+    @property
+    def n(self) -> int:
+        """Number of blocks."""
+        return int(self.group.key["n"])
+
+    @property
+    def is_shifted(self) -> bool:
+        """Whether it is known which block slips when, so that blocks can be shifted in time."""
+        return bool(self.rows[:, 3].all()) and len(self.rows) > 0
+
+    @property
+    def pool_mean(self) -> float | None:
+        """Mean n_stick of two-state blocks to compare with; None if there are no such blocks."""
+        mean = self.group.pool_mean
+        return mean if self.smallest == 1 and pool.is_one(self.n, mean) else None
+
+    def estimate(self, of: Statistic, confidence: float) -> Estimate:
+        """A statistic of the rows, with its interval over systems."""
+        return over_matrices(of, self.rows, confidence)
+
+
+# ---------------------------------------------------------------------------------- statistics of rows of `Sums`
+
+
+def gamma(rows: np.ndarray) -> np.ndarray:
+    """Decay rate of sizes, from their moments in the first three columns."""
+    return estimates.gamma(rows[:, [1, 0]])
+
+
+def gamma_shifted(rows: np.ndarray) -> np.ndarray:
+    """Decay rate of blocks shifted in time."""
+    return gamma(rows[:, 3:6])
+
+
+def over_coin(rows: np.ndarray) -> np.ndarray:
+    """Decay rate relative to that of a fair coin, less 1."""
+    return gamma(rows) / LN2 - 1
+
+
+def over_shifted(rows: np.ndarray) -> np.ndarray:
+    """Decay rate relative to that of blocks shifted in time, less 1."""
+    return gamma(rows) / gamma_shifted(rows) - 1
+
+
+def of_pool(n: int, rows: np.ndarray) -> np.ndarray:
+    """Decay rate of n independent two-state blocks of which as many stick."""
+    return np.array([pool.gamma(n, mean) for mean in ratio(rows[:, 6:])])
+
+
+def variance(rows: np.ndarray) -> np.ndarray:
+    """Variance of the sizes, from their moments in the first three columns."""
+    n, total, squares = rows[:, :3].T
+    return (squares / n - (total / n) ** 2) * (n + 1) / (n - 1)
+
+
+def over_exponential(rows: np.ndarray) -> np.ndarray:
+    """Variance of the sizes relative to an exponential's with their mean, less 1."""
+    return excess(rows[:, :3])
+
+
+def variance_over_shifted(rows: np.ndarray) -> np.ndarray:
+    """That variance relative to that of blocks shifted in time, less 1."""
+    return (1 + excess(rows[:, :3])) / (1 + excess(rows[:, 3:6])) - 1
+
+
+def gain(sums: Sums, confidence: float) -> Estimate:
+    """By how much an exponential up to n blocks is likelier than a power law, in nats per cascade (Vuong 1989)."""
+    least = sums.smallest
+    sizes, kept = truncate(np.pad(sums.counts, ((0, 0), (least, 0))), least, max(sums.n, least + 1))
+    try:
+        fits = [maximise(family, sizes, kept.sum(axis=0)) for family in (EXPONENTIAL, POWER_LAW)]
+    except Undefined as undefined:
+        return Estimate(reason=str(undefined))
+    exponential, power = (log_shares(fit.family, sizes, fit.theta) for fit in fits)
+    return over_matrices(ratio, np.column_stack([kept @ (exponential - power), kept.sum(axis=1)]), confidence)
+
+
+# ------------------------------------------------------------------------------------------------- the question
+
+
 def answer(study: Study) -> Answer:
-    """How cascade sizes fall off, and whether differently from the toss of a coin and from a pool of blocks."""
+    """How cascade sizes fall off, beside what three nulls would give."""
     level = study.settings.confidence
-    made = [(group, _law_row(group, level)) for group in study.groups]
-    sizes = [row for group, _ in made for row in _size_rows(group, level)]
-    tables = {"law": frame(_LAW, [row for _, row in made]), "sizes": frame(_SIZES, sizes)}
-    by_label = {row["group"]: row for _, row in made}
-    judged = [(group, by_label[group.label]) for group in study.judged()]
-    judged = [(group, row) for group, row in judged if row["gamma_low"] is not None]
-    facts: dict[str, Any] = {
-        "rows": [row for _, row in made],
-        "t_burn": study.settings.t_burn,
-        "margin": GAMMA_MARGIN,
+    judged = study.judged()
+    labels = {group.label for group in judged}
+    every = [_sums(study, group, group.label in labels) for group in study.groups]
+    sums = {one.group.label: one for one in every}
+    sizes = [row for one in every for row in _size_rows(one, level)]
+    tables = {
+        "law": frame(_LAW, [_law_row(one, level, study.margins.get("gamma")) for one in every]),
+        "sizes": frame(_SIZES, sizes),
     }
     if not judged:
-        best = max(made, key=lambda one: one[1]["n_cascades"])[1]
-        return Answer(facts | {"best": best}, lack=best["basis"], tables=tables)
-    lead = [(group, row) for group, row in judged if group.key["n"] == judged[0][0].key["n"]]
-    group, row = lead[0]
-    facts |= {
-        "lead": row,
-        "paper": PAPER_GAMMA if group.key["coupling"] == "antisymmetric" else None,
-        "bounded": _bounded(group, row["gamma"]),
-        "only": int(seen[0]) + 1 if len(seen := np.flatnonzero(group.counts.sum(axis=0))) == 1 else None,
-        "refused": [row for _, row in made if row["basis"] not in enough.JUDGED],
-        "sizes": [one for one in sizes if one["group"] == group.label],
-        "is_by_engine": len({row["n"] for row in by_label.values()})
-        == 1
-        < len({row["engine"] for row in by_label.values()}),
-    }
-    drawn = partial(
-        size_law,
-        [(one.label, [size for size in sizes if size["group"] == one.label]) for one, _ in lead[:MOST_DRAWN]],
-        row,
+        return Answer(findings=[lack(study, "the decay rate of cascade sizes")], tables=tables)
+    known = [one for group in judged if (one := sums[group.label]).estimate(gamma, level).low is not None]
+    if not known:
+        return Answer(findings=[Lack("the decay rate of cascade sizes", Reason.ONE_VALUE)], tables=tables)
+    lead = known[0]
+    beside = [one for one in known if _engine(one) == _engine(lead)][:MOST_SETTINGS]
+    names = apart([one.group.name for one in beside])
+    leading, findings = _findings(study, lead, names[0])
+    for one, name in zip(beside[1:], names[1:], strict=True):
+        findings += _rates(study, one, name)
+    drawn = [one for one in known if one.n == lead.n][:MOST_DRAWN]
+    definitions = cascade_definitions.compared(study, lead.group)
+    return Answer(
+        findings=[*leading, *findings, *definitions.findings],
+        n_lead=len(leading),
+        alerts=_alerts(study, lead, [one.group for one in every]),
+        tables=tables | definitions.tables,
+        figures=_figures(study, lead, drawn, sizes) | definitions.figures,
+        method=_method(study),
     )
-    unit, run = _one_run(study, group)
-    facts["unit_drawn"] = unit
-    figures = {"one_run": partial(one_run, *run), "size_law": drawn}
-    return Answer(facts, tables=tables, figures=figures)
 
 
-def _law_row(group: Group, confidence: float) -> Row:
-    """gamma of a group against ln 2 and against the pool, each with its interval over matrices."""
-    sums, basis = group.sums("gamma").rows, group.basis(confidence)
-    some = sums[:, 1] > 0
-    rate = over_matrices(gamma, sums[some], confidence)
+def _method(study: Study) -> str:
+    least = study.settings.smallest
+    return (
+        "A cascade is a run of blocks that let go with no block sticking in between; its size, their number, has the "
+        f"law f ∝ exp(−γ s){f' from {least} on' * (least > 1)}, fitted by maximum likelihood with intervals over "
+        f"{systems(study)}s. Blocks shifted in time are each run's own, moved by a random time each "
+        f"({min(study.settings.resamples, SHIFTS)} draws per run); independent two-state blocks are as many, of "
+        "which as many stick on average."
+    )
+
+
+def _engine(sums: Sums) -> list[object]:
+    return [sums.group.key[name] for name in ENGINE_KEYS]
+
+
+def _sums(study: Study, group: Group, is_judged: bool) -> Sums:
+    """Of a group that is not judged, only what its counts say."""
+    least = study.settings.smallest
+    counts = group.counts[:, least - 1 :]
+    n_columns = 3 + 2 * PARTS
+    found = np.zeros((len(counts), n_columns))
+    if is_judged:
+        found = study.sums(group, partial(_of_run, least, min(study.settings.resamples, SHIFTS)), n_columns)
+    shifted, parts = found[:, :3], found[:, 3:n_columns].reshape(-1, PARTS, 2)
+    seen = counts.sum(axis=1) > 0
+    rows = np.hstack([moments(counts), shifted, group.stuck])
+    return Sums(group, least, rows[seen], parts[seen], counts[seen])
+
+
+def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
+    """`cascades.moments` of a run's blocks shifted in time, and total size and number of cascades in parts of it."""
+    shifted = np.zeros(3)
+    if run.steps is not None:
+        shifted = rotations(run.steps, (), draws, run.generator(), least).moments
+    found = spans(run.win)
+    size = found.size - (least - 1)
+    part = (PARTS * (found.start - run.win.t_start) / (run.win.t_stop - run.win.t_start)).astype(np.int64)
+    columns = [np.bincount(part[size > 0], of[size > 0], PARTS) for of in (size, np.ones(len(size)))]
+    return np.concatenate([shifted, np.column_stack(columns).ravel()])
+
+
+# ------------------------------------------------------------------------------------------------- findings
+
+
+def _rates(study: Study, sums: Sums, where: str) -> list[Level]:
+    """The decay rate beside that of a fair coin and, as far as known, those of shifted and of two-state blocks."""
+    level, margin = study.settings.confidence, study.margins.get("gamma")
+    nulls: dict[str, Statistic] = {COIN: over_coin}
+    if sums.is_shifted:
+        nulls[SHIFTED] = over_shifted
+    if sums.pool_mean is not None:
+        nulls[TWO_STATE] = lambda rows: gamma(rows) / of_pool(sums.n, rows) - 1
+    rate, basis = sums.estimate(gamma, level), Basis(len(sums.rows), systems(study))
+    return [
+        Level(RATE, rate, where, Comparison(null, Difference(sums.estimate(of, level), margin=margin)), basis)
+        for null, of in nulls.items()
+    ]
+
+
+def _findings(study: Study, sums: Sums, where: str) -> tuple[list[Finding], list[Finding]]:
+    """The law of a group, what coupling does to it and how far it is from an exponential; and further findings."""
+    level = study.settings.confidence
+    rate, *others = _rates(study, sums, where)
+    spread = sums.estimate(variance, level)
+    departure, *more = (
+        Level(VARIANCE, spread, where, Comparison(null, Difference(sums.estimate(of, level))), rate.basis)
+        for null, of in (("an exponential's", over_exponential), (SHIFTED, variance_over_shifted))
+        if null != SHIFTED or sums.is_shifted
+    )
+    fit = fit_of(departure, gain(sums, level))
+    law = Law("cascade sizes", "fall off exponentially", rate, fit, departure, "fall off nearly exponentially")
+    coupled = _coupling(sums, rate, level)
+    each = _each(sums, level)
+    values, errors = (np.array([one.value for one in each if one.low is not None]), _errors(each, level))
+    lasting = Level(LASTING, between(values, errors, PARTS - 1, level), where, basis=rate.basis)
+    further: list[Finding] = [*others, *more, *([lasting] if lasting.estimate.value is not None else [])]
+    return [law, *coupled, departure], further
+
+
+def fit_of(departure: Level, gain: Estimate) -> Fit:
+    """Whether sizes are exponential: by their variance and, against a power law, by their likelihood."""
+    if gain.low is None or gain.high is None or gain.low <= 0.0 <= gain.high:
+        return Fit.OPEN
+    if gain.high < 0.0:
+        return Fit.FAILS
+    assert departure.comparison is not None
+    is_shown = departure.comparison.difference.verdict in (Verdict.MORE, Verdict.LESS)
+    return Fit.CLOSE if is_shown else Fit.HOLDS
+
+
+def _coupling(sums: Sums, rate: Level, confidence: float) -> list[Share]:
+    """How much of a difference from ln 2 goes if blocks are shifted in time; empty where no difference is shown."""
+    assert rate.comparison is not None
+    verdict = rate.comparison.difference.verdict
+    if not sums.is_shifted or verdict not in (Verdict.MORE, Verdict.LESS):
+        return []
+    share = quotient(
+        lambda rows: gamma(rows) - gamma_shifted(rows), lambda rows: gamma(rows) - LN2, sums.rows, confidence
+    )
+    if share.low is None or share.high is None:
+        return []
+    difference = "excess over ln 2" if verdict is Verdict.MORE else "shortfall from ln 2"
+    at = f" at {rate.where}" if rate.where else ""
+    how = ": shifting the blocks in time removes it" if share.low > 0.0 else ", by shifting the blocks in time"
+    return [Share("coupling", f"the {difference}{at}", f"is due to coupling{how}", share, basis=rate.basis)]
+
+
+def _each(sums: Sums, confidence: float) -> list[Estimate]:
+    """Decay rate of each system, with its interval over parts of its run."""
+    return [over_matrices(estimates.gamma, parts, confidence) for parts in sums.parts if parts.any()]
+
+
+def _errors(each: Sequence[Estimate], confidence: float) -> np.ndarray:
+    t = student.half_width(confidence, PARTS - 1)
+    return np.array([(one.high - one.low) / (2 * t) for one in each if one.low is not None and one.high is not None])
+
+
+def _alerts(study: Study, lead: Sums, groups: Sequence[Group]) -> list[Alert]:
+    """How runs of the lead ended that have no cascades, and where n_stick drifts."""
+    level, ends, of = study.settings.confidence, lead.group.fates, len(lead.group)
+    n = {fate: int(np.count_nonzero(ends == fate)) for fate in (fates.COLLAPSED, fates.DIVERGED, fates.QUIET)}
+    alerts = [
+        Alert.of(Code.SETTLED, n=n[fates.COLLAPSED], of=of, what="the law of cascade sizes"),
+        Alert.of(Code.DIVERGED, n=n[fates.DIVERGED], of=of),
+        Alert.of(Code.UNCERTIFIED, n=n[fates.QUIET], of=of),
+    ]
+    found = [alert for alert in alerts if dict(alert.numbers)["n"]]
+    drifting = [group.label for group in groups if group.basis(level).code == enough.DRIFTS]
+    if drifting:
+        where = f"at {drifting[0]}" if len(drifting) == 1 else f"at {len(drifting)} settings"
+        what = f"The number of sticking blocks {where}"
+        found.insert(0, Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn))
+    return found[:3]
+
+
+# ------------------------------------------------------------------------------------------------- tables and figures
+
+
+def _law_row(sums: Sums, confidence: float, margin: float | None) -> Row:
+    """Row of the table `law`; its verdict is that of the first comparison of `_rates`."""
+    group, mean = sums.group, sums.pool_mean
     row: Row = {
-        "group": group.label, "n": group.key["n"], "engine": group.key["engine"], "n_matrices": int(some.sum()),
-        "n_cascades": int(sums[:, 1].sum()), "gamma": rate.value, "gamma_low": rate.low, "gamma_high": rate.high,
-        "chance": LN2, **named("difference", _less(rate, LN2)), "gamma_pool": None, **named("over_pool", Estimate()),
-        "verdict": UNKNOWN, "pool_verdict": UNKNOWN, "basis": basis.code, "drift": basis.drift,
-        "n_runs": len(group), "n_moving": group.n_moving, "law": engine_name(group.key["engine"]),
+        "group": group.label, "n": sums.n, "engine": group.key["engine"], "n_matrices": len(sums.rows),
+        "n_cascades": int(sums.rows[:, 0].sum()), "smallest": sums.smallest,
+        **named("gamma", sums.estimate(gamma, confidence)), "chance": LN2,
+        **named("difference", sums.estimate(lambda rows: gamma(rows) - LN2, confidence)),
+        "verdict": Difference(sums.estimate(over_coin, confidence), margin=margin).verdict,
+        **named("gain", gain(sums, confidence)),
+        "basis": group.basis(confidence).code,
     }  # fmt: skip
-    if basis.code in enough.JUDGED:
-        row["verdict"] = verdict_on(lambda of: gamma(of) - LN2, sums[some], GAMMA_MARGIN * LN2, confidence)
-    mean = group.pool_mean
-    if rate.value is not None and mean is not None and pool.is_one(group.key["n"], mean):
-        rows = np.hstack([sums, group.stuck])[some]
-        over, of_pool = (
-            over_matrices(pool.against(group.key["n"]), rows, confidence),
-            pool.gamma(group.key["n"], mean),
-        )
-        row |= {"gamma_pool": of_pool, **named("over_pool", over)}
-        if basis.code in enough.JUDGED:
-            row["pool_verdict"] = verdict_on(pool.against(group.key["n"]), rows, GAMMA_MARGIN * of_pool, confidence)
+    ratios = sums.estimate(lambda rows: 1 + over_exponential(rows), confidence)
+    row |= named("variance", ratios)
+    if mean is not None:
+        row["gamma_pool"] = pool.gamma(sums.n, mean)
+        by_pool = pool.against(sums.n)
+        row |= named("over_pool", sums.estimate(lambda rows: by_pool(rows[:, [1, 0, 6, 7]]), confidence))
+    if sums.is_shifted:
+        row["gamma_shifted"] = sums.estimate(gamma_shifted, confidence).value
+        row |= named("over_shifted", sums.estimate(lambda rows: gamma(rows) - gamma_shifted(rows), confidence))
+        row["variance_shifted"] = sums.estimate(lambda rows: 1 + excess(rows[:, 3:6]), confidence).value
     return row
 
 
-def _bounded(group: Group, gamma: float) -> float | None:
-    """gamma of the exponential law of sizes up to n, where that is another one; None if it cannot be found either."""
-    n = int(group.key["n"])
-    found = gamma_up_to(*truncate(np.pad(group.counts.sum(axis=0), (1, 0)), 1, max(n, 2)))
-    if found is None or abs(found - gamma) <= GAMMA_MARGIN * gamma:
-        return None
-    return round(found, 12)  # of equal counts 0
+def _size_rows(sums: Sums, confidence: float) -> list[Row]:
+    """Share of each size with its interval over systems, fitted, by a coin and of two-state blocks."""
+    totals, rate, mean = sums.counts.sum(axis=1), sums.estimate(gamma, confidence).value, sums.pool_mean
+    two_state = None if mean is None else pool.law(sums.n, mean, sums.counts.shape[1])
+    return [
+        {
+            "group": sums.group.label,
+            "size": k + sums.smallest,
+            "n_cascades": int(column.sum()),
+            **named("share", mean_within(np.column_stack([column, totals]).astype(float), 1.0, confidence)),
+            "fit": None if rate is None else float(-np.expm1(-rate) * np.exp(-rate * k)),
+            "chance": 0.5 ** (k + 1),
+            "pool": None if two_state is None else float(two_state[k]),
+        }
+        for k, column in enumerate(sums.counts.T if len(totals) else [])
+    ]
 
 
-def _less(estimate: Estimate, number: float) -> Estimate:
-    value, low, high = (None if x is None else x - number for x in (estimate.value, estimate.low, estimate.high))
-    return Estimate(value, low, high)
+def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Sequence[Row]) -> dict[str, Picture]:
+    level, burn = study.settings.confidence, f"t = {study.settings.t_burn:g}"
+    rate, each = lead.estimate(gamma, level), _each(lead, level)
+    labels: Sequence[Label] = apart([one.group.name for one in drawn])
+    laws = {
+        str(label or lead.group.label): [row for row in sizes if row["group"] == one.group.label]
+        for label, one in zip(labels, drawn, strict=True)
+    }
+    unit, draw_run = _first_run(study, lead.group)
+    return {
+        "size_law": Picture(
+            partial(cascade_figures.size_law, laws, rate),
+            "Each size is about half as common as the one before it; over a fair coin's 2⁻ˢ, below, the slope of the "
+            f"shares is the difference of the decay rate from ln 2. Line and band: the exponential law, {level:.0%}.",
+        ),
+        "decay_rates": Picture(
+            partial(forest, each, rate, "decay rate", (LN2, COIN)),
+            f"The decay rate of each {systems(study)}, its interval from {PARTS} parts of its run, and that of all "
+            f"together (diamond, band). Dashed: {COIN}, which tossing a coin between letting go and sticking gives.",
+        ),
+        "one_run": Picture(
+            draw_run,
+            f"A run of {systems(study)} {unit}, with its largest cascade after {burn} enlarged.",
+        ),
+    }
 
 
-def verdict_on(difference: Statistic, rows: np.ndarray, margin: float, confidence: float) -> str:
-    """Verdict on a difference of gamma, one of `STEEP` or `UNKNOWN`, by the rule of `stats.compare`."""
-    try:
-        return against(difference, rows, margin).verdict(confidence, STEEP)
-    except Undefined:
-        return UNKNOWN
-
-
-def _size_rows(group: Group, confidence: float) -> list[Row]:
-    """Share of each size: observed with its interval over matrices, fitted, by the toss of a coin and in the pool."""
-    counts = group.counts
-    counts = counts[counts.sum(axis=1) > 0]
-    if not len(counts):
-        return []
-    totals = counts.sum(axis=1)
-    rate = over_matrices(gamma, group.sums("gamma").counted.rows, confidence).value
-    n, mean = int(group.key["n"]), group.pool_mean
-    by_pool = pool.law(n, mean, counts.shape[1]) if mean is not None and pool.is_one(n, mean) else None
-    rows = []
-    for size, column in enumerate(counts.T, start=1):
-        share = mean_within(np.column_stack([column, totals]).astype(float), 1.0, confidence)
-        rows.append(
-            {
-                "group": group.label,
-                "size": size,
-                "n_cascades": int(column.sum()),
-                **named("share", share),
-                "fit": None if rate is None else float(-np.expm1(-rate) * np.exp(-rate * (size - 1))),
-                "chance": 0.5**size,
-                "pool": None if by_pool is None else float(by_pool[size - 1]),
-            }
-        )
-    return rows
-
-
-def _one_run(study: Study, group: Group) -> tuple[int, tuple[Any, ...]]:
-    """Unit of the first run of a group, and the arguments of `one_run`: that run, with its largest cascade."""
+def _first_run(study: Study, group: Group) -> tuple[int, Recipe]:
+    """Unit of the first run of a group, and what draws it."""
     row, member_id, win = next(iter(study.windows(group)))
     found = spans(win)
-    one = None
+    largest = None
     if len(found.size):
         k = int(np.argmax(found.size))
-        one = int(found.size[k]), float(found.start[k]), float(found.stop[k])
-    return group.units[row], (*study.runs.points(member_id), win.t_stop, study.settings.t_burn, one)
+        largest = cascade_figures.Largest(int(found.size[k]), float(found.start[k]), float(found.stop[k]))
+    t, n_stick = study.runs.points(member_id)
+    draw = partial(cascade_figures.one_run, t, n_stick, win.t_stop, study.settings.t_burn, largest)
+    return group.units[row], draw
 
 
-_Span = tuple[int, float, float]  # of a cascade: size, first exit, last exit
-
-
-@panel()
-def one_run(
-    ax: Axes, t: np.ndarray, n_stick: np.ndarray, t_stop: float, t_burn: float, cascade: _Span | None
-) -> None:
-    """n_stick(t) of one run from its change points, with the burn-in shaded and one cascade enlarged."""
-    t, n_stick = np.append(t, t_stop), np.append(n_stick, n_stick[-1])
-    ax.step(t, n_stick, where="post", color=EXACT, linewidth=0.5, rasterized=True)
-    ax.axvspan(0, t_burn, color=GREY, alpha=0.13, linewidth=0)
-    ax.text(t_burn / 2, 0.02, "left out", transform=ax.get_xaxis_transform(), ha="center", color=GREY, fontsize=7)
-    ax.set(xlim=(0, max(t_stop, t_burn)), ylim=(0, None), xlabel="time t", ylabel="blocks that stick, $n_{stick}$")
-    if cascade is not None:
-        size, first, last = cascade
-        wide = max(4 * (last - first), 1e-6)
-        seen = (t >= first - wide) & (t <= last + wide)
-        ax.set_ylim(0, 2.1 * n_stick[t > t_burn].max())
-        inset = ax.inset_axes((0.38, 0.6, 0.6, 0.36))
-        inset.step(t[seen], n_stick[seen], where="post", color=EXACT, linewidth=0.9)
-        let_go = (t >= first) & (t <= last)
-        start = np.flatnonzero(let_go)[0]
-        inset.step(
-            np.append(first, t[let_go]), np.append(n_stick[start - 1], n_stick[let_go]), where="post",
-            color=SMOOTHED, linewidth=1.8,
-        )  # fmt: skip
-        inset.set_title(f"one cascade, size {size}", color=SMOOTHED, fontsize=7, loc="right")
-        inset.tick_params(labelsize=6)
-        inset.xaxis.set_major_locator(MaxNLocator(nbins=3))
-        inset.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
-
-
-@panel(nrows=2, height_ratios=(1.0, 1.3))
-def size_law(axes: Sequence[Axes], laws: Sequence[tuple[str, Sequence[Row]]], fitted: Row) -> None:
-    """Share of cascades of each size for some groups, on a log axis with the fit; below, the same over the coin's.
-
-    The lower axes show only sizes whose shares are known to within `SHOWN`, so that the difference of gamma is
-    visible. `laws` are rows of the table `sizes` by group; `fitted` is the first group's row of `law`.
-    """
-    top, below = axes
-    largest, widest, ends = 1, 1, [1.0]
-    for k, (label, rows) in enumerate(laws):
-        seen = [row for row in rows if row["n_cascades"] >= 5 and row["share_low"]]
-        if not seen:
-            continue
-        sizes = np.array([row["size"] for row in seen], dtype=float)
-        share, less, more = (np.array([row["share" + end] for row in seen]) for end in ("", "_low", "_high"))
-        largest, chance = max(largest, int(sizes[-1])), 0.5**sizes
-        form: Any = {"fmt": "os"[k % 2], "color": (EXACT, SMOOTHED)[k % 2], "markersize": 3, "linewidth": 0.8}
-        form["markerfacecolor"] = form["color"] if k % 2 == 0 else "white"
-        at = sizes + 0.12 * k
-        top.errorbar(at, share, yerr=[share - less, more - share], label=label, **form)
-        known = more - less < 2 * SHOWN * share
-        over, less, more = (x[known] / chance[known] for x in (share, less, more))
-        below.errorbar(at[known], over, yerr=[over - less, more - over], **form)
-        widest, ends = max(widest, *sizes[known].astype(int), 1), [*ends, *less, *more]
-    grid = np.arange(1, largest + 1)
-    fit, low, high = (
-        None if fitted[name] is None else -np.expm1(-fitted[name]) * np.exp(-fitted[name] * (grid - 1))
-        for name in ("gamma", "gamma_low", "gamma_high")
-    )
-    if fit is not None:
-        top.plot(grid, fit, color=EXACT, linewidth=1)
-        below.plot(grid, fit * 2.0**grid, color=EXACT, linewidth=1, label="fit")
-    if low is not None and high is not None:
-        below.fill_between(grid, low * 2.0**grid, high * 2.0**grid, color=EXACT, alpha=0.2, linewidth=0)
-    by_pool = [row for row in laws[0][1] if row["pool"] is not None]
-    if by_pool:
-        sizes = np.array([row["size"] for row in by_pool])
-        over = np.array([row["pool"] for row in by_pool]) * 2.0**sizes
-        below.plot(sizes, over, ":", color=GREEN, linewidth=1.4, label="memoryless null")
-    below.axhline(1.0, linestyle="--", color=GREY, linewidth=1, label="fair-coin null")
-    top.set_yscale("log")
-    top.yaxis.set_minor_locator(NullLocator())
-    top.set(xlabel="cascade size s", ylabel="share, f")
-    margin = 0.08 * (max(ends) - min(ends)) + 0.002
-    below.set(ylabel="f / fair coin", xlabel="cascade size s", ylim=(min(ends) - margin, max(ends) + margin))
-    size_axis(top, largest)
-    size_axis(below, widest)
-    if top.get_legend_handles_labels()[0]:  # no size may be known well enough
-        top.legend(loc="upper right", fontsize=7)
-    below.legend(loc="lower left", fontsize=7)
-
-
-QUESTION = Question(answer, share=0.05, of_cascades=True, rank=5, beside=("exponential", "collective", "fates"))
+QUESTION = Question(
+    answer, "How do cascade sizes fall off?", share=0.2, of_cascades=True, rank=5, beside=("collective", "fates")
+)

@@ -14,6 +14,7 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, Fit, Lack, Law, Level, Quantity, Reason, Share
 from stickslip.analysis.findings.numbers import number
+from stickslip.analysis.models.clustering import POWER, VARIANCE
 from stickslip.analysis.models.rhythm import NONE, SURROGATES
 from stickslip.analysis.questions.slips import slow_motion, triggering
 from stickslip.analysis.questions.slips.slow_motion import CYCLES, Slow
@@ -23,6 +24,7 @@ from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
 WHAT = "collective motion"
 MOST_DRAWN = 3  # groups in the figure
+OF_ALL_BLOCKS = (POWER, VARIANCE)  # what is compared on the page besides exits; tables have all
 Q = Quantity("quality", "Q", definition="pi times the time in which the motion decays to 1 / e, in natural periods")
 PERIOD = Quantity("period", "natural period of slow common motion")
 DEVIANCE = Quantity("deviance", "deviance of the slow spectrum from the fit")
@@ -59,36 +61,43 @@ def answer(study: Study) -> Answer:
     of_group = {one.group.label: one for one in slow}
     exits.sort(key=lambda found: not _is_shown(of_group.get(found.group.label)))  # of like ones the first leads
     lead, *others = exits
-    findings = _leading(study, lead, of_group.get(lead.group.label))
-    for found in others:
-        where = found.group.label
-        if (common := of_group.get(where)) is not None and common.is_shown:
-            findings.append(_share(common, where, systems(study)))
+    leading, compared = _leading(study, lead, of_group.get(lead.group.label))
+    shares = [
+        _share(motion, found.group.label, systems(study))
+        for found in others
+        if (motion := of_group.get(found.group.label)) is not None and motion.is_shown
+    ]
     drawn = {found.group.label: (found.spectrum(), bands.get(found.group.label, [])) for found in exits[:MOST_DRAWN]}
     picture = _picture(drawn, of_group.get(lead.group.label))
     alerts = []
     if lead.group.n_moving < len(lead.group):
         n_left = len(lead.group) - lead.group.n_moving
         alerts.append(Alert.of(Code.NOT_MOVING, n=n_left, of=len(lead.group), what="collective motion"))
-    return Answer(
-        findings=findings, n_lead=3, alerts=alerts, method=_METHOD, tables=tables, figures={"collective": picture}
-    )
+    findings = [*leading, *shares, *compared]
+    figures = {"collective": picture}
+    return Answer(findings=findings, n_lead=3, alerts=alerts, method=_METHOD, tables=tables, figures=figures)
 
 
 def _is_shown(motion: Slow | None) -> bool:
     return motion is not None and motion.is_shown
 
 
-def _leading(study: Study, exits: Exits, motion: Slow | None) -> list[Finding]:
-    """What one group shows: first the share of slow common motion or, if none is shown, the primary comparison."""
+def _leading(study: Study, exits: Exits, motion: Slow | None) -> tuple[list[Finding], list[Finding]]:
+    """What one group shows: first the share of slow common motion or, if none is shown, the primary comparison.
+
+    Returns
+    -------
+    leading, compared : list of Finding
+    """
     unit, where = systems(study), exits.group.label if len(study.groups) > 1 else ""
+    share, shown = triggered(exits, where, unit)
+    kept = [exits.compared[0], *(one for one in exits.compared[1:] if one is shown or one.part.kind in OF_ALL_BLOCKS)]
     basis = Basis(exits.n_units, unit)
-    levels: list[Finding] = [one.level(where, basis) for one in exits.compared if one.observed.low is not None]
-    share = triggered(exits, where, unit)
-    findings = [] if share is None else [share]
+    compared: list[Finding] = [one.level(where, basis) for one in kept if one.observed.low is not None]
     if motion is None or not motion.is_shown:
-        return [*levels[:1], *findings, *_lacking(study, motion), *levels[1:]]
-    return [_share(motion, where, unit), *findings, *_law(motion, study.settings.confidence, where, unit), *levels]
+        return [*compared[:1], *share, *_lacking(study, motion)], compared[1:]
+    law = _law(motion, study.settings.confidence, where, unit)
+    return [_share(motion, where, unit), *share, *law], compared
 
 
 def _share(motion: Slow, where: str, unit: str) -> Share:
@@ -104,7 +113,7 @@ def _law(motion: Slow, confidence: float, where: str, unit: str) -> list[Finding
     fit = motion.motion.goodness
     assert fit is not None
     law = Law(
-        "slow spectra of n_stick", "follow that of a damped oscillator",
+        "slow spectra of n_stick", "fit a damped oscillator",
         Level(Q, motion.estimate("quality"), where, basis=basis),
         Fit.HOLDS if fit.p_value >= 1 - confidence else Fit.FAILS,
         Level(DEVIANCE, Estimate(fit.deviance), ", ".join(filter(None, (where, f"{fit.dof} degrees of freedom")))),
@@ -128,19 +137,18 @@ def _lacking(study: Study, motion: Slow | None) -> list[Finding]:
 
 def _picture(drawn: Mapping[str, tuple[list[Row], list[Row]]], motion: Slow | None) -> Picture:
     """Power at all periods, with the fit of slow common motion and, of the group that leads, its goodness."""
-    caption = (
-        "Slow common motion lifts the power of n_stick above that of independent blocks (dashed), with intervals;"
-        " lines through marks: the fitted damped oscillator"
-    )
+    power = "the power of n_stick, the number of sticking blocks,"
     if motion is None or motion.motion is None or motion.motion.goodness is None:
-        caption = "Power of n_stick over that of independent blocks (dashed), with intervals"
-    else:
-        fit = motion.motion.goodness
-        caption += (
-            f", at {motion.group.label} of Q = {number(motion.estimate('quality').value or 0.0, digits=2)}, deviance"
-            f" {fit.deviance:.0f} on {fit.dof} degrees of freedom (p = {fit.p_value:.2g})"
-        )
-    return Picture(partial(spectrum, drawn), f"{caption}.")
+        caption = f"How far {power} is from that of independent blocks (dashed). Bars and bands: intervals."
+        return Picture(partial(spectrum, drawn), caption)
+    fit = motion.motion.goodness
+    quality = number(motion.estimate("quality").value or 0.0, digits=2)
+    caption = (
+        f"At long periods slow common motion lifts {power} above that of independent blocks (dashed). Bars and bands:"
+        f" intervals; lines through marks: a damped oscillator, which at {motion.group.label} has Q = {quality} and a"
+        f" deviance of {fit.deviance:.0f} on {fit.dof} degrees of freedom (p = {fit.p_value:.2g})."
+    )
+    return Picture(partial(spectrum, drawn), caption)
 
 
 @panel(3.4)

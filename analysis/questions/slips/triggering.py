@@ -117,21 +117,21 @@ def _ends(estimate: Estimate) -> Row:
     return {"low": estimate.low, "high": estimate.high}
 
 
-def triggered(exits: Exits, where: str, unit: str) -> Share | Limit | None:
-    """The share of exits that trigger another one within a time, or an upper limit; None if no time is long enough.
+def triggered(exits: Exits, where: str, unit: str) -> tuple[list[Share | Limit], Compared | None]:
+    """The share of exits that trigger another one within a time, or an upper limit, and the pairs that show it.
 
     An exit that another one triggers adds a pair to those of independent blocks. If more pairs are shown, the share
     is that within the least time at which they are. Else it has a limit, within the least time that is long enough
     for triggering: the end of the interval, but no less than if there were as many pairs as of independent blocks,
     since data with few pairs by luck would exclude too much (Cowan, Cranmer, Gross and Vitells 2011,
-    arXiv:1105.3166).
+    arXiv:1105.3166). There is none if no time is long enough.
     """
     pairs = sorted((one for one in exits.compared if one.part.kind == PAIRS), key=lambda one: one.part.upto or 0.0)
     known = [one for one in pairs if one.effect.ratio.low is not None]
     more = next((one for one in known if one.difference.verdict is Verdict.MORE), None)
     shown = more or next((one for one in known if (one.part.upto or 0.0) >= SOON * exits.gap), None)
     if shown is None:
-        return None
+        return [], None
     per_exit = shown.independent / exits.n_exits
     predicate, basis = f"trigger another within {shown.part.upto:g}", Basis(exits.n_units, unit)
     value, low, high = (shown.effect.ratio.value, shown.effect.ratio.low, shown.effect.ratio.high)
@@ -140,9 +140,9 @@ def triggered(exits: Exits, where: str, unit: str) -> Share | Limit | None:
     assert high is not None
     if more is not None:
         share = Estimate((value - 1) * per_exit, (low - 1) * per_exit, (high - 1) * per_exit)
-        return Share("triggered", "slip onsets", predicate, share, where, basis=basis)
+        return [Share("triggered", "slip onsets", predicate, share, where, basis=basis)], shown
     most = max(high, (high / low) ** 0.5) - 1
-    return Limit("triggered", "slip onsets", predicate, most * per_exit, where, basis)
+    return [Limit("triggered", "slip onsets", predicate, most * per_exit, where, basis)], shown
 
 
 def exits_of(study: Study, group: Group) -> Exits | None:

@@ -20,8 +20,6 @@ from stickslip.analysis.models.fates import (
     WATCHED,
     median,
 )
-from stickslip.analysis.questions.slips.cascades import PAPER_GAMMA
-from stickslip.analysis.questions.slips.exponential import MARGIN as FORM
 from stickslip.analysis.stats import components
 from stickslip.analysis.stats.compare import Words
 from stickslip.analysis.stats.compare import verdict as compared
@@ -43,7 +41,7 @@ from stickslip.workflows.gallery.charts.claims import (
 )  # fmt: skip
 from stickslip.workflows.gallery.paper import figures_1_2
 from stickslip.workflows.gallery.paper.asked import STRONGEST, Asked, Measured
-from stickslip.workflows.gallery.paper.figures_3_to_5 import Cascades, Row, by_definition, escapes
+from stickslip.workflows.gallery.paper.figures_3_to_5 import PAPER_GAMMA, Cascades, Row, by_definition, escapes
 from stickslip.workflows.gallery.paper.runs import SCALES
 
 #: What the paper says: figure 3 (ii), and figure 4 (iv) at 5%.
@@ -52,6 +50,7 @@ NEAR = 1.25  # a time is near another within this factor
 MOST = 0.5  # a share above it is what happens
 MARGIN = 0.1  # of mean n_stick: what differs by less is alike
 BOUND = 0.25  # of another matrix's mean square difference, half in amplitude: a change of less is small
+FORM = 0.1  # of the variance of sizes: what is off an exponential's by less is alike
 SAME = 0.05  # of gamma: the paper's, within this share; between laws too
 COMMON = 0.05  # of the exits: paths share less than so much beyond chance, if they have nothing in common
 CLUSTERED = -0.05  # of gamma over ln 2: what clusters would at least take off

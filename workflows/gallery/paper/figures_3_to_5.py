@@ -14,13 +14,13 @@ from matplotlib.ticker import MaxNLocator
 from scipy.signal import periodogram
 
 from stickslip.analysis.models import fates
-from stickslip.analysis.questions.slips.cascades import PAPER_GAMMA
 from stickslip.analysis.series import cascades
 from stickslip.analysis.stats import dispersion, estimates
 from stickslip.analysis.style import CYCLE, EXACT, GREY, PANEL, SMOOTHED, panel, size_axis, styled
 from stickslip.workflows.gallery.charts.claims import CONFIDENCE, Claim
 from stickslip.workflows.gallery.paper.runs import Exits, Path
 
+PAPER_GAMMA = 0.74  # figure 5, where f is proportional to exp(-gamma dn)
 #: Two runs are apart once n_stick differs over a window so wide, on average, by half of what it does between two
 #: matrices; sampled so often.
 _APART, _APART_WINDOW, _APART_DT = 0.5, 1.0, 0.05

@@ -1,71 +1,115 @@
-"""Why gamma is not that of a coin: how much is counting, from a finite number of blocks, and how much is coupling."""
+"""Why the decay rate of cascade sizes is not that of a fair coin: finite size, blocks' own dynamics, coupling."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter, NullLocator, PercentFormatter
 
-from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Picture, Row, S, frame, lack, named, systems
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.finding import (
+    Basis,
+    Comparison,
+    Difference,
+    Finding,
+    Form,
+    Lack,
+    Level,
+    Parts,
+    Quantity,
+    Reason,
+)
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.counting import MEAN, N_COLUMNS, OBSERVED, parts, run_sums, without_lulls
-from stickslip.analysis.questions.slips.cascades import GAMMA_MARGIN, verdict_on
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import UNKNOWN
-from stickslip.analysis.stats.estimates import LN2, over_matrices, ratio
+from stickslip.analysis.stats.estimates import LN2, Estimate, over_matrices, ratio
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
 EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$np(1-p)$", r"$np(1-p)\,(\gamma/\ln 2-1)$"  # on the axes
-#: Largest number of rotations of a run: gamma of independent blocks is known that much better than that of the runs.
-ROTATIONS = 30
-NO_CASCADES, NO_INTERVAL = "no cascades", "no interval"  # reasons, like those of `stats.enough`
-SLOPE_MARGIN = 0.1  # of the slope of P(exit | n_stick), for which a scene declares no margin
-_PARTS = ("excess", "counting", "habits", "coupling", "independent", "slope", "over_slope")
+#: Largest number of times that a run's blocks are shifted: their rate is known that much better than the run's.
+SHIFTS = 30
+WHOLE = Quantity("excess", "excess over ln 2", Form.SHARE)
+PARTS = (
+    Quantity("counting", "finite size", Form.SHARE),
+    Quantity("habits", "each block's own dynamics", Form.SHARE),
+    Quantity("coupling", "coupling", Form.SHARE),
+)
+SLOPE = Quantity("slope", "rise of the chance of a slip onset with each sticking block", Form.SHARE)
+_ESTIMATES = ("excess", "counting", "habits", "coupling", "independent", "slope", "over_slope")
 _TABLE: Mapping[str, str] = {
     "group": S, "n": I, "n_matrices": I, "n_cascades": I, "mean": F, "variance": F, "in_lulls": F,
-    **{f"{name}{end}": F for name in _PARTS for end in ("", "_low", "_high")},
-    "verdict": S, "slope_of_pool": F, "slope_verdict": S, "basis": S,
+    **{f"{name}{end}": F for name in _ESTIMATES for end in ("", "_low", "_high")},
+    "slope_of_pool": F, "basis": S,
 }  # fmt: skip
 
 
-def answer(study: Study) -> Answer | None:
-    """The parts of gamma's excess over ln 2 in each group; None where no run records which block lets go."""
+def question(study: Study) -> Answer | None:
+    """Why is the decay rate not ln 2?
+
+    Finite size is the excess of as many independent two-state blocks, as many of which stick, over ln 2;
+    own dynamics is that of the runs' own blocks, each shifted by a random time, over two-state blocks; and coupling
+    that of the runs over shifted blocks. Stretches of more than 20 in which no block sticks are left out.
+    """
     if not study.data.events:
-        return None
+        return Answer(findings=[Lack("the parts of the decay rate", Reason.NOT_RECORDED, "events")])
     rows = [row for group in study.groups if (row := _row(study, group)) is not None]
     table = {"counting": frame(_TABLE, rows)}
     known = [row for row in rows if row["is_judged"] and row["coupling_low"] is not None]
     if not known:
-        best = max(rows, key=lambda row: row["n_cascades"], default={"basis": NO_CASCADES})
-        code = NO_INTERVAL if best["basis"] in enough.JUDGED else best["basis"]
-        return Answer({"best": best, "t_burn": study.settings.t_burn}, lack=code, tables=table)
+        what = "the parts of the decay rate"
+        missing = Lack(what, Reason.NOTHING_COUNTED) if study.judged() else lack(study, what)
+        return Answer(findings=[missing], tables=table)
     lead = min(known, key=lambda row: (row["n_runs"] > row["n_moving"], -row["n"]))  # no survivors first
     alike = sorted(
         (row for row in rows if row["of"] == lead["of"] and row["coupling_low"] is not None), key=lambda row: row["n"]
     )
-    facts: dict[str, Any] = {
-        "lead": lead, "rows": rows, "alike": alike,
-        "others": [row for row in alike if row is not lead and row in known],
-        "draws": min(study.settings.resamples, ROTATIONS), "margin": GAMMA_MARGIN, "slope_margin": SLOPE_MARGIN,
-        "t_burn": study.settings.t_burn, "lulls": [row for row in rows if row["in_lulls"]],
-        "refused": [row for row in alike if row not in known],
-    }  # fmt: skip
+    judged = [lead, *(row for row in reversed(alike) if row is not lead and row in known)]
+    findings: list[Finding] = [_parts(study, row, len(judged) > 1) for row in judged]
+    slope = Difference(_estimate(lead, "over_slope"))
+    where, basis = _where(lead, len(judged) > 1), Basis(lead["n_matrices"], systems(study))
+    findings.append(
+        Level(SLOPE, _estimate(lead, "slope"), where, Comparison("independent two-state blocks", slope), basis)
+    )
     draw = by_number if len(alike) > 1 else at_one_number
-    return Answer(facts, tables=table, figures={"counting": partial(draw, alike)})
+    caption = (
+        f"Coupling is the distance of the runs from their blocks shifted in time; line and diamonds: independent "
+        f"two-state blocks of the same number, of which a share p sticks. {_scaled(alike)}"
+        f"{'Faint: not in a steady state. ' * (len(alike) > len(judged))}"
+    )
+    return Answer(
+        findings=findings, tables=table, figures={"counting": Picture(partial(draw, alike), caption.strip())}
+    )
+
+
+def _scaled(rows: Sequence[Row]) -> str:
+    return "Below, times n p (1 − p), by which finite size is level. " if len(rows) > 1 else ""
+
+
+def _where(row: Row, is_swept: bool) -> str:
+    return f"n = {row['n']}" if is_swept else ""
+
+
+def _estimate(row: Row, name: str) -> Estimate:
+    return Estimate(*(row[f"{name}{end}"] for end in ("", "_low", "_high")))
+
+
+def _parts(study: Study, row: Row, is_swept: bool) -> Parts:
+    where, basis = _where(row, is_swept), Basis(row["n_matrices"], systems(study))
+    whole, *parts = (Level(one, _estimate(row, one.key), where, basis=basis) for one in (WHOLE, *PARTS))
+    return Parts(whole, tuple(parts))
 
 
 def _row(study: Study, group: Group) -> Row | None:
     """Row of the table `counting`: the parts of a group without its lulls; None if it has no events."""
     level, n = study.settings.confidence, int(group.key["n"])
-    found = study.sums(group, partial(_of_run, min(study.settings.resamples, ROTATIONS)), N_COLUMNS + 6)
+    found = study.sums(group, partial(_of_run, min(study.settings.resamples, SHIFTS)), N_COLUMNS + 6)
     sums, halves, spans = np.hsplit(found[:, :-1], (N_COLUMNS, N_COLUMNS + 4))
     lulls, total = spans.sum(axis=0)
     cascades = sums[:, OBSERVED][:, 1]
@@ -73,21 +117,18 @@ def _row(study: Study, group: Group) -> Row | None:
     if not len(sums):
         return None
     basis = enough.basis(halves[:, :3] / halves[:, 3:], int(cascades.sum()), level)
-    estimates = {name: over_matrices(of[name], sums, level) for name in _PARTS}
+    estimates = {name: over_matrices(of[name], sums, level) for name in _ESTIMATES}
     mean = float(ratio(sums[:, MEAN].sum(axis=0, keepdims=True))[0])
     row: Row = {
         "group": group.label, "n": n, "n_matrices": len(sums), "n_cascades": basis.n_cascades, "basis": basis.code,
         "is_judged": basis.code in enough.JUDGED,
         "mean": mean, "variance": mean * (1 - mean / n), "in_lulls": float(lulls / total),
-        "n_runs": len(group), "n_moving": group.n_moving, "verdict": UNKNOWN, "slope_verdict": UNKNOWN,
+        "n_runs": len(group), "n_moving": group.n_moving,
         "slope_of_pool": pool.slope(n, mean) if pool.is_one(n, mean) else None,
         "of": [group.key[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name != "n"],
     }  # fmt: skip
     for name, one in estimates.items():
         row |= named(name, one)
-    if row["is_judged"]:
-        row["verdict"] = verdict_on(of["coupling"], sums, GAMMA_MARGIN, level)
-        row["slope_verdict"] = verdict_on(of["over_slope"], sums, SLOPE_MARGIN, level)
     return row
 
 
@@ -107,19 +148,19 @@ def _of_run(draws: int, run: Run) -> np.ndarray | None:
 
 
 def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
-    """Coin, pool, independent blocks and runs against n p (1 - p); if `scaled`, times it, so that the pool is flat.
+    """The excess of runs and of three nulls against n p (1 - p); times it if `scaled`, which levels finite size.
 
     Groups that are not judged are faint.
     """
     x, known = (np.array([row[name] for row in rows]) for name in ("variance", "is_judged"))
     fine = np.geomspace(x.min() / 1.5, x.max() * 1.5, 60)
     scale, of_line = (x, np.ones(len(fine))) if scaled else (np.ones(len(x)), 1 / fine)
-    ax.axhline(0.0, linestyle="--", color=GREY, linewidth=1, label="fair-coin null")
+    ax.axhline(0.0, linestyle="--", color=GREY, linewidth=1, label="fair coin")
     ax.plot(fine, 0.25 / LN2 * of_line, color=GREEN, linewidth=0.8)
     counted = np.array([row["counting"] for row in rows]) * scale
-    ax.plot(x, counted, "D", color=GREEN, markersize=3.5, label="memoryless null")
+    ax.plot(x, counted, "D", color=GREEN, markersize=3.5, label="two-state blocks")
     for name, mark, colour, label in (
-        ("independent", "s", SMOOTHED, "independent blocks"), ("excess", "o", EXACT, "runs"),
+        ("independent", "s", SMOOTHED, "shifted in time"), ("excess", "o", EXACT, "runs"),
     ):  # fmt: skip
         value, low, high = (np.array([row[f"{name}{end}"] for row in rows]) * scale for end in ("", "_low", "_high"))
         for some, alpha, said in ((known, 1.0, label), (~known, 0.35, "")):
@@ -138,16 +179,16 @@ def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
 
 @panel()
 def at_one_number(ax: Axes, rows: Sequence[Row]) -> None:
-    """gamma over ln 2 of the runs and of three null models, at one n; rows of the table `counting`."""
+    """The excess over ln 2 of the runs and of three nulls, at one n; rows of the table `counting`."""
     _lines(ax, rows, scaled=False)
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     ax.set(xlabel=VARIANCE, ylabel=EXCESS)
-    ax.legend(loc="upper right", fontsize=7)
+    ax.legend(loc="upper right")
 
 
 @panel(nrows=2, height=3.6, sharex=True)
 def by_number(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
-    """The same for several n; below, times n p (1 - p), so that what falls off like the pool is flat."""
+    """The same for several n; below, times n p (1 - p), so that finite size is level."""
     top, below = axes
     _lines(top, rows, scaled=False)
     _lines(below, rows, scaled=True)
@@ -159,7 +200,4 @@ def by_number(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
     top.set(ylabel=EXCESS)
     below.set(xlabel=VARIANCE, ylabel=SCALED)
     handles, names = below.get_legend_handles_labels()
-    below.figure.legend(handles, names, loc="outside upper center", fontsize=7, ncols=4, columnspacing=1.0)
-
-
-QUESTION = Question(answer, share=0.4, of_cascades=True)
+    below.figure.legend(handles, names, loc="outside upper center", ncols=4, columnspacing=1.0)

@@ -1,0 +1,236 @@
+"""The law of cascade sizes: planted laws and couplings, and the findings that come of them."""
+
+import dataclasses
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from stickslip.analysis import Data, Study
+from stickslip.analysis.findings.alerts import Code
+from stickslip.analysis.findings.finding import Fit, Lack, Law, Level, Outcomes, Reason, Share, Verdict
+from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.models import pool
+from stickslip.analysis.questions.slips import cascade_definitions, cascades
+from stickslip.analysis.series.cascades import EVENTS
+from stickslip.analysis.series.cascades import Law as Definition
+from stickslip.analysis.stats.components import between, quotient
+from stickslip.analysis.stats.estimates import LN2
+from stickslip.analysis.tables import records
+from tests.analysis import studies
+from tests.analysis.blocks import coupled_blocks
+from tests.chance import ERRORS, agrees
+
+
+def study_of(planted, settings, law, rng, n_matrices=12, n_cascades=1500):
+    """Cascades of planted sizes, an entry for each exit: n_stick by turns falls by a size and rises as far."""
+    members, series = planted.ensemble({"coulomb": 0.7}, n_matrices)
+    for name in series:
+        sizes = studies.of_law(rng, law, n_cascades)
+        steps = np.concatenate([[-k, k] for k in sizes])
+        t = np.sort(rng.uniform(0, planted.t_end, len(steps)))
+        series[name] = np.concatenate(([0.0], t)), 100 + np.concatenate(([0], np.cumsum(steps)))
+    return Study(Data(members, series), settings)
+
+
+def law_of(answer):
+    """The first finding."""
+    law = answer.findings[0]
+    assert isinstance(law, Law)
+    return law
+
+
+def found(answer, key, other=""):
+    """The level of a quantity, beside something."""
+    levels = [one for one in answer.findings if isinstance(one, Level) and one.quantity.key == key]
+    return next((one for one in levels if one.comparison is None or one.comparison.other == other), None)
+
+
+def verdict(level):
+    return level.comparison.difference.verdict
+
+
+def test_an_exponential_is_told_to_be_one_in_most_cases(planted, settings, rng):
+    studies_of = [study_of(planted, settings, studies.geometric(0.7, 100), rng) for _ in range(8)]
+    fits = [law_of(cascades.answer(study)).fit for study in studies_of]
+    assert agrees(fits.count(Fit.HOLDS), len(fits), 0.95)
+
+
+@pytest.mark.parametrize(
+    ("law", "fit", "side", "error"),
+    [
+        pytest.param(pool.law(30, 4.875, 30), Fit.CLOSE, Verdict.LESS, 0.013, id="pool of 30 blocks"),
+        pytest.param(
+            (studies.geometric(0.5) + studies.geometric(1.1)) / 2, Fit.CLOSE, Verdict.MORE, 0.028, id="two rates"
+        ),
+        pytest.param(np.arange(1.0, 101) ** -2.5, Fit.FAILS, Verdict.MORE, 1.0, id="power law"),
+    ],
+)
+def test_the_variance_tells_other_laws_from_an_exponential(planted, settings, rng, law, fit, side, error):
+    law = law[:100] / law[:100].sum()
+    answer = cascades.answer(study_of(planted, settings, law, rng))
+    assert law_of(answer).fit is fit
+    departure = found(answer, "variance", "an exponential's")
+    assert departure == law_of(answer).departure
+    assert verdict(departure) is side
+    assert departure.comparison.difference.estimate.value == pytest.approx(studies.excess_of(law), abs=ERRORS * error)
+    said = sentence(answer.findings[0])
+    assert ("do not fall off" if fit is Fit.FAILS else "fall off nearly exponentially") in said
+
+
+@pytest.mark.parametrize(
+    ("rate", "side"), [(LN2, Verdict.OPEN), (LN2 - 0.12, Verdict.LESS), (LN2 + 0.3, Verdict.MORE)]
+)
+def test_the_interval_alone_tells_the_rate_from_that_of_a_coin(planted, settings, rate, side):
+    answer = cascades.answer(Study(Data(*planted.ensemble({"coulomb": rate}, 20)), settings))
+    level = law_of(answer).parameter
+    assert level.estimate.low < rate < level.estimate.high
+    assert verdict(level) is side
+    assert level.basis.n == 20
+    assert answer.tables["law"]["difference"][0] == pytest.approx(level.estimate.value - LN2)
+    assert len(sentence(answer.findings[0]).split()) <= 25
+
+
+def test_rates_are_equal_only_within_a_margin_that_the_scene_declares(planted, settings):
+    data = Data(*planted.ensemble({"coulomb": LN2 + 0.02}, 20))
+    verdicts = [
+        verdict(law_of(cascades.answer(Study(data, dataclasses.replace(settings, margins=margins)))).parameter)
+        for margins in ({}, {"gamma": 0.2}, {"mean": 0.5})
+    ]
+    assert verdicts[1] is Verdict.EQUAL
+    assert verdicts[0] is verdicts[2] is not Verdict.EQUAL
+
+
+def test_a_smallest_size_leaves_smaller_cascades_out_and_an_exponential_one(planted, settings, rng):
+    law = studies.geometric(0.7, 100)
+    law[0] *= 3
+    study = study_of(planted, settings, law, rng)
+    assert verdict(found(cascades.answer(study), "variance", "an exponential's")) is Verdict.MORE
+    cut = cascades.answer(Study(study.data, dataclasses.replace(settings, smallest=2)))
+    row = cut.tables["law"].iloc[0]
+    assert row["gamma"] == pytest.approx(0.7, abs=0.06)
+    assert row["variance"] == pytest.approx(1.0, abs=0.15)
+    assert row["smallest"] == 2
+    assert row[["gamma_pool", "gamma_shifted"]].isna().all()
+    assert cut.tables["sizes"]["size"].min() == 2
+
+
+def test_coupling_makes_the_planted_part_of_the_excess(planted, rng):
+    """Blocks that hold each other back have more than finite size gives them; alone they have that and no more."""
+    coupled, alone = (
+        cascades.answer(coupled_blocks(planted, (20,), pull, rng, matrices=20, changes=9000)) for pull in (0.1, 0.0)
+    )
+    (share,) = (finding for finding in coupled.findings if isinstance(finding, Share))
+    row = coupled.tables["law"].iloc[0]
+    assert share.estimate.value == pytest.approx((row["gamma"] - row["gamma_shifted"]) / (row["gamma"] - LN2))
+    assert share.estimate.low > 0.0
+    assert sentence(share).endswith(": shifting the blocks in time removes it.")
+    assert verdict(found(coupled, "gamma", cascades.SHIFTED)) is Verdict.MORE
+    assert row["gamma_pool"] == pytest.approx(pool.gamma(20, 6.0), abs=0.01)
+    shares = [finding.estimate for finding in alone.findings if isinstance(finding, Share)]
+    assert all(estimate.high < 0.5 for estimate in shares)
+    assert alone.tables["law"]["over_shifted"][0] == pytest.approx(0.0, abs=0.02)
+
+
+def test_too_little_data_has_reasons(planted, settings, rng):
+    def lack(study):
+        (finding,) = cascades.answer(study).findings
+        assert isinstance(finding, Lack)
+        return finding.reason
+
+    law = studies.geometric(0.7, 100)
+    assert lack(study_of(planted, settings, law, rng, n_matrices=2)) is Reason.FEW_UNITS
+    assert lack(study_of(planted, settings, law, rng, n_cascades=12)) is Reason.FEW_CASCADES
+    assert lack(study_of(planted, settings, np.array([1.0]), rng)) is Reason.ONE_VALUE
+    still = {name: (np.array([0.0]), np.array([0])) for name in planted.ensemble({"coulomb": 0.7}, 6)[1]}
+    assert lack(Study(Data(planted.ensemble({"coulomb": 0.7}, 6)[0], still), settings)) is Reason.NO_MOTION
+
+
+def test_runs_that_ended_are_an_alert(planted, settings):
+    members, series = planted.ensemble({"coulomb": LN2}, 8)
+    ended = planted.member("c1", 8, outcome="collapsed", reason="certified", t_stop=50.0)
+    more = series | {"c1": (np.array([0.0]), np.array([0]))}
+    study = Study(Data(pd.concat([members, pd.DataFrame([ended])]), more), settings)
+    (alert,) = cascades.answer(study).alerts
+    assert alert.code is Code.SETTLED
+    assert str(alert).startswith("1 of 9 runs settled")
+
+
+def test_settings_beside_the_lead_are_levels_with_their_setting(planted, rng):
+    answer = cascades.answer(coupled_blocks(planted, (20, 40), 0.0, rng))
+    assert law_of(answer).parameter.where == "n = 40"
+    others = [finding for finding in answer.findings if isinstance(finding, Level) and finding.where == "n = 20"]
+    assert {level.comparison.other for level in others} == {cascades.COIN, cascades.SHIFTED, cascades.TWO_STATE}
+    assert list(answer.figures) == ["size_law", "decay_rates", "one_run"]  # one sampling step gives no curve
+    for picture in answer.figures.values():
+        assert picture.caption
+        assert picture.recipe().axes
+
+
+# ------------------------------------------------------------------------------------------- estimates
+
+
+def test_a_quotient_has_the_coverage_of_its_interval(rng):
+    """Of two means that depend on each other, the lower one four of its errors from zero."""
+    covariance, n = np.array([[1.0, 0.6], [0.6, 1.0]]), 2000
+    held = 0
+    for _ in range(n):
+        x, y = (rng.multivariate_normal([1.0, 0.5], covariance, 64)).T
+        rows = np.column_stack([x, y, np.ones(64)])
+        estimate = quotient(lambda s: s[:, 0] / s[:, 2], lambda s: s[:, 1] / s[:, 2], rows, 0.95)
+        held += estimate.low is not None and estimate.low <= 2.0 <= estimate.high
+    assert agrees(held, n, 0.94, 0.96)
+    nothing = np.column_stack([x, y - y.mean(), np.ones(64)])
+    assert quotient(lambda s: s[:, 0] / s[:, 2], lambda s: s[:, 1] / s[:, 2], nothing, 0.95).low is None
+
+
+def test_the_scatter_between_systems_is_the_planted_part(rng):
+    """Of 20 systems with ten parts each; three quarters of the variance of their means lie between them."""
+    held, none, n = 0, 0, 1000
+    for _ in range(n):
+        parts = rng.normal(0.0, 1.0, (20, 10)) + rng.normal(0.0, np.sqrt(0.3), (20, 1))
+        errors = parts.std(axis=1, ddof=1) / np.sqrt(10)
+        estimate = between(parts.mean(axis=1), errors, 9, 0.95)
+        held += estimate.low <= 0.75 <= estimate.high
+        alike = parts - parts.mean(axis=1, keepdims=True) + rng.normal(0.0, np.sqrt(0.1), (20, 1))
+        none += between(alike.mean(axis=1), errors, 9, 0.95).low == 0.0
+    assert agrees(held, n, 0.95)
+    assert agrees(none, n, 0.975)
+    assert between(np.ones(1), np.ones(1), 9, 0.95).value is None
+
+
+# ------------------------------------------------------------------------------------------- definitions
+
+
+def test_every_definition_and_step_has_its_row(planted, rng):
+    study = coupled_blocks(planted, (20,), 0.0, rng)
+    study = Study(study.data, dataclasses.replace(study.settings, map_dt=(0.2, 1.0)))
+    one, other = (cascade_definitions.compared(study, study.groups[0]) for _ in range(2))
+    table = one.tables["definitions"]
+    assert sorted(table["dt"].dropna().unique()) == [0.2, 0.5, 1.0]
+    assert len(table) == 1 + 4 * 3
+    assert table["over"].between(0.8, 1.2).all()
+    pd.testing.assert_frame_equal(table, other.tables["definitions"])
+    assert all(value == value for row in records(table) for value in row.values())  # null, never NaN
+    assert one.figures["definitions"].recipe().axes
+    (outcomes,) = one.findings
+    assert not outcomes.equal
+
+
+def test_without_events_rates_stand_alone(planted, settings):
+    answer = cascades.answer(Study(Data(*planted.ensemble({"coulomb": LN2}, 8)), settings))
+    assert not any(isinstance(finding, Share | Outcomes) for finding in answer.findings)
+    assert found(answer, "gamma", cascades.SHIFTED) is None
+    assert answer.tables["definitions"]["over"].isna().all()
+    assert "definitions" in answer.figures
+
+
+def test_sampling_steps_are_grouped_by_the_outcome_that_all_definitions_share():
+    verdicts = {EVENTS: Verdict.OPEN}
+    for dt, pair in {0.1: "oo", 0.2: "om", 0.5: "mm", 1.0: "ll", 2.0: "mm", 3.0: "ee"}.items():
+        word = {"o": Verdict.OPEN, "m": Verdict.MORE, "l": Verdict.LESS, "e": Verdict.EQUAL}
+        verdicts |= {Definition(name, dt): word[key] for name, key in zip(("drop", "length"), pair, strict=True)}
+    outcomes = cascade_definitions._outcomes(verdicts)
+    assert outcomes.equal == ("all definitions at dt = 3",)
+    assert outcomes.different == ("all definitions at dt = 0.5 to 2",)
+    assert outcomes.undecided == ("all definitions at dt = 0.1 to 0.2",)
