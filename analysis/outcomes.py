@@ -58,16 +58,19 @@ class Beside(NamedTuple):
     where: str
 
 
-def outcomes(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str) -> Outcomes:
-    """How settings come out beside a reference, with the largest difference.
+def outcomes(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str) -> list[Outcomes]:
+    """How settings come out beside a reference: those that differ, those that agree and the others, as far as any do.
 
     A setting differs if one of its statistics is shown to; else it is equal if all that have a margin, which the
-    scene declares, are within.
+    scene declares, are within. Each finding has the largest difference of its settings.
     """
     by_setting = {setting: outcome([one.contrast for one in some]) for setting, some in settings.items()}
-    equal, different, undecided = (in_words(by_setting, name) for name in (EQUAL, DIFFERENT, UNDECIDED))
-    every = [one for some in settings.values() for one in some]
-    return Outcomes(other, equal, different, undecided, largest(other, every, unit))
+    found = []
+    for name in (DIFFERENT, EQUAL, UNDECIDED):
+        of = {setting: some for setting, some in settings.items() if by_setting[setting] == name}
+        if of:
+            found.append(Outcomes(other, **{name: in_words(by_setting, name)}, largest=largest(other, of, unit)))
+    return found
 
 
 def outcome(contrasts: Sequence[Contrast]) -> str:
@@ -80,14 +83,21 @@ def outcome(contrasts: Sequence[Contrast]) -> str:
     return EQUAL if judged and {*judged} <= {Verdict.EQUAL, Verdict.SAME} else UNDECIDED
 
 
-def largest(other: str, every: Sequence[Beside], unit: str) -> Level | None:
+def largest(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str) -> Level | None:
     """The largest difference that is shown or, if none is, of those with a margin, or of all relative ones."""
-    ratios = [one for one in every if one.contrast.is_shown or in_per_cent(one.contrast)]
+    ratios = [
+        (one.contrast, setting)
+        for setting, some in settings.items()
+        for one in some
+        if one.contrast.is_shown or in_per_cent(one.contrast)
+    ]
     if not ratios:
         return None
-    best = max(ratios, key=lambda one: (one.contrast.is_shown, one.contrast.has_margin, one.contrast.weight))
-    where = best.where if len({one.where for one in every}) > 1 else ""
-    return best.contrast.level(where, other, unit)
+    best, setting = max(ratios, key=lambda pair: (pair[0].is_shown, pair[0].has_margin, pair[0].weight))
+    (where,) = in_words({setting: ""}, "")
+    if setting.symbol and len({other.name for other in settings}) == 1:
+        where = f"{setting.symbol} = {setting.text}"
+    return best.level(where if len(settings) > 1 else "", other, unit)
 
 
 def in_words(by_setting: Mapping[Setting, str], name: str) -> tuple[str, ...]:

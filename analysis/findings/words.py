@@ -287,8 +287,10 @@ def _most_apart(level: Level) -> str:
             apart = f"{size(difference, quantity.form)} {quantity.less}"
         case Verdict.EQUAL:
             apart = f"within {margin(difference, quantity.form)} ({interval(difference, quantity.form)})"
-        case Verdict.OPEN | Verdict.OPEN_AMONG_MANY:
+        case Verdict.OPEN:
             apart = interval(difference, quantity.form)
+        case Verdict.OPEN_AMONG_MANY:
+            apart = f"{interval(difference, quantity.form)}, one of {_n_tests(difference)}"
         case Verdict.SAME | Verdict.UNJUDGED:
             return ""
     return f", most apart in the {quantity.name}{where}: {apart}"

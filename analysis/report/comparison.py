@@ -148,12 +148,17 @@ def _answer(
         where = names[match.second.name]
         said = f"{second.name} at {where}" if where else second.name
         placed.setdefault(Setting(said), []).append(Beside(one, where))
-    grouped = outcomes(first.name, placed, unit)
-    truth = Truth.NO if grouped.different else Truth.UNDECIDED if grouped.undecided else Truth.YES
+    grouped, *others = outcomes(first.name, placed, unit)
+    is_open = any(one.undecided for one in (grouped, *others))
+    truth = Truth.NO if grouped.different else Truth.UNDECIDED if is_open else Truth.YES
+    if truth is Truth.UNDECIDED:  # what is undecided is why
+        others, grouped = [grouped, *others[:-1]] if others else [], (others or [grouped])[-1]
     every = [one for some in placed.values() for one in some]
+    levels = [one.contrast.level(one.where, first.name, unit) for one in every]
     caption = f"Differences of {second.name} from {first.name}, with their intervals; bands are the margins declared."
     return Answer(
-        findings=[Decided(truth, grouped), *(one.contrast.level(one.where, first.name, unit) for one in every)],
+        findings=[Decided(truth, grouped), *others, *levels],
+        n_lead=1 + len(others),
         tables=tables,
         figures=forest(every, caption),
         method=f"Verdicts are adjusted for {len(known)} comparisons (Holm), intervals are not.",
@@ -213,13 +218,8 @@ def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[s
         "made", "How was it made?", f"{first.name} and {second.name}.", [*part.texts, *origin], notes=part.notes
     )
     whole = Page(title, part.title, part.lead, (), part.panels, part.table, notes=notes, sections=[made])
-    return Report(
-        page.html,
-        answer.tables,
-        [*map(str, part.lead)],
-        dict(drawn.figures),
-        findings=findings_json(title, [part], []),
-    )
+    told = page.findings_json(title, [part], [])
+    return Report(whole.html, answer.tables, [*map(str, part.lead)], figures, findings=told)
 
 
 def _is_same(first: Ensemble, second: Ensemble) -> bool:

@@ -1,6 +1,5 @@
 """Clustering beyond chance: closed forms against simulation, and what was planted is said."""
 
-
 import numpy as np
 import pandas as pd
 import pytest

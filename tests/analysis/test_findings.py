@@ -202,7 +202,7 @@ def test_every_kind_is_a_sentence_and_rows(rng):
                 assert row.low is None or row.high is None or row.low <= row.high
                 assert row.verdict in {"", *Verdict}
                 assert not any(isinstance(cell, float) and np.isnan(cell) for cell in row)
-    assert len(kinds) == 12
+    assert len(kinds) == 13
 
 
 def test_the_table_of_findings_has_limits_and_differences_in_their_units():

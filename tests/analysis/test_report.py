@@ -285,7 +285,7 @@ def test_what_users_write_is_escaped(planted, settings):
 
 def test_a_question_that_there_is_not_is_refused_by_name(scarce, settings):
     with pytest.raises(
-        ValueError, match=r"question: expected one of sweep, .*, got 'collectives'; did you mean 'collective'"
+        ValueError, match=r"question: expected one of changes, .*, got 'collectives'; did you mean 'collective'"
     ):
         report_of(scarce["two matrices"], replace(settings, question=("fates", "collectives")))
 

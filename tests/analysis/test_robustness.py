@@ -132,8 +132,8 @@ def test_of_runs_that_ended_it_says_how_copies_end(rng, planted, settings):
 @pytest.mark.drawn
 def test_the_page_says_it(rng, planted, settings):
     data = ensemble(rng, planted, to_and_fro)
-    report = build(data, replace(settings, question=("robustness", "sensitivity")), "T", "", {})
-    assert "Does a changed system keep its statistics?" in report.html
+    report = build(data, replace(settings, question=("changes", "sensitivity")), "T", "", {})
+    assert "What changes, and by how much?" in report.html
     assert set(report.figures) >= {"robustness", "parting"}
 
 
@@ -141,6 +141,6 @@ def test_a_shift_without_an_interval_has_a_page(rng, planted, settings):
     """Few matrices about zero: Fieller's interval does not exist."""
     for g in (3, 4, 5):
         data = ensemble(rng, planted, lambda own: own + rng.normal(0, 30, len(own)), spread=30.0, g=g)
-        report = build(data, replace(settings, question=("robustness",)), "T", "", {})
-        said = "Does a changed system keep its statistics?" if g > 3 else "The effect of a changed system"
+        report = build(data, replace(settings, question=("changes",)), "T", "", {})
+        said = "What changes, and by how much?" if g > 3 else "The effect of a changed system"
         assert said in report.html

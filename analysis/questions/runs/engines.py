@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from stickslip.analysis.answer import Answer, Question, frame
+from stickslip.analysis.answer import Answer, frame
 from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.contrast import CHANGES, Contrast, Sample, contrast, judged, sample, shares, statistics
 from stickslip.analysis.ensemble import Study
@@ -94,7 +94,7 @@ def answer(study: Study) -> Answer | None:
             placed = {
                 setting: [Beside(one.contrast, _where(one.pair, names)) for one in rows] for setting, rows in some
             }
-            lead.append(outcomes(other, placed, unit))
+            lead += outcomes(other, placed, unit)
             every = [one for rows in placed.values() for one in rows]
             levels += [one.contrast.level(one.where, other, unit) for one in every]
             drawn = drawn or every
@@ -156,25 +156,25 @@ def _other(pair: _Pair, groups: Sequence[Group]) -> str:
 def _setting(pair: _Pair, groups: Sequence[Group]) -> Setting:
     """What is compared: an engine, and what tells it from others of that engine."""
     key = pair.other.key
-    name = f"the {engine_name(key['engine'])} engine"
+    engine = engine_name(key["engine"])
     if pair.threshold is not None:
-        return Setting(name, THRESHOLD, pair.threshold)
+        return Setting(engine, THRESHOLD, pair.threshold)
     if pair.kind == TOLERANCE:
         tolerance = next(name for name in TOLERANCES if key[name] is not None)
-        return Setting(name, symbol(tolerance), float(key[tolerance]))
+        return Setting(engine, symbol(tolerance), float(key[tolerance]))
     return _engine(pair.other, groups)
 
 
 def _engine(group: Group, groups: Sequence[Group]) -> Setting:
     """An engine, with the number that tells its settings apart, or several."""
     key = group.key
-    name = f"the {engine_name(key['engine'])} engine"
+    engine = engine_name(key["engine"])
     others = [other.key for other in groups if other.key["engine"] == key["engine"]]
     differ = [name for name in (*WIDTHS, *STEPS) if len({other[name] for other in others}) > 1]
     if len(differ) == 1 and key[differ[0]] is not None:
-        return Setting(name, symbol(differ[0]), float(key[differ[0]]))
+        return Setting(engine, symbol(differ[0]), float(key[differ[0]]))
     said = ", ".join(f"{symbol(name)} = {key[name]:g}" for name in differ if key[name] is not None)
-    return Setting(f"{name} with {said}" if said else name)
+    return Setting(f"{engine} with {said}" if said else f"the {engine} engine")
 
 
 def _names(study: Study, found: Sequence[_Compared]) -> dict[str, str]:
@@ -285,6 +285,3 @@ def _agrees_with_less(one: _Compared, found: Sequence[_Compared]) -> bool:
         and (_width(other.pair.other) or np.inf) < (width or 0.0)
         for other in found
     )
-
-
-QUESTION = Question(answer, title="Do the engines and their settings agree?", share=0.05)

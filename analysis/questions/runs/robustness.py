@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, I, Picture, Question, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Picture, Row, S, frame, named
 from stickslip.analysis.contrast import CHANGES, TITLES, Contrast, Sample, contrast, judged, statistics
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Finding, Form, Lack, Level, Quantity, Reason, Share
@@ -243,7 +243,7 @@ class _Judged:
             at = ", ".join(filter(None, (where, str(change))))
             placed.setdefault(_named(change), []).append(Beside(one, at))
         effects = [row for row in self.effects if row["quantity"] == PRIMARY[0] and row["theta"] is not None]
-        return [outcomes(UNCHANGED, placed, unit), *(self._effect(row, where, unit) for row in effects[-1:])]
+        return [*outcomes(UNCHANGED, placed, unit), *(self._effect(row, where, unit) for row in effects[-1:])]
 
     def rest(self, where: str, unit: str) -> list[Finding]:
         """Each quantity under each change, and how much of its variance lies between systems."""
@@ -360,8 +360,3 @@ def against_base(ax: Axes, points: Sequence[tuple[str, bool, np.ndarray]]) -> No
     ax.set(xlim=ends, ylim=ends, aspect="equal", xlabel="mean $n_{stick}$ of the base")
     ax.set_ylabel("mean $n_{stick}$ of the copy")
     ax.figure.legend(loc="outside lower center", ncols=2, handletextpad=0.2)
-
-
-QUESTION = Question(
-    answer, title="Does a changed system keep its statistics?", share=0.4, rank=4, beside=("sensitivity",)
-)

@@ -18,7 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.ticker import FixedLocator, MaxNLocator
 
-from stickslip.analysis.answer import Answer, F, I, Picture, Question, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Picture, Row, S, frame, named
 from stickslip.analysis.contrast import CHANGES, Contrast, Sample, Share, Statistic, contrast, judged
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
@@ -696,6 +696,3 @@ def heat_map(
     if not is_log:
         bar.ax.yaxis.set_major_locator(MaxNLocator(nbins=5))
     bar.outline.set_edgecolor(GREY)
-
-
-QUESTION = Question(answer, title="What changes with the swept keys?", share=0, rank=1)
