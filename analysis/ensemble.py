@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -326,11 +326,6 @@ class Study:
         """
         found = [one for one in self.groups if one.basis(self.settings.confidence).code in enough.JUDGED]
         return sorted(found, key=lambda one: (one.n_moving < len(one), -int(one.key["n"])))
-
-    def refusal(self) -> tuple[str, dict[str, Any]]:
-        """Why no group is judged: a code of `stats.enough`, and the facts that ``basis.html`` puts into words."""
-        best = max((one.basis(self.settings.confidence) for one in self.groups), key=lambda one: one.n_cascades)
-        return best.code, {"best": best, "t_burn": self.settings.t_burn}
 
     def windows(self, group: Group) -> Iterator[tuple[int, str, Window]]:
         """Row of the unit, member_id and n_stick on [t_burn, t_end] of each run in motion of a filled group.

@@ -163,8 +163,9 @@ def forest(
 
     Systems without a value are left out. `null` is a value to compare with, and its name: a dashed line.
     """
-    known = [(one.value, one.low, one.high) for one in systems if one.value is not None]
-    value, low, high = np.array(sorted(known), dtype=np.float64).reshape(-1, 3).T  # None is NaN, which is not drawn
+    known = np.array([(one.value, one.low, one.high) for one in systems], dtype=np.float64).reshape(-1, 3)
+    by_size = known[np.argsort(known[:, 0])]  # None is NaN, which comes last and is not drawn
+    value, low, high = by_size[~np.isnan(by_size[:, 0])].T
     rows, is_image = np.arange(len(value)), len(value) > _MOST_MARKS
     ax.hlines(rows, low, high, color=EXACT, alpha=0.45, linewidth=0.9, rasterized=is_image)
     ax.plot(value, rows, "o", color=EXACT, markersize=1.5 if is_image else 3, rasterized=is_image)

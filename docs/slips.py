@@ -1,4 +1,4 @@
-"""The left picture of the README: `python docs/slips.py`. The right one is the head of the page of `cascades`."""
+"""The drawing of the README beside the page: `python docs/slips.py`."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterable
 
+from stickslip.analysis import arguments
 from stickslip.analysis.findings.finding import Form
 from stickslip.analysis.stats.estimates import Estimate
 
@@ -82,7 +83,13 @@ def with_interval(estimate: Estimate, form: Form = Form.NUMBER, digits: int | No
     """An estimate in a sentence: "0.700 (0.697 to 0.702)"; with one end, "206 (at least 150)"; else without.
 
     A limit without an estimate is "at most 0.3%".
+
+    Raises
+    ------
+    ValueError
+        If it is no `Estimate`, or one without a value or an upper limit.
     """
+    estimate = arguments.instance("estimate", estimate, Estimate)
     low, high = estimate.low, estimate.high
     if estimate.value is None and high is not None:
         return f"at most {limit(high, form)}"

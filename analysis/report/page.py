@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 
 from stickslip.analysis.answer import LONG, Answer, F, I, Long, Picture, Question, Recipe, S, Table, frame
 from stickslip.analysis.ensemble import Data, Study
-from stickslip.analysis.findings.alerts import Alert
+from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Finding, Lack, Record
 from stickslip.analysis.findings.finding import records as finding_records
 from stickslip.analysis.findings.words import plural, sentence
@@ -282,7 +282,7 @@ def build(
     lacking = [part for part in parts if part.is_lack]
     asked = [part for part in lacking if part.key in settings.question]
     notes = [
-        *(f"Asked but not answered: {text}" for part in asked for text in part.lead),
+        *(f"Asked but not answered: {part.title} {text}" for part in asked for text in part.lead),
         *(f"Asked but not answered: {name}: {problem}." for name, problem in problems.items()),
         *(f"Left out of the answer: {name}: {lines}." for name, lines in missing.items()),
         *(f"{name} was not run; stickslip report DIR --own runs the code beside the scene." for name in not_run),
@@ -302,7 +302,7 @@ def build(
         stops,
         on_first,
         leading[0].head if leading else PageTable(),
-        _alerts(leading, [part for part in parts if part not in leading]),
+        _alerts(study, leading, [part for part in parts if part not in leading]),
         notes,
         sections,
         paragraph=leading[0].paragraph if leading else "",
@@ -352,7 +352,7 @@ def _provenance(
         f"{100 * settings.confidence:g}%, over {UNITS[study.unit]}, which are independent; of shares they are "
         "Wilson's, of survival Greenwood's, else from leaving out one of these at a time. Quantities are "
         "dimensionless.",
-        *(f"Not answered: {text}" for part in lacking for text in part.lead),
+        *(f"Not answered: {part.title} {text}" for part in lacking for text in part.lead),
     ]
     notes = [
         "".join(f"{name}: {value}. " for name, value in origin.items()),
@@ -450,7 +450,7 @@ def _of_template(filled: Environment, one: Answered) -> Part:
         return Markup() if macro is None else Markup(str(macro(one.facts, *given)).strip())
 
     if one.lack:
-        return Part(one.key, words.name, [Markup(f"{words.name} {capital(says('lack', one.lack))}")], is_lack=True)
+        return Part(one.key, words.name, [Markup(capital(says("lack", one.lack)))], is_lack=True)
     alerts = [(_rank(item), Markup(re.sub(r"</?li[^>]*>", "", item))) for item in _items(says("alerts"))]
     stop = says("alarm")
     first = Markup("")
@@ -495,9 +495,11 @@ def _in_order(study: Study, answered: list[Part]) -> tuple[list[Part], list[Part
     return leading, [one for one in answered if one not in leading]
 
 
-def _alerts(leading: Sequence[Part], others: Sequence[Part]) -> list[str | Markup]:
+def _alerts(study: Study, leading: Sequence[Part], others: Sequence[Part]) -> list[str | Markup]:
     """The most important alerts: all of the answers that lead, and of the others those that are about the data."""
-    warned = [alert for part in leading for alert in part.alerts if alert[0] != STOP]
+    of_units = [Alert.of(Code.ONE_SYSTEM)] if study.unit == START else []
+    warned: list[tuple[int, str | Markup]] = [(alert.code.rank, str(alert)) for alert in of_units]
+    warned += [alert for part in leading for alert in part.alerts if alert[0] != STOP]
     warned += [alert for part in others for alert in part.alerts if STOP < alert[0] <= part.upto]
     return [text for _, text in sorted(dict.fromkeys(warned), key=lambda alert: alert[0])][:MOST_ALERTS]
 

@@ -7,12 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, against, verdict
+from stickslip.analysis.stats.compare import against
 from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined
 from stickslip.analysis.stats.multiplicity import adjusted
-
-MORE, LESS = "more", "less"
-MANY = Words(WITHIN, MORE, LESS)
 
 
 @dataclass(frozen=True)
@@ -36,13 +33,6 @@ class Effect:
     p_adjusted: float | None = None
     p_equivalent_adjusted: float | None = None
     margin: float = 0.0
-
-    def verdict(self, level: float, words: Words = MANY) -> str:
-        """Verdict by the rule of `stats.compare`, from the adjusted p-values."""
-        if self.p_adjusted is None or self.p_equivalent_adjusted is None or self.ratio.value is None:
-            return UNKNOWN
-        difference = float(np.log(self.ratio.value))
-        return verdict(self.p_equivalent_adjusted, self.p_adjusted, level, difference, self.margin, words)
 
     @property
     def shown(self) -> float:

@@ -213,6 +213,6 @@ def test_the_table_of_findings_has_limits_and_differences_in_their_units():
         *records(Level(SHARE, Estimate(0.2), comparison=Comparison("others", lower))),
         *records(Level(GAMMA, Estimate(0.7), comparison=Comparison("others", wider))),
     ]
-    table = str(findings_table(rows))
+    table = str(findings_table(rows).rows).replace("\\xa0", " ")
     for cell in ("at most 0.28%", "\u221230 (\u221240 to \u221220) percentage points", "+50% (+25 to +75%)"):
         assert cell in table

@@ -178,7 +178,7 @@ def test_what_is_asked_and_has_no_answer_is_said_at_the_top(planted, scarce, set
     text = text_of(report_of(whole, replace(settings, question=("episodes", "cascades"))))
     assert text.count(said) == 1
     text = text_of(report_of(scarce["two matrices"], replace(settings, question=("cascades",))))
-    assert f"{said}How do cascade sizes fall off?" in text
+    assert f"{said}How do cascade sizes fall off? The decay rate of cascade sizes: too few" in text
 
 
 @pytest.mark.drawn

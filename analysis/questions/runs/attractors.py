@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stickslip.analysis.answer import Answer, F, I, Picture, Recipe, Row, S, Table, frame, named
+from stickslip.analysis.answer import Answer, F, I, Picture, Row, S, Table, frame, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import (
     Alike,
@@ -215,21 +215,21 @@ def settled(study: Study) -> Answer | None:
         "attractors": frame(_SCHEMA, (row.row(name) for name, rows in attractors.items() for row in rows))
     }
     by_setting, axes = settings(groups), axes_of(groups)
-    pictures = _basin(study, runs)
+    basin, pictures = _basin(study, runs), dict[str, Picture]()
     if axes:
         lines = [line for setting, part in by_setting.items() for line in _lines(setting, part, axes, runs)]
         findings, n_lead = _along(study, axes[0], lines, len(by_setting) > 1)
         columns, rows = _range_rows(study, axes, lines, len(by_setting) > 1)
         tables["attractor_ranges"] = frame(columns | _RANGES, rows)
-        pictures |= _pictures_along(study, axes, lines)
+        pictures = _pictures_along(study, axes, lines)
     else:
-        things = "starts" if pictures and runs[groups[0].label].is_one_system else "runs"
+        things = "starts" if basin and runs[groups[0].label].is_one_system else "runs"
         shares = [_findings(study, things, name if len(runs) > 1 else "", attractors[name], runs[name])
                   for name in list(runs)[:_MOST_LINES]]  # fmt: skip
         findings, n_lead = [finding for part in shares for finding in part], min(2, len(shares[0]))
         if len(runs) > 1:
             pictures["attractors"] = _bars(runs)
-    return Answer(findings=findings, n_lead=n_lead, tables=tables, figures=pictures, method=METHOD)
+    return Answer(findings=findings, n_lead=n_lead, tables=tables, figures={**pictures, **basin}, method=METHOD)
 
 
 def n_undecided(study: Study) -> tuple[int, int]:
@@ -364,7 +364,7 @@ def _bars(runs: Mapping[str, Runs]) -> Picture:
 # ------------------------------------------------------------------------------------------------- basins
 
 
-def _basin(study: Study, runs: Mapping[str, Runs]) -> dict[str, Recipe | Picture]:
+def _basin(study: Study, runs: Mapping[str, Runs]) -> dict[str, Picture]:
     """The starts of one system by what they settle on; nothing if all settle on one, or not one or two numbers vary.
 
     Of several systems, that of which most runs settle on others than the commonest.
@@ -384,10 +384,10 @@ def _basin(study: Study, runs: Mapping[str, Runs]) -> dict[str, Recipe | Picture
     kinds = [attractor.what for attractor in attractors]
     number = np.array([kinds.index(what) for what in system.cycles])
     entries = [_entry(attractor) for attractor in attractors]
-    which = f" ({name})" if len(runs) > 1 else ""
-    which += f", of the one of {len(systems):,} systems whose starts differ most" if len(systems) > 1 else ""
-    place = "in the plane of" if len(starts.names) == 2 else "along"
-    caption = f"Each colour is a basin of attraction. Attractors {place} the start{which}, with their shares."
+    which = name if len(runs) > 1 else "the system whose starts differ most" if len(systems) > 1 else ""
+    caption = (
+        f"Each colour is a basin of attraction. Attractors by start, with their shares{f' ({which})' * bool(which)}."
+    )
     return {"basin_of_attractors": Picture(figures.basin(starts, number, entries), caption)}
 
 
@@ -421,13 +421,13 @@ def _lines(setting: str, groups: Sequence[Group], axes: Sequence[Axis], runs: Ma
         yield _Line(setting, groups[0].is_exact, dict(zip(others, here, strict=True)), list(values), list(line))
 
 
-def _places(line: _Line, has_exits: bool) -> list[Place[Settled]]:
+def _places(line: _Line, has_exits: bool) -> list[Place]:
     """What runs settle on at each value of a line: kinds alone, or cycles by their exits too."""
     places = []
     for runs in line.runs:
-        outcomes = _in_order(runs.exits if has_exits else [Settled(kind) for kind in runs.attractor])
-        decided = tuple(what for what in outcomes if what.kind != UNDECIDED)
-        places.append(Place(decided, runs.n - runs.n_of(UNDECIDED), runs.n, runs.n_units))
+        decided = [what for what in _in_order(runs.exits) if what.kind != UNDECIDED]
+        outcomes = (what.predicate if has_exits else PREDICATES[what.kind] for what in decided)
+        places.append(Place(tuple(dict.fromkeys(outcomes)), runs.n - runs.n_of(UNDECIDED), runs.n, runs.n_units))
     return places
 
 
@@ -436,23 +436,18 @@ def _along(study: Study, axis: Axis, lines: Sequence[_Line], has_settings: bool)
 
     Of a single line also where the exits of its cycle per period change.
     """
-    level = study.settings.confidence
     unit = _unit(study, [runs for line in lines for runs in line.runs])
     things = "starts" if unit == "start" else "runs"
     kinds: list[Finding] = []
     cycles: list[Finding] = []
-    ends = lines if len(lines) < _MOST_LINES else [*lines[: _MOST_LINES - 1], lines[-1]]
-    for line in [ends[0], *ends[:0:-1][:1], *ends[1:-1]]:
-        where = line.where(has_settings)
-        by_kind, by_exits = _places(line, False), _places(line, True)
-        along = regimes(axis.name, line.texts, by_kind, lambda what, _: PREDICATES[what.kind], level, unit)
-        kinds.append(Regimes(things, along, where))
-        if stretches_of(by_kind) != stretches_of(by_exits):
-            along = regimes(axis.name, line.texts, by_exits, lambda what, _: what.predicate, level, unit)
-            cycles.append(Regimes(things, along, where))
-    if len(lines) == 1:
-        return [*kinds, *cycles], 1 + len(cycles)
-    return [*kinds, *cycles], 2
+    drawn = lines if len(lines) < _MOST_LINES else [*lines[: _MOST_LINES - 1], lines[-1]]
+    for line in [drawn[0], *drawn[:0:-1][:1], *drawn[1:-1]]:
+        by_kind, by_exits = (_places(line, has_exits) for has_exits in (False, True))
+        for findings, places in ((kinds, by_kind), (cycles, by_exits)):
+            if places is by_kind or stretches_of(by_kind) != stretches_of(by_exits):
+                along = regimes(axis.name, line.texts, places, study.settings.confidence, unit)
+                findings.append(Regimes(things, along, line.where(has_settings)))
+    return [*kinds, *cycles], 1 + len(cycles) if len(lines) == 1 else 2
 
 
 def _range_rows(
@@ -472,7 +467,9 @@ def _range_rows(
             rows.append(keys | {
                 "setting": line.setting if has_settings else None, "key": axis.name,
                 "first": line.texts[stretch.first], "last": line.texts[stretch.last],
-                "attractors": "; ".join(what.words for what in here[0].outcomes), "n_runs": n_runs,
+                "attractors": "; ".join(what.words for what in _in_order(line.runs[stretch.first].exits)
+                                        if what.kind != UNDECIDED),
+                "n_runs": n_runs,
                 "n_undecided": n_runs - sum(place.n for place in here),
                 "least_share": least_share(here, study.settings.confidence),
                 "multiplier_first": multipliers[0], "multiplier_last": multipliers[-1],

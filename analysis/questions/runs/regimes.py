@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import groupby
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 from stickslip.analysis.findings.finding import Basis, Regime
 from stickslip.analysis.stats.compare import wilson
@@ -13,21 +13,20 @@ from stickslip.pipeline.design.labels import Label
 
 MOST = 3  # stretches of values that a sentence names
 _LEAST_UNITS = 4  # for a bound on a share that is 1
-Outcome = TypeVar("Outcome")
 
 
-class Place(NamedTuple, Generic[Outcome]):
+class Place(NamedTuple):
     """What the runs at a setting do.
 
     Attributes
     ----------
-    outcomes : tuple
-        What those do of which it is known, each once.
+    outcomes : tuple of str
+        Verb phrases in the plural, each once; empty if nothing is known.
     n, of, n_units : int
         Runs of which it is known, all runs, and independent units.
     """
 
-    outcomes: tuple[Outcome, ...]
+    outcomes: tuple[str, ...]
     n: int
     of: int
     n_units: int
@@ -49,12 +48,7 @@ def key_of(labels: Sequence[Label]) -> tuple[str, list[str]]:
 
 
 def regimes(
-    key: str,
-    values: Sequence[str],
-    places: Sequence[Place[Outcome]],
-    predicate: Callable[[Outcome, Sequence[Place[Outcome]]], str],
-    confidence: float,
-    unit: str,
+    key: str, values: Sequence[str], places: Sequence[Place], confidence: float, unit: str
 ) -> tuple[Regime, ...]:
     """Settings by what their runs do; of many stretches of values only those whose runs all do the same.
 
@@ -65,8 +59,6 @@ def regimes(
     values : sequence of str
         The value at each, in order.
     places : sequence of Place
-    predicate : callable
-        Puts an outcome at some places into words: a verb phrase in the plural.
     confidence : float
     unit : str
         What is independent: "system".
@@ -75,29 +67,26 @@ def regimes(
     if len(stretches) > MOST:  # those between have several outcomes
         stretches = [part for part in stretches if len(places[part.first].outcomes) == 1]
     if 0 < len(stretches) <= MOST:
-        parts = [(_stretch(key, values, part), places[part.first : part.last + 1]) for part in stretches]
+        parts = [(_where(key, values, part), places[part.first : part.last + 1]) for part in stretches]
     else:
-        alike: dict[tuple[Outcome, ...], list[Place[Outcome]]] = {}
+        alike: dict[tuple[str, ...], list[Place]] = {}
         for place in places:
             if place.outcomes:
                 alike.setdefault(place.outcomes, []).append(place)
         settings = f"values of {key}" if key else "settings"
         by_number = sorted(alike.values(), key=len, reverse=True)
         parts = [(f"at {len(group)} of {len(places)} {settings}", group) for group in by_number]
-    return tuple(_regime(where, group, predicate, confidence, unit) for where, group in parts)
+    return tuple(_regime(where, group, confidence, unit) for where, group in parts)
 
 
-def stretches_of(places: Sequence[Place[Outcome]]) -> list[Stretch]:
+def stretches_of(places: Sequence[Place]) -> list[Stretch]:
     """Neighbouring places of the same outcomes; what is not known is in one only if it goes on beyond."""
     known = [(k, place.outcomes) for k, place in enumerate(places) if place.outcomes]
-    stretches = []
-    for _, group in groupby(known, lambda pair: pair[1]):
-        numbers = [k for k, _ in group]
-        stretches.append(Stretch(numbers[0], numbers[-1]))
-    return stretches
+    numbers = [[k for k, _ in group] for _, group in groupby(known, lambda pair: pair[1])]
+    return [Stretch(group[0], group[-1]) for group in numbers]
 
 
-def least_share(places: Sequence[Place[Outcome]], confidence: float) -> float | None:
+def least_share(places: Sequence[Place], confidence: float) -> float | None:
     """Of one outcome at all of some places: the least share of units that have it; None for few or some undecided.
 
     All places share their draws, which count once.
@@ -107,22 +96,15 @@ def least_share(places: Sequence[Place[Outcome]], confidence: float) -> float | 
     return wilson(n_units, n_units, confidence)[0] if is_whole and n_units >= _LEAST_UNITS else None
 
 
-def _regime(
-    where: str,
-    group: Sequence[Place[Outcome]],
-    predicate: Callable[[Outcome, Sequence[Place[Outcome]]], str],
-    confidence: float,
-    unit: str,
-) -> Regime:
+def _regime(where: str, group: Sequence[Place], confidence: float, unit: str) -> Regime:
     outcomes = next(place.outcomes for place in group if place.outcomes)
-    n, total = (sum(numbers) for numbers in zip(*((place.n, place.of) for place in group), strict=True))
+    n, of = (sum(numbers) for numbers in zip(*((place.n, place.of) for place in group), strict=True))
     low = least_share(group, confidence)
     share = Estimate() if len(outcomes) > 1 else Estimate(1.0, low, None if low is None else 1.0)
-    basis = Basis(max(place.n_units for place in group), unit)
-    return Regime(where, tuple(predicate(outcome, group) for outcome in outcomes), n, total, share, basis)
+    return Regime(where, outcomes, n, of, share, Basis(max(place.n_units for place in group), unit))
 
 
-def _stretch(key: str, values: Sequence[str], part: Stretch) -> str:
+def _where(key: str, values: Sequence[str], part: Stretch) -> str:
     """Where a stretch of values lies: "up to belt_speed = 7"."""
     first, last = values[part.first], values[part.last]
     begins, ends = part.first == 0, part.last == len(values) - 1

@@ -25,7 +25,7 @@ from stickslip.analysis.stats.effects import Effect, over_null, together
 from stickslip.analysis.stats.estimates import Estimate, gamma, over_matrices
 from stickslip.analysis.style import CYCLE, GREY, panel
 
-SHIFTED = "the same blocks shifted in time"
+SHIFTED = "time-shifted blocks"
 _WORDS = (
     "drop: blocks that let go over samples that all fall; length: number of such samples; descent and decreases: the "
     "same, with pauses allowed; events: without samples"
@@ -130,7 +130,7 @@ def by_step(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
 
     The rows are those of the table `definitions`; the band is `events`.
     """
-    for ax, name, what in zip(axes, ("gamma", "over"), ("decay rate", "over shifted blocks"), strict=True):
+    for ax, name, what in zip(axes, ("gamma", "over"), ("decay rate", "over time-shifted"), strict=True):
         known = [row for row in rows if row[f"{name}_low"] is not None]
         for row in known:
             if row["dt"] is None:

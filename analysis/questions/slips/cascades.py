@@ -51,7 +51,7 @@ SHIFTS = 30  # most draws of a run's blocks shifted in time, whose rate is then 
 PARTS = 10  # of a run, whose scatter gives the interval of its system
 MOST_SETTINGS = 8  # beside each other on the page; the table `law` has all
 MOST_DRAWN = 2  # groups in a figure
-COIN, TWO_STATE, SHIFTED = "ln 2", "independent two-state blocks", "the same blocks shifted in time"
+COIN, TWO_STATE, SHIFTED = "ln 2", "independent two-state blocks", "time-shifted blocks"
 RATE = Quantity("gamma", "decay rate", definition="γ of f ∝ exp(−γ s), the share of cascades of s blocks")
 VARIANCE = Quantity("variance", "variance of cascade sizes")
 LASTING = Quantity("between", "share of the scatter over systems that longer runs would not reduce", Form.SHARE)
@@ -213,9 +213,9 @@ def _method(study: Study) -> str:
     return (
         "A cascade is a run of blocks that let go with no block sticking in between; its size, their number, has the "
         f"law f ∝ exp(−γ s){f' from {least} on' * (least > 1)}, fitted by maximum likelihood with intervals over "
-        f"{systems(study)}s. Blocks shifted in time are each run's own, moved by a random time each "
-        f"({min(study.settings.resamples, SHIFTS)} draws per run); independent two-state blocks are as many, of "
-        "which as many stick on average."
+        f"{systems(study)}s. Time-shifted blocks are each run's own, moved by a random time each "
+        f"({min(study.settings.resamples, SHIFTS)} draws per run); independent two-state blocks are as many, "
+        "as many of which stick on average."
     )
 
 
