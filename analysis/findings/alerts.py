@@ -12,10 +12,7 @@ class Code(Enum):
     Rank 0 stops the reader, 1 says what makes numbers wrong, 2 what they refer to, 3 what weakens them.
     """
 
-    SUSPECT = (
-        0,
-        "The numerics are suspect: {what} differs by more than smoothing explains ({where}).",
-    )
+    SUSPECT = 0, "The numerics are suspect: {what} differs by more than smoothing explains ({where})."
     FAILED = 1, "{n} of {of} runs failed and are left out."
     DRIFT = 1, "{what} still drifts after t_burn = {t_burn:g}: raise t_burn."
     DIVERGED = 2, "The motion grew without limit in {n} of {of} runs."
@@ -24,7 +21,10 @@ class Code(Enum):
     UNCERTIFIED = 2, "{n} of {of} runs slide so far, without a certificate that they always will."
     WITHOUT = 2, "{n} of {of} runs have no {what} and are left out there: {why}."
     WITHHELD = 2, "{what} is not given at {n} of {of} points: {why}."
-    TEMPORARY = 2, "{n} of {of} runs slide temporarily: sliding is unstable there, and sticking comes back."
+    TEMPORARY = (
+        2,
+        "{n} of {of} runs slide temporarily and count as lasting: sliding is unstable, and sticking comes back.",
+    )
     UNDECIDED = 2, "{n} of {of} runs are undecided; the column attractor_reason says why."
     SHORT = 3, "The runs are short: {what} rests on {n} {things} per run."
     FEW = 3, "{n} {units} give a wide interval: more {units} would narrow it."
