@@ -77,13 +77,9 @@ class _Rate(NamedTuple):
     @property
     def verdict(self) -> str:
         """Whether small differences grow or shrink, by the interval of their rate."""
-        return (
-            UNKNOWN
-            if not self.is_told or self.e_fold.value is None
-            else GROWS
-            if self.law.rate.value > 0
-            else SHRINKS
-        )
+        if not self.is_told or self.e_fold.value is None:
+            return UNKNOWN
+        return GROWS if (self.law.rate.low or 0.0) > 0 else SHRINKS
 
     @property
     def n_used(self) -> int:
