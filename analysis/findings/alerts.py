@@ -18,7 +18,10 @@ class Code(Enum):
     SETTLED = 2, "{n} of {of} runs settled into steady sliding; {what} is of the others."
     NOT_MOVING = 2, "{n} of {of} runs are not in motion; {what} is of the others."
     UNCERTIFIED = 2, "{n} of {of} runs slide so far, without a certificate that they always will."
-    TEMPORARY = 2, "{n} of {of} runs slide temporarily: sliding is unstable there, and sticking comes back."
+    TEMPORARY = (
+        2,
+        "{n} of {of} runs slide temporarily and count as lasting: sliding is unstable, and sticking comes back.",
+    )
     UNDECIDED = 2, "{n} of {of} runs are undecided; the column attractor_reason says why."
     SHORT = 3, "The runs are short: {what} rests on {n} {things} per run."
     FEW = 3, "{n} {units} give a wide interval: more {units} would narrow it."

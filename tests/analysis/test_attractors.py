@@ -215,8 +215,10 @@ def test_starts_along_a_line_are_a_strip(planted_runs, settings):
     rows = [started(a, 0.5) | (SLIDES if a < 0.5 else cycle(3.0, 0.5)) for a in (0.0, 1.0, 2.0, 4.0)]
     answered = settled(Study(planted_runs(rows), settings))
     (ax,) = answered.figures["basin_of_attractors"].recipe().axes
-    bars = sorted((bar.get_x(), bar.get_x() + bar.get_width()) for bar in ax.patches)
-    assert bars == [(-0.5, 0.5), (0.5, 1.5), (1.5, 3.0), (3.0, 5.0)]
+    mesh, lines = ax.collections
+    assert mesh.get_coordinates()[0, :, 0].tolist() == [-0.5, 0.5, 1.5, 3.0, 5.0]
+    assert mesh.get_array().ravel().tolist() == [0, 1, 1, 1]
+    assert [segment[:, 0].tolist() for segment in lines.get_segments()] == [[0.5, 0.5]]
     assert ax.get_xlabel() == "displacement z at start"
 
 

@@ -247,7 +247,7 @@ def test_fates_are_kept_apart(planted):
     assert found["slide", ""].estimate.value == pytest.approx(6 / 20)
     assert found["grow", ""].estimate.value == pytest.approx(3 / 20)
     assert sentence(answered.findings[0]) == "55% (34 to 82%) of runs still stick and slip at t = 1000."
-    assert found["slide", ""].predicate == "stop sticking by t = 55.0"
+    assert found["slide", ""].predicate == "stop sticking"
     assert codes(answered)[Code.FAILED] == {"n": 1, "of": 21}
     assert codes(answered)[Code.UNCERTIFIED] == {"n": 2, "of": 20}
 
@@ -290,7 +290,7 @@ def test_a_certificate_that_is_late_is_no_other_fate(planted):
     assert rows["median"].tolist() == [59.0, 59.0]
     assert pd.isna(rows.loc["sigmoid", "median_most"]), "not half are certified"
     assert [share.predicate for share in of_kind(answered, Share)][:2] == [
-        "end in steady sliding", "stop sticking by t = 69.0",
+        "end in steady sliding", "stop sticking",
     ]  # fmt: skip
     assert codes(answered)[Code.UNCERTIFIED] == {"n": 11, "of": 40}
 

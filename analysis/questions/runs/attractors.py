@@ -206,7 +206,8 @@ class _Line(NamedTuple):
 
 def settled(study: Study) -> Answer | None:
     """What runs settle on; None where no run has a record of it."""
-    groups = _regardless_of_start(study) if "attractor" in study.data.table.own else []
+    members = study.data.table.own
+    groups = regardless_of_start(study, members["attractor"].notna().to_numpy()) if "attractor" in members else []
     if not groups:
         return None
     runs = {group.label: _runs(study, group) for group in groups}
@@ -244,21 +245,21 @@ def n_undecided(study: Study) -> tuple[int, int]:
 # ------------------------------------------------------------------------------------------------- runs and shares
 
 
-def _regardless_of_start(study: Study) -> list[Group]:
-    """The groups of the study, those that differ in their starts alone as one, of the runs that have an attractor."""
+def regardless_of_start(study: Study, has: np.ndarray) -> list[Group]:
+    """The groups of the study, those that differ in their starts alone as one, of some members by their rows."""
     alike_but_start: dict[tuple[Any, ...], list[Group]] = {}
     for group in study.groups:
         alike_but_start.setdefault(tuple((group.key | {"z0": None, "w0": None}).values()), []).append(group)
-    known, swept = [], []
+    keys, swept, rows = [], [], []
     for values, groups in alike_but_start.items():
-        rows = np.concatenate([group.rows for group in groups])
-        has = study.data.table.own["attractor"].iloc[rows].notna().to_numpy()
-        if has.any():
-            known.append((dict(zip(study.groups[0].key, values, strict=True)), rows[has]))
+        members = np.concatenate([group.rows for group in groups])
+        if has[members].any():
+            rows.append(members[has[members]])
+            keys.append(dict(zip(study.groups[0].key, values, strict=True)))
             at = study.data.table.design.swept(groups[0].point)
             swept.append({name: value for name, value in at.items() if name not in ("z", "w")})
-    names = labels([key for key, _ in known], swept)
-    return [Group(name, key, study.data.table, rows) for name, (key, rows) in zip(names, known, strict=True)]
+    parts = zip(labels(keys, swept), keys, rows, strict=True)
+    return [Group(name, key, study.data.table, members) for name, key, members in parts]
 
 
 def _runs(study: Study, group: Group) -> Runs:

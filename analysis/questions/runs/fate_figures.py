@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import ListedColormap
@@ -128,7 +127,7 @@ def scatter(
         x, y = points[number == k].T
         ax.plot(x, y, look.mark, color=look.colour, markersize=size, markeredgewidth=0.2,
                 markeredgecolor="black" if size > 3 else "none", rasterized=len(points) > _VECTORS)  # fmt: skip
-    ax.margins(0.01)
+    ax.margins(0.03)
     ax.set(xlabel=f"{names[0]} at start", ylabel=f"{names[1]} at start")
     marks = [Line2D([], [], linestyle="", marker=look.mark, color=look.colour, markeredgecolor="black",
                     markeredgewidth=0.3, markersize=5, label=words) for look, words in entries]  # fmt: skip
@@ -171,16 +170,10 @@ def _patch(look: Look, words: str) -> Patch:
 def strip(ax: Axes, name: str, start: Floats, number: np.ndarray, entries: Sequence[tuple[Look, str]]) -> None:
     """Starts along a line, each coloured, as far as half way to the next, by what it settles on."""
     order = np.argsort(start, kind="stable")
-    bounds = edges(start[order])
-    for k, (look, _) in enumerate(entries):
-        own = np.flatnonzero(number[order] == k)
-        ax.bar(bounds[own], 1.0, np.diff(bounds)[own], align="edge", color=look.colour, hatch=look.hatch, linewidth=0,
-               rasterized=len(start) > _VECTORS)  # fmt: skip
-    change = np.flatnonzero(np.diff(number[order]) != 0) + 1
-    ax.vlines(bounds[change], 0, 1, color="black", linewidth=0.5, rasterized=len(change) > _VECTORS)
-    ax.set(xlim=(bounds[0], bounds[-1]), ylim=(0, 1), xlabel=f"{name} at start", yticks=[])
+    _mesh(ax, edges(start[order]), np.array([0.0, 1.0]), number[order][np.newaxis], [look for look, _ in entries])
+    ax.set(xlabel=f"{name} at start", yticks=[])
     ax.spines["left"].set_visible(False)
-    _explain(ax, [Patch(facecolor=look.colour, hatch=look.hatch, label=words) for look, words in entries])
+    _explain(ax, [_patch(look, words) for look, words in entries])
 
 
 def _explain(ax: Axes, handles: Sequence[Any]) -> None:
@@ -343,23 +336,6 @@ def _name(ax: Axes, names: Sequence[str]) -> None:
     figure = ax.get_figure(root=True)
     assert figure is not None  # it is drawn on one
     figure.set_figheight(max(PANEL[1], 1.0 + _NAME * len(names) * is_few))
-
-
-@panel()
-def growth(ax: Axes, key: str, values: Sequence[str], runs: Sequence[pd.DataFrame]) -> None:
-    """Linear growth rate of the state in which all blocks slip, of each run at each value of a key, by its fate."""
-    for k, (name, look) in enumerate(FATES.items()):
-        places, rates = [], []
-        for row, table in enumerate(runs):
-            of_fate = table.loc[table["fate"] == name, "growth_rate"]
-            rates += of_fate.tolist()
-            places += [row + 0.12 * (k - 2)] * len(of_fate)
-        if rates:
-            ax.plot(rates, places, look.mark, color=look.colour, markersize=3, label=look.words)
-    ax.axvline(0, color=GREY, linewidth=0.8)
-    ax.set(xlabel="growth rate of the all-slip state", ylabel=key, ylim=(len(values) - 0.4, -0.6))
-    _name(ax, values)
-    ax.figure.legend(loc="outside upper left", ncols=2, handletextpad=0.2)
 
 
 @panel(3.4)

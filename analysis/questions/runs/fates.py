@@ -48,7 +48,6 @@ from stickslip.analysis.findings.finding import (
     Regimes,
     Share,
 )
-from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SYSTEM_KEYS, joined
 from stickslip.analysis.models.attractors import plane
@@ -90,7 +89,7 @@ MOST_SETTINGS = 12  # with findings of their own; tables have them all
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
 LIFETIME = Quantity("lifetime", "median lifetime", more="longer", less="shorter")
 DELAY = Quantity("last_event", "median delay of the last event")
-MEAN = Quantity("mean", "mean number of sticking blocks")
+MEAN = Quantity("mean", "mean number of sticking blocks in runs that last")
 METHOD = (
     "A run ends at its last event, if it is certified that no block sticks again, or when its motion has left every"
     " bound; survival and medians are by Kaplan and Meier. Runs that slide so far without a certificate count as"
@@ -98,7 +97,7 @@ METHOD = (
 )
 #: What runs do, beyond what is certain of their fates: a closed set.
 SLIDE, STICK_SLIP, GROW, STUCK = KINDS = ("slide", "stick-slip", "grow", "stuck")
-_LOOK = {SLIDE: FATES[COLLAPSED], STICK_SLIP: FATES[SUSTAINED], GROW: FATES[DIVERGED], STUCK: FATES[UNMOVED]}
+_LOOKS = (COLLAPSED, SUSTAINED, DIVERGED, UNMOVED)  # the fates as which they are drawn
 _COUNTS = (*(f"n_{name}" for name in (*WATCHED, FAILED)), "n_moving")
 _GROUP: Mapping[str, str] = {
     "group": S, "n": I, "kappa_n": F, "engine": S, "n_runs": I, **dict.fromkeys(_COUNTS, I), "n_held": I, "t_end": F,
@@ -139,8 +138,6 @@ class Ends(NamedTuple):
         Runs by fate.
     n_held : int
         Runs that count as sustained, of which all blocks have stuck for the last quarter.
-    last_event : float, optional
-        Of the runs in which no block sticks at the end, the latest.
     last_end, last_quiet : float, optional
         The latest end, and the latest last event of runs that slide so far.
     """
@@ -155,7 +152,6 @@ class Ends(NamedTuple):
     lifetime: Estimate
     median_most: float | None
     left: float
-    last_event: float | None
     last_end: float | None
     last_quiet: float | None
     mean: Estimate
@@ -166,6 +162,10 @@ class Ends(NamedTuple):
     def n_runs(self) -> int:
         """That did not fail."""
         return sum(self.n_of[name] for name in WATCHED)
+
+    @property
+    def n_units(self) -> int:
+        return int(self.group.column("unit").nunique())
 
     @property
     def n_moving(self) -> int:
@@ -207,15 +207,15 @@ class Ends(NamedTuple):
 def answer(study: Study) -> Answer:
     """How the unchanged runs end and when, what they settle on, and whether what lasts is steady."""
     level, groups = study.settings.confidence, study.groups
-    runs, names = _runs(groups), _names(groups)
+    labels = [group.label for group in groups]
+    parts = [_of_group(group, k, labels) for k, group in enumerate(groups)]
     ends, curves = list[Ends](), dict[str, Curve]()
-    for group, (method, label) in zip(groups, names, strict=True):
-        ran = _Ran.of(group)
-        curve = _thinned(survival(*ran[:4], level, ran.units)) if len(ran.fates) else None
-        ends.append(_ends(study, group, label, method, ran, 1.0 if curve is None else float(curve[1][-1])))
+    for group, part, name in zip(groups, parts, _names(groups), strict=True):
+        row, curve = _ends(study, group, *name, part)
+        ends.append(row)
         if curve is not None:
             curves[group.label] = curve
-        del ran  # which takes more memory than what is kept of it
+    runs = _joined(groups, parts)
     shifts = _shifts(groups, level)
     averaged = [group for group in groups if len(burn_in.averaged(study, group))]
     averaged.sort(key=lambda group: -int(group.key["n"]))
@@ -225,7 +225,7 @@ def answer(study: Study) -> Answer:
         "fates": frame(_GROUP, (row.row(study.settings.t_burn) for row in ends)),
         "survival_curves": pd.concat([frame(_CURVE, []), *(_curve_table(*item) for item in curves.items())]),
         "runs": long(len(runs), partial(_listed, groups, runs)),
-        "last_events": frame(_SHIFT, map(_shift_row, shifts)),
+        "last_events": frame(_SHIFT, (shift._asdict() | named("shift", shift.shift) for shift in shifts)),
         "burn_in": frame(burn_in.TESTS, tested),
         "by_t_burn": frame(burn_in.ESTIMATES, by_t_burn),
     }
@@ -236,8 +236,7 @@ def answer(study: Study) -> Answer:
     pictures = _pictures(study, runs, spoken, curves)
     method = METHOD
     if settled is not None:
-        lasting = [finding for finding in findings if isinstance(finding, Lifetime)] if not spoken else findings
-        findings, n_lead = [*settled.findings, *lasting], settled.n_lead
+        findings, n_lead = [*settled.findings, *findings], settled.n_lead
         tables |= settled.tables
         pictures = {**settled.figures, **pictures}
         method = f"{settled.method} {METHOD}" if spoken else settled.method
@@ -283,21 +282,16 @@ def _findings(
 def _outcome(study: Study, runs: pd.DataFrame, rows: Sequence[Ends]) -> tuple[list[Finding], list[Finding]]:
     """What the runs of a method do: shares where all settings are alike, else settings by outcome; and details."""
     method = rows[0].method
-    kinds = {tuple(row.kinds) for row in rows}
-    if len(rows) == 1 or (len(kinds) == 1 and len(rows[0].kinds) == 1):
-        present = rows[0].kinds
-        first = sorted(present, key=lambda kind: -present[kind])
-        return [_share(study, runs, rows, kind, method) for kind in first], []
+    alike = {tuple(row.kinds) for row in rows}
+    if len(rows) == 1 or (len(alike) == 1 and len(rows[0].kinds) == 1):
+        kinds = rows[0].kinds
+        return [_share(study, runs, rows, kind, method) for kind in sorted(kinds, key=lambda kind: -kinds[kind])], []
     key, values = key_of([row.label for row in rows])
     places = [
-        Place(tuple(row.kinds), row.n_runs, row.n_runs, int(row.group.column("unit").nunique())) for row in rows
+        Place(tuple(_predicate(kind, *rows) for kind in row.kinds), row.n_runs, row.n_runs, row.n_units)
+        for row in rows
     ]
-    row_of = {id(place): row for place, row in zip(places, rows, strict=True)}
-
-    def predicate(kind: str, group: Sequence[Place[str]]) -> str:
-        return _predicate(kind, [row_of[id(place)] for place in group])
-
-    by_outcome = regimes(key, values, places, predicate, study.settings.confidence, _basis(study, 0).unit)
+    by_outcome = regimes(key, values, places, study.settings.confidence, _basis(study, 0).unit)
     mixed = [row for row in rows if len(row.kinds) > 1][:MOST_SETTINGS]
     shares: list[Finding] = [_share(study, runs, [row], kind, _where(row)) for row in mixed for kind in row.kinds]
     return [Regimes("runs", by_outcome, method)], shares
@@ -310,7 +304,7 @@ def _share(study: Study, runs: pd.DataFrame, rows: Sequence[Ends], kind: str, wh
     untold = (QUIET,) if kind == STICK_SLIP else ()
     estimate = _estimate(part["kind"] == kind, part["fate"].isin(untold), part["drawn"], study.settings.confidence)
     things = "starts" if study.unit == "start" else "runs"
-    return Share(kind, things, _predicate(kind, rows), estimate, where, None, _basis(study, part["drawn"].nunique()))
+    return Share(kind, things, _predicate(kind, *rows), estimate, where, None, _basis(study, part["drawn"].nunique()))
 
 
 def _estimate(has: pd.Series, untold: pd.Series, drawn: pd.Series, confidence: float) -> Estimate:
@@ -320,17 +314,13 @@ def _estimate(has: pd.Series, untold: pd.Series, drawn: pd.Series, confidence: f
     return bounded_share(np.column_stack([*counts, np.bincount(units)]), confidence)
 
 
-def _predicate(kind: str, rows: Sequence[Ends]) -> str:
+def _predicate(kind: str, *rows: Ends) -> str:
     """What runs at some settings do: a verb phrase in the plural."""
-    if kind == SLIDE and any(row.n_of[QUIET] for row in rows):
-        last = max(row.last_event for row in rows if row.last_event is not None)
-        return f"stop sticking by t = {number(last)}"
     ends = {row.t_end for row in rows}
     until = f"at t = {ends.pop():g}" if len(ends) == 1 else "at their end"
-    return {
-        SLIDE: "end in steady sliding", STICK_SLIP: f"still stick and slip {until}", GROW: "grow without limit",
-        STUCK: f"are stuck {until}",
-    }[kind]  # fmt: skip
+    slide = "stop sticking" if any(row.n_of[QUIET] for row in rows) else "end in steady sliding"
+    words = (slide, f"still stick and slip {until}", "grow without limit", f"are stuck {until}")
+    return words[KINDS.index(kind)]
 
 
 def _lifetimes(study: Study, rows: Sequence[Ends]) -> list[Finding]:
@@ -340,7 +330,7 @@ def _lifetimes(study: Study, rows: Sequence[Ends]) -> list[Finding]:
     return [
         Lifetime(
             LIFETIME, "runs", "still stick and slip", row.lifetime, row.t_end, row.left, _where(row), None,
-            _basis(study, int(row.group.column("unit").nunique())),
+            _basis(study, row.n_units),
         )
         for row in reached[:MOST_SETTINGS]
     ]  # fmt: skip
@@ -431,20 +421,17 @@ def _with_attractors(study: Study) -> set[str]:
     return {group.label for group in study.groups if has[group.rows].any()}
 
 
-def _runs(groups: Sequence[Group]) -> pd.DataFrame:
-    """A row a run, group by group: its row among the members, its fate, what it does, and until when it moved.
-
-    `drawn` numbers what was drawn: runs of one number are dependent.
-    """
-    labels = [group.label for group in groups]
-    runs = joined([_of_group(group, k, labels) for k, group in enumerate(groups)])
+def _joined(groups: Sequence[Group], parts: list[pd.DataFrame]) -> pd.DataFrame:
+    """Runs of groups as one table; `drawn` numbers what was drawn: runs of a number are dependent."""
+    runs = joined(parts)
     values = [tuple(group.key[name] for name in DRAWN) for group in groups]
     setting = np.array([*map(values.index, values)])[runs["group"].cat.codes]
-    units = pd.factorize(groups[0].table.own["unit"].to_numpy()[runs["row"]])[0]  # they may be any numbers
-    return runs.assign(drawn=pd.factorize(setting + len(values) * units)[0])
+    units = pd.factorize(runs.pop("unit").to_numpy())[0]  # they may be any numbers
+    return runs.drop(columns="t_last").assign(drawn=pd.factorize(setting + len(values) * units)[0])
 
 
 def _of_group(group: Group, number: int, labels: Sequence[str]) -> pd.DataFrame:
+    """A row a run: its row among the members, its unit, its fate, what it does, and until when it moved."""
     fates, size, t_end = group.fates, len(group), float(group.key["t_end"])
     t_stop = group.column("t_stop").to_numpy(np.float64, na_value=np.nan)
     t_last, n_last = group.last.T
@@ -453,6 +440,8 @@ def _of_group(group: Group, number: int, labels: Sequence[str]) -> pd.DataFrame:
     is_kind = [np.isin(fates, SETTLED), np.isin(fates, MOVING) & ~is_stuck, fates == DIVERGED, is_stuck]
     return pd.DataFrame({
         "row": group.rows.astype(np.int32),
+        "unit": group.column("unit").to_numpy(),
+        "t_last": t_last,
         "t": np.where(fates == FAILED, np.nan, t),
         "group": pd.Categorical.from_codes(np.full(size, number), pd.Index(labels)),
         "fate": pd.Categorical(fates, (*WATCHED, FAILED)),
@@ -483,48 +472,35 @@ def _curve_table(label: str, curve: Curve) -> pd.DataFrame:
     return columns(_CURVE, [pd.DataFrame(dict(zip(_CURVE, (label, *curve), strict=True)))])
 
 
-class _Ran(NamedTuple):
-    """The runs of a group that did not fail: their fates, times and units, shape (m,) each."""
-
-    fates: np.ndarray
-    t_last: np.ndarray
-    t_stop: np.ndarray
-    t_end: np.ndarray
-    units: np.ndarray
-
-    @classmethod
-    def of(cls, group: Group) -> _Ran:
-        ran = np.flatnonzero(group.fates != FAILED)
-        t_stop, units = (group.column(name).to_numpy(np.float64, na_value=np.nan)[ran] for name in ("t_stop", "unit"))
-        t_end = np.broadcast_to(float(group.key["t_end"]), len(ran))
-        return cls(group.fates[ran], group.last[ran, 0], t_stop, t_end, pd.factorize(units)[0])
-
-
 def _kappa_n(key: Mapping[str, Any]) -> float | None:
     """kappa n; None where there is no spring between blocks, or K comes from a file."""
     return None if key["kappa"] is None or key["n"] == 1 else key["n"] * key["kappa"]
 
 
-def _ends(study: Study, group: Group, label: Label, method: str, ran: _Ran, left: float) -> Ends:
-    level, t_end = study.settings.confidence, float(group.key["t_end"])
-    fates, t_last, t_stop, ends, units = ran
-    lifetime, most = (
-        half_ended(taken, t_last, t_stop, ends, level, units) if len(fates) else Estimate()
-        for taken in (fates, np.where(fates == QUIET, SUSTAINED, fates))
-    )
-    t, _ = ends_at(fates, t_last, t_stop, ends)
-    n_last = group.last[group.fates != FAILED, 1]
-    n_held = np.count_nonzero(is_held(t_last, n_last, int(group.key["n"]), t_end) & (fates == SUSTAINED))
-    drawn, is_quiet = pd.Series(units), pd.Series(fates == QUIET)
-    moving, settled = Estimate(reason="every run failed"), Estimate(reason="every run failed")
-    if len(fates):
-        moving = _estimate(pd.Series(np.isin(fates, MOVING)), is_quiet, drawn, level)
-        settled = _estimate(pd.Series(np.isin(fates, SETTLED)), is_quiet & False, drawn, level)
-    return Ends(
-        group, label, method, Counter(group.fates.tolist()), int(n_held), moving, settled, lifetime, most.value, left,
-        _latest(t_last[np.isin(fates, SETTLED)]), _latest(t[np.isin(fates, ENDS)]), _latest(t_last[fates == QUIET]),
-        group.mean(level), group.drift(level), group.basis(level),
+def _ends(study: Study, group: Group, method: str, label: Label, runs: pd.DataFrame) -> tuple[Ends, Curve | None]:
+    """What is known of the runs of a group, and their survival; no curve if all failed."""
+    level, ran = study.settings.confidence, runs[runs["fate"] != FAILED]
+    fates, units = ran["fate"].to_numpy(object), ran["unit"].to_numpy()
+    t_last, t = ran["t_last"].to_numpy(), ran["t"].to_numpy()
+    until = np.full(len(ran), float(group.key["t_end"]))
+    curve, lifetime, most, moving, settled = None, *(Estimate(reason="every run failed") for _ in range(4))
+    if len(ran):
+        curve = _thinned(survival(fates, t_last, t, until, level, units))
+        lifetime, most = (
+            half_ended(taken, t_last, t, until, level, units)
+            for taken in (fates, np.where(fates == QUIET, SUSTAINED, fates))
+        )
+        moving, settled = (
+            _estimate(ran["fate"].isin(has), ran["fate"].isin(untold), ran["unit"], level)
+            for has, untold in ((MOVING, (QUIET,)), (SETTLED, ()))
+        )
+    n_held = int(((ran["kind"] == STUCK) & (ran["fate"] == SUSTAINED)).sum())
+    ends = Ends(
+        group, label, method, Counter(group.fates.tolist()), n_held, moving, settled, lifetime, most.value,
+        1.0 if curve is None else float(curve[1][-1]), _latest(t[np.isin(fates, ENDS)]),
+        _latest(t_last[fates == QUIET]), group.mean(level), group.drift(level), group.basis(level),
     )  # fmt: skip
+    return ends, curve
 
 
 def _shifts(groups: Sequence[Group], level: float) -> list[Shift]:
@@ -547,13 +523,6 @@ def _shifts(groups: Sequence[Group], level: float) -> list[Shift]:
                 shift = replace(shift, value=float(np.median(delays)))
             shifts.append(Shift(other.label, reference.label, len(known), len(both) - len(known), shift))
     return shifts
-
-
-def _shift_row(shift: Shift) -> Row:
-    return {
-        "setting": shift.setting, "reference": shift.reference, "n_systems": shift.n_systems,
-        "n_open": shift.n_open, **named("shift", shift.shift),
-    }  # fmt: skip
 
 
 def _last_events(group: Group) -> pd.Series:
@@ -587,8 +556,7 @@ def _pictures(
             "Curves fall as runs end, and level off where motion lasts. Share of runs that have not ended, with"
             f" {level} intervals.{left_out}",
         )
-    starts = _basin(ends, runs)
-    if starts is not None:
+    if (starts := _basin(study, runs)) is not None:
         pictures["basin"] = starts
     key, values = key_of([row.label for row in ends]) if len({row.method for row in ends}) == 1 else ("", [])
     values = values or [_where(row) for row in ends]
@@ -597,15 +565,6 @@ def _pictures(
         pictures["fates"] = Picture(
             partial(figures.shares, key, values, counts),
             "Bars of one colour have one outcome. Shares of runs by what they do at the end, at each setting.",
-        )
-    rates = study.data.table.own["growth_rate"].to_numpy(np.float64)
-    rated = [k for k, row in enumerate(ends) if not np.isnan(rates[row.group.rows]).all()]
-    if rated and pictures:
-        tables = [runs[(runs["group"] == ends[k].group.label) & (runs["fate"] != FAILED)] for k in rated]
-        known = [table.assign(growth_rate=rates[table["row"]]) for table in tables]
-        pictures["growth"] = Picture(
-            partial(figures.growth, key, [values[k] for k in rated], known),
-            "Left of the line, the state in which all blocks slip is stable. Its largest growth rate, a mark a run.",
         )
     if not pictures:
         row = max(ends, key=lambda row: int(row.group.key["n"]))
@@ -619,34 +578,25 @@ def _pictures(
     return pictures
 
 
-def _basin(ends: Sequence[Ends], runs: pd.DataFrame) -> Picture | None:
-    """Starts of one system by what their runs do; None if all do the same, or not one or two numbers vary.
+def _basin(study: Study, runs: pd.DataFrame) -> Picture | None:
+    """Starts of one system by what their runs do; None if all do the same, or their two numbers do not both vary.
 
     Of several systems or methods, the one with most runs.
     """
-    members, key_but_start = ends[0].group.table.own, Counter[tuple[Any, ...]]()
-    setting_of = {}
-    for row in ends:
-        setting = tuple(value for name, value in row.group.key.items() if name not in ("z0", "w0"))
-        setting_of[row.group.label] = setting
-        key_but_start[setting] += len(row.group)
-    (setting, _), *_ = key_but_start.most_common(1)
-    labels = [label for label, key in setting_of.items() if key == setting]
-    part = runs[runs["group"].isin(labels) & (runs["fate"] != FAILED)]
-    columns = (members[name].to_numpy(np.float64, na_value=np.nan)[part["row"]] for name in ("z_start", "w_start"))
-    z, w = columns
-    is_known = ~(np.isnan(z) | np.isnan(w))
-    matrices = members["matrix"].to_numpy()[part["row"]]
-    if not is_known.any() or (matrices != matrices[0]).any():
+    members, kinds = study.data.table.own, np.full(len(study.data.table), -1)
+    kinds[runs["row"]] = runs["kind"].cat.codes
+    group = max(attractors.regardless_of_start(study, kinds >= 0), key=len)
+    z, w = (members[name].to_numpy(np.float64, na_value=np.nan)[group.rows] for name in ("z_start", "w_start"))
+    is_known, number = ~(np.isnan(z) | np.isnan(w)), kinds[group.rows]
+    if not is_known.any() or len(np.unique(group.column("matrix"))) > 1 or (number == number[0]).all():
         return None
     starts = plane(z[is_known, np.newaxis], w[is_known, np.newaxis])
-    number = part["kind"].cat.codes.to_numpy()[is_known]
-    if starts is None or len(starts.names) < 2 or (number == number[0]).all():
+    if starts is None or len(starts.names) < 2:
         return None
-    entries: list[tuple[Look, str]] = [(_LOOK[kind], _LOOK[kind].words) for kind in KINDS]
-    caption = "Each colour is a basin. What a run does at the end, in the plane of its start"
-    few = f"; drawn are the {len(number):,} of {len(part):,} runs whose starts are stored"
-    return Picture(figures.basin(starts, number, entries), f"{caption}{few if len(number) < len(part) else ''}.")
+    few = f", for the {is_known.sum():,} of {len(group):,} whose starts are stored" if not is_known.all() else ""
+    looks: list[tuple[Look, str]] = [(FATES[name], FATES[name].words) for name in _LOOKS]
+    caption = f"Each colour is a basin. What a run does at the end, by its start{few}."
+    return Picture(figures.basin(starts, number[is_known], looks), caption)
 
 
 def _averaged(win: Window) -> tuple[np.ndarray, np.ndarray]:
