@@ -17,7 +17,6 @@ from scipy import fft, linalg, signal, special, stats
 from stickslip.analysis.contrast import PerEvent
 from stickslip.analysis.models import clustering, common_motion, counting, fates, growth, laws, pool, times
 from stickslip.analysis.models.episodes import OCCUPANCY, SLOW_DRIVE, Catalogue
-from stickslip.analysis.questions.runs.robustness import BOUND
 from stickslip.analysis.series.cascades import Law, Window, sizes, sums, window
 from stickslip.analysis.series.cascades import laws as cascade_laws
 from stickslip.analysis.series.nulls import DRAWS, BlockSteps, rotations
@@ -39,6 +38,7 @@ from tests.chance import ERRORS, agrees
 
 CONFIDENCE = 0.95
 MATRICES = 20
+BOUND = 0.25  # of another matrix's mean square difference
 
 
 @dataclass(frozen=True)
