@@ -15,7 +15,7 @@ import numpy as np
 from scipy import fft, linalg, signal, special, stats
 
 from stickslip.analysis.contrast import PerEvent
-from stickslip.analysis.models import clustering, counting, fates, growth, laws, pool, rhythm, times
+from stickslip.analysis.models import clustering, fates, growth, laws, pool, rhythm, times
 from stickslip.analysis.models.episodes import OCCUPANCY, SLOW_DRIVE, Catalogue
 from stickslip.analysis.questions.runs.robustness import BOUND
 from stickslip.analysis.series.cascades import Law, Window, sizes, sums, window
@@ -35,6 +35,7 @@ from stickslip.analysis.stats.estimates import (
 )
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness
+from stickslip.workflows.scenes import counting
 from tests.chance import ERRORS, agrees
 
 CONFIDENCE = 0.95

@@ -406,7 +406,7 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Sequence[Ro
         ),
         "decay_rates": Picture(
             partial(forest, each, rate, "decay rate", (LN2, COIN)),
-            f"The decay rate of each {systems(study)}, its interval from {PARTS} parts of its run, and that of all "
+            f"The decay rate of each {systems(study)}{f' ({labels[0]})' * bool(labels[0])}, its interval from {PARTS} parts of its run, and that of all "
             f"together (diamond, band). Dashed: {COIN}, which tossing a coin between letting go and sticking gives.",
         ),
         "one_run": Picture(
