@@ -418,8 +418,8 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Sequence[Ro
         "size_law": Picture(
             partial(cascade_figures.size_law, laws, rate),
             f"Each size is {number(np.exp(-(rate.value or 0.0)), digits=2)} times as common as the one before; over "
-            "a fair coin's 2⁻ˢ, below, the slope of the shares is the difference of the decay rate from ln 2. Line and "
-            f"band: the exponential law, {level:.0%}.",
+            "a fair coin's 2⁻ˢ, below, the slope of the shares is the difference of the decay rate from ln 2. Line "
+            f"and band: the exponential law, {level:.0%}.",
         ),
         "decay_rates": Picture(
             partial(forest, each, rate, "decay rate", (LN2, COIN)),
