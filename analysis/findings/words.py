@@ -141,8 +141,8 @@ def ratio(difference: Difference) -> str | None:
     value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
     if difference.scale is not Scale.RELATIVE or value is None or value < 1.0:
         return None
-    ends = (None if end is None else 1.0 + end for end in (low, high))
-    return with_interval(Estimate(1.0 + value, *ends))
+    ends = [None if end is None else 1.0 + end for end in (low, high)]
+    return with_interval(Estimate(1.0 + value, ends[0], ends[1]))
 
 
 class Cell(NamedTuple):
