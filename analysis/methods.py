@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -12,14 +11,13 @@ import numpy as np
 
 from stickslip.analysis.answer import Row, named
 from stickslip.analysis.catalogues import Catalogues
+from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Comparison, Family
-from stickslip.analysis.findings.finding import Difference as FoundDifference
-from stickslip.analysis.models.episodes import DURATION, QUANTITIES, QUIET, RATE, SIZE, SLIP, SLOW_DRIVE, Catalogue
+from stickslip.analysis.models.episodes import DURATION, QUANTITIES, QUIET, RATE, SIZE, SLIP, Catalogue
 from stickslip.analysis.models.laws import Difference, difference_of_order, distance_of_shares, largest_gap
-from stickslip.analysis.stats.compare import equivalence_test, relative_difference
-from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
-from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
+from stickslip.analysis.outcomes import Setting
+from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.pipeline.design.labels import Label, Part
 from stickslip.pipeline.design.values import text
@@ -57,7 +55,10 @@ LAWS: Mapping[str, Compared] = {
     "first blocks": Compared(Catalogue.first_blocks, distance_of_shares, lambda runs: np.sum(runs, axis=0)),
     "order in time": Compared(lambda run, _: run.sizes_and_quiets, difference_of_order),
 }
-STATISTICS = (RATE, SIZE, DURATION, QUIET, SLIP)  # by which methods are compared
+#: Statistics by which methods are compared, by name; their differences are relative.
+STATISTICS: Mapping[str, Statistic] = {
+    name: Statistic(name, QUANTITIES[name].of) for name in (RATE, SIZE, DURATION, QUIET, SLIP)
+}
 PRIMARY = (RATE, MAGNITUDES)  # how often and how large: tested before the others
 
 
@@ -70,81 +71,66 @@ class Apart:
     setting, reference : Catalogues
     name : str
         One of `STATISTICS` or `LAWS`.
-    estimate : Estimate
-    p, p_adjusted : float, optional
-        Of no difference, alone and in its family by Holm's rule; None if there is no test.
-    n_tests : int
-        Comparisons of its family: the primary ones are one, the others another.
-    law : laws.Difference, optional
+    found : Contrast, laws.Difference or str
+        Of a statistic; of a law, or why there is none.
+    family : Family, optional
+        The comparisons that it is judged together with, if it is tested: the primary ones, or the others.
     """
 
     setting: Catalogues
     reference: Catalogues
     name: str
-    estimate: Estimate
-    p: float | None = None
-    p_adjusted: float | None = None
-    n_tests: int = 0
-    law: Difference | None = None
+    found: Contrast | Difference | str
+    family: Family | None = None
 
-    def is_shown(self, level: float) -> bool:
+    @property
+    def p(self) -> float | None:
+        """The p-value of no difference, alone."""
+        return None if isinstance(self.found, str) else self.found.p_different
+
+    @property
+    def is_shown(self) -> bool:
         """Whether a difference is shown, among all comparisons of its family."""
-        return self.p_adjusted is not None and self.p_adjusted < 1 - level
+        return self.family is not None and self.family.p_different < self.family.alpha
 
     def comparison(self) -> Comparison:
         """A statistic beside that of the reference, for a finding."""
-        family = Family(self.n_tests, 1.0 if self.p_adjusted is None else self.p_adjusted)
-        return Comparison(called(self.reference), FoundDifference(self.estimate, family=family))
+        assert isinstance(self.found, Contrast)
+        return Comparison(called(self.reference), replace(self.found, family=self.family).difference)
 
     def row(self) -> Row:
         """As columns."""
         row: Row = {"setting": self.setting.label, "reference": self.reference.label}
-        row |= {"p_different": self.p, "p_different_holm": self.p_adjusted, "reason": self.estimate.reason or None}
-        if self.name not in LAWS:
-            return row | {"quantity": self.name} | named("relative", self.estimate)
-        of = {name: self.law and getattr(self.law, name) for name in ("at", "below", "p_floor")}
-        return row | {"law": self.name} | named("size", self.estimate) | of
+        if isinstance(self.found, Contrast):
+            return row | replace(self.found, family=self.family).row()
+        row |= {"law": self.name, "p_different_holm": self.family and self.family.p_different}
+        if isinstance(self.found, str):
+            return row | {"reason": self.found}
+        of = {name: getattr(self.found, name) for name in ("at", "below", "p_floor", "p_different")}
+        return row | named("size", self.found.size) | of
 
 
 def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apart]:
     """Every setting beside the first of the same systems, by statistics and by whole laws."""
+    level = study.settings.confidence
     alone = [
         apart
         for reference, *others in by_system if reference.is_judged
         for other in others
-        for apart in (*(_statistic(study, reference, other, name) for name in STATISTICS),
-                      *(_law(study, reference, other, name) for name in LAWS))
+        for apart in (
+            *(Apart(other, reference, name, contrast(one, reference.sample, other.sample, True, level))
+              for name, one in STATISTICS.items()),
+            *(Apart(other, reference, name, _law(study, reference, other, name)) for name in LAWS),
+        )
     ]  # fmt: skip
     for is_primary in (True, False):
-        family = [k for k, one in enumerate(alone) if one.p is not None and (one.name in PRIMARY) is is_primary]
-        for k, p in zip(family, holm([alone[k].p or 0.0 for k in family]).tolist(), strict=True):
-            alone[k] = replace(alone[k], p_adjusted=p, n_tests=len(family))
+        tested = [k for k, one in enumerate(alone) if one.p is not None and (one.name in PRIMARY) is is_primary]
+        for k, p in zip(tested, holm([alone[k].p or 0.0 for k in tested]).tolist(), strict=True):
+            alone[k] = replace(alone[k], family=Family(len(tested), p, alpha=1 - level))
     return alone
 
 
-def _statistic(study: Study, first: Catalogues, second: Catalogues, name: str) -> Apart:
-    """The relative difference of a statistic on the systems that both ran."""
-    a, b = first.sample.of(name), second.sample.of(name)
-    change = relative_change(name, a.within(b), b.within(a), True, study.settings.confidence)
-    return Apart(second, first, name, *change)
-
-
-def relative_change(
-    name: str, first: UnitSums, second: UnitSums, is_paired: bool, level: float
-) -> tuple[Estimate, float | None]:
-    """The relative difference of a statistic of episodes, and its p-value."""
-    of = {**QUANTITIES, **SLOW_DRIVE}[name].of
-    if min(len(first), len(second)) < LEAST_MATRICES:
-        return Estimate(reason=FEW_MATRICES), None
-    try:
-        value, error, dof = relative_difference(of, first.rows, second.rows, is_paired)
-    except Undefined as why:
-        return Estimate(reason=str(why)), None
-    test = equivalence_test(value, error, dof, 0.0)
-    return Estimate(value, *test.interval(level)), test.p_different
-
-
-def _law(study: Study, first: Catalogues, second: Catalogues, name: str) -> Apart:
+def _law(study: Study, first: Catalogues, second: Catalogues, name: str) -> Difference | str:
     """How far a law of two groups lies apart on the systems that both ran."""
     law, n = LAWS[name], int(first.group.key["n"])
     pairs = [
@@ -155,10 +141,9 @@ def _law(study: Study, first: Catalogues, second: Catalogues, name: str) -> Apar
         for unit in sorted(first.runs.keys() & second.runs.keys())
     ]
     try:
-        difference = law.difference(pairs, study.settings.confidence, study.generator(f"{name} {second.label}"))
+        return law.difference(pairs, study.settings.confidence, study.generator(f"{name} {second.label}"))
     except Undefined as why:
-        return Apart(second, first, name, Estimate(reason=str(why)))
-    return Apart(second, first, name, difference.size, difference.p_different, law=difference)
+        return str(why)
 
 
 #: A method's name: engine, symbol and value of its setting, and the rest.
@@ -175,33 +160,15 @@ def called(reference: Catalogues) -> str:
     )
 
 
-def grouped(chosen: Collection[str], methods: Sequence[tuple[str, str]]) -> list[str]:
-    """Names of some methods: "time steps up to h = 0.3" where they are the finest settings of an engine.
-
-    Parameters
-    ----------
-    chosen : collection of str
-        The methods to name.
-    methods : sequence of (str, str)
-        Engine and method of all that are compared on some systems, from the finest on.
-    """
-    texts: list[str] = []
-    for _, group in itertools.groupby(methods, key=lambda pair: pair[0]):
-        every = [method for _, method in group]
-        some = [method for method in every if method in chosen]
-        parts = [_SETTING.fullmatch(method) for method in every]
-        is_row = None not in parts and len({part and part.group(1, 2, 4) for part in parts}) == 1
-        if not is_row or len(some) < 2:
-            texts += [_SETTING.sub(r"\1 \2 = \3", method) if is_row else method for method in some]
-        elif some == every:
-            texts.append(_SETTING.sub(r"\1 at every \2", some[0]))
-        elif some == every[: len(some)]:
-            texts.append(_SETTING.sub(r"\1 up to \2 = \3", some[-1]))
-        elif some == every[-len(some) :]:
-            texts.append(_SETTING.sub(r"\1 from \2 = \3 on", some[0]))
-        else:
-            texts += some
-    return texts
+def settings_of(groups: Sequence[Catalogues]) -> list[Setting]:
+    """Methods by engine and the number that it is set by, so that ranges of it can be named."""
+    methods = [str(group.row["method"]) for group in groups]
+    parts = [_SETTING.fullmatch(method) for method in methods]
+    is_one = len({part[4] for part in parts if part}) < 2  # what all settings share tells nothing
+    return [
+        Setting(part[1] + part[4] * (not is_one), part[2], float(part[3])) if part else Setting(method)
+        for part, method in zip(parts, methods, strict=True)
+    ]
 
 
 def names(found: Sequence[Catalogues]) -> list[str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -28,6 +29,7 @@ from stickslip.analysis.catalogues import (
     summarise,
     systems,
 )
+from stickslip.analysis.contrast import SCHEMA, Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import (
@@ -48,17 +50,7 @@ from stickslip.analysis.findings.finding import (
 )
 from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.members import DRAWN
-from stickslip.analysis.methods import (
-    LAWS,
-    MAGNITUDES,
-    PRIMARY,
-    Apart,
-    called,
-    compare,
-    grouped,
-    names,
-    relative_change,
-)
+from stickslip.analysis.methods import LAWS, MAGNITUDES, PRIMARY, Apart, called, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
     BY_WAY,
     CLASS,
@@ -75,6 +67,8 @@ from stickslip.analysis.models.episodes import (
     SLOW_DRIVE,
     STORED,
 )
+from stickslip.analysis.models.laws import Difference as LawDifference
+from stickslip.analysis.outcomes import DIFFERENT, UNDECIDED, in_words
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, relative_difference
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
@@ -132,13 +126,10 @@ _GROUPS: Mapping[str, str] = {
     "drift": F, "drift_low": F, "drift_high": F, "stuck_below": F, "has_b": B, "b": F, "b_low": F, "b_high": F,
     "atom": F, "b_reason": S, "basis": S,
 }  # fmt: skip
-_TESTS: Mapping[str, str] = {"p_different": F, "p_different_holm": F, "reason": S}
-_CONTRASTS: Mapping[str, str] = {
-    "setting": S, "reference": S, "quantity": S, "relative": F, "relative_low": F, "relative_high": F, **_TESTS,
-}  # fmt: skip
+_CONTRASTS: Mapping[str, str] = {"setting": S, "reference": S, **SCHEMA}
 _METHODS: Mapping[str, str] = {
     "setting": S, "reference": S, "law": S, "size": F, "size_low": F, "size_high": F, "at": F, "below": F,
-    "p_floor": F, **_TESTS,
+    "p_floor": F, "p_different": F, "p_different_holm": F, "reason": S,
 }  # fmt: skip
 _LAWS: Mapping[str, str] = {
     "group": S, "law": S, "least": F, "n_episodes": I, "b": F, "b_low": F, "b_high": F, "parameters": S, "gain": F,
@@ -190,7 +181,7 @@ def answer(study: Study) -> Answer | None:
     basis = answers.systems(study)
     laws = [_law(study, group, *fitted[group.label], "" if len(leaders) == 1 else group.row["method"])
             for group in sorted(leaders, key=lambda group: group is not lead)]  # fmt: skip
-    outcomes = [_outcomes(first, others, apart, level) for first, *others in by_system if others and first.is_judged]
+    outcomes = [_outcomes(first, others, apart) for first, *others in by_system if others and first.is_judged]
     first = [_level(lead, RATE, apart, basis), laws[0]]
     findings: list[Finding] = [*outcomes[:1], *first, *_changes(leaders, level, basis), *outcomes[1:], *laws[1:]]
     findings += _levels(groups, lead, apart, basis)
@@ -236,27 +227,20 @@ def _levels(groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apar
         if group.row["of"][name].value is not None
     ]
     gaps: list[Finding] = [
-        Level(APART, one.estimate, str(one.setting.row["method"]))
+        Level(APART, one.found.size, str(one.setting.row["method"]))
         for one in apart
-        if one.name == MAGNITUDES and one.estimate.value is not None
+        if one.name == MAGNITUDES and isinstance(one.found, LawDifference)
     ]
     return [*findings[: len(groups) - 1], *gaps, *findings[len(groups) - 1 :]]
 
 
-def _outcomes(reference: Catalogues, others: Sequence[Catalogues], apart: Sequence[Apart], level: float) -> Outcomes:
+def _outcomes(reference: Catalogues, others: Sequence[Catalogues], apart: Sequence[Apart]) -> Outcomes:
     """The settings of a system whose rate or magnitudes are shown to differ from the reference's, and the others."""
-    methods = [(str(one.group.key["engine"]), str(one.row["method"])) for one in others]
-    differ = {
-        str(one.setting.row["method"])
-        for one in apart
-        if one.name in PRIMARY and any(one.setting is other for other in others) and one.is_shown(level)
-    }
-    rest = {method for _, method in methods} - differ
-    return Outcomes(
-        called(reference),
-        different=tuple(grouped(differ, methods)),
-        undecided=tuple(grouped(rest, methods)),
-    )
+    differ = [id(one.setting) for one in apart if one.name in PRIMARY and one.is_shown]
+    come_out = [DIFFERENT if id(other) in differ else UNDECIDED for other in others]
+    by_setting = dict(zip(settings_of(others), come_out, strict=True))
+    different, undecided = (in_words(by_setting, name) for name in (DIFFERENT, UNDECIDED))
+    return Outcomes(called(reference), different=different, undecided=undecided)
 
 
 def _changes(leaders: Sequence[Catalogues], level: float, unit: str) -> list[Change]:
@@ -266,25 +250,20 @@ def _changes(leaders: Sequence[Catalogues], level: float, unit: str) -> list[Cha
     keys = [key for key in ends[0] if key and ends[0][key] != ends[1].get(key)]
     if len(keys) != 1:
         return []
-    changes, basis = [], Basis(len(last.runs), unit)
+    changes = []
     for name, quantity in ((SIZE, WORDS[SIZE]), (BY_WAY, BY_TRAVEL)):
-        before, after = (group.row["of"][name] for group in (first, last))
-        difference = along(first, last, name, level)
-        if difference.value is not None:
+        found = along(first, last, name, level)
+        if found.is_known:
             old, new = (end[keys[0]] for end in ends)
-            is_same = difference.low == difference.high == 0.0
-            shown = Difference(difference, is_same=is_same)
-            changes.append(Change(quantity, keys[0], old, new, before, after, shown, basis=basis))
+            changes.append(replace(found.change(keys[0], old, new, "", unit), quantity=quantity))
     return changes
 
 
-def along(first: Catalogues, last: Catalogues, name: str, level: float) -> Estimate:
-    """The relative difference of a statistic of two groups: paired if both share their random draws."""
+def along(first: Catalogues, last: Catalogues, name: str, level: float) -> Contrast:
+    """How a statistic of two groups differs: paired if both share their random draws."""
     draws = [[group.group.unit, *(group.group.key[key] for key in DRAWN)] for group in (first, last)]
-    a, b = first.sample.of(name), last.sample.of(name)
-    if is_paired := draws[0] == draws[1]:
-        a, b = a.within(b), b.within(a)
-    return relative_change(name, a, b, is_paired, level)[0]
+    statistic = Statistic(name, {**QUANTITIES, **SLOW_DRIVE}[name].of)
+    return contrast(statistic, first.sample, last.sample, draws[0] == draws[1], level)
 
 
 def _fits(study: Study, group: Catalogues) -> tuple[list[Row], list[Fitted]]:
@@ -369,9 +348,9 @@ def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Cat
         alerts.append(Alert.of(Code.OVERLAP, share=share, where=str(fast["method"]), remedy=remedy))
     blurred = [group.row for group in groups if (group.row["stuck_below"] or 0.0) > 1]
     if blurred:
-        methods = [(str(group.group.key["engine"]), str(group.row["method"])) for group in groups]
-        names_of = grouped({str(row["method"]) for row in blurred}, methods)
-        alerts.append(Alert.of(Code.BLURRED, what=" and ".join(names_of)))
+        come_out = [DIFFERENT if group.row in blurred else UNDECIDED for group in groups]
+        methods = in_words(dict(zip(settings_of(groups), come_out, strict=True)), DIFFERENT)
+        alerts.append(Alert.of(Code.BLURRED, what=" and ".join(methods)))
     whole = [group for group in groups if (group.row["whole"] or 0.0) > 0.5 and group in references]
     if whole:
         share = number(whole[0].row["whole"], Form.SHARE, 0)
