@@ -286,10 +286,8 @@ def _outcome(study: Study, runs: pd.DataFrame, rows: Sequence[Ends]) -> tuple[li
         kinds = rows[0].kinds
         return [_share(study, runs, rows, kind, method) for kind in sorted(kinds, key=lambda kind: -kinds[kind])], []
     key, values = key_of([row.label for row in rows])
-    places = [
-        Place(tuple(_predicate(kind, *rows) for kind in row.kinds), row.n_runs, row.n_runs, row.n_units)
-        for row in rows
-    ]
+    words = {kind: _predicate(kind, *rows) for kind in KINDS}
+    places = [Place(tuple(words[kind] for kind in row.kinds), row.n_runs, row.n_runs, row.n_units) for row in rows]
     by_outcome = regimes(key, values, places, study.settings.confidence, _basis(study, 0).unit)
     mixed = [row for row in rows if len(row.kinds) > 1][:MOST_SETTINGS]
     shares: list[Finding] = [_share(study, runs, [row], kind, _where(row)) for row in mixed for kind in row.kinds]
