@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from stickslip.analysis.findings.finding import (
     Alike,
@@ -26,15 +27,16 @@ from stickslip.analysis.findings.finding import (
     Regimes,
     Scale,
     Share,
+    Threshold,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import decimals, limit, number, span, with_interval
+from stickslip.analysis.findings.numbers import decimals, limit, number, signs, span, with_interval
 from stickslip.analysis.stats.estimates import Estimate
 
 
 def sentence(finding: Finding) -> str:
     """A finding as one sentence."""
-    return f"{capital(clause(finding))}."
+    return f"{capital(signs(clause(finding)))}."
 
 
 def clause(finding: Finding) -> str:
@@ -62,6 +64,9 @@ def clause(finding: Finding) -> str:
             return f"{quantity.name}{_at(where)}: {number(value, quantity.form, digits)}, the same {among}"
         case Outcomes():
             return _outcomes(finding)
+        case Threshold(subject, is_end, key, last, first, where, basis):
+            every = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
+            return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{_at(where)}{every}"
         case Regimes(things, regimes, where):
             grouped = "; ".join(_regime(regime, things, k == 0) for k, regime in enumerate(regimes))
             return f"{_at(where).strip(' ,')}: {grouped}" if where else grouped
@@ -113,6 +118,8 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
     more, less = ("above", "below") if quantity is None else (quantity.more, quantity.less)
     form = Form.SHARE if quantity is None else quantity.form
     match difference.verdict:
+        case Verdict.MORE if (times := ratio(difference)) is not None:
+            return f", {times} times that of {other}"
         case Verdict.MORE:
             return f", {size(difference, form)} {more} {other}"
         case Verdict.LESS:
@@ -129,19 +136,34 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
             return f", beside {other}, without an interval"
 
 
-def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = Form.NUMBER) -> str:
-    """A difference as the cell of a table: "+0.9% (+0.6 to +1.3%)", and what it comes to if that is not plain."""
+def ratio(difference: Difference) -> str | None:
+    """A relative difference of more than 100% as a ratio, "11.4 (5.8 to 22.3)"; None of any other."""
+    value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
+    if difference.scale is not Scale.RELATIVE or value is None or value < 1.0:
+        return None
+    ends = [None if end is None else 1.0 + end for end in (low, high)]
+    return with_interval(Estimate(1.0 + value, ends[0], ends[1]))
+
+
+class Cell(NamedTuple):
+    """A difference in a table: its size with its interval, and what that comes to where it is not plain."""
+
+    size: str
+    verdict: str = ""
+
+
+def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = Form.NUMBER) -> Cell:
+    """A difference as the cell of a table: "+0.9% (+0.6 to +1.3%)", "equal within 5%"."""
     difference = comparison.difference
     if verdict is Verdict.SAME:
-        return "none in any run"
+        return Cell("none in any run")
     value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
     if value is None:
-        return "unknown" if low is None or high is None else interval(difference, form)
-    text = with_interval(difference.estimate, _form(difference, form), sign=True)
-    text = _in_points(text, difference, form)
+        return Cell("unknown" if low is None or high is None else interval(difference, form))
+    text = _in_points(with_interval(difference.estimate, _form(difference, form), sign=True), difference, form)
     if verdict is Verdict.EQUAL:
-        return f"{text}, equal within {margin(difference, form)}"
-    return f"{text}, not shown among so many" if verdict is Verdict.OPEN_AMONG_MANY else text
+        return Cell(text, f"equal within {margin(difference, form)}")
+    return Cell(text, "not shown among so many" * (verdict is Verdict.OPEN_AMONG_MANY))
 
 
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:
@@ -201,7 +223,7 @@ def _change(change: Change) -> str:
         case Verdict.OPEN_AMONG_MANY:
             return f"no change of the {quantity.name} is shown among {_n_tests(difference)} {along}"
         case Verdict.UNJUDGED:
-            few = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)} give no interval"
+            few = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)}, no interval"
             return f"{quantity.name} goes {_from_to(change)} {along}{few}"
 
 
@@ -267,8 +289,29 @@ def _outcomes(outcomes: Outcomes) -> str:
         )
         if settings
     ]
-    largest = "" if outcomes.largest is None else f"; the largest difference is in the {_level(outcomes.largest)}"
-    return "; ".join(said) + largest
+    return "; ".join(said) + ("" if outcomes.largest is None else _most_apart(outcomes.largest))
+
+
+def _most_apart(level: Level) -> str:
+    """The largest difference of several."""
+    if level.comparison is None:
+        return ""
+    difference, quantity = level.comparison.difference, level.quantity
+    where = f" ({level.where})" if level.where else ""
+    match difference.verdict:
+        case Verdict.MORE:
+            apart = f"{size(difference, quantity.form)} {quantity.more}"
+        case Verdict.LESS:
+            apart = f"{size(difference, quantity.form)} {quantity.less}"
+        case Verdict.EQUAL:
+            apart = f"within {margin(difference, quantity.form)} ({interval(difference, quantity.form)})"
+        case Verdict.OPEN:
+            apart = interval(difference, quantity.form)
+        case Verdict.OPEN_AMONG_MANY:
+            apart = f"{interval(difference, quantity.form)}, one of {_n_tests(difference)}"
+        case Verdict.SAME | Verdict.UNJUDGED:
+            return ""
+    return f", most apart in the {quantity.name}{where}: {apart}"
 
 
 def _regime(regime: Regime, things: str, is_first: bool) -> str:

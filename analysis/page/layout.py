@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from stickslip.analysis.findings.finding import Comparison, Difference, Record, Scale, Verdict
-from stickslip.analysis.findings.numbers import alike, with_interval
+from stickslip.analysis.findings.numbers import alike, signs, with_interval
 from stickslip.analysis.findings.words import difference_in_words, plural
 from stickslip.analysis.stats.estimates import Estimate
 
@@ -142,9 +142,9 @@ def findings_table(records: Sequence[Record], where: str = "", most: int = MOST_
     cells = [
         {
             "what": record.quantity,
-            "where": record.setting,
+            "where": signs(record.setting),
             "estimate": _level(record, places[record.quantity]),
-            "compared with": record.compared_with,
+            "compared with": signs(record.compared_with),
             "difference": _difference(record),
             "from": "" if record.n is None else _unbroken(plural(record.n, record.unit)),
         }
@@ -182,5 +182,4 @@ def _difference(record: Record) -> str:
     value = Estimate(record.difference, record.difference_low, record.difference_high)
     difference = Difference(value, Scale(record.scale), record.margin)
     said = difference_in_words(Comparison(record.compared_with, difference), Verdict(record.verdict), record.form)
-    interval, comma, verdict = said.partition(", ")
-    return _unbroken(interval) + comma + verdict
+    return ", ".join([_unbroken(said.size), *filter(None, [said.verdict])])
