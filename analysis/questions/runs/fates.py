@@ -260,15 +260,20 @@ def _findings(
     """What the runs of each method do, its lifetimes, and how much later last events come by another method."""
     leading: list[Finding] = []
     others: list[Finding] = []
-    outcomes: list[list[dict[str, int]]] = []
-    for method in dict.fromkeys(row.method for row in ends):
-        rows = [row for row in ends if row.method == method]
-        outcome, details = _outcome(study, runs, rows)
+    methods: dict[str, list[Ends]] = {}
+    for row in ends:
+        methods.setdefault(row.method, []).append(row)
+    outcomes = [[(row.kinds, row.n_of[QUIET] > 0) for row in rows] for rows in methods.values()]
+    is_alike = len(methods) > 1 and all(outcome == outcomes[0] for outcome in outcomes)
+    for k, (method, rows) in enumerate(methods.items()):
         lifetimes = _lifetimes(study, rows)
-        is_other = [row.kinds for row in rows] not in outcomes
-        outcomes.append([row.kinds for row in rows])
-        leading += [*outcome[: 1 if is_other else 0], *lifetimes[:1]]
-        others += [*outcome[1 if is_other else 0 :], *details, *lifetimes[1:]]
+        if k == 0 or not is_alike:
+            outcome, details = _outcome(study, runs, rows, "by every method" if is_alike else method)
+            n_first = int(outcomes[k] not in outcomes[:k])
+            leading += outcome[:n_first]
+            others += [*outcome[n_first:], *details]
+        leading += lifetimes[:1]
+        others += lifetimes[1:]
     delays = [
         Level(DELAY, shift.shift, f"{shift.setting} after {shift.reference}", None, _basis(study, shift.n_systems))
         for shift in shifts
@@ -278,9 +283,10 @@ def _findings(
     return [*leading, *others, *delays[:MOST_SETTINGS], *stable], min(3, len(leading))
 
 
-def _outcome(study: Study, runs: pd.DataFrame, rows: Sequence[Ends]) -> tuple[list[Finding], list[Finding]]:
+def _outcome(
+    study: Study, runs: pd.DataFrame, rows: Sequence[Ends], method: str
+) -> tuple[list[Finding], list[Finding]]:
     """What the runs of a method do: shares where all settings are alike, else settings by outcome; and details."""
-    method = rows[0].method
     alike = {tuple(row.kinds) for row in rows}
     if len(rows) == 1 or (len(alike) == 1 and len(rows[0].kinds) == 1):
         kinds = rows[0].kinds
