@@ -418,8 +418,8 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Sequence[Ro
     return {
         "size_law": Picture(
             partial(cascade_figures.size_law, laws, rate),
-            f"Each size is {share} times as common as the one before. Below, over a fair coin's 2⁻ˢ, the slope is the "
-            f"difference of the decay rate from ln 2. Line and band: the exponential law, {level:.0%}.",
+            f"Each size is {share} times as common as the one before. Below, over a fair coin's 2⁻ˢ, the slope is "
+            f"the difference of the decay rate from ln 2. Line and band: the exponential law, {level:.0%}.",
         ),
         "decay_rates": Picture(
             partial(forest, each, rate, "decay rate", (LN2, COIN)),
