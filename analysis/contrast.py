@@ -7,13 +7,25 @@ relative to the first group, except that shares of runs are subtracted.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from stickslip.analysis.answer import F, I, Row, S, named
+from stickslip.analysis.findings.finding import (
+    Basis,
+    Change,
+    Comparison,
+    Difference,
+    Family,
+    Form,
+    Level,
+    Quantity,
+    Scale,
+    Verdict,
+)
 from stickslip.analysis.groups import Group
 from stickslip.analysis.models.fates import DIVERGED, FAILED, is_all_slip
 from stickslip.analysis.models.times import Times, median_difference
@@ -37,12 +49,19 @@ from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, ov
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.stats.quantities import QUANTITIES
 
+_NO_VALUE = Estimate()
 SHORT_WINDOW = "short window"  # a reason, like those of `stats.enough` and of the estimates
-#: Margin of shares of runs, for which a scene declares none: one run in five, which twenty matrices can resolve.
-SHARE_MARGIN = 0.2
 #: Engines certify a collapse more or less often, so runs are compared by what is seen in all of them: whether a block
 #: sticks in the last quarter.
 ALL_SLIP, RUN_AWAY = "share of runs with no late stick", "share of runs that run away"
+#: What findings call `QUANTITIES`.
+TITLES: Mapping[str, str] = {
+    "mean": "mean number of sticking blocks",
+    "variance": "variance of the number of sticking blocks",
+    "rate": "rate of slip onsets",
+    "gamma": "decay rate of cascade sizes",
+    "correlation_time": "correlation time",
+}
 #: Columns of a table of contrasts.
 SCHEMA: Mapping[str, str] = {
     "quantity": S, "n_first": I, "n_second": I,
@@ -50,18 +69,46 @@ SCHEMA: Mapping[str, str] = {
     "margin": F, "p_equivalent": F, "p_different": F, "p_equivalent_holm": F, "p_different_holm": F, "verdict": S,
     "reason": S,
 }  # fmt: skip
+#: The table of all contrasts of a report: what `kind` of contrast, of which setting with which.
+CHANGES: Mapping[str, str] = {
+    "kind": S, "setting": S, "reference": S, "key": S, "first_value": S, "second_value": S, **SCHEMA,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Statistic:
-    """A statistic: its name, how it follows from two sums, its margin, and what it is never below."""
+    """A statistic of runs.
+
+    Attributes
+    ----------
+    name : str
+        In tables.
+    of : callable
+        How it follows from two sums.
+    margin : float, optional
+        The largest relative difference that the scene declares to be none.
+    least, most : float, optional
+        What it is never below, and never above.
+    title : str
+        What it is called in a sentence, a noun phrase without article; empty: its name.
+    definition : str
+        What it is; empty if the title says it.
+    """
 
     name: str
     of: estimates.Statistic
-    margin: float
+    margin: float | None = None
     least: float | None = None
     most: float | None = None
+    title: str = ""
+    definition: str = ""
     is_share: ClassVar[bool] = False
+
+    @property
+    def quantity(self) -> Quantity:
+        """What a finding about it calls it."""
+        form = Form.SHARE if self.is_share else Form.NUMBER
+        return Quantity(self.name, self.title or self.name, form, definition=self.definition)
 
     def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
         """Its value on some units, with an interval over these."""
@@ -69,11 +116,11 @@ class Statistic:
 
     def difference(self, first: UnitSums, second: UnitSums, paired: bool) -> Compared | Inverted:
         """By how much it is larger on the second; raises `Undefined` with a reason."""
-        return equivalence_test(*mean_difference(self.of, first.rows, second.rows, paired), self.margin)
+        return equivalence_test(*mean_difference(self.of, first.rows, second.rows, paired), self.margin or 0.0)
 
     def relative(self, first: UnitSums, second: UnitSums, paired: bool) -> Compared | Inverted:
         """That, in units of the size of the first; raises `Undefined` with a reason."""
-        return equivalence_test(*relative_difference(self.of, first.rows, second.rows, paired), self.margin)
+        return equivalence_test(*relative_difference(self.of, first.rows, second.rows, paired), self.margin or 0.0)
 
 
 @dataclass(frozen=True)
@@ -87,22 +134,20 @@ class Bounded(Statistic):
         return mean_within(sums.rows, self.most, confidence, self.is_counted)
 
     def difference(self, first: UnitSums, second: UnitSums, paired: bool) -> Compared | Inverted:
-        return bounded_difference(first.rows, second.rows, paired, self.margin, self.most, self.is_counted)
+        return bounded_difference(first.rows, second.rows, paired, self.margin or 0.0, self.most, self.is_counted)
 
     def relative(self, first: UnitSums, second: UnitSums, paired: bool) -> Compared | Inverted:
-        return bounded_ratio(first.rows, second.rows, paired, self.margin, self.most)
+        return bounded_ratio(first.rows, second.rows, paired, self.margin or 0.0, self.most)
 
 
 @dataclass(frozen=True)
 class Share(Bounded):
-    """A share of runs, by its runs and all runs of each unit; its differences are in points, relative ones too."""
+    """A share of runs, by its runs and all runs of each unit; its differences are in percentage points."""
 
     name: str
     of: estimates.Statistic = ratio
-    margin: float = SHARE_MARGIN
     is_share: ClassVar[bool] = True
     is_counted: ClassVar[bool] = True
-    relative = Bounded.difference
 
 
 @dataclass(frozen=True)
@@ -136,7 +181,7 @@ class Median(Statistic):
     def _difference(self, first: UnitSums, second: UnitSums, paired: bool, is_relative: bool) -> Compared:
         assert isinstance(first, Times)
         assert isinstance(second, Times)
-        return equivalence_test(*median_difference(first, second, paired, is_relative), self.margin)
+        return equivalence_test(*median_difference(first, second, paired, is_relative), self.margin or 0.0)
 
 
 @dataclass(frozen=True)
@@ -161,17 +206,20 @@ class Sample:
 
 
 def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(QUANTITIES)) -> list[Statistic]:
-    """The named quantities for which a margin is declared, as statistics."""
+    """The named quantities as statistics, each with its margin if one is declared."""
     return [
-        Statistic(one.label, one.of, margins[name], least=0.0)
-        for name, one in QUANTITIES.items()
-        if name in {*of} & {*margins}
+        Statistic(quantity.label, quantity.of, margins.get(name), least=0.0, title=TITLES[name])
+        for name, quantity in QUANTITIES.items()
+        if name in of
     ]
 
 
 def shares() -> list[Statistic]:
     """Shares of runs by how they ended."""
-    return [Share(name) for name in (ALL_SLIP, RUN_AWAY)]
+    return [
+        Share(ALL_SLIP, title="share of runs without a late stick"),
+        Share(RUN_AWAY, title="share of runs whose motion grows without limit"),
+    ]
 
 
 def sample(group: Group, of: Collection[str] | None = None) -> Sample:
@@ -194,59 +242,198 @@ def _share_of(group: Group, name: str) -> UnitSums:
     return UnitSums.of(group.column("unit").to_numpy()[ran], np.column_stack([has, np.ones(len(has))]))
 
 
-def contrast(one: Statistic, first: Sample, second: Sample, paired: bool, confidence: float) -> Row:
-    """How far the second group differs from the first in one statistic, not judged yet.
+@dataclass(frozen=True)
+class Contrast:
+    """How far the second of two groups of runs lies from the first in a statistic.
+
+    Attributes
+    ----------
+    statistic : Statistic
+    n_first, n_second : int
+        Units.
+    first, second : Estimate
+    absolute, relative : Estimate
+        The second less the first; and in units of the size of the first, where that is not zero within its interval.
+    p_different, p_equivalent : float, optional
+        p-values of the test of no difference, and of that of one beyond the margin, if a margin is declared.
+    scale : Scale
+        In which the difference is said if no margin is declared.
+    is_same : bool
+        Whether each unit has the same value in both, to the accuracy of its run.
+    family : Family, optional
+        The contrasts that it is judged together with.
+    reason : str
+        Why there is no interval of the difference; empty if there is one.
+    """
+
+    statistic: Statistic
+    n_first: int = 0
+    n_second: int = 0
+    first: Estimate = _NO_VALUE
+    second: Estimate = _NO_VALUE
+    absolute: Estimate = _NO_VALUE
+    relative: Estimate = _NO_VALUE
+    p_different: float | None = None
+    p_equivalent: float | None = None
+    scale: Scale = Scale.RELATIVE
+    is_same: bool = False
+    family: Family | None = None
+    reason: str = ""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it has a value; a share that is 0 in both groups, or 1 in both, tells nothing."""
+        is_plain = (
+            self.statistic.is_share and self.first.value == self.second.value and self.first.value in (0.0, 1.0)
+        )
+        return self.absolute.value is not None and not is_plain
+
+    @property
+    def difference(self) -> Difference:
+        """By its margin if one is declared, else in its scale, as far as there is a ratio."""
+        is_relative = self.relative.value is not None and (
+            self.statistic.margin is not None or self.scale is Scale.RELATIVE
+        )
+        if is_relative:
+            return Difference(self.relative, Scale.RELATIVE, self.statistic.margin, self.family, self.is_same)
+        return Difference(self.absolute, Scale.ABSOLUTE, None, self.family, self.is_same)
+
+    @property
+    def verdict(self) -> Verdict:
+        return self.difference.verdict
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether a difference is shown."""
+        return self.verdict in (Verdict.MORE, Verdict.LESS)
+
+    @property
+    def has_margin(self) -> bool:
+        return self.difference.margin is not None
+
+    @property
+    def weight(self) -> tuple[bool, float]:
+        """Sorts contrasts: differences that are shown come last, and large ones."""
+        estimate = self.difference.estimate
+        return self.is_shown, 0.0 if self.is_same or estimate.value is None else abs(estimate.value)
+
+    def level(self, where: str, other: str, unit: str) -> Level:
+        """The second, where it is, compared with the first."""
+        return Level(
+            self.statistic.quantity, self.second, where, Comparison(other, self.difference), self.basis(unit)
+        )
+
+    def change(self, key: str, first: str, second: str, where: str, unit: str) -> Change:
+        """The change from the first to the second along a key."""
+        return Change(
+            self.statistic.quantity, key, first, second, self.first, self.second, self.difference, where,
+            self.basis(unit),
+        )  # fmt: skip
+
+    def basis(self, unit: str) -> Basis:
+        return Basis(min(self.n_first, self.n_second), unit)
+
+    def row(self) -> Row:
+        """Its row in a table with the columns of `SCHEMA`."""
+        family = self.family
+        return {
+            "quantity": self.statistic.name, "n_first": self.n_first, "n_second": self.n_second,
+            **named("first", self.first), **named("second", self.second), **named("difference", self.absolute),
+            **named("relative", self.relative), "margin": self.difference.margin, "p_different": self.p_different,
+            "p_equivalent": self.p_equivalent,
+            "p_different_holm": None if family is None else family.p_different,
+            "p_equivalent_holm": None if family is None or self.p_equivalent is None else family.p_equivalent,
+            "verdict": self.verdict.value, "reason": self.reason or None,
+        }  # fmt: skip
+
+
+def contrast(
+    statistic: Statistic, first: Sample, second: Sample, paired: bool, confidence: float,
+    scale: Scale = Scale.RELATIVE,
+) -> Contrast:  # fmt: skip
+    """How far the second group differs from the first in a statistic, by itself.
 
     Paired contrasts use the units that both groups have.
     """
-    mine, theirs = first.of(one.name), second.of(one.name)
+    mine, theirs = first.of(statistic.name), second.of(statistic.name)
     if paired:
         mine, theirs = mine.within(theirs), theirs.within(mine)
-    row: Row = dict.fromkeys((*SCHEMA, "narrow_low", "narrow_high", "p_absolute")) | {
-        "quantity": one.name, "n_first": len(mine), "n_second": len(theirs), "margin": one.margin,
-        "is_share": one.is_share, "verdict": UNKNOWN,
-    }  # fmt: skip
-    is_unjudged = one.name in first.unjudged | second.unjudged
+    bare = Contrast(statistic, len(mine), len(theirs), scale=scale)
+    is_unjudged = statistic.name in first.unjudged | second.unjudged
     if is_unjudged and not (
         paired and np.array_equal(mine.rows, theirs.rows)
     ):  # the same numbers are the same, whatever they mean
-        return row | {"reason": SHORT_WINDOW}
-    if min(len(mine), len(theirs)) < LEAST_MATRICES:
-        return row | {"reason": FEW_MATRICES}
-    before, after = (one.estimate(sums, confidence) for sums in (mine, theirs))
-    row |= named("first", before) | named("second", after)
+        return replace(bare, reason=SHORT_WINDOW)
+    if min(len(mine), len(theirs)) == 0:
+        return replace(bare, reason=FEW_MATRICES)
+    before, after = (statistic.estimate(sums, confidence) for sums in (mine, theirs))
+    bare = replace(bare, first=before, second=after)
     if before.value is None or after.value is None:
-        return row | {"reason": before.reason or after.reason}
+        return replace(bare, reason=before.reason or after.reason)
+    if min(len(mine), len(theirs)) < LEAST_MATRICES:
+        return replace(bare, absolute=Estimate(after.value - before.value), reason=FEW_MATRICES)
     try:
-        absolute = one.difference(mine, theirs, paired)
-        row |= named("difference", _interval(absolute, confidence))
-        row["p_absolute"] = absolute.p_different
-        test = one.relative(mine, theirs, paired)
+        test = statistic.difference(mine, theirs, paired)
     except Undefined as why:
-        return row | {"reason": str(why)}
-    narrow = _interval(test, 2 * confidence - 1)
-    return (
-        row
-        | named("relative", _interval(test, confidence))
-        # within the margins just when equivalence is shown
-        | {"narrow_low": narrow.low, "narrow_high": narrow.high}
-        | {"p_equivalent": test.p_equivalent, "p_different": test.p_different}
-    )
+        return replace(bare, reason=str(why))
+    relative, p_equivalent = _relative(statistic, before, after, mine, theirs, paired, confidence)
+    return replace(
+        bare, absolute=_interval(test, confidence), relative=relative, p_different=test.p_different,
+        p_equivalent=p_equivalent,
+    )  # fmt: skip
+
+
+def _relative(
+    statistic: Statistic, before: Estimate, after: Estimate, mine: UnitSums, theirs: UnitSums, paired: bool,
+    confidence: float,
+) -> tuple[Estimate, float | None]:  # fmt: skip
+    """The difference in units of the first, and the p-value of one beyond the margin; without where there is none.
+
+    There is none of what is zero within its interval, nor of shares of runs. What is not negative falls by all of it
+    at most: an interval beyond is one that the first order cannot give.
+    """
+    assert before.value is not None
+    assert after.value is not None
+    is_zero = before.low is not None and before.high is not None and before.low <= 0.0 <= before.high
+    if statistic.is_share or is_zero:
+        return Estimate(), None
+    try:
+        test = statistic.relative(mine, theirs, paired)
+    except Undefined as why:
+        return Estimate(reason=str(why)), None
+    found = _interval(test, confidence)
+    if found.low is not None and found.low < -1.0 and min(before.value, after.value) >= 0.0:
+        return Estimate(reason="the interval goes below zero"), None
+    return found, None if statistic.margin is None else test.p_equivalent
 
 
 def _interval(test: Compared | Inverted, confidence: float) -> Estimate:
     return Estimate(test.difference, *test.interval(confidence))
 
 
+def judged(contrasts: Sequence[Contrast], alpha: float) -> list[Contrast]:
+    """Contrasts as a family: p-values of a difference and of equivalence are adjusted by Holm's rule over all."""
+    tested = [k for k, one in enumerate(contrasts) if one.p_different is not None]
+    with_margin = [k for k in tested if contrasts[k].p_equivalent is not None]
+    different = dict(zip(tested, holm([contrasts[k].p_different or 0.0 for k in tested]), strict=True))
+    equivalent = dict(zip(with_margin, holm([contrasts[k].p_equivalent or 0.0 for k in with_margin]), strict=True))
+    return [
+        replace(one, family=Family(len(tested), float(different[k]), float(equivalent.get(k, 1.0)), alpha))
+        if k in different
+        else one
+        for k, one in enumerate(contrasts)
+    ]
+
+
 def judge(rows: Sequence[Row], alpha: float, words: Words = ALIKE) -> None:
-    """Write verdicts into the contrasts that were tested.
+    """Write verdicts into rows of contrasts that were tested.
 
     The p-values of equivalence and those of a difference are each adjusted by Holm's rule over all `n_tests`.
     `relative` is compared with the margin. `open` is the word of a difference that is shown, but neither to be beyond
     the margin nor within; else empty.
     """
     for row in rows:
-        row["open"] = ""
+        row |= {"open": "", "verdict": UNKNOWN}
     tested = [row for row in rows if row["p_equivalent"] is not None]
     for name in ("p_equivalent", "p_different"):
         for row, adjusted in zip(tested, holm([row[name] for row in tested]), strict=True):
@@ -259,15 +446,6 @@ def judge(rows: Sequence[Row], alpha: float, words: Words = ALIKE) -> None:
             row["open"] = words.more if size > 0 else words.less
 
 
-def told(rows: Iterable[Row]) -> list[Row]:
-    """The contrasts to report: those with a value, except shares that are 0 in both groups or 1 in both."""
-    return [row for row in rows if row["relative"] is not None and not _is_plain(row)]
-
-
-def _is_plain(row: Row) -> bool:
-    return bool(row["is_share"] and row["first"] == row["second"] and row["first"] in (0.0, 1.0))
-
-
-def weight(row: Mapping[str, Any]) -> float:
-    """Size of a difference in units of its margin."""
-    return abs(float(row["relative"])) / float(row["margin"])
+def known(contrasts: Iterable[Contrast]) -> list[Contrast]:
+    """The contrasts to report."""
+    return [one for one in contrasts if one.is_known]

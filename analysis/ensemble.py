@@ -23,6 +23,7 @@ from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import mean_within, share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
+from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.numerics.arguments import apart, did_you_mean
 
 T = TypeVar("T")
@@ -289,10 +290,14 @@ class Study:
         return found
 
     @property
-    def margins(self) -> dict[str, float]:
-        """Margins of equivalence by quantity; without gamma where episodes are recorded."""
-        left_out = {"gamma"} if self.data.episodes is not None else set[str]()
-        return {name: margin for name, margin in self.settings.margins.items() if name not in left_out}
+    def compared(self) -> set[str]:
+        """The `QUANTITIES` of n_stick that are compared: without gamma where episodes are recorded."""
+        return {*QUANTITIES} - ({"gamma"} if self.data.episodes is not None else set())
+
+    @property
+    def margins(self) -> Mapping[str, float]:
+        """Margins of equivalence by quantity."""
+        return self.settings.margins
 
     @property
     def unit(self) -> str:

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from stickslip.analysis import contrast
-from stickslip.analysis.catalogues import MARGIN, ONE_MOMENT, Catalogues, has_b, read
+from stickslip.analysis.catalogues import ONE_MOMENT, Catalogues, has_b, read
 from stickslip.analysis.contrast import Bounded, Median, PerEvent, Share, Statistic
 from stickslip.analysis.ensemble import Recorded, Study
 from stickslip.analysis.groups import Group
@@ -30,9 +30,8 @@ from stickslip.analysis.stats.quantities import QUANTITIES as OF_N_STICK
 
 MEAN, GAMMA = OF_N_STICK["mean"].label, OF_N_STICK["gamma"].label
 MEAN_SIZE, B = "mean size of episodes", "b of episodes"
-#: Names under which margins are declared, and of axes.
+#: Names under which margins are declared.
 KEYS = {MEAN: "mean", GAMMA: "gamma"}
-AXES = {MEAN: "mean $n_{stick}$", GAMMA: r"$\gamma$"}
 #: Reasons, beside the outcomes of runs.
 NO_VALUE, NO_EPISODE, STILL = "its record gives none", "no episode", "not in motion"
 NOT_REACHED = "fewer than half of the runs have it"
@@ -68,15 +67,8 @@ class Measure:
     Attributes
     ----------
     statistic : Statistic
-        Its name in tables, how it follows from sums, and its margin.
     key : str
         In names of figures.
-    subject : str
-        What a sentence about it begins with: "the rate of episodes".
-    words : str
-        What it is; empty if the name says it.
-    axis : str
-        How an axis of a figure is named.
     of : callable
         Maps a group to its `Values`.
     absent : str
@@ -84,19 +76,13 @@ class Measure:
     is_recorded : bool
         Whether it is what the scene records for its own sake; if nothing is, n_stick and gamma are all that is
         measured, and otherwise they are left out, unless the scene asks for cascades.
-    says_it : bool
-        Whether the subject says what it is, without `words`.
     """
 
     statistic: Statistic
     key: str
-    subject: str
-    words: str
-    axis: str
     of: Callable[[Group], Values]
     absent: str = ""
     is_recorded: bool = True
-    says_it: bool = False
 
     @property
     def name(self) -> str:
@@ -132,13 +118,14 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
         least = None
     by_label = {one.label: one for one in found}
     beyond = "from each point's own least magnitude on" if least is None else f"from M = {least:.2f} on"
-    for name, quantity, key, subject, words, axis in (
-        (RATE, RATE, "episode_rate", f"the {RATE}", "per unit of time", RATE),
-        (MEAN_SIZE, SIZE, "episode_size", f"the {MEAN_SIZE}", "in blocks that slip", MEAN_SIZE),
-        (B, B_VALUE, "episode_b", "b of the episodes", f"by Aki {beyond}", B),
+    for name, quantity, key, title, definition in (
+        (RATE, RATE, "episode_rate", "", "per unit of time"),
+        (MEAN_SIZE, SIZE, "episode_size", "", "in blocks that slip"),
+        (B, B_VALUE, "episode_b", "b-value of the episodes", f"by Aki {beyond}"),
     ):
         of = partial(_episodes, by_label, quantity, least, beyond, study.settings.confidence)
-        yield Measure(Statistic(name, QUANTITIES[quantity].of, MARGIN, least=0.0), key, subject, words, axis, of)
+        statistic = Statistic(name, QUANTITIES[quantity].of, least=0.0, title=title, definition=definition)
+        yield Measure(statistic, key, of)
 
 
 def _episodes(
@@ -202,23 +189,22 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
         if column.until is not None:
             yield from _of_times(study, beside, name, column)
             continue
-        words = column.words.partition(";")[0]
-        statistic = Statistic(f"mean {name}", ratio, MARGIN, least=column.least)
+        called, absent = column.called or name, column.absent
+        title, definition = f"mean {called}", "" if column.says_it else column.words
+        statistic = Statistic(f"mean {name}", ratio, least=column.least)
         if column.most is not None:
-            statistic = Bounded(f"mean {name}", ratio, MARGIN, most=column.most)
-        subject, absent = f"mean {column.called or name}", column.absent
+            statistic = Bounded(f"mean {name}", ratio, most=column.most)
         of: Callable[[Group], Values] = partial(_column, numbers, column.problems, column.absent or NO_VALUE)
         if column.is_share:
-            statistic, subject = Share(f"share {name}"), f"the share of runs with {column.called or name}"
+            statistic, title = Share(f"share {name}"), f"share of runs with {called}"
             of = partial(_share, numbers, column.problems, column.absent or NO_VALUE)
         elif column.of_gaps == "mean":
-            statistic, absent = PerEvent(f"mean {name}", per_event, MARGIN), STILL
-            words, of = f"{words}, as the time of blocks per exit, which nothing cuts off", _per_exit
+            definition = f"{column.words}, as the time of blocks per exit, which nothing cuts off"
+            statistic, of, absent = PerEvent(f"mean {name}", per_event), _per_exit, STILL
         elif column.of_gaps:
             of = partial(_of_gaps, numbers, column.problems, column.absent or NO_VALUE, study.settings.t_burn)
-        yield Measure(
-            statistic, name, subject, words, name, of, absent, is_recorded=not is_own, says_it=column.says_it
-        )
+        statistic = replace(statistic, title=title, definition=definition)
+        yield Measure(statistic, name, of, absent, is_recorded=not is_own)
 
 
 def _column(numbers: np.ndarray, problems: Mapping[str, str], reason: str, group: Group) -> Values:
@@ -281,16 +267,20 @@ def _of_times(study: Study, beside: Study | None, name: str, column: Recorded) -
     """
     studies = [study] if beside is None else [study, beside]
     limit = min(some.limit(name) for some in studies)
-    called, words = column.called or name, column.words.partition(";")[0]
+    called, words = column.called or name, column.words
     by_median = Measure(
-        Median(f"median {name}", ratio, MARGIN), f"{name}_median", f"the median {called}",
-        f"{words}, by Kaplan and Meier", f"median {name}", partial(_median, study, name), says_it=column.says_it,
-    )  # fmt: skip
+        Median(f"median {name}", ratio, title=f"median {called}", definition=f"{words}, by Kaplan and Meier"),
+        f"{name}_median",
+        partial(_median, study, name),
+    )
     by_mean = Measure(
-        Bounded(f"restricted mean {name}", ratio, MARGIN, most=limit), name,
-        f"the restricted mean of {'the ' * column.says_it}{called} up to {limit:g}",
-        f"{words}; the area up to {limit:g} under the curve of Kaplan and Meier", f"restricted mean {name}",
-        partial(_restricted, study, name, limit), says_it=column.says_it,
+        Bounded(
+            f"restricted mean {name}", ratio, most=limit,
+            title=f"restricted mean of {'the ' * column.says_it}{called} up to {limit:g}",
+            definition=f"{words}; the area up to {limit:g} under the curve of Kaplan and Meier",
+        ),
+        name,
+        partial(_restricted, study, name, limit),
     )  # fmt: skip
     medians = [study.median(group, name) for group in study.groups]
     is_known = all(None not in (median.value, median.low, median.high) for median in medians)
@@ -327,10 +317,10 @@ def _times(study: Study, name: str, group: Group) -> tuple[Times, dict[str, str]
 
 
 def _of_n_stick(study: Study, _: Study | None) -> Iterator[Measure]:
-    """Mean n_stick and gamma of what is in motion, where a margin is declared for them."""
+    """Mean n_stick and gamma of what is in motion; without gamma where episodes are recorded."""
     of: dict[str, Callable[[Group], Values]] = {MEAN: of_mean, GAMMA: partial(of_gamma, study.settings.confidence)}
-    for one in contrast.statistics(study.margins, KEYS.values()):
-        yield Measure(one, KEYS[one.name], one.name, "", AXES[one.name], of[one.name], is_recorded=False)
+    for statistic in contrast.statistics(study.margins, study.compared & {*KEYS.values()}):
+        yield Measure(statistic, KEYS[statistic.name], of[statistic.name], is_recorded=False)
 
 
 def of_mean(group: Group) -> Values:

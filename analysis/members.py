@@ -42,6 +42,11 @@ _NOT_EVERYWHERE = (
 )
 
 
+def noun(unit: str) -> str:
+    """The noun for an independent unit in a sentence: "system" or "start"."""
+    return "start" if unit == START else "system"
+
+
 def _that_coarsen(*kinds: Coarseness) -> tuple[str, ...]:
     """The settings of engines that make runs coarse in one of some ways."""
     return tuple(name for name, one in SETTINGS.items() if isinstance(one, Number) and one.coarseness in kinds)

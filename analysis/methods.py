@@ -101,7 +101,8 @@ def against_reference(by_system: Sequence[Sequence[Catalogues]], level: float) -
         some = [
             [
                 {"setting": other.label, "reference": reference.label}
-                | contrast(statistic, reference.sample, other.sample, True, level)
+                | contrast(statistic, reference.sample, other.sample, True, level).row()
+                | {"is_share": False}
                 for statistic in statistics
             ]
             for other in others
@@ -213,5 +214,5 @@ def _differing(settings: Sequence[Row]) -> list[Row]:
 
 def _rate_off(one: Row) -> float:
     """How far the rate is off; a setting without any episode comes last, as an alert says so."""
-    off = float(one["rate"]["relative"])
-    return abs(off) if off > -1 else -1.0
+    off = one["rate"]["relative"]
+    return -1.0 if off is None or off <= -1 else abs(float(off))

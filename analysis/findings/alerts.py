@@ -12,12 +12,15 @@ class Code(Enum):
     Rank 0 stops the reader, 1 says what makes numbers wrong, 2 what they refer to, 3 what weakens them.
     """
 
+    SUSPECT = 0, "The numerics are suspect: {what} differs by more than smoothing explains ({where})."
     FAILED = 1, "{n} of {of} runs failed and are left out."
     DRIFT = 1, "{what} still drifts after t_burn = {t_burn:g}: raise t_burn."
     DIVERGED = 2, "The motion grew without limit in {n} of {of} runs."
     SETTLED = 2, "{n} of {of} runs settled into steady sliding; {what} is of the others."
     NOT_MOVING = 2, "{n} of {of} runs are not in motion; {what} is of the others."
     UNCERTIFIED = 2, "{n} of {of} runs slide so far, without a certificate that they always will."
+    WITHOUT = 2, "{n} of {of} runs have no {what} and are left out there: {why}."
+    WITHHELD = 2, "{what} is not given at {n} of {of} points: {why}."
     TEMPORARY = (
         2,
         "{n} of {of} runs slide temporarily and count as lasting: sliding is unstable, and sticking comes back.",

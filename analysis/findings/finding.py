@@ -314,6 +314,29 @@ class Outcomes:
 
 
 @dataclass(frozen=True)
+class Threshold:
+    """Between which values of a key something ends in all units, or begins in all.
+
+    Attributes
+    ----------
+    subject : str
+        "stick-slip".
+    is_end : bool
+    key : str
+    last, first : str
+        The last value before, and the first value after.
+    """
+
+    subject: str
+    is_end: bool
+    key: str
+    last: str
+    first: str
+    where: str = ""
+    basis: Basis | None = None
+
+
+@dataclass(frozen=True)
 class Regime:
     """Settings at which all of some things have the same outcome, or several outcomes occur.
 
@@ -389,11 +412,11 @@ class Decided:
     """The answer to a question of yes or no, and the finding that it rests on."""
 
     truth: Truth
-    finding: Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regimes | Lack
+    finding: Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regimes | Threshold | Lack
 
 
 Finding: TypeAlias = (
-    Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regimes | Lack | Decided
+    Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regimes | Threshold | Lack | Decided
 )
 
 
@@ -451,6 +474,11 @@ def records(finding: Finding) -> list[Record]:
             ]
         case Outcomes(largest=largest):
             return [] if largest is None else records(largest)
+        case Threshold(subject, is_end, key, last, first, where, basis):
+            verb = "ends" if is_end else "begins"
+            n, unit = (None, "") if basis is None else (basis.n, basis.unit)
+            setting = ", ".join(filter(None, (f"{key} = {last} to {first}", where)))
+            return [Record(f"where {subject} {verb}", setting, n=n, unit=unit)]
         case Regimes(things, regimes, where):
             return [
                 _record(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 
 from stickslip.analysis import arguments
@@ -11,9 +12,15 @@ from stickslip.analysis.stats.estimates import Estimate
 
 MINUS = "\u2212"
 DIGITS = 3  # of a number without an interval
+SAME = 1e-9  # relative width of an interval that is none: all units have the same value
 MOST_DECIMALS = 6  # beyond, a number is written with a power of ten
 _ROUNDING = 1e-12
 _SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
+
+
+def signs(text: str) -> str:
+    """A text with hyphens before numbers as minus signs."""
+    return re.sub(r"(?<!\w)-(?=[\d.])", MINUS, text)
 
 
 def decimals(estimate: Estimate, form: Form = Form.NUMBER) -> int:
@@ -90,7 +97,8 @@ def with_interval(estimate: Estimate, form: Form = Form.NUMBER, digits: int | No
         raise ValueError(f"estimate: expected a value, got {estimate!r}; say what is lacking instead")
     value = number(estimate.value, form, decimals(estimate, form) if digits is None else digits, sign)
     if low is not None and high is not None:
-        return f"{value} ({span(low, high, form, sign, digits)})"
+        is_exact = high - low <= SAME * max(abs(low), abs(high))
+        return value if is_exact else f"{value} ({span(low, high, form, sign, digits)})"
     if low is not None:
         return f"{value} (at least {number(low, form)})"
     if high is not None:

@@ -27,15 +27,16 @@ from stickslip.analysis.findings.finding import (
     Regimes,
     Scale,
     Share,
+    Threshold,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import decimals, limit, number, span, with_interval
+from stickslip.analysis.findings.numbers import decimals, limit, number, signs, span, with_interval
 from stickslip.analysis.stats.estimates import Estimate
 
 
 def sentence(finding: Finding) -> str:
     """A finding as one sentence."""
-    return f"{capital(clause(finding))}."
+    return f"{capital(signs(clause(finding)))}."
 
 
 def clause(finding: Finding) -> str:
@@ -63,6 +64,9 @@ def clause(finding: Finding) -> str:
             return f"{quantity.name}{_at(where)}: {number(value, quantity.form, digits)}, the same {among}"
         case Outcomes():
             return _outcomes(finding)
+        case Threshold(subject, is_end, key, last, first, where, basis):
+            every = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
+            return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{_at(where)}{every}"
         case Regimes(things, regimes, where):
             grouped = "; ".join(_regime(regime, things, k == 0) for k, regime in enumerate(regimes))
             return f"{_at(where).strip(' ,')}: {grouped}" if where else grouped
@@ -208,7 +212,7 @@ def _change(change: Change) -> str:
         case Verdict.OPEN_AMONG_MANY:
             return f"no change of the {quantity.name} is shown among {_n_tests(difference)} {along}"
         case Verdict.UNJUDGED:
-            few = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)} give no interval"
+            few = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)}, no interval"
             return f"{quantity.name} goes {_from_to(change)} {along}{few}"
 
 
@@ -274,8 +278,29 @@ def _outcomes(outcomes: Outcomes) -> str:
         )
         if settings
     ]
-    largest = "" if outcomes.largest is None else f"; the largest difference is in the {_level(outcomes.largest)}"
-    return "; ".join(said) + largest
+    return "; ".join(said) + ("" if outcomes.largest is None else _most_apart(outcomes.largest))
+
+
+def _most_apart(level: Level) -> str:
+    """The largest difference of several."""
+    if level.comparison is None:
+        return ""
+    difference, quantity = level.comparison.difference, level.quantity
+    where = f" ({level.where})" if level.where else ""
+    match difference.verdict:
+        case Verdict.MORE:
+            apart = f"{size(difference, quantity.form)} {quantity.more}"
+        case Verdict.LESS:
+            apart = f"{size(difference, quantity.form)} {quantity.less}"
+        case Verdict.EQUAL:
+            apart = f"within {margin(difference, quantity.form)} ({interval(difference, quantity.form)})"
+        case Verdict.OPEN:
+            apart = interval(difference, quantity.form)
+        case Verdict.OPEN_AMONG_MANY:
+            apart = f"{interval(difference, quantity.form)}, one of {_n_tests(difference)}"
+        case Verdict.SAME | Verdict.UNJUDGED:
+            return ""
+    return f", most apart in the {quantity.name}{where}: {apart}"
 
 
 def _regime(regime: Regime, things: str, is_first: bool) -> str:

@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from stickslip.analysis.findings.finding import Comparison, Difference, Record, Scale, Verdict
-from stickslip.analysis.findings.numbers import alike, with_interval
+from stickslip.analysis.findings.numbers import alike, signs, with_interval
 from stickslip.analysis.findings.words import difference_in_words, plural
 from stickslip.analysis.stats.estimates import Estimate
 
@@ -142,9 +142,9 @@ def findings_table(records: Sequence[Record], where: str = "", most: int = MOST_
     cells = [
         {
             "what": record.quantity,
-            "where": record.setting,
+            "where": signs(record.setting),
             "estimate": _level(record, places[record.quantity]),
-            "compared with": record.compared_with,
+            "compared with": signs(record.compared_with),
             "difference": _difference(record),
             "from": "" if record.n is None else _unbroken(plural(record.n, record.unit)),
         }

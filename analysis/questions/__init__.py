@@ -14,20 +14,21 @@ if TYPE_CHECKING:
 
 #: In the order of the page, with the room of each.
 QUESTIONS: Mapping[str, str] = {
-    "sweep": "runs",
+    "changes": "runs",
     "episodes": "slips",
     "cascades": "slips",
     "collective": "slips",
     "fates": "runs",
-    "engines": "runs",
     "sensitivity": "runs",
-    "robustness": "runs",
     "one_run": "runs",
 }
 
 
 #: Names that scenes of earlier versions give, and what they ask for now.
 RENAMED: Mapping[str, str] = {
+    "sweep": "changes",
+    "engines": "changes",
+    "robustness": "changes",
     "exponential": "cascades",
     "definitions": "cascades",
     "counting": "stickslip.workflows.scenes.counting:question",

@@ -4,38 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 
-from stickslip.analysis.answer import B, I, Row, S, frame
-from stickslip.analysis.contrast import (
-    SCHEMA,
-    contrast,
-    judge,
-    sample,
-    shares,
-    statistics,
-    told,
-)
+from stickslip.analysis.answer import Answer, B, I, Picture, Question, Row, S, frame
+from stickslip.analysis.contrast import CHANGES, Contrast, contrast, judged, sample, shares, statistics
 from stickslip.analysis.ensemble import Data, Study
+from stickslip.analysis.findings.finding import Alike, Decided, Form, Lack, Quantity, Reason, Truth
+from stickslip.analysis.findings.words import capital, plural
 from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import KEYS, Measure, measures
-from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS
-from stickslip.analysis.questions.runs.engines import contrasts, summary
-from stickslip.analysis.report.formats import environment
-from stickslip.analysis.report.page import Report, draw, plain
+from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
+from stickslip.analysis.outcomes import Beside, Setting, forest, outcomes
+from stickslip.analysis.page.layout import Page, Section
+from stickslip.analysis.report import page
+from stickslip.analysis.report.page import Report
 from stickslip.analysis.settings import AnalysisSettings
-from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
 from stickslip.pipeline.design.labels import apart
 
 #: Keys that two settings must share: with another n or coupling, a statistic is not the same quantity.
 SHARED = ("n", "coupling")
 #: Columns that say what a member is, in addition to the numbers of draws that its name has.
 _IDENTITY = (*SYSTEM_KEYS, *ENGINE_KEYS, "seed", "z_start", "w_start", "twin_size", "perturbation_reading")
-SAME = "same"
-_TABLE: Mapping[str, str] = {"setting": S, "other": S, "is_paired": B, **SCHEMA}
+MOST_NAMED = 3  # members without a partner
+_TABLE: Mapping[str, str] = {**CHANGES, "is_paired": B}
 _UNMATCHED = {"dataset": S, "setting": S, "members": I}
 _ALONE = {"dataset": S, "setting": S, "member_id": S}
 
@@ -90,40 +83,31 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     ValueError
         If they have no settings to compare, or an ensemble contradicts itself or the settings.
     """
-    facts: dict[str, Any] = {
-        "first": first, "second": second, "settings": settings, "n_runs": len(first.data.table), "verdict": SAME,
-        "matches": [], "tested": [], "from_zero": [], "unmatched": [],
-    }  # fmt: skip
     if _is_same(first, second):
-        return _report(facts, {})
-    one, other = (_study(each, settings, first.name) for each in (first, second))
-    matches, *left = matched(first.name, one.groups, second.name, other.groups)
-    measured = _both(one, other)
-    asked = [*(mine.statistic for mine, _ in measured), *statistics(one.margins), *shares()]
-    found: list[tuple[Match, list[Row]]] = []
+        runs = Quantity("runs", f"runs that {first.name} and {second.name} both hold", Form.COUNT)
+        same = Decided(Truth.YES, Alike(runs, len(first.data.table), "to the last digit"))
+        return _report(first, second, Answer(findings=[same]))
+    mine, theirs = (_study(each, settings, first.name) for each in (first, second))
+    matches, *left = matched(first.name, mine.groups, second.name, theirs.groups)
+    measured = _both(mine, theirs)
+    asked = [
+        *(measure.statistic for measure, _ in measured),
+        *statistics(mine.margins, mine.compared & theirs.compared),
+        *shares(),
+    ]
+    found: list[tuple[Match, Contrast]] = []
     for match in matches:
         pair = sample(match.first), sample(match.second)
         for held, group, some in zip(pair, (match.first, match.second), zip(*measured, strict=True), strict=False):
             held.sums.update({measure.name: measure.of(group).sums for measure in some})
-        found.append((match, [contrast(each, *pair, match.is_paired, settings.confidence) for each in asked]))
-    where = apart([match.first.name for match in matches])
+        found += [(match, contrast(each, *pair, match.is_paired, settings.confidence)) for each in asked]
+    together = judged([one for _, one in found], 1 - settings.confidence)
+    contrasts = [(match, one) for (match, _), one in zip(found, together, strict=True)]
     rows = [
-        row | {"setting": match.first.label, "other": match.second.label, "is_paired": match.is_paired, "at": at}
-        for (match, some), at in zip(found, where, strict=True)
-        for row in some
-    ]
-    names = {mine.name for mine, _ in measured}
-    from_zero = [row for row in rows if row["quantity"] in names and row["relative"] is None and row["difference"]]
-    for row in from_zero:
-        row |= {"p_equivalent": 1.0, "p_different": row["p_absolute"]}
-    judge(rows, 1 - settings.confidence)
-    shown = told(rows)
-    verdicts = {row["verdict"] for row in (*shown, *from_zero)} or {UNKNOWN}
-    unmatched = [
-        {"dataset": which.name, "setting": group.label, "members": len(group)}
-        for which, some in zip((first, second), left, strict=True)
-        for group in some
-    ]
+        {"kind": "dataset", "setting": match.second.label, "reference": match.first.label,
+         "is_paired": match.is_paired, **one.row()}
+        for match, one in contrasts
+    ]  # fmt: skip
     alone = [
         {"dataset": which.name, "setting": group.label, "member_id": name}
         for k, (which, some) in enumerate(zip((first, second), left, strict=True))
@@ -133,27 +117,85 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
         ]
         for name in names
     ]
-    facts |= {
-        "verdict": next(one for one in (DIFFER, UNKNOWN, AGREE) if one in verdicts),
-        "all": summary(shown) if shown else None,
-        "matches": [
-            {"first": match.first.label, "second": match.second.label, "differs": match.differs,
-             "is_paired": match.is_paired, "rows": [row for row in shown if row["setting"] == match.first.label]}
-            for match in matches
-        ],
-        "from_zero": from_zero,
-        "has_other_systems": any(match.is_paired and match.differs.keys() & {*SYSTEM_KEYS} for match in matches),
-        "n_paired": sum(match.is_paired for match in matches),
-        "unmatched": unmatched,
-        "alone": [[row["member_id"] for row in alone if row["dataset"] == one.name] for one in (first, second)],
-        "other_margins": sorted(
-            name for name, margin in second.margins.items() if settings.margins.get(name, margin) != margin
-        ),
-    }  # fmt: skip
-    facts["unit"] = one.unit
-    return _report(facts, {
+    unmatched = [
+        {"dataset": which.name, "setting": group.label, "members": len(group)}
+        for which, some in zip((first, second), left, strict=True)
+        for group in some
+    ]
+    tables = {
         "compared": frame(_TABLE, rows), "unmatched": frame(_UNMATCHED, unmatched), "alone": frame(_ALONE, alone),
-    })  # fmt: skip
+    }  # fmt: skip
+    notes = _notes(first, second, settings, matches, unmatched, alone, noun(mine.unit))
+    return _report(first, second, _answer(first, second, contrasts, tables, noun(mine.unit)), notes)
+
+
+def _answer(
+    first: Ensemble,
+    second: Ensemble,
+    contrasts: Sequence[tuple[Match, Contrast]],
+    tables: Mapping[str, Any],
+    unit: str,
+) -> Answer:
+    """Whether two ensembles agree, and every statistic of each setting."""
+    known = [(match, one) for match, one in contrasts if one.is_known and not one.reason]
+    if not known:
+        what = f"whether {first.name} and {second.name} agree"
+        return Answer(findings=[Decided(Truth.UNDECIDED, Lack(what, Reason.FEW_UNITS))], tables=tables)
+    labels = [match.second.name for match, _ in known]
+    names = dict(zip(labels, apart(labels), strict=True))
+    placed: dict[Setting, list[Beside]] = {}
+    for match, one in known:
+        where = names[match.second.name]
+        said = f"{second.name} at {where}" if where else second.name
+        placed.setdefault(Setting(said), []).append(Beside(one, where))
+    grouped, *others = outcomes(first.name, placed, unit)
+    is_open = any(one.undecided for one in (grouped, *others))
+    truth = Truth.NO if grouped.different else Truth.UNDECIDED if is_open else Truth.YES
+    if truth is Truth.UNDECIDED:  # what is undecided is why
+        others, grouped = [grouped, *others[:-1]] if others else [], (others or [grouped])[-1]
+    every = [one for some in placed.values() for one in some]
+    levels = [one.contrast.level(one.where, first.name, unit) for one in every]
+    caption = f"Differences of {second.name} from {first.name}, with their intervals; bands are the margins declared."
+    return Answer(
+        findings=[Decided(truth, grouped), *others, *levels],
+        n_lead=1 + len(others),
+        tables=tables,
+        figures=forest(every, caption),
+        method=f"Verdicts are adjusted for {len(known)} comparisons (Holm), intervals are not.",
+    )
+
+
+def _notes(
+    first: Ensemble, second: Ensemble, settings: AnalysisSettings, matches: Sequence[Match],
+    unmatched: Sequence[Row], alone: Sequence[Row], unit: str,
+) -> list[str]:  # fmt: skip
+    """What is compared with what, and what is left out."""
+    notes = []
+    for match in matches:
+        how = f"each {unit} is compared with itself" if match.is_paired else "the systems are drawn independently"
+        differs = ", ".join(f"{name} = {_short(a)} against {_short(b)}" for name, (a, b) in match.differs.items())
+        where = f"{match.first.label}: " if len(matches) > 1 else ""
+        notes.append(f"{where}{how}{f'; another setting: {differs}' if differs else ''}.")
+    notes += [
+        f"{row['setting']} of {row['dataset']} has no counterpart ({plural(row['members'], 'run')})."
+        for row in unmatched
+    ]
+    for which in (first, second):
+        lost = [str(row["member_id"]) for row in alone if row["dataset"] == which.name]
+        if lost:
+            has = "has" if len(lost) == 1 else "have"
+            shown = ", ".join(lost[:MOST_NAMED]) + (", ..." if len(lost) > MOST_NAMED else "")
+            notes.append(f"{plural(len(lost), 'member')} of {which.name} {has} no partner: {shown}.")
+    if first.t_burn != second.t_burn:
+        notes.append(f"t_burn = {first.t_burn:g} is that of {first.name}; {second.name} declares {second.t_burn:g}.")
+    others = sorted(name for name, margin in second.margins.items() if settings.margins.get(name, margin) != margin)
+    if others:
+        notes.append(f"Margins are those of {first.name}; {second.name} declares others for {', '.join(others)}.")
+    return [capital(note) for note in notes]
+
+
+def _short(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _both(one: Study, other: Study) -> list[tuple[Measure, Measure]]:
@@ -162,15 +204,22 @@ def _both(one: Study, other: Study) -> list[tuple[Measure, Measure]]:
     return [(mine, theirs[mine.name]) for mine in measures(one, other) if mine.name in {*theirs} - {*KEYS}]
 
 
-def _report(facts: Mapping[str, Any], tables: dict[str, Any]) -> Report:
-    filled = environment()
-    drawn = {}
-    some = next((match["rows"] for match in facts["matches"] if match["rows"]), None)
-    if some:
-        drawn["contrasts"] = draw(partial(contrasts, some), with_pdf=True)
-    page = filled.get_template("compare.html").render(**facts, figures=drawn)
-    said = plain(filled.get_template("contrasts.html").module.compared(facts))  # type: ignore[attr-defined]
-    return Report(page, tables, [said], drawn)
+def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[str] = ()) -> Report:
+    title = f"{first.name} beside {second.name}"
+    pictures = {name: picture for name, picture in answer.figures.items() if isinstance(picture, Picture)}
+    figures = {name: page.draw(picture.recipe, True) for name, picture in pictures.items()}
+    entry = Question(lambda _: answer, title="Do two datasets agree?")
+    part = page.of_findings(page.answered("compare", entry, answer, figures))
+    origin = [
+        f"{which.name}: " + "".join(f"{name}: {value}. " for name, value in which.provenance.items())
+        for which in (first, second)
+    ]
+    made = Section(
+        "made", "How was it made?", f"{first.name} and {second.name}.", [*part.texts, *origin], notes=part.notes
+    )
+    whole = Page(title, part.title, part.lead, (), part.panels, part.table, notes=notes, sections=[made])
+    told = page.findings_json(title, [part], [])
+    return Report(whole.html, answer.tables, [*map(str, part.lead)], figures, findings=told)
 
 
 def _is_same(first: Ensemble, second: Ensemble) -> bool:

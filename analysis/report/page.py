@@ -312,7 +312,7 @@ def build(
     tables = {"groups": groups} | {name: table for one in found for name, table in one.tables.items()}
     figures = {name: drawn for one in found for name, drawn in one.figures.items()}
     headline = [*map(plain, stops), title, *map(plain, lead)]
-    told = _findings_json(title, leading, [*others, *lacking])
+    told = findings_json(title, leading, [*others, *lacking])
     return Report(page.html, tables, headline, figures, problems | missing, not_run, told)
 
 
@@ -410,10 +410,10 @@ class Part:
 
 
 def _part(filled: Environment, one: Answered) -> Part:
-    return _of_findings(one) if one.findings else _of_template(filled, one)
+    return of_findings(one) if one.findings else _of_template(filled, one)
 
 
-def _of_findings(one: Answered) -> Part:
+def of_findings(one: Answered) -> Part:
     files = [f"report/{name}.parquet" for name in one.tables]
     rows = [*dict.fromkeys(row for finding in one.findings for row in finding_records(finding))]
     return Part(
@@ -467,7 +467,7 @@ def _of_template(filled: Environment, one: Answered) -> Part:
     )
 
 
-def _findings_json(title: str, leading: Sequence[Part], others: Sequence[Part]) -> dict[str, Any]:
+def findings_json(title: str, leading: Sequence[Part], others: Sequence[Part]) -> dict[str, Any]:
     """What the page says, all of it."""
     rows = [
         {"question": part.key, "leads": part in leading and k < len(part.lead), "kind": type(finding).__name__,

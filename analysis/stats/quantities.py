@@ -37,7 +37,7 @@ SUMS: Mapping[tuple[str, ...], Sums] = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity: its name for readers, the names of its two sums, and the statistic of these."""
+    """A quantity: its name in tables, the names of its two sums, and the statistic of these."""
 
     label: str
     parts: tuple[str, str]

@@ -38,7 +38,7 @@ _KINDS = {
 
 def as_fields(columns: Iterable[Column]) -> list[pa.Field]:
     """Columns as fields of Arrow."""
-    return [pa.field(one.name, _KINDS[one.kind], one.nullable, {"description": one.words}) for one in columns]
+    return [pa.field(one.name, _KINDS[one.kind], one.nullable, {"description": one.description}) for one in columns]
 
 
 #: One row a member; null where a value does not apply. All quantities are dimensionless.

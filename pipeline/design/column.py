@@ -65,6 +65,8 @@ class Column(NamedTuple):
         Whether it says which block, counted from 0.
     is_later : bool
         Whether data of an earlier version may lack it: they are read without, as null.
+    note : str
+        What else is to be known of it: where it is null, or what its sign says.
     """
 
     kind: Kind
@@ -83,6 +85,12 @@ class Column(NamedTuple):
     is_time: bool = False
     is_index: bool = False
     is_later: bool = False
+    note: str = ""
+
+    @property
+    def description(self) -> str:
+        """What it is, and what else is to be known of it."""
+        return f"{self.words}; {self.note}" if self.note else self.words
 
     @property
     def called(self) -> str:

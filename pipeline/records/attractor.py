@@ -39,31 +39,37 @@ class AttractorRecord(WindowRecord):
         Column(
             "number",
             "period",
-            "of the cycle of each periodic run, which may differ; null otherwise",
+            "of the cycle of each periodic run, which may differ",
             least=0.0,
             absent=_NO_CYCLE,
+            note="null otherwise",
         ),
-        Column("count", "exits_per_period", "exits in a period; null if not periodic", least=0.0, absent=_NO_CYCLE),
+        Column(
+            "count", "exits_per_period", "exits in a period", least=0.0, absent=_NO_CYCLE, note="null if not periodic"
+        ),
         Column(
             "count",
             "events_per_period",
-            "entries, exits and crossings in a period, of blocks with friction; null if not periodic",
+            "entries, exits and crossings in a period, of blocks with friction",
             least=0.0,
             absent=_NO_CYCLE,
+            note="null if not periodic",
         ),
         Column(
             "number",
             "multiplier",
-            "largest modulus of the Floquet multipliers of a periodic run, but for shifts in time and of blocks that"
-            " no spring holds; below 1 the cycle attracts",
+            "largest modulus of the Floquet multipliers of a periodic run, but for shifts "
+            "in time and of blocks that no spring holds",
             least=0.0,
             absent="on no cycle, undecided, or on one of too many events",
+            note="below 1 the cycle attracts",
         ),
         Column(
             "number",
             "deviation_rate",
-            "rate at which a small deviation grows, of a run in no cycle; above 0 if irregular, below on a torus",
+            "rate at which a small deviation grows, of a run in no cycle",
             absent="on a cycle, or with few events",
+            note="above 0 if irregular, below on a torus",
         ),
         Column(
             "numbers",

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings
-from stickslip.analysis.report import comparison, page
+from stickslip.analysis.report import page
 
 T_END = 1000.0
 
@@ -70,5 +70,4 @@ def planted():
 def undrawn(request, monkeypatch):
     """Half of a report's time is drawing, which a few tests look at and the others leave out."""
     if "drawn" not in request.keywords:
-        for module in (page, comparison):
-            monkeypatch.setattr(module, "draw", lambda *_, **__: page.Drawn("<svg/>"))
+        monkeypatch.setattr(page, "draw", lambda *_, **__: page.Drawn("<svg/>"))

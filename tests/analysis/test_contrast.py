@@ -1,5 +1,7 @@
 """Two settings set side by side: closed forms, false alarms on planted data, and verdicts that follow the numbers."""
 
+from collections import Counter
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -12,14 +14,13 @@ from stickslip.analysis.contrast import (
     Share,
     Statistic,
     contrast,
-    judge,
+    judged,
     sample,
     shares,
     statistics,
-    told,
 )
-from stickslip.analysis.report.formats import environment
-from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN, bounded_difference
+from stickslip.analysis.findings.finding import Scale, Verdict
+from stickslip.analysis.stats.compare import bounded_difference
 from stickslip.analysis.stats.enough import FEW_MATRICES
 from stickslip.analysis.stats.estimates import UnitSums, gamma, ratio
 
@@ -34,9 +35,12 @@ def of(values, name="mean", first=0):
     return Sample({name: UnitSums(first + np.arange(len(rows)), rows)})
 
 
-def judged(rows):
-    judge(rows, 0.05)
-    return rows
+def verdicts(contrasts):
+    return [found.verdict for found in judged(contrasts, 0.05)]
+
+
+def ends(estimate):
+    return estimate.low, estimate.high
 
 
 def test_paired_by_the_t_interval_of_differences():
@@ -44,8 +48,8 @@ def test_paired_by_the_t_interval_of_differences():
     a, b = rng.normal(30, 2, 12), rng.normal(31, 2, 12)
     found = contrast(MEAN, of(a), of(b), True, 0.95)
     low, high = stats.ttest_rel(b, a).confidence_interval(0.95)
-    assert (found["difference_low"], found["difference_high"]) == pytest.approx((low, high))
-    assert found["relative"] == pytest.approx(b.mean() / a.mean() - 1)
+    assert ends(found.absolute) == pytest.approx((low, high))
+    assert found.relative.value == pytest.approx(b.mean() / a.mean() - 1)
 
 
 def test_independent_by_welch():
@@ -53,21 +57,21 @@ def test_independent_by_welch():
     a, b = rng.normal(30, 2, 12), rng.normal(60, 5, 20)
     found = contrast(MEAN, of(a), of(b, first=100), False, 0.95)
     low, high = stats.ttest_ind(b, a, equal_var=False).confidence_interval(0.95)
-    assert (found["difference_low"], found["difference_high"]) == pytest.approx((low, high))
-    assert (found["n_first"], found["n_second"]) == (12, 20)
+    assert ends(found.absolute) == pytest.approx((low, high))
+    assert (found.n_first, found.n_second) == (12, 20)
     # the quotient b / a to first order: the error of a counts b / a times
     errors = a.std(ddof=1) / np.sqrt(12) * b.mean() / a.mean() ** 2, b.std(ddof=1) / np.sqrt(20) / a.mean()
-    assert found["relative"] == pytest.approx(b.mean() / a.mean() - 1)
+    assert found.relative.value == pytest.approx(b.mean() / a.mean() - 1)
     dof = np.hypot(*errors) ** 4 / (errors[0] ** 4 / 11 + errors[1] ** 4 / 19)
     half = stats.t.ppf(0.975, dof) * np.hypot(*errors)
-    assert (found["relative_high"] - found["relative_low"]) / 2 == pytest.approx(half)
+    assert (found.relative.high - found.relative.low) / 2 == pytest.approx(half)
 
 
 def test_only_shared_matrices_are_pairs():
     found = contrast(MEAN, of([1.0, 2.0, 4.0, 5.0, 6.0]), of([3.0, 4.0, 9.0, 8.0, 7.0], first=1), True, 0.95)
-    assert (found["n_first"], found["first"], found["second"]) == (4, 4.25, 6.0)
+    assert (found.n_first, found.first.value, found.second.value) == (4, 4.25, 6.0)
     apart = contrast(MEAN, of([1.0, 2.0]), of([3.0, 4.0], first=10), True, 0.95)
-    assert (apart["n_first"], apart["reason"], apart["relative"]) == (0, FEW_MATRICES, None)
+    assert (apart.n_first, apart.reason, apart.is_known) == (0, FEW_MATRICES, False)
 
 
 def test_shares_differ_by_newcombes_interval():
@@ -77,8 +81,8 @@ def test_shares_differ_by_newcombes_interval():
     """
     many, few = (of(np.arange(n) < k, "share", first=first) for k, n, first in ((56, 70, 100), (48, 80, 0)))
     found = contrast(SHARE, few, many, False, 0.95)
-    assert found["difference"] == pytest.approx(0.2)
-    assert (found["difference_low"], found["difference_high"]) == pytest.approx((0.0524, 0.3339), abs=5e-5)
+    assert found.absolute.value == pytest.approx(0.2)
+    assert ends(found.absolute) == pytest.approx((0.0524, 0.3339), abs=5e-5)
     first, second = np.repeat([[1, 1, 0, 0], [1, 0, 1, 0]], (2, 5, 1, 12), axis=1)
     paired = contrast(SHARE, of(first, "share"), of(second, "share"), True, 0.95)
     (p, low_p, high_p), (q, low_q, high_q) = (
@@ -87,8 +91,8 @@ def test_shares_differ_by_newcombes_interval():
     phi = (2 * 12 - 5 * 1 - 20 / 2) / np.sqrt(7 * 13 * 3 * 17)
     low = np.sqrt((q - low_q) ** 2 - 2 * phi * (q - low_q) * (high_p - p) + (high_p - p) ** 2)
     high = np.sqrt((high_q - q) ** 2 - 2 * phi * (high_q - q) * (p - low_p) + (p - low_p) ** 2)
-    assert (paired["difference_low"], paired["difference_high"]) == pytest.approx((q - p - low, q - p + high))
-    assert (paired["first_low"], paired["first_high"]) == pytest.approx((low_p, high_p))
+    assert ends(paired.absolute) == pytest.approx((q - p - low, q - p + high))
+    assert ends(paired.first) == pytest.approx((low_p, high_p))
 
 
 def test_tests_of_shares_invert_their_interval():
@@ -106,69 +110,92 @@ def test_shares_of_none_and_none_are_not_exactly_known():
     high = stats.binomtest(0, 20).proportion_ci(0.95, method="wilson").high
     for paired in (False, True):
         found = contrast(SHARE, none, none, paired, 0.95)
-        assert (found["difference_low"], found["difference_high"]) == pytest.approx((-high, high))
-        assert found["first_high"] == pytest.approx(high)
-        assert not told([found])
+        assert ends(found.absolute) == pytest.approx((-high, high))
+        assert found.first.high == pytest.approx(high)
+        assert not found.is_known
 
 
 @pytest.mark.parametrize("paired", [True, False])
 def test_alarms_on_planted_values(paired):
     rng = np.random.default_rng(3)
-    names = {(0.0, DIFFER): 0, (0.1, AGREE): 0, (-0.1, AGREE): 0, (0.0, AGREE): 0}
-    n_small = 0  # by their p, whatever the margin
+    shown, equal, n_small = Counter(), Counter(), 0
     for _ in range(300):
         for shift in (0.0, 0.1, -0.1):
             own = 1 + 0.1 * rng.standard_normal(20)
             second = own if paired else 1 + 0.1 * rng.standard_normal(20)
             values = [rng.gamma(100, 0.01, 20) * own, rng.gamma(100, 0.01, 20) * second * (1 + shift)]
-            (row,) = judged([contrast(MEAN, *map(of, values), paired, 0.95)])
-            n_small += shift == 0.0 and row["p_different"] < 0.05
-            for verdict in (DIFFER, AGREE):
-                if (shift, verdict) in names:
-                    names[shift, verdict] += row["verdict"] == verdict
+            (found,) = judged([contrast(MEAN, *map(of, values), paired, 0.95)], 0.05)
+            n_small += shift == 0.0 and found.p_different < 0.05
+            shown[shift] += found.is_shown
+            equal[shift] += found.verdict is Verdict.EQUAL
     # three binomial errors of 300 at 5% are 3.8 points
-    assert all(names[key] / 300 < 0.05 + 0.038 for key in names if key != (0.0, AGREE))
+    assert shown[0.0] / 300 < 0.05 + 0.038
+    assert max(equal[0.1], equal[-0.1]) / 300 < 0.05 + 0.038
     assert abs(n_small / 300 - 0.05) < 0.038
     spread = 0.1 * np.sqrt(2 if paired else 4)  # a matrix's own part drops out of a pair
-    of_t = stats.t(19)  # its power at no difference, for a known spread
-    power = 2 * of_t.cdf(0.1 * np.sqrt(20) / spread - of_t.ppf(0.95)) - 1
-    assert names[0.0, AGREE] / 300 == pytest.approx(power, abs=0.09)
+    of_t = stats.t(19)  # the power of its interval to lie within the margins, for a known spread
+    power = 2 * of_t.cdf(0.1 * np.sqrt(20) / spread - of_t.ppf(0.975)) - 1
+    assert equal[0.0] / 300 == pytest.approx(power, abs=0.09)
 
 
 @pytest.mark.parametrize("paired", [True, False])
 def test_alarms_on_planted_shares(paired):
     rng = np.random.default_rng(4)
-    alarms, wrongly_same = 0, 0
+    alarms = 0
     for _ in range(400):
-        a, b = rng.random(20) < 0.3, rng.random(20) < 0.3
-        c = rng.random(20) < 0.5  # off by the margin
-        one, two, three = (of(values.astype(float), "share") for values in (a, b, c))
-        alarms += judged([contrast(SHARE, one, two, paired, 0.95)])[0]["verdict"] == DIFFER
-        wrongly_same += judged([contrast(SHARE, one, three, paired, 0.95)])[0]["verdict"] == AGREE
+        one, two = (of((rng.random(20) < 0.3).astype(float), "share") for _ in range(2))
+        found = contrast(SHARE, one, two, paired, 0.95)
+        alarms += verdicts([found])[0] in (Verdict.MORE, Verdict.LESS)
+        assert found.difference.scale is Scale.ABSOLUTE
     assert abs(alarms / 400 - 0.05) < 0.033  # three binomial errors
-    assert wrongly_same / 400 < 0.05 + 0.033
 
 
 def test_many_comparisons_are_judged_together():
     rng = np.random.default_rng(5)
     found = [contrast(MEAN, of(rng.normal(1, 0.5, 20)), of(rng.normal(1, 0.5, 20)), True, 0.95) for _ in range(200)]
-    alone = [judged([one])[0]["verdict"] for one in found]
-    together = [row["verdict"] for row in judged(found)]
-    assert 2 <= alone.count(DIFFER) <= 20  # 5% of 200 by luck
-    assert together.count(DIFFER) == 0
+    shown = {Verdict.MORE, Verdict.LESS}
+    alone = [verdicts([one])[0] in shown for one in found]
+    together = judged(found, 0.05)
+    assert 2 <= sum(alone) <= 20  # 5% of 200 by luck
+    assert not any(one.is_shown for one in together)
+    assert {one.family.n for one in together} == {200}
+    assert all(one.family.p_different >= one.p_different for one in together)
 
 
 def test_verdicts_follow_the_numbers():
     rng = np.random.default_rng(6)
     base = rng.normal(30, 1, 20)
-    second = [(of(base), AGREE), (of(1.3 * base), DIFFER), (of(rng.normal(30, 20, 20)), UNKNOWN)]
+    second = [
+        (of(base + rng.normal(0, 0.1, 20)), Verdict.EQUAL),
+        (of(1.3 * base), Verdict.MORE),
+        (of(rng.normal(30, 20, 20)), Verdict.OPEN),
+    ]
     for other, verdict in second:
-        (row,) = judged([contrast(MEAN, of(base), other, True, 0.95)])
-        assert row["verdict"] == verdict
+        assert verdicts([contrast(MEAN, of(base), other, True, 0.95)]) == [verdict]
+    bare = Statistic("mean", ratio)  # no margin: nothing is equal
+    assert verdicts([contrast(bare, of(base), of(base + rng.normal(0, 0.1, 20)), True, 0.95)]) == [Verdict.OPEN]
     ones = Sample({"gamma": UnitSums(np.arange(4), np.full((4, 2), 9.0))})
-    (row,) = judged([contrast(Statistic("gamma", gamma, 0.05), ones, ones, True, 0.95)])
-    assert (row["verdict"], row["relative"]) == (UNKNOWN, None)
-    assert "size 1" in row["reason"]
+    found = contrast(Statistic("gamma", gamma, 0.05), ones, ones, True, 0.95)
+    assert (found.verdict, found.is_known) == (Verdict.UNJUDGED, False)
+    assert "size 1" in found.reason
+
+
+def test_what_is_zero_within_its_interval_has_no_ratio():
+    rng = np.random.default_rng(7)
+    about_zero, above = of(rng.normal(0.0, 1.0, 12)), of(rng.normal(9.0, 1.0, 12))
+    found = contrast(MEAN, about_zero, above, True, 0.95)
+    assert found.relative.value is None
+    assert (found.difference.scale, verdicts([found])) == (Scale.ABSOLUTE, [Verdict.MORE])
+    few = contrast(MEAN, of([1.0, 2.0]), of([3.0, 5.0]), True, 0.95)
+    assert (few.absolute.value, few.verdict, few.reason) == (2.5, Verdict.UNJUDGED, FEW_MATRICES)
+
+
+def test_no_ratio_has_an_interval_below_minus_100_percent():
+    """Of what is positive, by the scatter of a first value near zero: the difference is given instead."""
+    first, second = of([0.1, 0.2, 0.3, 8.0]), of([0.1, 9.0, 0.2, 12.0], first=10)
+    found = contrast(Statistic("mean", ratio, 0.1, least=0.0), first, second, False, 0.95)
+    assert found.difference.scale is Scale.ABSOLUTE
+    assert found.first.low == 0.0
 
 
 def test_a_sample_is_the_planted_one(planted):
@@ -206,10 +233,10 @@ def test_a_sample_is_the_planted_one(planted):
     }
 
 
-def test_what_has_no_margin_is_not_compared():
-    assert len(statistics(MARGINS)) == 5
-    assert [one.name for one in statistics({"mean": 0.1})] == ["mean n_stick"]
-    assert len(shares()) == 2
+def test_a_margin_is_that_which_is_declared():
+    assert [one.margin for one in statistics({"mean": 0.1})] == [0.1, None, None, None, None]
+    assert [one.name for one in statistics({}, {"mean", "gamma"})] == ["mean n_stick", "gamma"]
+    assert {one.margin for one in shares()} == {None}
 
 
 def test_a_correlation_time_longer_than_the_window_can_tell_is_not_judged(planted):
@@ -221,19 +248,5 @@ def test_a_correlation_time_longer_than_the_window_can_tell_is_not_judged(plante
     studies = [Study(Data(members, some), SETTINGS) for some in (series, steeper)]
     found, other = (sample(study.groups[0]) for study in studies)
     one = next(one for one in statistics(MARGINS) if one.name == "correlation time")
-    assert contrast(one, found, other, True, 0.95)["reason"] == SHORT_WINDOW
-    assert not contrast(one, found, found, True, 0.95)["reason"]
-
-
-def test_no_interval_is_shown_that_reaches_below_minus_100_percent():
-    """Of a correlation time, which is positive; what may be negative, and a difference of shares, keep theirs."""
-    words = environment().get_template("contrasts.html").module
-    row = {"quantity": "correlation time", "relative": 2.94, "relative_low": -1.95, "relative_high": 7.83,
-           "is_share": False, "first": 1.0, "second": 3.94, "margin": 0.1, "verdict": "cannot be told",
-           "open": ""}  # fmt: skip
-    assert words.size(row) == "+294% (no interval)"
-    assert words.size(row | {"second": -2.0}) == "+294% (−195% to +783%)"
-    assert words.size(row | {"relative_low": -0.95}) == "+294% (−95% to +783%)"
-    assert words.size(row | {"relative_low": -1.0, "is_share": True}) == "+294 points (−100 to +783)"
-    shown = words.side_by_side([row, row | {"quantity": "gamma", "relative_low": 0.1}], "a", "b", "")
-    assert [("−195%" in one, "+783%" in one) for one in shown.split("<tr>")[2:]] == [(False, False), (False, True)]
+    assert contrast(one, found, other, True, 0.95).reason == SHORT_WINDOW
+    assert not contrast(one, found, found, True, 0.95).reason

@@ -1,4 +1,4 @@
-"""Engines, tolerances and thresholds on the same matrices: planted biases, the loosest tolerance that is enough."""
+"""Engines, tolerances and thresholds on the same matrices: planted biases, grouped by how they come out."""
 
 from dataclasses import replace
 
@@ -7,13 +7,16 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study, build
-from stickslip.analysis.questions.runs.engines import answer, contrasts
-from stickslip.analysis.report.formats import environment
+from stickslip.analysis.contrast import Contrast, Statistic
+from stickslip.analysis.findings.finding import Outcomes, Verdict
+from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.outcomes import Beside, differences
+from stickslip.analysis.questions.runs.engines import answer
+from stickslip.analysis.stats.estimates import Estimate, ratio
 
 SETTINGS = AnalysisSettings(
     t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0, margins={"mean": 0.1, "rate": 0.1, "gamma": 0.05}
 )
-WORDS = environment().get_template("engines.html").module
 
 
 def asked(planted, shifts, thresholds=(), n_matrices=8, settings=SETTINGS):
@@ -31,69 +34,78 @@ def asked(planted, shifts, thresholds=(), n_matrices=8, settings=SETTINGS):
     return answer(Study(Data(pd.DataFrame(rows), series, thresholds=by_threshold), settings))
 
 
+def table_of(found, quantity="mean n_stick"):
+    table = found.tables["changes"]
+    return table[table["quantity"] == quantity]
+
+
 def test_the_sigmoid_is_set_against_the_exact_law(planted):
     found = asked(planted, {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 2})
-    row = found.tables["engines"].set_index("quantity").loc["mean n_stick"]
-    assert row["reference"] == "n = 200, exact"
-    assert row["difference"] == pytest.approx(2)
-    assert row["difference_high"] - row["difference_low"] == pytest.approx(0, abs=1e-9)
-    assert (row["n_first"], row["verdict"]) == (8, "agree")
-    (law,) = found.facts["laws"]
-    assert {row["quantity"] for row in law["rows"]} == {"mean n_stick", "exit rate", "gamma"}  # and no ends, none met
-    assert "all 3 statistics agree" in WORDS.answer(found.facts)
-    assert not WORDS.alerts(found.facts).strip()
+    (row,) = table_of(found).itertuples()
+    assert row.reference == "n = 200, exact"
+    assert row.difference == pytest.approx(2)
+    assert row.difference_high - row.difference_low == pytest.approx(0, abs=1e-9)
+    assert (row.n_first, row.verdict) == (8, Verdict.EQUAL)
     far = asked(planted, {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 8})
-    assert "2 of 3 statistics agree; the mean n_stick differs by +" in WORDS.answer(far.facts)
-    assert "higher than under the exact engine (margin 10%). Compare it within" in WORDS.alerts(far.facts)
+    lead = far.findings[0]
+    assert (lead.different, lead.equal, lead.undecided) == (("the sigmoid engine",), (), ())
+    assert lead.largest.quantity.name == "mean number of sticking blocks"
+    said = sentence(lead)
+    assert said.startswith("The sigmoid engine differs from the exact engine, most apart in the mean number of")
+    assert len(said.split()) <= 25
+    assert not far.alerts
 
 
-def test_a_difference_that_is_shown_is_said_where_only_the_margin_cannot_be_told(planted):
+def test_settings_agree_only_within_margins_that_are_declared(planted):
+    """The same runs: what is declared is within its margin, and without any nothing can be said to agree."""
+    shifts = {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 0}
+    lead = asked(planted, shifts).findings[0]
+    assert (lead.equal, lead.different) == (("the sigmoid engine",), ())
+    bare = asked(planted, shifts, settings=replace(SETTINGS, margins={})).findings[0]
+    assert (bare.undecided, bare.equal) == (("the sigmoid engine",), ())
+
+
+def test_a_difference_that_is_shown_is_one_whether_or_not_it_is_beyond_the_margin(planted):
     """Four of 40 and more, in each system alike, against a margin within the interval."""
     shifts = {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 4}
-    first = asked(planted, shifts).tables["engines"].set_index("quantity").loc["mean n_stick"]
-    margin = float(first["relative"] + first["relative_high"]) / 2
+    (first,) = table_of(asked(planted, shifts)).itertuples()
+    margin = float(first.relative + first.relative_high) / 2
     found = asked(planted, shifts, settings=replace(SETTINGS, margins=SETTINGS.margins | {"mean": margin}))
-    row = found.tables["engines"].set_index("quantity").loc["mean n_stick"]
-    assert row["verdict"] == "cannot be told"
-    assert row["p_different_holm"] < 1e-4
-    said = " ".join(WORDS.answer(found.facts).split())
-    assert "2 of 3 statistics can be said to agree; the mean n_stick differs by +" in said
-    assert said.endswith(f"), perhaps within the margin of {100 * margin:g}%.")
-    assert "cannot be told" not in said
-    assert "differ, perhaps within the margin</td>" in WORDS.main(found.facts)
-    assert "perhaps within: the estimate is within" in WORDS.main(found.facts)
+    (row,) = table_of(found).itertuples()
+    assert row.verdict == Verdict.MORE
+    assert row.p_different_holm < 1e-4
 
 
-def test_the_loosest_sufficient_tolerance_is_named(planted):
+def test_tolerances_are_grouped_by_outcome(planted):
     """Of means of 40 and more, with a margin of a tenth: 1 is within, 9 is beyond."""
     shifts = {("coulomb", 1e-10): 0, ("coulomb", 1e-6): 0, ("coulomb", 1e-4): 1, ("coulomb", 1e-2): 9}
-    (found,) = asked(planted, shifts).facts["tolerances"]
-    assert (found["sufficient"], found["n_looser"]) == ("n = 200, exact, tol = 0.0001", 1)
-    none = asked(planted, {("coulomb", 1e-10): 0, ("coulomb", 1e-6): 9})
-    assert none.facts["tolerances"][0]["sufficient"] is None
-    assert "is shown to be enough: the mean n_stick moves by +" in WORDS.answer(none.facts)
+    different, equal, *_ = asked(planted, shifts).findings
+    assert different.other == equal.other == "its tightest tolerance"
+    assert equal.equal == ("exact with tol up to 0.0001",)
+    assert different.different == ("exact with tol = 0.01",)
 
 
 def test_thresholds_are_set_against_the_own_definition_of_the_same_runs(planted):
     found = asked(planted, {("sigmoid", 1e-5): 0}, thresholds={0.5: 4, 2.0: -4})
-    rows = found.tables["engines"].query("quantity == 'mean n_stick'").set_index("threshold")
-    assert set(found.tables["engines"]["kind"]) == {"threshold"}
-    assert rows["difference"].to_dict() == pytest.approx({0.5: -4.0, 2.0: 4.0})
-    assert "below 0.5 to 2 times r \u03b5 in the same runs, the sigmoid engine" in WORDS.answer(found.facts)
+    rows = table_of(found)
+    assert set(found.tables["changes"]["kind"]) == {"threshold"}
+    assert dict(zip(rows["second_value"], rows["difference"], strict=True)) == pytest.approx({"0.5": -4.0, "2": 4.0})
+    assert found.findings[0].other == "the engine's own definition of sticking"
 
 
 def test_engines_are_compared_by_further_definitions_of_sticking_too(planted):
     """4 of 40 and more are a tenth and less, beyond no margin; 12 are beyond."""
     shifts = {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 0}
     found = asked(planted, shifts, thresholds={0.5: 1, 2.0: -12})
-    rows = found.tables["engines"].query("kind == 'threshold' and quantity == 'mean n_stick'").set_index("threshold")
+    rows = table_of(found).query("kind == 'threshold'")
     assert set(rows["reference"]) == {"n = 200, exact"}
-    assert rows["difference"].to_dict() == pytest.approx({0.5: -1.0, 2.0: 12.0})
-    assert rows["verdict"].to_dict() == {0.5: "agree", 2.0: "differ"}
-    assert "in the mean n_stick (1 of 2 agree)" in WORDS.moved(found.facts["thresholds"][0])
+    assert dict(zip(rows["second_value"], rows["difference"], strict=True)) == pytest.approx({"0.5": -1.0, "2": 12.0})
+    assert dict(zip(rows["second_value"], rows["verdict"], strict=True)) == {"0.5": Verdict.EQUAL, "2": Verdict.MORE}
+    different = [name for one in found.findings if isinstance(one, Outcomes) for name in one.different]
+    assert "sigmoid with threshold = 2" in different
 
 
-def test_survivors_alone_are_compared_and_that_is_said(planted):
+def test_how_runs_end_is_compared_too(planted):
     rows, series = [], {}
     for engine in ("coulomb", "sigmoid"):
         for matrix in range(12):
@@ -103,22 +115,18 @@ def test_survivors_alone_are_compared_and_that_is_said(planted):
             t, n_stick = planted.runs(np.random.default_rng(matrix), 600, 0.69)
             series[name] = t, n_stick - n_stick.min() + 40 + 2 * matrix
     found = answer(Study(Data(pd.DataFrame(rows), series), SETTINGS))
-    (law,) = found.facts["laws"]
-    assert (law["n_moving"], law["n_runs"]) == (8, 12)
-    said = WORDS.answer(found.facts)
-    assert "on the 8 of 12 matrices in motion under both" not in said.split("; over all")[-1]
-    assert "it cannot be told whether the share of runs that run away agrees (0 of 12 against 4 of 12)" in said
-    # survivors are named where the statistic is one of them
-    means = [row for row in law["rows"] if not row["is_share"]]
-    only = law | {"rows": means, "unknown": means[:1], "agree": means[1:], "differ": [], "worst": means[0]}
-    assert "on the 8 of 12 matrices in motion under both, " in WORDS.answer(found.facts | {"laws": [only]})
+    (mean,), (away,) = (
+        table_of(found, name).itertuples() for name in ("mean n_stick", "share of runs that run away")
+    )
+    assert (mean.n_first, mean.verdict) == (8, Verdict.EQUAL)
+    assert (away.n_first, away.first, away.second) == (12, 0.0, pytest.approx(1 / 3))
 
 
 def test_one_setting_is_nothing_to_compare_and_three_matrices_are_too_few(planted):
     assert asked(planted, {("coulomb", 1e-6): 0}) is None
     few = asked(planted, {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 2}, n_matrices=3)
-    assert few.lack == "few matrices"
-    assert WORDS.lack(few.facts, few.lack).count("3 matrices")
+    assert few.findings[0].undecided == ("the sigmoid engine",)
+    assert set(few.tables["changes"]["verdict"]) == {Verdict.UNJUDGED}
 
 
 def two_laws(planted, change, eps=0.03):
@@ -136,20 +144,21 @@ def two_laws(planted, change, eps=0.03):
 
 
 def suspects(*planting, **how):
-    return answer(Study(two_laws(*planting, **how), SETTINGS)).facts["suspects"]
+    return answer(Study(two_laws(*planting, **how), SETTINGS)).alerts
 
 
 def test_engines_that_disagree_beyond_smoothing_raise_an_alarm(planted):
     """A state that runs off to hundreds sticks never, or now and then for nothing."""
     (one,) = suspects(planted, lambda n_stick, _: np.zeros_like(n_stick))
-    assert (one["quantity"], one["first"]) == ("mean n_stick", 0.0)
+    assert dict(one.numbers)["what"] == "mean number of sticking blocks"
+    assert one.code.rank == 0
     assert suspects(planted, lambda n_stick, rng: rng.permutation(n_stick) // 3)
 
 
 def test_an_alarm_is_the_first_thing_said(planted):
     data = two_laws(planted, lambda n_stick, _: np.zeros_like(n_stick))
     report = build(data, SETTINGS, "A study", "", {})
-    assert report.headline[0].startswith("The numerics are suspect, not the physics: mean n_stick is 0")
+    assert report.headline[0].startswith("The numerics are suspect: mean number of sticking blocks differs by more")
     assert report.html.index("The numerics are suspect") < report.html.index("<h1>")
 
 
@@ -171,7 +180,7 @@ def test_what_smoothing_may_explain_raises_no_alarm(planted):
             for name, own, share in laws:
                 rows.append(planted.member(f"{name}-{matrix}", matrix, belt_speed=belt, **own))
                 series[f"{name}-{matrix}"] = t, np.rint(share * (n_stick - n_stick.min() + 40)).astype(int)
-        return answer(Study(Data(pd.DataFrame(rows), series), SETTINGS)).facts["suspects"]
+        return answer(Study(Data(pd.DataFrame(rows), series), SETTINGS)).alerts
 
     exact, smooth = ("c", {}, 1.0), ("s", planted.sigmoid | {"eps": 0.03}, 0.5)
     assert asked_of(-0.2, exact, smooth)
@@ -181,13 +190,16 @@ def test_what_smoothing_may_explain_raises_no_alarm(planted):
 
 
 def test_a_difference_beyond_the_axis_is_an_arrowhead_at_its_edge():
-    of = {"margin": 0.1, "verdict": "differ", "open": ""}
-    rows = [
-        of | {"quantity": "far", "relative": 1.5, "narrow_low": 1.2, "narrow_high": 1.8},
-        of
-        | {"quantity": "near", "relative": 0.2, "narrow_low": 0.1, "narrow_high": 0.3, "verdict": "cannot be told"},
-    ]
-    (ax,) = contrasts(rows).axes
+    mean = Statistic("mean", ratio, 0.1)
+
+    def beside(name, value, half):
+        estimate = Estimate(value, value - half, value + half)
+        found = Contrast(replace(mean, name=name), 8, 8, Estimate(1.0), Estimate(2.0), estimate, estimate)
+        return Beside(found, "")
+
+    rows = [beside("far", 1.5, 0.3), beside("near", 0.02, 0.1), beside("shown", 0.2, 0.1)]
+    (ax,) = differences(rows).axes
     points = {line.get_marker(): line.get_xdata().tolist() for line in ax.lines if len(line.get_xdata()) == 1}
-    assert points[">"] == [ax.get_xlim()[1]] == [3]
-    assert points["D"] == [2]
+    assert points[">"] == [ax.get_xlim()[1]]
+    assert points["D"] == [2.0]
+    assert points["s"] == [20.0]

@@ -344,7 +344,7 @@ def test_episodes_that_become_more_are_said_to_whichever_question_leads(planted_
     is_early = table["start"] < 0.5 * (settings.t_burn + float(data.members["t_end"].iloc[0]))
     is_out = is_early & table["member_id"].str.endswith("-0.2") & (np.arange(len(table)) % 2 == 0)
     data = replace(data, episodes=table[~is_out])
-    for question in ((), ("sweep",), ("episodes",)):
+    for question in ((), ("changes",), ("episodes",)):
         html = build(data, replace(settings, question=question), "A chain", "", {}).html
         top, _, _ = html.partition("<nav>")
         assert "the rate of episodes changes by" in top, question
@@ -643,7 +643,7 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
 
 @pytest.mark.parametrize(
     ("question", "table", "left_out"),
-    [(engines, "engines", {"gamma"}), (sweep, "sweep_changes", {"gamma", "mean n_stick"})],
+    [(engines, "changes", {"gamma"}), (sweep, "changes", {"gamma", "mean n_stick"})],
 )
 def test_where_episodes_are_recorded_gamma_is_not_asked_about(
     question, table, left_out, planted_episodes, planted, settings

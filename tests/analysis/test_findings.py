@@ -28,6 +28,7 @@ from stickslip.analysis.findings.finding import (
     Regimes,
     Scale,
     Share,
+    Threshold,
     Truth,
     Verdict,
     records,
@@ -178,6 +179,7 @@ def _findings(rng):
     yield Limit("pairs", "exits", "trigger another", value, where, basis)
     yield Alike(quantity, value, "from all starts", where)
     yield Outcomes("the exact engine", ("h = 0.1",), ("h = 0.2", "h = 0.4"), (), level)
+    yield Threshold("stick-slip", bool(rng.integers(2)), "belt_speed", "0.3", "0.4", where, basis)
     mixed = Regime("from v = 8 on", ("slide", "stick", "stop"), 9, 10)
     alone = (Regime("up to v = 7", ("slide",), n, 5, estimate) for n in (1, 2, 4, 5))
     yield Regimes("starts", (*alone, mixed), where)
@@ -200,7 +202,7 @@ def test_every_kind_is_a_sentence_and_rows(rng):
                 assert row.low is None or row.high is None or row.low <= row.high
                 assert row.verdict in {"", *Verdict}
                 assert not any(isinstance(cell, float) and np.isnan(cell) for cell in row)
-    assert len(kinds) == 12
+    assert len(kinds) == 13
 
 
 def test_the_table_of_findings_has_limits_and_differences_in_their_units():

@@ -9,12 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Data, Study, build
+from stickslip.analysis import Data, Study, build, measures
+from stickslip.analysis.findings.finding import Change as Changed
+from stickslip.analysis.findings.finding import Lack, Level, Reason, Threshold, Verdict
+from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.members import Members
 from stickslip.analysis.questions.runs import sweep
-from stickslip.analysis.report.formats import environment
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.pipeline.design.design import Axis, Change, Design, Method, Source, Unit
 from stickslip.pipeline.design.labels import apart, labels
 from stickslip.pipeline.design.values import FILE, Distribution, Ratio, rank, read
@@ -49,8 +50,10 @@ def swept(planted, rng):
     return make
 
 
-def changes(answer, quantity=sweep.MEAN):
-    return {row["key"]: row for row in answer.facts["changes"] if row["quantity"] == quantity}
+def changes(answer, quantity=measures.MEAN):
+    """The contrast of the last value of each key with the first."""
+    table = answer.tables["changes"]
+    return {row.key: row for row in table[table["quantity"] == quantity].itertuples()}
 
 
 BELT = [-0.1, -0.15, -0.2, -0.25, -0.3, -0.35, -0.4, -0.5]
@@ -61,12 +64,17 @@ def test_a_change_along_eight_values_is_found_within_matrices(swept, settings):
     data = swept({"belt_speed": BELT}, lambda at, matrix: 75 * (at["belt_speed"] + 0.5) + matrix % 2)
     answer = sweep.answer(Study(data, settings))
     row = changes(answer)["belt_speed"]
-    assert (row["verdict"], row["first_value"], row["second_value"]) == (sweep.RISES, "-0.5", "-0.1")
-    assert row["difference"] == pytest.approx(30)
-    assert row["difference_low"] - 1e-9 <= 30 <= row["difference_high"] + 1e-9 < 31
-    assert changes(answer, sweep.GAMMA)["belt_speed"]["verdict"] == sweep.SAME
+    assert (row.verdict, row.first_value, row.second_value) == (Verdict.MORE, "-0.5", "-0.1")
+    assert row.difference == pytest.approx(30)
+    assert row.difference_low - 1e-9 <= 30 <= row.difference_high + 1e-9 < 31
+    assert changes(answer, measures.GAMMA)["belt_speed"].verdict == Verdict.SAME
     wide = build(data, replace(settings, margins={"mean": 0.2}), "Wide", "", {}).headline[1]
-    assert re.search(r"Mean n_stick changes .* by \+\d.*, within 20%", wide), "as between engines"
+    assert re.search(r"Mean number of sticking blocks stays within 20% \(\+\d.*\) as belt_speed goes", wide)
+    first, base = answer.findings[0], answer.findings[answer.n_lead]
+    assert isinstance(first, Changed)
+    assert len(sentence(first).split()) <= 25
+    assert isinstance(base, Level)
+    assert len([one for one in answer.findings if one.quantity == first.quantity]) == len(BELT)
     table = answer.tables["sweep"]
     assert list(table["belt_speed"]) == sorted(BELT)  # as "first" and "last" are meant
     assert (table["n_units"] == 8).all()
@@ -75,8 +83,15 @@ def test_a_change_along_eight_values_is_found_within_matrices(swept, settings):
 def test_opposite_changes_are_not_the_same(swept, settings):
     data = swept({"belt_speed": [-0.2, -0.1]}, lambda at, m: (30 if m % 2 else -30) * int(at["belt_speed"] == -0.1))
     row = changes(sweep.answer(Study(data, settings)))["belt_speed"]
-    assert abs(row["difference"]) < 1e-9 < row["difference_high"]
-    assert row["verdict"] == UNKNOWN
+    assert abs(row.difference) < 1e-9 < row.difference_high
+    assert row.verdict == Verdict.OPEN
+
+
+def test_without_a_margin_nothing_stays(swept, settings):
+    data = swept({"belt_speed": [-0.2, -0.1]}, lambda at, m: (-1) ** m * (at["belt_speed"] == -0.1))
+    for margins, verdict in (({"mean": 0.02}, Verdict.EQUAL), ({}, Verdict.OPEN)):
+        row = changes(sweep.answer(Study(data, replace(settings, margins=margins))))["belt_speed"]
+        assert row.verdict == verdict
 
 
 def test_a_grid_tells_which_key_it_is(swept, settings):
@@ -84,18 +99,21 @@ def test_a_grid_tells_which_key_it_is(swept, settings):
     data = swept(axes, lambda at, matrix: 40 * at["friction"] + 400 * (at["kappa"] - 0.2) + matrix % 3)
     answer = sweep.answer(Study(data, settings))
     found = changes(answer)
-    assert {key: row["verdict"] for key, row in found.items()} == {
-        "kappa": sweep.RISES,
-        "friction": sweep.RISES,
-        "belt_speed": sweep.SAME,
+    assert {key: row.verdict for key, row in found.items()} == {
+        "kappa": Verdict.MORE,
+        "friction": Verdict.MORE,
+        "belt_speed": Verdict.SAME,
     }
-    assert found["kappa"]["difference"] == pytest.approx(20)
-    assert found["friction"]["difference"] == pytest.approx(16)
-    assert {row["n_first"] for row in found.values()} == {8}, "a unit counts once, whatever the grid"
+    assert found["kappa"].difference == pytest.approx(20)
+    assert found["friction"].difference == pytest.approx(16)
+    assert {row.n_first for row in found.values()} == {8}, "a unit counts once, whatever the grid"
+    assert [(one.key, one.difference.verdict) for one in answer.findings[: answer.n_lead]] == [
+        ("kappa", Verdict.MORE), ("friction", Verdict.MORE), ("belt_speed", Verdict.SAME),
+    ]  # fmt: skip
     assert len(answer.tables["sweep"]) == 30
     report = build(data, settings, "Grid", "", {})
-    assert "rises from friction = 0.8 to 1.2" in report.headline[1]
-    assert list(report.figures)[:2] == ["sweep_map", "sweep_mean"]
+    assert "as kappa goes from 0.2 to 0.25" in report.headline[1]
+    assert {"sweep_map", "sweep_mean"} <= {*report.figures}
     assert "&lt;" not in report.html
 
 
@@ -107,19 +125,20 @@ def test_rows_of_two_settings_are_told_apart(planted, swept, settings):
         pd.concat([exact.members, rows], ignore_index=True),
         dict(exact.series) | {f"{name}s": one for name, one in exact.series.items()},
     )
-    page = build(both, settings, "Two", "", {}).html
-    assert len(re.findall(r'data-h="setting" class="l">n = 500, sigmoid', page)) == 4, "two values, two changes"
-    assert 'data-h="setting"' not in build(exact, settings, "One", "", {}).html
+    found = [one for one in sweep.answer(Study(both, settings)).findings if isinstance(one, Changed)]
+    assert {one.where for one in found} == {"n = 500, exact", "n = 500, sigmoid, eps = 0.03, stick = convergent"}
+    alone = [one for one in sweep.answer(Study(exact, settings)).findings if isinstance(one, Changed)]
+    assert {one.where for one in alone} == {""}
 
 
 def test_no_change_is_not_told_as_one(swept, settings, rng):
     noise = {key: rng.standard_normal() for key in product(range(8), BELT)}
     data = swept({"belt_speed": BELT}, lambda at, matrix: 3 * noise[matrix, at["belt_speed"]])
-    table = sweep.answer(Study(data, settings)).tables["sweep_changes"]
-    assert (table["p_different_holm"] >= table["p_different"]).all()
-    told = table[table["verdict"].isin([sweep.RISES, sweep.FALLS])]
+    table = sweep.answer(Study(data, settings)).tables["changes"]
+    assert (table["p_different_holm"] >= table["p_different"]).dropna().all()
+    told = table[table["verdict"].isin([Verdict.MORE, Verdict.LESS])]
     assert (told["p_different_holm"] < 0.05).all()
-    assert table.loc[table["quantity"] == sweep.MEAN, "relative"].abs().max() < 0.05
+    assert table.loc[table["quantity"] == measures.MEAN, "relative"].abs().max() < 0.05
 
 
 def ended(data, some, outcome):
@@ -134,21 +153,33 @@ def test_shares_of_runs_that_stay_in_motion(swept, settings):
     data = ended(data, data.members["belt_speed"] == -0.3, "collapsed")
     answer = sweep.answer(Study(data, settings))
     row = changes(answer, sweep.IN_MOTION)["belt_speed"]
-    assert (row["verdict"], row["first"], row["second"], row["difference"]) == (sweep.RISES, 0.0, 1.0, 1.0)
-    assert 0.5 < row["difference_low"] < row["difference_high"] <= 1
-    assert answer.facts["told"][0]["quantity"] == sweep.IN_MOTION
+    assert (row.verdict, row.first, row.second, row.difference) == (Verdict.MORE, 0.0, 1.0, 1.0)
+    assert 0.5 < row.difference_low < row.difference_high <= 1
     mean = changes(answer)["belt_speed"]
-    assert (mean["first_value"], mean["verdict"]) == ("-0.2", sweep.SAME), "against the first that has runs"
+    assert (mean.first_value, mean.verdict) == ("-0.2", Verdict.SAME), "against the first that has runs"
+    first = answer.findings[0]
+    assert isinstance(first, Threshold)
+    assert (first.is_end, first.key, first.last, first.first) == (False, "belt_speed", "-0.3", "-0.2")
+    assert sentence(first) == "Stick-slip begins between belt_speed = \u22120.3 and \u22120.2, in all 20 systems."
+    some = ended(data, data.members["member_id"].isin(["m0-0", "m1-0"]), "collapsed")  # at -0.1 two runs
+    assert not any(isinstance(one, Threshold) for one in sweep.answer(Study(some, settings)).findings)
 
 
-@pytest.mark.parametrize(("n_matrices", "verdict"), [(5, UNKNOWN), (60, sweep.WITHIN)])
-def test_shares_of_few_runs_that_do_not_differ_are_not_shown_to_be_alike(swept, settings, n_matrices, verdict):
+def test_motion_that_ends_for_most_runs_is_a_change_of_their_share(swept, settings):
+    data = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: 0, n_matrices=20)
+    data = ended(data, (data.members["belt_speed"] == -0.2) & (data.members["matrix"] > 2), "collapsed")
+    first = sweep.answer(Study(data, settings)).findings[0]
+    assert isinstance(first, Changed)
+    assert sentence(first).startswith("Share of runs in motion rises from 15% to 100%, by 85 (")
+
+
+def test_shares_of_few_runs_that_do_not_differ_are_not_shown_to_be_alike(swept, settings):
     """The same matrices end at both speeds: of five that says little, whatever the difference seen."""
-    data = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: 0, n_matrices=n_matrices)
+    data = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: 0, n_matrices=5)
     data = ended(data, data.members["matrix"] < 2, "collapsed")
     row = changes(sweep.answer(Study(data, settings)), sweep.IN_MOTION)["belt_speed"]
-    assert (row["difference"], row["verdict"]) == (0.0, verdict)
-    assert (row["relative_low"], row["relative_high"]) == (row["difference_low"], row["difference_high"])
+    assert (row.difference, row.verdict) == (0.0, Verdict.OPEN)
+    assert row.difference_low < -0.3 < 0.3 < row.difference_high
 
 
 def test_as_many_units_as_are_needed_are_enough(swept, settings):
@@ -160,9 +191,9 @@ def test_as_many_units_as_are_needed_are_enough(swept, settings):
     )
     data = ended(data, data.members["member_id"] == "m0-0", "collapsed")
     found = changes(sweep.answer(Study(data, settings)))["belt_speed"]
-    assert (found["first_value"], found["second_value"]) == ("-0.2", "-0.1")
-    assert found["n_first"] == found["n_second"] == enough.LEAST_MATRICES
-    assert found["p_different"] is not None
+    assert (found.first_value, found.second_value) == ("-0.2", "-0.1")
+    assert found.n_first == found.n_second == enough.LEAST_MATRICES
+    assert not pd.isna(found.p_different)
 
 
 def test_keys_that_go_together_are_one_axis_and_distributions_are_values(planted, swept, settings):
@@ -195,20 +226,19 @@ def test_parameters_of_a_function_are_swept(swept, settings):
     )
     answer = sweep.answer(Study(Data(members.assign(kappa=None), data.series), settings))
     row = changes(answer)["gap"]
-    assert (row["verdict"], row["first_value"], row["second_value"]) == (sweep.RISES, "1", "2.5")
-    assert row["difference"] == pytest.approx(30)
+    assert (row.verdict, row.first_value, row.second_value) == (Verdict.MORE, "1", "2.5")
+    assert row.difference == pytest.approx(30)
 
 
 def test_nothing_swept_is_not_asked_and_too_few_is_said(planted, swept, settings):
     members, series = planted.ensemble({"coulomb": 0.7, "sigmoid": 0.7}, 5)
     assert sweep.answer(Study(Data(members, series), settings)) is None
-    one = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: 0, n_matrices=1)
-    answer = sweep.answer(Study(one, settings))
-    assert answer.lack == "few matrices"
-    words = environment().get_template("sweep.html").module
-    none = answer.facts | {"few": answer.facts["few"] | {"n_units": 0}}
-    assert words.lack(none, answer.lack) == "No run is in motion at any value of belt_speed."
-    assert "One matrix at a value of belt_speed at most, too few" in build(one, settings, "Few", "", {}).html
+    alone = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: 0, n_matrices=1)
+    first = sweep.answer(Study(alone, settings)).findings[0]
+    assert (first.difference.verdict, first.basis.n) == (Verdict.SAME, 1)
+    still = ended(alone, alone.members["matrix"] == 0, "collapsed")
+    (lack,) = sweep.answer(Study(still, settings)).findings
+    assert lack == Lack("what changes with belt_speed", Reason.NO_MOTION)
 
 
 @pytest.mark.drawn
@@ -236,32 +266,31 @@ def test_figures_draw_what_the_table_says(swept, settings, key):
         data = Data(data.members.assign(belt_speed=-0.1, drawn=drawn), data.series)
         places = np.arange(3)
     answer = sweep.answer(Study(data, settings))
-    table = answer.tables["sweep"]
-    means = [table[table["kappa"].astype(float) == kappa]["mean"].astype(float) for kappa in (0.2, 0.3)]
+    table = answer.tables["sweep_measures"].query("measure == 'mean n_stick'")
+    means = [table[table["kappa"].astype(float) == kappa]["estimate"].astype(float) for kappa in (0.2, 0.3)]
     assert all((np.diff(some) > 0).all() for some in means)
-    axes = answer.figures["sweep_mean"]().axes[0]
+    axes = answer.figures["sweep_mean"].recipe().axes[0]
     assert [str(line.get_label()) for line in axes.containers] == ["kappa = 0.2", "kappa = 0.3"]
     for line, mean in zip(axes.containers, means, strict=True):
         np.testing.assert_allclose(line.lines[0].get_ydata(), mean)
         np.testing.assert_allclose(np.asarray(line.lines[0].get_xdata(), float), places, atol=0.01 * np.ptp(places))
     if key == "friction":
         assert [label.get_text() for label in axes.get_xticklabels()] == list(laws.values())
-    np.testing.assert_allclose(answer.figures["sweep_map"]().axes[0].images[0].get_array(), means)
+    np.testing.assert_allclose(answer.figures["sweep_map"].recipe().axes[0].images[0].get_array(), means)
 
 
 def test_a_change_in_several_settings_is_told_of_all_of_them(swept, settings):
-    """By size of the system: what is said is the range, with the verdict of each."""
+    """By size of the system: each has its sentence, and no range over them is made."""
     some = [swept({"belt_speed": [-0.2, -0.1]}, lambda at, matrix, k=k: k * (at["belt_speed"] == -0.1) + matrix % 2)
             for k in (1, 20)]  # fmt: skip
     members = [one.members.assign(n=n, member_id=one.members["member_id"] + f"-{n}")
                for one, n in zip(some, (500, 600), strict=True)]  # fmt: skip
     series = {f"{name}-{n}": run for one, n in zip(some, (500, 600), strict=True) for name, run in one.series.items()}
     answer = sweep.answer(Study(Data(pd.concat(members, ignore_index=True), series), settings))
-    told = answer.facts["told"][0]["everywhere"]
-    assert sorted(verdict for verdict, _ in told["verdicts"]) == [sweep.RISES, sweep.WITHIN]
-    assert told["ends"][0] < told["ends"][1]
-    words = str(environment().get_template("sweep.html").module.answer(answer.facts))
-    assert "within 2% in 1 of 2 settings, rises in 1" in words or "rises in 1 of 2 settings, within 2% in 1" in words
+    lead = answer.findings[: answer.n_lead]
+    assert {one.where: one.difference.verdict for one in lead} == {
+        "n = 500, exact": Verdict.EQUAL, "n = 600, exact": Verdict.MORE,
+    }  # fmt: skip
 
 
 def test_settings_are_in_the_order_of_their_numbers_and_widths():

@@ -56,7 +56,7 @@ def test_a_number_that_files_carry_is_a_key_that_is_swept(tmp_path):
     assert sorted(rows["rewiring"].unique()) == [0.0, 0.1, 0.2]
     assert rows.groupby("design_point").size().tolist() == [8] * 6
     assert sorted(rows["design_unit"].unique()) == [*range(8)]
-    changes = reporting.report(tmp_path / "data").tables["sweep_changes"]
+    changes = reporting.report(tmp_path / "data").tables["changes"]
     known = changes[changes["quantity"] == "mean slip_speed"]
     assert known.groupby("key")["n_first"].max().to_dict() == {"friction": 8, "rewiring": 8}
 

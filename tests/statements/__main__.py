@@ -17,7 +17,7 @@ import matplotlib
 import pandas as pd
 
 from stickslip.analysis.questions import package_questions
-from stickslip.analysis.report import comparison, page
+from stickslip.analysis.report import page
 from stickslip.pipeline import load_scene, run_ensemble
 from stickslip.pipeline.ensemble import pack
 from stickslip.workflows import own_questions, reporting
@@ -128,7 +128,7 @@ def write(report: page.Report, folder: Path) -> None:
 
 def write_all(out: Path, datasets: Path, only: list[str]) -> int:
     """Write what all reports say; 1 if one could not be made, whose error stands in place of its statements."""
-    page.draw = comparison.draw = lambda *_, **__: page.Drawn("<svg/>")  # drawing takes half of a report's time
+    page.draw = lambda *_, **__: page.Drawn("<svg/>")  # drawing takes half of a report's time
     plans = {name: (datasets / name / name,) for name in PLANS} | {
         f"{first}_beside_{second}": (datasets / first / first, datasets / second / second)
         for first, second in COMPARED

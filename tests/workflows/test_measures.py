@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from stickslip.analysis import measures
 from stickslip.analysis.questions.runs import sweep
 from stickslip.pipeline import parse_scene, query, run_ensemble
 from stickslip.workflows.reporting import study_of
@@ -50,7 +51,7 @@ def test_a_swept_chain_tells_of_its_episodes_and_then_of_its_energy(tmp_path):
         half = 2.776445 * lost.std(ddof=1) / np.sqrt(5)  # Student's t with four degrees of freedom, 97.5%
         assert row["estimate_high"] - row["estimate"] == pytest.approx(half, rel=1e-5)
         assert row["words"] == "what slip on the belt took, as heat"
-    assert [row["quantity"] for row in answer.facts["told"]] == ["rate of episodes"]
+    assert answer.findings[0].quantity.key == "rate of episodes"
     assert next(iter(answer.figures)) == "sweep_of_episode_rate"
 
 
@@ -61,6 +62,6 @@ def test_a_sweep_with_certificates_is_about_the_motion_and_not_about_when_they_c
         place = str(tmp_path / str(k))
         run_ensemble(parse_scene(scene.encode()), place, workers=0)
         study = study_of(place)
-        table = sweep.answer(study).tables["sweep_changes"]
-        assert sweep.MEAN in set(table["quantity"])
+        table = sweep.answer(study).tables["changes"]
+        assert measures.MEAN in set(table["quantity"])
         assert not table["quantity"].str.contains("collapse").any()

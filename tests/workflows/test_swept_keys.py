@@ -17,7 +17,7 @@ def scene(system, run="matrices = 8"):
 
 def compared(path):
     """By key: in how many systems the last value is compared with the first, and the mean change of slip_speed."""
-    changes = reporting.report(str(path)).tables["sweep_changes"]
+    changes = reporting.report(str(path)).tables["changes"]
     changes = changes[changes.quantity.eq("mean slip_speed") & changes.n_first.gt(0)]
     return {row.key: (row.n_first, row.difference) for row in changes.itertuples()}
 

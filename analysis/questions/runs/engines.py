@@ -9,33 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from itertools import groupby
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, B, F, Question, Row, S, frame
+from stickslip.analysis.answer import Answer, frame
 from stickslip.analysis.catalogues import fineness
-from stickslip.analysis.contrast import (
-    SCHEMA,
-    Sample,
-    contrast,
-    judge,
-    sample,
-    shares,
-    statistics,
-    told,
-    weight,
-)
+from stickslip.analysis.contrast import CHANGES, Contrast, Sample, contrast, judged, sample, shares, statistics
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.alerts import Alert, Code
+from stickslip.analysis.findings.finding import Finding, Lack, Reason, Verdict
 from stickslip.analysis.groups import Group
-from stickslip.analysis.members import ENGINE_KEYS, STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS
-from stickslip.analysis.stats.compare import AGREE, DIFFER, UNKNOWN
+from stickslip.analysis.members import ENGINE_KEYS, STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS, noun
+from stickslip.analysis.outcomes import DIFFERENT, Beside, Setting, forest, in_words, outcomes
 from stickslip.analysis.stats.estimates import UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
-from stickslip.analysis.style import BLUE, GREY, ORANGE, panel
-from stickslip.pipeline.design.labels import engine_name
+from stickslip.pipeline.design.labels import apart, engine_name
 from stickslip.sim.engines import symbol
 
 FRICTION, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
@@ -46,11 +36,10 @@ _EXPLAINED, _SMOOTH = 2.0, 0.03
 #: n_stick of 200 blocks was a third below the exact law's, at 0.1 a twentieth.
 _OF_BELT = 0.15 * (1 + 1e-9)
 _BY_THRESHOLD = ("mean", "rate", "gamma")
-_MARKS = {AGREE: ("o", BLUE), DIFFER: ("s", ORANGE), UNKNOWN: ("D", GREY)}
-_WIDEST = 3.0  # margins to each side in the figure: showing more would leave no room for the other statistics
-_TABLE: Mapping[str, str] = {
-    "kind": S, "setting": S, "reference": S, "threshold": F, **SCHEMA, "is_suspect": B,
-}  # fmt: skip
+_METHOD = (
+    "Each system is compared with itself. A setting agrees if each statistic with a margin that the scene declares is"
+    " within, and no difference is shown; verdicts are adjusted for the comparisons with one reference (Holm)."
+)
 
 
 @dataclass(frozen=True)
@@ -63,41 +52,141 @@ class _Pair:
     threshold: float | None = None
 
 
+@dataclass(frozen=True)
+class _Compared:
+    """A pair, and one of its statistics."""
+
+    pair: _Pair
+    contrast: Contrast
+
+    @property
+    def statistic(self) -> str:
+        return self.contrast.statistic.name
+
+
 def answer(study: Study) -> Answer | None:
     """How each statistic depends on the engine and its settings; None where there is only one."""
     by_threshold = _by_threshold(study)
     pairs = list(_pairs(study, by_threshold))
     if not pairs:
         return None
-    level, margins = study.settings.confidence, study.margins
-    families: dict[tuple[str, str], list[Row]] = {}
+    found = _judged(study, pairs, by_threshold)
+    rows = [
+        {"kind": one.pair.kind, "setting": one.pair.other.label, "reference": one.pair.reference.label,
+         "key": None if one.pair.threshold is None else THRESHOLD,
+         "second_value": None if one.pair.threshold is None else f"{one.pair.threshold:g}", **one.contrast.row()}
+        for one in found
+    ]  # fmt: skip
+    tables = {"changes": frame(CHANGES, rows)}
+    known = [one for one in found if one.contrast.is_known]
+    if not known:
+        n_units = max(one.contrast.n_first for one in found)
+        reason = Reason.FEW_UNITS if n_units else Reason.NO_MOTION
+        return Answer(findings=[Lack("how far the engines differ", reason)], tables=tables)
+    unit = noun(study.unit)
+    names = _names(study, found)
+    lead: list[Finding] = []
+    levels: list[Finding] = []
+    drawn: list[Beside] = []
+    for kind in (FRICTION, TOLERANCE, THRESHOLD):
+        of_kind = [one for one in known if one.pair.kind == kind]
+        for other, some in _by_reference(of_kind, study.groups):
+            placed = {
+                setting: [Beside(one.contrast, _where(one.pair, names)) for one in rows] for setting, rows in some
+            }
+            lead += outcomes(other, placed, unit)
+            every = [one for rows in placed.values() for one in rows]
+            levels += [one.contrast.level(one.where, other, unit) for one in every]
+            drawn = drawn or every
+    caption = "Differences from the reference, with 95% intervals; bands are the margins that the scene declares."
+    return Answer(
+        tables=tables, figures=forest(drawn, caption), findings=[*lead, *levels], n_lead=min(3, len(lead)),
+        alerts=_suspects(known), method=_METHOD,
+    )  # fmt: skip
+
+
+def _judged(
+    study: Study, pairs: Sequence[_Pair], by_threshold: Mapping[str, Mapping[float, Sample]]
+) -> list[_Compared]:
+    """Each statistic of each pair, those with one reference judged together."""
+    level = study.settings.confidence
+    families: dict[tuple[str, str], list[_Compared]] = {}
     for pair in pairs:
-        asked = statistics(margins) + shares() if pair.threshold is None else statistics(margins, _BY_THRESHOLD)
-        of_pair = {
-            "kind": pair.kind, "reference": pair.reference.label, "setting": pair.other.label,
-            "threshold": pair.threshold, "n": pair.other.key["n"], "of_reference": _engine(pair.reference),
-            "of_setting": _engine(pair.other),
-        }  # fmt: skip
-        rows = families.setdefault((pair.kind, pair.reference.label), [])
-        for one in asked:  # one by one: sums of all take more memory than all that is known of the runs
+        asked = statistics(study.margins, study.compared & {*_BY_THRESHOLD})
+        if pair.threshold is None:
+            asked = [*statistics(study.margins, study.compared), *shares()]
+        family = families.setdefault((pair.kind, pair.reference.label), [])
+        for statistic in asked:  # one by one: sums of all take more memory than all that is known of the runs
             theirs = (
-                sample(pair.other, [one.name])
+                sample(pair.other, [statistic.name])
                 if pair.threshold is None
                 else by_threshold[pair.other.label][pair.threshold]
             )
-            rows.append(of_pair | contrast(one, sample(pair.reference, [one.name]), theirs, True, level))
-    for rows in families.values():
-        judge(rows, 1 - level)
-        for row in rows:
-            row["is_suspect"] = _is_suspect(row) and not _agrees_with_less(row, rows)
-    found = [row for rows in families.values() for row in rows]
-    tables, facts = {"engines": frame(_TABLE, found)}, _facts(found)
-    if not any(facts.values()):
-        lack = next((row["reason"] for row in found if row["reason"]), "nothing to count")
-        return Answer(facts | {"n_matrices": min(row["n_first"] for row in found)}, lack=lack, tables=tables)
-    facts["with_episodes"] = study.data.episodes is not None
-    drawn = [one["rows"] for one in facts["laws"] or facts["tolerances"]]
-    return Answer(facts, tables=tables, figures={"contrasts": partial(contrasts, drawn[0])} if drawn else {})
+            mine = sample(pair.reference, [statistic.name])
+            family.append(_Compared(pair, contrast(statistic, mine, theirs, True, level)))
+    return [
+        _Compared(one.pair, found)
+        for family in families.values()
+        for one, found in zip(family, judged([one.contrast for one in family], 1 - level), strict=True)
+    ]
+
+
+def _by_reference(
+    found: Sequence[_Compared], groups: Sequence[Group]
+) -> Iterator[tuple[str, list[tuple[Setting, list[_Compared]]]]]:
+    """Comparisons of one kind by the name of their reference, and by setting, finer ones first."""
+    by_other: dict[str, dict[Setting, list[_Compared]]] = {}
+    for one in found:
+        by_other.setdefault(_other(one.pair, groups), {}).setdefault(_setting(one.pair, groups), []).append(one)
+    for other, some in by_other.items():
+        in_order = sorted(some.items(), key=lambda item: (item[0].name, item[0].symbol, item[0].value or 0.0))
+        yield other, in_order
+
+
+def _other(pair: _Pair, groups: Sequence[Group]) -> str:
+    """What a pair is compared with, as a noun phrase."""
+    if pair.kind == TOLERANCE:
+        return "its tightest tolerance"
+    if pair.kind == THRESHOLD and pair.reference is pair.other:
+        return "the engine's own definition of sticking"
+    (name,) = in_words({_engine(pair.reference, groups): DIFFERENT}, DIFFERENT)
+    return name
+
+
+def _setting(pair: _Pair, groups: Sequence[Group]) -> Setting:
+    """What is compared: an engine, and what tells it from others of that engine."""
+    key = pair.other.key
+    engine = engine_name(key["engine"])
+    if pair.threshold is not None:
+        return Setting(engine, THRESHOLD, pair.threshold)
+    if pair.kind == TOLERANCE:
+        tolerance = next(name for name in TOLERANCES if key[name] is not None)
+        return Setting(engine, symbol(tolerance), float(key[tolerance]))
+    return _engine(pair.other, groups)
+
+
+def _engine(group: Group, groups: Sequence[Group]) -> Setting:
+    """An engine, with the number that tells its settings apart, or several."""
+    key = group.key
+    engine = engine_name(key["engine"])
+    others = [other.key for other in groups if other.key["engine"] == key["engine"]]
+    differ = [name for name in (*WIDTHS, *STEPS) if len({other[name] for other in others}) > 1]
+    if len(differ) == 1 and key[differ[0]] is not None:
+        return Setting(engine, symbol(differ[0]), float(key[differ[0]]))
+    said = ", ".join(f"{symbol(name)} = {key[name]:g}" for name in differ if key[name] is not None)
+    return Setting(f"{engine} with {said}" if said else f"the {engine} engine")
+
+
+def _names(study: Study, found: Sequence[_Compared]) -> dict[str, str]:
+    """What tells each group that is compared from the others, by label."""
+    labels = [group.name for group in study.groups]
+    of = {one.pair.other.label for one in found}
+    return {label: name for label, name in zip(labels, apart(labels), strict=True) if label in of}
+
+
+def _where(pair: _Pair, names: Mapping[str, str]) -> str:
+    at = None if pair.threshold is None else f"threshold = {pair.threshold:g}"
+    return ", ".join(filter(None, (names[pair.other.label], at)))
 
 
 def _by_threshold(study: Study) -> dict[str, dict[float, Sample]]:
@@ -147,159 +236,52 @@ def _pairs(study: Study, by_threshold: Mapping[str, Mapping[float, Sample]]) -> 
             yield from (_Pair(THRESHOLD, exact, family[0], c) for c in sorted(by_threshold.get(family[0].label, ())))
 
 
-def _engine(group: Group) -> Row:
-    static = group.key["static"] is not None or "static" in group.table.design.values(group.point)
-    known = {name: group.key[name] for name in (*WIDTHS, *STEPS) if group.key[name] is not None}
-    return {
-        "engine": engine_name(group.key["engine"]), "static": static, "belt_speed": group.key["belt_speed"],
-        "width": next((value for name, value in known.items() if name in WIDTHS), None),
-        "settings": ", ".join(f"{symbol(name)} = {value:g}" for name, value in known.items()),
-    }  # fmt: skip
+def _suspects(found: Sequence[_Compared]) -> list[Alert]:
+    """One alert for each setting that differs from an exact engine by more than smoothing explains."""
+    suspect = [one for one in found if _is_suspect(one) and not _agrees_with_less(one, found)]
+    alerts = []
+    for label, some in groupby(suspect, key=lambda one: one.pair.other.label):
+        contrasts = [one.contrast for one in some]
+        alerts.append(Alert.of(Code.SUSPECT, what=contrasts[0].statistic.quantity.name, where=str(label)))
+    return alerts
 
 
-def _is_suspect(row: Mapping[str, Any]) -> bool:
+def _width(group: Group) -> float | None:
+    return next((float(group.key[name]) for name in WIDTHS if group.key[name] is not None), None)
+
+
+def _is_suspect(one: _Compared) -> bool:
     """Whether a statistic differs between an exact engine and a smoothed law by more than smoothing explains.
 
-    It does if the difference is significant after adjustment and its whole interval lies beyond `_EXPLAINED` margins
-    times max(1, width / _SMOOTH). If one value is zero there is no relative difference: then the statistic is suspect
-    if the interval of the other value excludes zero. Two exact or two smoothed settings are not judged. Nor is static
-    friction above the kinetic, where a smoothed block creeps before it slips and may never slip, nor a slow belt, of
-    whose speed the width is more than `_OF_BELT`.
+    It does if the difference is shown and its whole interval lies beyond `_EXPLAINED` margins times
+    max(1, width / _SMOOTH). If one value is zero there is no relative difference: then the statistic is suspect if
+    the interval of the other value excludes zero. Two exact or two smoothed settings are not judged, nor what has no
+    margin. Nor is static friction above the kinetic, where a smoothed block creeps before it slips and may never
+    slip, nor a slow belt, of whose speed the width is more than `_OF_BELT`.
     """
-    width, reference = row["of_setting"]["width"], row["of_reference"]
-    if row["kind"] != FRICTION or width is None or reference["width"] is not None or reference["static"]:
+    pair, found = one.pair, one.contrast
+    width, margin = _width(pair.other), found.statistic.margin
+    reference = pair.reference
+    is_static = reference.key["static"] is not None or "static" in reference.table.design.values(reference.point)
+    if pair.kind != FRICTION or width is None or _width(reference) is not None or is_static or margin is None:
         return False
-    belt = row["of_setting"]["belt_speed"]
-    if belt is not None and float(width) > _OF_BELT * abs(belt):
+    belt = pair.other.key["belt_speed"]
+    if belt is not None and width > _OF_BELT * abs(belt):
         return False
-    if not row["is_share"] and (row["first"] == 0.0) != (row["second"] == 0.0):
-        low = row["second_low"] if row["first"] == 0.0 else row["first_low"]
+    if (found.first.value == 0.0) != (found.second.value == 0.0):
+        low = found.second.low if found.first.value == 0.0 else found.first.low
         return low is not None and low > 0.0
-    if row["verdict"] != DIFFER:
-        return False
-    allowed = _EXPLAINED * row["margin"] * max(1.0, float(width) / _SMOOTH)
-    return bool(row["relative_low"] > allowed or row["relative_high"] < -allowed)
+    low, high = found.relative.low, found.relative.high
+    allowed = _EXPLAINED * margin * max(1.0, width / _SMOOTH)
+    return found.is_shown and low is not None and high is not None and (low > allowed or high < -allowed)
 
 
-def _agrees_with_less(row: Row, rows: Sequence[Row]) -> bool:
+def _agrees_with_less(one: _Compared, found: Sequence[_Compared]) -> bool:
     """Whether the same statistic agrees under the same law with less smoothing."""
+    width = _width(one.pair.other)
     return any(
-        other["quantity"] == row["quantity"]
-        and other["verdict"] == AGREE
-        and (other["of_setting"]["width"] or np.inf) < row["of_setting"]["width"]
-        for other in rows
+        (other.statistic, other.pair.kind, other.pair.reference) == (one.statistic, one.pair.kind, one.pair.reference)
+        and other.contrast.verdict is Verdict.EQUAL
+        and (_width(other.pair.other) or np.inf) < (width or 0.0)
+        for other in found
     )
-
-
-def _facts(found: Sequence[Row]) -> dict[str, Any]:
-    """Facts for the page, by kind of comparison; the largest systems come first."""
-    by_kind = {
-        kind: sorted((row for row in found if row["kind"] == kind), key=lambda row: -row["n"])
-        for kind in (FRICTION, TOLERANCE, THRESHOLD)
-    }
-    laws = []
-    for rows in _parted(by_kind[FRICTION], "setting"):
-        shown = told(rows)
-        if shown:
-            of = {"setting": rows[0]["setting"], "reference": rows[0]["reference"]}
-            of["n_moving"], of["n_runs"] = (max(row["n_first"] for row in rows if row["is_share"] is which)
-                                            for which in (False, True))  # fmt: skip
-            laws.append(summary(shown) | of | {"first": rows[0]["of_reference"], "second": rows[0]["of_setting"]})
-    return {
-        "laws": laws,
-        "tolerances": [one for rows in _parted(by_kind[TOLERANCE], "reference") if (one := _sufficient(rows))],
-        "thresholds": [one for rows in _parted(by_kind[THRESHOLD], "setting") if (one := _moved(rows))],
-        "suspects": [
-            some[0] | {"n_more": len(some) - 1}
-            for rows in _parted(by_kind[FRICTION], "setting")
-            if (some := [row for row in rows if row["is_suspect"]])
-        ],
-    }
-
-
-def _parted(rows: Sequence[Row], key: str) -> list[list[Row]]:
-    """Rows split by the value of a key, in the order in which the values first occur."""
-    return [[row for row in rows if row[key] == name] for name in dict.fromkeys(row[key] for row in rows)]
-
-
-def summary(shown: Sequence[Row]) -> Row:
-    """Contrasts by verdict; `worst` is the largest that differs, else of those unknown, else of those that agree.
-
-    Differences whose interval excludes zero come before others.
-    """
-    by = {verdict: [row for row in shown if row["verdict"] == verdict] for verdict in (DIFFER, UNKNOWN, AGREE)}
-    return {
-        "rows": shown,
-        "n_tests": shown[0]["n_tests"],
-        "differ": by[DIFFER],
-        "unknown": by[UNKNOWN],
-        "agree": by[AGREE],
-        "worst": max(next(some for some in by.values() if some), key=_shown_first),
-    }
-
-
-def _shown_first(row: Row) -> tuple[bool, float]:
-    return not row["relative_low"] <= 0 <= row["relative_high"], weight(row)
-
-
-def _sufficient(rows: Sequence[Row]) -> Row | None:
-    """The loosest tolerance at which, and at all tighter ones, every statistic agrees with the reference."""
-    by_setting = _parted(rows, "setting")  # from the tightest to the loosest
-    known = told(rows)
-    if not known:
-        return None
-    enough = None
-    for some in by_setting:
-        if {row["verdict"] for row in told(some)} != {AGREE}:
-            break
-        enough = some[0]["setting"]
-    settings = [some[0]["setting"] for some in by_setting]
-    return {
-        "reference": rows[0]["reference"],
-        "sufficient": enough,
-        "n_looser": len(settings) - (settings.index(enough) + 1 if enough else 0),
-        "rows": known,
-        "worst": max(known, key=weight),
-    }
-
-
-def _moved(rows: Sequence[Row]) -> Row | None:
-    """Least and largest relative difference of each statistic over thresholds, and at how many it agrees."""
-    known = told(rows)
-    moved = [
-        {"quantity": some[0]["quantity"], "low": min(row["relative"] for row in some),
-         "high": max(row["relative"] for row in some), "n": len(some),
-         "n_agree": sum(row["verdict"] == AGREE for row in some),
-         "n_differ": sum(row["verdict"] == DIFFER for row in some)}
-        for some in _parted(known, "quantity")
-    ]  # fmt: skip
-    thresholds = [row["threshold"] for row in known]
-    if not known:
-        return None
-    of = {"setting": rows[0]["setting"], "second": rows[0]["of_setting"], "first": rows[0]["of_reference"]}
-    return of | {"least": min(thresholds), "most": max(thresholds), "moved": moved}
-
-
-@panel()
-def contrasts(ax: Axes, rows: Sequence[Row]) -> None:
-    """Relative differences in units of their margins, one line a statistic.
-
-    Bars are the intervals of the equivalence tests. An arrowhead marks a difference beyond the axis.
-    """
-    ax.axvspan(-1, 1, color=GREY, alpha=0.13, linewidth=0)
-    ax.axvline(0, color=GREY, linewidth=0.8)
-    ends = [abs(row[end]) / row["margin"] for row in rows for end in ("narrow_low", "narrow_high")]
-    widest = min(max(1.3, *(1.08 * end for end in ends)), _WIDEST)
-    for y, row in enumerate(rows):
-        mark, colour = _MARKS[row["open"] or row["verdict"]]
-        x, *bar = (row[name] / row["margin"] for name in ("relative", "narrow_low", "narrow_high"))
-        if abs(x) > widest:
-            mark = ">" if x > 0 else "<"
-        ax.plot(bar, [y, y], color=colour, linewidth=1.4)
-        ax.plot([min(max(x, -widest), widest)], [y], mark, color=colour, markersize=4, clip_on=False)
-    ax.set(xlim=(-widest, widest), ylim=(len(rows) - 0.5, -0.5), xlabel="difference / margin")
-    ax.set_yticks(range(len(rows)), [row["quantity"] for row in rows])
-    ax.tick_params(axis="y", length=0)
-
-
-QUESTION = Question(answer, share=0.05)

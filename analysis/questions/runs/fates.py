@@ -626,5 +626,5 @@ QUESTION = Question(
     share=0.01,
     rank=2,
     leads=_leads,
-    beside=("robustness",),
+    beside=("changes",),
 )

@@ -1,12 +1,11 @@
-"""Whether changed systems keep their statistics: each matrix compared with its changed copy, replicates and others.
+"""Whether changed systems keep their statistics: each system beside its changed copy, replicates and others.
 
-Replicates of a matrix are its base and the copies that differ in the start only and have parted from it by t_burn.
+Replicates of a system are its base and the copies that differ in the start only and have parted from it by t_burn.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -14,83 +13,99 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
+from stickslip.analysis.answer import Answer, F, I, Picture, Row, S, frame, named
+from stickslip.analysis.contrast import CHANGES, TITLES, Contrast, Sample, contrast, judged, statistics
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.finding import Basis, Finding, Form, Lack, Level, Quantity, Reason, Share
+from stickslip.analysis.members import noun
 from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, median
 from stickslip.analysis.models.motion import COLUMNS
-from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Setting, follow, level, settings
+from stickslip.analysis.outcomes import Beside, outcomes
+from stickslip.analysis.outcomes import Setting as Named
+from stickslip.analysis.pairs import START, Comparison, Setting, follow, level, settings
 from stickslip.analysis.stats import components, enough
-from stickslip.analysis.stats.compare import UNKNOWN, Words, relative_difference, verdict
-from stickslip.analysis.stats.estimates import Undefined
-from stickslip.analysis.stats.multiplicity import adjusted
+from stickslip.analysis.stats.compare import share_over_matrices
+from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
-from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.style import GREY, SMOOTHED, panel
+from stickslip.pipeline.design.design import DEFAULT_READING, Change, Kind
 
-PRIMARY = ("mean", "rate", "gamma")  # tested in this order, small changes first
-#: A quantity stays if a change has less than this share of a fresh matrix's mean square difference: half in
-#: amplitude.
-BOUND = 0.25
-STAYS, MOVES = "stays", "moves"
-NO_REPLICATES, NO_MOTION = "no replicates", "no motion"
-_CHANGES: Mapping[str, str] = {
-    "setting": S, "n": I, "engine": S, "change": S, "kind": S, "reading": S, "size": F, "quantity": S, "label": S,
-    "n_matrices": I, "n_replicates": I, "base": F, "changed": F, "shift": F, "shift_low": F, "shift_high": F,
-    "theta": F, "theta_low": F, "theta_high": F, "p_stays": F, "p_moves": F, "p_stays_adjusted": F,
-    "p_moves_adjusted": F, "verdict": S,
+PRIMARY = ("mean", "rate", "gamma")
+UNCHANGED = "the unchanged system"
+_EFFECTS: Mapping[str, str] = {
+    "setting": S, "n": I, "engine": S, "change": S, "kind": S, "reading": S, "size": F, "quantity": S,
+    "n_matrices": I, "n_replicates": I, "theta": F, "theta_low": F, "theta_high": F,
 }  # fmt: skip
 _MATRICES: Mapping[str, str] = {
-    "setting": S, "quantity": S, "label": S, "n_matrices": I, "n_replicates": I, "correlation": F,
-    "correlation_low": F, "correlation_high": F,
+    "setting": S, "quantity": S, "n_matrices": I, "n_replicates": I, "correlation": F, "correlation_low": F,
+    "correlation_high": F,
 }  # fmt: skip
 _ENDS: Mapping[str, str] = {
     "setting": S, "n": I, "engine": S, "change": S, "n_pairs": I, "n_otherwise": I, "n_untold": I, "n_matrices": I,
     "shift": F, "shift_low": F, "shift_high": F, "redraw": F,
 }  # fmt: skip
+_METHOD = (
+    "Each system is compared with its changed copy. The effect of a change on single systems is a mean square"
+    " difference, as a share of that between two systems, beyond the scatter between starts of one."
+)
 
 
 def answer(study: Study) -> Answer | None:
-    """Effect of each change of constants or of stiffness ratios relative to that of a fresh matrix."""
-    asked = [one for one in settings(study.data.table) if _changes(one)]
+    """Effect of each change of constants or of stiffness ratios, by itself and beside that of another system."""
+    asked = [setting for setting in settings(study.data.table) if _changes(setting)]
     if not asked:
         return None
-    judged = sorted((_Judged(study, one) for one in asked), key=lambda one: (bool(one.lack), -one.setting.key["n"]))
-    ends = [row for one in judged for row in _ends(study, one.setting)]
+    every = sorted(
+        (_Judged(study, setting) for setting in asked), key=lambda one: (not one.sums, -one.setting.key["n"])
+    )
+    ends = [row for one in every for row in _ends(study, one.setting)]
+    contrasts = [row for one in every for row in one.contrast_rows()]
     tables = {
+        "changes": frame(CHANGES, contrasts),
+        "robustness": frame(_EFFECTS, [row for one in every for row in one.effects]),
+        "robustness_matrices": frame(_MATRICES, [row for one in every for row in one.matrices]),
         "robustness_ends": frame(_ENDS, ends),
-        "robustness": frame(_CHANGES, [row for one in judged for row in one.rows]),
-        "robustness_matrices": frame(_MATRICES, [row for one in judged for row in one.matrices]),
     }
-    lead = judged[0]
-    facts: dict[str, Any] = {
-        "setting": lead.setting.label,
-        "t_burn": study.settings.t_burn,
-        "t_end": lead.setting.key["t_end"],
-        "bound": BOUND,
-        "rows": lead.rows,
-        "matrices": lead.matrices,
-        "replicates": [one.change.size for one in lead.replicates],
-        "basis": lead.basis,
-        "n_runs": len(lead.members),
-        "n_moving": len(lead.sums),
-        "gone": {
-            str(one.change): gone
-            for one in lead.setting.comparisons
-            if (gone := sum(pair.changed not in lead.sums for pair in one.pairs))
-        },
-        "others": [(one.setting.label, one.lack, one.rows) for one in judged[1:]],
-        "ends": ends,
-        "first_ends": [row for row in ends if row["setting"] == lead.setting.label],
-    }
-    if lead.lack == NO_MOTION and facts["first_ends"]:
-        return Answer(facts, tables=tables)
-    if lead.lack:
-        return Answer(facts, lead.lack, tables)
-    of_mean = [row for row in lead.rows if row["quantity"] == PRIMARY[0] and row["shift"] is not None]
-    facts["lead"] = ([row for row in of_mean if row["verdict"] != UNKNOWN] or of_mean)[-1]
-    facts["beyond"] = of_mean[of_mean.index(facts["lead"]) + 1 :]
-    figures = {"robustness": partial(against_base, lead.points())}
-    return Answer(facts, tables=tables, figures=figures)
+    where = {one.setting.label: one.setting.label if len(every) > 1 else "" for one in every}
+    unit = noun(study.unit)
+    lead = [finding for one in every for finding in one.leading(where[one.setting.label], unit)]
+    lead += [finding for row in ends for finding in _ends_in_words(row, where[row["setting"]], unit)]
+    rest = [finding for one in every for finding in one.rest(where[one.setting.label], unit)]
+    if not lead:
+        reason = Reason.FEW_UNITS if every[0].sums else Reason.NO_MOTION
+        return Answer(findings=[Lack("the effect of a changed system", reason)], tables=tables)
+    points = every[0].points()
+    figures = dict[str, Picture]()
+    if any(len(means) for _, _, means in points):
+        caption = (
+            "How far changed systems (filled) lie from the line of no change, beside other starts of the same system"
+            " (open): mean number of sticking blocks, one mark a system."
+        )
+        figures["robustness"] = Picture(partial(against_base, points), caption)
+    return Answer(tables=tables, figures=figures, findings=[*lead, *rest], n_lead=min(3, len(lead)), method=_METHOD)
+
+
+def _named(change: Change) -> Named:
+    """A changed system, with the size of the change."""
+    if change.kind == Kind.RATIOS:
+        return Named("the system with other stiffness ratios")
+    how = "" if change.reading in (None, DEFAULT_READING) else f" ({change.reading})"
+    return Named("the system", f"a change of constants{how}", 100.0 * change.size, "%")
+
+
+def _ends_in_words(row: Row, where: str, unit: str) -> Iterator[Finding]:
+    """How many copies of runs that ended end differently, and by how much the last event shifts."""
+    at = ", ".join(filter(None, (where, row["change"])))
+    if row["counts"]:
+        share, low, high, _ = share_over_matrices(row["counts"], row["confidence"])
+        yield Share(
+            "otherwise", "changed copies", "end differently from their original", Estimate(share, low, high), at,
+            basis=Basis(len(row["counts"]), unit),
+        )  # fmt: skip
+    if row["shift"] is not None:
+        shift = Estimate(row["shift"], row["shift_low"], row["shift_high"])
+        quantity = Quantity("shift", "median shift of the last event")
+        yield Level(quantity, shift, at, None, Basis(row["n_matrices"], unit))
 
 
 def _ends(study: Study, setting: Setting) -> list[Row]:
@@ -118,9 +133,17 @@ def _ends(study: Study, setting: Setting) -> list[Row]:
         shift = median(shifts, np.full(len(shifts), True), study.settings.confidence)
         if len(shifts):  # the mean of the two middle ones, as `redraw` has it
             shift = replace(shift, value=float(np.median(shifts)))
+        counts: dict[int, list[int]] = {}
+        for pair, _ in pairs:
+            if fates[pair.changed] != FAILED:
+                of_unit = counts.setdefault(pair.matrix, [0, 0])
+                of_unit[1] += 1
+        for matrix, _, _ in alike:
+            counts[matrix][0] += 1
         rows.append({
+            "counts": [[n - n_alike, n] for n_alike, n in counts.values()], "confidence": study.settings.confidence,
             "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"],
-            "change": str(change.change), "of": change.change, "n_pairs": n_known,
+            "change": str(change.change), "n_pairs": n_known,
             "n_otherwise": n_known - len(alike), "n_untold": sum(base[1] != end[1] for _, base, end in alike),
             "n_matrices": len(shifts), **named("shift", shift), "redraw": redraw,
         })  # fmt: skip
@@ -140,10 +163,10 @@ def _changes(setting: Setting) -> list[Comparison]:
 
 
 class _Judged:
-    """The values of the runs of one setting, and the verdict on each change."""
+    """The values of the runs of one setting, and the effect of each change."""
 
     def __init__(self, study: Study, setting: Setting) -> None:
-        self.setting, self.level = setting, study.settings.confidence
+        self.study, self.setting, self.level = study, setting, study.settings.confidence
         self.changes = _changes(setting)
         self.replicates = _replicates(study, setting)
         bases = list(setting.bases.values())
@@ -152,21 +175,17 @@ class _Judged:
         for member in self.members:
             if study.motion.fates[member] in MOVING and (found := _sums(study.motion.sums[member])) is not None:
                 self.sums[member] = found
-        some = study.motion.sums[[base for base in bases if base in self.sums]]
-        n_cascades, halves = int(some[:, COLUMNS["cascades"]].sum()), ("first_half", "second_half", "variance")
-        self.basis = enough.basis(some[:, [COLUMNS[name] for name in halves]], n_cascades, self.level)
-        self.lack = self._lack()
-        self.rows: list[Row] = [] if self.lack == NO_MOTION else self._rows()
-        if not self.lack and all(row["shift"] is None for row in self.rows):
-            self.lack = enough.FEW_MATRICES
+        self.contrasts: list[tuple[Change, str, Contrast]] = self._contrasts(study) if self.sums else []
+        self.effects: list[Row] = self._effects() if self.sums and self.replicates and self._is_judged() else []
         self.matrices: list[Row] = self._matrix_rows()
 
-    def _lack(self) -> str:
-        if not self.sums:
-            return NO_MOTION
-        if not self.replicates:
-            return NO_REPLICATES
-        return "" if self.basis.code in enough.JUDGED else self.basis.code
+    def _is_judged(self) -> bool:
+        """Whether the runs are in a steady state that suffices."""
+        bases = [base for base in self.setting.bases.values() if base in self.sums]
+        some = self.study.motion.sums[bases]
+        n_cascades, halves = int(some[:, COLUMNS["cascades"]].sum()), ("first_half", "second_half", "variance")
+        basis = enough.basis(some[:, [COLUMNS[name] for name in halves]], n_cascades, self.level)
+        return basis.code in enough.JUDGED
 
     def _complete(self, change: Comparison | None = None) -> list[tuple[list[int], list[int]]]:
         """Base with replicates, and changed runs, of each matrix whose runs all reached t_end in motion."""
@@ -184,75 +203,102 @@ class _Judged:
         k, of = PRIMARY.index(quantity), QUANTITIES[quantity].of
         return np.array([of(np.array([self.sums[member][k] for member in some])) for some in members])
 
-    def _rows(self) -> list[Row]:
-        rows = []
-        for quantity in PRIMARY:
-            for comparison in sorted(self.changes, key=lambda one: (one.change.kind == CONSTANTS, one.change)):
-                rows.append(self._row(quantity, comparison))
-        stays, moves = adjusted(
-            [1.0 if row["p_stays"] is None else row["p_stays"] for row in rows],
-            [1.0 if row["p_moves"] is None else row["p_moves"] for row in rows],
-        )
-        for row, p_stays, p_moves in zip(rows, stays, moves, strict=True):
-            if row["p_moves"] is not None:
-                row |= {"p_stays_adjusted": float(p_stays), "p_moves_adjusted": float(p_moves)}
-            if not self.lack:
-                moved = math.inf if row["theta"] is None else row["theta"]  # matrices cannot be told apart
-                row["verdict"] = verdict(
-                    float(p_stays), float(p_moves), 1 - self.level, moved, BOUND, Words(STAYS, MOVES, MOVES)
+    def _contrasts(self, study: Study) -> list[tuple[Change, str, Contrast]]:
+        """Each quantity under each change beside that of the unchanged systems, judged together."""
+        found = []
+        asked = statistics(study.margins, study.compared & {*PRIMARY})
+        names = [name for name in QUANTITIES if name in study.compared & {*PRIMARY}]
+        for name, statistic in zip(names, asked, strict=True):
+            for comparison in self.changes:
+                complete = self._complete(comparison)
+                before, after = (
+                    Sample({statistic.name: self._of_units(name, [pair[side] for pair in complete])})
+                    for side in (0, 1)
                 )
+                found.append((comparison.change, name, contrast(statistic, before, after, True, self.level)))
+        together = judged([one for _, _, one in found], 1 - self.level)
+        return [(change, name, one) for (change, name, _), one in zip(found, together, strict=True)]
+
+    def _of_units(self, quantity: str, members: Sequence[Sequence[int]]) -> UnitSums:
+        """The sums of a quantity, averaged over the runs of each unit."""
+        k = PRIMARY.index(quantity)
+        rows = [np.mean([self.sums[member][k] for member in some], axis=0) for some in members]
+        return UnitSums(np.arange(len(rows)), np.array(rows).reshape(-1, 2))
+
+    def contrast_rows(self) -> list[Row]:
+        return [
+            {"kind": "change", "setting": self.setting.label, "reference": self.setting.label,
+             "second_value": str(change), **one.row()}
+            for change, _, one in self.contrasts
+        ]  # fmt: skip
+
+    def leading(self, where: str, unit: str) -> list[Finding]:
+        """How changed systems come out beside unchanged ones, and the effect of the largest change on one system."""
+        known = [(change, one) for change, _, one in self.contrasts if one.is_known and not one.reason]
+        known.sort(key=lambda pair: (pair[0].kind, pair[0].reading or "", pair[0].size))
+        if not known:
+            return []
+        placed: dict[Named, list[Beside]] = {}
+        for change, one in known:
+            at = ", ".join(filter(None, (where, str(change))))
+            placed.setdefault(_named(change), []).append(Beside(one, at))
+        effects = [row for row in self.effects if row["quantity"] == PRIMARY[0] and row["theta"] is not None]
+        return [*outcomes(UNCHANGED, placed, unit), *(self._effect(row, where, unit) for row in effects[-1:])]
+
+    def rest(self, where: str, unit: str) -> list[Finding]:
+        """Each quantity under each change, and how much of its variance lies between systems."""
+        found: list[Finding] = [
+            one.level(", ".join(filter(None, (where, str(change)))), UNCHANGED, unit)
+            for change, _, one in self.contrasts
+            if one.is_known
+        ]
+        found += [self._effect(row, where, unit) for row in self.effects if row["theta"] is not None]
+        for row in self.matrices:
+            value = Estimate(row["correlation"], row["correlation_low"], row["correlation_high"])
+            if value.value is not None:
+                name = f"share of the variance of the {TITLES[row['quantity']]} between systems"
+                quantity = Quantity("correlation", name, Form.SHARE)
+                found.append(Level(quantity, value, where, None, Basis(row["n_matrices"], unit)))
+        return found
+
+    def _effect(self, row: Row, where: str, unit: str) -> Level:
+        """The mean square effect of a change on a quantity, as a share of that of another system."""
+        name = f"effect of {row['change']} on the {TITLES[row['quantity']]} of one system"
+        quantity = Quantity("theta", f"{name}, as a share of another system's", Form.SHARE)
+        value = Estimate(row["theta"], row["theta_low"], row["theta_high"])
+        return Level(quantity, value, where, None, Basis(row["n_matrices"], unit))
+
+    def _effects(self) -> list[Row]:
+        """The effect of each change on each quantity, beside that of another system."""
+        rows: list[Row] = []
+        for quantity in PRIMARY:
+            for comparison in self.changes:
+                change, complete = comparison.change, self._complete(comparison)
+                if len(complete) < enough.LEAST_MATRICES:
+                    continue
+                before, after = (self._values(quantity, [pair[side] for pair in complete]) for side in (0, 1))
+                found = components.against_redraw(before, after, self.level)
+                is_known = found.kind == components.BOUNDED
+                rows.append({
+                    "setting": self.setting.label, "n": self.setting.key["n"], "engine": self.setting.key["engine"],
+                    "change": str(change), "kind": change.kind, "reading": change.reading, "size": change.size,
+                    "quantity": quantity, "n_matrices": len(complete), "n_replicates": 1 + len(self.replicates),
+                    "theta": found.theta.value if is_known else None, "theta_low": found.theta.low,
+                    "theta_high": found.theta.high,
+                })  # fmt: skip
         return rows
-
-    def _row(self, quantity: str, comparison: Comparison) -> Row:
-        """A quantity under a change: the shift of its mean over matrices, and the effect relative to a redraw."""
-        change, complete = comparison.change, self._complete(comparison)
-        row: Row = dict.fromkeys(_CHANGES) | {
-            "setting": self.setting.label, "n": self.setting.key["n"], "engine": self.setting.key["engine"],
-            "of": change, "what": f"{QUANTITIES[quantity].label}, {change}",
-            "change": str(change), "kind": change.kind, "reading": change.reading, "size": change.size,
-            "quantity": quantity, "label": QUANTITIES[quantity].label, "n_matrices": len(complete),
-            "n_replicates": 1 + len(self.replicates), "verdict": UNKNOWN,
-        }  # fmt: skip
-        if len(complete) < enough.LEAST_MATRICES:
-            return row
-        own, changed = [one for one, _ in complete], [one for _, one in complete]
-        row |= self._shift(quantity, own, changed)
-        if self.replicates:
-            found = components.against_redraw(
-                self._values(quantity, own), self._values(quantity, changed), self.level
-            )
-            known = found.kind == components.BOUNDED
-            row |= {
-                "theta": found.theta.value if known else None, "theta_low": found.theta.low,
-                "theta_high": found.theta.high, "p_stays": found.p_below(BOUND), "p_moves": found.p_above(0.0),
-            }  # fmt: skip
-        return row
-
-    def _shift(self, quantity: str, own: Sequence[Sequence[int]], changed: Sequence[Sequence[int]]) -> Row:
-        k, of = PRIMARY.index(quantity), QUANTITIES[quantity].of
-        before, after = (
-            np.array([np.mean([self.sums[member][k] for member in some], axis=0) for some in side])
-            for side in (own, changed)
-        )
-        shift, error, dof = relative_difference(of, before, after, True)
-        half = half_width(self.level, dof) * error
-        return {
-            "base": float(of(before.sum(axis=0, keepdims=True))[0]),
-            "changed": float(of(after.sum(axis=0, keepdims=True))[0]),
-            "shift": shift, "shift_low": shift - half, "shift_high": shift + half,
-        }  # fmt: skip
 
     def _matrix_rows(self) -> list[Row]:
         """How much of the variance of each quantity is between matrices."""
         own = [one for one, _ in self._complete()]
-        if not self.replicates or len(own) < enough.LEAST_MATRICES:
+        if not self.replicates or not self.sums or len(own) < enough.LEAST_MATRICES:
             return []
         rows: list[Row] = []
         for quantity in PRIMARY:
             found = components.intraclass(self._values(quantity, own), self.level)
             rows.append(
                 {
-                    "setting": self.setting.label, "quantity": quantity, "label": QUANTITIES[quantity].label,
+                    "setting": self.setting.label, "quantity": quantity,
                     "n_matrices": len(own), "n_replicates": len(own[0]), **named("correlation", found),
                 }
             )  # fmt: skip
@@ -314,6 +360,3 @@ def against_base(ax: Axes, points: Sequence[tuple[str, bool, np.ndarray]]) -> No
     ax.set(xlim=ends, ylim=ends, aspect="equal", xlabel="mean $n_{stick}$ of the base")
     ax.set_ylabel("mean $n_{stick}$ of the copy")
     ax.figure.legend(loc="outside lower center", ncols=2, handletextpad=0.2)
-
-
-QUESTION = Question(answer, share=0.4, rank=4, beside=("sensitivity",))

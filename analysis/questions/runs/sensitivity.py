@@ -33,10 +33,8 @@ SMALL = 0.1  # largest displacement of a start for a growth rate, as a share of 
 FLOOR, TOLERANCES = 1e-13, 10.0  # floor of exact engines; that of others is so many times their relative tolerance
 RATE = Quantity("rate", "growth rate of small differences, per unit of time")
 FOLDS = {
-    GROWS: Quantity("e_fold", "time in which small differences grow by a factor e"),
-    SHRINKS: Quantity(
-        "e_fold", "time in which small differences shrink by a factor e", more="longer", less="shorter"
-    ),
+    verdict: Quantity("e_fold", f"time in which small differences {verdict} by a factor e")
+    for verdict in (GROWS, SHRINKS)
 }
 PARTED = Quantity("parted", "median time until copies part from their base")
 _GROWTH: Mapping[str, str] = {
@@ -59,65 +57,65 @@ _METHOD = (
 )
 
 
+def _identity(setting: Setting) -> dict[str, object]:
+    return {"setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"]}
+
+
 class _Rate(NamedTuple):
-    """The growth rate of starts displaced by one size; `law` is None where no distance was recorded."""
+    """The growth rate of starts displaced by one size."""
 
     setting: Setting
     size: float
     n_pairs: int
-    law: Growth | None
+    law: Growth
 
     @property
     def is_told(self) -> bool:
         """Whether enough pairs stay in their linear range."""
-        return self.law is not None and self.law.rate.low is not None and not self.law.is_selected
+        return self.law.rate.low is not None and not self.law.is_selected
 
     @property
     def verdict(self) -> str:
         """Whether small differences grow or shrink, by the interval of their rate."""
-        if self.law is None or self.law.rate.low is None or self.law.rate.high is None or self.law.is_selected:
+        if not self.is_told or self.e_fold.value is None:
             return UNKNOWN
-        return GROWS if self.law.rate.low > 0 else SHRINKS if self.law.rate.high < 0 else UNKNOWN
+        return GROWS if (self.law.rate.low or 0.0) > 0 else SHRINKS
 
     @property
     def n_used(self) -> int:
         """How many pairs stay in their linear range."""
-        return 0 if self.law is None else self.law.n_pairs - self.law.n_floor - self.law.n_ceiling
-
-    @property
-    def length(self) -> float:
-        """How long the range of the rate is."""
-        return 0.0 if self.law is None else self.law.t_to - self.law.t_from
+        return self.law.n_pairs - self.law.n_floor - self.law.n_ceiling
 
     @property
     def e_fold(self) -> Estimate:
         """The time in which differences change by a factor e; nothing if the rate may be zero."""
-        rate = Estimate() if self.law is None else self.law.rate
+        rate = self.law.rate
         if not rate.value or rate.low is None or rate.high is None or rate.low <= 0 <= rate.high:
             return Estimate()
         low, high = sorted((abs(1 / rate.low), abs(1 / rate.high)))
         return Estimate(abs(1 / rate.value), low, high)
 
     @property
+    def precedence(self) -> tuple[bool, bool, float]:
+        """The rate depends on the range that it is taken in: the longest stands for a setting."""
+        return self.is_told, self.verdict != UNKNOWN, self.law.t_to - self.law.t_from
+
+    @property
     def finding(self) -> Finding:
-        where = f"{self.setting.label}, with starts moved by {shown(self.size)}"
-        if self.law is None:
+        where, basis = f"{self.setting.label}, with starts moved by {shown(self.size)}", Basis(self.n_used, "pair")
+        if not self.law.n_pairs:
             return Lack(f"{RATE.name}, {where}", Reason.NOT_RECORDED, "add separation under [record]")
         if not self.is_told:
-            used = f"{self.n_used} of {self.n_pairs}"
-            return Lack(f"{RATE.name}, {where}", Reason.OUT_OF_RANGE, used)
-        basis = Basis(self.n_used, "pair")
+            return Lack(f"{RATE.name}, {where}", Reason.OUT_OF_RANGE, f"{self.n_used} of {self.n_pairs}")
         if self.verdict == UNKNOWN:
             return Level(RATE, self.law.rate, where, basis=basis)
         return Level(FOLDS[self.verdict], self.e_fold, where, basis=basis)
 
     def row(self) -> Mapping[str, object]:
         """Row of the table `growth`."""
-        identity = {"setting": self.setting.label, "n": self.setting.key["n"], "engine": self.setting.key["engine"]}
-        known = {"size": self.size, "n_pairs": self.n_pairs, "n_used": self.n_used, "verdict": self.verdict}
-        if (law := self.law) is None:
-            return identity | known
-        return identity | known | named("rate", law.rate) | named("e_fold", self.e_fold) | {
+        law = self.law
+        return _identity(self.setting) | named("rate", law.rate) | named("e_fold", self.e_fold) | {
+            "size": self.size, "n_pairs": self.n_pairs, "n_used": self.n_used, "verdict": self.verdict,
             "t_from": law.t_from, "t_to": law.t_to, "n_floor": law.n_floor, "n_ceiling": law.n_ceiling,
             "is_selected": law.is_selected,
         }  # fmt: skip
@@ -134,11 +132,10 @@ class _Parting(NamedTuple):
 
     def row(self) -> Mapping[str, object]:
         """Row of the table `parting`."""
-        setting, change = self.setting, self.change
-        return {
-            "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "change": str(change),
-            "kind": change.kind, "reading": change.reading, "size": change.size, "level": self.level,
-            "n_pairs": len(self.pairs), "n_parted": int(self.pairs.has_parted.sum()), **named("median", self.half),
+        change = self.change
+        return _identity(self.setting) | named("median", self.half) | {
+            "change": str(change), "kind": change.kind, "reading": change.reading, "size": change.size,
+            "level": self.level, "n_pairs": len(self.pairs), "n_parted": int(self.pairs.has_parted.sum()),
         }  # fmt: skip
 
     def curve(self) -> Iterator[tuple[float, int, float]]:
@@ -173,18 +170,6 @@ def _lifetime(alike: Sequence[_Parting]) -> Lifetime:
     return Lifetime(PARTED, "copies", "have not parted", first.half, horizon, share_left, where, basis=basis)
 
 
-def _by_setting(rates: Sequence[_Rate]) -> dict[str, list[_Rate]]:
-    groups: dict[str, list[_Rate]] = {}
-    for rate in rates:
-        groups.setdefault(rate.setting.label, []).append(rate)
-    return groups
-
-
-def _precedence(rate: _Rate) -> tuple[bool, bool, float]:
-    """The rate depends on the range that it is taken in: the longest stands for a setting."""
-    return rate.is_told, rate.verdict != UNKNOWN, rate.length
-
-
 def answer(study: Study) -> Answer | None:
     """Growth rates of displaced starts, and when the copies with each change have parted from their base."""
     compared = [setting for setting in settings(study.data.table) if setting.comparisons]
@@ -196,7 +181,6 @@ def answer(study: Study) -> Answer | None:
         for comparison in setting.comparisons
         if comparison.change.kind == START and comparison.change.size <= SMALL * CEILING
     ]
-    rates.sort(key=lambda rate: -rate.setting.key["n"])
     partings = [parted for setting in compared for parted in _partings(study, setting)]
     tables = {
         "growth": frame(_GROWTH, (rate.row() for rate in rates)),
@@ -206,21 +190,18 @@ def answer(study: Study) -> Answer | None:
             for parted in partings for t, n, gap in parted.curve()
         )),
     }  # fmt: skip
-    best = [max(alike, key=_precedence) for alike in _by_setting(rates).values()]  # of each setting
-    lead = next((rate for rate in best if rate.is_told), None)
-    leading = lead.setting if lead else max((parted.setting for parted in partings), key=_size, default=None)
+    by_setting = {setting.label: [rate for rate in rates if rate.setting is setting] for setting in compared}
+    best = [max(alike, key=lambda rate: rate.precedence) for alike in by_setting.values() if alike]
+    best.sort(key=lambda rate: (not rate.is_told, -_size(rate.setting)))
+    has_lead = bool(best) and best[0].is_told
+    leading = best[0].setting if has_lead else max((one.setting for one in partings), key=_size, default=None)
     partings.sort(key=lambda parted: (parted.setting is not leading, parted.change.kind == START))
-    others = [rate.finding for rate in best if rate is not lead]
-    not_run = [] if rates else [Lack(RATE.name, Reason.NOT_RUN, "add [twins]")]
-    parting_findings: list[Finding] = [_lifetime(alike) for alike in _alike(partings)] or [
+    of_rates: list[Finding] = [rate.finding for rate in best] or [Lack(RATE.name, Reason.NOT_RUN, "add [twins]")]
+    of_partings: list[Finding] = [_lifetime(alike) for alike in _alike(partings)] or [
         Lack(PARTED.name, Reason.NO_REFERENCE, "no lasting difference of two systems")
     ]
-    if lead is not None:
-        findings = [lead.finding, *parting_findings, *others]
-    elif partings:
-        findings = [parting_findings[0], *others, *not_run, *parting_findings[1:]]
-    else:
-        findings = [*others, *not_run, *parting_findings]
+    first, second = (of_rates, of_partings) if has_lead or not partings else (of_partings, of_rates)
+    findings = [first[0], *second, *first[1:]]
     told, drawn = [rate for rate in best if rate.is_told], [one for one in partings if one.setting is leading]
     figures = _figures(study, compared, told, drawn)
     return Answer(findings=findings, n_lead=2, tables=tables, figures=figures, method=_METHOD)
@@ -235,7 +216,7 @@ def _rate(study: Study, setting: Setting, comparison: Comparison) -> _Rate:
     size, separations = comparison.change.size, _separations(study, comparison)
     pairs = [pair for pair in comparison.pairs if len(separations.get(pair.changed, ((),))[0])]
     if not pairs:
-        return _Rate(setting, size, len(comparison.pairs), None)
+        return _Rate(setting, size, len(comparison.pairs), Growth(Estimate(), T_FROM, T_FROM, 0, 0, 0))
     known = [separations[pair.changed] for pair in pairs]
     times = max((t for t, _ in known), key=len)
     law = growth(
@@ -304,7 +285,7 @@ def _distance_lines(study: Study, compared: Sequence[Setting], told: Sequence[_R
     for setting in compared:
         rate = next((rate for rate in told if rate.setting is setting), None)
         for comparison in setting.comparisons:
-            if rate is None or rate.law is None or comparison.change != Change(START, size=rate.size):
+            if rate is None or comparison.change != Change(START, size=rate.size):
                 continue
             known = [*_separations(study, comparison).values()]
             m = int(np.median([len(distance) for _, distance in known]))

@@ -6,11 +6,11 @@ share the random draws. A row of a comparison is a unit, with its runs at all po
 
 from __future__ import annotations
 
-from collections import ChainMap, Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import chain, product
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -18,10 +18,22 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.ticker import FixedLocator, MaxNLocator
 
-from stickslip.analysis import contrast
-from stickslip.analysis.answer import Answer, F, I, Question, Row, S, frame, named
-from stickslip.analysis.contrast import Sample, Share, Statistic
+from stickslip.analysis.answer import Answer, F, I, Picture, Row, S, frame, named
+from stickslip.analysis.contrast import CHANGES, Contrast, Sample, Share, Statistic, contrast, judged
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.alerts import Alert, Code
+from stickslip.analysis.findings.finding import (
+    Basis,
+    Change,
+    Finding,
+    Lack,
+    Level,
+    Reason,
+    Scale,
+    Threshold,
+    Verdict,
+)
+from stickslip.analysis.findings.words import capital
 from stickslip.analysis.grid import (
     AT_MOST,
     IN_MOTION,
@@ -34,38 +46,81 @@ from stickslip.analysis.grid import (
     points_at,
     settings,
 )
-from stickslip.analysis.measures import AXES, GAMMA, KEYS, MEAN, Measure, measures
-from stickslip.analysis.members import RELATIVE
+from stickslip.analysis.measures import KEYS, Measure, measures
+from stickslip.analysis.members import RELATIVE, noun
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED
 from stickslip.analysis.questions.runs.fate_figures import FATES, shares
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words
-from stickslip.analysis.stats.estimates import Estimate, UnitSums, ratio
-from stickslip.analysis.stats.quantities import QUANTITIES
+from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.analysis.style import EXACT, GREY, panel
 from stickslip.pipeline.design.design import Axis, in_words
 from stickslip.pipeline.design.values import Value
 
 ROUNDING = 1e-12  # what sums over a run lose to rounding, at any tolerance
-RISES, FALLS, SAME = "rises", "falls", "the same in all"
+RISES, FALLS = "rises", "falls"
 MOST_LINES = 6  # in one figure
-MOST_COLUMNS = 5  # of measures in the table of values
 MOST_FIGURES = 8  # of statistics along a key
 MOST_DECADES = 4.0  # of an axis: what lies further below the largest value is below the axis
+MOST_LEADING, MOST_ALERTS = 3, 3
 _FEW_TICKS = 4  # so few values of a key are its ticks
 _LETTERS, _LINES = 36, 20  # of the ticks of a map, side by side and above each other
 DECADES = 30.0  # largest over least value from which an axis is logarithmic
-_ESTIMATES = {f"{name}{end}": F for name in ("mean", "gamma", "moving") for end in ("", "_low", "_high")}
+MOTION = Share(IN_MOTION, title="share of runs in motion")
 _VALUES: Mapping[str, str] = {
     "setting": S, "group": S, "n_units": I, "n_runs": I, **{f"n_{name}": I for name in (*WATCHED, FAILED)},
-    **_ESTIMATES, "basis": S,
+    **{f"moving{end}": F for end in ("", "_low", "_high")}, "basis": S,
 }  # fmt: skip
 _MEASURES: Mapping[str, str] = {
     "setting": S, "group": S, "measure": S, "words": S, "estimate": F, "estimate_low": F, "estimate_high": F,
     "n_units": I, "n_runs": I, "n_censored": I, "n_without": I, "reason": S,
 }  # fmt: skip
 _MISSING: Mapping[str, str] = {"setting": S, "measure": S, "member_id": S, "reason": S}
-_CONTRASTS: Mapping[str, str] = {"setting": S, "key": S, "first_value": S, "second_value": S, **contrast.SCHEMA}
+
+
+#: Why gamma is withheld, in words.
+_REASONS = {
+    enough.FEW_MATRICES: "too few systems", enough.FEW_CASCADES: "too few cascades", enough.DRIFTS: "n_stick drifts",
+}  # fmt: skip
+
+
+class Step(NamedTuple):
+    """A statistic at a value of a key beside the first value, and at which points of the other keys.
+
+    Attributes
+    ----------
+    setting : str
+    axis : Axis
+    first, second : tuple of Value
+        Values of the axis.
+    contrast : Contrast
+    places : str
+        In words; empty if it is at all points that there are.
+    is_last : bool
+        Whether the second is the last value.
+    """
+
+    setting: str
+    axis: Axis
+    first: tuple[Value, ...]
+    second: tuple[Value, ...]
+    contrast: Contrast
+    places: str
+    is_last: bool
+
+    @property
+    def name(self) -> str:
+        return self.contrast.statistic.name
+
+    def change(self, where: str, unit: str) -> Change:
+        """As a finding."""
+        at = ", ".join(filter(None, (where, self.places)))
+        return self.contrast.change(self.axis.name, in_words(self.first), in_words(self.second), at, unit)
+
+    def row(self) -> Row:
+        return {
+            "kind": "key", "setting": self.setting, "key": self.axis.name, "first_value": in_words(self.first),
+            "second_value": in_words(self.second), **self.contrast.row(),
+        }  # fmt: skip
 
 
 def answer(study: Study) -> Answer | None:
@@ -77,85 +132,168 @@ def answer(study: Study) -> Answer | None:
     asked = measures(study)
     points = {name: sorted((point_of(study, group, axes, asked) for group in some), key=Point.rank)
               for name, some in found.items()}  # fmt: skip
-    rows = [_value_row(point, name, axes, asked, level) for name, some in points.items() for point in some]
-    contrasts = [row for name, some in points.items() for row in _contrasts(name, axes, some, asked, study)]
-    subjects = {one.name: (one.subject, "" if one.says_it else one.words) for one in asked if one.name not in KEYS}
-    for row in contrasts:  # a change from zero is a change, although it has no ratio
-        has_interval = row["first_low"] is not None and row["first_high"] is not None
-        if not row["is_share"] and has_interval and row["first_low"] <= 0 <= row["first_high"]:
-            row |= dict.fromkeys(("relative", "relative_low", "relative_high", "p_equivalent"))
-        row |= {"p_different": row["p_absolute"], "p_equivalent": _known(row["p_equivalent"], row["p_absolute"])}
-        if row["is_same"] and row["difference_low"] is not None:
-            # no test: what is the same in each of a few units may differ in others
-            row |= {"p_equivalent": None, "p_different": None, "verdict": SAME}
-        row["subject"], row["words"] = subjects.get(row["quantity"], ("", ""))
-        row.setdefault("is_few", False)
-    contrast.judge(contrasts, 1 - level, Words(WITHIN, RISES, FALLS))
-    for row in contrasts:
-        row["is_told"] = row["verdict"] != UNKNOWN or bool(row["open"])
-        row["beyond"] = _beyond(row, contrasts)
-        row["at_places"] = row["places"] and "{n} of {of}".format(**row["places"])
-    keys = {key: dtype(axis, k) for axis in axes for k, key in enumerate(axis.keys)}
-    tables = {"sweep": frame({**_VALUES, **keys}, rows), "sweep_changes": frame(_CONTRASTS, contrasts)}
-    recorded = [one for one in asked if one.is_recorded]
-    if recorded:
-        tables["sweep_measures"] = frame({**_MEASURES, **keys}, _measured(rows, asked))
-        tables["sweep_missing"] = frame(_MISSING, _missing(points, asked))
+    steps = [step for name, some in points.items() for step in _steps(name, axes, some, asked, study)]
+    contrasts = judged([step.contrast for step in steps], 1 - level)
+    steps = [step._replace(contrast=found) for step, found in zip(steps, contrasts, strict=True)]
     lead = max(points, key=lambda name: sum(int(point.group.is_finished.sum()) for point in points[name]))
-    own = [
-        row
-        for row in contrasts
-        if row["setting"] == lead and (row["p_different"] is not None or row["is_few"] or row["verdict"] == SAME)
-    ]
-    facts: dict[str, Any] = {
-        "setting": lead,
-        "n_settings": len(points),
-        "is_by_n": len({some[0].group.key["n"] for some in points.values()}) == len(points),
-        "axes": [{"name": axis.name, "keys": axis.keys, "values": axis.texts} for axis in axes],
-        "rows": [row for row in rows if row["setting"] == lead] + [row for row in rows if row["setting"] != lead],
-        "columns": [(key, key, "g" if kind == F else None) for key, kind in keys.items()],
-        "n_tests": sum(row["p_different"] is not None for row in contrasts),
-        "n_quiet": sum(row[f"n_{QUIET}"] for row in rows),
-        "n_runs": sum(row["n_runs"] for row in rows),
-        "n_members": sum(len(point.group) for some in points.values() for point in some),
-        "unjudged": [row for row in rows if row["basis"] not in enough.JUDGED],
-        "t_burn": study.settings.t_burn,
-        **(_facts(points, asked) if recorded else {"measures": [], "gaps": [], "withheld": []}),
-    }
-    if not own:
-        few = max(rows, key=lambda row: row["n_units"])
-        return Answer(facts | {"few": few}, lack=enough.FEW_MATRICES, tables=tables)
-    leading = (*_by_change(asked, own), IN_MOTION) if recorded else _leading(own)
-    still = {one.name for one in asked} - {row["quantity"] for row in contrasts if not row["is_same"]}
-    told = _told(own, axes, leading, bool(recorded))
-    for row in own:
-        row |= _everywhere([one for one in contrasts if _place(one) == _place(row)], len(points))
-    most = max(own, key=lambda row: (row["quantity"] == leading[0], row["is_last"], _weight(row)))["key"]
-    in_order = [most, *(row["key"] for row in told), *(axis.name for axis in axes)]
-    in_order = sorted(axes, key=lambda axis: in_order.index(axis.name))
+    told = [step for step in steps if step.contrast.is_known]
+    alerts = _alerts(points, asked, study)
+    tables = _tables(points, axes, asked, steps, level)
+    if not told:
+        n_units = max(len(point.group.units) for some in points.values() for point in some)
+        keys = " and ".join(axis.name for axis in axes)
+        reason = Reason.FEW_UNITS if n_units else Reason.NO_MOTION
+        detail = ""
+        if n_units >= enough.LEAST_MATRICES and not any(step.contrast.n_first for step in steps):
+            reason, detail = Reason.NOT_RUN, "no two settings differ in one key alone"
+        return Answer(findings=[Lack(f"what changes with {keys}", reason, detail)], tables=tables, alerts=alerts)
+    leading = _leading(asked, [step for step in told if step.setting == lead] or told)
+    findings, n_lead = _findings(points, lead, axes, leading, told, study)
+    first = next((step for step in told if step.name == leading[0] and step.setting == lead), told[0])
+    in_order = [first.axis, *(axis for axis in axes if axis != first.axis)]
     if len(axes) > 1 and len(in_order[1].rows) > max(MOST_LINES, len(in_order[0].rows)):
         in_order[:2] = in_order[1::-1]  # a line for each of the few values, not of the many
-    drawn = [name for name in leading if name not in still] or leading[:1]
-    each = _drawn(points, lead) if len(axes) > 1 else [lead]
-    figures, shown_at = dict[str, Any](), dict[str, Row]()
-    for k, name in enumerate(each):
-        for base, figure in _figures(points, name, in_order, drawn, asked, level).items():
-            key = f"{base}-{k + 1}" if k else base  # no measure has a hyphen
-            figures[key] = figure
-            shown_at[key] = {"figure": base, "setting": name if len(axes) > 1 and len(points) > 1 else ""}
-    facts |= {
-        "changes": sorted(_ends(own, axes), key=lambda row: row["is_same"]),
-        "ends": [row for row in contrasts if row["is_last"] and row["first"] is not None],
-        "told": told,
-        "figures": list(figures),
-        "shown_at": shown_at,
-        "n_drawn": len(each),
-        "is_mixed": _is_mixed(study),
-        "along": in_order[0].name,
-        "lines": _lines_drawn(in_order),
-        "mapped": next((_figure(one) for one in asked if one.name == leading[0]), ""),
-    }
-    return Answer(facts, tables=tables, figures=figures)
+    figures = dict[str, Picture]()
+    for k, name in enumerate(_drawn(points, lead) if len(axes) > 1 else [lead]):
+        where = name if len(axes) > 1 and len(points) > 1 else ""
+        for base, picture in _figures(points, name, in_order, leading, asked, level, where, told).items():
+            figures[f"{base}-{k + 1}" if k else base] = picture  # no measure has a hyphen
+    return Answer(
+        tables=tables, figures=figures, findings=findings, n_lead=n_lead, alerts=alerts[:MOST_ALERTS],
+        method=_method(axes, steps, study),
+    )  # fmt: skip
+
+
+def _method(axes: Sequence[Axis], steps: Sequence[Step], study: Study) -> str:
+    unit = noun(study.unit)
+    others = ", averaged over the values of the other keys at which both are known" if len(axes) > 1 else ""
+    n_tests = sum(step.contrast.p_different is not None for step in steps)
+    return (
+        f"All values share their random draws, so each is compared with the first {unit} by {unit}{others}."
+        f" Verdicts are adjusted for {n_tests} comparisons (Holm), intervals are not."
+    )
+
+
+def _leading(asked: Sequence[Measure], steps: Sequence[Step]) -> list[str]:
+    """Statistics in order: the share in motion first if it changes, and last what is the same everywhere."""
+    names = [measure.name for measure in asked]
+    is_moved = {step.name for step in steps if step.contrast.is_shown}
+    varied = {step.name for step in steps if not step.contrast.is_same}
+    in_order = sorted(names, key=lambda name: name not in varied)
+    return [IN_MOTION, *in_order] if IN_MOTION in is_moved else [*in_order, IN_MOTION]
+
+
+def _findings(
+    points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], leading: Sequence[str],
+    steps: Sequence[Step], study: Study,
+) -> tuple[list[Finding], int]:  # fmt: skip
+    """The findings, and how many of them lead: where stick-slip ends, and changes of the leading statistic."""
+    unit = noun(study.unit)
+    where = {name: name if len(points) > 1 else "" for name in points}
+    in_order = sorted(points, key=lambda name: name != lead)
+    told = [step for name in in_order for step in steps if step.setting == name]
+    found: list[Finding] = [
+        threshold for name in in_order for threshold in _thresholds(points[name], axes, where[name], unit)
+    ]
+    chosen = [
+        step
+        for statistic in leading[: 2 if leading[0] == IN_MOTION else 1]
+        if not (found and statistic == IN_MOTION)
+        for name in in_order
+        for step in _largest_changes(axes, [s for s in told if (s.name, s.setting) == (statistic, name)])
+    ]
+    if not (found or chosen):
+        chosen = told[:1]
+    found += [step.change(where[step.setting], unit) for step in chosen]
+    n_lead = min(MOST_LEADING, len(found))
+    for name in leading:
+        some = [step for step in told if step.name == name]
+        if name in leading[:2]:
+            found += _levels(points, some, where, unit, study.settings.confidence)
+        found += [
+            step.change(where[step.setting], unit)
+            for step in some
+            if step not in chosen and (step.is_last or name in leading[:2])
+        ]
+    return found, n_lead
+
+
+def _largest_changes(axes: Sequence[Axis], steps: Sequence[Step]) -> list[Step]:
+    """One change of a statistic a key, the largest first: that of its ends or, if none is shown there, one that is.
+
+    And of a key, beside that of its ends, the change to a value at which the statistic is beyond both.
+    """
+    found = []
+    for axis in axes:
+        some = [step for step in steps if step.axis == axis]
+        if not some:
+            continue
+        best = max(some, key=lambda step: (step.contrast.is_shown, step.is_last, step.contrast.weight))
+        found += [best, *_beyond(best, some)]
+    return sorted(found, key=lambda step: step.contrast.weight, reverse=True)
+
+
+def _beyond(end: Step, steps: Sequence[Step]) -> list[Step]:
+    """Of the values between a key's ends, the one at which a statistic is furthest beyond both, if it is at any.
+
+    The intervals of the changes to it and to the last value lie apart.
+    """
+    low, high = end.contrast.absolute.low, end.contrast.absolute.high
+    if not end.is_last or low is None or high is None:
+        return []
+    found = []
+    for step in steps:
+        change = step.contrast.absolute
+        if change.low is None or change.high is None or change.value is None or not step.contrast.is_shown:
+            continue
+        if change.low > max(high, 0.0) or change.high < min(low, 0.0):
+            found.append((abs(change.value), step))
+    return [max(found, key=lambda pair: pair[0])[1]] if found else []
+
+
+def _thresholds(points: Sequence[Point], axes: Sequence[Axis], where: str, unit: str) -> Iterator[Threshold]:
+    """Between which values of the first key all runs cease to be in motion, or begin to, wherever the others are."""
+    axis, *others = axes
+    by_place: dict[tuple[tuple[Value, ...], ...], list[Point]] = {}
+    for point in points:
+        by_place.setdefault(tuple(point.at[other] for other in others), []).append(point)
+    for place, some in by_place.items():
+        told = [(point.at[axis], _all_or_none(point)) for point in some]
+        moves = [is_moving for _, is_moving in told]
+        if None in (moves[0], moves[-1]) or moves[0] == moves[-1]:
+            continue
+        last = max(k for k, is_moving in enumerate(moves) if is_moving == moves[0])
+        first = min(k for k, is_moving in enumerate(moves) if is_moving == moves[-1])
+        if last > first:
+            continue  # more than once
+        at = [f"{other.name} = {in_words(value)}" for other, value in zip(others, place, strict=True)]
+        n_units = min(point.group.column("unit").nunique() for point in some)
+        yield Threshold(
+            "stick-slip", bool(moves[0]), axis.name, in_words(told[last][0]), in_words(told[first][0]),
+            ", ".join(filter(None, (where, *at))), Basis(n_units, unit),
+        )  # fmt: skip
+
+
+def _all_or_none(point: Point) -> bool | None:
+    """Whether all runs of a point are in motion, or none; None if some are, or if that cannot be told."""
+    n_runs = sum(point.fates[name] for name in WATCHED)
+    n_moving = sum(point.fates[name] for name in MOVING)
+    if not n_runs or 0 < n_moving < n_runs or point.fates[QUIET]:
+        return None
+    return n_moving == n_runs
+
+
+def _levels(
+    points: Mapping[str, Sequence[Point]], steps: Sequence[Step], where: Mapping[str, str], unit: str, level: float
+) -> Iterator[Level]:
+    """The value of a statistic at the first value of each key, with which the others are compared."""
+    for name, axis in dict.fromkeys((step.setting, step.axis) for step in steps):
+        step = next(one for one in steps if (one.setting, one.axis) == (name, axis))
+        at = points_at(points[name], axis, step.first)
+        value = estimate(step.contrast.statistic, at, level)
+        if value.value is not None:
+            place = ", ".join(filter(None, (f"{axis.name} = {in_words(step.first)}", where[name])))
+            yield Level(step.contrast.statistic.quantity, value, place, basis=step.contrast.basis(unit))
 
 
 def _drawn(points: Mapping[str, Sequence[Point]], lead: str) -> list[str]:
@@ -164,24 +302,19 @@ def _drawn(points: Mapping[str, Sequence[Point]], lead: str) -> list[str]:
     return [lead, *rest][:MOST_SETTINGS]
 
 
-def _is_mixed(study: Study) -> bool:
-    """Whether it is recorded that runs settle on different things."""
-    own = study.data.table.own
-    return "attractor" in own and own["attractor"].nunique() > 1
-
-
-def _contrasts(
+def _steps(
     setting: str, axes: Sequence[Axis], points: Sequence[Point], asked: Sequence[Measure], study: Study
-) -> Iterator[Row]:
-    """Contrasts of each value of each axis with the first that has enough units, not judged yet."""
+) -> Iterator[Step]:
+    """Each value of each axis beside the first that has enough units, not judged yet."""
     by_place = {tuple(point.at.values()): point for point in points}
-    level, recorded = study.settings.confidence, {one.name for one in asked} - {*KEYS}
+    level = study.settings.confidence
     # a change below it, in units of the largest value of a unit, is of the size of the runs' own errors
     noise = max([ROUNDING, *(point.group.key[name] or 0.0 for point in points for name in RELATIVE)])
-    statistics = [*(one.statistic for one in asked), Share(IN_MOTION)]
-    largest = {one.name: _largest(one.name, points) for one in statistics}
-    for axis, one in product(axes, statistics):
-        n_units = {value: _n_units(one.name, points, axis, value) for value in axis.rows}
+    statistics = [*(measure.statistic for measure in asked), MOTION]
+    largest = {statistic.name: _largest(statistic.name, points) for statistic in statistics}
+    for axis, statistic in product(axes, statistics):
+        name = statistic.name
+        n_units = {value: _n_units(name, points, axis, value) for value in axis.rows}
         many = [value for value, n in n_units.items() if n >= enough.LEAST_MATRICES]
         base, *others = many if len(many) > 1 else axis.rows
         for value in others:
@@ -190,32 +323,27 @@ def _contrasts(
                 for point in points
                 if point.at[axis] == value and (before := tuple((point.at | {axis: base}).values())) in by_place
             ]
-            is_bounded = one.name == IN_MOTION
-            first, second, n_pairs = _in_common((IN_MOTION, AT_MOST) if is_bounded else (one.name,), pairs)
-            if is_bounded and not _differ(first, second, one.name):
+            is_bounded = name == IN_MOTION
+            first, second, n_pairs = _in_common((IN_MOTION, AT_MOST) if is_bounded else (name,), pairs)
+            if is_bounded and not _differ(first, second, name):
                 continue
-            row = contrast.contrast(one, first, second, paired=True, confidence=level)
+            found = contrast(statistic, first, second, True, level, Scale.ABSOLUTE)
             if is_bounded:
-                row |= _either_way(row, one, first, second, level)
-            if one.name in recorded and row["reason"] == enough.FEW_MATRICES:
-                row |= _of_few(one, first, second, level)
-            yield row | {
-                "setting": setting, "key": axis.name, "first_value": in_words(base), "second_value": in_words(value),
-                "last_value": in_words(axis.rows[-1]), "is_last": value == others[-1],
-                "is_same": not one.is_share and _is_same(first, second, one.name, noise * largest[one.name]),
-                "is_part": not one.is_share and row["n_first"] < max(n_units[base], n_units[value]),
-                "places": _places(axis, pairs, n_pairs),
-            }  # fmt: skip
+                found = _either_way(found, first, second, level)
+            elif _is_same(first, second, name, noise * largest[name]):
+                # no test: what is the same in each of a few units may differ in others
+                found = replace(found, is_same=True, p_different=None, p_equivalent=None)
+            yield Step(setting, axis, base, value, found, _places(axis, pairs, n_pairs), value == others[-1])
 
 
-def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], n_pairs: int) -> Row | None:
-    """At how many points of the other keys a contrast is, of how many; None where it is at all that there are."""
+def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], n_pairs: int) -> str:
+    """At how many points of the other keys a contrast is, of how many; empty where it is at all that there are."""
     if n_pairs == len(pairs):
-        return None
+        return ""
     others = [one for one in pairs[0][0].at if one != axis]
     if len(others) == 1:
-        return {"n": n_pairs, "of": len(others[0].rows), "name": others[0].name}
-    return {"n": n_pairs, "of": len(pairs), "name": ""}
+        return f"over {n_pairs} of {len(others[0].rows)} values of {others[0].name}"
+    return f"over {n_pairs} of {len(pairs)} points of the other keys"
 
 
 def _is_same(first: Sample, second: Sample, name: str, noise: float) -> bool:
@@ -224,34 +352,25 @@ def _is_same(first: Sample, second: Sample, name: str, noise: float) -> bool:
     return len(a) > 0 and bool((np.abs(a[:, 0] / a[:, 1] - b[:, 0] / b[:, 1]) <= noise).all())
 
 
-def _either_way(row: Row, one: Statistic, first: Sample, second: Sample, confidence: float) -> Row:
-    """What holds of a contrast of shares in motion whatever quiet runs do: weaker tests and a wider interval."""
+def _either_way(found: Contrast, first: Sample, second: Sample, confidence: float) -> Contrast:
+    """What holds of a contrast of shares in motion whatever quiet runs do: a weaker test and a wider interval."""
+    statistic = found.statistic
     corners = [
-        contrast.contrast(
-            one, Sample({one.name: first.of(a)}), Sample({one.name: second.of(b)}), paired=True,
-            confidence=confidence,
+        contrast(
+            statistic, Sample({statistic.name: first.of(a)}), Sample({statistic.name: second.of(b)}), True, confidence
         )
         for a, b in ((AT_MOST, IN_MOTION), (IN_MOTION, AT_MOST))
-    ]  # fmt: skip
-    if row["difference"] is None or any(corner["difference"] is None for corner in corners):
-        return {}
-    found: Row = {name: max(corner[name] for corner in corners) for name in ("p_absolute", "difference_high")}
-    found["difference_low"] = min(corner["difference_low"] for corner in corners)
-    found |= {"first_high": corners[0]["first_high"], "second_high": corners[1]["second_high"]}
-    found |= {f"relative_{end}": found[f"difference_{end}"] for end in ("low", "high")}
-    if corners[0]["difference"] <= 0 <= corners[1]["difference"]:
-        found["p_absolute"] = 1.0
-    return found | {"p_equivalent": max((_known(corner["p_equivalent"], corner["p_absolute"]) for corner in corners),
-                                        key=lambda p: -1.0 if p is None else p)}  # fmt: skip
-
-
-def _of_few(one: Statistic, first: Sample, second: Sample, confidence: float) -> Row:
-    """Values for a contrast of too few units, which has no test; nothing where there is no unit at all."""
-    before, after = (one.estimate(some.of(one.name), confidence) for some in (first, second))
-    if before.value is None or after.value is None:
-        return {}
-    return (
-        named("first", before) | named("second", after) | {"difference": after.value - before.value, "is_few": True}
+    ]
+    low, high = (corner.absolute for corner in corners)
+    if found.p_different is None or low.low is None or low.value is None or high.high is None or high.value is None:
+        return found
+    p_values = [corner.p_different for corner in corners if corner.p_different is not None]
+    return replace(
+        found,
+        first=replace(found.first, high=corners[0].first.high),
+        second=replace(found.second, high=corners[1].second.high),
+        absolute=replace(found.absolute, low=low.low, high=high.high),
+        p_different=1.0 if low.value <= 0.0 <= high.value else max(found.p_different, *p_values),
     )
 
 
@@ -312,118 +431,45 @@ def _without_gaps(have: Sequence[np.ndarray]) -> tuple[list[int], UnitSums]:
 def _differ(first: Sample, second: Sample, name: str) -> bool:
     """Whether the runs of both met different ends; otherwise there is nothing to test."""
     rows = np.vstack([first.of(name).rows, second.of(name).rows])
-    return 0 < rows[:, 0].sum() < rows[:, 1].sum()
+    return bool(0 < rows[:, 0].sum() < rows[:, 1].sum())
 
 
-def _ends(rows: Sequence[Row], axes: Sequence[Axis]) -> list[Row]:
-    """The contrasts of the last value of each axis with its first."""
-    return [row for axis in axes for row in rows if row["key"] == axis.name and row["is_last"]]
-
-
-def _told(rows: Sequence[Row], axes: Sequence[Axis], leading: Sequence[str], is_recorded: bool) -> list[Row]:
-    """One contrast a key, the largest change first: that of its ends or, if they show none, one that is shown.
-
-    Where something is recorded, it is that of the first of `leading`, whatever changes besides.
-    """
-
-    def order(row: Row) -> tuple[Any, ...]:
-        is_shown = row["verdict"] in (RISES, FALLS)
-        place = leading.index(row["quantity"])
-        return place if is_recorded else 0, not is_shown, place, not row["is_last"], -_weight(row)
-
-    by_axis = [[row for row in rows if row["key"] == axis.name] for axis in axes]
-    found = [min(some, key=order) for some in by_axis if some]
-    return sorted(found, key=lambda row: (row["verdict"] not in (RISES, FALLS), -_weight(row)))
-
-
-def _beyond(end: Row, rows: Sequence[Row]) -> Row | None:
-    """Of the values between a key's ends, the one at which a statistic is furthest beyond both, if it is at any.
-
-    That is judged against the first value by its verdict, and against the last as the intervals of both changes lie
-    apart.
-    """
-    low, high = end["difference_low"], end["difference_high"]
-    if not end["is_last"] or end["is_share"] or low is None:
-        return None
-    alike = [row for row in rows if all(row[name] == end[name] for name in ("setting", "quantity", "key"))]
-    above = [row for row in alike if row["verdict"] == RISES and row["difference_low"] > max(high, 0.0)]
-    below = [row for row in alike if row["verdict"] == FALLS and row["difference_high"] < min(low, 0.0)]
-    return max([*above, *below], key=lambda row: abs(row["difference"]), default=None)
-
-
-def _place(row: Row) -> tuple[Any, ...]:
-    """What identifies a change in every setting."""
-    return tuple(row[name] for name in ("quantity", "key", "first_value", "second_value"))
-
-
-def _everywhere(rows: Sequence[Row], n_settings: int) -> Row:
-    """Least and largest relative change over several settings, and the verdicts; None if a setting has no value."""
-    known = sorted((row for row in rows if row["relative"] is not None), key=lambda row: row["relative"])
-    if not len(known) == n_settings > 1 or any(row["places"] != known[0]["places"] for row in known):
-        return {"everywhere": None}
-    verdicts = Counter(row["verdict"] for row in known).most_common()
-    return {"everywhere": {"ends": [known[0]["relative"], known[-1]["relative"]], "verdicts": verdicts}}
-
-
-def _weight(row: Row) -> float:
-    """Size of a change in units of its margin; infinite for a change from zero, 0 where it was not tested."""
-    if row["p_different"] is None or row["is_same"]:
-        return 0.0
-    return np.inf if row["relative"] is None else contrast.weight(row)
-
-
-def _known(*p: float | None) -> float | None:
-    """The first p-value; 1, which shows nothing, if it is missing but the second is known."""
-    return p[0] if p[0] is not None or p[1] is None else 1.0
-
-
-def _by_change(asked: Sequence[Measure], rows: Sequence[Row]) -> list[str]:
-    """Measures in order, last those that are the same everywhere, as the energy of a start."""
-    moved = {row["quantity"] for row in rows if row["difference"] is not None and not row["is_same"]}
-    return sorted((one.name for one in asked), key=lambda name: name not in moved)
-
-
-def _leading(rows: Sequence[Row]) -> tuple[str, ...]:
-    """The statistics in order: shares of runs come first if one changes beyond its margin, else mean n_stick."""
-    moved = [row for row in rows if row["is_share"] and row["verdict"] in (RISES, FALLS) and _weight(row) > 1]
-    return (IN_MOTION, MEAN, GAMMA) if moved else (MEAN, GAMMA, IN_MOTION)
-
-
-def _value_row(point: Point, setting: str, axes: Sequence[Axis], asked: Sequence[Measure], confidence: float) -> Row:
-    """What is known at a point: its place, its runs by fate, and its estimates; of measures, by their place."""
-    names = [key for axis in axes for key in axis.keys]
-    values = (value if isinstance(value, float) else str(value) for value in chain.from_iterable(point.at.values()))
-    keys = dict(zip(names, values, strict=True))
-    estimates = [named(name, estimate(of, [point], confidence)) for name, of in _OF.items()]
-    measured = [estimate(one.statistic, [point], confidence) for one in asked]
-    return {
-        "setting": setting, "group": point.group.label, "at": ", ".join(map(in_words, point.at.values())), **keys,
-        "n_units": len(point.group.units), "n_runs": sum(point.fates[name] for name in WATCHED),
-        **{f"n_{name}": n for name, n in point.fates.items()},
-        **ChainMap(*estimates),
-        "basis": point.group.basis(confidence).code,
-        **ChainMap(*(named(_cell(k), one) for k, one in enumerate(measured))),
-        "reasons": [one.reason for one in measured],
-        **{f"{_cell(k)}_runs": len(point.group) - len(point.values[one.name].missing) for k, one in enumerate(asked)},
-        **{f"{_cell(k)}_censored": point.values[one.name].n_censored for k, one in enumerate(asked)},
-        "values": [point.values[one.name] for one in asked],
-    }  # fmt: skip
-
-
-def _cell(k: int) -> str:
-    """Where a row has the estimate of the k-th measure; no key of a scene has a space."""
-    return f"measure {k}"
-
-
-def _measured(rows: Sequence[Row], asked: Sequence[Measure]) -> Iterator[Row]:
-    """Rows of the table `sweep_measures`: each measure at each point."""
-    for row in rows:
-        for k, (one, values, why) in enumerate(zip(asked, row["values"], row["reasons"], strict=True)):
-            yield row | {f"estimate{end}": row[f"{_cell(k)}{end}"] for end in ("", "_low", "_high")} | {
-                "measure": one.name, "words": one.words or None, "n_units": len(values.sums),
-                "n_censored": values.n_censored, "n_without": len(values.missing),
-                "reason": values.withheld or why or None,
+def _tables(
+    points: Mapping[str, Sequence[Point]], axes: Sequence[Axis], asked: Sequence[Measure], steps: Sequence[Step],
+    level: float,
+) -> dict[str, Any]:  # fmt: skip
+    """Runs by fate, every measure with its interval, and runs without one, at each point; and the changes."""
+    keys = {key: dtype(axis, k) for axis in axes for k, key in enumerate(axis.keys)}
+    rows, measured = list[Row](), list[Row]()
+    for setting, some in points.items():
+        for point in some:
+            values = (value if isinstance(value, float) else str(value)
+                      for value in chain.from_iterable(point.at.values()))  # fmt: skip
+            place: Row = {
+                "setting": setting, "group": point.group.label, "n_units": len(point.group.units),
+                "n_runs": sum(point.fates[name] for name in WATCHED),
+                **dict(zip((key for axis in axes for key in axis.keys), values, strict=True)),
             }  # fmt: skip
+            rows.append(place | {f"n_{name}": n for name, n in point.fates.items()}
+                        | named("moving", estimate(MOTION, [point], level))
+                        | {"basis": point.group.basis(level).code})  # fmt: skip
+            measured += [place | _measured(measure, point, level) for measure in asked]
+    return {
+        "sweep": frame({**_VALUES, **keys}, rows),
+        "sweep_measures": frame({**_MEASURES, **keys}, measured),
+        "sweep_missing": frame(_MISSING, _missing(points, asked)),
+        "changes": frame(CHANGES, [step.row() for step in steps]),
+    }
+
+
+def _measured(measure: Measure, point: Point, level: float) -> Row:
+    """A measure at a point: columns of the table `sweep_measures`."""
+    values, value = point.values[measure.name], estimate(measure.statistic, [point], level)
+    return {
+        **named("estimate", value), "measure": measure.name, "words": measure.statistic.definition or None,
+        "n_units": len(values.sums), "n_censored": values.n_censored, "n_without": len(values.missing),
+        "reason": values.withheld or value.reason or None,
+    }  # fmt: skip
 
 
 def _missing(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> Iterator[Row]:
@@ -434,97 +480,94 @@ def _missing(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) ->
                 yield {"setting": setting, "measure": one.name, "member_id": member_id, "reason": reason}
 
 
-def _facts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> dict[str, Any]:
-    """Measures in words, and the runs and the points that have no value of one."""
+def _alerts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure], study: Study) -> list[Alert]:
+    """Runs of which it is not known whether they stick again, runs without a value, and values that are withheld."""
     every = [point for some in points.values() for point in some]
+    n_members = sum(len(point.group) for point in every)
+    found = []
+    if n_quiet := sum(point.fates[QUIET] for point in every):
+        n_runs = sum(point.fates[name] for point in every for name in WATCHED)
+        found.append(Alert.of(Code.UNCERTIFIED, n=n_quiet, of=n_runs))
     gaps: dict[tuple[tuple[str, str], ...], list[str]] = {}
-    for one in asked:
+    for measure in asked:
         missing = tuple(
-            found for point in every for found in point.values[one.name].missing.items() if found[1] != one.absent
+            lost
+            for point in every
+            for lost in point.values[measure.name].missing.items()
+            if lost[1] != measure.absent
         )
-        gaps.setdefault(missing, []).append(one.axis)
-    known = [(k, one) for k, one in enumerate(asked) if any(len(point.values[one.name].sums) for point in every)]
-    shown = [
-        (one.name, _cell(k), any(point.values[one.name].n_censored for point in every),
-         any(point.values[one.name].missing for point in every))
-        for k, one in known[:MOST_COLUMNS]
-    ]  # fmt: skip
-    return {
-        "measures": [
-            {"subject": one.subject, "words": "" if one.says_it else one.words, "definition": one.words,
-             "axis": one.axis, "figure": _figure(one)}
-            for one in asked
-            if one.name not in KEYS
-        ],
-        "n_beyond": len(known) - len(shown),
-        "gaps": [{"of": of, "runs": runs} for runs, of in gaps.items() if runs],
-        "withheld": [
-            {"subject": one.subject, "why": why, "at": [point.group.label for point in some]}
-            for one in asked
-            if one.name not in KEYS  # an alert of their own says it
-            for why, some in _withheld(one, every).items()
-        ],
-        "cells": [cell for name, key, is_cut, lacks in shown
-                  for cell in ((name, key, "#"), ("interval", (f"{key}_low", f"{key}_high"), "#"),
-                               *[("cut off", f"{key}_censored", "n")] * is_cut,
-                               *[("of runs", f"{key}_runs", "n")] * lacks)],
-    }  # fmt: skip
-
-
-def _withheld(one: Measure, points: Sequence[Point]) -> dict[str, list[Point]]:
-    """The points at which a measure is not given although runs have it, by the reason."""
-    found: dict[str, list[Point]] = {}
-    for point in points:
-        if why := point.values[one.name].withheld:
-            found.setdefault(why, []).append(point)
+        gaps.setdefault(missing, []).append(measure.statistic.quantity.name)
+    for missing, names in gaps.items():
+        if missing:
+            what = names[0] if len(names) == 1 else f"{names[0]} nor {len(names) - 1} more"
+            found.append(Alert.of(Code.WITHOUT, n=len(missing), of=n_members, what=what, why=missing[0][1]))
+    for measure in asked:
+        why = [point.values[measure.name].withheld for point in every if point.values[measure.name].withheld]
+        if why and (measure.is_recorded or len(why) < len(every)):
+            what = capital(measure.statistic.quantity.name)
+            reasons = " or ".join(_REASONS.get(reason, reason) for reason in dict.fromkeys(why))
+            found.append(Alert.of(Code.WITHHELD, what=what, n=len(why), of=len(every), why=reasons))
     return found
 
 
-_OF = {
-    "mean": Statistic(MEAN, ratio, 0.0, least=0.0),
-    "gamma": Statistic(GAMMA, QUANTITIES["gamma"].of, 0.0, least=0.0),
-    "moving": Share(IN_MOTION),
-}
-
-
-def _figure(one: Measure) -> str:
+def _figure(measure: Measure) -> str:
     """Name of the figure of a measure along a key."""
-    return f"sweep_{one.key}" if one.name in KEYS else f"sweep_of_{one.key}"
+    return f"sweep_{measure.key}" if measure.name in KEYS else f"sweep_of_{measure.key}"
 
 
 def _figures(
     points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], leading: Sequence[str],
-    asked: Sequence[Measure], level: float,
-) -> dict[str, Any]:  # fmt: skip
-    """A map over the first two axes, and the statistics along the first, in the order of `leading`."""
+    asked: Sequence[Measure], level: float, where: str, steps: Sequence[Step],
+) -> dict[str, Picture]:  # fmt: skip
+    """The statistics along the first axis, in the order of `leading`, and a map of the first over two axes."""
     main = points[lead]
     ticks = axes[0].x, axes[0].texts
-    statistics = {of.name: of for of in _OF.values()} | {one.name: one.statistic for one in asked}
-    names = {name: f"sweep_{key}" for name, key in KEYS.items()} | {one.name: _figure(one) for one in asked}
-    labels = {**AXES, IN_MOTION: IN_MOTION} | {one.name: one.axis for one in asked}
-    may_be_log = any(one.is_recorded for one in asked)
-    found: dict[str, Any] = {}
-    if len(axes) > 1:
-        of = statistics[leading[0] if may_be_log or leading[0] == IN_MOTION else MEAN]
-        some = _throughout(of, main, axes)
-        cells = [
-            [estimate(of, points_at(points_at(some, axes[1], y), axes[0], x), level).value for x in axes[0].rows]
-            for y in axes[1].rows
-        ]
-        across, up = ((axis.name, axis.texts) for axis in axes[:2])
-        if any(value is not None for row in cells for value in row):
-            found["sweep_map"] = partial(heat_map, labels[of.name], across, up, cells, may_be_log)
+    by_name = {measure.name: measure for measure in asked}
+    may_be_log = any(measure.is_recorded for measure in asked)
+    at = f" at {where}" if where else ""
+    found: dict[str, Picture] = {}
     for name in leading[:MOST_FIGURES]:
         if name == IN_MOTION:
             at_value = [[point.fates for point in points_at(main, axes[0], value)] for value in axes[0].rows]
             counts = {end: [sum(fates[end] for fates in some) for some in at_value] for end in FATES}
             if any(any(some) for end, some in counts.items() if end not in MOVING):
-                found["sweep_fates"] = partial(shares, axes[0].name, ticks[1], counts)
+                caption = f"How runs end, along {axes[0].name}{at}: shares of all runs."
+                found["sweep_fates"] = Picture(partial(shares, axes[0].name, ticks[1], counts), caption)
             continue
-        lines = _lines(points, lead, axes, statistics[name], level)
+        statistic = by_name[name].statistic
+        title = statistic.quantity.name
+        lines = _lines(points, lead, axes, statistic, level)
         if sum(one is not None for _, some in lines for one in some) > 1:
-            found[names[name]] = partial(curves, labels[name], axes[0].name, *ticks, lines, may_be_log)
+            recipe = partial(curves, title, axes[0].name, *ticks, lines, may_be_log)
+            seen = _seen([step for step in steps if (step.name, step.axis, step.setting) == (name, axes[0], lead)])
+            caption = f"{capital(title)} {seen} {axes[0].name}{at}. Bars are 95% intervals."
+            found[_figure(by_name[name])] = Picture(recipe, caption)
+    first = next((by_name[name] for name in leading if name in by_name), None)
+    if len(axes) > 1 and first is not None:
+        statistic = MOTION if leading[0] == IN_MOTION else first.statistic
+        some = _throughout(statistic, main, axes)
+        cells = [
+            [
+                estimate(statistic, points_at(points_at(some, axes[1], y), axes[0], x), level).value
+                for x in axes[0].rows
+            ]
+            for y in axes[1].rows
+        ]
+        across, up = ((axis.name, axis.texts) for axis in axes[:2])
+        if any(value is not None for row in cells for value in row):
+            title = statistic.quantity.name
+            recipe = partial(heat_map, title, across, up, cells, may_be_log)
+            caption = f"{capital(title)} over {axes[0].name} and {axes[1].name}{at}."
+            found["sweep_map"] = Picture(recipe, caption)
     return found
+
+
+def _seen(steps: Sequence[Step]) -> str:
+    """What a figure of a statistic along a key shows: a verb and a preposition."""
+    verdicts = {step.contrast.verdict for step in steps} & {Verdict.MORE, Verdict.LESS}
+    if len(verdicts) != 1:
+        return "against"
+    return "rises with" if verdicts == {Verdict.MORE} else "falls with"
 
 
 def _throughout(of: Statistic, points: Sequence[Point], axes: Sequence[Axis]) -> Sequence[Point]:
@@ -545,13 +588,6 @@ def _throughout(of: Statistic, points: Sequence[Point], axes: Sequence[Axis]) ->
     return [point for point in points if tuple(point.at[axis] for axis in axes[2:]) in kept]
 
 
-def _lines_drawn(axes: Sequence[Axis]) -> dict[str, Any]:
-    """How many values of the second axis have a line, of how many; nothing if there is none."""
-    if len(axes) < 2:
-        return {}
-    return {"name": axes[1].name, "of": len(axes[1].rows), "n": min(len(axes[1].rows), MOST_LINES)}
-
-
 def _lines(
     points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], of: Statistic, level: float
 ) -> list[tuple[str, list[Estimate | None]]]:
@@ -560,7 +596,8 @@ def _lines(
     parts: list[tuple[str, Sequence[Point]]] = [(name, some) for name, some in points.items() if name in kept]
     if len(axes) > 1:
         along = axes[1]
-        drawn = np.linspace(0, len(along.rows) - 1, _lines_drawn(axes)["n"]).round().astype(int).tolist()
+        n_lines = min(len(along.rows), MOST_LINES)
+        drawn = np.linspace(0, len(along.rows) - 1, n_lines).round().astype(int).tolist()
         held = _throughout(of, points[lead], axes)
         parts = [
             (f"{along.name} = {in_words(value)}", points_at(held, along, value))
@@ -615,7 +652,7 @@ def curves(
         if values.min() < floor:
             ax.set_ylabel(f"{what} (open triangles: less)")
     if len(lines) > 1:
-        ax.figure.legend(loc="outside upper center", ncols=min(len(lines), 3), fontsize=7, handlelength=1.2)
+        ax.figure.legend(loc="outside upper center", ncols=min(len(lines), 3), handlelength=1.2)
 
 
 def _floor(values: np.ndarray) -> float:
@@ -659,6 +696,3 @@ def heat_map(
     if not is_log:
         bar.ax.yaxis.set_major_locator(MaxNLocator(nbins=5))
     bar.outline.set_edgecolor(GREY)
-
-
-QUESTION = Question(answer, share=0, rank=1)

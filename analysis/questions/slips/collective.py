@@ -15,7 +15,7 @@ from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, Fit, Lack, Law, Level, Quantity, Reason, Share
 from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.models.clustering import POWER, VARIANCE
-from stickslip.analysis.models.rhythm import NONE, SURROGATES
+from stickslip.analysis.models.common_motion import NONE, SURROGATES
 from stickslip.analysis.questions.slips import slow_motion, triggering
 from stickslip.analysis.questions.slips.slow_motion import CYCLES, Slow
 from stickslip.analysis.questions.slips.triggering import Exits, exits_of, triggered

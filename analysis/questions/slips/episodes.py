@@ -219,7 +219,9 @@ def _changes(leaders: Sequence[Catalogues], level: float) -> list[Row]:
     asked = [Statistic(SIZE, QUANTITIES[SIZE].of, MARGIN), Statistic(BY_WAY, SLOW_DRIVE[BY_WAY].of, MARGIN)]
     a, b = ([one.group.unit, *(one.group.key[name] for name in DRAWN)] for one in (first, last))
     rows: list[Row] = [
-        {"setting": last.label, "reference": first.label} | contrast(one, first.sample, last.sample, a == b, level)
+        {"setting": last.label, "reference": first.label}
+        | contrast(one, first.sample, last.sample, a == b, level).row()
+        | {"is_share": False}
         for one in asked
     ]
     judge(rows, 1 - level, Words(WITHIN, RISES, FALLS))

@@ -62,7 +62,7 @@ class Compared(NamedTuple):
             case clustering.VARIANCE:
                 name = "variance of n_stick"
             case clustering.FANO:
-                name = f"variance over mean of slip onsets in windows of {self.part.upto:g}"
+                name = f"Fano factor of slip onsets in windows of {self.part.upto:g}"
             case _:
                 name = f"number of pairs of slip onsets within {self.part.upto:g}"
         return Quantity(self.part.kind, name)

@@ -25,8 +25,9 @@ class Amplitude(StateRecord):
         Column(
             "number",
             "amplitude",
-            "half of peak to peak of z after t_burn, the largest of the blocks; null if the run ended before",
+            "half of peak to peak of z after t_burn, the largest of the blocks",
             least=0.0,
+            note="null if the run ended before",
         ),
         Column(
             "number",

@@ -26,8 +26,9 @@ class EnergyRecord(Record):
         Column(
             "number",
             "kinetic_energy_start",
-            "sum of m w^2 / 2 at t = 0; null, as all below, if diverged, not the exact law, or too long to sum",
+            "sum of m w^2 / 2 at t = 0",
             least=0.0,
+            note="null, as all below, if diverged, not the exact law, or too long to sum",
         ),
         Column("number", "kinetic_energy_end", "sum of m w^2 / 2 at t_end", least=0.0),
         Column("number", "elastic_energy_start", "z K z / 2 at t = 0"),

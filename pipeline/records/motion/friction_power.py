@@ -24,9 +24,9 @@ class FrictionPower(StateRecord):
         Column(
             "number",
             "friction_power",
-            "heat of all blocks by slip on the belt, mean in time after t_burn; null if the run"
-            " ended before, or is not of the exact law",
+            "heat of all blocks by slip on the belt, mean in time after t_burn",
             least=0.0,
+            note="null if the run ended before, or is not of the exact law",
         ),
     )
     is_of_exact = True

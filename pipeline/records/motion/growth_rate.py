@@ -26,9 +26,10 @@ class GrowthRate(Record):
         Column(
             "number",
             "growth_rate",
-            "largest real part of the eigenvalues of the system with all blocks slipping at the speeds of their "
-            "belts, with the slope of friction there; below 0 small deviations from that decay",
+            "largest real part of the eigenvalues of the system with all blocks slipping at "
+            "the speeds of their belts, with the slope of friction there",
             absent="friction depends on the speed of a belt that changes",
+            note="below 0 small deviations from that decay",
         ),
     )
     is_shared = True

@@ -24,9 +24,9 @@ class SlipSpeed(StateRecord):
         Column(
             "number",
             "slip_speed",
-            "mean of |w - v| over blocks with friction and time after t_burn, 0 while they stick; null if the run"
-            " ended before, or no block has friction",
+            "mean of |w - v| over blocks with friction and time after t_burn, 0 while they stick",
             least=0.0,
+            note="null if the run ended before, or no block has friction",
         ),
         Column(
             "number",

@@ -20,11 +20,12 @@ class FirstExit(Record):
         Column(
             "number",
             "first_exit",
-            "time of the first exit; null, as below, if there is none",
+            "time of the first exit",
             least=0.0,
             absent="no exit",
             title="time of the first exit",
             until=Until(),
+            note="null, as below, if there is none",
         ),
         Column("whole", "first_exit_block", "the block that lets go first", is_averaged=False, is_index=True),
     )

@@ -24,11 +24,11 @@ class StickShare(WindowRecord):
         Column(
             "number",
             "stick_share",
-            "share of the time after t_burn that a block sticks, mean over the blocks with friction; null if the run"
-            " ended before, or no block has friction",
+            "share of the time after t_burn that a block sticks, mean over the blocks with friction",
             least=0.0,
             most=1.0,
             title="share of time that a block sticks",
+            note="null if the run ended before, or no block has friction",
         ),
         Column(
             "number",

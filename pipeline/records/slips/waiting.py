@@ -30,20 +30,22 @@ class Waiting(WindowRecord):
         Column(
             "number",
             "waiting_mean",
-            "mean of the times between successive exits of the same block after t_burn; null if there are none",
+            "mean of the times between successive exits of the same block after t_burn",
             least=0.0,
             absent="no block left twice",
             title="waiting time",
             of_gaps="mean",
+            note="null if there are none",
         ),
         Column(
             "number",
             "waiting_cv",
-            "standard deviation of these times over their mean; null with fewer than two",
+            "standard deviation of these times over their mean",
             least=0.0,
             absent="fewer than two times",
             title="coefficient of variation of waiting times",
             of_gaps="scatter",
+            note="null with fewer than two",
         ),
     )
     is_of_contacts = True

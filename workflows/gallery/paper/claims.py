@@ -20,7 +20,6 @@ from stickslip.analysis.models.fates import (
     WATCHED,
     median,
 )
-from stickslip.analysis.questions.runs.robustness import BOUND
 from stickslip.analysis.stats import components
 from stickslip.analysis.stats.compare import Words
 from stickslip.analysis.stats.compare import verdict as compared
@@ -50,6 +49,7 @@ BRINK, PERIOD, STRONG = 150.0, 20.0, 0.05
 NEAR = 1.25  # a time is near another within this factor
 MOST = 0.5  # a share above it is what happens
 MARGIN = 0.1  # of mean n_stick: what differs by less is alike
+BOUND = 0.25  # of another matrix's mean square difference, half in amplitude: a change of less is small
 FORM = 0.1  # of the variance of sizes: what is off an exponential's by less is alike
 SAME = 0.05  # of gamma: the paper's, within this share; between laws too
 COMMON = 0.05  # of the exits: paths share less than so much beyond chance, if they have nothing in common
@@ -227,7 +227,7 @@ def sensitive(scene: Asked, measured: Measured) -> Claim:
 def robust(scene: Asked, measured: Measured) -> Claim:
     """Whether a small change moves mean n_stick by less than `BOUND` of what another matrix would, in mean squares.
 
-    As in `analysis.questions.runs.robustness`: replicates are the unchanged run and one from another start, and only
+    Replicates are the unchanged run and one from another start, and only
     matrices all of whose runs are in motion enter. How many runs are, under each change, is counted beside it.
     """
     by_setting: dict[str, dict[int, Row]] = {}

@@ -151,10 +151,10 @@ def fit(
     at, damping = np.clip(start, low, high), np.full(len(start), 1e-2)
     value, nudge = loss(at), 1e-4 * np.eye(4)
     for _ in range(MOST_STEPS):
-        rhythm, rest = power(at)
-        model = rhythm + rest
+        motion, rest = power(at)
+        model = motion + rest
         slopes = [(power(at + nudge[k])[0] - power(at - nudge[k])[0]) / 2e-4 for k in (1, 2)]
-        gain = np.stack([rhythm, *slopes, rest], axis=2) / model[:, :, None]
+        gain = np.stack([motion, *slopes, rest], axis=2) / model[:, :, None]
         fisher = np.einsum("bki,bkj->bij", gain, gain)
         ridge = np.einsum("bii->bi", fisher) * damping[:, None] + 1e-9
         score = np.einsum("bki,bk->bi", gain, observed / model - 1)
@@ -220,7 +220,7 @@ def goodness(observed: np.ndarray, model: np.ndarray, n_runs: float) -> Goodness
 
 
 @dataclass(frozen=True)
-class Rhythm:
+class CommonMotion:
     """The slow common motion of an ensemble.
 
     Attributes
@@ -247,7 +247,7 @@ class Rhythm:
     goodness: Goodness | None = None
 
 
-def rhythm(data: Spectra, confidence: float, rng: np.random.Generator) -> Rhythm:
+def common_motion(data: Spectra, confidence: float, rng: np.random.Generator) -> CommonMotion:
     """The slow common motion, if there is one, with jackknife-t intervals over matrices.
 
     Parameters
@@ -260,13 +260,13 @@ def rhythm(data: Spectra, confidence: float, rng: np.random.Generator) -> Rhythm
     """
     p = p_value(data, rng)
     if p > 1 - confidence:
-        return Rhythm(NONE, p)
+        return CommonMotion(NONE, p)
     g = len(data.observed)
     whole = [one.mean(axis=0) for one in (data.observed, data.independent)]
     start = best(data.span, whole[0], whole[1])
     natural = float(np.exp(start[1]))
     if natural > data.span / LEAST_PERIODS:
-        return Rhythm(SHORT, p, period=natural)
+        return CommonMotion(SHORT, p, period=natural)
     observed, own = ((g * mean - rows) / (g - 1)
                      for mean, rows in zip(whole, (data.observed, data.independent), strict=True))  # fmt: skip
     left_out, _ = fit(data.span, observed, own, np.tile(start, (g, 1)))
@@ -277,7 +277,7 @@ def rhythm(data: Spectra, confidence: float, rng: np.random.Generator) -> Rhythm
     power, period, quality, left = np.exp(start)
     model = power * expected(data.frequency, data.span, period, quality) + left * whole[1]
     n_runs = g**2 / np.sum(1 / data.n_runs)  # of a mean of means
-    return Rhythm(SLOW, p, estimates, numbers, natural, goodness(whole[0], model, n_runs))
+    return CommonMotion(SLOW, p, estimates, numbers, natural, goodness(whole[0], model, n_runs))
 
 
 def _numbers(at: np.ndarray, data: Spectra, independent: np.ndarray, variance: np.ndarray) -> dict[str, np.ndarray]:

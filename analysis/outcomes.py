@@ -1,0 +1,179 @@
+"""Contrasts of several settings with one reference, grouped by how they come out."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import partial
+from itertools import groupby
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from stickslip.analysis.answer import Picture
+from stickslip.analysis.contrast import Contrast
+from stickslip.analysis.findings.finding import Form, Level, Outcomes, Scale, Verdict
+from stickslip.analysis.style import BLUE, GREY, ORANGE, panel
+
+EQUAL, DIFFERENT, UNDECIDED = "equal", "different", "undecided"
+_MARKS = {
+    Verdict.EQUAL: ("o", BLUE),
+    Verdict.SAME: ("o", BLUE),
+    Verdict.MORE: ("s", ORANGE),
+    Verdict.LESS: ("s", ORANGE),
+}
+_OPEN = ("D", GREY)
+MOST_ROWS = 16  # in one figure
+
+
+class Setting(NamedTuple):
+    """What is set beside a reference.
+
+    Attributes
+    ----------
+    name : str
+        A noun phrase.
+    symbol : str
+        What tells it from others of that name by its value; empty if there are none.
+    value : float, optional
+    suffix : str
+        What follows the value, as a unit.
+    """
+
+    name: str
+    symbol: str = ""
+    value: float | None = None
+    suffix: str = ""
+
+    @property
+    def text(self) -> str:
+        """The value."""
+        return "" if self.value is None else f"{self.value:g}{self.suffix}"
+
+
+class Beside(NamedTuple):
+    """A contrast of a setting with its reference, and where: the group that it is of."""
+
+    contrast: Contrast
+    where: str
+
+
+def outcomes(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str) -> list[Outcomes]:
+    """How settings come out beside a reference: those that differ, those that agree and the others, as far as any do.
+
+    A setting differs if one of its statistics is shown to; else it is equal if all that have a margin, which the
+    scene declares, are within. Each finding has the largest difference of its settings.
+    """
+    by_setting = {setting: outcome([one.contrast for one in some]) for setting, some in settings.items()}
+    found = []
+    for name in (DIFFERENT, EQUAL, UNDECIDED):
+        of = {setting: some for setting, some in settings.items() if by_setting[setting] == name}
+        if of:
+            found.append(Outcomes(other, **{name: in_words(by_setting, name)}, largest=largest(other, of, unit)))
+    return found
+
+
+def outcome(contrasts: Sequence[Contrast]) -> str:
+    """How some contrasts come out together."""
+    if any(contrast.is_shown for contrast in contrasts):
+        return DIFFERENT
+    judged = [
+        contrast.verdict for contrast in contrasts if contrast.difference.margin is not None or contrast.is_same
+    ]
+    return EQUAL if judged and {*judged} <= {Verdict.EQUAL, Verdict.SAME} else UNDECIDED
+
+
+def largest(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str) -> Level | None:
+    """The largest difference that is shown or, if none is, of those with a margin, or of all relative ones."""
+    ratios = [
+        (one.contrast, setting)
+        for setting, some in settings.items()
+        for one in some
+        if one.contrast.is_shown or in_per_cent(one.contrast)
+    ]
+    if not ratios:
+        return None
+    best, setting = max(ratios, key=lambda pair: (pair[0].is_shown, pair[0].has_margin, pair[0].weight))
+    (where,) = in_words({setting: ""}, "")
+    if setting.symbol and len({other.name for other in settings}) == 1:
+        where = f"{setting.symbol} = {setting.text}"
+    return best.level(where if len(settings) > 1 else "", other, unit)
+
+
+def in_words(by_setting: Mapping[Setting, str], name: str) -> tuple[str, ...]:
+    """The settings with an outcome; of settings that differ in one number, ranges of it."""
+    found: list[str] = []
+    for _, some in groupby(by_setting, key=lambda setting: (setting.name, setting.symbol)):
+        found += _ranges([(setting, by_setting[setting] == name) for setting in some])
+    return tuple(found)
+
+
+def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
+    """Of settings with ascending values, the ranges of those that are wanted."""
+    start = 0
+    for is_wanted, some in groupby(settings, key=lambda pair: pair[1]):
+        part = [setting for setting, _ in some]
+        first, last, end = part[0], part[-1], start + len(part)
+        if is_wanted and not first.symbol:
+            yield from (setting.name for setting in part)
+        elif is_wanted:
+            value = f"= {first.text}"
+            if len(part) > 1:
+                value = f"= {first.text} to {last.text}"
+                if start == 0:
+                    value = f"up to {last.text}"
+                elif end == len(settings):
+                    value = f"from {first.text} on"
+            yield f"{first.name} with {first.symbol} {value}"
+        start = end
+
+
+def forest(rows: Sequence[Beside], caption: str) -> dict[str, Picture]:
+    """The figure of differences in per cent with their intervals, by its name; none of fewer than two."""
+    shown = [one for one in rows if in_per_cent(one.contrast) and one.contrast.difference.estimate.low is not None]
+    return {"contrasts": Picture(partial(differences, shown[:MOST_ROWS]), caption)} if len(shown) > 1 else {}
+
+
+@panel()
+def differences(ax: Axes, rows: Sequence[Beside]) -> None:
+    """Differences with their intervals, one line a statistic, and the margins that are declared as bands.
+
+    An arrowhead marks a difference beyond the axis, which reaches twice as far as the median interval at least.
+    """
+    ax.axvline(0, color=GREY, linewidth=0.8)
+    ends = np.array([_per_cent(one) for one in rows])
+    reach = np.abs(ends).max(axis=1)
+    widest = 1.08 * min(reach.max(), 4.0 * float(np.median(reach))) or 1.0
+    for y, (one, (value, low, high)) in enumerate(zip(rows, ends, strict=True)):
+        margin = one.contrast.difference.margin
+        if margin is not None:
+            ax.barh(y, 200.0 * margin, left=-100.0 * margin, height=0.8, color=GREY, alpha=0.13)
+        mark, colour = _MARKS.get(one.contrast.verdict, _OPEN)
+        if abs(value) > widest:
+            mark = ">" if value > 0 else "<"
+        ax.plot([low, high], [y, y], color=colour, linewidth=1.4)
+        ax.plot([min(max(value, -widest), widest)], [y], mark, color=colour, markersize=4, clip_on=False)
+    ax.set(xlim=(-widest, widest), ylim=(len(rows) - 0.5, -0.5), xlabel="difference (%; of shares, points)")
+    ax.set_yticks(range(len(rows)), [_name(one, rows) for one in rows])
+    ax.tick_params(axis="y", length=0)
+
+
+def _per_cent(one: Beside) -> tuple[float, float, float]:
+    """A difference and the ends of its interval, in per cent or percentage points."""
+    estimate = one.contrast.difference.estimate
+    assert estimate.value is not None
+    assert estimate.low is not None
+    assert estimate.high is not None
+    return 100.0 * estimate.value, 100.0 * estimate.low, 100.0 * estimate.high
+
+
+def _name(one: Beside, rows: Collection[Beside]) -> str:
+    """The statistic, and where if there are several such lines."""
+    name = one.contrast.statistic.quantity.name
+    is_one = sum(row.contrast.statistic == one.contrast.statistic for row in rows) == 1
+    return name if is_one or not one.where else f"{name}\n{one.where}"
+
+
+def in_per_cent(contrast: Contrast) -> bool:
+    """Whether a difference is one of per cent or percentage points."""
+    return contrast.difference.scale is Scale.RELATIVE or contrast.statistic.quantity.form is Form.SHARE
