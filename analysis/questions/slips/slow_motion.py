@@ -16,6 +16,7 @@ from stickslip.analysis.models.common_motion import (
     LEAST_HARMONICS,
     LEAST_PERIODS,
     NUMBERS,
+    P_FLOOR,
     SHORT,
     SLOW,
     CommonMotion,
