@@ -118,6 +118,8 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
     more, less = ("above", "below") if quantity is None else (quantity.more, quantity.less)
     form = Form.SHARE if quantity is None else quantity.form
     match difference.verdict:
+        case Verdict.MORE if (times := ratio(difference)) is not None:
+            return f", {times} times that of {other}"
         case Verdict.MORE:
             return f", {size(difference, form)} {more} {other}"
         case Verdict.LESS:
@@ -132,6 +134,15 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
             return f"; no difference from {other} is shown among {_n_tests(difference)}"
         case Verdict.UNJUDGED:
             return f", beside {other}, without an interval"
+
+
+def ratio(difference: Difference) -> str | None:
+    """A relative difference of more than 100% as a ratio, "11.4 (5.8 to 22.3)"; None of any other."""
+    value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
+    if difference.scale is not Scale.RELATIVE or value is None or value < 1.0:
+        return None
+    ends = [None if end is None else 1.0 + end for end in (low, high)]
+    return with_interval(Estimate(1.0 + value, ends[0], ends[1]))
 
 
 class Cell(NamedTuple):

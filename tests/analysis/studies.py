@@ -15,7 +15,7 @@ import numpy as np
 from scipy import fft, linalg, signal, special, stats
 
 from stickslip.analysis.contrast import PerEvent
-from stickslip.analysis.models import clustering, common_motion, counting, fates, growth, laws, pool, times
+from stickslip.analysis.models import clustering, common_motion, fates, growth, laws, pool, times
 from stickslip.analysis.models.episodes import OCCUPANCY, SLOW_DRIVE, Catalogue
 from stickslip.analysis.series.cascades import Law, Window, sizes, sums, window
 from stickslip.analysis.series.cascades import laws as cascade_laws
@@ -34,6 +34,7 @@ from stickslip.analysis.stats.estimates import (
 )
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness
+from stickslip.workflows.scenes import counting
 from tests.chance import ERRORS, agrees
 
 CONFIDENCE = 0.95

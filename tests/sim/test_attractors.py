@@ -638,6 +638,15 @@ def test_what_is_lost_in_rounding_is_no_cycle(damping):
     assert settled(system, 1.0, 0.0, 2e4, 1e4, tol=1e-10).kind == "undecided"
 
 
+@pytest.mark.parametrize(
+    ("damping", "at"), [(0.08457288619773465, 5.555103275764841), (0.08881654249951318, 1.553088777323624)]
+)
+def test_what_moves_by_rounding_of_its_place_alone_is_no_cycle(damping, at):
+    """It is back after a round, by what z of that size may miss itself by, and as far from rest as it is large."""
+    system = System([[1.0]], damping, 0.0, 0.0, force=at)
+    assert settled(system, at + 1.0, 0.0, 600.0, 300.0, tol=1e-6).kind == "undecided"
+
+
 def test_a_block_that_forces_together_never_move_is_at_rest(rng):
     for phase in rng.uniform(1.7, 2 * np.pi - 1.7, 5):
         waves = [Harmonic(0.8, 1.0), Harmonic(0.8, 1.0, phase)]

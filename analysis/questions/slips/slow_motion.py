@@ -79,7 +79,7 @@ class Slow:
         row: Row = {
             "group": self.group.label, "verdict": self.verdict, "cycle": self.cycle, "span": self.data.span,
             "n_windows": float(self.data.n_runs.sum()), "needed": self.needed(t_burn),
-            "p_value": None if motion is None else motion.p, "p_floor": None if motion is None else P_FLOOR,
+            "p_value": motion and motion.p, "p_floor": motion and common_motion.P_FLOOR,
         }  # fmt: skip
         estimates = {name: self.estimate(name) for name in NUMBERS}
         for name, estimate in estimates.items():
