@@ -16,10 +16,10 @@ from stickslip.analysis.models.common_motion import (
     LEAST_HARMONICS,
     LEAST_PERIODS,
     NUMBERS,
-    P_FLOOR,
     SHORT,
     SLOW,
     CommonMotion,
+    Goodness,
     Spectra,
 )
 from stickslip.analysis.series.runs import Run
@@ -53,6 +53,13 @@ class Slow:
     @property
     def is_shown(self) -> bool:
         return self.verdict == SLOW
+
+    @property
+    def goodness(self) -> Goodness:
+        """Of the fit, if slow common motion is shown."""
+        assert self.motion is not None
+        assert self.motion.goodness is not None
+        return self.motion.goodness
 
     def estimate(self, name: str) -> Estimate:
         """One of `NUMBERS`, if slow common motion is shown."""
