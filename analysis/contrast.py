@@ -372,6 +372,8 @@ def contrast(
         return replace(bare, reason=before.reason or after.reason)
     if min(len(mine), len(theirs)) < LEAST_MATRICES:
         return replace(bare, absolute=Estimate(after.value - before.value), reason=FEW_MATRICES)
+    if paired and not statistic.is_share and np.array_equal(mine.rows, theirs.rows):
+        return replace(bare, absolute=Estimate(0.0, 0.0, 0.0), relative=Estimate(0.0, 0.0, 0.0), is_same=True)
     try:
         test = statistic.difference(mine, theirs, paired)
     except Undefined as why:

@@ -146,7 +146,7 @@ def _answer(
     placed: dict[Setting, list[Beside]] = {}
     for match, one in known:
         where = names[match.second.name]
-        said = f"{second.name} at {where}" if where else second.name
+        said = f"{second.name} ({where})" if where else second.name
         placed.setdefault(Setting(said), []).append(Beside(one, where))
     grouped, *others = outcomes(first.name, placed, unit)
     is_open = any(one.undecided for one in (grouped, *others))
