@@ -170,7 +170,7 @@ class Group:
 
     @property
     def stuck(self) -> np.ndarray:
-        """Sums over runs of the integral of n_stick and of the time without lulls (`models.counting`), shape (G, 2).
+        """Sums over runs of the integral of n_stick and of the time without lulls (`models.motion`), shape (G, 2).
 
         Their quotient is the mean n_stick of the pool with which the runs are compared.
         """

@@ -57,7 +57,7 @@ def _plain(value: float, form: Form, digits: int | None, sign: bool) -> str:
         text = f"{scaled / 10.0**power:.{max(1, places + power)}f} \u00d7 10{str(power).translate(_SUPERSCRIPTS)}"
     else:
         text = f"{scaled:,.{places}f}"
-    if not any(c in "123456789" for c in text.split("\u00d7")[0]):
+    if round(scaled, places) == 0.0:
         text = text.lstrip("-")  # minus zero is zero
     return ("+" if sign and value > 0 else "") + text.replace("-", MINUS)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from stickslip.analysis.findings.finding import (
     Alike,
@@ -117,6 +118,8 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
     more, less = ("above", "below") if quantity is None else (quantity.more, quantity.less)
     form = Form.SHARE if quantity is None else quantity.form
     match difference.verdict:
+        case Verdict.MORE if (times := ratio(difference)) is not None:
+            return f", {times} times that of {other}"
         case Verdict.MORE:
             return f", {size(difference, form)} {more} {other}"
         case Verdict.LESS:
@@ -133,19 +136,34 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
             return f", beside {other}, without an interval"
 
 
-def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = Form.NUMBER) -> str:
-    """A difference as the cell of a table: "+0.9% (+0.6 to +1.3%)", and what it comes to if that is not plain."""
+def ratio(difference: Difference) -> str | None:
+    """A relative difference of more than 100% as a ratio, "11.4 (5.8 to 22.3)"; None of any other."""
+    value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
+    if difference.scale is not Scale.RELATIVE or value is None or value < 1.0:
+        return None
+    ends = [None if end is None else 1.0 + end for end in (low, high)]
+    return with_interval(Estimate(1.0 + value, ends[0], ends[1]))
+
+
+class Cell(NamedTuple):
+    """A difference in a table: its size with its interval, and what that comes to where it is not plain."""
+
+    size: str
+    verdict: str = ""
+
+
+def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = Form.NUMBER) -> Cell:
+    """A difference as the cell of a table: "+0.9% (+0.6 to +1.3%)", "equal within 5%"."""
     difference = comparison.difference
     if verdict is Verdict.SAME:
-        return "none in any run"
+        return Cell("none in any run")
     value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
     if value is None:
-        return "unknown" if low is None or high is None else interval(difference, form)
-    text = with_interval(difference.estimate, _form(difference, form), sign=True)
-    text = _in_points(text, difference, form)
+        return Cell("unknown" if low is None or high is None else interval(difference, form))
+    text = _in_points(with_interval(difference.estimate, _form(difference, form), sign=True), difference, form)
     if verdict is Verdict.EQUAL:
-        return f"{text}, equal within {margin(difference, form)}"
-    return f"{text}, not shown among so many" if verdict is Verdict.OPEN_AMONG_MANY else text
+        return Cell(text, f"equal within {margin(difference, form)}")
+    return Cell(text, "not shown among so many" * (verdict is Verdict.OPEN_AMONG_MANY))
 
 
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stickslip.analysis.models.counting import lulls
 from stickslip.analysis.models.fates import FAILED, MOVING, fates
 from stickslip.analysis.series.runs import Ended, Runs, no_series
 from stickslip.analysis.series.windows import NoSeries, Windows, in_parts, windows
 from stickslip.analysis.stats import effective, enough
 from stickslip.analysis.stats.quantities import SUMS
 
+LULL = 20.0  # dimensionless: longer than a period of the slowest block of the paper's systems, about 15
 #: Change points and runs that are worked on at once.
 POINTS, RUNS = 1 << 19, 1 << 13
 #: Columns of `effective.rows` after the variance.
@@ -27,6 +27,11 @@ COLUMNS: Mapping[str, int] = {
         "first_half", "second_half", "early", "late", "stuck", "active", *EFFECTIVE, "short",
     ))
 }  # fmt: skip
+
+
+def lulls(runs: Windows) -> np.ndarray:
+    """Length of each lull at its place among the levels of n_stick, shape (M,), and 0 elsewhere."""
+    return np.where((runs.lasted > LULL) & (runs.level == 0), runs.lasted, 0.0)
 
 
 @dataclass(frozen=True)

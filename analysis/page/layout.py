@@ -182,5 +182,4 @@ def _difference(record: Record) -> str:
     value = Estimate(record.difference, record.difference_low, record.difference_high)
     difference = Difference(value, Scale(record.scale), record.margin)
     said = difference_in_words(Comparison(record.compared_with, difference), Verdict(record.verdict), record.form)
-    interval, comma, verdict = said.partition(", ")
-    return _unbroken(interval) + comma + verdict
+    return ", ".join([_unbroken(said.size), *filter(None, [said.verdict])])

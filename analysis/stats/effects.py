@@ -34,13 +34,6 @@ class Effect:
     p_equivalent_adjusted: float | None = None
     margin: float = 0.0
 
-    @property
-    def shown(self) -> float:
-        """Least |log ratio| in the interval; 0 if it contains 1 or there is no interval."""
-        if self.ratio.low is None or self.ratio.high is None:
-            return 0.0
-        return float(max(np.log(self.ratio.low), -np.log(self.ratio.high), 0.0))
-
 
 def over_null(
     of: Statistic, observed: np.ndarray, null: np.ndarray, confidence: float, margin: float = 0.0

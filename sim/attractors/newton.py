@@ -113,14 +113,14 @@ def near_cycle(
         if off_by > missed:
             break
         matrix = path.monodromy(is_forced=False)
+        step = np.linalg.lstsq(np.identity(2 * n) - matrix, error, rcond=1e-12)[0]
         if np.abs(error).max() <= back * size:
-            start = np.concatenate([first[0] - z, first[1] - w])
+            start = np.concatenate([first[0] - z, first[1] - w]) - step
             found = Near(round_, path, matrix, float(np.linalg.norm(start)) / size)
             is_on_its_way = _stays_within(_FAR * size, matrix, start)
         missed, period = off_by, float(t[-1])
         if missed <= _EXACT * size:
             break
-        step = np.linalg.lstsq(np.identity(2 * n) - matrix, error, rcond=1e-12)[0]
         z, w = z + step[:n], w + step[n:]
     return found if is_on_its_way else None
 

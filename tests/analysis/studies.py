@@ -15,7 +15,7 @@ import numpy as np
 from scipy import fft, linalg, signal, special, stats
 
 from stickslip.analysis.contrast import PerEvent
-from stickslip.analysis.models import clustering, counting, fates, growth, laws, pool, rhythm, times
+from stickslip.analysis.models import clustering, common_motion, fates, growth, laws, pool, times
 from stickslip.analysis.models.episodes import OCCUPANCY, SLOW_DRIVE, Catalogue
 from stickslip.analysis.series.cascades import Law, Window, sizes, sums, window
 from stickslip.analysis.series.cascades import laws as cascade_laws
@@ -34,6 +34,7 @@ from stickslip.analysis.stats.estimates import (
 )
 from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import goodness
+from stickslip.workflows.scenes import counting
 from tests.chance import ERRORS, agrees
 
 CONFIDENCE = 0.95
@@ -401,7 +402,7 @@ def triggering_study(rng, ensembles):
         yield from over_rotation("triggering: pairs", names, runs, rng, ensembles, answers)
 
 
-# ------------------------------------------------------------------------------------------------ slow rhythm
+# ------------------------------------------------------------------------------------------------ slow common motion
 
 STEP = 10.0  # of samples
 OWN, LEFT = 220.0, 0.45  # the power of independent blocks, and the share of it that is left: as observed at n = 200
@@ -436,10 +437,10 @@ def rhythmic(rng, ensembles, span, period, quality, variance=11.0, spread=0.0, s
     periods = period * np.exp(spread * rng.standard_normal(runs))
     x = np.sqrt(variance) * oscillators(rng, runs, span, periods, quality)
     x += np.sqrt(LEFT * OWN / (2 * STEP)) * rng.standard_normal(x.shape)
-    m = rhythm.n_harmonics(span, shortest)
+    m = common_motion.n_harmonics(span, shortest)
     power = 2 * abs(fft.rfft(x, axis=1)[:, 1 : m + 1] * STEP) ** 2 / span
     rows = zip(power.reshape(-1, MATRICES, m), x.var(axis=1).reshape(-1, MATRICES), strict=True)
-    return [rhythm.Spectra(span, one, np.full_like(one, OWN), var, np.ones(MATRICES)) for one, var in rows]
+    return [common_motion.Spectra(span, one, np.full_like(one, OWN), var, np.ones(MATRICES)) for one, var in rows]
 
 
 def rhythm_study(rng, ensembles):
@@ -452,22 +453,22 @@ def rhythm_study(rng, ensembles):
         (1400.0, 470.0, 1.2, 0.0), (2400.0, 470.0, 1.2, 0.0), (2400.0, 470.0, 1.2, 0.15), (5400.0, 470.0, 1.2, 0.15),
         (5400.0, 300.0, 3.0, 0.0),
     ):  # fmt: skip
-        m, noise = rhythm.n_harmonics(span, 108.0), LEFT * OWN / (2 * STEP)
+        m, noise = common_motion.n_harmonics(span, 108.0), LEFT * OWN / (2 * STEP)
         periods = period * np.exp(spread * np.linspace(-3, 3, 61)[:, None])
         weights = np.exp(-0.5 * np.linspace(-3, 3, 61) ** 2)
         frequency = np.arange(1, m + 1) / span
-        mean = 11.0 * np.average(rhythm.expected(frequency, span, periods, quality), axis=0, weights=weights)
-        power, at, q, _ = np.exp(rhythm.best(span, mean + LEFT * OWN, np.full(m, OWN)))
+        mean = 11.0 * np.average(common_motion.expected(frequency, span, periods, quality), axis=0, weights=weights)
+        power, at, q, _ = np.exp(common_motion.best(span, mean + LEFT * OWN, np.full(m, OWN)))
         answers = {"period": at, "quality": q, "width": 1 / (at * q), "share": power / (11.0 + noise)}
         every = [
-            rhythm.rhythm(one, CONFIDENCE, rng).estimates
+            common_motion.common_motion(one, CONFIDENCE, rng).estimates
             for one in rhythmic(rng, ensembles, span, period, quality, spread=spread)
         ]
         for name, answer in answers.items():
             what = f"{name}: {period:g}, quality {quality:g}, spread {spread:g}, windows of {span:g}"
             yield judged("rhythm", what, answer, [one[name] for one in every if name in one], log=True)
     for span in (1400.0, 5400.0):
-        p = [rhythm.p_value(one, rng) for one in rhythmic(rng, ensembles, span, 470.0, 1.2, variance=0.0)]
+        p = [common_motion.p_value(one, rng) for one in rhythmic(rng, ensembles, span, 470.0, 1.2, variance=0.0)]
         yield Row(
             "rhythm: p > 0.05",
             f"none, windows of {span:g}",

@@ -161,7 +161,7 @@ def test_a_period_that_all_starts_share_has_no_interval(planted_runs, settings):
     starts = [started(0.1 * k, 0.0, start_draw=k, drawn="z = uniform(0, 1)") for k in range(8)]
     answered = settled(Study(planted_runs([start | cycle(3.5081, 0.5) for start in starts]), settings))
     (period,) = [finding for finding in answered.findings if isinstance(finding, Alike)]
-    assert (period.value, period.among) == (3.5081, "from all 8 runs")
+    assert (period.value, period.among) == (3.5081, "from all 8 starts")
     other = [start | cycle(3.5081 + 0.1 * (k == 0), 0.5) for k, start in enumerate(starts)]
     assert not [finding for finding in settled(Study(planted_runs(other), settings)).findings
                 if isinstance(finding, Alike)]  # fmt: skip
@@ -176,6 +176,8 @@ def test_a_share_is_set_beside_the_published_one(basin, settings):
         comparison = shares(settled(study))["sliding"].comparison
         assert comparison.difference.verdict is verdict
         assert comparison.difference.estimate.low == pytest.approx(low - value)
+    none = shares(settled(Study(data, replace(settings, published={"torus": 0.2}))))["torus"]
+    assert (none.estimate.value, none.comparison.difference.verdict) == (0.0, Verdict.LESS)
 
 
 def test_the_basin_has_a_mark_for_each_start_and_shares_in_its_legend(basin, settings):

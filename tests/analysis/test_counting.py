@@ -10,13 +10,12 @@ from scipy import stats
 from stickslip.analysis import Data, Study
 from stickslip.analysis.findings.finding import Lack, Parts, Reason
 from stickslip.analysis.findings.words import sentence
-from stickslip.analysis.models import counting, pool
+from stickslip.analysis.models import pool
 from stickslip.analysis.questions.slips import cascades
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats.estimates import LN2
-from stickslip.workflows.scenes import counting as counting_scene
-from stickslip.workflows.scenes.counting import question as counting_of
+from stickslip.workflows.scenes import counting
 from tests.analysis import studies
 from tests.analysis.blocks import coupled_blocks
 from tests.chance import agrees
@@ -102,7 +101,7 @@ def estimates(finding):
 
 
 def test_independent_blocks_are_finite_size_alone(planted, rng):
-    answers = [counting_of(coupled_blocks(planted, (40,), 0.0, rng)) for _ in range(8)]
+    answers = [counting.question(coupled_blocks(planted, (40,), 0.0, rng)) for _ in range(8)]
     known = [answer.findings[0] for answer in answers if not isinstance(answer.findings[0], Lack)]
     assert {answer.findings[0].reason for answer in answers if isinstance(answer.findings[0], Lack)} <= {Reason.DRIFT}
     assert len(known) > 4  # a false alarm of drift has 5%: more than 3 of 8 are 4e-4
@@ -114,7 +113,7 @@ def test_independent_blocks_are_finite_size_alone(planted, rng):
 
 
 def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
-    answer = counting_of(coupled_blocks(planted, (20, 40), 0.1, rng, **PLENTY))
+    answer = counting.question(coupled_blocks(planted, (20, 40), 0.1, rng, **PLENTY))
     sums = [finding for finding in answer.findings if isinstance(finding, Parts)]
     assert [finding.whole.where for finding in sums] == ["n = 40", "n = 20"]
     for finding in sums:
@@ -129,17 +128,17 @@ def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
         sentence(sums[0]),
     )
     figure = answer.figures["counting"].recipe()
-    assert [ax.get_ylabel() for ax in figure.axes] == [counting_scene.EXCESS, counting_scene.SCALED]
-    (one,) = counting_of(coupled_blocks(planted, (40,), 0.1, rng)).figures["counting"].recipe().axes
+    assert [ax.get_ylabel() for ax in figure.axes] == [counting.EXCESS, counting.SCALED]
+    (one,) = counting.question(coupled_blocks(planted, (40,), 0.1, rng)).figures["counting"].recipe().axes
     labels = {text.get_text() for text in one.get_legend().texts}
     assert labels == {"fair coin", "two-state blocks", "shifted in time", "runs"}
 
 
 def test_what_is_missing_is_said(planted, rng):
     study = coupled_blocks(planted, (40,), 0.0, rng, matrices=2)
-    assert counting_of(study).findings[0].reason is Reason.FEW_UNITS
+    assert counting.question(study).findings[0].reason is Reason.FEW_UNITS
     unrecorded = Study(replace(study.data, events={}), study.settings)
-    assert counting_of(unrecorded).findings[0].reason is Reason.NOT_RECORDED
+    assert counting.question(unrecorded).findings[0].reason is Reason.NOT_RECORDED
 
 
 def test_the_rate_is_held_against_one_pool_lulls_or_none(planted, rng):
@@ -150,6 +149,6 @@ def test_the_rate_is_held_against_one_pool_lulls_or_none(planted, rng):
     events = {name: (slow * t, *rest) for name, (t, *rest) in study.data.events.items()}
     members = study.data.members.assign(t_end=slow * study.data.members["t_end"])
     study = Study(Data(members.assign(t_stop=members["t_end"]), series, events), study.settings)
-    row, law = counting_of(study).tables["counting"].iloc[0], cascades.answer(study).tables["law"].iloc[0]
+    row, law = counting.question(study).tables["counting"].iloc[0], cascades.answer(study).tables["law"].iloc[0]
     assert row["in_lulls"] > 0.05
     assert law["over_pool"] / LN2 == pytest.approx(row["excess"] - row["counting"], abs=1e-9)

@@ -118,6 +118,10 @@ def test_sentences():
         "Cascade sizes fall off exponentially, with a decay rate of 0.6998 (0.6970 to 0.7022), "
         "0.95% (0.61 to 1.31%) above a fair coin's ln 2."
     )
+    often = Comparison("shifted blocks", Difference(Estimate(10.4, 4.84, 21.3)))
+    assert sentence(Level(GAMMA, Estimate(6.6), "", often)) == (
+        "Decay rate: 6.60, 11.4 (5.8 to 22.3) times that of shifted blocks."
+    )
     away = Difference(Estimate(-0.3, -0.4, -0.2), Scale.ABSOLUTE)
     gone = Change(SHARE, "kappa", "0.1", "0.4", Estimate(0.5), Estimate(0.2), away, "eps = 0.03")
     assert sentence(gone) == (

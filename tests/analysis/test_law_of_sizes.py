@@ -15,7 +15,7 @@ from stickslip.analysis.questions.slips import cascade_definitions, cascades
 from stickslip.analysis.series.cascades import EVENTS
 from stickslip.analysis.series.cascades import Law as Definition
 from stickslip.analysis.stats.components import between, quotient
-from stickslip.analysis.stats.estimates import LN2
+from stickslip.analysis.stats.estimates import LN2, gamma, over_matrices
 from stickslip.analysis.tables import records
 from tests.analysis import studies
 from tests.analysis.blocks import coupled_blocks
@@ -182,6 +182,16 @@ def test_a_quotient_has_the_coverage_of_its_interval(rng):
     assert agrees(held, n, 0.94, 0.96)
     nothing = np.column_stack([x, y - y.mean(), np.ones(64)])
     assert quotient(lambda s: s[:, 0] / s[:, 2], lambda s: s[:, 1] / s[:, 2], nothing, 0.95).low is None
+
+
+def test_the_rate_of_a_system_is_over_the_parts_of_its_run(rng):
+    counts = rng.integers(20, 60, (6, cascades.PARTS))
+    parts = np.stack([counts + rng.poisson(counts), counts], axis=2).astype(float)
+    values, errors = cascades.of_systems(np.concatenate([parts, np.ones((1, cascades.PARTS, 2))]))
+    assert np.isnan([values[-1], errors[-1]]).all(), "sizes of one alone have no rate"
+    for system, value, error in zip(parts, values, errors, strict=False):
+        rate = over_matrices(gamma, system, 0.95)
+        assert (value, 2.2621571627 * error) == pytest.approx((rate.value, rate.high - rate.value))  # t, 9 degrees
 
 
 def test_the_scatter_between_systems_is_the_planted_part(rng):

@@ -37,9 +37,9 @@ def study(planted, settings):
 
 def test_it_counts_the_first_run_that_finished(study):
     found = answer(study())
-    onsets, never, sticking = found.findings
+    onsets, slipping, sticking = found.findings
     assert onsets.estimate.value == 2
-    assert never.estimate.value == 0.5
+    assert slipping.estimate.value == 0.5
     assert sticking.estimate.value == pytest.approx((3 + 2 * 2 + 3 + 2) / (4 * 5))
     assert sentence(onsets) == "Number of slip onsets, one run of 4 blocks to t = 5: 2."
     assert "Run m2 is the first of 3 that finished" in found.method

@@ -152,7 +152,7 @@ def test_no_answer_is_a_line_and_the_page_stands(study):
     report = page_of(study, lacking, failed)
     page = shown(report.html)
     assert page.startswith("Title</h1>")
-    assert "Asked but not answered: The &lt;length&gt;: no run is in motion.</p>" in page
+    assert "Asked but not answered: How long is it? The &lt;length&gt;: no run is in motion.</p>" in page
     assert "Asked but not answered: own:other: expected &lt;this&gt;, got that.</p>" in page
     assert "own:third was not run; stickslip report DIR --own runs the code beside the scene.</p>" in page
     assert report.problems == {"own:other": "expected <this>, got that"}

@@ -528,7 +528,7 @@ class _Measure:
         x, y, unit = self._state(self.told), self._state(told), self.unit
         if image.until is not None:
             x = x[: np.searchsorted(self.setup.times, image.until, side="right")]
-            if len(x) and self.setup.times[len(x) - 1] == image.until:
+            if len(x) and self.setup.times[len(x) - 1] == image.until and told.outcome != "diverged":
                 y = np.vstack([y[: len(x) - 1], y[-1:]])  # the end of the run is the sample there
             y = y[: len(x)]
         m = min(len(x), len(y), self.n_known)

@@ -49,7 +49,7 @@ def with_names(*names):
 
 
 #: In each run of the tests, and of `-m long`, of all words.
-_SOME, _MORE = 120, 500
+_SOME, _MORE = 40, 500
 _KNOWN = {"cost", "order", "select", "ORDER", "group", "task", "base", "system", "source", "settings"}
 _BARRED = {"N", "n", "end", "END", "start", "z", "for", "None", "rng", "MATRIX", "__filename"}
 

@@ -252,6 +252,27 @@ def test_a_block_that_its_belt_does_not_hold_leaves_a_thin_layer_in_time(falls, 
         assert error < 40
 
 
+@pytest.mark.parametrize("falls", [Rational(1.0), Stribeck(0.5)])
+@pytest.mark.parametrize("off", [0.0, 1e-9, 1e-5])
+@pytest.mark.parametrize("tol", [1e-4, 1e-7, 1e-10])
+def test_terms_that_vanish_where_damping_makes_up_for_the_fall_of_friction_end_no_series(falls, off, tol):
+    """A block without springs on a belt that gains speed: u of the order of t^2 has no terms in t^3 and t^4."""
+    mass, static = 4.0, 1.5 if isinstance(falls, Stribeck) else 1.0
+    belt = Piecewise([0.0, 4.0], [-1.0, 0.5])
+    system = System([[0.0]], 1.0 + off, 1.0, belt, static, mass=mass, weakening=falls)
+    leaves = (static / (1.0 + off) - mass * 0.375 / (1.0 + off) + 1.0) / 0.375  # m v' + R v is the static friction
+
+    def rates(t, x):
+        u = max(-1.0 + 0.375 * t - x[0], 0.0)
+        return [(-(1.0 + off) * x[0] + float(system.kinetic(np.array([-u]))[0])) / mass]
+
+    exact = solve_ivp(rates, (leaves, 4.0), [-1.0 + 0.375 * leaves], method="DOP853", rtol=1e-12, atol=1e-13)
+    run = simulate(system, 0.0, -1.0, 4.0, tol=tol)
+    assert run.events.mode.tolist() == [-1]
+    assert run.events.t[0] == pytest.approx(leaves, abs=1e-9)
+    assert run.w[0] == pytest.approx(exact.y[0, -1], rel=0, abs=tol + 1e-11)
+
+
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_barred_side_holds_in_the_limit(side):
     """What is pulled ahead of its belt with 30 times its friction creeps there, by 30 eps, and sticks."""

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis.questions import QUESTIONS
+from stickslip.analysis.questions import package_questions
 from stickslip.analysis.report.page import ask
 from stickslip.pipeline import ScheduleError, parse_scene, run_ensemble
 from stickslip.pipeline.dataset.opened import open_dataset
@@ -64,7 +64,7 @@ def test_what_workers_find_is_what_one_process_finds(in_shards, rng, monkeypatch
 
     def ask_on_workers(opened, study, on_answer):
         study.put = put(opened)
-        return [ask(study, key) for key in QUESTIONS]
+        return [ask(study, key) for key in package_questions(study.settings.question)]
 
     spread = report(opened, ask_on_workers)
     assert spread.tables.keys() == plain.tables.keys() >= {"law", "counting"}
@@ -203,7 +203,7 @@ def test_copies_are_beside_their_bases_wherever_these_lie(tmp_path, rng, monkeyp
             study.put = put(opened)
             if of_children:
                 study.put = on_children.OnChildren(opened, study.settings, [InThisProcess(3), InThisProcess(1000)])
-            return [ask(study, key) for key in QUESTIONS]
+            return [ask(study, key) for key in package_questions(study.settings.question)]
 
         return report(opened, asked)
 

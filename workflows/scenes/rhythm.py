@@ -157,10 +157,9 @@ def question(study: Study) -> Answer:
             power._asdict() | named("exponent", power.exponent) for power in powers
         )),
     }  # fmt: skip
-    caption = (
-        "The natural period of slow common motion, with intervals, along each key; one line a setting of the others."
-    )
-    picture = Picture(partial(periods, [line for line in lines if line.key == lines[0].key]), caption)
+    drawn = [line for line in lines if line.key == lines[0].key]
+    caption = f"How the natural period of slow common motion changes along {drawn[0].key}, with intervals."
+    picture = Picture(partial(periods, drawn), caption)
     return Answer(findings=findings, n_lead=2, tables=tables, figures={"rhythm_period": picture})
 
 

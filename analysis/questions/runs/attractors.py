@@ -6,7 +6,7 @@ Starts are no part of a setting here: runs that differ in their start alone are 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -211,7 +211,7 @@ def settled(study: Study) -> Answer | None:
     if not groups:
         return None
     runs = {group.label: _runs(study, group) for group in groups}
-    attractors = {name: list(_attractors(study, part)) for name, part in runs.items()}
+    attractors = {name: list(_attractors(study, part, study.settings.published)) for name, part in runs.items()}
     tables: dict[str, Table] = {
         "attractors": frame(_SCHEMA, (row.row(name) for name, rows in attractors.items() for row in rows))
     }
@@ -224,8 +224,7 @@ def settled(study: Study) -> Answer | None:
         tables["attractor_ranges"] = frame(columns | _RANGES, rows)
         pictures = _pictures_along(study, axes, lines)
     else:
-        things = "starts" if basin and runs[groups[0].label].is_one_system else "runs"
-        shares = [_findings(study, things, name if len(runs) > 1 else "", attractors[name], runs[name])
+        shares = [_findings(study, name if len(runs) > 1 else "", attractors[name], runs[name])
                   for name in list(runs)[:_MOST_LINES]]  # fmt: skip
         findings, n_lead = [finding for part in shares for finding in part], min(2, len(shares[0]))
         if len(runs) > 1:
@@ -287,11 +286,11 @@ def _numbered(study: Study, runs: Runs) -> Runs:
     return runs._replace(cycle=number)
 
 
-def _attractors(study: Study, runs: Runs) -> Iterator[Attractor]:
-    """The attractors of a group, in the order of the page."""
+def _attractors(study: Study, runs: Runs, named: Iterable[str] = ()) -> Iterator[Attractor]:
+    """The attractors of a group in the order of the page, and those named, with no runs if no run settles on them."""
     units = np.arange(runs.n) if runs.is_one_system else np.unique(runs.unit, return_inverse=True)[1]
     of = np.bincount(units)
-    for what in _in_order(runs.cycles):
+    for what in _in_order([*runs.cycles, *(Settled(kind) for kind in {*named} - {*runs.attractor})]):
         has = (runs.attractor == what.kind) & (runs.cycle == what.cycle)
         counts = np.column_stack([np.bincount(units, has), of])
         share, low, high, _ = share_over_matrices(counts, study.settings.confidence)
@@ -319,8 +318,9 @@ def _most(numbers: np.ndarray) -> float | None:
     return float(known.max()) if len(known) else None
 
 
-def _findings(study: Study, things: str, where: str, attractors: Sequence[Attractor], runs: Runs) -> list[Finding]:
+def _findings(study: Study, where: str, attractors: Sequence[Attractor], runs: Runs) -> list[Finding]:
     """The share of each attractor of a group, and the period that all cycles share."""
+    things = "starts" if runs.is_one_system and runs.n > 1 else "runs"
     n_cycles = sum(attractor.what.kind == PERIODIC for attractor in attractors)
     basis = Basis(runs.n_units, _unit(study, [runs]))
     shares: list[Finding] = [

@@ -79,12 +79,12 @@ def _sticking(t: np.ndarray, share: np.ndarray, t_end: float, where: str) -> Fin
 
 
 def _slips(events: EventSeries, where: str) -> list[Finding]:
-    """How often blocks begin to slip, and how many never slip."""
+    """How often blocks begin to slip, and how many ever do."""
     slips = events.initial_mode != 0
     slips[events.block[events.mode != 0]] = True
     return [
         Level(ONSETS, Estimate(int(events.is_exit.sum())), where),
-        Share("never_slip", "blocks", "never slip", Estimate(float(np.mean(~slips)))),
+        Share("slip", "blocks", "slip", Estimate(float(np.mean(slips)))),
     ]
 
 

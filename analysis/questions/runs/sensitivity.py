@@ -13,10 +13,11 @@ from matplotlib.ticker import LogLocator, NullLocator
 from stickslip.analysis.answer import Answer, B, F, I, Picture, Question, S, frame, named
 from stickslip.analysis.ensemble import Separation, Study
 from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Lifetime, Quantity, Reason
+from stickslip.analysis.findings.words import listed
 from stickslip.analysis.members import RELATIVE
 from stickslip.analysis.models.fates import median
 from stickslip.analysis.models.growth import Growth, growth
-from stickslip.analysis.pairs import CONSTANTS, START, Comparison, Followed, Setting, follow, level, settings
+from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, Comparison, Followed, Setting, follow, level, settings
 from stickslip.analysis.series import parting
 from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.stats.estimates import Estimate
@@ -32,10 +33,8 @@ SMALL = 0.1  # largest displacement of a start for a growth rate, as a share of 
 FLOOR, TOLERANCES = 1e-13, 10.0  # floor of exact engines; that of others is so many times their relative tolerance
 RATE = Quantity("rate", "growth rate of small differences, per unit of time")
 FOLDS = {
-    GROWS: Quantity("e_fold", "time in which small differences grow by a factor e"),
-    SHRINKS: Quantity(
-        "e_fold", "time in which small differences shrink by a factor e", more="longer", less="shorter"
-    ),
+    verdict: Quantity("e_fold", f"time in which small differences {verdict} by a factor e")
+    for verdict in (GROWS, SHRINKS)
 }
 PARTED = Quantity("parted", "median time until copies part from their base")
 _GROWTH: Mapping[str, str] = {
@@ -50,65 +49,73 @@ _PARTING: Mapping[str, str] = {
 _CURVES: Mapping[str, str] = {"setting": S, "change": S, "t": F, "n_pairs": I, "gap": F}
 
 
+_METHOD = (
+    f"The growth rate is the slope of log distance over time from t = {T_FROM:g} on, while all pairs lie between a"
+    f" floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and {CEILING:g}; none is given where more than"
+    " a tenth of the pairs leave that range. Copies have parted when |difference of n_stick|, averaged over"
+    f" {parting.SPAN:g} units of time, first reaches {100 * parting.SHARE:g}% of what two systems show after t_burn."
+)
+
+
+def _identity(setting: Setting) -> dict[str, object]:
+    return {"setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"]}
+
+
 class _Rate(NamedTuple):
-    """The growth rate of starts displaced by one size; `law` is None where no distance was recorded."""
+    """The growth rate of starts displaced by one size."""
 
     setting: Setting
     size: float
     n_pairs: int
-    law: Growth | None
+    law: Growth
 
     @property
     def is_told(self) -> bool:
         """Whether enough pairs stay in their linear range."""
-        return self.law is not None and self.law.rate.low is not None and not self.law.is_selected
+        return self.law.rate.low is not None and not self.law.is_selected
 
     @property
     def verdict(self) -> str:
         """Whether small differences grow or shrink, by the interval of their rate."""
-        if self.law is None or self.law.rate.low is None or self.law.rate.high is None or self.law.is_selected:
+        if not self.is_told or self.e_fold.value is None:
             return UNKNOWN
-        return GROWS if self.law.rate.low > 0 else SHRINKS if self.law.rate.high < 0 else UNKNOWN
+        return GROWS if (self.law.rate.low or 0.0) > 0 else SHRINKS
 
     @property
     def n_used(self) -> int:
         """How many pairs stay in their linear range."""
-        return 0 if self.law is None else self.law.n_pairs - self.law.n_floor - self.law.n_ceiling
-
-    @property
-    def length(self) -> float:
-        """How long the range of the rate is: it depends on that range, and the longest leads."""
-        return 0.0 if self.law is None else self.law.t_to - self.law.t_from
+        return self.law.n_pairs - self.law.n_floor - self.law.n_ceiling
 
     @property
     def e_fold(self) -> Estimate:
         """The time in which differences change by a factor e; nothing if the rate may be zero."""
-        rate = Estimate() if self.law is None else self.law.rate
+        rate = self.law.rate
         if not rate.value or rate.low is None or rate.high is None or rate.low <= 0 <= rate.high:
             return Estimate()
         low, high = sorted((abs(1 / rate.low), abs(1 / rate.high)))
         return Estimate(abs(1 / rate.value), low, high)
 
     @property
+    def precedence(self) -> tuple[bool, bool, float]:
+        """The rate depends on the range that it is taken in: the longest stands for a setting."""
+        return self.is_told, self.verdict != UNKNOWN, self.law.t_to - self.law.t_from
+
+    @property
     def finding(self) -> Finding:
-        where = f"{self.setting.label}, with starts moved by {shown(self.size)}"
-        if self.law is None:
+        where, basis = f"{self.setting.label}, with starts moved by {shown(self.size)}", Basis(self.n_used, "pair")
+        if not self.law.n_pairs:
             return Lack(f"{RATE.name}, {where}", Reason.NOT_RECORDED, "add separation under [record]")
         if not self.is_told:
-            used = f"{self.n_used} of {self.n_pairs}"
-            return Lack(f"{RATE.name}, {where}", Reason.OUT_OF_RANGE, used)
-        basis = Basis(self.n_used, "pair")
+            return Lack(f"{RATE.name}, {where}", Reason.OUT_OF_RANGE, f"{self.n_used} of {self.n_pairs}")
         if self.verdict == UNKNOWN:
             return Level(RATE, self.law.rate, where, basis=basis)
         return Level(FOLDS[self.verdict], self.e_fold, where, basis=basis)
 
     def row(self) -> Mapping[str, object]:
         """Row of the table `growth`."""
-        identity = {"setting": self.setting.label, "n": self.setting.key["n"], "engine": self.setting.key["engine"]}
-        known = {"size": self.size, "n_pairs": self.n_pairs, "n_used": self.n_used, "verdict": self.verdict}
-        if (law := self.law) is None:
-            return identity | known
-        return identity | known | named("rate", law.rate) | named("e_fold", self.e_fold) | {
+        law = self.law
+        return _identity(self.setting) | named("rate", law.rate) | named("e_fold", self.e_fold) | {
+            "size": self.size, "n_pairs": self.n_pairs, "n_used": self.n_used, "verdict": self.verdict,
             "t_from": law.t_from, "t_to": law.t_to, "n_floor": law.n_floor, "n_ceiling": law.n_ceiling,
             "is_selected": law.is_selected,
         }  # fmt: skip
@@ -123,21 +130,12 @@ class _Parting(NamedTuple):
     pairs: Followed
     half: Estimate
 
-    @property
-    def finding(self) -> Finding:
-        share_left = 1 - float(np.mean(self.pairs.has_parted))
-        where = f"{self.setting.label}, {_with(self.change)}"
-        basis = Basis(len(np.unique(self.pairs.matrix)))
-        horizon = float(self.setting.key["t_end"])
-        return Lifetime(PARTED, "copies", "have not parted", self.half, horizon, share_left, where, basis=basis)
-
     def row(self) -> Mapping[str, object]:
         """Row of the table `parting`."""
-        setting, change = self.setting, self.change
-        return {
-            "setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"], "change": str(change),
-            "kind": change.kind, "reading": change.reading, "size": change.size, "level": self.level,
-            "n_pairs": len(self.pairs), "n_parted": int(self.pairs.has_parted.sum()), **named("median", self.half),
+        change = self.change
+        return _identity(self.setting) | named("median", self.half) | {
+            "change": str(change), "kind": change.kind, "reading": change.reading, "size": change.size,
+            "level": self.level, "n_pairs": len(self.pairs), "n_parted": int(self.pairs.has_parted.sum()),
         }  # fmt: skip
 
     def curve(self) -> Iterator[tuple[float, int, float]]:
@@ -149,10 +147,27 @@ class _Parting(NamedTuple):
             yield t, len(known), float(np.mean(known)) / self.level
 
 
-def _with(change: Change) -> str:
-    if change.kind == CONSTANTS:
-        return f"with constants changed by up to {100 * change.size:g}%"
-    return f"with starts moved by {shown(change.size)}" if change.kind == START else "with other stiffness ratios"
+def _alike(partings: Sequence[_Parting]) -> list[list[_Parting]]:
+    """Partings, where those of displaced starts of a setting of which none has parted are together."""
+    groups: dict[object, list[_Parting]] = {}
+    for k, parted in enumerate(partings):
+        is_open = parted.change.kind == START and not parted.pairs.has_parted.any()
+        groups.setdefault(parted.setting.label if is_open else k, []).append(parted)
+    return [*groups.values()]
+
+
+def _lifetime(alike: Sequence[_Parting]) -> Lifetime:
+    """The median time until copies part, of one change or of several that have the same outcome."""
+    first, sizes = alike[0], listed([shown(parted.change.size) for parted in alike], "or")
+    change = {
+        CONSTANTS: f"constants changed by up to {100 * first.change.size:g}%",
+        START: f"starts moved by {sizes}",
+        RATIOS: "other stiffness ratios",
+    }[first.change.kind]
+    share_left = 1 - float(np.mean(np.concatenate([parted.pairs.has_parted for parted in alike])))
+    where, horizon = f"{first.setting.label}, with {change}", float(first.setting.key["t_end"])
+    basis = Basis(len(np.unique(first.pairs.matrix)))
+    return Lifetime(PARTED, "copies", "have not parted", first.half, horizon, share_left, where, basis=basis)
 
 
 def answer(study: Study) -> Answer | None:
@@ -166,7 +181,6 @@ def answer(study: Study) -> Answer | None:
         for comparison in setting.comparisons
         if comparison.change.kind == START and comparison.change.size <= SMALL * CEILING
     ]
-    rates.sort(key=lambda rate: -rate.setting.key["n"])
     partings = [parted for setting in compared for parted in _partings(study, setting)]
     tables = {
         "growth": frame(_GROWTH, (rate.row() for rate in rates)),
@@ -176,32 +190,21 @@ def answer(study: Study) -> Answer | None:
             for parted in partings for t, n, gap in parted.curve()
         )),
     }  # fmt: skip
-    told = [rate for rate in rates if rate.is_told]
-    first = [rate for rate in told if rate.setting is told[0].setting]
-    lead = max(first, key=lambda rate: (rate.verdict != UNKNOWN, rate.length), default=None)
-    leading = lead.setting if lead else max((parted.setting for parted in partings), key=_size, default=None)
+    by_setting = {setting.label: [rate for rate in rates if rate.setting is setting] for setting in compared}
+    best = [max(alike, key=lambda rate: rate.precedence) for alike in by_setting.values() if alike]
+    best.sort(key=lambda rate: (not rate.is_told, -_size(rate.setting)))
+    has_lead = bool(best) and best[0].is_told
+    leading = best[0].setting if has_lead else max((one.setting for one in partings), key=_size, default=None)
     partings.sort(key=lambda parted: (parted.setting is not leading, parted.change.kind == START))
-    others = [rate.finding for rate in rates if rate is not lead]
-    not_run = [] if rates else [Lack(RATE.name, Reason.NOT_RUN, "add [twins]")]
-    parting_findings = [parted.finding for parted in partings] or [
+    of_rates: list[Finding] = [rate.finding for rate in best] or [Lack(RATE.name, Reason.NOT_RUN, "add [twins]")]
+    of_partings: list[Finding] = [_lifetime(alike) for alike in _alike(partings)] or [
         Lack(PARTED.name, Reason.NO_REFERENCE, "no lasting difference of two systems")
     ]
-    if lead is not None:
-        findings = [lead.finding, *parting_findings, *others]
-    elif partings:
-        findings = [parting_findings[0], *others, *not_run, *parting_findings[1:]]
-    else:
-        findings = [*others, *not_run, *parting_findings]
-    figures = _figures(study, compared, told, [parted for parted in partings if parted.setting is leading])
+    first, second = (of_rates, of_partings) if has_lead or not partings else (of_partings, of_rates)
+    findings = [first[0], *second, *first[1:]]
+    told, drawn = [rate for rate in best if rate.is_told], [one for one in partings if one.setting is leading]
+    figures = _figures(study, compared, told, drawn)
     return Answer(findings=findings, n_lead=2, tables=tables, figures=figures, method=_METHOD)
-
-
-_METHOD = (
-    f"The growth rate is the slope of log distance over time from t = {T_FROM:g} on, while all pairs lie between a"
-    f" floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and {CEILING:g}; none is given where more than"
-    " a tenth of the pairs leave that range. Copies have parted when |difference of n_stick|, averaged over"
-    f" {parting.SPAN:g} units of time, first reaches {100 * parting.SHARE:g}% of what two systems show after t_burn."
-)
 
 
 def _size(setting: Setting) -> int:
@@ -213,7 +216,7 @@ def _rate(study: Study, setting: Setting, comparison: Comparison) -> _Rate:
     size, separations = comparison.change.size, _separations(study, comparison)
     pairs = [pair for pair in comparison.pairs if len(separations.get(pair.changed, ((),))[0])]
     if not pairs:
-        return _Rate(setting, size, len(comparison.pairs), None)
+        return _Rate(setting, size, len(comparison.pairs), Growth(Estimate(), T_FROM, T_FROM, 0, 0, 0))
     known = [separations[pair.changed] for pair in pairs]
     times = max((t for t, _ in known), key=len)
     law = growth(
@@ -277,12 +280,12 @@ def _figures(
 
 
 def _distance_lines(study: Study, compared: Sequence[Setting], told: Sequence[_Rate]) -> list[Stretch]:
-    """Median distance of pairs and the range of its slope, at the smallest size with a rate in each setting."""
+    """Median distance of pairs and the range of its slope, at the size that stands for each setting."""
     lines: list[Stretch] = []
     for setting in compared:
         rate = next((rate for rate in told if rate.setting is setting), None)
         for comparison in setting.comparisons:
-            if rate is None or rate.law is None or comparison.change != Change(START, size=rate.size):
+            if rate is None or comparison.change != Change(START, size=rate.size):
                 continue
             known = [*_separations(study, comparison).values()]
             m = int(np.median([len(distance) for _, distance in known]))

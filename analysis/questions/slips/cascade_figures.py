@@ -108,4 +108,4 @@ def size_law(axes: Sequence[Axes], laws: Mapping[str, Sequence[Row]], rate: Esti
     size_axis(below, widest)
     if len(laws) > 1 and top.get_legend_handles_labels()[0]:  # no size may be known well enough
         top.legend(loc="upper right")
-    below.legend(loc="lower left")
+    below.figure.legend(*below.get_legend_handles_labels(), loc="outside upper center", ncols=3)

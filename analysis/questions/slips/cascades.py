@@ -31,6 +31,7 @@ from stickslip.analysis.findings.finding import (
     Share,
     Verdict,
 )
+from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models import fates, pool
@@ -43,7 +44,7 @@ from stickslip.analysis.stats.compare import mean_within
 from stickslip.analysis.stats.components import between, quotient
 from stickslip.analysis.stats.dispersion import excess, moments
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, over_matrices, ratio
-from stickslip.analysis.stats.families import EXPONENTIAL, POWER_LAW, log_shares, maximise, truncate
+from stickslip.analysis.stats.families import EXPONENTIAL, POWER_LAW, log_shares, maximise
 from stickslip.analysis.style import forest
 from stickslip.pipeline.design.labels import Label, apart
 
@@ -160,14 +161,17 @@ def variance_over_shifted(rows: np.ndarray) -> np.ndarray:
 
 def gain(sums: Sums, confidence: float) -> Estimate:
     """By how much an exponential up to n blocks is likelier than a power law, in nats per cascade (Vuong 1989)."""
-    least = sums.smallest
-    sizes, kept = truncate(np.pad(sums.counts, ((0, 0), (least, 0))), least, max(sums.n, least + 1))
+    sizes = np.arange(sums.smallest, max(sums.n, sums.smallest + 1) + 1, dtype=np.float64)
+    pooled = np.zeros(len(sizes))
+    n_seen = min(sums.counts.shape[1], len(sizes))
+    pooled[:n_seen] = sums.counts.sum(axis=0)[:n_seen]
     try:
-        fits = [maximise(family, sizes, kept.sum(axis=0)) for family in (EXPONENTIAL, POWER_LAW)]
+        fits = [maximise(family, sizes, pooled) for family in (EXPONENTIAL, POWER_LAW)]
     except Undefined as undefined:
         return Estimate(reason=str(undefined))
-    exponential, power = (log_shares(fit.family, sizes, fit.theta) for fit in fits)
-    return over_matrices(ratio, np.column_stack([kept @ (exponential - power), kept.sum(axis=1)]), confidence)
+    exponential, power = (log_shares(fit.family, sizes, fit.theta)[:n_seen] for fit in fits)
+    total = sums.counts[:, :n_seen] @ (exponential - power)
+    return over_matrices(ratio, np.column_stack([total, sums.counts.sum(axis=1)]), confidence)
 
 
 # ------------------------------------------------------------------------------------------------- the question
@@ -280,9 +284,9 @@ def _findings(study: Study, sums: Sums, where: str) -> tuple[list[Finding], list
     fit = fit_of(departure, gain(sums, level))
     law = Law("cascade sizes", "fall off exponentially", rate, fit, departure, "fall off nearly exponentially")
     coupled = _coupling(sums, rate, level)
-    each = _each(sums, level)
-    values, errors = (np.array([one.value for one in each if one.low is not None]), _errors(each, level))
-    lasting = Level(LASTING, between(values, errors, PARTS - 1, level), where, basis=rate.basis)
+    values, errors = of_systems(sums.parts)
+    known = np.isfinite(errors)
+    lasting = Level(LASTING, between(values[known], errors[known], PARTS - 1, level), where, basis=rate.basis)
     further: list[Finding] = [*others, *more, *([lasting] if lasting.estimate.value is not None else [])]
     return [law, *coupled, departure], further
 
@@ -315,14 +319,22 @@ def _coupling(sums: Sums, rate: Level, confidence: float) -> list[Share]:
     return [Share("coupling", f"the {difference}{at}", f"is due to coupling{how}", share, basis=rate.basis)]
 
 
-def _each(sums: Sums, confidence: float) -> list[Estimate]:
-    """Decay rate of each system, with its interval over parts of its run."""
-    return [over_matrices(estimates.gamma, parts, confidence) for parts in sums.parts if parts.any()]
+def of_systems(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Decay rate of each system and its standard error from leaving out one part of its run at a time, shape (G,).
 
+    NaN where there is none.
+    """
 
-def _errors(each: Sequence[Estimate], confidence: float) -> np.ndarray:
-    t = student.half_width(confidence, PARTS - 1)
-    return np.array([(one.high - one.low) / (2 * t) for one in each if one.low is not None and one.high is not None])
+    def rate(sums: np.ndarray) -> np.ndarray:
+        total, n = np.moveaxis(sums, -1, 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = -np.log1p(-n / total)
+        return np.where(np.isfinite(found), found, np.nan)
+
+    whole = parts.sum(axis=1, keepdims=True)
+    left = rate(whole - parts)
+    off = left - left.mean(axis=1, keepdims=True)
+    return rate(whole)[:, 0], np.sqrt((PARTS - 1) / PARTS * np.sum(off**2, axis=1))
 
 
 def _alerts(study: Study, lead: Sums, groups: Sequence[Group]) -> list[Alert]:
@@ -391,8 +403,12 @@ def _size_rows(sums: Sums, confidence: float) -> list[Row]:
 
 def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Sequence[Row]) -> dict[str, Picture]:
     level, burn = study.settings.confidence, f"t = {study.settings.t_burn:g}"
-    rate, each = lead.estimate(gamma, level), _each(lead, level)
+    rate, system = lead.estimate(gamma, level), systems(study)
+    values, errors = of_systems(lead.parts)
+    half = student.half_width(level, PARTS - 1) * errors
+    each = [Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])[np.isfinite(errors)]]
     labels: Sequence[Label] = apart([one.group.name for one in drawn])
+    of_which = f" ({labels[0]})" if labels[0] else ""
     laws = {
         str(label or lead.group.label): [row for row in sizes if row["group"] == one.group.label]
         for label, one in zip(labels, drawn, strict=True)
@@ -401,17 +417,18 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Sequence[Ro
     return {
         "size_law": Picture(
             partial(cascade_figures.size_law, laws, rate),
-            "Each size is about half as common as the one before it; over a fair coin's 2⁻ˢ, below, the slope of the "
-            f"shares is the difference of the decay rate from ln 2. Line and band: the exponential law, {level:.0%}.",
+            f"Each size is {number(np.exp(-(rate.value or 0.0)), digits=2)} times as common as the one before; over "
+            "a fair coin's 2⁻ˢ, below, the slope of the shares is the difference of the decay rate from ln 2. Line "
+            f"and band: the exponential law, {level:.0%}.",
         ),
         "decay_rates": Picture(
             partial(forest, each, rate, "decay rate", (LN2, COIN)),
-            f"The decay rate of each {systems(study)}, its interval from {PARTS} parts of its run, and that of all "
+            f"The decay rate of each {system}{of_which}, its interval from {PARTS} parts of its run, and that of all "
             f"together (diamond, band). Dashed: {COIN}, which tossing a coin between letting go and sticking gives.",
         ),
         "one_run": Picture(
             draw_run,
-            f"A run of {systems(study)} {unit}, with its largest cascade after {burn} enlarged.",
+            f"A run of {system} {unit}, with its largest cascade after {burn} enlarged.",
         ),
     }
 

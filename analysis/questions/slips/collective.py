@@ -15,7 +15,7 @@ from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, Fit, Lack, Law, Level, Quantity, Reason, Share
 from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.models.clustering import POWER, VARIANCE
-from stickslip.analysis.models.rhythm import NONE, SURROGATES
+from stickslip.analysis.models.common_motion import NONE, SURROGATES
 from stickslip.analysis.questions.slips import slow_motion, triggering
 from stickslip.analysis.questions.slips.slow_motion import CYCLES, Slow
 from stickslip.analysis.questions.slips.triggering import Exits, exits_of, triggered
@@ -29,7 +29,7 @@ Q = Quantity("quality", "Q", definition="pi times the time in which the motion d
 PERIOD = Quantity("period", "natural period of slow common motion")
 DEVIANCE = Quantity("deviance", "deviance of the slow spectrum from the fit")
 _METHOD = (
-    "Independent blocks are each block's own history, shifted in time by a random amount; slow common motion, with"
+    "Time-shifted blocks are each block's own history, shifted by a random time; slow common motion, with"
     f" periods over {CYCLES:g} of a block's own cycles, is shown if its power is more concentrated than in 95% of"
     f" {SURROGATES} such surrogates, and is fitted as a damped oscillator beside a share of the blocks' own power."
     " Up to Q = 1/2 it is overdamped, and Q = 1 is a broad hump of the spectrum and no oscillation; comparisons"
@@ -139,13 +139,14 @@ def _picture(drawn: Mapping[str, tuple[list[Row], list[Row]]], motion: Slow | No
     """Power at all periods, with the fit of slow common motion and, of the group that leads, its goodness."""
     power = "the power of n_stick, the number of sticking blocks,"
     if motion is None or motion.motion is None or motion.motion.goodness is None:
-        caption = f"How far {power} is from that of independent blocks (dashed). Bars and bands: intervals."
+        caption = f"How far {power} is from that of time-shifted blocks (dashed). Bars and bands: intervals."
         return Picture(partial(spectrum, drawn), caption)
     fit = motion.motion.goodness
     quality = number(motion.estimate("quality").value or 0.0, digits=2)
+    where = motion.group.label
     caption = (
-        f"At long periods slow common motion lifts {power} above that of independent blocks (dashed). Bars and bands:"
-        f" intervals; lines through marks: a damped oscillator, which at {motion.group.label} has Q = {quality} and a"
+        f"At long periods slow common motion lifts {power} above that of time-shifted blocks (dashed). Bars and"
+        f" bands: intervals; lines through marks: a damped oscillator, which at {where} has Q = {quality} and a"
         f" deviance of {fit.deviance:.0f} on {fit.dof} degrees of freedom (p = {fit.p_value:.2g})."
     )
     return Picture(partial(spectrum, drawn), caption)
@@ -153,7 +154,7 @@ def _picture(drawn: Mapping[str, tuple[list[Row], list[Row]]], motion: Slow | No
 
 @panel(3.4)
 def spectrum(ax: Axes, groups: Mapping[str, tuple[list[Row], list[Row]]]) -> None:
-    """Power of n_stick over that of independent blocks against the period, fast and slow, with the fit."""
+    """Power of n_stick over that of time-shifted blocks against the period, fast and slow, with the fit."""
     ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
     for k, (label, (fast, slow)) in enumerate(groups.items()):
         colour, mark, face = (EXACT, SMOOTHED, GREEN)[k], "os^"[k], ((EXACT, "white", "white")[k])
@@ -165,7 +166,7 @@ def spectrum(ax: Axes, groups: Mapping[str, tuple[list[Row], list[Row]]]) -> Non
                     linewidth=0.9, label=label, markerfacecolor=face)  # fmt: skip
         if slow and all(row["model"] is not None for row in slow):
             ax.plot([_middle(row) for row in slow], [row["model"] for row in slow], color=colour)
-    ax.set(xscale="log", yscale="log", xlabel="period", ylabel="power / independent blocks")
+    ax.set(xscale="log", yscale="log", xlabel="period", ylabel="power / time-shifted blocks")
     for axis in (ax.xaxis, ax.yaxis):
         ends = axis.get_view_interval()
         axis.set_major_locator(LogLocator(subs=(1.0, 3.0) if ends[1] > 20 * ends[0] else (1.0, 2.0, 3.0, 5.0)))

@@ -11,8 +11,16 @@ import numpy as np
 from stickslip.analysis.answer import F, Row, S, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
-from stickslip.analysis.models import rhythm
-from stickslip.analysis.models.rhythm import LEAST_HARMONICS, LEAST_PERIODS, NUMBERS, SHORT, SLOW, Rhythm, Spectra
+from stickslip.analysis.models import common_motion
+from stickslip.analysis.models.common_motion import (
+    LEAST_HARMONICS,
+    LEAST_PERIODS,
+    NUMBERS,
+    SHORT,
+    SLOW,
+    CommonMotion,
+    Spectra,
+)
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import Estimate
@@ -34,7 +42,7 @@ class Slow:
     units: list[int]
     data: Spectra
     cycle: float
-    motion: Rhythm | None
+    motion: CommonMotion | None
 
     @property
     def verdict(self) -> str:
@@ -70,7 +78,7 @@ class Slow:
         row: Row = {
             "group": self.group.label, "verdict": self.verdict, "cycle": self.cycle, "span": self.data.span,
             "n_windows": float(self.data.n_runs.sum()), "needed": self.needed(t_burn),
-            "p_value": None if motion is None else motion.p, "p_floor": None if motion is None else rhythm.P_FLOOR,
+            "p_value": motion and motion.p, "p_floor": motion and common_motion.P_FLOOR,
         }  # fmt: skip
         estimates = {name: self.estimate(name) for name in NUMBERS}
         for name, estimate in estimates.items():
@@ -83,7 +91,7 @@ class Slow:
         }
 
     def bands(self, confidence: float) -> list[Row]:
-        """Power over that of independent blocks in bands of harmonics, beside that of the fit: `rhythm_spectrum`."""
+        """Power over that of time-shifted blocks in bands of harmonics, beside that of the fit: `rhythm_spectrum`."""
         data, rows, begin = self.data, list[Row](), 0
         while self.motion is not None and begin < len(data.frequency):
             band = slice(begin, end := min(begin + 1 + begin // 5, len(data.frequency)))
@@ -96,12 +104,12 @@ class Slow:
         return rows
 
     def _model(self, band: slice) -> float | None:
-        """Power of the fit in a band of harmonics, as windows of that length show it, over independent blocks."""
+        """Power of the fit in a band of harmonics, as windows of that length show it, over time-shifted blocks."""
         if not self.is_shown or self.motion is None:
             return None
         names = ("variance", "period", "quality", "left")
         variance, period, quality, left = (self.motion.values[name][0] for name in names)
-        power = variance * rhythm.expected(self.data.frequency[band], self.data.span, period, quality)
+        power = variance * common_motion.expected(self.data.frequency[band], self.data.span, period, quality)
         return float(left + power.mean() / self.data.independent[:, band].mean())
 
 
@@ -113,13 +121,13 @@ def slow_motion(study: Study, group: Group) -> Slow | None:
     if np.count_nonzero(seen) < 2:
         return None
     cycle = float(cycles.sum() / n_runs.sum())
-    m = rhythm.n_harmonics(span, CYCLES * cycle)
+    m = common_motion.n_harmonics(span, CYCLES * cycle)
     sums = study.sums(group, partial(_spectrum, m), 2 * m + 1)[seen]
     n_runs = sums[:, -1]
     means = sums[:, : 2 * m].reshape(-1, 2, m) / n_runs[:, None, None]
     data = Spectra(span, means[:, 0], means[:, 1], sums[:, 2 * m] / n_runs, n_runs)
     rng = study.generator(f"rhythm of {group.label}")
-    motion = rhythm.rhythm(data, study.settings.confidence, rng) if m >= LEAST_HARMONICS else None
+    motion = common_motion.common_motion(data, study.settings.confidence, rng) if m >= LEAST_HARMONICS else None
     units = [unit for unit, is_seen in zip(group.units, seen, strict=True) if is_seen]
     return Slow(group, units, data, cycle, motion)
 
@@ -135,4 +143,4 @@ def _spectrum(m: int, run: Run) -> np.ndarray | None:
     """`periodogram` of a run, and its variance in time; None as `_cycle`."""
     if run.steps is None or not (run.steps.step < 0).any():
         return None
-    return np.append(rhythm.periodogram(run.steps, m), run.win.time_variance())
+    return np.append(common_motion.periodogram(run.steps, m), run.win.time_variance())

@@ -1,4 +1,4 @@
-"""Exits and n_stick beside independent blocks: pairs of exits, counts in windows, variance and power."""
+"""Exits and n_stick beside time-shifted blocks: pairs of exits, counts in windows, variance and power."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ SPECTRUM: Mapping[str, str] = {"group": S, "above": F, "upto": F, "ratio": F, "l
 
 
 class Compared(NamedTuple):
-    """A quantity of a group beside that of independent blocks: means over units, and their ratio."""
+    """A quantity of a group beside that of time-shifted blocks: means over units, and their ratio."""
 
     part: Part
     observed: Estimate
@@ -62,14 +62,14 @@ class Compared(NamedTuple):
             case clustering.VARIANCE:
                 name = "variance of n_stick"
             case clustering.FANO:
-                name = f"variance over mean of slip onsets in windows of {self.part.upto:g}"
+                name = f"Fano factor of slip onsets in windows of {self.part.upto:g}"
             case _:
                 name = f"number of pairs of slip onsets within {self.part.upto:g}"
         return Quantity(self.part.kind, name)
 
     def level(self, where: str, basis: Basis) -> Level:
         """The finding, where it has an interval."""
-        return Level(self.quantity, self.observed, where, Comparison("independent blocks", self.difference), basis)
+        return Level(self.quantity, self.observed, where, Comparison("time-shifted blocks", self.difference), basis)
 
     def row(self, group: str) -> Row:
         """Row of the table `clustering`."""
@@ -84,7 +84,7 @@ class Compared(NamedTuple):
 
 @dataclass(frozen=True)
 class Exits:
-    """What was compared with independent blocks in a group.
+    """What was compared with time-shifted blocks in a group.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class Exits:
     compared : list of Compared
         The primary one first; the others are judged together.
     bands : list of (Part, Estimate)
-        Power in bands of periods, relative to that of independent blocks.
+        Power in bands of periods, relative to that of time-shifted blocks.
     n_units : int
     n_exits, gap : float
         Mean number of exits of a unit, and mean time between exits.
@@ -120,9 +120,9 @@ def _ends(estimate: Estimate) -> Row:
 def triggered(exits: Exits, where: str, unit: str) -> tuple[list[Share | Limit], Compared | None]:
     """The share of exits that trigger another one within a time, or an upper limit, and the pairs that show it.
 
-    An exit that another one triggers adds a pair to those of independent blocks. If more pairs are shown, the share
+    An exit that another one triggers adds a pair to those of time-shifted blocks. If more pairs are shown, the share
     is that within the least time at which they are. Else it has a limit, within the least time that is long enough
-    for triggering: the end of the interval, but no less than if there were as many pairs as of independent blocks,
+    for triggering: the end of the interval, but no less than if there were as many pairs as of time-shifted blocks,
     since data with few pairs by luck would exclude too much (Cowan, Cranmer, Gross and Vitells 2011,
     arXiv:1105.3166). There is none if no time is long enough.
     """
@@ -146,7 +146,7 @@ def triggered(exits: Exits, where: str, unit: str) -> tuple[list[Share | Limit],
 
 
 def exits_of(study: Study, group: Group) -> Exits | None:
-    """Exits of a group beside independent blocks; None if fewer than two units have them."""
+    """Exits of a group beside time-shifted blocks; None if fewer than two units have them."""
     span, confidence = float(group.key["t_end"]) - study.settings.t_burn, study.settings.confidence
     parts = _parts(span, study.settings.tau)
     shortest, longest = periods(span)
@@ -167,7 +167,7 @@ def exits_of(study: Study, group: Group) -> Exits | None:
 
 
 def compare(rows: np.ndarray, parts: Sequence[Part], confidence: float) -> list[Compared]:
-    """Parts beside independent blocks, from `measure` of units, shape (G, p, 2); the first is the primary one."""
+    """Parts beside time-shifted blocks, from `measure` of units, shape (G, p, 2); the first is the primary one."""
     compared = []
     for k, effect in enumerate(together([_over_blocks(rows[:, k], confidence) for k in range(len(parts))], 1)):
         observed = over_matrices(ratio, np.column_stack([rows[:, k, 0], np.ones(len(rows))]), confidence)

@@ -193,13 +193,20 @@ def _known_within(weakening, expansion):  # type: ignore[no-untyped-def]
 
 
 @inner
+def _is_friction_known(weakening, model, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
+    """Whether, up to h, friction is what the series up to this order say."""
+    return weakening is None or (
+        _is_shape(weakening, model, expansion, order, h, allowed)
+        and (not weakening.is_entire or _weakens_less(weakening, model, expansion, order, h, allowed))
+    )
+
+
+@inner
 def _weakens_less(weakening, model, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
     """Whether, up to h, the terms of an S without a pole fall beyond this order, or are too small to matter.
 
     Where x is large the first terms of exp(-x) are far below any tolerance, yet x may fall by more than the order.
     """
-    if weakening is None or not weakening.is_entire:
-        return True
     series, mode = expansion.series, expansion.mode
     for i in range(len(mode)):
         drop = model.friction[i] * (1.0 - weakening.far[i]) * h
@@ -213,6 +220,38 @@ def _weakens_less(weakening, model, expansion, order, h, allowed):  # type: igno
         least = max(x - change, 0.0)
         if change > control.RISING * order and drop * _shape_of(weakening.law, least) > control.PASSED_ON * allowed:
             return False
+    return True
+
+
+@inner
+def _is_shape(weakening, model, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
+    """Whether at h the series of S has come to S, but for what is allowed.
+
+    Terms of some orders may vanish though those beyond do not, as where R makes up for the fall of friction. The
+    error of w is that of friction, from its first term that lacks. Of a block that comes to its belt an earlier
+    instant is looked at.
+    """
+    series, shape = expansion.series, expansion.shape
+    for i in range(len(expansion.mode)):
+        drop = model.friction[i] * (1.0 - weakening.far[i]) * h
+        if expansion.mode[i] == 0 or drop == 0.0 or shape.series[0, 0, i] == 0.0:  # the last: see `_is_lost`
+            continue
+        x, s = -1.0, 2.0 * h
+        for _ in range(4):
+            if x >= 0.0:
+                break
+            s *= 0.5
+            x, size, told, power = shape.x0[i], 1.0, shape.series[0, 0, i], 1.0
+            for k in range(1, order):
+                power *= s
+                term = shape.scale[i] * (k + 1) * series[k + 1, i] * power
+                x += term
+                size += abs(term)
+                told += shape.series[0, k, i] * power if k < order - 1 else 0.0
+        if x >= 0.0:
+            lacking = abs(_shape_of(weakening.law, x) - told) - ROUNDING * size
+            if drop * lacking > order * allowed:
+                return False
     return True
 
 
@@ -327,8 +366,9 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
             size = max(size, pushed * max(1.0 / (order * (order - 1)), 1.0 / (order * (rate * target) ** 2)))
         n_products = k + 1 + (k + 1) % 2
         # the last term of w decides; two in a row, since one can vanish by chance
-        if size == 0.0 and last == 0.0 and order >= control.ORDER_MIN:
-            # a polynomial, exact at any distance
+        is_polynomial = size == 0.0 and last == 0.0 and order >= control.ORDER_MIN
+        if is_polynomial and _is_friction_known(weakening, model, expansion, order, target, allowed):
+            # exact at any distance
             is_exact = not is_single and (weakening is None or largest(slips) == 0.0)
             speed = max(largest(forces[1]), largest(series[2]))
             far = goal.t_end - t if speed == 0.0 else min(goal.t_end - t, control.FAR / speed)
@@ -337,7 +377,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
             n_small += 1
             # below order = rate * target the terms of a small state may still rise
             is_enough = n_small >= 2 and n_undecided == 0 and order >= max(control.ORDER_MIN, rate * target)
-            if is_enough and _weakens_less(weakening, model, expansion, order, target, allowed):
+            if is_enough and _is_friction_known(weakening, model, expansion, order, target, allowed):
                 return order, target, allowed, n_products
         else:
             n_small = 0
@@ -348,7 +388,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
         h = min(h, (allowed / (order * last)) ** (1.0 / (order - 1)))
     if before > 0.0:
         h = min(h, (allowed / ((order - 1) * before)) ** (1.0 / (order - 2)))
-    while h > 0.0 and not _weakens_less(weakening, model, expansion, order, h, allowed):
+    while h > 0.0 and not _is_friction_known(weakening, model, expansion, order, h, allowed):
         h *= control.SHRINK
     return order, h, allowed, n_products
 

@@ -10,7 +10,7 @@ import pytest
 from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.findings.finding import Fit, Lack, Law, Reason, Share, Verdict
 from stickslip.analysis.findings.words import sentence
-from stickslip.analysis.models import rhythm
+from stickslip.analysis.models import common_motion
 from stickslip.analysis.questions.slips import collective
 from stickslip.analysis.questions.slips.slow_motion import Slow, slow_motion
 from stickslip.analysis.series.nulls import BlockSteps
@@ -20,6 +20,10 @@ from tests.analysis import studies
 from tests.chance import ERRORS, agrees
 
 SPAN = 2400.0
+
+
+def motion_of(data, rng):
+    return common_motion.common_motion(data, 0.95, rng)
 
 
 def integral(frequency, span, period, quality):
@@ -35,24 +39,24 @@ def integral(frequency, span, period, quality):
 @pytest.mark.parametrize("quality", [0.3, 0.501, 1.2, 6.0])
 def test_the_expected_periodogram_is_its_integral(quality):
     frequency = np.array([0, 1, 5, 20]) / SPAN
-    found = rhythm.expected(frequency, SPAN, 470.0, quality)
+    found = common_motion.expected(frequency, SPAN, 470.0, quality)
     assert found == pytest.approx(integral(frequency, SPAN, 470.0, quality), rel=1e-5)
-    columns = rhythm.expected(frequency, SPAN, np.array([[300.0], [470.0]]), np.array([[2.0], [quality]]))
+    columns = common_motion.expected(frequency, SPAN, np.array([[300.0], [470.0]]), np.array([[2.0], [quality]]))
     assert columns[1] == pytest.approx(found)
 
 
 def test_critical_damping_is_no_exception():
-    near = [rhythm.expected(np.arange(1, 9) / SPAN, SPAN, 470.0, q) for q in (0.4999, 0.5, 0.5001)]
+    near = [common_motion.expected(np.arange(1, 9) / SPAN, SPAN, 470.0, q) for q in (0.4999, 0.5, 0.5001)]
     assert near[1] == pytest.approx((near[0] + near[2]) / 2, rel=1e-5)
 
 
 @pytest.mark.parametrize("quality", [0.3, 1.2, 6.0])
 def test_the_spectrum_has_variance_one_and_is_what_long_windows_show(quality):
     frequency = np.arange(200_000) * 1e-6
-    assert np.trapezoid(rhythm.spectrum(frequency, 470.0, quality), frequency) == pytest.approx(1, rel=1e-3)
+    assert np.trapezoid(common_motion.spectrum(frequency, 470.0, quality), frequency) == pytest.approx(1, rel=1e-3)
     some = np.array([1.0, 2.0, 4.0]) * 1e-3
-    long = rhythm.expected(some, 1e8, 470.0, quality)
-    assert long == pytest.approx(rhythm.spectrum(some, 470.0, quality), rel=1e-4)
+    long = common_motion.expected(some, 1e8, 470.0, quality)
+    assert long == pytest.approx(common_motion.spectrum(some, 470.0, quality), rel=1e-4)
 
 
 def test_the_periodogram_is_that_of_the_path(rng):
@@ -62,9 +66,9 @@ def test_the_periodogram_is_that_of_the_path(rng):
         w = 2 * np.pi * k / steps.span
         pieces = (np.exp(-1j * w * t[1:]) - np.exp(-1j * w * t[:-1])) / (-1j * w)
         power = 2 * abs(level @ pieces) ** 2 / steps.span
-        assert rhythm.periodogram(steps, k)[0, -1] == pytest.approx(power, rel=1e-9)
+        assert common_motion.periodogram(steps, k)[0, -1] == pytest.approx(power, rel=1e-9)
     alone = BlockSteps(0.0, steps.span, steps.t, np.zeros_like(steps.block), steps.step)
-    observed, own = rhythm.periodogram(alone, 9)
+    observed, own = common_motion.periodogram(alone, 9)
     assert own == pytest.approx(observed)
 
 
@@ -75,11 +79,11 @@ def test_blocks_turned_in_time_have_the_power_of_the_blocks_added_up(rng):
     place[order] = np.concatenate([np.arange(k) for k in np.bincount(steps.block)])
     whole = place < np.bincount(steps.block)[steps.block] // 2 * 2  # each block ends as it began: no seam
     steps = dataclasses.replace(steps, t=steps.t[whole], block=steps.block[whole], step=steps.step[whole])
-    own, drawn = rhythm.periodogram(steps, m)[1], np.empty((draws, m))
+    own, drawn = common_motion.periodogram(steps, m)[1], np.empty((draws, m))
     for row in drawn:
         t = (steps.t + rng.uniform(0, steps.span, 12)[steps.block]) % steps.span
         order = np.argsort(t)
-        row[:] = rhythm.periodogram(
+        row[:] = common_motion.periodogram(
             dataclasses.replace(steps, t=t[order], block=steps.block[order], step=steps.step[order]), m
         )[0]
     assert (np.abs(drawn.mean(axis=0) - own) < ERRORS * drawn.std(axis=0) / np.sqrt(draws)).all()
@@ -88,21 +92,21 @@ def test_blocks_turned_in_time_have_the_power_of_the_blocks_added_up(rng):
 def exact(span, period, quality, g=20, m=22):
     """The expectation itself, the same of every matrix."""
     frequency, own = np.arange(1, m + 1) / span, np.full((g, m), 220.0)
-    observed = 11.0 * rhythm.expected(frequency, span, period, quality) + 100.0
-    return rhythm.Spectra(span, np.tile(observed, (g, 1)), own, np.full(g, 30.0), np.ones(g))
+    observed = 11.0 * common_motion.expected(frequency, span, period, quality) + 100.0
+    return common_motion.Spectra(span, np.tile(observed, (g, 1)), own, np.full(g, 30.0), np.ones(g))
 
 
 @pytest.mark.parametrize(("period", "quality"), [(470.0, 1.2), (700.0, 0.8), (300.0, 4.0), (400.0, 0.4)])
 @pytest.mark.parametrize("span", [1400.0, 2400.0, 8400.0])
 def test_the_fit_finds_what_there_is_whatever_the_length_of_the_window(period, quality, span):
-    data = exact(span, period, quality, m=rhythm.n_harmonics(span, 108.0))
-    found = np.exp(rhythm.best(span, data.observed[0], data.independent[0]))
+    data = exact(span, period, quality, m=common_motion.n_harmonics(span, 108.0))
+    found = np.exp(common_motion.best(span, data.observed[0], data.independent[0]))
     assert found == pytest.approx([11.0, period, quality, 100 / 220], rel=2e-3)
 
 
 def test_numbers_of_a_known_oscillator(rng):
-    found = rhythm.rhythm(exact(SPAN, 470.0, 1.2), 0.95, rng)
-    assert found.verdict == rhythm.SLOW
+    found = motion_of(exact(SPAN, 470.0, 1.2), rng)
+    assert found.verdict == common_motion.SLOW
     assert found.goodness.deviance == pytest.approx(0.0, abs=1e-3)
     assert found.goodness.dof == 22 - 4
     value = {name: estimate.value for name, estimate in found.estimates.items()}
@@ -111,7 +115,7 @@ def test_numbers_of_a_known_oscillator(rng):
     at_mean = integral([0.0], SPAN, 470.0, 1.2)[0] / (2 * SPAN)  # variance of the mean of a window
     assert value["share"] == pytest.approx(11 / (30 + 11 * at_mean), rel=1e-3)
     fine = np.linspace(1e-4, 5e-3, 100_000)
-    power = rhythm.spectrum(fine, 470.0, 1.2)
+    power = common_motion.spectrum(fine, 470.0, 1.2)
     assert value["peak"] == pytest.approx(1 / fine[power.argmax()], rel=1e-3)
     assert value["times"] == pytest.approx((100 + 11 * power.max()) / 220, rel=1e-3)
 
@@ -120,7 +124,7 @@ def test_an_interval_of_three_matrices_is_that_of_t_with_two_degrees_of_freedom(
     """On the log scale; sqrt(2 / 3 sum of squares) is the jackknife's error."""
     data = exact(SPAN, 470.0, 1.2, g=3)
     data = dataclasses.replace(data, observed=data.observed * np.array([[0.9], [1.0], [1.15]]))
-    found = rhythm.rhythm(data, 0.95, rng)
+    found = motion_of(data, rng)
     logs = np.log(found.values["variance"])  # noqa: PD011
     half = 4.302652729696142 * np.sqrt(2 / 3 * np.sum((logs[1:] - logs[1:].mean()) ** 2))
     ends = found.estimates["variance"].low, found.estimates["variance"].high
@@ -128,43 +132,45 @@ def test_an_interval_of_three_matrices_is_that_of_t_with_two_degrees_of_freedom(
 
 
 def test_overdamped_motion_is_slow_and_a_motion_slower_than_the_window_is_said_to_be(rng):
-    overdamped = rhythm.rhythm(exact(SPAN, 470.0, 0.45), 0.95, rng)
-    assert overdamped.verdict == rhythm.SLOW
+    overdamped = motion_of(exact(SPAN, 470.0, 0.45), rng)
+    assert overdamped.verdict == common_motion.SLOW
     assert overdamped.estimates["peak"] == Estimate(reason="no peak")
-    slow = rhythm.rhythm(exact(SPAN, 1800.0, 2.0), 0.95, rng)
-    assert (slow.verdict, slow.period) == (rhythm.SHORT, pytest.approx(1800.0, rel=0.01))
+    slow = motion_of(exact(SPAN, 1800.0, 2.0), rng)
+    assert (slow.verdict, slow.period) == (common_motion.SHORT, pytest.approx(1800.0, rel=0.01))
 
 
 def test_intervals_hold_what_was_planted(rng):
     """A small version of the study `rhythm`; the answers are exact where all matrices are alike."""
     answers = {"period": 470.0, "quality": 1.2, "width": 1 / 470 / 1.2, "share": 11 / (11 + 4.95)}
-    every = [rhythm.rhythm(one, 0.95, rng).estimates for one in studies.rhythmic(rng, 20, SPAN, 470.0, 1.2)]
+    every = [motion_of(one, rng).estimates for one in studies.rhythmic(rng, 20, SPAN, 470.0, 1.2)]
     for name, answer in answers.items():
         assert agrees(sum(one[name].low <= answer <= one[name].high for one in every), 20, 0.92, 0.98), name
 
 
 def test_the_deviance_is_that_of_chance_if_the_fit_is_the_spectrum_and_large_if_it_is_not(rng):
     """Its mean is that of chi-squared; beside a line that no damped oscillator has, it is beyond."""
-    fits = [rhythm.rhythm(one, 0.95, rng).goodness for one in studies.rhythmic(rng, 40, SPAN, 470.0, 1.2)]
+    fits = [motion_of(one, rng).goodness for one in studies.rhythmic(rng, 40, SPAN, 470.0, 1.2)]
     assert agrees(sum(fit.p_value < 0.05 for fit in fits), 40, 0.01, 0.1)
     deviance = np.array([fit.deviance for fit in fits])
     assert abs(deviance.mean() - fits[0].dof) < 1.5 + ERRORS * np.sqrt(2 * fits[0].dof / 40)
     for one in studies.rhythmic(rng, 3, SPAN, 470.0, 1.2):
         observed = one.observed.copy()
         observed[:, 12] += 4 * observed[:, 5]
-        assert rhythm.rhythm(dataclasses.replace(one, observed=observed), 0.95, rng).goodness.p_value < 1e-4
+        assert motion_of(dataclasses.replace(one, observed=observed), rng).goodness.p_value < 1e-4
 
 
 def test_blocks_without_a_common_motion_are_told_so(rng):
-    p = np.array([rhythm.p_value(one, rng) for one in studies.rhythmic(rng, 40, SPAN, 470.0, 1.2, variance=0.0)])
+    p = np.array(
+        [common_motion.p_value(one, rng) for one in studies.rhythmic(rng, 40, SPAN, 470.0, 1.2, variance=0.0)]
+    )
     assert agrees(int(np.sum(p <= 0.05)), 40, 0.05)
 
 
 def test_several_runs_of_a_matrix_are_no_more_surrogates_than_they_are(rng):
     """The mean of four runs scatters half as much, under the null too."""
     runs = [rng.standard_exponential((20, 4, 22)).mean(axis=1) * 220.0 for _ in range(60)]
-    data = [rhythm.Spectra(SPAN, one, np.full((20, 22), 220.0), np.ones(20), np.full(20, 4.0)) for one in runs]
-    assert agrees(sum(rhythm.p_value(one, rng) <= 0.05 for one in data), 60, 0.05)
+    data = [common_motion.Spectra(SPAN, one, np.full((20, 22), 220.0), np.ones(20), np.full(20, 4.0)) for one in runs]
+    assert agrees(sum(common_motion.p_value(one, rng) <= 0.05 for one in data), 60, 0.05)
 
 
 # ------------------------------------------------------------------------------------------------ the question
@@ -176,7 +182,7 @@ def point(keys, period, rng, error=0.03):
     logs = np.log(period) + np.concatenate(([error * rng.standard_normal()], off))
     values = {name: np.exp(logs) for name in scene.NUMBERS}
     estimates = {name: Estimate(float(np.exp(logs[0]))) for name in scene.NUMBERS}
-    found = rhythm.Rhythm(rhythm.SLOW, 0.001, estimates, values)
+    found = common_motion.CommonMotion(common_motion.SLOW, 0.001, estimates, values)
     keys = {"n": 200, "kappa": 0.2, "rho": 3.5, "belt_speed": -0.2, "engine": "coulomb"} | keys
     label = f"n = {keys['n']}, {keys['engine']}, belt_speed = {keys['belt_speed']:g}"
     return Slow(SimpleNamespace(key=keys, label=label), list(range(20)), None, 36.0, found)
@@ -285,7 +291,7 @@ def test_a_common_mode_of_blocks_is_said_with_its_share_and_the_goodness_of_its_
 def test_windows_that_are_too_short_are_said_to_be(planted, rng):
     study = study_of(planted, [studies.blocks_run(rng) for _ in range(8)], t_burn=studies.SPAN - 120.0)
     motion = slow_motion(study, study.groups[0])
-    assert (motion.motion, motion.verdict) == (None, rhythm.SHORT)
+    assert (motion.motion, motion.verdict) == (None, common_motion.SHORT)
     if study.judged():
         lacks = [one for one in collective.answer(study).findings if isinstance(one, Lack)]
         assert [lack.reason for lack in lacks] == [Reason.SHORT_WINDOW]

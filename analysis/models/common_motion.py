@@ -1,4 +1,4 @@
-"""Slow common motion of blocks in n_stick: a noisy damped oscillator, on top of what independent blocks do.
+"""Slow common motion of blocks in n_stick: a noisy damped oscillator, on top of what time-shifted blocks do.
 
 With S_0 the spectrum of blocks that ignore each other (`nulls.rotated`, in closed form), the one-sided spectrum of
 n_stick is modelled, at periods of several cycles of a block, as
@@ -38,7 +38,7 @@ MOST_STEPS = 100  # of Fisher scoring
 SLOW, NONE, SHORT = "slow", "none shown", "window too short"
 #: What is estimated: the natural period, without damping; the quality Q; the width in frequency, 1 / (period x Q);
 #: the time in which the motion decays to 1 / e; its variance, and its share of the variance of n_stick; the share c
-#: of the blocks' own power; the period of the spectrum's peak, and the power there over that of independent blocks.
+#: of the blocks' own power; the period of the spectrum's peak, and the power there over that of time-shifted blocks.
 NUMBERS = ("period", "quality", "width", "decay", "variance", "share", "left", "peak", "times")
 
 
@@ -151,10 +151,10 @@ def fit(
     at, damping = np.clip(start, low, high), np.full(len(start), 1e-2)
     value, nudge = loss(at), 1e-4 * np.eye(4)
     for _ in range(MOST_STEPS):
-        rhythm, rest = power(at)
-        model = rhythm + rest
+        motion, rest = power(at)
+        model = motion + rest
         slopes = [(power(at + nudge[k])[0] - power(at - nudge[k])[0]) / 2e-4 for k in (1, 2)]
-        gain = np.stack([rhythm, *slopes, rest], axis=2) / model[:, :, None]
+        gain = np.stack([motion, *slopes, rest], axis=2) / model[:, :, None]
         fisher = np.einsum("bki,bkj->bij", gain, gain)
         ridge = np.einsum("bii->bi", fisher) * damping[:, None] + 1e-9
         score = np.einsum("bki,bk->bi", gain, observed / model - 1)
@@ -220,7 +220,7 @@ def goodness(observed: np.ndarray, model: np.ndarray, n_runs: float) -> Goodness
 
 
 @dataclass(frozen=True)
-class Rhythm:
+class CommonMotion:
     """The slow common motion of an ensemble.
 
     Attributes
@@ -247,7 +247,7 @@ class Rhythm:
     goodness: Goodness | None = None
 
 
-def rhythm(data: Spectra, confidence: float, rng: np.random.Generator) -> Rhythm:
+def common_motion(data: Spectra, confidence: float, rng: np.random.Generator) -> CommonMotion:
     """The slow common motion, if there is one, with jackknife-t intervals over matrices.
 
     Parameters
@@ -260,13 +260,13 @@ def rhythm(data: Spectra, confidence: float, rng: np.random.Generator) -> Rhythm
     """
     p = p_value(data, rng)
     if p > 1 - confidence:
-        return Rhythm(NONE, p)
+        return CommonMotion(NONE, p)
     g = len(data.observed)
     whole = [one.mean(axis=0) for one in (data.observed, data.independent)]
     start = best(data.span, whole[0], whole[1])
     natural = float(np.exp(start[1]))
     if natural > data.span / LEAST_PERIODS:
-        return Rhythm(SHORT, p, period=natural)
+        return CommonMotion(SHORT, p, period=natural)
     observed, own = ((g * mean - rows) / (g - 1)
                      for mean, rows in zip(whole, (data.observed, data.independent), strict=True))  # fmt: skip
     left_out, _ = fit(data.span, observed, own, np.tile(start, (g, 1)))
@@ -277,7 +277,7 @@ def rhythm(data: Spectra, confidence: float, rng: np.random.Generator) -> Rhythm
     power, period, quality, left = np.exp(start)
     model = power * expected(data.frequency, data.span, period, quality) + left * whole[1]
     n_runs = g**2 / np.sum(1 / data.n_runs)  # of a mean of means
-    return Rhythm(SLOW, p, estimates, numbers, natural, goodness(whole[0], model, n_runs))
+    return CommonMotion(SLOW, p, estimates, numbers, natural, goodness(whole[0], model, n_runs))
 
 
 def _numbers(at: np.ndarray, data: Spectra, independent: np.ndarray, variance: np.ndarray) -> dict[str, np.ndarray]:
