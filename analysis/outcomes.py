@@ -31,7 +31,7 @@ class Setting(NamedTuple):
     Attributes
     ----------
     name : str
-        A noun phrase.
+        A noun phrase; empty if the symbol is one.
     symbol : str
         What tells it from others of that name by its value; empty if there are none.
     value : float, optional
@@ -95,7 +95,7 @@ def largest(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str)
     best, setting = max(ratios, key=lambda pair: (pair[0].is_shown, pair[0].has_margin, pair[0].weight))
     (where,) = in_words({setting: ""}, "")
     if setting.symbol and len({other.name for other in settings}) == 1:
-        where = f"{setting.symbol} = {setting.text}"
+        where = f"{setting.symbol} = {setting.text}" if setting.name else setting.text
     return best.level(where if len(settings) > 1 else "", other, unit)
 
 
@@ -116,14 +116,14 @@ def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
         if is_wanted and not first.symbol:
             yield from (setting.name for setting in part)
         elif is_wanted:
-            value = f"= {first.text}"
+            value = f"= {first.text}" if first.name else f"of {first.text}"
             if len(part) > 1:
-                value = f"= {first.text} to {last.text}"
+                value = f"{value} to {last.text}"
                 if start == 0:
                     value = f"up to {last.text}"
                 elif end == len(settings):
                     value = f"from {first.text} on"
-            yield f"{first.name} with {first.symbol} {value}"
+            yield f"{first.name} with {first.symbol} {value}" if first.name else f"{first.symbol} {value}"
         start = end
 
 

@@ -147,7 +147,7 @@ def _by_reference(
 def _other(pair: _Pair, groups: Sequence[Group]) -> str:
     """What a pair is compared with, as a noun phrase."""
     if pair.kind == TOLERANCE:
-        return "its tightest tolerance"
+        return "the tightest tolerance"
     if pair.kind == THRESHOLD and pair.reference is pair.other:
         return "the engine's own definition of sticking"
     (name,) = in_words({_engine(pair.reference, groups): DIFFERENT}, DIFFERENT)
