@@ -19,7 +19,6 @@ from jinja2.bccache import Bucket, BytecodeCache
 from markupsafe import Markup, escape
 
 from stickslip.analysis import arguments
-from stickslip.analysis.stats.compare import WITHIN
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.values import shown
 from stickslip.sim.kernels.cache import CacheError, CacheFiles, cache_directory
@@ -62,7 +61,7 @@ def signed_percent(value: float, digits: int = 2) -> str:
 
 def within(verdict: str | None, margin: float) -> str | None:
     """A verdict; that of equivalence is followed by its margin: "within 1%"."""
-    return f"{WITHIN} {100 * margin:g}%" if verdict == WITHIN else verdict
+    return f"within {100 * margin:g}%" if verdict == "within" else verdict
 
 
 def p_text(p: float, floor: float = 0.0) -> str:
