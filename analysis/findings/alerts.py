@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+STOP = 0  # the rank of what stops a reader
+
 
 class Code(Enum):
     """What may be wrong: the rank, by which alerts are sorted, and the words, with the names of their numbers.

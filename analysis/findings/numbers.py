@@ -11,6 +11,7 @@ from stickslip.analysis.findings.finding import Form
 from stickslip.analysis.stats.estimates import Estimate
 
 MINUS = "\u2212"
+MOST_DIGITS = 9  # of a share that is nearly all
 DIGITS = 3  # of a number without an interval
 SAME = 1e-9  # relative width of an interval that is none: all units have the same value
 MOST_DECIMALS = 6  # beyond, a number is written with a power of ten
@@ -52,6 +53,8 @@ def number(value: float, form: Form = Form.NUMBER, digits: int | None = None, si
 def _plain(value: float, form: Form, digits: int | None, sign: bool) -> str:
     scaled = value * _scale(form) + 0.0
     places = decimals(Estimate(value), form) if digits is None else digits
+    while form is Form.SHARE and value < 1.0 and round(scaled, places) == 100.0 and places < MOST_DIGITS:
+        places += 1  # what is not all is not said to be
     if places > MOST_DECIMALS and scaled:
         power = _exponent(abs(scaled))
         text = f"{scaled / 10.0**power:.{max(1, places + power)}f} \u00d7 10{str(power).translate(_SUPERSCRIPTS)}"

@@ -10,7 +10,7 @@ import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.findings.finding import Verdict
-from stickslip.analysis.report.comparison import Ensemble, compare, matched
+from stickslip.analysis.page.comparison import Ensemble, compare, matched
 from stickslip.analysis.stats.estimates import LN2
 from tests.analysis.reports import contents
 

@@ -9,8 +9,8 @@ from scipy import signal
 
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.finding import Lack, Level, Outcomes, Reason, Share, Verdict
+from stickslip.analysis.page.build import build
 from stickslip.analysis.questions.runs.robustness import answer
-from stickslip.analysis.report.page import build
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
