@@ -75,6 +75,12 @@ def span(low: float, high: float, form: Form = Form.NUMBER, sign: bool = False, 
     return " to ".join(ends) + "%" * (form is Form.SHARE)
 
 
+def is_exact(estimate: Estimate) -> bool:
+    """Whether an interval has no width: all units have the same value."""
+    low, high = estimate.low, estimate.high
+    return low is not None and high is not None and high - low <= SAME * max(abs(low), abs(high))
+
+
 def limit(most: float, form: Form = Form.NUMBER) -> str:
     """An upper limit with two digits, rounded up, so that it holds."""
     places = max(0, decimals(Estimate(most), form) - 1)
@@ -100,8 +106,7 @@ def with_interval(estimate: Estimate, form: Form = Form.NUMBER, digits: int | No
         raise ValueError(f"estimate: expected a value, got {estimate!r}; say what is lacking instead")
     value = number(estimate.value, form, decimals(estimate, form) if digits is None else digits, sign)
     if low is not None and high is not None:
-        is_exact = high - low <= SAME * max(abs(low), abs(high))
-        return value if is_exact else f"{value} ({span(low, high, form, sign, digits)})"
+        return value if is_exact(estimate) else f"{value} ({span(low, high, form, sign, digits)})"
     if low is not None:
         return f"{value} (at least {number(low, form)})"
     if high is not None:

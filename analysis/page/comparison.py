@@ -16,7 +16,7 @@ from stickslip.analysis.findings.words import capital, plural
 from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import KEYS, Measure, measures
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
-from stickslip.analysis.outcomes import Beside, Setting, forest, outcomes
+from stickslip.analysis.outcomes import Beside, Setting, forest, outcome, outcomes
 from stickslip.analysis.page import parts
 from stickslip.analysis.page.build import Report
 from stickslip.analysis.page.layout import Page, Section
@@ -146,8 +146,10 @@ def _answer(
     placed: dict[Setting, list[Beside]] = {}
     for match, one in known:
         where = names[match.second.name]
-        said = f"{second.name} at {where}" if where else second.name
+        said = f"{second.name} ({where})" if where else second.name
         placed.setdefault(Setting(said), []).append(Beside(one, where))
+    if len({outcome([one.contrast for one in some]) for some in placed.values()}) == 1:  # no setting to tell apart
+        placed = {Setting(second.name): [one for some in placed.values() for one in some]}
     grouped, *others = outcomes(first.name, placed, unit)
     is_open = any(one.undecided for one in (grouped, *others))
     truth = Truth.NO if grouped.different else Truth.UNDECIDED if is_open else Truth.YES
