@@ -256,9 +256,8 @@ def _lifetime(lifetime: Lifetime) -> str:
 def _law(law: Law) -> str:
     level = law.parameter
     quantity = level.quantity
-    parameter = (
-        f"a {quantity.name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
-    )
+    name = quantity.name.removesuffix(f" of {law.subject}")
+    parameter = f"a {name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
     match law.fit:
         case Fit.HOLDS:
             return f"{law.subject}{_at(level.where)} {law.predicate}, with {parameter}"
