@@ -32,6 +32,12 @@ class Code(Enum):
     UNDECIDED = 2, "{n} of {of} runs are undecided; the column attractor_reason says why."
     SHORT = 3, "The runs are short: {what} rests on {n} {things} per run."
     FEW = 3, "{n} {units} give a wide interval: more {units} would narrow it."
+    OVERLAP = (
+        1,
+        "Some block slips {share} of the time ({where}): episodes that overlap count as one; use {remedy}.",
+    )
+    BLURRED = 1, "With {what} blocks that do not follow the belt may count as stuck: episodes cannot be counted."
+    SPANNING = 2, "{share} of the episodes take all {n} blocks: their sizes are those of the chain."
     ONE_SYSTEM = 2, "One system, many starts: intervals are over starts of this system."
 
     @property

@@ -89,9 +89,11 @@ def followers(rng, steps, share):
     Unlike in `studies.triggered`, blocks still stick and slip by turns, as the modes of a run must.
     """
     t, exits = steps.t.copy(), np.flatnonzero(steps.step < 0)
+    entries = [np.append(steps.t[(steps.block == i) & (steps.step > 0)], SPAN) for i in range(steps.block.max() + 1)]
     for k in rng.permutation(exits)[: round(share * len(exits))]:
-        own = steps.t[(steps.block == steps.block[k]) & (steps.step > 0)]
-        low, high = max(own[own < steps.t[k]], default=0.0), min(own[own > steps.t[k]], default=SPAN)
+        own = entries[steps.block[k]]
+        after_it = int(np.searchsorted(own, steps.t[k]))
+        low, high = own[after_it - 1] if after_it else 0.0, own[after_it]
         after = t[exits[steps.block[exits] != steps.block[k]]] + rng.exponential(0.05)
         after = after[(after > low) & (after < high)]
         t[k] = rng.choice(after) if len(after) else t[k]
