@@ -19,7 +19,6 @@ from stickslip.analysis.models.episodes import (
     B_VALUE,
     FITTED,
     QUANTITIES,
-    QUIET,
     REST,
     SLOW_DRIVE,
     BValue,
@@ -32,14 +31,12 @@ from stickslip.analysis.models.episodes import (
     laws_of_moments,
 )
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import UNKNOWN, Words, against
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, over_matrices
 from stickslip.analysis.stats.families import Fit, maximise, parameter
 from stickslip.sim.engines import place
 
 ONE_MOMENT = "most episodes have one moment"  # why there is no b
 MARGIN = 0.1  # relative margin of every statistic, and of Poisson's CV: about twenty systems can exclude it
-REGULAR, CLUSTERED, AS_POISSON = "more regular", "less regular", "as Poisson"
 _READ = ["start", "end", "size", "moment", "first_block", "z_sum"]
 
 
@@ -187,7 +184,6 @@ def summarise(one: Catalogues, level: float) -> None:
     }
     for name, estimate in one.row["of"].items():
         one.row |= named(name, estimate)
-    one.row["regularity"] = _regularity(one.sample.of(QUIET).rows, level) if one.is_judged else UNKNOWN
 
 
 def _stuck_below(group: Group) -> float | None:
@@ -196,15 +192,6 @@ def _stuck_below(group: Group) -> float | None:
     if key["stick"] != "manifold" or key["ratio"] != "one" or not key["belt_speed"]:
         return None
     return float(-key["eps"] * np.log(key["eps"]) / abs(key["belt_speed"]))
-
-
-def _regularity(sums: np.ndarray, level: float) -> str:
-    """Whether quiet times are as regular as those of a Poisson process, whose coefficient of variation is 1."""
-    try:
-        test = against(lambda of: QUANTITIES[QUIET].of(of) - 1.0, sums, MARGIN)
-    except Undefined:
-        return UNKNOWN
-    return test.verdict(level, Words(AS_POISSON, CLUSTERED, REGULAR))
 
 
 # ------------------------------------------------------------------------------------------- the law of moments

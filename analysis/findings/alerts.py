@@ -18,6 +18,10 @@ class Code(Enum):
     DIVERGED = 2, "The motion grew without limit in {n} of {of} runs."
     SETTLED = 2, "{n} of {of} runs settled into steady sliding; {what} is of the others."
     NOT_MOVING = 2, "{n} of {of} runs are not in motion; {what} is of the others."
+    MISFIT = (
+        2,
+        "A damped oscillator misses the slow spectrum (deviance {deviance} on {dof} degrees of freedom): Q is rough.",
+    )
     UNCERTIFIED = 2, "{n} of {of} runs slide so far, without a certificate that they always will."
     WITHOUT = 2, "{n} of {of} runs have no {what} and are left out there: {why}."
     WITHHELD = 2, "{what} is not given at {n} of {of} points: {why}."
@@ -28,6 +32,12 @@ class Code(Enum):
     UNDECIDED = 2, "{n} of {of} runs are undecided; the column attractor_reason says why."
     SHORT = 3, "The runs are short: {what} rests on {n} {things} per run."
     FEW = 3, "{n} {units} give a wide interval: more {units} would narrow it."
+    OVERLAP = (
+        1,
+        "Some block slips {share} of the time ({where}): episodes that overlap count as one; use {remedy}.",
+    )
+    BLURRED = 1, "With {what} blocks that do not follow the belt may count as stuck: episodes cannot be counted."
+    SPANNING = 2, "{share} of the episodes take all {n} blocks: their sizes are those of the chain."
     ONE_SYSTEM = 2, "One system, many starts: intervals are over starts of this system."
 
     @property

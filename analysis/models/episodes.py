@@ -191,7 +191,8 @@ def _counts(found: Catalogue, _: float) -> tuple[float, float]:
 
 RATE, SLIP, B_VALUE, QUIET = "rate of episodes", "share of slip in episodes", "b by Aki", "CV of quiet times"
 STORED, CREEP = "share of stored strain", "share of creep"
-SIZE, OCCUPANCY, BY_WAY, FANO = "mean size", "share of time in episodes", "episodes by block and way", "Fano factor"
+SIZE, DURATION = "mean size", "mean duration"
+OCCUPANCY, BY_WAY, FANO = "share of time in episodes", "episodes by block and way", "Fano factor"
 WINDOWS = 20  # into which a run's quiet time is divided to count episodes
 
 
@@ -209,7 +210,7 @@ class BValue:
 QUANTITIES: Mapping[str, Quantity] = {
     RATE: Quantity(lambda one, _: (float(len(one.start)), one.t_stop - one.t_start)),
     SIZE: Quantity(lambda one, _: (float(one.size.sum()), float(len(one.start)))),
-    "mean duration": Quantity(lambda one, _: (float(one.duration.sum()), float(len(one.start)))),
+    DURATION: Quantity(lambda one, _: (float(one.duration.sum()), float(len(one.start)))),
     B_VALUE: Quantity(_b_value),
     QUIET: Quantity(_spread, lambda sums: np.sqrt(ratio(sums))),
     SLIP: Quantity(lambda one, _: (one.slipped, one.travel)),

@@ -3,9 +3,7 @@
 Each system has one or more runs by each of two methods. If both methods have the same law, the runs of a system may
 be swapped whole between the methods, however the values within a run depend on each other. The p-value of a
 difference is the share of such swaps that give a difference as large (swapping a pair flips a sign: Fisher 1935, The
-Design of Experiments, 21). A permutation of single values would treat them as independent. Equivalence within a
-margin is an intersection-union test (Berger 1982, Technometrics 24, 295): each value by itself, by Student's t over
-systems.
+Design of Experiments, 21). A permutation of single values would treat them as independent.
 """
 
 from __future__ import annotations
@@ -15,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from scipy import special
 
 from stickslip.analysis.stats import flips, student
 from stickslip.analysis.stats.enough import FEW_MATRICES
@@ -33,8 +30,8 @@ class Difference:
     ----------
     size : Estimate
         Of a gap, `low` is zero where no difference is shown.
-    p_equivalent, p_different : float
-        p-values of the test of equivalence within the margin, and of the test of no difference.
+    p_different : float
+        p-value of the test of no difference.
     p_floor : float
         The least p-value of no difference that so many systems can have.
     at, below : float, optional
@@ -42,14 +39,13 @@ class Difference:
     """
 
     size: Estimate
-    p_equivalent: float
     p_different: float
     p_floor: float
     at: float | None = None
     below: float | None = None
 
 
-def largest_gap(pairs: Pairs, margin: float, confidence: float, rng: np.random.Generator) -> Difference:
+def largest_gap(pairs: Pairs, confidence: float, rng: np.random.Generator) -> Difference:
     """Largest gap of the distribution functions of two methods, within systems: sup |sum w (F' - F) / sum w|.
 
     A system with m and m' values has the weight w = m m' / (m + m'), which is optimal for a difference of two means
@@ -61,7 +57,6 @@ def largest_gap(pairs: Pairs, margin: float, confidence: float, rng: np.random.G
     ----------
     pairs : sequence of two ndarray, shape (m,) and (m',)
         Values by the first and by the second method, for each system.
-    margin : float
     confidence : float
     rng : numpy.random.Generator
         For the swaps.
@@ -92,13 +87,12 @@ def largest_gap(pairs: Pairs, margin: float, confidence: float, rng: np.random.G
     low = 0.0
     if p_different < 1 - confidence:
         low = max(gap - float(np.quantile(np.abs(signs[1:] @ off).max(axis=1), confidence)), 0.0)
-    outside = (np.abs(seen) - margin) / np.where(error > 0, error, np.finfo(float).tiny)
-    k, p_equivalent = int(np.abs(seen).argmax()), float(special.stdtr(n - 1, outside.max()))
+    k = int(np.abs(seen).argmax())
     size = Estimate(gap, low, min(high, 1.0))
-    return Difference(size, p_equivalent, p_different, p_floor, float(at[k]), float(seen[k]))
+    return Difference(size, p_different, p_floor, float(at[k]), float(seen[k]))
 
 
-def distance_of_shares(pairs: Pairs, margin: float, confidence: float, rng: np.random.Generator) -> Difference:
+def distance_of_shares(pairs: Pairs, confidence: float, rng: np.random.Generator) -> Difference:
     """Distance between shares of categories within systems: sqrt(sum D^2 / sum p^2), D = p' - p.
 
     The halves of runs are used so that noise adds nothing: sum D^2 is estimated by the product of D in the first half
@@ -110,7 +104,7 @@ def distance_of_shares(pairs: Pairs, margin: float, confidence: float, rng: np.r
     ----------
     pairs : sequence of two ndarray, shape (2, K)
         Counts of K categories in the first and in the second half, for each system by each method.
-    margin, confidence, rng
+    confidence, rng
         As in `largest_gap`.
 
     Raises
@@ -131,16 +125,16 @@ def distance_of_shares(pairs: Pairs, margin: float, confidence: float, rng: np.r
     size = Estimate(*np.sqrt(np.maximum([value, value - half, value + half], 0.0)).tolist())
     p_floor = flips.floor(len(known), 1)  # the product has a sign
     p_different = flips.p_value(flips.patterns(len(known), rng) @ apart, p_floor)
-    return Difference(size, _t_below(value - margin**2, error, dof), p_different, p_floor)
+    return Difference(size, p_different, p_floor)
 
 
-def difference_of_order(pairs: Pairs, margin: float, confidence: float, rng: np.random.Generator) -> Difference:
+def difference_of_order(pairs: Pairs, confidence: float, rng: np.random.Generator) -> Difference:
     """Spearman's rank correlation of two columns by the second method minus that by the first, within systems.
 
     Parameters
     ----------
     pairs : sequence of two ndarray, shape (m, 2) and (m', 2)
-    margin, confidence, rng
+    confidence, rng
         As in `largest_gap`.
 
     Raises
@@ -156,20 +150,13 @@ def difference_of_order(pairs: Pairs, margin: float, confidence: float, rng: np.
     half = student.half_width(confidence, n - 1) * error
     p_floor = flips.floor(n)
     p_different = flips.p_value(np.abs(flips.patterns(n, rng) @ apart), p_floor)
-    return Difference(
-        Estimate(mean, mean - half, mean + half), _t_below(abs(mean) - margin, error, n - 1), p_different, p_floor
-    )
+    return Difference(Estimate(mean, mean - half, mean + half), p_different, p_floor)
 
 
 def _check(n: int, confidence: float) -> None:
     """Refuse so few systems that a test by signs could show nothing."""
     if not flips.suffice(n, confidence):
         raise Undefined(FEW_MATRICES)
-
-
-def _t_below(x: float, error: float, dof: float) -> float:
-    """P(T < x / error); without an error, whether x is not negative."""
-    return student.below(x / error, dof) if error else float(x >= 0)
 
 
 def _below(ordered: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -1,58 +1,81 @@
-"""Episodes: how often, how large, how regular; the law of their moments; how much all this depends on the method.
+"""Episodes: how often, how large; the law of their moments; how much all this depends on the method.
 
 An episode lasts from all blocks stuck to all stuck again. Those that begin within [t_burn, t_end] count. Every method
-is compared with exact events on the same systems by whole laws, since a mean may be right where the law is not.
+is compared with the finest on the same systems, by whole laws too, since a mean may be right where the law is not.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
+import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Answer, B, F, I, Question, Recipe, Row, S, frame, named
+from stickslip.analysis import answer as answers
+from stickslip.analysis.answer import Answer, B, F, I, Picture, Question, Row, S, frame, named
 from stickslip.analysis.catalogues import (
-    MARGIN,
     Catalogues,
     b_of_law,
     classes,
     fineness,
     fits_of,
+    has_b,
     read,
     summarise,
     systems,
-    values_of_b,
 )
-from stickslip.analysis.contrast import SCHEMA, Statistic, contrast, judge
+from stickslip.analysis.contrast import SCHEMA, Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.grid import axes_of, settings
+from stickslip.analysis.findings.alerts import Alert, Code
+from stickslip.analysis.findings.finding import (
+    Basis,
+    Change,
+    Comparison,
+    Difference,
+    Finding,
+    Fit,
+    Form,
+    Lack,
+    Law,
+    Level,
+    Outcomes,
+    Quantity,
+    Reason,
+    Scale,
+)
+from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.members import DRAWN
-from stickslip.analysis.methods import against_reference, by_laws, comparison, names
+from stickslip.analysis.methods import LAWS, MAGNITUDES, PRIMARY, Apart, called, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
     BY_WAY,
     CLASS,
-    FITTED,
+    CREEP,
+    DURATION,
+    FANO,
     OCCUPANCY,
     QUANTITIES,
+    QUIET,
+    RATE,
     REST,
     SIZE,
+    SLIP,
     SLOW_DRIVE,
-    WINDOWS,
-    BValue,
-    follows,
+    STORED,
 )
-from stickslip.analysis.questions.runs.sweep import FALLS, RISES
-from stickslip.analysis.stats.compare import UNKNOWN, WITHIN, Words, mean_within, relative_difference
-from stickslip.analysis.stats.enough import DRIFTS
+from stickslip.analysis.models.laws import Difference as LawDifference
+from stickslip.analysis.outcomes import DIFFERENT, UNDECIDED, in_words
+from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.compare import UNKNOWN, relative_difference
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import parameter
-from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, goodness
+from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, Goodness, goodness
 from stickslip.analysis.stats.student import half_width
-from stickslip.analysis.style import EXACT, GREY, of_engine, panel
+from stickslip.analysis.style import EXACT, GREY, panel
 
 POWER, CUT_OFF, EXPONENTIAL, NONE = "power law", "cut-off power law", "exponential", "none of these"
 SLOW = 0.05  # largest share of time in episodes if the drive is slow for the chain
@@ -63,9 +86,40 @@ SLOW = 0.05  # largest share of time in episodes if the drive is slow for the ch
 TELLING = 0.8
 LEFT_OUT = 0.01  # share of a group's episodes that are too small to be drawn
 FEWEST = 30  # episodes from a magnitude on, for their rate to be drawn
-MOST_STEMS = 300  # episodes of one run that are drawn
 _STEP = 2  # classes between points of the figures
 MOST_OVER = 2.5  # largest rate in a figure, over the reference's
+_METHOD = (
+    "An episode lasts from all blocks stuck to all stuck again; its size is the number of blocks that slip, its"
+    " moment the sum of their slips, its magnitude log10 of that. Methods are compared on the same systems, by means"
+    " and, swapping their runs, by whole distributions; one differs if its rate or its magnitudes do, among all such"
+    " comparisons."
+)
+PREDICATES: Mapping[str, str] = {
+    POWER: "follow a power law", CUT_OFF: "follow a power law with a cut-off", EXPONENTIAL: "fall off exponentially",
+    NONE: "follow a power law, even with a cut-off", UNKNOWN: "follow a power law with a cut-off",
+}  # fmt: skip
+#: What is said of each group, in this order.
+WORDS: Mapping[str, Quantity] = {
+    RATE: Quantity("rate", "rate of episodes"),
+    SIZE: Quantity("size", "mean size of episodes"),
+    DURATION: Quantity("duration", "mean duration of episodes", more="longer than", less="shorter than"),
+    QUIET: Quantity("cv", "coefficient of variation of quiet times"),
+    SLIP: Quantity("slip", "share of the belt's travel that is slip in episodes", Form.SHARE),
+    STORED: Quantity("stored", "share of the belt's travel that is stored as strain", Form.SHARE),
+    CREEP: Quantity("creep", "share of the belt's travel that is creep of stuck blocks", Form.SHARE),
+    OCCUPANCY: Quantity("occupancy", "share of the time in which some block slips", Form.SHARE),
+    FANO: Quantity("fano", "variance over mean of the number of episodes in windows of quiet time"),
+}
+_COMPARED = (RATE, SIZE, DURATION, SLIP)
+GAP = Quantity("gap", "Kolmogorov-Smirnov distance of moments from the law")
+APART = Quantity("apart", "Kolmogorov-Smirnov distance of magnitudes from the reference's")
+B_VALUE = Quantity("b", "b")
+MOMENT = Quantity("moment", "mean moment")
+BY_TRAVEL = Quantity("by_travel", "number of episodes per block and unit of belt travel")
+_POISSON = "a Poisson process's 1"
+_REASONS: Mapping[str, Reason] = {
+    enough.FEW_MATRICES: Reason.FEW_UNITS, enough.FEW_CASCADES: Reason.FEW_EPISODES, enough.DRIFTS: Reason.DRIFT,
+}  # fmt: skip
 _GROUPS: Mapping[str, str] = {
     "group": S, "method": S, "n_systems": I, "n_episodes": I, "least": F, "largest": F, "whole": F,
     **{f"{name}{end}": F for name in (*QUANTITIES, *REST, *SLOW_DRIVE) for end in ("", "_low", "_high")},
@@ -75,15 +129,7 @@ _GROUPS: Mapping[str, str] = {
 _CONTRASTS: Mapping[str, str] = {"setting": S, "reference": S, **SCHEMA}
 _METHODS: Mapping[str, str] = {
     "setting": S, "reference": S, "law": S, "size": F, "size_low": F, "size_high": F, "at": F, "below": F,
-    "margin": F, "p_equivalent": F,
-    "p_different": F, "p_floor": F, "p_equivalent_holm": F, "p_different_holm": F, "verdict": S, "reason": S,
-}  # fmt: skip
-_B_VALUES: Mapping[str, str] = {
-    "group": S, "magnitude": F, "n_episodes": I, "b": F, "b_low": F, "b_high": F,
-    "predicted": F,
-}  # fmt: skip
-_SIZES: Mapping[str, str] = {
-    "group": S, "size": I, "n_episodes": I, "share": F, "share_low": F, "share_high": F,
+    "p_floor": F, "p_different": F, "p_different_holm": F, "reason": S,
 }  # fmt: skip
 _LAWS: Mapping[str, str] = {
     "group": S, "law": S, "least": F, "n_episodes": I, "b": F, "b_low": F, "b_high": F, "parameters": S, "gain": F,
@@ -95,207 +141,181 @@ _RATES: Mapping[str, str] = {
 }  # fmt: skip
 
 
+class Fitted(NamedTuple):
+    """A law as it was fitted: its exponent, its cut-off, and how good it is."""
+
+    b: Estimate
+    cut_off: Estimate
+    good: Goodness
+
+
 def answer(study: Study) -> Answer | None:
     """What the episodes of an ensemble are like; None where none were recorded."""
     if study.data.episodes is None:
         return None
-    found, level = read(study, study.data.episodes), study.settings.confidence
-    if not any(len(one.magnitudes()) for one in found):
-        return Answer({"n_systems": max((len(one.runs) for one in found), default=0)}, lack="no episode")
-    by_system = systems(found)
-    for one, method in zip(found, names(found), strict=True):
-        summarise(one, level)
-        one.row["method"] = method
-    judged = [one for one in found if one.is_judged]
-    b = {one.label: values_of_b(one, level) for one in judged}
-    for one in found:
-        one.row["has_b"] = one.is_judged and follows(b[one.label], len(one.runs), level)
-        one.row |= named("b", b_of_law(one, level) if one.is_judged else Estimate())
-    tables = {"episodes": frame(_GROUPS, [one.row for one in found])}
-    warned = _warned(found, [first for first, *_ in by_system], study)
+    groups, level = read(study, study.data.episodes), study.settings.confidence
+    if not any(len(group.magnitudes()) for group in groups):
+        why = "some block slips all the time, or none ever does" if groups else ""
+        return Answer(findings=[Lack("episodes", Reason.NOTHING_COUNTED, why)])
+    for group, method in zip(groups, names(groups), strict=True):
+        summarise(group, level)
+        group.row["method"] = method
+        group.row["has_b"] = group.is_judged and has_b(group, level)
+        group.row |= named("b", b_of_law(group, level) if group.is_judged else Estimate())
+    by_system, judged = systems(groups), [group for group in groups if group.is_judged]
+    tables = {"episodes": frame(_GROUPS, [group.row for group in groups])}
+    alerts = _alerts(study, groups, [first for first, *_ in by_system])
     if not judged:
-        best = max(found, key=lambda one: one.row["n_episodes"]).row
-        return Answer(warned | {"best": best}, lack=best["basis"], tables=tables)
+        return Answer(findings=[_lack(study, groups)], alerts=alerts, tables=tables)
     lead = _lead(judged)
     leaders = [first for first, *_ in by_system if first.is_judged] or [lead]
-    contrasts, along = against_reference(by_system, level), [one.group for one in leaders]
-    is_line = (len(settings(along)) > 1) + len(axes_of(along)) < 2  # the ends of several keys would be two corners
-    changes = _changes(leaders, level) if is_line else []
-    compared = by_laws(study, by_system)
+    apart = compare(study, by_system)
     rates = _rates(by_system, lead, _drawn_from(lead, leaders), level)
-    told = [lead, *(one for one in leaders if one is not lead)]
-    laws, moments = zip(*(_laws(study, one, b[one.label]) for one in told), strict=True)
-    sizes = [row for one in leaders for row in _sizes(one, level)]
+    fitted = {group.label: _fits(study, group) for group in leaders}
     tables |= {
-        "episode_contrasts": frame(_CONTRASTS, [row for rows in (*contrasts, changes) for row in rows]),
-        "episode_methods": frame(_METHODS, compared),
-        "episode_laws": frame(_LAWS, [row for rows in laws for row in rows]),
+        "episode_contrasts": frame(_CONTRASTS, [one.row() for one in apart if one.name not in LAWS]),
+        "episode_methods": frame(_METHODS, [one.row() for one in apart if one.name in LAWS]),
+        "episode_laws": frame(_LAWS, [row for rows, _ in fitted.values() for row in rows]),
         "episode_rates": frame(_RATES, rates),
-        "episode_sizes": frame(_SIZES, sizes),
-        "b_values": frame(_B_VALUES, _b_rows(b)),
     }
-    figures = _figures(found, leaders, lead, rates, sizes, b, bool(contrasts))
-    references = [one.row for one in leaders]
-    facts = warned | {
-        "lead": lead.row, "laws": [row for rows in laws for row in rows],
-        "moments": moments[0], "others": moments[1:], "least": lead.least,
-        "fitted": FITTED, "windows": WINDOWS, "margin": MARGIN,
-        "window": (float(lead.group.key["t_end"]) - study.settings.t_burn) * (1 - lead.row[OCCUPANCY]) / WINDOWS,
-        "n_blocks": lead.group.key["n"],
-        "without_law": [first.row["method"] for first, *_ in by_system
-                        if first.row["n_episodes"] and not first.is_judged],
-        "ends": (references[0], references[-1]), "changes": changes, "b": b[lead.label],
-        "b_rows": _b_rows({lead.label: b[lead.label]}),
-        "most_over": MOST_OVER if any((row["over"] or 0.0) > MOST_OVER for row in rates) else None,
-        "has_sizes": "episode_sizes" in figures, "most_stems": MOST_STEMS,
-        **comparison(contrasts, compared, {one.label: str(one.row["method"]) for one in found}),
-    }  # fmt: skip
-    return Answer(facts, tables=tables, figures=figures)
-
-
-def _warned(found: Sequence[Catalogues], references: Sequence[Catalogues], study: Study) -> Row:
-    """What pages have to say of these episodes, whichever question leads: the drive is fast, or their rate drifts."""
-    fast = sorted(
-        (one.row for one in references if (one.row[OCCUPANCY] or 0.0) > SLOW), key=lambda row: -row[OCCUPANCY]
+    basis = answers.systems(study)
+    laws = [_law(study, group, *fitted[group.label], "" if len(leaders) == 1 else group.row["method"])
+            for group in sorted(leaders, key=lambda group: group is not lead)]  # fmt: skip
+    outcomes = [_outcomes(first, others, apart) for first, *others in by_system if others and first.is_judged]
+    first = [_level(lead, RATE, apart, basis), laws[0]]
+    findings: list[Finding] = [*outcomes[:1], *first, *_changes(leaders, level, basis), *outcomes[1:], *laws[1:]]
+    findings += _levels(groups, lead, apart, basis)
+    return Answer(
+        findings=findings,
+        n_lead=3,
+        alerts=alerts,
+        method=_METHOD,
+        tables=tables,
+        figures=_figures(groups, leaders, rates, bool(apart)),
     )
-    return {
-        "fast": fast, "slow": SLOW, "slower": _slower(fast[0]) if fast else None, "is_sweep": len(references) > 1,
-        "drifting": [one.row for one in found if _drifts(one.row)], "t_burn": study.settings.t_burn,
-        "rows": [one.row for one in found],
-    }  # fmt: skip
 
 
-def _drifts(row: Row) -> bool:
-    """Whether a drift of the rate of episodes is shown, beyond what is judged or beyond the margin of statistics."""
-    is_shown = row["drift_low"] is not None and (row["drift_low"] > 0 or row["drift_high"] < 0)
-    return bool(row["basis"] == DRIFTS or (is_shown and abs(row["drift"]) > MARGIN))
+# ------------------------------------------------------------------------------------------------ findings
 
 
-def _lead(judged: Sequence[Catalogues]) -> Catalogues:
-    """The group that leads: the finest setting, and the largest n, where the ends of a chain matter least."""
-    first = fineness(judged[0].group)
-    return max((one for one in judged if fineness(one.group) == first), key=lambda one: int(one.group.key["n"]))
+def _lack(study: Study, groups: Sequence[Catalogues]) -> Lack:
+    """Why no group can be judged: that with the most episodes."""
+    row = max(groups, key=lambda group: group.row["n_episodes"]).row
+    detail = f"{row['n_systems']} {answers.systems(study)}s, {row['n_episodes']} episodes"
+    return Lack("the statistics of episodes", _REASONS[row["basis"]], detail)
 
 
-def _drawn_from(lead: Catalogues, leaders: Sequence[Catalogues]) -> float:
-    """The edge of a class from which rates are drawn: no law is asked of a rate, so nearly all episodes count."""
-    first = min(float(np.quantile(one.magnitudes(), LEFT_OUT)) for one in leaders)
-    return lead.least - CLASS * max(int(np.ceil((lead.least - first) / CLASS)), 0)
+def _level(group: Catalogues, name: str, apart: Sequence[Apart], unit: str) -> Level:
+    """A statistic of a group, beside that of its reference, or of a Poisson process."""
+    estimate: Estimate = group.row["of"][name]
+    beside = next((one.comparison() for one in apart if one.setting is group and one.name == name), None)
+    if name == QUIET:
+        low, high = (None if end is None else end - 1.0 for end in (estimate.low, estimate.high))
+        off = Estimate((estimate.value or 0.0) - 1.0, low, high)
+        beside = Comparison(_POISSON, Difference(off, Scale.ABSOLUTE))
+    return Level(WORDS[name], estimate, str(group.row["method"]), beside, Basis(len(group.sample.of(name)), unit))
 
 
-def _figures(
-    found: Sequence[Catalogues],
-    leaders: Sequence[Catalogues],
-    lead: Catalogues,
-    rates: Sequence[Row],
-    sizes: Sequence[Row],
-    b: Mapping[str, Sequence[BValue]],
-    has_pairs: bool,
-) -> dict[str, Recipe]:
-    """Rates by magnitude; beside them those over the reference's, or sizes along a sweep, or one run."""
-    labels = {one.label: (str(one.group.key["engine"]), str(one.row["method"])) for one in found}
-    figures: dict[str, Recipe] = {"episode_rates": partial(frequencies, rates, labels)}
-    if rows := _b_rows(b):
-        shown = {label: labels[label] for label, some in b.items() if some}
-        figures["b_values"] = partial(b_by_least, rows, shown, lead.label)
-    if has_pairs:
-        figures["episode_rates_over"] = partial(over_reference, rates, labels)
-    elif len(leaders) > 1:
-        figures["episode_sizes"] = partial(shares_of_sizes, sizes, {one.label: labels[one.label] for one in leaders})
-    else:
-        run = next(one for one in lead.each() if len(one.start))
-        figures["one_catalogue"] = partial(one_catalogue, run.start[:MOST_STEMS], run.magnitude[:MOST_STEMS])
-    return figures
-
-
-def _changes(leaders: Sequence[Catalogues], level: float) -> list[Row]:
-    """Contrasts of the last of some systems with the first: mean size, and episodes by the belt's travel.
-
-    Paired if both share their random draws.
-    """
-    first, last = leaders[0], leaders[-1]
-    if first is last:
-        return []
-    asked = [Statistic(SIZE, QUANTITIES[SIZE].of, MARGIN), Statistic(BY_WAY, SLOW_DRIVE[BY_WAY].of, MARGIN)]
-    a, b = ([one.group.unit, *(one.group.key[name] for name in DRAWN)] for one in (first, last))
-    rows: list[Row] = [
-        {"setting": last.label, "reference": first.label}
-        | contrast(one, first.sample, last.sample, a == b, level).row()
-        | {"is_share": False}
-        for one in asked
+def _levels(groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apart], unit: str) -> list[Finding]:
+    """Statistics of all groups, the distances of their magnitudes, and what shows whether the drive is slow."""
+    several = [(name, group) for name in _COMPARED for group in groups if (name, group) != (RATE, lead)]
+    alone = [(name, lead) for name in (QUIET, STORED, OCCUPANCY, FANO)]
+    creeping = [(CREEP, group) for group in groups if not group.group.is_exact]
+    findings: list[Finding] = [
+        _level(group, name, apart, unit)
+        for name, group in (*several, *creeping, *alone)
+        if group.row["of"][name].value is not None
     ]
-    judge(rows, 1 - level, Words(WITHIN, RISES, FALLS))
-    return rows
+    gaps: list[Finding] = [
+        Level(APART, one.found.size, str(one.setting.row["method"]))
+        for one in apart
+        if one.name == MAGNITUDES and isinstance(one.found, LawDifference)
+    ]
+    return [*findings[: len(groups) - 1], *gaps, *findings[len(groups) - 1 :]]
 
 
-def _slower(row: Row) -> float | None:
-    """How many times slower a belt has to be for a share of time in episodes of `SLOW`, to one digit; None: unknown.
-
-    On a slow belt the time in episodes grows with the belt's travel, and the quiet time with the time itself: the
-    ratio of the two is proportional to the belt's speed.
-    """
-    share = row[OCCUPANCY]
-    if share > TELLING or not row[BY_WAY]:
-        return None
-    factor = share / (1 - share) * (1 - SLOW) / SLOW
-    digit = 10.0 ** np.floor(np.log10(factor))
-    return float(np.ceil(factor / digit) * digit)
+def _outcomes(reference: Catalogues, others: Sequence[Catalogues], apart: Sequence[Apart]) -> Outcomes:
+    """The settings of a system whose rate or magnitudes are shown to differ from the reference's, and the others."""
+    differ = [id(one.setting) for one in apart if one.name in PRIMARY and one.is_shown]
+    come_out = [DIFFERENT if id(other) in differ else UNDECIDED for other in others]
+    by_setting = dict(zip(settings_of(others), come_out, strict=True))
+    different, undecided = (in_words(by_setting, name) for name in (DIFFERENT, UNDECIDED))
+    return Outcomes(called(reference), different=different, undecided=undecided)
 
 
-def _b_rows(b: Mapping[str, Sequence[BValue]]) -> list[Row]:
-    """Rows of the table `b_values`, from the values by group."""
-    return [
-        {"group": label, "magnitude": one.least, "n_episodes": one.n_episodes, **named("b", one.b),
-         "predicted": one.predicted}
-        for label, some in b.items() for one in some
-    ]  # fmt: skip
+def _changes(leaders: Sequence[Catalogues], level: float, unit: str) -> list[Change]:
+    """From the first of a row of systems to the last: mean size, and episodes per travel of the belt."""
+    first, last = leaders[0], leaders[-1]
+    ends = [dict(group.group.name.parts) for group in (first, last)]
+    keys = [key for key in ends[0] if key and ends[0][key] != ends[1].get(key)]
+    if len(keys) != 1:
+        return []
+    changes = []
+    for name, quantity in ((SIZE, WORDS[SIZE]), (BY_WAY, BY_TRAVEL)):
+        found = along(first, last, name, level)
+        if found.is_known:
+            old, new = (end[keys[0]] for end in ends)
+            changes.append(replace(found.change(keys[0], old, new, "", unit), quantity=quantity))
+    return changes
 
 
-def _sizes(one: Catalogues, level: float) -> list[Row]:
-    """Shares of the episodes that take at least a number of blocks, for numbers that grow by a factor of 1.5."""
+def along(first: Catalogues, last: Catalogues, name: str, level: float) -> Contrast:
+    """How a statistic of two groups differs: paired if both share their random draws."""
+    draws = [[group.group.unit, *(group.group.key[key] for key in DRAWN)] for group in (first, last)]
+    statistic = Statistic(name, {**QUANTITIES, **SLOW_DRIVE}[name].of)
+    return contrast(statistic, first.sample, last.sample, draws[0] == draws[1], level)
+
+
+def _fits(study: Study, group: Catalogues) -> tuple[list[Row], list[Fitted]]:
+    """The laws of moments of a group: rows of the table `episode_laws`; b, a cut-off and the goodness of each."""
+    level, counts, fits = study.settings.confidence, classes(group), fits_of(group)
     rows: list[Row] = []
-    runs = [np.concatenate([run.size for run in some]) for some in one.runs.values()]
-    most = max(int(some.max(initial=0)) for some in runs)
-    for size in np.unique((1.5 ** np.arange(np.log(most) / np.log(1.5))).astype(int)):
-        sums = np.array([[np.count_nonzero(some >= size), len(some)] for some in runs], dtype=np.float64)
-        if sums[:, 0].sum() >= FEWEST:
-            share = named("share", mean_within(sums, 1.0, level))
-            rows.append({"group": one.label, "size": int(size), "n_episodes": int(sums[:, 0].sum()), **share})
-    return rows
-
-
-def _laws(study: Study, one: Catalogues, b: Sequence[BValue]) -> tuple[list[Row], Row]:
-    """Rows of the table `episode_laws`, and facts: the law that the moments of a group follow, with its exponents."""
-    level, counts = study.settings.confidence, classes(one)
-    own = {"group": one.label, "method": one.row["method"], "least": one.least, "n_episodes": int(counts.sum()),
-           "n_matrices": len(counts)}  # fmt: skip
-    has_b = one.row["has_b"]  # "open": too few episodes to tell
-    of_b = {"has_b": has_b, "single": "one" if has_b else "none" if len(b) > 1 else "open"}
-    fits = fits_of(one)
-    if not fits:
-        unknown = {"law": UNKNOWN, "says": UNKNOWN, "untested": one.row["b_reason"]}
-        return [], own | of_b | unknown | {"exponent": Estimate(), "b": Estimate()}
-    base, with_cut_off, _ = fits
-    exponent, cut_off = (parameter(with_cut_off, which, counts, level) for which in (0, 1))
-    bounded = parameter(base, 0, counts, level)
-    rows: list[Row] = []
-    for fit, b_of in zip(fits, (bounded, exponent, Estimate()), strict=True):
-        name, others = fit.family.name, {key: value for key, value in fit.parameters.items() if key != "b"}
+    fitted: list[Fitted] = []
+    for fit in fits:
+        is_exponential = fit is fits[-1]
+        b = Estimate() if is_exponential else parameter(fit, 0, counts, level)
+        cut_off = parameter(fit, 1, counts, level) if fit is fits[1] else Estimate()
+        name = fit.family.name
         good = goodness(fit.sizes, counts, level, study.generator(f"moment {name}"), fit.family)
-        rows.append(own | {
-            "law": name, **named("b", b_of),
+        fitted.append(Fitted(b, cut_off, good))
+        others = {key: value for key, value in fit.parameters.items() if key != "b"}
+        rows.append({
+            "group": group.label, "law": name, "least": group.least, "n_episodes": int(counts.sum()), **named("b", b),
             "parameters": ", ".join(f"{key} = {value:.3g}" for key, value in others.items()) or None,
-            "gain": None if fit is base else (fit.log_likelihood - base.log_likelihood) / counts.sum(),
+            "gain": None if fit is fits[0] else (fit.log_likelihood - fits[0].log_likelihood) / counts.sum(),
             "gap": good.gap, "p_value": good.p_value, "p_floor": good.p_floor,
             "fit": good.verdict(1 - level), "reason": good.reason or None,
         })  # fmt: skip
-    law = _verdict(rows[1]["fit"], exponent, cut_off)
-    says = f"{law} {of_b['single']}" if law in (POWER, CUT_OFF) or has_b else law
-    untested = rows[1]["reason"] if law == UNKNOWN else None
-    return rows, own | of_b | {"exponent": exponent, "b": bounded, "law": law, "says": says, "untested": untested}
+    return rows, fitted
 
 
-def _verdict(fit: str, exponent: Estimate, cut_off: Estimate) -> str:
+def _law(study: Study, group: Catalogues, rows: Sequence[Row], fitted: Sequence[Fitted], where: str) -> Law | Lack:
+    """The law that the moments of a group follow, with its exponent, or how far they are from any."""
+    what = f"the law of moments{f' at {where}' * bool(where)}"
+    if not fitted:
+        return Lack(what, Reason.ONE_VALUE if group.row["b_reason"] else Reason.FEW_EPISODES)
+    exponent, cut_off, good = fitted[1]
+    basis, moments = Basis(len(group.runs), answers.systems(study)), "moments of episodes"
+    if good.reason:
+        return Lack(what, Reason.FEW_UNITS, f"{basis.n} {basis.unit}s")
+    if exponent.value is None or exponent.low is None:
+        return Lack(what, Reason.NOT_SHOWN)
+    b, law = Level(B_VALUE, exponent, where, basis=basis), law_of(rows[1]["fit"], exponent, cut_off)
+    if law == EXPONENTIAL:
+        return Law(moments, PREDICATES[law], Level(MOMENT, _mean_moment(study, group), where, basis=basis))
+    if law == NONE:
+        far = Level(GAP, Estimate(good.gap), where, basis=basis)
+        return Law(moments, PREDICATES[law], far, Fit.FAILS, far)
+    return Law(moments, PREDICATES[law], b, Fit.OPEN if law == UNKNOWN else Fit.HOLDS)
+
+
+def _mean_moment(study: Study, group: Catalogues) -> Estimate:
+    sums = [[sum(np.abs(run.moment).sum() for run in runs), sum(len(run.moment) for run in runs)]
+            for runs in group.runs.values()]  # fmt: skip
+    return over_matrices(ratio, np.array(sums, dtype=np.float64), study.settings.confidence)
+
+
+def law_of(fit: str, exponent: Estimate, cut_off: Estimate) -> str:
     """The law that moments follow, from the power law with a cut-off; unknown if its fit is not tested, or undecided.
 
     It contains the two others: the power law has no cut-off, and the exponential has the exponent -1. Without a
@@ -311,6 +331,57 @@ def _verdict(fit: str, exponent: Estimate, cut_off: Estimate) -> str:
     if exponent.low <= 0:
         return UNKNOWN
     return CUT_OFF if has_cut_off else POWER
+
+
+def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Catalogues]) -> list[Alert]:
+    """What numbers of episodes are wrong, and what they refer to: those of the worst group each."""
+    alerts = []
+    drifting = [group for group in groups if group.row["basis"] == enough.DRIFTS]
+    if drifting:
+        what = f"The rate of episodes ({', '.join(str(group.row['method']) for group in drifting[:2])})"
+        alerts.append(Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn))
+    fast = max(references, key=lambda group: group.row[OCCUPANCY] or 0.0).row
+    if (fast[OCCUPANCY] or 0.0) > SLOW:
+        slower = _slower(fast)
+        remedy = f"a belt {'much' if slower is None else f'about {slower:g} times'} slower"
+        share = number(fast[OCCUPANCY], Form.SHARE, 0)
+        alerts.append(Alert.of(Code.OVERLAP, share=share, where=str(fast["method"]), remedy=remedy))
+    blurred = [group.row for group in groups if (group.row["stuck_below"] or 0.0) > 1]
+    if blurred:
+        come_out = [DIFFERENT if group.row in blurred else UNDECIDED for group in groups]
+        methods = in_words(dict(zip(settings_of(groups), come_out, strict=True)), DIFFERENT)
+        alerts.append(Alert.of(Code.BLURRED, what=" and ".join(methods)))
+    whole = [group for group in groups if (group.row["whole"] or 0.0) > 0.5 and group in references]
+    if whole:
+        share = number(whole[0].row["whole"], Form.SHARE, 0)
+        alerts.append(Alert.of(Code.SPANNING, share=share, n=int(whole[0].group.key["n"])))
+    return alerts
+
+
+def _lead(judged: Sequence[Catalogues]) -> Catalogues:
+    """The group that leads: the finest setting, and the largest n, where the ends of a chain matter least."""
+    first = fineness(judged[0].group)
+    return max((one for one in judged if fineness(one.group) == first), key=lambda one: int(one.group.key["n"]))
+
+
+def _drawn_from(lead: Catalogues, leaders: Sequence[Catalogues]) -> float:
+    """The edge of a class from which rates are drawn: no law is asked of a rate, so nearly all episodes count."""
+    first = min(float(np.quantile(one.magnitudes(), LEFT_OUT)) for one in leaders)
+    return lead.least - CLASS * max(int(np.ceil((lead.least - first) / CLASS)), 0)
+
+
+def _slower(row: Row) -> float | None:
+    """How many times slower a belt has to be for a share of time in episodes of `SLOW`, to one digit; None: unknown.
+
+    On a slow belt the time in episodes grows with the belt's travel, and the quiet time with the time itself: the
+    ratio of the two is proportional to the belt's speed.
+    """
+    share = row[OCCUPANCY]
+    if share > TELLING or not row[BY_WAY]:
+        return None
+    factor = share / (1 - share) * (1 - SLOW) / SLOW
+    digit = 10.0 ** np.floor(np.log10(factor))
+    return float(np.ceil(factor / digit) * digit)
 
 
 def _rates(systems: Iterable[Sequence[Catalogues]], lead: Catalogues, first_edge: float, level: float) -> list[Row]:
@@ -348,93 +419,75 @@ def _over(first: np.ndarray, second: np.ndarray, level: float) -> Estimate:
     return Estimate(1 + value, 1 + value - half, 1 + value + half)
 
 
-def _look(labels: Mapping[str, tuple[str, str]]) -> dict[str, dict[str, Any]]:
-    """Style of each group's line: one colour for each engine, one line for each of its settings."""
-    seen: dict[str, int] = {}
-    looks = {}
-    for label, (engine, _) in labels.items():
-        k = seen[engine] = seen.get(engine, -1) + 1
-        colour, face = of_engine(engine)
-        looks[label] = {
-            "color": colour, "linestyle": ("-", "--", "-.", ":")[k % 4], "marker": "osDv"[k % 4], "markersize": 3,
-            "markerfacecolor": face, "linewidth": 0.9,
-        }  # fmt: skip
-    return looks
+# ------------------------------------------------------------------------------------------------- figures
 
 
-def _lines(
-    ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]], key: str, by: str = "magnitude"
-) -> None:
-    for (label, (_, method)), look in zip(labels.items(), _look(labels).values(), strict=True):
-        some = [row for row in rows if row["group"] == label and row[key] is not None]
-        if not some:
+def _figures(
+    groups: Sequence[Catalogues], leaders: Sequence[Catalogues], rates: Sequence[Row], has_pairs: bool
+) -> dict[str, Picture]:
+    """Rates by magnitude of the settings that lead, after those of all methods over the reference's."""
+    labels = {group.label: str(group.row["method"]) for group in groups}
+    shown = {group.label: labels[group.label] for group in leaders} if has_pairs else labels
+    every = Picture(
+        partial(frequencies, rates, shown),
+        "Rates fall off with magnitude: episodes per unit time of at least each magnitude, M = log10 moment, with"
+        " bands of their intervals.",
+    )
+    over = Picture(
+        partial(over_reference, rates, labels),
+        "Where a line is at 1, a method has as many episodes from that magnitude on as the reference on the same"
+        f" systems; bands are intervals, and triangles at the top are values above {MOST_OVER:g}.",
+    )
+    return {"episode_rates_over": over, "episode_rates": every} if has_pairs else {"episode_rates": every}
+
+
+def _looks(labels: Mapping[str, str]) -> dict[str, dict[str, Any]]:
+    """Style of each group's line: one hue a setting."""
+    hues = [EXACT, *matplotlib.colormaps["Dark2"].colors]  # type: ignore[attr-defined]
+    return {
+        label: {"color": hues[k % len(hues)], "marker": "osDv^Px*"[k % 8], "markersize": 3, "linewidth": 0.9}
+        for k, label in enumerate(labels)
+    }
+
+
+def _lines(ax: Axes, rows: Sequence[Row], labels: Mapping[str, str], key: str, most: float = np.inf) -> None:
+    """A line a group with the band of its intervals; triangles mark what lies above the largest value shown."""
+    for label, look in _looks(labels).items():
+        shown = [row for row in rows if row["group"] == label and row[key] is not None]
+        if not shown:
             continue
-        x, y = (np.array([row[name] for row in some]) for name in (by, key))
-        ax.plot(x, y, label=method, **look)
-        known = [row for row in some if row[f"{key}_low"] is not None]
+        x, y = (np.array([row[name] for row in shown]) for name in ("magnitude", key))
+        ax.plot(x[y <= most], y[y <= most], label=labels[label], **look)
+        ax.plot(x[y > most], np.full(np.count_nonzero(y > most), most), **look | {"marker": "^", "linestyle": ""},
+                clip_on=False)  # fmt: skip
+        known = [row for row in shown if row[f"{key}_low"] is not None and row[key] <= most]
         low, high = (np.array([row[f"{key}{end}"] for row in known]) for end in ("_low", "_high"))
-        ax.fill_between([row[by] for row in known], low, high, color=look["color"], alpha=0.12, linewidth=0)
+        ax.fill_between([row["magnitude"] for row in known], low, high, color=look["color"], alpha=0.12, linewidth=0)
     ax.set_xlabel("magnitude, M = $\\log_{10}$ moment")
     if len(labels) > 1:
-        widest = max(len(method) for _, method in labels.values())
-        ax.figure.legend(
-            loc="outside upper center",
-            ncols=3 if widest < 24 else 2 if widest < 38 else 1,
-            fontsize=6.5,
-            handlelength=2.2,
-        )
+        widest = max(len(method) for method in labels.values())
+        ax.figure.legend(loc="outside upper center", ncols=2 if widest < 26 else 1)
 
 
-@panel()
-def frequencies(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]]) -> None:
+@panel(3.8)
+def frequencies(ax: Axes, rows: Sequence[Row], labels: Mapping[str, str]) -> None:
     """Episodes per unit time from each magnitude on, one line a group, with bands of their intervals.
 
-    Rows are those of the table `episode_rates`; labels are (engine, method) by group.
+    Rows are those of the table `episode_rates`; labels are names by group.
     """
     _lines(ax, rows, labels, "rate")
     ax.set_yscale("log")
-    lows = [row["rate"] for row in rows if row["rate"]]
+    lows = [row["rate"] for row in rows if row["rate"] and row["group"] in labels]
     ax.set(ylabel="rate of episodes, $\\geq$ M", ylim=(0.5 * min(lows), 2 * max(lows)))
 
 
-@panel()
-def over_reference(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]]) -> None:
+@panel(3.8)
+def over_reference(ax: Axes, rows: Sequence[Row], labels: Mapping[str, str]) -> None:
     """Rate over the reference's on the same systems, up to `MOST_OVER`; parameters as in `frequencies`."""
-    ax.axhspan(1 - MARGIN, 1 + MARGIN, color=GREY, alpha=0.13, linewidth=0)
-    ax.axhline(1.0, color=EXACT, linewidth=1)
-    _lines(ax, rows, labels, "over")
-    seen = [row["over"] for row in rows if row["over"] is not None]
-    ax.set(ylabel="rate / exact rate", ylim=(0, min(MOST_OVER, max([1.4, *(1.15 * x for x in seen)]))))
+    ax.axhline(1.0, color=GREY, linestyle="--", linewidth=1)
+    _lines(ax, rows, labels, "over", most=MOST_OVER)
+    highest = max([1.4, *(1.15 * row["over"] for row in rows if row["over"] is not None)])
+    ax.set(ylabel="rate / rate of the reference", ylim=(0, min(MOST_OVER, highest)))
 
 
-@panel()
-def b_by_least(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]], lead: str) -> None:
-    """b against the magnitude from which it is estimated, and the prediction for the group `lead`.
-
-    Rows are those of the table `b_values`; labels as in `frequencies`.
-    """
-    some = [row for row in rows if row["group"] == lead]
-    ax.plot([row["magnitude"] for row in some], [row["predicted"] for row in some], "--", color=GREY, linewidth=1)
-    _lines(ax, rows, labels, "b")
-    ax.set(xlabel="least magnitude, $M_c$", ylabel="b by Aki", ylim=(0, None))
-
-
-@panel()
-def shares_of_sizes(ax: Axes, rows: Sequence[Row], labels: Mapping[str, tuple[str, str]]) -> None:
-    """Shares of episodes by least size; rows of the table `episode_sizes`, labels as in `frequencies`."""
-    _lines(ax, rows, labels, "share", "size")
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.set(xlabel="size, blocks that slip", ylabel="share of episodes, $\\geq$ size")
-
-
-@panel()
-def one_catalogue(ax: Axes, t: np.ndarray, magnitude: np.ndarray) -> None:
-    """Magnitude of the episodes of one run against time, each (m,)."""
-    floor = float(magnitude.min()) - 0.1
-    ax.vlines(t, floor, magnitude, color=EXACT, linewidth=0.6)
-    ax.plot(t, magnitude, "o", color=EXACT, markersize=2)
-    ax.set(xlabel="time t", ylabel="magnitude, M", ylim=(floor, None))
-
-
-QUESTION = Question(answer, share=0.8, rank=2)
+QUESTION = Question(answer, title="How often and how large are episodes?", share=0.8, rank=2)
