@@ -574,11 +574,14 @@ def _pictures(
     if any(row.n_of[name] for row in ends for name in (*ENDS, QUIET)):
         places = np.unique(np.linspace(0, len(ends) - 1, MOST_CURVES).round().astype(int))
         chosen = {_where(ends[k]): curves[ends[k].group.label] for k in places}
-        left_out = f" {len(places)} of {len(ends)} settings are drawn." if len(places) < len(ends) else ""
+        more = " Bands stay wide where runs slide so far without a certificate." * any(
+            row.n_of[QUIET] for row in ends
+        )
+        more += f" {len(places)} of {len(ends)} settings are drawn." * (len(places) < len(ends))
         pictures["survival"] = Picture(
             partial(figures.survival_curves, chosen, max(row.t_end for row in ends)),
             "Curves fall as runs end, and level off where motion lasts. Share of runs that have not ended, with"
-            f" {level} intervals.{left_out}",
+            f" {level} intervals.{more}",
         )
     if (starts := _basin(study, runs)) is not None:
         pictures["basin"] = starts
