@@ -139,6 +139,10 @@ def _change(move: Mapping[str, Any]) -> Change:
 
 def records(table: pd.DataFrame) -> list[dict[str, Any]]:
     """Rows of a table as dictionaries of plain Python values, None for null."""
-    columns = [column.astype(object).where(column.notna(), None).tolist() for _, column in table.items()]
+    nulls = table.isna().to_numpy().T.tolist()
+    columns = [
+        [None if is_null else value for value, is_null in zip(column.tolist(), of_column, strict=True)]
+        for (_, column), of_column in zip(table.items(), nulls, strict=True)
+    ]
     names = [str(name) for name in table]
     return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]

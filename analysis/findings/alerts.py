@@ -18,6 +18,10 @@ class Code(Enum):
     DIVERGED = 2, "The motion grew without limit in {n} of {of} runs."
     SETTLED = 2, "{n} of {of} runs settled into steady sliding; {what} is of the others."
     NOT_MOVING = 2, "{n} of {of} runs are not in motion; {what} is of the others."
+    MISFIT = (
+        2,
+        "A damped oscillator misses the slow spectrum (deviance {deviance} on {dof} degrees of freedom): Q is rough.",
+    )
     UNCERTIFIED = 2, "{n} of {of} runs slide so far, without a certificate that they always will."
     WITHOUT = 2, "{n} of {of} runs have no {what} and are left out there: {why}."
     WITHHELD = 2, "{what} is not given at {n} of {of} points: {why}."

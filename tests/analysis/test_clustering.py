@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study
-from stickslip.analysis.findings.finding import Lack, Level, Limit, Reason, Share, Verdict
+from stickslip.analysis.findings.finding import Basis, Lack, Law, Level, Limit, Reason, Share, Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.clustering import FANO, PAIRS, Part, fano, measure, n_windows, own_gaps, pairs
 from stickslip.analysis.questions.slips import cascades, collective, triggering
@@ -89,9 +89,11 @@ def followers(rng, steps, share):
     Unlike in `studies.triggered`, blocks still stick and slip by turns, as the modes of a run must.
     """
     t, exits = steps.t.copy(), np.flatnonzero(steps.step < 0)
+    entries = [np.append(steps.t[(steps.block == i) & (steps.step > 0)], SPAN) for i in range(steps.block.max() + 1)]
     for k in rng.permutation(exits)[: round(share * len(exits))]:
-        own = steps.t[(steps.block == steps.block[k]) & (steps.step > 0)]
-        low, high = max(own[own < steps.t[k]], default=0.0), min(own[own > steps.t[k]], default=SPAN)
+        own = entries[steps.block[k]]
+        after_it = int(np.searchsorted(own, steps.t[k]))
+        low, high = own[after_it - 1] if after_it else 0.0, own[after_it]
         after = t[exits[steps.block[exits] != steps.block[k]]] + rng.exponential(0.05)
         after = after[(after > low) & (after < high)]
         t[k] = rng.choice(after) if len(after) else t[k]
@@ -121,7 +123,11 @@ def test_the_primary_comparison_of_independent_blocks_is_not_adjusted(planted, r
 
 def test_a_common_slow_mode_has_more_exits_in_some_windows(planted, rng):
     exits = exits_of(planted, [studies.blocks_run(rng, depth=0.6) for _ in range(10)])
-    assert exits.compared[0].difference.verdict is Verdict.MORE
+    first = exits.compared[0]
+    assert first.difference.verdict is Verdict.MORE
+    assert sentence(first.law("", Basis(10))).startswith(
+        "Slip onsets come in bursts, with a Fano factor in windows of 20"
+    )
 
 
 def test_exits_that_follow_others_are_seen(planted, rng):
@@ -192,7 +198,7 @@ def test_the_answer_leads_with_one_number_and_is_the_same_twice(planted, rng):
         assert one.findings == other.findings
         assert len(sentence(one.findings[0]).split()) <= 25
         lead = one.findings[0]
-        assert isinstance(lead, Share | Level)
+        assert isinstance(lead, Share | Level | Law)
         assert isinstance(lead, Share) or any(isinstance(found, Lack) for found in one.findings)
         assert set(one.tables) == {"rhythm", "rhythm_spectrum", "clustering", "spectrum"}
         for name, table in one.tables.items():

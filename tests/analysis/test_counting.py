@@ -129,9 +129,12 @@ def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
     )
     figure = answer.figures["counting"].recipe()
     assert [ax.get_ylabel() for ax in figure.axes] == [counting.EXCESS, counting.SCALED]
-    (one,) = counting.question(coupled_blocks(planted, (40,), 0.1, rng)).figures["counting"].recipe().axes
-    labels = {text.get_text() for text in one.get_legend().texts}
-    assert labels == {"fair coin", "two-state blocks", "shifted in time", "runs"}
+    labels = {text.get_text() for text in figure.legends[0].texts}
+    assert labels == {"fair coin", "two-state blocks", "time-shifted", "runs"}
+    one = counting.question(coupled_blocks(planted, (40,), 0.1, rng))
+    (axes,) = one.figures["counting"].recipe().axes
+    assert len(axes.lines[0].get_xdata()) == 8
+    assert list(axes.lines[1].get_xdata()) == [estimates(one.findings[0])["coupling"].value]
 
 
 def test_what_is_missing_is_said(planted, rng):

@@ -241,6 +241,6 @@ def test_sampling_steps_are_grouped_by_the_outcome_that_all_definitions_share():
         word = {"o": Verdict.OPEN, "m": Verdict.MORE, "l": Verdict.LESS, "e": Verdict.EQUAL}
         verdicts |= {Definition(name, dt): word[key] for name, key in zip(("drop", "length"), pair, strict=True)}
     outcomes = cascade_definitions._outcomes(verdicts)
-    assert outcomes.equal == ("all definitions at dt = 3",)
-    assert outcomes.different == ("all definitions at dt = 0.5 to 2",)
-    assert outcomes.undecided == ("all definitions at dt = 0.1 to 0.2",)
+    assert outcomes.equal == ("every definition at dt = 3",)
+    assert outcomes.different == ("every definition at dt = 0.5 to 2",)
+    assert outcomes.undecided == ("some definitions at dt = 0.1 to 0.2",)

@@ -47,7 +47,7 @@ from stickslip.analysis.series.nulls import BlockSteps, rotations
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices, ratio
-from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
+from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, forest, panel
 
 EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$np(1-p)$", r"$np(1-p)\,(\gamma/\ln 2-1)$"  # on the axes
 #: Largest number of times that a run's blocks are shifted: their rate is known that much better than the run's.
@@ -99,19 +99,21 @@ def question(study: Study) -> Answer | None:
     findings.append(
         Level(RISE, _estimate(lead, "slope"), where, Comparison("independent two-state blocks", slope), basis)
     )
-    draw = by_number if len(alike) > 1 else at_one_number
-    caption = (
-        f"Coupling is the distance of the runs from their blocks shifted in time; line and diamonds: independent "
-        f"two-state blocks of the same number, of which a share p sticks. {_scaled(alike)}"
-        f"{'Faint: not in a steady state. ' * (len(alike) > len(judged))}"
-    )
-    return Answer(
-        findings=findings, tables=table, figures={"counting": Picture(partial(draw, alike), caption.strip())}
-    )
+    return Answer(findings=findings, tables=table, figures={"counting": _picture(alike, lead)})
 
 
-def _scaled(rows: Sequence[Row]) -> str:
-    return "Below, times n p (1 − p), by which finite size is level. " if len(rows) > 1 else ""
+def _picture(rows: Sequence[Row], lead: Row) -> Picture:
+    """The excess of several numbers of blocks, or the coupling of each system of one."""
+    if len(rows) == 1:
+        each = [Estimate(value) for value in lead["each"]]
+        recipe = partial(forest, each, _estimate(lead, "coupling"), "coupling, relative to ln 2", (0.0, "none"))
+        return Picture(recipe, "Coupling in each system, and in all together with its interval (diamond, band).")
+    faint = "" if all(row["is_judged"] for row in rows) else " Faint: not in a steady state."
+    return Picture(
+        partial(by_number, rows),
+        "Coupling is the distance of the runs from time-shifted blocks; line and diamonds: as many independent "
+        f"two-state blocks, of which a share p sticks. Below, times n p (1 − p): finite size is level.{faint}",
+    )
 
 
 def _where(row: Row, is_swept: bool) -> str:
@@ -146,12 +148,18 @@ def _row(study: Study, group: Group) -> Row | None:
         "is_judged": basis.code in enough.JUDGED,
         "mean": mean, "variance": mean * (1 - mean / n), "in_lulls": float(lulls / total),
         "n_runs": len(group), "n_moving": group.n_moving,
+        "each": [float(of["coupling"](system[None])[0]) for system in sums if _has_rates(system)],
         "slope_of_pool": pool.slope(n, mean) if pool.is_one(n, mean) else None,
         "of": [group.key[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name != "n"],
     }  # fmt: skip
     for name, one in estimates.items():
         row |= named(name, one)
     return row
+
+
+def _has_rates(system: np.ndarray) -> bool:
+    """Whether the sizes of a system have decay rates: not all of them are 1, nor of its time-shifted blocks."""
+    return all(system[columns][0] > system[columns][1] > 0 for columns in (OBSERVED, ROTATED))
 
 
 def _of_run(draws: int, run: Run) -> np.ndarray | None:
@@ -268,7 +276,7 @@ def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
     counted = np.array([row["counting"] for row in rows]) * scale
     ax.plot(x, counted, "D", color=GREEN, markersize=3.5, label="two-state blocks")
     for name, mark, colour, label in (
-        ("independent", "s", SMOOTHED, "shifted in time"), ("excess", "o", EXACT, "runs"),
+        ("independent", "s", SMOOTHED, "time-shifted"), ("excess", "o", EXACT, "runs"),
     ):  # fmt: skip
         value, low, high = (np.array([row[f"{name}{end}"] for row in rows]) * scale for end in ("", "_low", "_high"))
         for some, alpha, said in ((known, 1.0, label), (~known, 0.35, "")):
@@ -285,18 +293,9 @@ def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
     ax.set(xlim=(fine[0], fine[-1]))
 
 
-@panel()
-def at_one_number(ax: Axes, rows: Sequence[Row]) -> None:
-    """The excess over ln 2 of the runs and of three nulls, at one n; rows of the table `counting`."""
-    _lines(ax, rows, scaled=False)
-    ax.yaxis.set_major_formatter(PercentFormatter(1.0))
-    ax.set(xlabel=VARIANCE, ylabel=EXCESS)
-    ax.legend(loc="upper right")
-
-
 @panel(nrows=2, height=3.6, sharex=True)
 def by_number(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
-    """The same for several n; below, times n p (1 - p), so that finite size is level."""
+    """The excess over ln 2 of the runs and of three nulls at several n; below, times n p (1 - p)."""
     top, below = axes
     _lines(top, rows, scaled=False)
     _lines(below, rows, scaled=True)

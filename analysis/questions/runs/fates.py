@@ -49,7 +49,7 @@ from stickslip.analysis.findings.finding import (
     Share,
 )
 from stickslip.analysis.groups import Group
-from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SYSTEM_KEYS, joined
+from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models.attractors import plane
 from stickslip.analysis.models.fates import (
     COLLAPSED,
@@ -207,8 +207,7 @@ class Ends(NamedTuple):
 def answer(study: Study) -> Answer:
     """How the unchanged runs end and when, what they settle on, and whether what lasts is steady."""
     level, groups = study.settings.confidence, study.groups
-    labels = [group.label for group in groups]
-    parts = [_of_group(group, k, labels) for k, group in enumerate(groups)]
+    parts = [_ran(group) for group in groups]
     ends, curves = list[Ends](), dict[str, Curve]()
     for group, part, name in zip(groups, parts, _names(groups), strict=True):
         row, curve = _ends(study, group, *name, part)
@@ -223,7 +222,7 @@ def answer(study: Study) -> Answer:
     tested = burn_in.with_enough(burn_in.geweke(study, averaged), by_t_burn, 1 - level)
     tables: dict[str, Table] = {
         "fates": frame(_GROUP, (row.row(study.settings.t_burn) for row in ends)),
-        "survival_curves": pd.concat([frame(_CURVE, []), *(_curve_table(*item) for item in curves.items())]),
+        "survival_curves": _curves_table(curves),
         "runs": long(len(runs), partial(_listed, groups, runs)),
         "last_events": frame(_SHIFT, (shift._asdict() | named("shift", shift.shift) for shift in shifts)),
         "burn_in": frame(burn_in.TESTS, tested),
@@ -261,15 +260,20 @@ def _findings(
     """What the runs of each method do, its lifetimes, and how much later last events come by another method."""
     leading: list[Finding] = []
     others: list[Finding] = []
-    outcomes: list[list[dict[str, int]]] = []
-    for method in dict.fromkeys(row.method for row in ends):
-        rows = [row for row in ends if row.method == method]
-        outcome, details = _outcome(study, runs, rows)
+    methods: dict[str, list[Ends]] = {}
+    for row in ends:
+        methods.setdefault(row.method, []).append(row)
+    outcomes = [[(row.kinds, row.n_of[QUIET] > 0) for row in rows] for rows in methods.values()]
+    is_alike = len(methods) > 1 and all(outcome == outcomes[0] for outcome in outcomes)
+    for k, (method, rows) in enumerate(methods.items()):
         lifetimes = _lifetimes(study, rows)
-        is_other = [row.kinds for row in rows] not in outcomes
-        outcomes.append([row.kinds for row in rows])
-        leading += [*outcome[: 1 if is_other else 0], *lifetimes[:1]]
-        others += [*outcome[1 if is_other else 0 :], *details, *lifetimes[1:]]
+        if k == 0 or not is_alike:
+            outcome, details = _outcome(study, runs, rows, "by every method" if is_alike else method)
+            n_first = int(outcomes[k] not in outcomes[:k])
+            leading += outcome[:n_first]
+            others += [*outcome[n_first:], *details]
+        leading += lifetimes[:1]
+        others += lifetimes[1:]
     delays = [
         Level(DELAY, shift.shift, f"{shift.setting} after {shift.reference}", None, _basis(study, shift.n_systems))
         for shift in shifts
@@ -279,18 +283,17 @@ def _findings(
     return [*leading, *others, *delays[:MOST_SETTINGS], *stable], min(3, len(leading))
 
 
-def _outcome(study: Study, runs: pd.DataFrame, rows: Sequence[Ends]) -> tuple[list[Finding], list[Finding]]:
+def _outcome(
+    study: Study, runs: pd.DataFrame, rows: Sequence[Ends], method: str
+) -> tuple[list[Finding], list[Finding]]:
     """What the runs of a method do: shares where all settings are alike, else settings by outcome; and details."""
-    method = rows[0].method
     alike = {tuple(row.kinds) for row in rows}
     if len(rows) == 1 or (len(alike) == 1 and len(rows[0].kinds) == 1):
         kinds = rows[0].kinds
         return [_share(study, runs, rows, kind, method) for kind in sorted(kinds, key=lambda kind: -kinds[kind])], []
     key, values = key_of([row.label for row in rows])
-    places = [
-        Place(tuple(_predicate(kind, *rows) for kind in row.kinds), row.n_runs, row.n_runs, row.n_units)
-        for row in rows
-    ]
+    words = {kind: _predicate(kind, *rows) for kind in KINDS}
+    places = [Place(tuple(words[kind] for kind in row.kinds), row.n_runs, row.n_runs, row.n_units) for row in rows]
     by_outcome = regimes(key, values, places, study.settings.confidence, _basis(study, 0).unit)
     mixed = [row for row in rows if len(row.kinds) > 1][:MOST_SETTINGS]
     shares: list[Finding] = [_share(study, runs, [row], kind, _where(row)) for row in mixed for kind in row.kinds]
@@ -301,17 +304,19 @@ def _share(study: Study, runs: pd.DataFrame, rows: Sequence[Ends], kind: str, wh
     """The share of runs that do something; whether a run that slides so far sticks again cannot be told."""
     labels = [row.group.label for row in rows]
     part = runs[runs["group"].isin(labels) & (runs["fate"] != FAILED)]
-    untold = (QUIET,) if kind == STICK_SLIP else ()
-    estimate = _estimate(part["kind"] == kind, part["fate"].isin(untold), part["drawn"], study.settings.confidence)
+    untold = (part["fate"] == QUIET) & (kind == STICK_SLIP)
+    columns = ((part["kind"] == kind).to_numpy(), untold.to_numpy(), part["drawn"].to_numpy())
+    estimate = _estimate(*columns, study.settings.confidence)
     things = "starts" if study.unit == "start" else "runs"
     return Share(kind, things, _predicate(kind, *rows), estimate, where, None, _basis(study, part["drawn"].nunique()))
 
 
-def _estimate(has: pd.Series, untold: pd.Series, drawn: pd.Series, confidence: float) -> Estimate:
+def _estimate(has: np.ndarray, untold: np.ndarray, drawn: np.ndarray, confidence: float) -> Estimate:
     """Share of runs that have something, which is unknown of others; runs of one unit are dependent."""
-    units = np.unique(drawn.to_numpy(), return_inverse=True)[1]
-    counts = [np.bincount(units, column.to_numpy()) for column in (has, untold)]
-    return bounded_share(np.column_stack([*counts, np.bincount(units)]), confidence)
+    units = np.unique(drawn, return_inverse=True)[1]
+    return bounded_share(
+        np.column_stack([np.bincount(units, has), np.bincount(units, untold), np.bincount(units)]), confidence
+    )
 
 
 def _predicate(kind: str, *rows: Ends) -> str:
@@ -348,8 +353,8 @@ def _stability(study: Study, runs: pd.DataFrame, ends: Sequence[Ends]) -> list[F
     ):
         table = part[of]
         if len(table) and (part["fate"] == fate).any():
-            has = table["fate"] == fate
-            estimate = _estimate(has, table["fate"].isin(()), table["drawn"], study.settings.confidence)
+            has = (table["fate"] == fate).to_numpy()
+            estimate = _estimate(has, has & False, table["drawn"].to_numpy(), study.settings.confidence)
             things = f"runs with a linearly {state} all-slip state"
             basis = _basis(study, table["drawn"].nunique())
             shares.append(Share(f"{state}_{fate}", things, predicate, estimate, "", None, basis))
@@ -421,31 +426,47 @@ def _with_attractors(study: Study) -> set[str]:
     return {group.label for group in study.groups if has[group.rows].any()}
 
 
-def _joined(groups: Sequence[Group], parts: list[pd.DataFrame]) -> pd.DataFrame:
-    """Runs of groups as one table; `drawn` numbers what was drawn: runs of a number are dependent."""
-    runs = joined(parts)
-    values = [tuple(group.key[name] for name in DRAWN) for group in groups]
-    setting = np.array([*map(values.index, values)])[runs["group"].cat.codes]
-    units = pd.factorize(runs.pop("unit").to_numpy())[0]  # they may be any numbers
-    return runs.drop(columns="t_last").assign(drawn=pd.factorize(setting + len(values) * units)[0])
+class Ran(NamedTuple):
+    """The runs of a group, shape (m,) each.
+
+    `row` among the members, `unit`, time of the last event, until when it moved, fate, and what it does: a place in
+    `KINDS`, -1 if it failed.
+    """
+
+    row: np.ndarray
+    unit: np.ndarray
+    t_last: np.ndarray
+    t: np.ndarray
+    fate: np.ndarray
+    kind: np.ndarray
 
 
-def _of_group(group: Group, number: int, labels: Sequence[str]) -> pd.DataFrame:
-    """A row a run: its row among the members, its unit, its fate, what it does, and until when it moved."""
-    fates, size, t_end = group.fates, len(group), float(group.key["t_end"])
+def _ran(group: Group) -> Ran:
+    fates, t_end = group.fates, float(group.key["t_end"])
     t_stop = group.column("t_stop").to_numpy(np.float64, na_value=np.nan)
     t_last, n_last = group.last.T
-    t, _ = ends_at(fates, t_last, t_stop, np.broadcast_to(t_end, size))
+    t, _ = ends_at(fates, t_last, t_stop, np.broadcast_to(t_end, len(group)))
     is_stuck = (fates == UNMOVED) | ((fates == SUSTAINED) & is_held(t_last, n_last, int(group.key["n"]), t_end))
     is_kind = [np.isin(fates, SETTLED), np.isin(fates, MOVING) & ~is_stuck, fates == DIVERGED, is_stuck]
+    t = np.where(fates == FAILED, np.nan, t)
+    kinds = np.select(is_kind, range(len(KINDS)), -1)
+    return Ran(group.rows.astype(np.int32), group.column("unit").to_numpy(), t_last, t, fates, kinds.astype(np.int8))
+
+
+def _joined(groups: Sequence[Group], parts: Sequence[Ran]) -> pd.DataFrame:
+    """Runs of groups as one table; `drawn` numbers what was drawn: runs of a number are dependent."""
+    every = Ran(*map(np.concatenate, zip(*parts, strict=True)))
+    values = [tuple(group.key[name] for name in DRAWN) for group in groups]
+    number = np.repeat(np.arange(len(groups)), [*map(len, groups)])
+    setting = np.array([*map(values.index, values)])[number]
+    units = pd.factorize(every.unit)[0]  # they may be any numbers
     return pd.DataFrame({
-        "row": group.rows.astype(np.int32),
-        "unit": group.column("unit").to_numpy(),
-        "t_last": t_last,
-        "t": np.where(fates == FAILED, np.nan, t),
-        "group": pd.Categorical.from_codes(np.full(size, number), pd.Index(labels)),
-        "fate": pd.Categorical(fates, (*WATCHED, FAILED)),
-        "kind": pd.Categorical.from_codes(np.select(is_kind, range(len(KINDS)), -1), pd.Index(KINDS)),
+        "row": every.row,
+        "t": every.t,
+        "group": pd.Categorical.from_codes(number, pd.Index([group.label for group in groups])),
+        "fate": pd.Categorical(every.fate, (*WATCHED, FAILED)),
+        "kind": pd.Categorical.from_codes(every.kind, pd.Index(KINDS)),
+        "drawn": pd.factorize(setting + len(values) * units)[0],
     }, copy=False)  # fmt: skip
 
 
@@ -468,8 +489,12 @@ def _thinned(curve: Curve) -> Curve:
     return t, share, low, high
 
 
-def _curve_table(label: str, curve: Curve) -> pd.DataFrame:
-    return columns(_CURVE, [pd.DataFrame(dict(zip(_CURVE, (label, *curve), strict=True)))])
+def _curves_table(curves: Mapping[str, Curve]) -> pd.DataFrame:
+    if not curves:
+        return frame(_CURVE, [])
+    numbers = map(np.concatenate, zip(*curves.values(), strict=True))
+    labels = np.repeat(np.array([*curves], dtype=object), [len(curve[0]) for curve in curves.values()])
+    return columns(_CURVE, [pd.DataFrame(dict(zip(_CURVE, (labels, *numbers), strict=True)))])
 
 
 def _kappa_n(key: Mapping[str, Any]) -> float | None:
@@ -477,28 +502,26 @@ def _kappa_n(key: Mapping[str, Any]) -> float | None:
     return None if key["kappa"] is None or key["n"] == 1 else key["n"] * key["kappa"]
 
 
-def _ends(study: Study, group: Group, method: str, label: Label, runs: pd.DataFrame) -> tuple[Ends, Curve | None]:
+def _ends(study: Study, group: Group, method: str, label: Label, runs: Ran) -> tuple[Ends, Curve | None]:
     """What is known of the runs of a group, and their survival; no curve if all failed."""
-    level, ran = study.settings.confidence, runs[runs["fate"] != FAILED]
-    fates, units = ran["fate"].to_numpy(object), ran["unit"].to_numpy()
-    t_last, t = ran["t_last"].to_numpy(), ran["t"].to_numpy()
-    until = np.full(len(ran), float(group.key["t_end"]))
+    level = study.settings.confidence
+    _, units, t_last, t, fates, kinds = (column[runs.fate != FAILED] for column in runs)
+    until = np.full(len(t), float(group.key["t_end"]))
     curve, lifetime, most, moving, settled = None, *(Estimate(reason="every run failed") for _ in range(4))
-    if len(ran):
+    is_quiet = fates == QUIET
+    if len(t):
         curve = _thinned(survival(fates, t_last, t, until, level, units))
         lifetime, most = (
             half_ended(taken, t_last, t, until, level, units)
-            for taken in (fates, np.where(fates == QUIET, SUSTAINED, fates))
+            for taken in (fates, np.where(is_quiet, SUSTAINED, fates))
         )
-        moving, settled = (
-            _estimate(ran["fate"].isin(has), ran["fate"].isin(untold), ran["unit"], level)
-            for has, untold in ((MOVING, (QUIET,)), (SETTLED, ()))
-        )
-    n_held = int(((ran["kind"] == STUCK) & (ran["fate"] == SUSTAINED)).sum())
+        moving = _estimate(np.isin(fates, MOVING), is_quiet, units, level)
+        settled = _estimate(np.isin(fates, SETTLED), is_quiet & False, units, level)
+    n_held = int(np.sum((kinds == KINDS.index(STUCK)) & (fates == SUSTAINED)))
     ends = Ends(
         group, label, method, Counter(group.fates.tolist()), n_held, moving, settled, lifetime, most.value,
-        1.0 if curve is None else float(curve[1][-1]), _latest(t[np.isin(fates, ENDS)]),
-        _latest(t_last[fates == QUIET]), group.mean(level), group.drift(level), group.basis(level),
+        1.0 if curve is None else float(curve[1][-1]), _latest(t[np.isin(fates, ENDS)]), _latest(t_last[is_quiet]),
+        group.mean(level), group.drift(level), group.basis(level),
     )  # fmt: skip
     return ends, curve
 
@@ -512,7 +535,7 @@ def _shifts(groups: Sequence[Group], level: float) -> list[Shift]:
     for group in sorted(groups, key=fineness):
         of_system.setdefault(tuple(group.key[name] for name in SYSTEM_KEYS), []).append(group)
     shifts = []
-    for reference, *others in of_system.values():
+    for reference, *others in (groups for groups in of_system.values() if len(groups) > 1):
         before = _last_events(reference)
         for other in others:
             both = pd.concat([before, _last_events(other)], axis=1, join="inner").to_numpy()
@@ -527,9 +550,9 @@ def _shifts(groups: Sequence[Group], level: float) -> list[Shift]:
 
 def _last_events(group: Group) -> pd.Series:
     """The mean time of the last events of each unit's runs; NaN if one of them goes on, or failed."""
-    has_ended = np.isin(group.fates, (*ENDS, QUIET))
-    times = pd.Series(np.where(has_ended, group.last[:, 0], np.nan), index=group.column("unit").to_numpy())
-    return times.groupby(level=0).agg(lambda unit: unit.mean(skipna=False))
+    times = np.where(np.isin(group.fates, (*ENDS, QUIET)), group.last[:, 0], np.nan)
+    units, place = np.unique(group.column("unit").to_numpy(), return_inverse=True)
+    return pd.Series(np.bincount(place, times) / np.bincount(place), index=units)
 
 
 def _latest(times: np.ndarray) -> float | None:

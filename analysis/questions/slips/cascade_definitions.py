@@ -25,7 +25,7 @@ from stickslip.analysis.stats.effects import Effect, over_null, together
 from stickslip.analysis.stats.estimates import Estimate, gamma, over_matrices
 from stickslip.analysis.style import CYCLE, GREY, panel
 
-SHIFTED = "time-shifted blocks"
+SHIFTED, EVERY = "time-shifted blocks", "every definition"
 _WORDS = (
     "drop: blocks that let go over samples that all fall; length: number of such samples; descent and decreases: the "
     "same, with pauses allowed; events: without samples"
@@ -112,8 +112,8 @@ def _outcomes(verdicts: Mapping[Law, Verdict]) -> Outcomes:
         every = [f"{dt:g}" for dt in run]
         ranges[outcome].append(" to ".join(dict.fromkeys((every[0], every[-1]))))
     equal, different, undecided = (
-        (f"all definitions at dt = {listed(ranges[name])}",) if ranges[name] else ()
-        for name in ("equal", "different", "undecided")
+        (f"{which} at dt = {listed(ranges[name])}",) if ranges[name] else ()
+        for name, which in (("equal", EVERY), ("different", EVERY), ("undecided", "some definitions"))
     )
     return Outcomes(SHIFTED, equal, different, undecided)
 

@@ -409,6 +409,7 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Sequence[Ro
     each = [Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])[np.isfinite(errors)]]
     labels: Sequence[Label] = apart([one.group.name for one in drawn])
     of_which = f" ({labels[0]})" if labels[0] else ""
+    share = number(np.exp(-(rate.value or 0.0)), digits=2)
     laws = {
         str(label or lead.group.label): [row for row in sizes if row["group"] == one.group.label]
         for label, one in zip(labels, drawn, strict=True)
@@ -417,9 +418,8 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Sequence[Ro
     return {
         "size_law": Picture(
             partial(cascade_figures.size_law, laws, rate),
-            f"Each size is {number(np.exp(-(rate.value or 0.0)), digits=2)} times as common as the one before; over "
-            "a fair coin's 2⁻ˢ, below, the slope of the shares is the difference of the decay rate from ln 2. Line "
-            f"and band: the exponential law, {level:.0%}.",
+            f"Each size is {share} times as common as the one before. Below, over a fair coin's 2⁻ˢ, the slope is "
+            f"the difference of the decay rate from ln 2. Line and band: the exponential law, {level:.0%}.",
         ),
         "decay_rates": Picture(
             partial(forest, each, rate, "decay rate", (LN2, COIN)),

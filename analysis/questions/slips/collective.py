@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from stickslip.analysis.answer import Answer, Picture, Question, Row, frame, lack, systems
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
-from stickslip.analysis.findings.finding import Basis, Finding, Fit, Lack, Law, Level, Quantity, Reason, Share
+from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Quantity, Reason, Share
 from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.models.clustering import POWER, VARIANCE
 from stickslip.analysis.models.common_motion import NONE, SURROGATES
@@ -25,7 +25,11 @@ from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 WHAT = "collective motion"
 MOST_DRAWN = 3  # groups in the figure
 OF_ALL_BLOCKS = (POWER, VARIANCE)  # what is compared on the page besides exits; tables have all
-Q = Quantity("quality", "Q", definition="pi times the time in which the motion decays to 1 / e, in natural periods")
+Q = Quantity(
+    "quality",
+    "Q of slow common motion",
+    definition="pi times the time in which the motion decays to 1 / e, in natural periods",
+)
 PERIOD = Quantity("period", "natural period of slow common motion")
 DEVIANCE = Quantity("deviance", "deviance of the slow spectrum from the fit")
 _METHOD = (
@@ -69,10 +73,7 @@ def answer(study: Study) -> Answer:
     ]
     drawn = {found.group.label: (found.spectrum(), bands.get(found.group.label, [])) for found in exits[:MOST_DRAWN]}
     picture = _picture(drawn, of_group.get(lead.group.label))
-    alerts = []
-    if lead.group.n_moving < len(lead.group):
-        n_left = len(lead.group) - lead.group.n_moving
-        alerts.append(Alert.of(Code.NOT_MOVING, n=n_left, of=len(lead.group), what="collective motion"))
+    alerts = _alerts(lead, of_group.get(lead.group.label), 1 - level)
     findings = [*leading, *shares, *compared]
     figures = {"collective": picture}
     return Answer(findings=findings, n_lead=3, alerts=alerts, method=_METHOD, tables=tables, figures=figures)
@@ -80,6 +81,16 @@ def answer(study: Study) -> Answer:
 
 def _is_shown(motion: Slow | None) -> bool:
     return motion is not None and motion.is_shown
+
+
+def _alerts(exits: Exits, motion: Slow | None, alpha: float) -> list[Alert]:
+    """That runs are left out, and that the fit is no more than a summary."""
+    group, alerts = exits.group, []
+    if group.n_moving < len(group):
+        alerts.append(Alert.of(Code.NOT_MOVING, n=len(group) - group.n_moving, of=len(group), what=WHAT))
+    if motion is not None and motion.is_shown and motion.goodness.p_value < alpha:
+        alerts.append(Alert.of(Code.MISFIT, deviance=round(motion.goodness.deviance), dof=motion.goodness.dof))
+    return alerts
 
 
 def _leading(study: Study, exits: Exits, motion: Slow | None) -> tuple[list[Finding], list[Finding]]:
@@ -95,9 +106,8 @@ def _leading(study: Study, exits: Exits, motion: Slow | None) -> tuple[list[Find
     basis = Basis(exits.n_units, unit)
     compared: list[Finding] = [one.level(where, basis) for one in kept if one.observed.low is not None]
     if motion is None or not motion.is_shown:
-        return [*compared[:1], *share, *_lacking(study, motion)], compared[1:]
-    law = _law(motion, study.settings.confidence, where, unit)
-    return [_share(motion, where, unit), *share, *law], compared
+        return [exits.compared[0].law(where, basis), *share, *_lacking(study, motion)], compared[1:]
+    return [_share(motion, where, unit), *share, *_fit(motion, where, unit)], compared
 
 
 def _share(motion: Slow, where: str, unit: str) -> Share:
@@ -106,19 +116,15 @@ def _share(motion: Slow, where: str, unit: str) -> Share:
     return Share("share", "the variance of n_stick", predicate, motion.estimate("share"), where, basis=basis)
 
 
-def _law(motion: Slow, confidence: float, where: str, unit: str) -> list[Finding]:
-    """Q of slow common motion with the goodness of its fit, and its natural period."""
+def _fit(motion: Slow, where: str, unit: str) -> list[Finding]:
+    """Q of slow common motion, its natural period, and the goodness of their fit."""
     basis = Basis(len(motion.units), unit)
-    assert motion.motion is not None
-    fit = motion.motion.goodness
-    assert fit is not None
-    law = Law(
-        "slow spectra of n_stick", "fit a damped oscillator",
+    fit = motion.goodness
+    return [
         Level(Q, motion.estimate("quality"), where, basis=basis),
-        Fit.HOLDS if fit.p_value >= 1 - confidence else Fit.FAILS,
+        Level(PERIOD, motion.estimate("period"), where, basis=basis),
         Level(DEVIANCE, Estimate(fit.deviance), ", ".join(filter(None, (where, f"{fit.dof} degrees of freedom")))),
-    )  # fmt: skip
-    return [law, Level(PERIOD, motion.estimate("period"), where, basis=basis)]
+    ]
 
 
 def _lacking(study: Study, motion: Slow | None) -> list[Finding]:
@@ -138,10 +144,10 @@ def _lacking(study: Study, motion: Slow | None) -> list[Finding]:
 def _picture(drawn: Mapping[str, tuple[list[Row], list[Row]]], motion: Slow | None) -> Picture:
     """Power at all periods, with the fit of slow common motion and, of the group that leads, its goodness."""
     power = "the power of n_stick, the number of sticking blocks,"
-    if motion is None or motion.motion is None or motion.motion.goodness is None:
+    if motion is None or not motion.is_shown:
         caption = f"How far {power} is from that of time-shifted blocks (dashed). Bars and bands: intervals."
         return Picture(partial(spectrum, drawn), caption)
-    fit = motion.motion.goodness
+    fit = motion.goodness
     quality = number(motion.estimate("quality").value or 0.0, digits=2)
     where = motion.group.label
     caption = (

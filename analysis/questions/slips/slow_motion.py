@@ -19,6 +19,7 @@ from stickslip.analysis.models.common_motion import (
     SHORT,
     SLOW,
     CommonMotion,
+    Goodness,
     Spectra,
 )
 from stickslip.analysis.series.runs import Run
@@ -52,6 +53,13 @@ class Slow:
     @property
     def is_shown(self) -> bool:
         return self.verdict == SLOW
+
+    @property
+    def goodness(self) -> Goodness:
+        """Of the fit, if slow common motion is shown."""
+        assert self.motion is not None
+        assert self.motion.goodness is not None
+        return self.motion.goodness
 
     def estimate(self, name: str) -> Estimate:
         """One of `NUMBERS`, if slow common motion is shown."""

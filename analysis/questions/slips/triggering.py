@@ -17,6 +17,7 @@ from stickslip.analysis.findings.finding import (
     Comparison,
     Difference,
     Family,
+    Law,
     Level,
     Limit,
     Quantity,
@@ -36,6 +37,7 @@ PRIMARY = 40.0  # the window of the primary comparison, about a block's own cycl
 WINDOWS = (0.5, 1.0, 5.0, 20.0, PRIMARY, 80.0)  # of the Fano factors
 LEAST_WINDOWS = 20  # of one length in a run
 CURVE = 20  # bands of the figure
+DEFINITIONS = {FANO: "the variance of the number of slip onsets in a window, over its mean"}
 SOON = 0.2  # in mean gaps between exits: an exit that another one triggers comes sooner
 TABLE: Mapping[str, str] = {
     "group": S, "kind": S, "above": F, "upto": F, "observed": F, "by_rotation": F, "ratio": F, "low": F, "high": F,
@@ -62,14 +64,22 @@ class Compared(NamedTuple):
             case clustering.VARIANCE:
                 name = "variance of n_stick"
             case clustering.FANO:
-                name = f"Fano factor of slip onsets in windows of {self.part.upto:g}"
+                name = f"Fano factor in windows of {self.part.upto:g}"
             case _:
                 name = f"number of pairs of slip onsets within {self.part.upto:g}"
-        return Quantity(self.part.kind, name)
+        return Quantity(self.part.kind, name, definition=DEFINITIONS.get(self.part.kind, ""))
 
     def level(self, where: str, basis: Basis) -> Level:
         """The finding, where it has an interval."""
         return Level(self.quantity, self.observed, where, Comparison("time-shifted blocks", self.difference), basis)
+
+    def law(self, where: str, basis: Basis) -> Level | Law:
+        """The finding in words for slip onsets in windows, if a difference is shown."""
+        level = self.level(where, basis)
+        predicate = {Verdict.MORE: "come in bursts", Verdict.LESS: "are spread evenly"}.get(self.difference.verdict)
+        if self.part.kind != clustering.FANO or predicate is None:
+            return level
+        return Law("slip onsets", predicate, level)
 
     def row(self, group: str) -> Row:
         """Row of the table `clustering`."""
