@@ -1,15 +1,19 @@
 """Slow common motion: closed forms against integrals; what was planted comes back, and nothing else."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Lack, Level, Reason
+from stickslip.analysis.findings.finding import Fit, Lack, Level, Reason, Share, Verdict
+from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import common_motion
 from stickslip.analysis.questions.slips import collective
-from stickslip.analysis.questions.slips.slow_motion import slow_motion
+from stickslip.analysis.questions.slips.slow_motion import Slow, slow_motion
 from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.workflows.scenes import rhythm as scene
@@ -122,7 +126,7 @@ def test_an_interval_of_three_matrices_is_that_of_t_with_two_degrees_of_freedom(
     data = exact(SPAN, 470.0, 1.2, g=3)
     data = dataclasses.replace(data, observed=data.observed * np.array([[0.9], [1.0], [1.15]]))
     found = motion_of(data, rng)
-    logs = np.log(found.values["variance"])
+    logs = np.log(found.values["variance"])  # noqa: PD011
     half = 4.302652729696142 * np.sqrt(2 / 3 * np.sum((logs[1:] - logs[1:].mean()) ** 2))
     ends = found.estimates["variance"].low, found.estimates["variance"].high
     assert np.log(ends) == pytest.approx([logs[0] - half, logs[0] + half], rel=1e-9)
@@ -178,11 +182,109 @@ def point(keys, period, rng, error=0.03):
     off = error / np.sqrt(19) * rng.standard_normal(20)
     logs = np.log(period) + np.concatenate(([error * rng.standard_normal()], off))
     values = {name: np.exp(logs) for name in scene.NUMBERS}
+    estimates = {name: Estimate(float(np.exp(logs[0]))) for name in scene.NUMBERS}
+    found = common_motion.CommonMotion(common_motion.SLOW, 0.001, estimates, values)
+    keys = {"n": 200, "kappa": 0.2, "rho": 3.5, "belt_speed": -0.2, "engine": "coulomb"} | keys
+    label = f"n = {keys['n']}, {keys['engine']}, belt_speed = {keys['belt_speed']:g}"
+    return Slow(SimpleNamespace(key=keys, label=label), list(range(20)), None, 36.0, found)
+
+
+def power(name, key, points):
+    return scene.power_law(name, key, scene.along(key, points), 0.95)
+
+
+def test_a_law_is_the_exponent_that_was_planted(rng):
+    held = 0
+    for _ in range(100):
+        points = [point({"belt_speed": -v}, 800 * v**0.4, rng) for v in (0.05, 0.1, 0.2)]
+        law = power("period", "belt_speed", points)
+        held += law.exponent.low <= 0.4 <= law.exponent.high
+    assert agrees(held, 100, 0.85, 0.99)
+    assert (law.first_value, law.last_value, law.n_points) == (0.05, 0.2, 3)
+    assert power("period", "kappa", points) is None
+
+
+def test_a_power_is_said_where_it_is_one(rng):
+    """At two belt speeds, with one exponent or two."""
+
+    def law_of(exponents):
+        points = [
+            point({"n": size, "belt_speed": speed}, 450 * (size / 150) ** exponent, rng)
+            for speed, exponent in zip((-0.1, -0.2), exponents, strict=True)
+            for size in (50, 100, 200)
+        ]
+        return power("period", "n", points)
+
+    alike = [law_of((-0.8, -0.8)) for _ in range(60)]
+    assert agrees(sum(law.fits(0.05) for law in alike), 60, 0.82, 0.96)  # each of two tests refuses one in twenty
+    assert agrees(sum(law.p_apart < 0.05 for law in alike), 60, 0.05)
+    apart = law_of((-0.9, -0.1))
+    assert apart.p_apart < 0.01
+    assert apart.finding(0.05).fit is Fit.FAILS
+    said = sentence(dataclasses.replace(apart.finding(0.05), fit=Fit.HOLDS))
+    assert said.startswith("Natural periods at |n| = 50 to 200 follow a power law in |n|, with a power of ")
+
+
+def test_changes_are_those_planted(rng):
+    periods = {(150, -0.1): 440, (175, -0.1): 400, (200, -0.1): 360, (150, -0.2): 500, (175, -0.2): 504,
+               (200, -0.2): 508}  # fmt: skip
+    points = [point({"n": n, "belt_speed": v}, period, rng, 0.005) for (n, v), period in periods.items()]
+    lines = [line for key in scene.KEYS for line in scene.along(key, points)]
+    assert [(line.key, line.at, len(line.groups)) for line in lines] == [
+        ("n", "belt_speed = -0.1", 3), ("n", "belt_speed = -0.2", 3),
+        ("belt_speed", "n = 150", 2), ("belt_speed", "n = 175", 2), ("belt_speed", "n = 200", 2),
+    ]  # fmt: skip
+    found = [one for one in scene.changes(lines, 0.95) if one.number == "period"]
+    assert found[0].difference.verdict is Verdict.LESS
+    assert found[0].difference.estimate.value == pytest.approx(360 / 440 - 1, abs=0.05)
+    assert found[0].row()["first_value"] == "150"
+    assert found[0].difference.family.n == 3 * len(lines)
+
+
+def test_intervals_of_changes_hold_the_planted_one(rng):
+    held = 0
+    for _ in range(100):
+        points = [point({"n": n}, period, rng) for n, period in ((100, 450), (200, 540))]
+        change = scene.changes(scene.along("n", points), 0.95)[0].difference.estimate
+        held += change.low <= 0.2 <= change.high
+    assert agrees(held, 100, 0.85, 0.99)
+
+
+def run_of(steps, matrix):
+    blocks, first = np.unique(steps.block, return_index=True)
+    sticks = np.zeros(int(blocks.max()) + 1, dtype=bool)
+    sticks[blocks] = steps.step[first] < 0
+    n_stick = sticks.sum() + np.concatenate(([0], np.cumsum(steps.step)))
+    mode = np.where(steps.step > 0, 0, 1).astype(np.int8)
+    return (np.concatenate(([0.0], steps.t)), n_stick), (
+        steps.t,
+        steps.block,
+        mode,
+        np.where(sticks, 0, 1).astype(np.int8),
+    )
+
+
+def study_of(planted, runs, t_burn=20.0):
+    rows, series, events = [], {}, {}
+    for matrix, steps in enumerate(runs):
+        name = f"run-{matrix}"
+        rows.append(planted.member(name, matrix, t_end=studies.SPAN, t_stop=studies.SPAN))
+        series[name], events[name] = run_of(steps, matrix)
+    return Study(Data(pd.DataFrame(rows), series, events), AnalysisSettings(t_burn, (0.5,), 5, 0.95, 0))
+
+
+def test_a_common_mode_of_blocks_is_said_with_its_share_and_the_goodness_of_its_fit(planted, rng):
+    study = study_of(planted, [studies.blocks_run(rng, depth=0.6, period=80.0) for _ in range(12)])
+    found = collective.answer(study)
+    share = found.findings[0]
+    assert isinstance(share, Share)
+    assert "of the variance of n_stick is due to slow common motion" in sentence(share)
+    row = found.tables["rhythm"].iloc[0]
     levels = [finding for finding in found.findings if isinstance(finding, Level)]
-    estimates = {level.quantity.key: level.estimate.value for level in levels}
+    value_of = {level.quantity.key: level.estimate.value for level in levels}
     assert share.estimate.value == row["share"]
     for name in ("quality", "period", "deviance"):
-        assert estimates[name] == row[name]
+        assert value_of[name] == row[name]
     assert [alert.code for alert in found.alerts] == ([Code.MISFIT] if row["p_fit"] < 0.05 else [])
     assert f"{row['dof']:g} degrees of freedom" in found.figures["collective"].caption
     assert found.figures["collective"].recipe().axes

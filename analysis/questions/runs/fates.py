@@ -25,7 +25,6 @@ from stickslip.analysis.answer import (
     I,
     Picture,
     Question,
-    Recipe,
     Row,
     S,
     Table,
@@ -566,11 +565,11 @@ def _latest(times: np.ndarray) -> float | None:
 
 def _pictures(
     study: Study, runs: pd.DataFrame, ends: Sequence[Ends], curves: Mapping[str, Curve]
-) -> dict[str, Recipe | Picture]:
+) -> dict[str, Picture]:
     """Survival if some runs ended, and shares by fate; else n_stick of all runs of the largest group."""
     if not ends:
         return {}
-    level, pictures = f"{100 * study.settings.confidence:g}%", dict[str, Recipe | Picture]()
+    level, pictures = f"{100 * study.settings.confidence:g}%", dict[str, Picture]()
     if any(row.n_of[name] for row in ends for name in (*ENDS, QUIET)):
         places = np.unique(np.linspace(0, len(ends) - 1, MOST_CURVES).round().astype(int))
         chosen = {_where(ends[k]): curves[ends[k].group.label] for k in places}
