@@ -202,6 +202,7 @@ def build(
         notes,
         sections,
         meta={"made-from": made_from} | ({"own-questions": "run"} if sources else {}),
+        paragraph=leading[0].paragraph if leading else "",
     )
     tables = {"groups": groups} | {name: table for answer in found for name, table in answer.tables.items()}
     figures = {name: drawn for answer in found for name, drawn in answer.figures.items()}
