@@ -23,8 +23,8 @@ from .findings.finding import Scale as Scale
 from .findings.finding import Share as Share
 from .findings.finding import Truth as Truth
 from .findings.numbers import with_interval as with_interval
-from .report.page import Report as Report
-from .report.page import build as build
+from .page.build import Report as Report
+from .page.build import build as build
 from .series.cascades import DEFINITIONS as DEFINITIONS
 from .series.cascades import Law as Law
 from .series.cascades import Window as Window

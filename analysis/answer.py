@@ -79,26 +79,19 @@ class Answer:
         How the findings come about, in two sentences.
     paragraph : str
         Of a user's own question: what its findings do not say.
-    facts : mapping
-        What the template puts into words, by name: numbers, `Estimate`, rows as dictionaries, codes of closed sets.
-    lack : str
-        A code for why there is no answer, which the template puts into words; empty if there is an answer.
     tables : mapping of str to Table
         Kept whole as Parquet, with nullable types: a missing value is null, never NaN.
-    figures : mapping of str to Recipe
-        By name; the template says what each shows. With findings, a `Picture` each; the first two stand on the first
-        screen if the question leads.
+    figures : mapping of str to Picture
+        By name; the first two stand on the first screen if the question leads.
     """
 
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    lack: str = ""
-    tables: Mapping[str, Table] = field(default_factory=dict)
-    figures: Mapping[str, Recipe | Picture] = field(default_factory=dict)
     findings: Sequence[Finding] = ()
     n_lead: int = 1
     alerts: Sequence[Alert] = ()
     method: str = ""
     paragraph: str = ""
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    figures: Mapping[str, Picture] = field(default_factory=dict)
 
 
 def _always(study: Study) -> bool:

@@ -36,7 +36,6 @@ from stickslip.analysis.stats.families import Fit, maximise, parameter
 from stickslip.sim.engines import place
 
 ONE_MOMENT = "most episodes have one moment"  # why there is no b
-MARGIN = 0.1  # relative margin of every statistic, and of Poisson's CV: about twenty systems can exclude it
 _READ = ["start", "end", "size", "moment", "first_block", "z_sum"]
 
 

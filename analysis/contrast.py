@@ -6,7 +6,7 @@ relative to the first group, except that shares of runs are subtracted.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import ClassVar
@@ -31,18 +31,14 @@ from stickslip.analysis.models.fates import DIVERGED, FAILED, is_all_slip
 from stickslip.analysis.models.times import Times, median_difference
 from stickslip.analysis.stats import estimates
 from stickslip.analysis.stats.compare import (
-    ALIKE,
-    UNKNOWN,
     Compared,
     Inverted,
-    Words,
     bounded_difference,
     bounded_ratio,
     equivalence_test,
     mean_difference,
     mean_within,
     relative_difference,
-    verdict,
 )
 from stickslip.analysis.stats.enough import FEW_MATRICES, LEAST_MATRICES
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, over_matrices, ratio, within
@@ -372,6 +368,8 @@ def contrast(
         return replace(bare, reason=before.reason or after.reason)
     if min(len(mine), len(theirs)) < LEAST_MATRICES:
         return replace(bare, absolute=Estimate(after.value - before.value), reason=FEW_MATRICES)
+    if paired and not statistic.is_share and np.array_equal(mine.rows, theirs.rows):
+        return replace(bare, absolute=Estimate(0.0, 0.0, 0.0), relative=Estimate(0.0, 0.0, 0.0), is_same=True)
     try:
         test = statistic.difference(mine, theirs, paired)
     except Undefined as why:
@@ -423,29 +421,3 @@ def judged(contrasts: Sequence[Contrast], alpha: float) -> list[Contrast]:
         else one
         for k, one in enumerate(contrasts)
     ]
-
-
-def judge(rows: Sequence[Row], alpha: float, words: Words = ALIKE) -> None:
-    """Write verdicts into rows of contrasts that were tested.
-
-    The p-values of equivalence and those of a difference are each adjusted by Holm's rule over all `n_tests`.
-    `relative` is compared with the margin. `open` is the word of a difference that is shown, but neither to be beyond
-    the margin nor within; else empty.
-    """
-    for row in rows:
-        row |= {"open": "", "verdict": UNKNOWN}
-    tested = [row for row in rows if row["p_equivalent"] is not None]
-    for name in ("p_equivalent", "p_different"):
-        for row, adjusted in zip(tested, holm([row[name] for row in tested]), strict=True):
-            row[f"{name}_holm"] = float(adjusted)
-    for row in tested:
-        p_values = row["p_equivalent_holm"], row["p_different_holm"]
-        size = np.copysign(np.inf, row["difference"]) if row["relative"] is None else row["relative"]  # from zero
-        row |= {"verdict": verdict(*p_values, alpha, size, row["margin"], words), "n_tests": len(tested)}
-        if row["verdict"] == UNKNOWN and row["p_different_holm"] < alpha:
-            row["open"] = words.more if size > 0 else words.less
-
-
-def known(contrasts: Iterable[Contrast]) -> list[Contrast]:
-    """The contrasts to report."""
-    return [one for one in contrasts if one.is_known]

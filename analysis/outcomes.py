@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import groupby
+from textwrap import fill
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from stickslip.analysis.answer import Picture
 from stickslip.analysis.contrast import Contrast
 from stickslip.analysis.findings.finding import Form, Level, Outcomes, Scale, Verdict
-from stickslip.analysis.style import BLUE, GREY, ORANGE, panel
+from stickslip.analysis.findings.numbers import signs
+from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, SMOOTHED, panel
 
 EQUAL, DIFFERENT, UNDECIDED = "equal", "different", "undecided"
-_MARKS = {
-    Verdict.EQUAL: ("o", BLUE),
-    Verdict.SAME: ("o", BLUE),
-    Verdict.MORE: ("s", ORANGE),
-    Verdict.LESS: ("s", ORANGE),
-}
-_OPEN = ("D", GREY)
-MOST_ROWS = 16  # in one figure
+_HUES = (EXACT, SMOOTHED, GREEN, PURPLE, ORANGE, BLUE)
+_LETTERS = 24  # of a line of a name
+MOST_ROWS = 36  # in one figure
 
 
 class Setting(NamedTuple):
@@ -32,7 +31,7 @@ class Setting(NamedTuple):
     Attributes
     ----------
     name : str
-        A noun phrase.
+        A noun phrase; empty if the symbol is one.
     symbol : str
         What tells it from others of that name by its value; empty if there are none.
     value : float, optional
@@ -96,7 +95,7 @@ def largest(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str)
     best, setting = max(ratios, key=lambda pair: (pair[0].is_shown, pair[0].has_margin, pair[0].weight))
     (where,) = in_words({setting: ""}, "")
     if setting.symbol and len({other.name for other in settings}) == 1:
-        where = f"{setting.symbol} = {setting.text}"
+        where = f"{setting.symbol} = {setting.text}" if setting.name else setting.text
     return best.level(where if len(settings) > 1 else "", other, unit)
 
 
@@ -117,14 +116,14 @@ def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
         if is_wanted and not first.symbol:
             yield from (setting.name for setting in part)
         elif is_wanted:
-            value = f"= {first.text}"
+            value = f"= {first.text}" if first.name else f"of {first.text}"
             if len(part) > 1:
-                value = f"= {first.text} to {last.text}"
+                value = f"{value} to {last.text}"
                 if start == 0:
                     value = f"up to {last.text}"
                 elif end == len(settings):
                     value = f"from {first.text} on"
-            yield f"{first.name} with {first.symbol} {value}"
+            yield f"{first.name} with {first.symbol} {value}" if first.name else f"{first.symbol} {value}"
         start = end
 
 
@@ -134,28 +133,42 @@ def forest(rows: Sequence[Beside], caption: str) -> dict[str, Picture]:
     return {"contrasts": Picture(partial(differences, shown[:MOST_ROWS]), caption)} if len(shown) > 1 else {}
 
 
-@panel()
-def differences(ax: Axes, rows: Sequence[Beside]) -> None:
-    """Differences with their intervals, one line a statistic, and the margins that are declared as bands.
+def differences(rows: Sequence[Beside]) -> Figure:
+    """Differences with their intervals: a line a statistic, a hue a setting, and declared margins as bands.
 
-    An arrowhead marks a difference beyond the axis, which reaches twice as far as the median interval at least.
+    Marks are filled where a difference is shown. An arrowhead marks one beyond the axis.
     """
-    ax.axvline(0, color=GREY, linewidth=0.8)
+    height = 1.2 + 0.14 * len(rows) + 0.16 * len({one.contrast.statistic.name for one in rows})
+    return panel(height)(_differences)(rows)
+
+
+def _differences(ax: Axes, rows: Sequence[Beside]) -> None:
+    names = list(dict.fromkeys(one.contrast.statistic.quantity.name for one in rows))
+    settings = list(dict.fromkeys(one.where for one in rows))
     ends = np.array([_per_cent(one) for one in rows])
     reach = np.abs(ends).max(axis=1)
     widest = 1.08 * min(reach.max(), 4.0 * float(np.median(reach))) or 1.0
-    for y, (one, (value, low, high)) in enumerate(zip(rows, ends, strict=True)):
-        margin = one.contrast.difference.margin
+    ax.axvline(0, color=GREY, linewidth=0.8)
+    for one, (value, low, high) in zip(rows, ends, strict=True):
+        k, line = settings.index(one.where), names.index(one.contrast.statistic.quantity.name)
+        y = line + 0.7 * ((k + 0.5) / len(settings) - 0.5)
+        margin, colour = one.contrast.difference.margin, _HUES[k % len(_HUES)]
         if margin is not None:
-            ax.barh(y, 200.0 * margin, left=-100.0 * margin, height=0.8, color=GREY, alpha=0.13)
-        mark, colour = _MARKS.get(one.contrast.verdict, _OPEN)
-        if abs(value) > widest:
-            mark = ">" if value > 0 else "<"
+            ax.barh(line, 200.0 * margin, left=-100.0 * margin, height=0.8, color="#ececec", zorder=0)
+        mark = "o" if abs(value) <= widest else ">" if value > 0 else "<"
         ax.plot([low, high], [y, y], color=colour, linewidth=1.4)
-        ax.plot([min(max(value, -widest), widest)], [y], mark, color=colour, markersize=4, clip_on=False)
-    ax.set(xlim=(-widest, widest), ylim=(len(rows) - 0.5, -0.5), xlabel="difference (%; of shares, points)")
-    ax.set_yticks(range(len(rows)), [_name(one, rows) for one in rows])
+        ax.plot(
+            [min(max(value, -widest), widest)], [y], mark, color=colour, markersize=4, clip_on=False,
+            markerfacecolor=colour if one.contrast.is_shown else "white",
+        )  # fmt: skip
+    ax.set(xlim=(-widest, widest), ylim=(len(names) - 0.5, -0.5), xlabel="difference in %")
+    ax.set_yticks(range(len(names)), [fill(name, _LETTERS) for name in names])
     ax.tick_params(axis="y", length=0)
+    if len(settings) > 1:
+        marks = [Line2D([], [], color=_HUES[k % len(_HUES)], label=signs(name)) for k, name in enumerate(settings)]
+        ax.figure.legend(
+            handles=marks, loc="outside upper center", ncols=2 if max(map(len, settings)) < _LETTERS else 1
+        )
 
 
 def _per_cent(one: Beside) -> tuple[float, float, float]:
@@ -165,13 +178,6 @@ def _per_cent(one: Beside) -> tuple[float, float, float]:
     assert estimate.low is not None
     assert estimate.high is not None
     return 100.0 * estimate.value, 100.0 * estimate.low, 100.0 * estimate.high
-
-
-def _name(one: Beside, rows: Collection[Beside]) -> str:
-    """The statistic, and where if there are several such lines."""
-    name = one.contrast.statistic.quantity.name
-    is_one = sum(row.contrast.statistic == one.contrast.statistic for row in rows) == 1
-    return name if is_one or not one.where else f"{name}\n{one.where}"
 
 
 def in_per_cent(contrast: Contrast) -> bool:

@@ -15,7 +15,7 @@ from stickslip.workflows import own_questions
 
 if TYPE_CHECKING:
     from stickslip.analysis.ensemble import Study
-    from stickslip.analysis.report.page import Answered
+    from stickslip.analysis.page.parts import Answered
     from stickslip.analysis.series.runs import Put
     from stickslip.pipeline.dataset.opened import Opened
     from stickslip.pipeline.running.cluster import Scheduling
@@ -75,8 +75,9 @@ class Asking:
         What a process fails at is asked again here, so that its error is seen; but for the user's own, whose errors
         are in their answers.
         """
+        from stickslip.analysis.page.layout import prepare
+        from stickslip.analysis.page.parts import ask
         from stickslip.analysis.questions import package_questions, question
-        from stickslip.analysis.report.page import ask, prepare
         from stickslip.workflows.on_children import OnChildren
 
         names = package_questions(study.settings.question)
@@ -162,7 +163,7 @@ def answer(argument: Opened | Asked | tuple[str, bool] | None) -> Any:
     """
     global _study
     gc.disable()  # the process ends with the report
-    from stickslip.analysis.report.page import ask
+    from stickslip.analysis.page.parts import ask
     from stickslip.pipeline.dataset.opened import Opened
     from stickslip.workflows.parts import Asked
     from stickslip.workflows.reporting import study_of

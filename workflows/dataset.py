@@ -146,7 +146,7 @@ class Dataset:
         pdf : bool
             Whether to draw figures as PDF too; the report is then always made again.
         """
-        from stickslip.analysis.report import PAGE
+        from stickslip.analysis.page import PAGE
         from stickslip.workflows import own_questions, reporting
         from stickslip.workflows.asking import Asking
         from stickslip.workflows.fresh import is_current

@@ -17,7 +17,7 @@ import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from stickslip.analysis.report import AS_TEXT, FORMULA
+from stickslip.analysis.page import AS_TEXT, FORMULA
 from stickslip.pipeline import QueryError
 from stickslip.pipeline.dataset.opened import frame
 from stickslip.pipeline.errors import printable, remedy

@@ -6,8 +6,8 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
-from stickslip.analysis import report
-from stickslip.analysis.report import OF_OWN, PAGE
+from stickslip.analysis import page
+from stickslip.analysis.page import OF_OWN, PAGE
 from stickslip.pipeline.dataset.opened import Opened
 from stickslip.pipeline.errors import StoreError
 from stickslip.pipeline.places.locate import place_of
@@ -36,7 +36,7 @@ def made_from(opened: Opened) -> str:
 def program() -> str:
     """The version of the program and a digest of all code that makes a report."""
     digest = hashlib.sha256()
-    folders = Path(report.__file__).parents[1], Path(scenes.__file__).parent
+    folders = Path(page.__file__).parents[1], Path(scenes.__file__).parent
     files = [file for folder in folders for file in folder.rglob("*") if file.suffix in (".py", ".html", ".css")]
     for file in sorted(files):
         digest.update(file.read_bytes())

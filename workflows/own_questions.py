@@ -23,7 +23,7 @@ from stickslip.pipeline.own.trial import LONGEST_TRIAL
 
 if TYPE_CHECKING:
     from stickslip.analysis.ensemble import Study
-    from stickslip.analysis.report.page import Answered
+    from stickslip.analysis.page.parts import Answered
     from stickslip.pipeline import Scene
     from stickslip.pipeline.dataset.opened import Opened
 
@@ -91,7 +91,7 @@ def check(scene: Scene, folder: Path, name: str) -> None:
 
 def put(child: Child, task: Task, longest: float | None = None) -> Answered:
     """What a child answers to a task, or why it does not, within a number of seconds (default: `LONGEST`)."""
-    from stickslip.analysis.report.page import Answered
+    from stickslip.analysis.page.parts import Answered
 
     longest = LONGEST if longest is None else longest
     is_late = threading.Event()
@@ -123,7 +123,7 @@ def answer(task: Task) -> Answered:
     import matplotlib
 
     matplotlib.use("agg")
-    from stickslip.analysis.report.page import Answered
+    from stickslip.analysis.page.parts import Answered
 
     function, before = None, set(sys.modules)
     try:
@@ -142,8 +142,8 @@ def _place(task: Task) -> Path:
 
 
 def _asked(task: Task, function: own.OwnFunction) -> Answered:
-    from stickslip.analysis.report.own import own_answer
-    from stickslip.analysis.report.page import Answered
+    from stickslip.analysis.page.own import own_answer
+    from stickslip.analysis.page.parts import Answered
     from stickslip.sim.runs.pictures import by_defaults
     from stickslip.workflows.reporting import study_of
 
@@ -172,7 +172,7 @@ def _sources(function: own.OwnFunction, loaded: Iterable[str]) -> Mapping[str, s
 
 def _told(error: BaseException, expected: str, function: own.OwnFunction | None) -> str:
     """An error in a line, with the last line of the user's code that it went through."""
-    from stickslip.analysis.report.own import OwnError
+    from stickslip.analysis.page.own import OwnError
 
     if isinstance(error, SceneError):
         return str(error).removeprefix(f"{_KEY}: ")

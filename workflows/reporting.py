@@ -18,10 +18,10 @@ from stickslip.analysis.answer import B, F, I, S, frame
 from stickslip.analysis.ensemble import Numbers, Recorded, Until
 from stickslip.analysis.findings.finding import Record
 from stickslip.analysis.members import READ, Members
+from stickslip.analysis.page import FINDINGS, PAGE
+from stickslip.analysis.page.comparison import Ensemble, compare
+from stickslip.analysis.page.parts import Answered
 from stickslip.analysis.questions import renamed
-from stickslip.analysis.report import PAGE
-from stickslip.analysis.report.comparison import Ensemble, compare
-from stickslip.analysis.report.page import FINDINGS, Answered
 from stickslip.analysis.session import defaults
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset

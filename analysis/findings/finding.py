@@ -472,8 +472,8 @@ def records(finding: Finding) -> list[Record]:
                     quantity.name, quantity.form, Estimate(value), ", ".join(filter(None, (where, among))), None, None
                 )
             ]
-        case Outcomes(largest=largest):
-            return [] if largest is None else records(largest)
+        case Outcomes():
+            return []  # of which contrasts they are is said by findings of their own
         case Threshold(subject, is_end, key, last, first, where, basis):
             verb = "ends" if is_end else "begins"
             n, unit = (None, "") if basis is None else (basis.n, basis.unit)

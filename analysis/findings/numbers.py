@@ -11,6 +11,7 @@ from stickslip.analysis.findings.finding import Form
 from stickslip.analysis.stats.estimates import Estimate
 
 MINUS = "\u2212"
+MOST_DIGITS = 9  # of a share that is nearly all
 DIGITS = 3  # of a number without an interval
 SAME = 1e-9  # relative width of an interval that is none: all units have the same value
 MOST_DECIMALS = 6  # beyond, a number is written with a power of ten
@@ -52,6 +53,8 @@ def number(value: float, form: Form = Form.NUMBER, digits: int | None = None, si
 def _plain(value: float, form: Form, digits: int | None, sign: bool) -> str:
     scaled = value * _scale(form) + 0.0
     places = decimals(Estimate(value), form) if digits is None else digits
+    while form is Form.SHARE and value < 1.0 and round(scaled, places) == 100.0 and places < MOST_DIGITS:
+        places += 1  # what is not all is not said to be
     if places > MOST_DECIMALS and scaled:
         power = _exponent(abs(scaled))
         text = f"{scaled / 10.0**power:.{max(1, places + power)}f} \u00d7 10{str(power).translate(_SUPERSCRIPTS)}"
@@ -70,6 +73,12 @@ def span(low: float, high: float, form: Form = Form.NUMBER, sign: bool = False, 
         places += 1
     ends = (_plain(end, form, places, sign) for end in (low, high))
     return " to ".join(ends) + "%" * (form is Form.SHARE)
+
+
+def is_exact(estimate: Estimate) -> bool:
+    """Whether an interval has no width: all units have the same value."""
+    low, high = estimate.low, estimate.high
+    return low is not None and high is not None and high - low <= SAME * max(abs(low), abs(high))
 
 
 def limit(most: float, form: Form = Form.NUMBER) -> str:
@@ -97,8 +106,7 @@ def with_interval(estimate: Estimate, form: Form = Form.NUMBER, digits: int | No
         raise ValueError(f"estimate: expected a value, got {estimate!r}; say what is lacking instead")
     value = number(estimate.value, form, decimals(estimate, form) if digits is None else digits, sign)
     if low is not None and high is not None:
-        is_exact = high - low <= SAME * max(abs(low), abs(high))
-        return value if is_exact else f"{value} ({span(low, high, form, sign, digits)})"
+        return value if is_exact(estimate) else f"{value} ({span(low, high, form, sign, digits)})"
     if low is not None:
         return f"{value} (at least {number(low, form)})"
     if high is not None:

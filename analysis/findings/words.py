@@ -30,7 +30,7 @@ from stickslip.analysis.findings.finding import (
     Threshold,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import decimals, limit, number, signs, span, with_interval
+from stickslip.analysis.findings.numbers import decimals, is_exact, limit, number, signs, span, with_interval
 from stickslip.analysis.stats.estimates import Estimate
 
 
@@ -210,9 +210,9 @@ def _change(change: Change) -> str:
     along = f"as {key} goes from {change.first} to {change.second}{_at(change.where)}"
     match difference.verdict:
         case Verdict.MORE:
-            return f"{quantity.name} rises {_from_to(change)}, by {size(difference, quantity.form)}, {along}"
+            return f"{quantity.name} rises {_from_to(change)}, {_by(change)}, {along}"
         case Verdict.LESS:
-            return f"{quantity.name} falls {_from_to(change)}, by {size(difference, quantity.form)}, {along}"
+            return f"{quantity.name} falls {_from_to(change)}, {_by(change)}, {along}"
         case Verdict.EQUAL:
             within = margin(difference, quantity.form)
             return f"{quantity.name} stays within {within} ({interval(difference, quantity.form)}) {along}"
@@ -225,6 +225,14 @@ def _change(change: Change) -> str:
         case Verdict.UNJUDGED:
             few = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)}, no interval"
             return f"{quantity.name} goes {_from_to(change)} {along}{few}"
+
+
+def _by(change: Change) -> str:
+    """By how much a quantity changes; what is the same in each unit has no interval."""
+    estimate, basis = change.difference.estimate, change.basis
+    if basis is not None and is_exact(estimate):
+        return f"by the same in all {plural(basis.n, basis.unit)}"
+    return f"by {size(change.difference, change.quantity.form)}"
 
 
 def _from_to(change: Change) -> str:
@@ -249,9 +257,8 @@ def _lifetime(lifetime: Lifetime) -> str:
 def _law(law: Law) -> str:
     level = law.parameter
     quantity = level.quantity
-    parameter = (
-        f"a {quantity.name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
-    )
+    name = quantity.name.removesuffix(f" of {law.subject}")
+    parameter = f"a {name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
     match law.fit:
         case Fit.HOLDS:
             return f"{law.subject}{_at(level.where)} {law.predicate}, with {parameter}"

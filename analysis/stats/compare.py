@@ -1,4 +1,4 @@
-"""Whether two quantities agree within a margin declared beforehand: two one-sided tests, and one rule for verdicts.
+"""Whether two quantities agree within a margin declared beforehand: two one-sided tests.
 
 Not seeing a difference is no evidence of equivalence: equivalence has to be shown, just as a difference has to be
 (Schuirmann 1987, J. Pharmacokinet. Biopharm. 15, 657). With d the difference, m the margin and e the error:
@@ -7,8 +7,7 @@ Not seeing a difference is no evidence of equivalence: equivalence has to be sho
 
 p_equivalent < alpha just when the 1 - 2 alpha interval lies within the margins.
 
-`verdict` makes every verdict on a difference, whether from chance, between engines or of a changed system, so that
-the margin means the same everywhere. Only the words differ (`Words`).
+The verdict on a difference is that of its interval, `findings.finding.Difference.verdict`.
 """
 
 from __future__ import annotations
@@ -33,30 +32,9 @@ from stickslip.analysis.stats.estimates import (
 )
 
 _Numbers = TypeVar("_Numbers", float, np.ndarray)
-AGREE, DIFFER, UNKNOWN = "agree", "differ", "cannot be told"
+UNKNOWN = "cannot be told"
 MOST_ERRORS = 8.0  # of the intervals that tests invert: p-values below 1e-15 are not told apart
 _HALVINGS = 40  # of these, which leave 1e-11 of a standard error
-WITHIN = "within"  # pages add the margin: "within 1%"
-
-
-@dataclass(frozen=True)
-class Words:
-    """The words of the three verdicts other than `UNKNOWN`.
-
-    Attributes
-    ----------
-    same : str
-        A difference beyond the margin is excluded; a smaller one may exist.
-    more, less : str
-        There is a difference, of this sign, and the estimate is beyond the margin.
-    """
-
-    same: str = AGREE
-    more: str = DIFFER
-    less: str = DIFFER
-
-
-ALIKE = Words()
 
 
 @dataclass(frozen=True)
@@ -83,9 +61,13 @@ class Compared:
         half = student.quantile(0.5 + level / 2, self.dof) * self.error
         return self.difference - half, self.difference + half
 
-    def verdict(self, level: float, words: Words = ALIKE) -> str:
-        """Verdict on this comparison alone, by the rule of this module."""
-        return verdict(self.p_equivalent, self.p_different, 1 - level, self.difference, self.margin, words)
+    def is_within(self, level: float) -> bool:
+        """Whether a difference beyond the margin is excluded; a smaller one may exist."""
+        return self.p_equivalent < 1 - level
+
+    def is_beyond(self, level: float) -> bool:
+        """Whether there is a difference, and the estimate is beyond the margin."""
+        return self.p_different < 1 - level and abs(self.difference) > self.margin
 
 
 def equivalence_test(difference: float, error: float, dof: float, margin: float) -> Compared:
@@ -150,24 +132,6 @@ def _welch(error_a: float, error_b: float, n_a: int, n_b: int) -> tuple[float, f
     if not parts.sum():
         return 0.0, n_a + n_b - 2.0
     return float(np.sqrt(parts.sum())), float(parts.sum() ** 2 / (parts**2 / [n_a - 1, n_b - 1]).sum())
-
-
-def verdict(
-    p_equivalent: float, p_different: float, alpha: float, difference: float, margin: float, words: Words = ALIKE
-) -> str:
-    """Verdict on a difference: one of `words` or `UNKNOWN`.
-
-    It is `words.same` if p_equivalent < alpha; `words.more` or `words.less`, by the sign of the difference, if
-    p_different < alpha and the estimate is beyond the margin; else `UNKNOWN`. The p-values may be adjusted ones.
-
-    If the estimate is within the margin but its interval is not, the verdict is `UNKNOWN` however surely the
-    difference is not zero, since more data may still show equivalence.
-    """
-    if p_equivalent < alpha:
-        return words.same
-    if p_different >= alpha or abs(difference) <= margin:
-        return UNKNOWN
-    return words.more if difference > 0 else words.less
 
 
 def against(of: Statistic, rows: np.ndarray, margin: float) -> Compared:

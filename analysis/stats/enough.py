@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stickslip.analysis.series.windows import Windows
-from stickslip.analysis.stats.compare import AGREE, DIFFER, equivalence_test
+from stickslip.analysis.stats.compare import equivalence_test
 from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, jackknife
 
 ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN = (
@@ -79,11 +79,10 @@ def basis(rows: np.ndarray, n_cascades: int, confidence: float, of: Statistic = 
         return Basis(FEW_CASCADES, g, n_cascades, Estimate(reason=str(undefined)))
     test = equivalence_test(value, error, g - 1, MARGIN)
     drift = Estimate(value, *test.interval(confidence))
-    answer = test.verdict(confidence)
     if g < LEAST_MATRICES:
         code = FEW_MATRICES
     elif n_cascades < LEAST_CASCADES:
         code = FEW_CASCADES
     else:
-        code = ENOUGH if answer == AGREE else DRIFTS if answer == DIFFER else DRIFT_UNKNOWN
+        code = ENOUGH if test.is_within(confidence) else DRIFTS if test.is_beyond(confidence) else DRIFT_UNKNOWN
     return Basis(code, g, n_cascades, drift)

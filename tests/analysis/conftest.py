@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings
-from stickslip.analysis.report import page
+from stickslip.analysis.page import parts
 
 T_END = 1000.0
 
@@ -70,4 +70,4 @@ def planted():
 def undrawn(request, monkeypatch):
     """Half of a report's time is drawing, which a few tests look at and the others leave out."""
     if "drawn" not in request.keywords:
-        monkeypatch.setattr(page, "draw", lambda *_, **__: page.Drawn("<svg/>"))
+        monkeypatch.setattr(parts, "draw", lambda *_, **__: parts.Drawn("<svg/>"))

@@ -633,8 +633,7 @@ def equivalence_study(rng, ensembles):
                 base, changed = rng.gamma(1 / within**2, within**2, (2, MATRICES)) * own
                 sums = [np.column_stack([values, np.ones(MATRICES)]) for values in (base, changed * (1 + true))]
                 test = compare.equivalence_test(*compare.relative_difference(ratio, *sums, True), margin)
-                told = test.verdict(CONFIDENCE)
-                false += told == (compare.AGREE if true else compare.DIFFER)
+                false += test.is_within(CONFIDENCE) if true else test.is_beyond(CONFIDENCE)
             row = f"{name} by {true:g}, margin {margin:g}"
             yield Row("equivalence", row, true, np.nan, np.nan, 1 - false / ensembles, ensembles)
 

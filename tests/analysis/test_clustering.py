@@ -9,7 +9,6 @@ from stickslip.analysis.findings.finding import Basis, Lack, Law, Level, Limit, 
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.clustering import FANO, PAIRS, Part, fano, measure, n_windows, own_gaps, pairs
 from stickslip.analysis.questions.slips import cascades, collective, triggering
-from stickslip.analysis.report.formats import environment
 from stickslip.analysis.series.nulls import BlockSteps, rotated
 from stickslip.analysis.tables import records
 from tests.analysis import studies
@@ -76,11 +75,6 @@ def study_of(planted, runs, with_events=True, thresholds=()):
             by_threshold.setdefault(member_id, {})[c] = (t, n_stick)
     settings = AnalysisSettings(20.0, (0.5, 2.0), 5, 0.95, 0)
     return Study(Data(pd.DataFrame(rows), series, events, {}, by_threshold), settings)
-
-
-def said(question, answer):
-    words = environment().get_template(f"{question}.html").module
-    return str(words.lack(answer.facts, answer.lack) if answer.lack else words.answer(answer.facts))
 
 
 def followers(rng, steps, share):

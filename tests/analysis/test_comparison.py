@@ -10,7 +10,7 @@ import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.findings.finding import Verdict
-from stickslip.analysis.report.comparison import Ensemble, compare, matched
+from stickslip.analysis.page.comparison import Ensemble, compare, matched
 from stickslip.analysis.stats.estimates import LN2
 from tests.analysis.reports import contents
 
@@ -129,7 +129,7 @@ def test_each_difference_is_told_with_its_setting(planted):
         return replace(parts[0], data=Data(pd.concat(tables, ignore_index=True), series))
 
     report = compare(of("first", 0, 100), of("second", 1, 50), SETTINGS)
-    assert report.headline[0].startswith("No: second at belt_speed = \u22120.1 differs from first, most apart")
+    assert report.headline[0].startswith("No: second (belt_speed = \u22120.1) differs from first, most apart")
 
 
 def test_members_without_a_partner_are_named(planted):

@@ -13,6 +13,7 @@ from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.outcomes import Beside, differences
 from stickslip.analysis.questions.runs.engines import answer
 from stickslip.analysis.stats.estimates import Estimate, ratio
+from stickslip.analysis.style import EXACT
 
 SETTINGS = AnalysisSettings(
     t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0, margins={"mean": 0.1, "rate": 0.1, "gamma": 0.05}
@@ -57,12 +58,15 @@ def test_the_sigmoid_is_set_against_the_exact_law(planted):
 
 
 def test_settings_agree_only_within_margins_that_are_declared(planted):
-    """The same runs: what is declared is within its margin, and without any nothing can be said to agree."""
-    shifts = {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 0}
+    """One of 40 and more in each system: within a margin of a tenth, and without one a difference."""
+    shifts = {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 1}
     lead = asked(planted, shifts).findings[0]
     assert (lead.equal, lead.different) == (("the sigmoid engine",), ())
     bare = asked(planted, shifts, settings=replace(SETTINGS, margins={})).findings[0]
-    assert (bare.undecided, bare.equal) == (("the sigmoid engine",), ())
+    assert (bare.different, bare.equal) == (("the sigmoid engine",), ())
+    same = asked(planted, dict.fromkeys(shifts, 0), settings=replace(SETTINGS, margins={}))
+    assert same.findings[0].equal == ("the sigmoid engine",)
+    assert set(table_of(same)["verdict"]) == {Verdict.SAME}
 
 
 def test_a_difference_that_is_shown_is_one_whether_or_not_it_is_beyond_the_margin(planted):
@@ -80,7 +84,7 @@ def test_tolerances_are_grouped_by_outcome(planted):
     """Of means of 40 and more, with a margin of a tenth: 1 is within, 9 is beyond."""
     shifts = {("coulomb", 1e-10): 0, ("coulomb", 1e-6): 0, ("coulomb", 1e-4): 1, ("coulomb", 1e-2): 9}
     different, equal, *_ = asked(planted, shifts).findings
-    assert different.other == equal.other == "its tightest tolerance"
+    assert different.other == equal.other == "the tightest tolerance"
     assert equal.equal == ("exact with tol up to 0.0001",)
     assert different.different == ("exact with tol = 0.01",)
 
@@ -118,7 +122,7 @@ def test_how_runs_end_is_compared_too(planted):
     (mean,), (away,) = (
         table_of(found, name).itertuples() for name in ("mean n_stick", "share of runs that run away")
     )
-    assert (mean.n_first, mean.verdict) == (8, Verdict.EQUAL)
+    assert (mean.n_first, mean.verdict) == (8, Verdict.SAME)
     assert (away.n_first, away.first, away.second) == (12, 0.0, pytest.approx(1 / 3))
 
 
@@ -199,7 +203,7 @@ def test_a_difference_beyond_the_axis_is_an_arrowhead_at_its_edge():
 
     rows = [beside("far", 1.5, 0.3), beside("near", 0.02, 0.1), beside("shown", 0.2, 0.1)]
     (ax,) = differences(rows).axes
-    points = {line.get_marker(): line.get_xdata().tolist() for line in ax.lines if len(line.get_xdata()) == 1}
-    assert points[">"] == [ax.get_xlim()[1]]
-    assert points["D"] == [2.0]
-    assert points["s"] == [20.0]
+    far, near, shown = (line for line in ax.lines if len(line.get_xdata()) == 1)
+    assert (far.get_marker(), far.get_xdata().tolist()) == (">", [ax.get_xlim()[1]])
+    assert (near.get_xdata().tolist(), near.get_markerfacecolor()) == ([2.0], "white")
+    assert (shown.get_xdata().tolist(), shown.get_markerfacecolor()) == ([20.0], EXACT)

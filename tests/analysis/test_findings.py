@@ -34,7 +34,7 @@ from stickslip.analysis.findings.finding import (
     records,
 )
 from stickslip.analysis.findings.numbers import limit, number, span, with_interval
-from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.findings.words import capital, sentence
 from stickslip.analysis.page.layout import findings_table
 from stickslip.analysis.stats.estimates import Estimate
 
@@ -220,3 +220,22 @@ def test_the_table_of_findings_has_limits_and_differences_in_their_units():
     table = str(findings_table(rows).rows).replace("\\xa0", " ")
     for cell in ("at most 0.28%", "\u221230 (\u221240 to \u221220) percentage points", "+50% (+25 to +75%)"):
         assert cell in table
+
+
+def test_symbols_begin_sentences_as_they_are():
+    written = {
+        "mean n": "Mean n",
+        "a copy": "A copy",
+        "n = 20": "n = 20",
+        "\u03b3 has": "\u03b3 has",
+        "t = 3": "t = 3",
+    }
+    assert {text: capital(text) for text in (*written, "")} == {**written, "": ""}
+
+
+@pytest.mark.parametrize(
+    ("share", "text"),
+    [(1.0, "100%"), (0.99915, "99.9%"), (0.99996, "99.996%"), (1 - 1e-7, "99.99999%"), (0.0, "0%"), (1.5, "150%")],
+)
+def test_what_is_not_all_is_not_said_to_be(share, text):
+    assert number(share, Form.SHARE) == text

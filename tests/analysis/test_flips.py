@@ -5,7 +5,6 @@ import itertools
 import numpy as np
 import pytest
 
-from stickslip.analysis.report.formats import p_text, table
 from stickslip.analysis.stats import flips
 
 
@@ -32,10 +31,3 @@ def test_the_most_extreme_has_the_floor_and_no_less(n, rng):
     assert flips.floor(n) == pytest.approx(max(2.0 ** (1 - n), 1e-4))
     if n <= 13:
         assert flips.p_value(sums, flips.floor(n)) == flips.floor(n) == 2 / 2**n
-
-
-def test_a_page_says_the_floor():
-    assert p_text(2 / 2**8, 2 / 2**8) == "\u2264 0.0078"
-    assert p_text(3 / 2**8, 2 / 2**8) == "0.012"
-    rows = [{"p": 2 / 2**8, "floor": 2 / 2**8}, {"p": 0.4, "floor": 2 / 2**8}, {"p": None, "floor": None}]
-    assert "\u2264 0.0078" in table(rows, [("p", ("p", "floor"), "p")])

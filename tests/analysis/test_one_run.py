@@ -9,8 +9,8 @@ import pytest
 from stickslip.analysis import Data, Study, build
 from stickslip.analysis.findings.finding import Lack, Reason
 from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.page.parts import ask
 from stickslip.analysis.questions.runs.one_run import MOST_MEMBERS, answer
-from stickslip.analysis.report.page import ask
 
 #: Four blocks: 0 lets go at 1, sticks at 3, lets go at 4; 1 slips throughout; 2 and 3 never do.
 EVENTS = (

@@ -37,9 +37,9 @@ from stickslip.analysis import (
 )
 from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.findings.finding import Family
+from stickslip.analysis.page.own import OwnError, own_answer
+from stickslip.analysis.page.parts import Answered, ask
 from stickslip.analysis.questions import BESIDE_SCENES, QUESTIONS, RENAMED, refuse_unknown, renamed
-from stickslip.analysis.report.own import OwnError, own_answer
-from stickslip.analysis.report.page import Answered, ask
 from tests.analysis.reports import contents
 
 KEY = "own:question"

@@ -13,13 +13,8 @@ import pandas as pd
 import pytest
 
 from stickslip import analysis
-from stickslip.analysis import AnalysisSettings, Data, Study, build, members
-from stickslip.analysis.questions import QUESTIONS, question
-from stickslip.analysis.report.formats import between, capital, environment, fixed, interval, percent
-from stickslip.analysis.report.formats import table as shown
-from stickslip.analysis.report.page import _rank, group_columns
-from stickslip.analysis.stats.enough import Basis
-from stickslip.analysis.stats.estimates import LN2, Estimate
+from stickslip.analysis import AnalysisSettings, Data, Study, build
+from stickslip.analysis.stats.estimates import LN2
 from tests.analysis.reports import contents
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -49,65 +44,6 @@ def assert_honest(report):
 def law(report, engine="coulomb"):
     table = report.tables["law"]
     return table[table["engine"] == engine].iloc[0]
-
-
-def test_symbols_begin_sentences_as_they_are():
-    written = {"mean n": "Mean n", "a copy": "A copy", "n = 20": "n = 20", "γ has": "γ has", "n<sub>": "n<sub>"}
-    written |= {"t = 3": "t = 3", "no run": "No run", "": ""}
-    assert {text: capital(text) for text in written} == written
-
-
-def test_an_interval_never_shows_as_a_point(rng):
-    value = rng.uniform(1.0, 900.0)
-    low, high = value - 3e-5 * value, value + 3e-5 * value
-    row = {"value": value, "low": low, "high": high}
-    texts = [between(low, high), between(low, high, fixed, 1), interval(Estimate(value, low, high))]
-    for how in (2, "+2", "%.1f", "%+.0f", "#"):
-        texts.append(re.findall(r"<td[^>]*>(.*? to .*?)</td>", shown([row], [("x", ("low", "high"), how)]))[0])
-    for text in texts:
-        first, second = text.split(" to ")
-        assert first != second, text
-    assert between(0.5, 0.5) == "0.500 to 0.500"
-
-
-def test_what_is_tiny_is_not_shown_as_zeros(rng):
-    size = 10.0 ** -rng.uniform(9.0, 300.0)
-    cells = re.findall(r"<td[^>]*>(.*?)</td>", shown([{"x": size}, {"x": 3 * size}], [("x", "x", 3)]))
-    cells += re.split(" to ", interval(Estimate(2 * size, size, 3 * size)))
-    found = [float(text.replace("\u2212", "-")) for text in cells]
-    np.testing.assert_allclose(found, [size, 3 * size] * 2, rtol=6e-3)
-
-
-@pytest.mark.parametrize("how", [3, "+2", "%.1f", "%+.1f", "%", "+%", "#"])
-def test_a_value_lies_in_its_interval_as_shown_too(rng, how):
-    """Decimals follow the width of the narrowest interval, in the column of the values as well."""
-    value = np.round(rng.uniform(49.3, 49.5, 20), 4).tolist()
-    rows = [
-        {"x": x, "low": x - below, "high": x + above}
-        for x, below, above in zip(value, *rng.uniform(1e-3, 0.05, (2, 20)).tolist(), strict=True)
-    ]
-    html = shown(rows, [("x", "x", how), ("interval", ("low", "high"), how), ("y", "high", "%.0f")])
-    cells = [re.sub("[%,+]", "", text) for text in re.findall(r"<td[^>]*>(.*?)</td>", html)]
-    for x, ends in zip(cells[::3], cells[1::3], strict=True):
-        low, high = map(float, ends.split(" to "))
-        assert low <= float(x) <= high
-        assert low < high
-
-
-def test_nothing_in_motion_is_not_called_too_little():
-    words = environment().get_template("basis.html").module
-    none = Basis("few matrices", 0, 0, Estimate())
-    assert words.lack(none, 20.0, none.code).strip() == "No run is in motion at t_end, so nothing is counted."
-
-
-def test_alerts_are_ranked_by_what_they_change():
-    items = [
-        '<li class="ok">a</li>',
-        '<li data-rank="3">b</li>',
-        '<li data-rank="1">c</li>',
-        '<li data-rank="2">d</li>',
-    ]
-    assert [re.sub("<[^>]*>", "", one) for one in sorted(items, key=_rank)] == ["c", "d", "b", "a"]
 
 
 def test_groups_are_named_by_what_sets_them_apart(planted, settings):
@@ -290,15 +226,6 @@ def test_a_question_that_there_is_not_is_refused_by_name(scarce, settings):
         report_of(scarce["two matrices"], replace(settings, question=("fates", "collectives")))
 
 
-@pytest.mark.parametrize("key", [key for key in QUESTIONS if not question(key).title])
-def test_a_question_is_a_file_and_a_template_with_its_words(key):
-    words = environment().get_template(f"{key}.html").module
-    assert words.name.endswith("?")
-    assert words.question.endswith("?")
-    assert callable(words.answer)
-    assert callable(words.part)
-
-
 def _texts(tree):
     """Strings of a module outside docstrings, raised errors and assertions."""
     outside = set()
@@ -363,17 +290,3 @@ def test_settings_out_of_range_are_refused_by_name(changes, named):
     good = {"t_burn": 0.0, "dt": (1.0,), "resamples": 10, "confidence": 0.95, "seed": 0}
     with pytest.raises(ValueError, match=named):
         AnalysisSettings(**(good | changes))
-
-
-def test_the_table_of_groups_has_what_a_scene_may_change():
-    shown = {column for _, column, _ in group_columns()} | {"n"}
-    missing = [name for name in members.SYSTEM_KEYS if name not in shown]
-    assert missing == ["z0", "w0", "perturbation_size"]  # what is swept stands in the name of the group
-
-
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [(1.0, "100%"), (0.99915, "99.9%"), (0.994, "99%"), (1 - 1e-6, "99.9999%"), (0.0, "0%"), (1.5, "150%")],
-)
-def test_what_is_not_all_is_not_said_to_be(share, text):
-    assert percent(share) == text

@@ -6,7 +6,6 @@ import pytest
 
 from stickslip.analysis import Data, Study, build
 from stickslip.analysis.members import FILE, MATRIX, START, Members
-from stickslip.analysis.report.page import plain
 from stickslip.analysis.stats import student
 from stickslip.pipeline.design.values import rank
 
@@ -70,11 +69,11 @@ def test_a_start_that_is_not_drawn_is_one_run_of_its_matrix(planted, settings, r
 
 
 def test_the_page_says_what_the_units_are(planted, settings, rng, monkeypatch):
-    from stickslip.analysis.report import page
+    from stickslip.analysis.page import parts
 
-    monkeypatch.setattr(page, "draw", lambda *_, **__: page.Drawn("<svg/>"))
+    monkeypatch.setattr(parts, "draw", lambda *_, **__: parts.Drawn("<svg/>"))
     one_system = build(runs_of(planted, rng, [(None, 0)], 20), settings, "Starts", "", {})
-    text = plain(one_system.html.partition("</style>")[2])
+    text = one_system.html.partition("</style>")[2]
     assert "over starts of this system" in text
     assert "over starts of one system" in text
     assert one_system.tables["groups"]["starts"].tolist() == [20]

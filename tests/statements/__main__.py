@@ -16,8 +16,9 @@ from pathlib import Path
 import matplotlib
 import pandas as pd
 
+from stickslip.analysis import Report
+from stickslip.analysis.page import parts
 from stickslip.analysis.questions import package_questions
-from stickslip.analysis.report import page
 from stickslip.pipeline import load_scene, run_ensemble
 from stickslip.pipeline.ensemble import pack
 from stickslip.workflows import own_questions, reporting
@@ -113,10 +114,10 @@ def _broken_off(n_shards: int | None) -> Iterator[Callable[[object], None] | Non
 
 def _answers(opened, study, on_answer):
     own = [own_questions.answer(task) for task in own_questions.tasks(opened, opened.folder, with_pdf=False)]
-    return [*(page.ask(study, key) for key in package_questions(study.settings.question)), *own]
+    return [*(parts.ask(study, key) for key in package_questions(study.settings.question)), *own]
 
 
-def write(report: page.Report, folder: Path) -> None:
+def write(report: Report, folder: Path) -> None:
     """The statements and the tables of a report."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -128,7 +129,7 @@ def write(report: page.Report, folder: Path) -> None:
 
 def write_all(out: Path, datasets: Path, only: list[str]) -> int:
     """Write what all reports say; 1 if one could not be made, whose error stands in place of its statements."""
-    page.draw = lambda *_, **__: page.Drawn("<svg/>")  # drawing takes half of a report's time
+    parts.draw = lambda *_, **__: parts.Drawn("<svg/>")  # drawing takes half of a report's time
     plans = {name: (datasets / name / name,) for name in PLANS} | {
         f"{first}_beside_{second}": (datasets / first / first, datasets / second / second)
         for first, second in COMPARED

@@ -3,7 +3,7 @@ import re
 
 import pytest
 
-from stickslip.analysis.report.page import Drawn
+from stickslip.analysis.page.parts import Drawn
 from stickslip.pipeline import SceneError
 from stickslip.workflows.commands import main
 from stickslip.workflows.gallery import load_chart

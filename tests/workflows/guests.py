@@ -107,14 +107,14 @@ def through(text: str, out: Path) -> None:
 
 
 def main(folder: Path, names: list[str]) -> int:
-    from stickslip.analysis.report import comparison, page
+    from stickslip.analysis.page import comparison, parts
 
     matplotlib.use("agg")
     n_failed, known = 0, scenes()
     asked = [name for name in known if any(name.startswith(begin) for begin in names)] if names else [*known]
     for k, name in enumerate(asked):
         if k:  # figures are drawn of the first
-            page.draw = comparison.draw = lambda *_, **__: page.Drawn("<svg/>")
+            parts.draw = comparison.draw = lambda *_, **__: parts.Drawn("<svg/>")
         try:
             through(known[name], folder / f"{k}")
             print(f"{name}: done")

@@ -28,7 +28,6 @@ from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.members import OUTCOMES
 from stickslip.analysis.models.fates import fate
 from stickslip.analysis.questions import QUESTIONS, question
-from stickslip.analysis.report.formats import environment
 from stickslip.pipeline import SceneError, expand, load_scene, parse_scene, query, run_ensemble
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.scene import engine_table
@@ -209,7 +208,7 @@ def test_first_scene_gets_the_answer_that_the_page_gives(first, tmp_path):
 
 def test_the_questions_are_those_of_a_report():
     listed = re.findall(r"^\| ([^|]+\?) \| `(\w+)` \|", page("reading"), flags=re.MULTILINE)
-    titles = {key: question(key).title or environment().get_template(f"{key}.html").module.name for key in QUESTIONS}
+    titles = {key: question(key).title for key in QUESTIONS}
     assert {key: name for name, key in listed} == titles
 
 
@@ -329,17 +328,16 @@ def test_a_term_is_a_row(tree):
     (root / "mine.toml").write_text(swept)
     show = """
 from stickslip.analysis.members import SYSTEM_KEYS
-from stickslip.analysis.report.page import group_columns
 from stickslip.pipeline import expand, load_scene
 from stickslip.pipeline.scene.systems import BY_BLOCK
 
 members = expand(load_scene("mine.toml"))
-known = SYSTEM_KEYS, BY_BLOCK, {one for _, one, _ in group_columns()}, {one.term("drag") for one in members}
+known = SYSTEM_KEYS, BY_BLOCK, {member.term("drag") for member in members}
 columns = {one.name: one.words for one in load_scene("mine.toml").recording.columns}
-print(*("drag" in some for some in known[:3]), sorted(known[3]), columns["drag"], members[0].member_id)
+print(*("drag" in some for some in known[:2]), sorted(known[2]), columns["drag"], members[0].member_id)
 """
     said = python("-c", show)
-    assert said.startswith("True True True [0.1, 0.2] drag of every block; null if drawn n20-m000-drag=0.1-")
+    assert said.startswith("True True [0.1, 0.2] drag of every block; null if drawn n20-m000-drag=0.1-")
 
 
 @pytest.mark.long

@@ -21,7 +21,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis.report.page import Drawn, Report
+from stickslip.analysis.page.build import Report
+from stickslip.analysis.page.parts import Drawn
 from stickslip.pipeline import parse_scene, query, run_ensemble
 from stickslip.pipeline.ensemble import member
 from stickslip.pipeline.errors import command

@@ -175,12 +175,12 @@ class Another(Coulomb):
 engines.ENGINES["another"] = Another
 
 from guests import ALL, TWINS, scene
-from stickslip.analysis.report import page
+from stickslip.analysis.page import parts
 from stickslip.pipeline import parse_scene, run_ensemble
 from stickslip.workflows import reporting
 from tests.statements.__main__ import sentences
 
-page.draw = lambda *_, **__: page.Drawn("<svg/>")
+parts.draw = lambda *_, **__: parts.Drawn("<svg/>")
 for name in ("coulomb", "another"):
     text = scene("static = 1.3", [name], TWINS, ALL).replace("t_end = 12.0", "t_end = 60.0")
     run_ensemble(parse_scene(text), f"{sys.argv[1]}/{name}/page", workers=0)

@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from stickslip.analysis.page.parts import ask
 from stickslip.analysis.questions import package_questions
-from stickslip.analysis.report.page import ask
 from stickslip.pipeline import ScheduleError, parse_scene, run_ensemble
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.ensemble import pack

@@ -10,7 +10,7 @@ from shutil import copytree
 import pytest
 
 from stickslip.analysis.findings.words import sentence
-from stickslip.analysis.report import page
+from stickslip.analysis.page import parts
 from stickslip.pipeline import load_scene, run_ensemble
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.machine.processes import Child
@@ -47,7 +47,7 @@ def place(tmp_path_factory):
 def alone(monkeypatch, place):
     """No processes but those of questions of the user's own, and no mark of these; no figures of ours."""
     monkeypatch.setattr(asking, "MOST_PROCESSES", 1)
-    monkeypatch.setattr(page, "draw", lambda *_, **__: page.Drawn("<svg/>"))
+    monkeypatch.setattr(parts, "draw", lambda *_, **__: parts.Drawn("<svg/>"))
     (place / "ran").unlink(missing_ok=True)
     (place / "runs" / "mine" / "report.html").unlink(missing_ok=True)
 
@@ -196,7 +196,7 @@ def test_what_goes_wrong_is_a_line_that_says_where(asked, code, words):
 
 
 def test_what_cannot_be_drawn_or_shown_is_left_out_and_the_answer_stands(asked, monkeypatch):
-    monkeypatch.setattr(page, "draw", lambda recipe, _: recipe() and page.Drawn("<svg/>"))
+    monkeypatch.setattr(parts, "draw", lambda recipe, _: recipe() and parts.Drawn("<svg/>"))
     figures = "'a': Picture(lambda: 1 / 0, 'A'), 'b': Picture(3, 'B'), 'c': Picture(Figure(), 'C'), 'd': Figure()"
     tables = "'d': pd.DataFrame({'n': [1]}), 'e': pd.DataFrame({'z': [1j]}), 'f': []"
     code = "import pandas as pd\nfrom matplotlib.figure import Figure\n" + ANSWER

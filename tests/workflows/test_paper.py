@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis.report.page import Drawn
+from stickslip.analysis.page.parts import Drawn
 from stickslip.sim import simulate
 from stickslip.workflows.commands import main
 from stickslip.workflows.gallery import load_chart

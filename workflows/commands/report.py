@@ -74,7 +74,7 @@ def write_report(directory: Where, asking: Asking, watch: Watch | None = None, i
     If they may be run, which `asking` knows, or else `is_own` says, the report is always made again: they may depend
     on anything. So is one with figures as PDF.
     """
-    from stickslip.analysis.report import PAGE
+    from stickslip.analysis.page import PAGE
     from stickslip.pipeline.dataset.opened import open_dataset
     from stickslip.workflows import own_questions
     from stickslip.workflows.fresh import has_own, is_current

@@ -7,7 +7,7 @@ from itertools import chain
 
 import pandas as pd
 
-from stickslip.analysis.answer import Answer, Picture, Question, Recipe, Table
+from stickslip.analysis.answer import Answer, Picture, Question, Table
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Finding, Lack
 from stickslip.analysis.grid import axes_of
@@ -49,7 +49,7 @@ def _tables(parts: Sequence[Answer]) -> dict[str, Table]:
     return named | {"changes": pd.concat(frames, ignore_index=True)}
 
 
-def _figures(parts: Sequence[Answer]) -> Mapping[str, Recipe | Picture]:
+def _figures(parts: Sequence[Answer]) -> Mapping[str, Picture]:
     """The first figure of each, and then the others."""
     firsts = chain.from_iterable([*part.figures.items()][:1] for part in parts)
     return dict([*firsts, *(item for part in parts for item in part.figures.items())])

@@ -96,9 +96,10 @@ def answer(study: Study) -> Answer | None:
             }
             lead += outcomes(other, placed, unit)
             every = [one for rows in placed.values() for one in rows]
+            every.sort(key=lambda one: not one.contrast.is_shown)
             levels += [one.contrast.level(one.where, other, unit) for one in every]
             drawn = drawn or every
-    caption = "Differences from the reference, with 95% intervals; bands are the margins that the scene declares."
+    caption = "Differences from the reference, with their intervals; bands are the margins that the scene declares."
     return Answer(
         tables=tables, figures=forest(drawn, caption), findings=[*lead, *levels], n_lead=min(3, len(lead)),
         alerts=_suspects(known), method=_METHOD,
@@ -146,7 +147,7 @@ def _by_reference(
 def _other(pair: _Pair, groups: Sequence[Group]) -> str:
     """What a pair is compared with, as a noun phrase."""
     if pair.kind == TOLERANCE:
-        return "its tightest tolerance"
+        return "the tightest tolerance"
     if pair.kind == THRESHOLD and pair.reference is pair.other:
         return "the engine's own definition of sticking"
     (name,) = in_words({_engine(pair.reference, groups): DIFFERENT}, DIFFERENT)
@@ -281,7 +282,7 @@ def _agrees_with_less(one: _Compared, found: Sequence[_Compared]) -> bool:
     width = _width(one.pair.other)
     return any(
         (other.statistic, other.pair.kind, other.pair.reference) == (one.statistic, one.pair.kind, one.pair.reference)
-        and other.contrast.verdict is Verdict.EQUAL
+        and other.contrast.verdict in (Verdict.EQUAL, Verdict.SAME)
         and (_width(other.pair.other) or np.inf) < (width or 0.0)
         for other in found
     )

@@ -86,11 +86,11 @@ def answer(study: Study) -> Answer | None:
 
 
 def _named(change: Change) -> Named:
-    """A changed system, with the size of the change."""
+    """A change, with its size."""
     if change.kind == Kind.RATIOS:
-        return Named("the system with other stiffness ratios")
+        return Named("a draw of other stiffness ratios")
     how = "" if change.reading in (None, DEFAULT_READING) else f" ({change.reading})"
-    return Named("the system", f"a change of constants{how}", 100.0 * change.size, "%")
+    return Named("", f"a change of constants{how}", 100.0 * change.size, "%")
 
 
 def _ends_in_words(row: Row, where: str, unit: str) -> Iterator[Finding]:
@@ -243,7 +243,7 @@ class _Judged:
             at = ", ".join(filter(None, (where, str(change))))
             placed.setdefault(_named(change), []).append(Beside(one, at))
         effects = [row for row in self.effects if row["quantity"] == PRIMARY[0] and row["theta"] is not None]
-        return [*outcomes(UNCHANGED, placed, unit), *(self._effect(row, where, unit) for row in effects[-1:])]
+        return [*outcomes("no change", placed, unit), *(self._effect(row, where, unit) for row in effects[-1:])]
 
     def rest(self, where: str, unit: str) -> list[Finding]:
         """Each quantity under each change, and how much of its variance lies between systems."""

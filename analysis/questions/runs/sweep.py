@@ -33,6 +33,7 @@ from stickslip.analysis.findings.finding import (
     Threshold,
     Verdict,
 )
+from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.words import capital
 from stickslip.analysis.grid import (
     AT_MOST,
@@ -540,7 +541,7 @@ def _figures(
         if sum(one is not None for _, some in lines for one in some) > 1:
             recipe = partial(curves, title, axes[0].name, *ticks, lines, may_be_log)
             seen = _seen([step for step in steps if (step.name, step.axis, step.setting) == (name, axes[0], lead)])
-            caption = f"{capital(title)} {seen} {axes[0].name}{at}. Bars are 95% intervals."
+            caption = f"{capital(title)} {seen} {axes[0].name}{at}. Bars are {100 * level:g}% intervals."
             found[_figure(by_name[name])] = Picture(recipe, caption)
     first = next((by_name[name] for name in leading if name in by_name), None)
     if len(axes) > 1 and first is not None:
@@ -634,12 +635,12 @@ def curves(
         ends = np.array([[one.low, one.high] for _, one in seen], dtype=float).reshape(-1, 2)  # NaN: no interval
         here, mark = np.array([place for place, _ in seen]), f"{'os^Dv<'[k % 6]}-"
         ax.errorbar(here, value, np.abs(ends - value[:, None]).T, fmt=mark, markersize=3.5, linewidth=0.9,
-                    color=colours[k], label=name)  # fmt: skip
+                    color=colours[k], label=signs(name))  # fmt: skip
         if (value < floor).any():
             ax.plot(here[value < floor], np.full((value < floor).sum(), floor), "v", color=colours[k], markersize=5,
                     markerfacecolor="white")  # fmt: skip
     if x is None:
-        ax.set_xticks(at, ticks)
+        ax.set_xticks(at, [*map(signs, ticks)])
     elif not is_log:
         ax.xaxis.set_major_locator(FixedLocator(at.tolist()) if len(at) <= _FEW_TICKS else MaxNLocator(nbins=6))
     margin = 0.05 * (at.max() - at.min())
@@ -691,7 +692,7 @@ def heat_map(
     steps = 1 + sum(len(text) + 2 for text in across[1]) // _LETTERS, 1 + len(up[1]) // _LINES
     for axis, (name, ticks), step in zip((ax.xaxis, ax.yaxis), (across, up), steps, strict=True):
         axis.set_label_text(name)
-        axis.set_ticks(range(0, len(ticks), step), ticks[::step])
+        axis.set_ticks(range(0, len(ticks), step), [*map(signs, ticks[::step])])
     bar = ax.figure.colorbar(image, ax=ax, label=what)
     if not is_log:
         bar.ax.yaxis.set_major_locator(MaxNLocator(nbins=5))

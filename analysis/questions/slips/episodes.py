@@ -49,6 +49,7 @@ from stickslip.analysis.findings.finding import (
     Scale,
 )
 from stickslip.analysis.findings.numbers import number
+from stickslip.analysis.findings.words import capital
 from stickslip.analysis.members import DRAWN
 from stickslip.analysis.methods import LAWS, MAGNITUDES, PRIMARY, Apart, called, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
@@ -350,7 +351,7 @@ def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Cat
     if blurred:
         come_out = [DIFFERENT if group.row in blurred else UNDECIDED for group in groups]
         methods = in_words(dict(zip(settings_of(groups), come_out, strict=True)), DIFFERENT)
-        alerts.append(Alert.of(Code.BLURRED, what=" and ".join(methods)))
+        alerts.append(Alert.of(Code.BLURRED, what=capital(" and ".join(methods))))
     whole = [group for group in groups if (group.row["whole"] or 0.0) > 0.5 and group in references]
     if whole:
         share = number(whole[0].row["whole"], Form.SHARE, 0)

@@ -12,11 +12,10 @@ import pytest
 from matplotlib.figure import Figure
 from pydantic import Field
 
-from stickslip.analysis.report import formats
 from stickslip.pipeline.machine.processes import ONE_THREAD
 from stickslip.workflows import gallery
 from stickslip.workflows.commands import main
-from stickslip.workflows.gallery.charts import ChartScene, Several, Shown, cost, runner
+from stickslip.workflows.gallery.charts import ChartScene, Several, Shown, cost, formats, runner
 from stickslip.workflows.scenes import chart_of, shipped
 
 

@@ -19,10 +19,10 @@ from jinja2 import ChoiceLoader, FileSystemLoader
 from markupsafe import Markup
 
 from stickslip.analysis import Report
-from stickslip.analysis.report.formats import environment as page_environment
-from stickslip.analysis.report.formats import number
-from stickslip.analysis.report.page import Drawn, draw
+from stickslip.analysis.page.parts import Drawn, draw
 from stickslip.workflows.gallery.charts import ChartScene
+from stickslip.workflows.gallery.charts.formats import environment as page_environment
+from stickslip.workflows.gallery.charts.formats import number
 
 
 def versions(*libraries: str) -> dict[str, str]:

@@ -21,8 +21,6 @@ from stickslip.analysis.models.fates import (
     median,
 )
 from stickslip.analysis.stats import components
-from stickslip.analysis.stats.compare import Words
-from stickslip.analysis.stats.compare import verdict as compared
 from stickslip.analysis.stats.enough import LEAST_MATRICES
 from stickslip.analysis.stats.estimates import LN2, Estimate, over_matrices, ratio
 from stickslip.analysis.stats.estimates import gamma as law_gamma
@@ -247,10 +245,9 @@ def robust(scene: Asked, measured: Measured) -> Claim:
     found = components.against_redraw(values[:, :2], values[:, 2:], CONFIDENCE)
     theta = found.theta
     return facts | {
-        "verdict": compared(
-            found.p_below(BOUND), found.p_above(BOUND), 1 - CONFIDENCE,
-            np.inf if theta.value is None else theta.value, BOUND, Words(REPRODUCED, CONTRADICTED, CONTRADICTED),
-        ),
+        "verdict": REPRODUCED if found.p_below(BOUND) < 1 - CONFIDENCE
+        else CONTRADICTED if found.p_above(BOUND) < 1 - CONFIDENCE
+        else UNTOLD,
         "value": theta.value if found.kind == components.BOUNDED else None, "low": theta.low, "high": theta.high,
         "rms": {
             name: float(np.sqrt(of) / values[:, :2].mean())

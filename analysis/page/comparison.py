@@ -16,10 +16,10 @@ from stickslip.analysis.findings.words import capital, plural
 from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import KEYS, Measure, measures
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
-from stickslip.analysis.outcomes import Beside, Setting, forest, outcomes
+from stickslip.analysis.outcomes import Beside, Setting, forest, outcome, outcomes
+from stickslip.analysis.page import parts
+from stickslip.analysis.page.build import Report
 from stickslip.analysis.page.layout import Page, Section
-from stickslip.analysis.report import page
-from stickslip.analysis.report.page import Report
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.pipeline.design.labels import apart
 
@@ -146,8 +146,10 @@ def _answer(
     placed: dict[Setting, list[Beside]] = {}
     for match, one in known:
         where = names[match.second.name]
-        said = f"{second.name} at {where}" if where else second.name
+        said = f"{second.name} ({where})" if where else second.name
         placed.setdefault(Setting(said), []).append(Beside(one, where))
+    if len({outcome([one.contrast for one in some]) for some in placed.values()}) == 1:  # no setting to tell apart
+        placed = {Setting(second.name): [one for some in placed.values() for one in some]}
     grouped, *others = outcomes(first.name, placed, unit)
     is_open = any(one.undecided for one in (grouped, *others))
     truth = Truth.NO if grouped.different else Truth.UNDECIDED if is_open else Truth.YES
@@ -207,19 +209,25 @@ def _both(one: Study, other: Study) -> list[tuple[Measure, Measure]]:
 def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[str] = ()) -> Report:
     title = f"{first.name} beside {second.name}"
     pictures = {name: picture for name, picture in answer.figures.items() if isinstance(picture, Picture)}
-    figures = {name: page.draw(picture.recipe, True) for name, picture in pictures.items()}
+    figures = {name: parts.draw(picture.recipe, True) for name, picture in pictures.items()}
     entry = Question(lambda _: answer, title="Do two datasets agree?")
-    part = page.of_findings(page.answered("compare", entry, answer, figures))
+    compared = parts.part(parts.answered("compare", entry, answer, figures))
     origin = [
         f"{which.name}: " + "".join(f"{name}: {value}. " for name, value in which.provenance.items())
         for which in (first, second)
     ]
     made = Section(
-        "made", "How was it made?", f"{first.name} and {second.name}.", [*part.texts, *origin], notes=part.notes
+        "made",
+        "How was it made?",
+        f"{first.name} and {second.name}.",
+        [*compared.texts, *origin],
+        notes=compared.notes,
     )
-    whole = Page(title, part.title, part.lead, (), part.panels, part.table, notes=notes, sections=[made])
-    told = page.findings_json(title, [part], [])
-    return Report(whole.html, answer.tables, [*map(str, part.lead)], figures, findings=told)
+    whole = Page(
+        title, compared.title, compared.lead, (), compared.panels, compared.table, notes=notes, sections=[made]
+    )
+    told = parts.findings_json(title, [compared], [])
+    return Report(whole.html, answer.tables, [*compared.lead], figures, findings=told)
 
 
 def _is_same(first: Ensemble, second: Ensemble) -> bool:

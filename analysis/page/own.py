@@ -22,9 +22,10 @@ from matplotlib.figure import Figure
 from stickslip.analysis.answer import Answer, Picture
 from stickslip.analysis.findings.alerts import Alert
 from stickslip.analysis.findings.finding import Finding, Lifetime
+from stickslip.analysis.findings.numbers import signs
+from stickslip.analysis.page.build import MOST_SAID
+from stickslip.analysis.page.parts import Answered, Drawn, answered, draw
 from stickslip.analysis.questions import of_function
-from stickslip.analysis.report.formats import minus
-from stickslip.analysis.report.page import MOST_SAID, Answered, Drawn, answered, draw
 from stickslip.analysis.stats.estimates import Estimate
 
 _NAME = re.compile(r"\w+")
@@ -94,7 +95,7 @@ def _kept(
 
 def _line(text: str) -> str:
     """A text in one line, without what a terminal obeys, or no file may hold."""
-    return minus("".join(c for c in " ".join(text.split()) if c.isprintable()))
+    return signs("".join(c for c in " ".join(text.split()) if c.isprintable()))
 
 
 def _kind(value: object) -> str:
@@ -112,9 +113,6 @@ def _checked(returned: object) -> Answer:
     if not isinstance(returned, Answer):
         hint = f"; if the data have none, return {_LACKING}" if returned is None else f"; {_EXAMPLE}"
         raise OwnError(f"expected a stickslip.analysis.Answer, got {_kind(returned)}{hint}")
-    if returned.facts or returned.lack:
-        name, instead = ("lack", _LACKING) if returned.lack else ("facts", _EXAMPLE.removeprefix("return "))
-        raise OwnError(f"{name}: expected findings in its place; return {instead}")
     findings, alerts = (_sequence(returned, name) for name in ("findings", "alerts"))
     if not findings:
         raise OwnError(f"findings: expected the answer first, got none; {_EXAMPLE}, or {_LACKING}")

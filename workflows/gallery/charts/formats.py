@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import marshal
 import re
-import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
-from functools import cached_property, partial
+from functools import partial
 from inspect import signature
-from types import CodeType
 from typing import Any
 
-import jinja2
 import numpy as np
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-from jinja2.bccache import Bucket, BytecodeCache
 from markupsafe import Markup, escape
 
-from stickslip.analysis import arguments
-from stickslip.analysis.stats.compare import WITHIN
-from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.values import shown
-from stickslip.sim.kernels.cache import CacheError, CacheFiles, cache_directory
 
 MINUS, DASH = "\u2212", "\u2013"
 MOST_DIGITS = 8  # of the ends of an interval, to show that they differ; and decimals, for the digits of what is small
@@ -43,11 +33,6 @@ def fixed(value: float | None, decimals: int) -> str:
     return DASH if value is None else f"{value:,.{decimals}f}".replace("-", MINUS)
 
 
-def signed(value: float, digits: int = 2) -> str:
-    """A difference with its sign."""
-    return ("+" if value >= 0 else "") + number(value, digits)
-
-
 def percent(value: float, digits: int = 2) -> str:
     """A share in percent; in as many digits as say that it is not all, up to `MOST_DIGITS`."""
     while abs(value) < 1 and float(f"{abs(100 * value):.{digits}g}") == 100.0 and digits < MOST_DIGITS:
@@ -58,18 +43,6 @@ def percent(value: float, digits: int = 2) -> str:
 def signed_percent(value: float, digits: int = 2) -> str:
     """A relative difference in percent with its sign."""
     return ("+" if value >= 0 else "") + percent(value, digits)
-
-
-def within(verdict: str | None, margin: float) -> str | None:
-    """A verdict; that of equivalence is followed by its margin: "within 1%"."""
-    return f"{WITHIN} {100 * margin:g}%" if verdict == WITHIN else verdict
-
-
-def p_text(p: float, floor: float = 0.0) -> str:
-    """A p-value with two digits, or "< 0.001"; at the floor of its test, the least it can be, "≤" and the floor."""
-    if p <= floor:
-        return f"\u2264 {floor:.2g}"
-    return "< 0.001" if p < 0.001 else f"{p:.2g}"
 
 
 def minus(text: str) -> str:
@@ -94,56 +67,12 @@ def listed(names: Sequence[Any], last: str = "and") -> str:
     return texts[0] if len(texts) == 1 else f"{', '.join(texts[:-1])} {last} {texts[-1]}"
 
 
-def capital(text: str) -> str:
-    """A text with a capital first letter, unless it begins with a symbol: a single letter, or a Greek one."""
-    is_symbol = re.match(r"[b-z](?![A-Za-z])|[^\x00-\x7f]", text)
-    return text if is_symbol else text[:1].upper() + text[1:]
-
-
-def between(low: float | None, high: float | None, show: Callable[..., str] = number, *how: int) -> str:
-    """Two ends as text, "0.1 to 0.2", with extra digits if the ends would otherwise look equal."""
-    if low is None or high is None:
-        return DASH
-    first = how[0] if how else int(signature(show).parameters["digits"].default)
-    digits = _apart([(low, high)], first, show)
-    return f"{show(low, digits)} to {show(high, digits)}"
-
-
 def _apart(pairs: Iterable[Sequence[Any]], digits: int, show: Callable[[float, int], str]) -> int:
     """The least number of digits, from `digits` on, with which all ends that differ look different."""
     known = [(low, high) for low, high in (both for both in pairs if len(both) == 2) if None not in (low, high)]
     ends = [(low, high) for low, high in known if not np.isclose(low, high, rtol=1e-9, atol=0.0)]
     more = range(digits, MOST_DIGITS + 1)
     return next((k for k in more if all(show(low, k) != show(high, k) for low, high in ends)), digits)
-
-
-def interval(estimate: Estimate, digits: int = 3) -> str:
-    """The interval of an estimate as text, with the decimals of the value; "no interval" if there is none."""
-    if estimate.low is None or estimate.high is None:
-        return "no interval"
-    return between(estimate.low, estimate.high, *_alike([estimate.value or estimate.high], digits))
-
-
-def with_interval(estimate: Estimate, digits: int = 3) -> str:
-    """An estimate in a sentence: "0.312 (0.301 to 0.323)"; without an interval, or a value, the reason.
-
-    Parameters
-    ----------
-    estimate : Estimate
-    digits : int
-        Significant digits of the value.
-
-    Raises
-    ------
-    ValueError
-        If it is no `Estimate`.
-    """
-    estimate = arguments.instance("estimate", estimate, Estimate)
-    if estimate.value is None:
-        return f"no value ({estimate.reason})"
-    if estimate.low is None or estimate.high is None:
-        return f"{number(estimate.value, digits)} (no interval: {estimate.reason})"
-    return f"{number(estimate.value, digits)} ({interval(estimate, digits)})"
 
 
 def _alike(values: Iterable[float | None], digits: int) -> tuple[Callable[[float | None, int], str], int]:
@@ -164,7 +93,7 @@ How = int | str | Show | None
 #: how its values are shown.
 Column = tuple[str, str | tuple[str, str], How]
 _SHOWN: Mapping[str, Callable[..., str]] = {
-    "%": percent, "+": signed, "+%": signed_percent, "p": p_text, "n": lambda value: f"{value:,}",
+    "%": percent, "+%": signed_percent, "n": lambda value: f"{value:,}",
     "g": lambda value: minus(shown(value)), "g%": lambda value: f"{100 * value:g}%", "#": number,
     "yes": lambda value: "yes" if value else "no", "as it is": lambda value: value,
 }  # fmt: skip
@@ -254,8 +183,6 @@ def _cells(rows: Sequence[Any], column: Column, beside: Sequence[str]) -> list[s
         return ["" if some == [None] else _joined(some, lambda value: value) for some in values]
     if isinstance(how, str) and (known := re.fullmatch(r"(%\+?\.)(\d)f", how)):
         how = f"{known[1]}{_apart([*values, *others], int(known[2]), fixed)}f"
-    if how == "p" and len(keys) == 2:
-        return [DASH if None in some else p_text(*some) for some in values]
     if how in ("%", "+", "+%", "#") and 2 in (len(keys), len(beside)):
         show = _SHOWN[how]
         first = int(signature(show).parameters["digits"].default)
@@ -302,66 +229,22 @@ def _left(column: Column) -> str:
     return ' class="l"' if column[2] is None else ""
 
 
-class _Compiled(BytecodeCache):
-    """Compiled templates, which take most of a second: of this process, and kept where compiled kernels are.
-
-    Where nothing can be kept, or others could have written what is, they are compiled anew.
-    """
-
-    def __init__(self) -> None:
-        self._code: dict[tuple[str, str], CodeType] = {}
-
-    @cached_property
-    def _files(self) -> CacheFiles:
-        return CacheFiles(cache_directory(), "templates")
-
-    def load_bytecode(self, bucket: Bucket) -> None:
-        key = bucket.key, bucket.checksum
-        if key not in self._code:
-            with suppress(CacheError):
-                if (kept := self._files.load((*_BY, *key))) is not None:
-                    self._code[key] = marshal.loads(kept)
-        bucket.code = self._code.get(key)
-
-    def dump_bytecode(self, bucket: Bucket) -> None:
-        assert bucket.code is not None
-        key = bucket.key, bucket.checksum
-        self._code[key] = bucket.code
-        with suppress(CacheError, OSError):
-            self._files.save((*_BY, *key), marshal.dumps(bucket.code))
-
-
-#: What compiles them.
-_BY = (jinja2.__version__, sys.version)
-
-
-_COMPILED = _Compiled()
-
-
 def environment(*packages: str) -> Environment:
     """Jinja environment with the templates of some packages and of this one; escapes, and refuses undefined names.
 
     Every page extends `page.html` of this package, which includes the style.
     """
     found = Environment(
-        loader=ChoiceLoader(
-            [PackageLoader(name, ".") for name in packages] + [PackageLoader(__package__, "templates")]
-        ),
+        loader=ChoiceLoader([PackageLoader(name, ".") for name in packages] + [PackageLoader(__package__, ".")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         extensions=["jinja2.ext.do"],
-        bytecode_cache=_COMPILED,
     )
     found.filters |= {
-        "number": number, "fixed": fixed, "signed": signed, "percent": percent, "signed_percent": signed_percent,
-        "p": p_text, "listed": listed, "capital": capital, "interval": interval, "with_interval": with_interval,
+        "number": number, "fixed": fixed, "percent": percent, "signed_percent": signed_percent, "listed": listed,
         "minus": minus,
-        "plural": plural, "within": within,
     }  # fmt: skip
-    found.globals |= {
-        "count": count, "between": between, "table": table, "number": number, "fixed": fixed, "percent": percent,
-        "signed": signed, "signed_percent": signed_percent, "unit": "matrix",
-    }  # fmt: skip
+    found.globals |= {"count": count, "table": table}
     return found
