@@ -242,7 +242,7 @@ def test_a_record_of_a_function(tmp_path, monkeypatch, capsys):
     Path("mine.py").write_text(block("own", "python", "class Measured"))
     Path("quiet.toml").write_text(block("own", "toml", "mine:quiet"))
     assert [main(command) for command in commands("own")] == [0] * 3
-    assert "Mean stuck share rises from " in capsys.readouterr().out
+    assert "hare of blocks that never slip after t_burn rises from " in capsys.readouterr().out
     table = query.members("runs/quiet")
     assert table.own_problem.isna().all()
     assert 0 < table.stuck_share.mean() < 1
