@@ -146,7 +146,7 @@ BAD = {
     "margin in percent of nothing": (
         "t_burn = 1.0",
         "t_burn = 1.0\nmargins.mean = 0.0",
-        ["analysis.margins.mean", "greater than 0", "`mean = 0.1`"],
+        ["analysis.margins.mean", "greater than 0", "`mean = 0.05`"],
     ),
     "published share in percent": (
         "t_burn = 1.0",

@@ -583,7 +583,7 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one_whole(n_whole, tmp_p
     table = pd.DataFrame({"gamma": [0.7]})
     write(Report("<old>", {"law": table}, []), tmp_path / "deep" / "er")
     before = {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}
-    assert before.keys() == {"law.parquet", "law.csv", "tables.json", "report.html", "files.txt"}
+    assert before.keys() == {"law.parquet", "law.csv", "tables.json", "findings.json", "report.html", "files.txt"}
     fsync, calls = os.fsync, []
 
     def full(descriptor):
