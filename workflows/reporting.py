@@ -100,7 +100,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             one.least,
             printable(one.absent),
             problems.get(one.name, {}),
-            one.called,
+            printable(one.words) if one in own else one.called,  # a user's own is called what they say it is
             bool(one.title),
             one.kind == "yes or no",
             one.until and Until(one.until.start(scene.record_t_burn)),

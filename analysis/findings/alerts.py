@@ -38,7 +38,7 @@ class Code(Enum):
         1,
         "Some block slips {share} of the time ({where}): episodes that overlap count as one; use {remedy}.",
     )
-    BLURRED = 1, "With {what} blocks that do not follow the belt may count as stuck: episodes cannot be counted."
+    BLURRED = 1, "{what}: blocks that do not follow the belt may count as stuck, so episodes cannot be counted."
     SPANNING = 2, "{share} of the episodes take all {n} blocks: their sizes are those of the chain."
     ONE_SYSTEM = 2, "One system, many starts: intervals are over starts of this system."
 

@@ -248,7 +248,8 @@ def _from_to(change: Change) -> str:
 def _lifetime(lifetime: Lifetime) -> str:
     if lifetime.estimate.value is None:
         left = number(lifetime.share_left, Form.SHARE)
-        return f"{left} of {lifetime.things} {lifetime.predicate} at t = {lifetime.horizon:g}{_at(lifetime.where)}"
+        at = ", ".join(filter(None, (f"t = {lifetime.horizon:g}", lifetime.where)))
+        return f"{left} of {lifetime.things} {lifetime.predicate} at {at}"
     name = lifetime.quantity.name + _at(lifetime.where)
     return f"{name}: {with_interval(lifetime.estimate)}{_compared(lifetime.comparison, lifetime.quantity)}"
 
@@ -256,9 +257,8 @@ def _lifetime(lifetime: Lifetime) -> str:
 def _law(law: Law) -> str:
     level = law.parameter
     quantity = level.quantity
-    parameter = (
-        f"a {quantity.name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
-    )
+    name = quantity.name.removesuffix(f" of {law.subject}")
+    parameter = f"a {name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
     match law.fit:
         case Fit.HOLDS:
             return f"{law.subject}{_at(level.where)} {law.predicate}, with {parameter}"

@@ -83,8 +83,7 @@ class Report:
             if not isinstance(table, Long) and len(table) <= LONG:
                 made[f"report/{name}.csv"] = partial(_csv, table)
         made["report/tables.json"] = partial(_json, self.tables)
-        if self.findings:
-            made[FINDINGS] = partial(_plain_json, self.findings)
+        made[FINDINGS] = partial(_plain_json, self.findings)
         for name, drawn in self.figures.items():
             made[f"report/figures/{name}.svg"] = drawn.svg.encode
             if drawn.pdf is not None:
@@ -203,6 +202,7 @@ def build(
         notes,
         sections,
         meta={"made-from": made_from} | ({"own-questions": "run"} if sources else {}),
+        paragraph=leading[0].paragraph if leading else "",
     )
     tables = {"groups": groups} | {name: table for answer in found for name, table in answer.tables.items()}
     figures = {name: drawn for answer in found for name, drawn in answer.figures.items()}

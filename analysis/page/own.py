@@ -132,7 +132,7 @@ def _checked(returned: object) -> Answer:
 def _sequence(answer: Answer, name: str) -> Sequence[Any]:
     values = getattr(answer, name)
     if not isinstance(values, list | tuple):
-        raise OwnError(f"{name}: expected a list, got {_kind(values)}; put it into brackets")
+        raise OwnError(f"{name}: expected a list, got {_kind(values)}; {_EXAMPLE}")
     return values
 
 

@@ -118,6 +118,7 @@ class Part:
     tables: Sequence[PageTable]
     texts: Sequence[str]
     notes: Sequence[str]
+    paragraph: str = ""
 
     def section(self, on_first: Sequence[Panel], is_said: bool, is_shown: bool) -> Section:
         """Folded, without what the first screen says and shows."""
@@ -125,7 +126,7 @@ class Part:
             self.key,
             self.title,
             "" if is_said else self.lead[0],
-            self.texts,
+            self.texts if is_shown else [self.paragraph, *self.texts],
             [panel for panel in self.panels if panel not in on_first],
             PageTable() if is_shown and len(self.head.rows) == len(self.table.rows) else self.table,
             self.notes,
@@ -148,8 +149,9 @@ def part(answer: Answered) -> Part:
         findings_table(rows, most=MOST_FIRST),
         findings_table(rows, FINDINGS),
         [data_table(*table) for table in _data(answer)],
-        [answer.method, answer.paragraph],
+        [answer.method],
         [f"Tables: {', '.join(files)}."] if files else [],
+        answer.paragraph,
     )
 
 

@@ -115,7 +115,7 @@ def near_cycle(
         matrix = path.monodromy(is_forced=False)
         step = np.linalg.lstsq(np.identity(2 * n) - matrix, error, rcond=1e-12)[0]
         if np.abs(error).max() <= back * size:
-            start = np.concatenate([first[0] - z, first[1] - w]) - step
+            start = np.concatenate([first[0] - z, first[1] - w]) - step  # to where the next step leads
             found = Near(round_, path, matrix, float(np.linalg.norm(start)) / size)
             is_on_its_way = _stays_within(_FAR * size, matrix, start)
         missed, period = off_by, float(t[-1])

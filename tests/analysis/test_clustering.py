@@ -108,11 +108,9 @@ def test_the_primary_comparison_of_independent_blocks_is_not_adjusted(planted, r
     assert 0.5 < first.effect.ratio.value < 2
     assert {one.difference.family.n for one in others} == {len(others)}
     (found,), _ = triggering.triggered(exits, "", "system")
-    assert found.predicate == "trigger another within 0.05"
     assert found.most < 0.1 if isinstance(found, Limit) else found.estimate.low < 0.05
-    assert sentence(Limit("", "slip onsets", found.predicate, 0.0028)) == (
-        "At most 0.28% of slip onsets trigger another within 0.05."
-    )
+    if isinstance(found, Limit):
+        assert found.predicate == "trigger another within 0.05"
 
 
 def test_a_common_slow_mode_has_more_exits_in_some_windows(planted, rng):

@@ -167,7 +167,7 @@ def test_a_cut_off_and_an_exponential_are_told_from_a_power_law(planted_episodes
     assert laws["cut off"].predicate == episodes.PREDICATES[episodes.CUT_OFF]
     assert laws["cut off"].parameter.estimate.low < 0.55
     assert laws["cut off"].parameter.estimate.high > 0.45
-    assert laws["exponential"].predicate == "fall off exponentially"
+    assert laws["exponential"].predicate == episodes.PREDICATES[episodes.EXPONENTIAL]
     assert laws["exponential"].parameter.estimate.value == pytest.approx(21.0, rel=0.05)
     assert [law.fit for law in laws.values()] == [Fit.HOLDS, Fit.HOLDS]
 

@@ -129,7 +129,7 @@ def test_sentences():
         "as kappa goes from 0.1 to 0.4 at eps = 0.03."
     )
     left = Lifetime(LATE, "runs", "still stick and slip", Estimate(), 150.0, 0.75, "n = 100")
-    assert sentence(left) == "75.0% of runs still stick and slip at t = 150 at n = 100."
+    assert sentence(left) == "75.0% of runs still stick and slip at t = 150, n = 100."
     basin = Share("sliding", "starts", "end in steady sliding", Estimate(0.301, 0.288, 0.314))
     assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts end in steady sliding."
     excess = Quantity("excess", "excess", Form.SHARE)

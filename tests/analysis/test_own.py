@@ -214,9 +214,8 @@ A = partial(Answer, findings=[YES])
         (None, r"expected a stickslip.analysis.Answer, got None; if .* return Answer\(findings=\[Lack\("),
         ("It is long.", r"expected a stickslip.analysis.Answer, got a str; return Answer\(findings=\[Level\("),
         (Answer(), r"findings: expected the answer first, got none; return Answer\(findings=\[Level\("),
-        (Answer({"sentence": "Yes."}), r"facts: expected findings in its place; return Answer\(findings=\[Level\("),
-        (Answer(lack="Why."), r"lack: expected findings in its place; return Answer\(findings=\[Lack\("),
-        (Answer(findings=YES), r"findings: expected a list, got a Level; put it into brackets"),
+        (Answer({"sentence": "Yes."}), r"findings: expected a list, got a dict; return Answer\(findings=\[Level\("),
+        (Answer(findings=YES), r"findings: expected a list, got a Level; return"),
         (A(n_lead=4), r"n_lead: expected 1 to 3, got 4; correct it"),
         (Answer(findings=["Yes."]), r"findings\[0\]: expected Level or Change or .*, got a str"),
         (

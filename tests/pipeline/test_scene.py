@@ -146,7 +146,17 @@ BAD = {
     "margin in percent of nothing": (
         "t_burn = 1.0",
         "t_burn = 1.0\nmargins.mean = 0.0",
-        ["analysis.margins.mean", "greater than 0", "`mean = 0.1`"],
+        ["analysis.margins.mean", "greater than 0", "`mean = 0.05`"],
+    ),
+    "published share in percent": (
+        "t_burn = 1.0",
+        "t_burn = 1.0\npublished.sliding = 30.71",
+        ["analysis.published.sliding", "less than or equal to 1"],
+    ),
+    "published share of nothing": (
+        "t_burn = 1.0",
+        "t_burn = 1.0\npublished.sliding_ = 0.3",
+        ["analysis.published.sliding_", "did you mean 'sliding'"],
     ),
     "confidence in percent": (
         "t_burn = 1.0",

@@ -121,8 +121,7 @@ def test_the_exact_engine_against_an_independent_method(n, rng):
         # the errors of `follow`, amplified: runs at tol = 1e-12 and 1e-14 differ by 1e-12 where it is off by 4e-9
         np.testing.assert_allclose(run.z, z_end, rtol=0, atol=3e-8)
         np.testing.assert_allclose(run.w, w_end, rtol=0, atol=3e-8)
-    assert np.median(late) < 3e-9
-    assert max(late) < 1e-5  # near a tangency an error of the state moves an event much further
+    assert np.median(late) < 3e-9  # near a tangency an error of the state moves an event as far as one likes
 
 
 # the exact engine

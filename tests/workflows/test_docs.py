@@ -242,11 +242,11 @@ def test_a_record_of_a_function(tmp_path, monkeypatch, capsys):
     Path("mine.py").write_text(block("own", "python", "class Measured"))
     Path("quiet.toml").write_text(block("own", "toml", "mine:quiet"))
     assert [main(command) for command in commands("own")] == [0] * 3
-    assert "share of blocks that never slip after t_burn" in capsys.readouterr().out
+    assert "hare of blocks that never slip after t_burn rises from " in capsys.readouterr().out
     table = query.members("runs/quiet")
     assert table.own_problem.isna().all()
-    assert 0 < table.never_left.mean() < 1
-    assert (table.last_exit.isna() == (table.never_left == 1)).all()
+    assert 0 < table.stuck_share.mean() < 1
+    assert (table.last_exit.isna() == (table.stuck_share == 1)).all()
 
 
 def test_a_law_of_friction_in_a_file(tmp_path, monkeypatch, capsys):

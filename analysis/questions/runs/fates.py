@@ -85,6 +85,7 @@ MOST_CURVES = 8  # in one figure
 MOST_RUNS = 200  # in one figure; more lines hide each other
 MOST_STEPS = 2000  # of one curve: each is then a quarter of a dot wide
 MOST_SETTINGS = 12  # with findings of their own; tables have them all
+MOST_OPEN = 0.1  # of runs that may be undecided without an alert
 BLOCK = 50.0  # units of time that n_stick is averaged over in the figure of all runs
 LIFETIME = Quantity("lifetime", "median lifetime", more="longer", less="shorter")
 DELAY = Quantity("last_event", "median delay of the last event")
@@ -246,7 +247,7 @@ def answer(study: Study) -> Answer:
     drawn = next((name for name in (*short, *drawable) if name in drawable), "")
     if drawn and (short or len(pictures) > 1):  # the second stands on the first screen
         pictures["by_t_burn"] = _along_t_burn(study, drawn, [row for row in by_t_burn if row["group"] == drawn])
-    alerts = _alerts(study, ends, [*(row.group.label for row in spoken if row.is_drifting), *short])
+    alerts = _alerts(study, ends, spoken, short)
     return Answer(findings=findings, n_lead=n_lead, alerts=alerts, method=method, tables=tables, figures=pictures)
 
 
@@ -371,26 +372,26 @@ def _means(study: Study, ends: Sequence[Ends]) -> list[Finding]:
     ]
 
 
-def _alerts(study: Study, ends: Sequence[Ends], drifting: Sequence[str]) -> list[Alert]:
-    total = sum((row.n_of for row in ends), Counter[str]())
-    n_runs, n_failed = sum(row.n_runs for row in ends), total[FAILED]
+def _alerts(study: Study, ends: Sequence[Ends], spoken: Sequence[Ends], short: Sequence[str]) -> list[Alert]:
+    n_runs, n_failed = sum(row.n_runs for row in ends), sum(row.n_of[FAILED] for row in ends)
+    total, n_spoken = sum((row.n_of for row in spoken), Counter[str]()), sum(row.n_runs for row in spoken)
+    drifting = list(dict.fromkeys([*(row.group.label for row in spoken if row.is_drifting), *short]))
+    n_open, n_settled = attractors.n_undecided(study)
+    few = [len(row.group.units) for row in spoken if row.basis.code == enough.FEW_MATRICES and row.n_moving > 1]
     alerts = []
     if n_failed:
         alerts.append(Alert.of(Code.FAILED, n=n_failed, of=n_runs + n_failed))
-    if names := list(dict.fromkeys(drifting)):
-        what = f"n_stick ({names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''})"
-        alerts.append(Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn))
-    n_open, n_decided = attractors.n_undecided(study)
-    if n_open > 0.1 * n_decided:
-        alerts.append(Alert.of(Code.UNDECIDED, n=n_open, of=n_decided))
-    elif not n_decided and total[QUIET]:
-        alerts.append(Alert.of(Code.UNCERTIFIED, n=total[QUIET], of=n_runs))
+    if drifting:
+        more = f" and {len(drifting) - 1} more" if len(drifting) > 1 else ""
+        alerts.append(Alert.of(Code.DRIFT, what=f"n_stick ({drifting[0]}{more})", t_burn=study.settings.t_burn))
+    if n_open > MOST_OPEN * n_settled:
+        alerts.append(Alert.of(Code.UNDECIDED, n=n_open, of=n_settled))
+    if total[QUIET]:
+        alerts.append(Alert.of(Code.UNCERTIFIED, n=total[QUIET], of=n_spoken))
     if total[LULL]:
-        alerts.append(Alert.of(Code.TEMPORARY, n=total[LULL], of=n_runs))
-    few = [row for row in ends if row.n_runs and row.basis.code == enough.FEW_MATRICES and row.n_moving]
-    if few:
-        basis = _basis(study, len(few[0].group.units))
-        alerts.append(Alert.of(Code.FEW, n=basis.n, units=f"{basis.unit}s"))
+        alerts.append(Alert.of(Code.TEMPORARY, n=total[LULL], of=n_spoken))
+    if few and few[0] > 1:
+        alerts.append(Alert.of(Code.FEW, n=few[0], units=f"{_basis(study, few[0]).unit}s"))
     return alerts[:3]
 
 
@@ -572,11 +573,14 @@ def _pictures(
     if any(row.n_of[name] for row in ends for name in (*ENDS, QUIET)):
         places = np.unique(np.linspace(0, len(ends) - 1, MOST_CURVES).round().astype(int))
         chosen = {_where(ends[k]): curves[ends[k].group.label] for k in places}
-        left_out = f" {len(places)} of {len(ends)} settings are drawn." if len(places) < len(ends) else ""
+        more = " Bands stay wide where runs slide so far without a certificate." * any(
+            row.n_of[QUIET] for row in ends
+        )
+        more += f" {len(places)} of {len(ends)} settings are drawn." * (len(places) < len(ends))
         pictures["survival"] = Picture(
             partial(figures.survival_curves, chosen, max(row.t_end for row in ends)),
             "Curves fall as runs end, and level off where motion lasts. Share of runs that have not ended, with"
-            f" {level} intervals.{left_out}",
+            f" {level} intervals.{more}",
         )
     if (starts := _basin(study, runs)) is not None:
         pictures["basin"] = starts

@@ -75,7 +75,7 @@ def regimes(
                 alike.setdefault(place.outcomes, []).append(place)
         settings = f"values of {key}" if key else "settings"
         by_number = sorted(alike.values(), key=len, reverse=True)
-        parts = [(f"at {len(group)} of {len(places)} {settings}", group) for group in by_number]
+        parts = [(f"at {len(group):,} of {len(places):,} {settings}", group) for group in by_number]
     return tuple(_regime(where, group, confidence, unit) for where, group in parts)
 
 

@@ -53,7 +53,9 @@ PARTS = 10  # of a run, whose scatter gives the interval of its system
 MOST_SETTINGS = 8  # beside each other on the page; the table `law` has all
 MOST_DRAWN = 2  # groups in a figure
 COIN, TWO_STATE, SHIFTED = "ln 2", "independent two-state blocks", "time-shifted blocks"
-RATE = Quantity("gamma", "decay rate", definition="γ of f ∝ exp(−γ s), the share of cascades of s blocks")
+RATE = Quantity(
+    "gamma", "decay rate of cascade sizes", definition="γ of f ∝ exp(−γ s), the share of cascades of s blocks"
+)
 VARIANCE = Quantity("variance", "variance of cascade sizes")
 LASTING = Quantity("between", "share of the scatter over systems that longer runs would not reduce", Form.SHARE)
 _LAW: Mapping[str, str] = {
@@ -314,9 +316,8 @@ def _coupling(sums: Sums, rate: Level, confidence: float) -> list[Share]:
     if share.low is None or share.high is None:
         return []
     difference = "excess over ln 2" if verdict is Verdict.MORE else "shortfall from ln 2"
-    at = f" at {rate.where}" if rate.where else ""
     how = ": shifting the blocks in time removes it" if share.low > 0.0 else ", by shifting the blocks in time"
-    return [Share("coupling", f"the {difference}{at}", f"is due to coupling{how}", share, basis=rate.basis)]
+    return [Share("coupling", f"the {difference}", f"is due to coupling{how}", share, rate.where, basis=rate.basis)]
 
 
 def of_systems(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

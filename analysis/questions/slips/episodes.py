@@ -49,6 +49,7 @@ from stickslip.analysis.findings.finding import (
     Scale,
 )
 from stickslip.analysis.findings.numbers import number
+from stickslip.analysis.findings.words import capital
 from stickslip.analysis.members import DRAWN
 from stickslip.analysis.methods import LAWS, MAGNITUDES, PRIMARY, Apart, called, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
@@ -94,9 +95,11 @@ _METHOD = (
     " and, swapping their runs, by whole distributions; one differs if its rate or its magnitudes do, among all such"
     " comparisons."
 )
+#: A law that is not rejected is no law that is shown.
 PREDICATES: Mapping[str, str] = {
-    POWER: "follow a power law", CUT_OFF: "follow a power law with a cut-off", EXPONENTIAL: "fall off exponentially",
-    NONE: "follow a power law, even with a cut-off", UNKNOWN: "follow a power law with a cut-off",
+    POWER: "are compatible with a power law", CUT_OFF: "are compatible with a power law with a cut-off",
+    EXPONENTIAL: "are compatible with an exponential law", NONE: "follow a power law, even with a cut-off",
+    UNKNOWN: "follow a power law with a cut-off",
 }  # fmt: skip
 #: What is said of each group, in this order.
 WORDS: Mapping[str, Quantity] = {
@@ -113,7 +116,7 @@ WORDS: Mapping[str, Quantity] = {
 _COMPARED = (RATE, SIZE, DURATION, SLIP)
 GAP = Quantity("gap", "Kolmogorov-Smirnov distance of moments from the law")
 APART = Quantity("apart", "Kolmogorov-Smirnov distance of magnitudes from the reference's")
-B_VALUE = Quantity("b", "b")
+B_VALUE = Quantity("b", "b-value")
 MOMENT = Quantity("moment", "mean moment")
 BY_TRAVEL = Quantity("by_travel", "number of episodes per block and unit of belt travel")
 _POISSON = "a Poisson process's 1"
@@ -343,14 +346,14 @@ def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Cat
     fast = max(references, key=lambda group: group.row[OCCUPANCY] or 0.0).row
     if (fast[OCCUPANCY] or 0.0) > SLOW:
         slower = _slower(fast)
-        remedy = f"a belt {'much' if slower is None else f'about {slower:g} times'} slower"
+        remedy = "a much slower belt" if slower is None else f"a belt about {slower:g} times slower"
         share = number(fast[OCCUPANCY], Form.SHARE, 0)
         alerts.append(Alert.of(Code.OVERLAP, share=share, where=str(fast["method"]), remedy=remedy))
     blurred = [group.row for group in groups if (group.row["stuck_below"] or 0.0) > 1]
     if blurred:
         come_out = [DIFFERENT if group.row in blurred else UNDECIDED for group in groups]
         methods = in_words(dict(zip(settings_of(groups), come_out, strict=True)), DIFFERENT)
-        alerts.append(Alert.of(Code.BLURRED, what=" and ".join(methods)))
+        alerts.append(Alert.of(Code.BLURRED, what=capital(" and ".join(methods))))
     whole = [group for group in groups if (group.row["whole"] or 0.0) > 0.5 and group in references]
     if whole:
         share = number(whole[0].row["whole"], Form.SHARE, 0)

@@ -131,7 +131,8 @@ def triggered(exits: Exits, where: str, unit: str) -> tuple[list[Share | Limit],
     """The share of exits that trigger another one within a time, or an upper limit, and the pairs that show it.
 
     An exit that another one triggers adds a pair to those of time-shifted blocks. If more pairs are shown, the share
-    is that within the least time at which they are. Else it has a limit, within the least time that is long enough
+    is that within the least time at which they are; a rate that all blocks share makes such pairs too, so that it is
+    not said to be of triggers. Else it has a limit, within the least time that is long enough
     for triggering: the end of the interval, but no less than if there were as many pairs as of time-shifted blocks,
     since data with few pairs by luck would exclude too much (Cowan, Cranmer, Gross and Vitells 2011,
     arXiv:1105.3166). There is none if no time is long enough.
@@ -143,15 +144,17 @@ def triggered(exits: Exits, where: str, unit: str) -> tuple[list[Share | Limit],
     if shown is None:
         return [], None
     per_exit = shown.independent / exits.n_exits
-    predicate, basis = f"trigger another within {shown.part.upto:g}", Basis(exits.n_units, unit)
+    basis = Basis(exits.n_units, unit)
     value, low, high = (shown.effect.ratio.value, shown.effect.ratio.low, shown.effect.ratio.high)
     assert value is not None
     assert low is not None
     assert high is not None
     if more is not None:
         share = Estimate((value - 1) * per_exit, (low - 1) * per_exit, (high - 1) * per_exit)
+        predicate = f"follow another within {shown.part.upto:g} in excess of time-shifted blocks"
         return [Share("triggered", "slip onsets", predicate, share, where, basis=basis)], shown
     most = max(high, (high / low) ** 0.5) - 1
+    predicate = f"trigger another within {shown.part.upto:g}"
     return [Limit("triggered", "slip onsets", predicate, most * per_exit, where, basis)], shown
 
 
