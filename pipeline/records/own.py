@@ -31,6 +31,7 @@ _T = TypeVar("_T")
 #: What errors begin with.
 KEY = "record.own"
 
+FEW_WORDS = 9  # of a field that stand in a sentence in place of its name
 #: The types of fields, and the columns that they make.
 _KINDS: dict[str, Kind] = {"float": "number", "int": "count", "bool": "yes or no", "str": "text"}
 
@@ -273,6 +274,7 @@ def _own(
                 least=one["least"],
                 most=one["most"],
                 absent=one["absent"],
+                title=one["words"] if len(one["words"].split()) <= FEW_WORDS else "",
                 until=None if one["since"] is None else Until(one["since"]),
             )
             for key, one in columns.items()

@@ -161,17 +161,21 @@ def answer(study: Study) -> Answer | None:
             figures[f"{base}-{k + 1}" if k else base] = picture  # no measure has a hyphen
     return Answer(
         tables=tables, figures=figures, findings=findings, n_lead=n_lead, alerts=alerts[:MOST_ALERTS],
-        method=_method(axes, steps, study),
+        method=_method(axes, asked, steps, study),
     )  # fmt: skip
 
 
-def _method(axes: Sequence[Axis], steps: Sequence[Step], study: Study) -> str:
+def _method(axes: Sequence[Axis], asked: Sequence[Measure], steps: Sequence[Step], study: Study) -> str:
+    """How values are compared, and what the first measures are."""
     unit = noun(study.unit)
     others = ", averaged over the values of the other keys at which both are known" if len(axes) > 1 else ""
     n_tests = sum(step.contrast.p_different is not None for step in steps)
+    quantities = [measure.statistic.quantity for measure in asked]
+    definitions = [f" {capital(one.name)}: {one.definition}." for one in quantities if one.definition]
     return (
         f"All values share their random draws, so each is compared with the first {unit} by {unit}{others}."
         f" Verdicts are adjusted for {n_tests} comparisons (Holm), intervals are not."
+        + "".join(definitions[:MOST_LEADING])
     )
 
 
