@@ -89,6 +89,11 @@ class Apart:
         return None if isinstance(self.found, str) else self.found.p_different
 
     @property
+    def p_floor(self) -> float:
+        """The least p-value that it can have."""
+        return self.found.p_floor if isinstance(self.found, Difference) else 0.0
+
+    @property
     def is_shown(self) -> bool:
         """Whether a difference is shown, among all comparisons of its family."""
         return self.family is not None and self.family.p_different < self.family.alpha
@@ -125,8 +130,11 @@ def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apa
     ]  # fmt: skip
     for is_primary in (True, False):
         tested = [k for k, one in enumerate(alone) if one.p is not None and (one.name in PRIMARY) is is_primary]
-        for k, p in zip(tested, holm([alone[k].p or 0.0 for k in tested]).tolist(), strict=True):
-            alone[k] = replace(alone[k], family=Family(len(tested), p, alpha=1 - level))
+        able = [
+            k for k in tested if alone[k].p_floor * len(tested) < 1 - level
+        ]  # few systems: a test can show nothing
+        for k, p in zip(able, holm([alone[k].p or 0.0 for k in able]).tolist(), strict=True):
+            alone[k] = replace(alone[k], family=Family(len(able), p, alpha=1 - level))
     return alone
 
 

@@ -625,6 +625,19 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
     assert Code.BLURRED not in codes(answer)
 
 
+def test_a_test_that_few_systems_leave_without_power_costs_the_others_nothing(planted_episodes, planted, settings):
+    """Six systems have no p-value of swaps below 2 / 2^6: rates are judged among themselves."""
+    engines = EXACT | {
+        f"smooth {eps}": (planted.sigmoid | {"eps": eps}, factor) for eps, factor in ((1e-3, 1.5), (1e-2, 1.0))
+    }
+    answer = asked(planted_episodes(engines, n_matrices=6, rate=3.0), settings)
+    laws, contrasts = (answer.tables[name] for name in ("episode_methods", "episode_contrasts"))
+    assert laws.loc[laws["law"] == "magnitudes", "p_different_holm"].isna().all()
+    rates = contrasts[contrasts["quantity"] == RATE].sort_values("p_different")
+    assert rates["p_different_holm"].iloc[0] == pytest.approx(2 * rates["p_different"].iloc[0])
+    assert len(of_kind(answer, Outcomes)[0].different) == 1
+
+
 @pytest.mark.parametrize(
     ("question", "table", "left_out"),
     [(engines, "changes", {"gamma"}), (sweep, "changes", {"gamma", "mean n_stick"})],

@@ -243,6 +243,8 @@ def _outcomes(reference: Catalogues, others: Sequence[Catalogues], apart: Sequen
     come_out = [DIFFERENT if id(other) in differ else UNDECIDED for other in others]
     by_setting = dict(zip(settings_of(others), come_out, strict=True))
     different, undecided = (in_words(by_setting, name) for name in (DIFFERENT, UNDECIDED))
+    if different and len(undecided) > 1:
+        undecided = ("the other settings",)
     return Outcomes(called(reference), different=different, undecided=undecided)
 
 
