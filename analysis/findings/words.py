@@ -312,7 +312,8 @@ def _most_apart(level: Level) -> str:
         case Verdict.LESS:
             apart = f"{size(difference, quantity.form)} {quantity.less}"
         case Verdict.EQUAL:
-            apart = f"within {margin(difference, quantity.form)} ({interval(difference, quantity.form)})"
+            within = f"within {margin(difference, quantity.form)} ({interval(difference, quantity.form)})"
+            return f", most apart in the {quantity.name}: {within}"
         case Verdict.OPEN:
             apart = interval(difference, quantity.form)
         case Verdict.OPEN_AMONG_MANY:
