@@ -46,9 +46,8 @@ def clause(finding: Finding) -> str:
             return _level(finding)
         case Change():
             return _change(finding)
-        case Share(things=things, predicate=predicate, estimate=estimate, where=where, comparison=comparison):
-            share = with_interval(estimate, Form.SHARE)
-            return f"{share} of {things} {predicate}{_at(where)}{_compared(comparison)}"
+        case Share():
+            return _share(finding)
         case Lifetime():
             return _lifetime(finding)
         case Law():
@@ -103,11 +102,46 @@ def _at(where: str) -> str:
     return f" at {where}" if "=" in where.partition(",")[0] else f", {where}"
 
 
+def _before(where: str) -> str:
+    """A setting at the head of a sentence: "at n = 150, exact, "."""
+    if not where:
+        return ""
+    return f"at {where}, " if "=" in where.partition(",")[0] else f"{where}: "
+
+
+def _share(share: Share) -> str:
+    said = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{_at(share.where)}"
+    if share.comparison is None or share.comparison.difference.verdict is not Verdict.OPEN:
+        return said + _compared(share.comparison)
+    difference, other = share.comparison.difference, share.comparison.other
+    value = difference.estimate.value
+    form = _form(difference, Form.SHARE)
+    apart = "" if value is None else f"{number(value, form, decimals(difference.estimate, form), sign=True)}, "
+    apart = apart.replace("%", "") if difference.scale is Scale.ABSOLUTE else apart
+    return f"{said}, consistent with {other} (difference {apart}{interval(difference, Form.SHARE)})"
+
+
 def _level(level: Level) -> str:
+    said = level.quantity.clause and _in_clause(level)
+    if said:
+        return _before(level.where) + level.quantity.clause.format(said)
     name = level.quantity.name + (f", {level.where}" if level.where else "")
     return (
         f"{name}: {with_interval(level.estimate, level.quantity.form)}{_compared(level.comparison, level.quantity)}"
     )
+
+
+def _in_clause(level: Level) -> str:
+    """What stands in the clause of a quantity; empty where its level is compared and no difference is shown."""
+    if level.comparison is None:
+        return with_interval(level.estimate, level.quantity.form)
+    other, difference = level.comparison.other, level.comparison.difference
+    if difference.verdict not in (Verdict.MORE, Verdict.LESS):
+        return ""
+    if (times := ratio(difference)) is not None:
+        return f"{times} times as much as for {other}"
+    side = "more" if difference.verdict is Verdict.MORE else "less"
+    return f"{size(difference, level.quantity.form)} {side} than for {other}"
 
 
 def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -> str:
@@ -247,9 +281,15 @@ def _from_to(change: Change) -> str:
 
 def _lifetime(lifetime: Lifetime) -> str:
     if lifetime.estimate.value is None:
-        left = number(lifetime.share_left, Form.SHARE)
+        left = "all" if lifetime.share_left == 1.0 else f"{number(lifetime.share_left, Form.SHARE)} of"
         at = ", ".join(filter(None, (f"t = {lifetime.horizon:g}", lifetime.where)))
-        return f"{left} of {lifetime.things} {lifetime.predicate} at {at}"
+        return f"{left} {lifetime.things} {lifetime.predicate} at {at}"
+    if lifetime.ended:
+        at = _at(lifetime.where)
+        is_method = at.startswith(",")  # alone: "exact"
+        begin = f"{lifetime.where}: " * is_method + f"half of the {lifetime.things}" + at * (not is_method)
+        compared = _compared(lifetime.comparison, lifetime.quantity)
+        return f"{begin} {lifetime.ended} by t = {with_interval(lifetime.estimate)}{compared}"
     name = lifetime.quantity.name + _at(lifetime.where)
     return f"{name}: {with_interval(lifetime.estimate)}{_compared(lifetime.comparison, lifetime.quantity)}"
 
@@ -315,7 +355,8 @@ def _most_apart(level: Level) -> str:
         case Verdict.LESS:
             apart = f"{size(difference, quantity.form)} {quantity.less}"
         case Verdict.EQUAL:
-            apart = f"within {margin(difference, quantity.form)} ({interval(difference, quantity.form)})"
+            within = f"within {margin(difference, quantity.form)} ({interval(difference, quantity.form)})"
+            return f", most apart in the {quantity.name}: {within}"
         case Verdict.OPEN:
             apart = interval(difference, quantity.form)
         case Verdict.OPEN_AMONG_MANY:
@@ -327,11 +368,11 @@ def _most_apart(level: Level) -> str:
 
 def _regime(regime: Regime, things: str, is_first: bool) -> str:
     """What things do at some settings; they are named once in a sentence."""
-    where, n, noun = regime.where, regime.n, f" {things}" * is_first
+    where, n, noun, each = regime.where, regime.n, f" {things}" * is_first, " each" * regime.is_each
     first, *others = regime.predicates
     if others:
         parts = [f"some{noun} {first}", *(f"some {predicate}" for predicate in others[:-1]), f"others {others[-1]}"]
         return f"{where} {listed(parts)}"
     if n < regime.of:
-        return f"{where} all {n:,} decided {things} (of {regime.of:,}) {first}"
-    return f"{where} all {n:,}{noun} {first}" if n > 1 else f"{where} {things} {first}"
+        return f"{where} all {n:,} decided {things} (of {regime.of:,}{each}) {first}"
+    return f"{where} all {n:,}{noun}{each} {first}" if n > 1 else f"{where} {things} {first}"
