@@ -192,7 +192,7 @@ class Share:
     things : str
         In the plural: "starts", "runs".
     predicate : str
-        A verb phrase in the plural: "end in steady sliding".
+        A verb phrase in the plural: "settle into steady sliding".
     """
 
     key: str
@@ -218,6 +218,8 @@ class Lifetime:
         The time to which runs were followed.
     share_left : float
         The share of runs that were cut off.
+    ended : str
+        What the others have done: "have grown without limit"; empty where the quantity says it.
     """
 
     quantity: Quantity
@@ -229,6 +231,7 @@ class Lifetime:
     where: str = ""
     comparison: Comparison | None = None
     basis: Basis | None = None
+    ended: str = ""
 
 
 class Fit(StrEnum):
@@ -294,6 +297,7 @@ class Alike:
     value: float
     among: str
     where: str = ""
+    basis: Basis | None = None
 
 
 @dataclass(frozen=True)
@@ -351,7 +355,7 @@ class Regime:
     predicates : tuple of str
         Verb phrases in the plural, one for each outcome: "slide steadily".
     n, of : int
-        How many things have a known outcome there, and how many there are.
+        How many things have a known outcome there, and how many there are; at each setting if `is_each`.
     share : Estimate
         Of one outcome: the share of such things that have it; without a value where several occur.
     basis : Basis, optional
@@ -363,6 +367,7 @@ class Regime:
     of: int
     share: Estimate = field(default_factory=Estimate)
     basis: Basis | None = None
+    is_each: bool = False
 
 
 @dataclass(frozen=True)
@@ -450,7 +455,8 @@ def records(finding: Finding) -> list[Record]:
         case Level(quantity, estimate, where, comparison, basis):
             return [_record(quantity.name, quantity.form, estimate, where, comparison, basis)]
         case Lifetime(quantity=quantity, estimate=estimate, where=where, comparison=comparison, basis=basis):
-            return [_record(quantity.name, quantity.form, estimate, where, comparison, basis)]
+            name = f"time by which half of the {finding.things} {finding.ended}" if finding.ended else quantity.name
+            return [_record(name, quantity.form, estimate, where, comparison, basis)]
         case Share(
             things=things, predicate=predicate, estimate=estimate, where=where, comparison=comparison, basis=basis
         ):
@@ -470,12 +476,9 @@ def records(finding: Finding) -> list[Record]:
             return [
                 _record(f"share of {things} that {predicate}", Form.SHARE, Estimate(high=most), where, None, basis)
             ]
-        case Alike(quantity, value, among, where):
-            return [
-                _record(
-                    quantity.name, quantity.form, Estimate(value), ", ".join(filter(None, (where, among))), None, None
-                )
-            ]
+        case Alike(quantity, value, among, where, basis):
+            setting = where if basis is not None else ", ".join(filter(None, (where, among)))
+            return [_record(quantity.name, quantity.form, Estimate(value), setting, None, basis)]
         case Outcomes():
             return []  # of which contrasts they are is said by findings of their own
         case Threshold(subject, is_end, key, last, first, where, basis):

@@ -46,9 +46,8 @@ def clause(finding: Finding) -> str:
             return _level(finding)
         case Change():
             return _change(finding)
-        case Share(things=things, predicate=predicate, estimate=estimate, where=where, comparison=comparison):
-            share = with_interval(estimate, Form.SHARE)
-            return f"{share} of {things} {predicate}{_at(where)}{_compared(comparison)}"
+        case Share():
+            return _share(finding)
         case Lifetime():
             return _lifetime(finding)
         case Law():
@@ -108,6 +107,18 @@ def _before(where: str) -> str:
     if not where:
         return ""
     return f"at {where}, " if "=" in where.partition(",")[0] else f"{where}: "
+
+
+def _share(share: Share) -> str:
+    said = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{_at(share.where)}"
+    if share.comparison is None or share.comparison.difference.verdict is not Verdict.OPEN:
+        return said + _compared(share.comparison)
+    difference, other = share.comparison.difference, share.comparison.other
+    value = difference.estimate.value
+    form = _form(difference, Form.SHARE)
+    apart = "" if value is None else f"{number(value, form, decimals(difference.estimate, form), sign=True)}, "
+    apart = apart.replace("%", "") if difference.scale is Scale.ABSOLUTE else apart
+    return f"{said}, consistent with {other} (difference {apart}{interval(difference, Form.SHARE)})"
 
 
 def _level(level: Level) -> str:
@@ -273,6 +284,12 @@ def _lifetime(lifetime: Lifetime) -> str:
         left = "all" if lifetime.share_left == 1.0 else f"{number(lifetime.share_left, Form.SHARE)} of"
         at = ", ".join(filter(None, (f"t = {lifetime.horizon:g}", lifetime.where)))
         return f"{left} {lifetime.things} {lifetime.predicate} at {at}"
+    if lifetime.ended:
+        at = _at(lifetime.where)
+        is_method = at.startswith(",")  # alone: "exact"
+        begin = f"{lifetime.where}: " * is_method + f"half of the {lifetime.things}" + at * (not is_method)
+        compared = _compared(lifetime.comparison, lifetime.quantity)
+        return f"{begin} {lifetime.ended} by t = {with_interval(lifetime.estimate)}{compared}"
     name = lifetime.quantity.name + _at(lifetime.where)
     return f"{name}: {with_interval(lifetime.estimate)}{_compared(lifetime.comparison, lifetime.quantity)}"
 
@@ -335,7 +352,8 @@ def _most_apart(level: Level) -> str:
         case Verdict.LESS:
             apart = f"{size(difference, quantity.form)} {quantity.less}"
         case Verdict.EQUAL:
-            apart = f"within {margin(difference, quantity.form)} ({interval(difference, quantity.form)})"
+            within = f"within {margin(difference, quantity.form)} ({interval(difference, quantity.form)})"
+            return f", most apart in the {quantity.name}: {within}"
         case Verdict.OPEN:
             apart = interval(difference, quantity.form)
         case Verdict.OPEN_AMONG_MANY:
@@ -347,11 +365,11 @@ def _most_apart(level: Level) -> str:
 
 def _regime(regime: Regime, things: str, is_first: bool) -> str:
     """What things do at some settings; they are named once in a sentence."""
-    where, n, noun = regime.where, regime.n, f" {things}" * is_first
+    where, n, noun, each = regime.where, regime.n, f" {things}" * is_first, " each" * regime.is_each
     first, *others = regime.predicates
     if others:
         parts = [f"some{noun} {first}", *(f"some {predicate}" for predicate in others[:-1]), f"others {others[-1]}"]
         return f"{where} {listed(parts)}"
     if n < regime.of:
-        return f"{where} all {n:,} decided {things} (of {regime.of:,}) {first}"
-    return f"{where} all {n:,}{noun} {first}" if n > 1 else f"{where} {things} {first}"
+        return f"{where} all {n:,} decided {things} (of {regime.of:,}{each}) {first}"
+    return f"{where} all {n:,}{noun}{each} {first}" if n > 1 else f"{where} {things} {first}"

@@ -26,6 +26,7 @@ from stickslip.analysis.questions import is_own, package_questions, question, re
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.tables import records
 from stickslip.pipeline.design.design import Unit
+from stickslip.pipeline.design.values import text
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
 
@@ -34,8 +35,11 @@ UNITS: Mapping[str, str] = {Unit.MATRIX: "systems", Unit.START: "starts of one s
 MOST_SAID = 3  # answers on the first screen
 _ROWS = 10_000  # of a table that is in the JSON of all; a longer one is read from a file of its own
 MOST_ALERTS = 3  # in order of rank
+COUNTS = ("matrices", "starts", "members", "finished", "quiet")  # of a group
+#: What columns of the table of groups are called on a page.
+CALLED = {"group": "setting", "matrices": "systems", "members": "runs", "quiet": "sliding, not certified"}
 _GROUPS: Mapping[str, str] = {
-    "group": S, **dict.fromkeys(("n", "matrices", "starts", "members", "finished", "quiet"), I), "coupling": S,
+    "group": S, **dict.fromkeys(("n", *COUNTS), I), "coupling": S,
     "file": S, "parameters": S,
     **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F),
     **dict.fromkeys((key for key in OPTIONAL if key not in ("file", "parameters")), F), "back_slip": S, "drawn": S,
@@ -244,7 +248,18 @@ def _provenance(
         *(f"Code beside the scene: {file} (sha256 {digest})." for file, digest in sources.items()),
         "Findings: report/findings.json. Tables: report/*.parquet. Figures: report/figures/.",
     ]
-    table = data_table("groups", groups.dropna(axis="columns", how="all"))
+    rows, present = records(groups), groups.dropna(axis="columns", how="all")
+    alike = {
+        name: rows[0][name]
+        for name in map(str, present)
+        if name not in COUNTS and len({row[name] for row in rows}) == 1
+    }
+    if len(rows) > 1 and alike:
+        notes.insert(
+            0, f"All settings share {', '.join(f'{name} = {text(value)}' for name, value in alike.items())}."
+        )
+        present = present.drop(columns=[*alike])
+    table = data_table("groups", present.rename(columns=CALLED))
     return Section(
         "made", "How was it made?", f"{plural(len(study.data.table), 'run')}.", texts, table=table, notes=notes
     )

@@ -11,6 +11,7 @@ from stickslip.analysis.findings.finding import Form
 from stickslip.analysis.findings.numbers import MINUS, alike, number, with_interval
 from stickslip.analysis.page.layout import MOST_ROWS, Table
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.pipeline.design.values import short
 
 
 def data_table(name: str, data: pd.DataFrame) -> Table:
@@ -47,5 +48,5 @@ def _text(value: Any) -> str:
             return f"{value:,}".replace("-", MINUS)
         case float():
             plain = f"{value:.4g}"  # a setting, say
-            return plain.replace("-", MINUS) if float(plain) == value else number(value)
+            return short(value).replace("-", MINUS) if float(plain) == value else number(value)
     return str(value)

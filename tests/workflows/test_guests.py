@@ -136,7 +136,6 @@ def add_record(root: Path) -> None:
 def add_question(root: Path) -> None:
     analysis = root / "analysis"
     (analysis / "questions" / "slips" / "pauses.py").write_text(blocks(page("extending"), "python")[3])
-    (analysis / "report" / "templates" / "pauses.html").write_text(blocks(page("extending"), "jinja")[0])
     edit(analysis / "questions" / "__init__.py", ('"one_run": "runs",', '"one_run": "runs", "pauses": "slips",'))
 
 
