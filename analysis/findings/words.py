@@ -301,13 +301,13 @@ def _law(law: Law) -> str:
     parameter = f"a {name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
     match law.fit:
         case Fit.HOLDS:
-            return f"{law.subject}{_at(level.where)} {law.predicate}, with {parameter}"
+            return f"{_before(level.where)}{law.subject} {law.predicate}, with {parameter}"
         case Fit.CLOSE:
             predicate = law.nearly or f"nearly {law.predicate}"
-            return f"{law.subject}{_at(level.where)} {predicate}, with {parameter}"
+            return f"{_before(level.where)}{law.subject} {predicate}, with {parameter}"
         case Fit.FAILS:
             apart = "" if law.departure is None else f": {_level(law.departure)}"
-            return f"{law.subject}{_at(level.where)} do not {law.predicate}{apart}"
+            return f"{_before(level.where)}{law.subject} do not {law.predicate}{apart}"
         case Fit.OPEN:
             return f"whether {law.subject}{_at(level.where)} {law.predicate} is open; {_level(level)}"
 
