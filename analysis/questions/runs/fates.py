@@ -680,9 +680,8 @@ def _averaged(win: Window) -> tuple[np.ndarray, np.ndarray]:
 
 def _along_t_burn(study: Study, name: str, rows: Sequence[Row], is_short: bool) -> Picture:
     t_burn = study.settings.t_burn
-    says = (
-        "A curve that is not level says that t_burn is too short." if is_short else "Level curves: t_burn is enough."
-    )
+    after = f"after t_burn = {t_burn:g}"
+    says = f"Not all curves are level {after}: it is too short." if is_short else f"No drift is shown {after}."
     return Picture(
         partial(burn_in.by_t_burn, rows, t_burn),
         f"{says} Estimates with other values of t_burn over those with {t_burn:g} ({name}).",
