@@ -318,7 +318,7 @@ def _outcome(
     by_outcome = regimes(key, values, places, study.settings.confidence, _basis(study, 0).unit)
     mixed = [row for row in rows if len(row.kinds) > 1][:MOST_SETTINGS]
     shares: list[Finding] = [_share(study, runs, [row], kind, _where(row)) for row in mixed for kind in row.kinds]
-    return [Regimes("runs", by_outcome, method)], shares
+    return [Regimes("runs", by_outcome, method, _until(*rows))], shares
 
 
 def _share(study: Study, runs: pd.DataFrame, rows: Sequence[Ends], kind: str, where: str) -> Share:
@@ -342,8 +342,7 @@ def _estimate(has: np.ndarray, untold: np.ndarray, drawn: np.ndarray, confidence
 
 def _predicate(kind: str, *rows: Ends) -> str:
     """What runs at some settings do: a verb phrase in the plural."""
-    ends = {row.t_end for row in rows}
-    until = f"at t = {ends.pop():g}" if len(ends) == 1 else "at their end"
+    until = _until(*rows)
     words = {
         SLIDE: f"are sliding {until} ({certified})" if (certified := _certified(*rows)) else PREDICATES[SLIDING],
         STICK_SLIP: f"still stick and slip {until}",
@@ -352,6 +351,12 @@ def _predicate(kind: str, *rows: Ends) -> str:
         STUCK: f"are stuck {until}",
     }
     return words[kind]
+
+
+def _until(*rows: Ends) -> str:
+    """When runs at some settings are looked at."""
+    ends = {row.t_end for row in rows}
+    return f"at t = {ends.pop():g}" if len(ends) == 1 else "at their end"
 
 
 def _certified(*rows: Ends) -> str:
