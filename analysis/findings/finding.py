@@ -44,6 +44,9 @@ class Quantity:
         What it is beside something smaller, and beside something larger: "longer", "shorter".
     definition : str
         What it is, in a sentence; empty where the name says it.
+    clause : str
+        How its level is said where that is no noun and number, with {} for the estimate or, where a difference is
+        shown, for the comparison: "small differences grow e-fold in {} time units".
     """
 
     key: str
@@ -52,6 +55,7 @@ class Quantity:
     more: str = "above"
     less: str = "below"
     definition: str = ""
+    clause: str = ""
 
 
 class Verdict(StrEnum):

@@ -105,6 +105,13 @@ def _at(where: str) -> str:
     return f" at {where}" if "=" in where.partition(",")[0] else f", {where}"
 
 
+def _before(where: str) -> str:
+    """A setting at the head of a sentence: "at n = 150, exact, "."""
+    if not where:
+        return ""
+    return f"at {where}, " if "=" in where.partition(",")[0] else f"{where}: "
+
+
 def _share(share: Share) -> str:
     said = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{_at(share.where)}"
     if share.comparison is None or share.comparison.difference.verdict is not Verdict.OPEN:
@@ -118,10 +125,26 @@ def _share(share: Share) -> str:
 
 
 def _level(level: Level) -> str:
+    said = level.quantity.clause and _in_clause(level)
+    if said:
+        return _before(level.where) + level.quantity.clause.format(said)
     name = level.quantity.name + (f", {level.where}" if level.where else "")
     return (
         f"{name}: {with_interval(level.estimate, level.quantity.form)}{_compared(level.comparison, level.quantity)}"
     )
+
+
+def _in_clause(level: Level) -> str:
+    """What stands in the clause of a quantity; empty where its level is compared and no difference is shown."""
+    if level.comparison is None:
+        return with_interval(level.estimate, level.quantity.form)
+    other, difference = level.comparison.other, level.comparison.difference
+    if difference.verdict not in (Verdict.MORE, Verdict.LESS):
+        return ""
+    if (times := ratio(difference)) is not None:
+        return f"{times} times as much as for {other}"
+    side = "more" if difference.verdict is Verdict.MORE else "less"
+    return f"{size(difference, level.quantity.form)} {side} than for {other}"
 
 
 def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -> str:
@@ -261,9 +284,9 @@ def _from_to(change: Change) -> str:
 
 def _lifetime(lifetime: Lifetime) -> str:
     if lifetime.estimate.value is None:
-        left = number(lifetime.share_left, Form.SHARE)
+        left = "all" if lifetime.share_left == 1.0 else f"{number(lifetime.share_left, Form.SHARE)} of"
         at = ", ".join(filter(None, (f"t = {lifetime.horizon:g}", lifetime.where)))
-        return f"{left} of {lifetime.things} {lifetime.predicate} at {at}"
+        return f"{left} {lifetime.things} {lifetime.predicate} at {at}"
     if lifetime.ended:
         at = _at(lifetime.where)
         is_method = at.startswith(",")  # alone: "exact"
@@ -332,7 +355,8 @@ def _most_apart(level: Level) -> str:
         case Verdict.LESS:
             apart = f"{size(difference, quantity.form)} {quantity.less}"
         case Verdict.EQUAL:
-            apart = f"within {margin(difference, quantity.form)} ({interval(difference, quantity.form)})"
+            within = f"within {margin(difference, quantity.form)} ({interval(difference, quantity.form)})"
+            return f", most apart in the {quantity.name}: {within}"
         case Verdict.OPEN:
             apart = interval(difference, quantity.form)
         case Verdict.OPEN_AMONG_MANY:

@@ -211,15 +211,20 @@ def build(
     tables = {"groups": groups} | {name: table for answer in found for name, table in answer.tables.items()}
     figures = {name: drawn for answer in found for name, drawn in answer.figures.items()}
     headline = [*stops, title, *lead]
-    told = findings_json(title, leading, [*others, *lacking])
+    told = findings_json(title, lead, [*leading, *others, *lacking])
     return Report(page.html, tables, headline, figures, problems | missing, not_run, told)
 
 
 def _lead(leading: Sequence[Part]) -> list[str]:
-    """The answer: of one question up to three findings, of several the first of each."""
-    if len(leading) == 1:
-        return [*leading[0].lead[:MOST_SAID]]
-    return [each.lead[0] for each in leading[:MOST_SAID]]
+    """The answer: the first finding of each question and, as far as there is room, what else leads them."""
+    said = leading[:MOST_SAID]
+    room = max(MOST_SAID, 2 * len(said)) if len(said) <= 2 else MOST_SAID
+    chosen: list[list[str]] = [[each.lead[0]] for each in said]
+    for k in range(1, MOST_SAID):
+        for each, texts in zip(said, chosen, strict=True):
+            if k < len(each.lead) and sum(map(len, chosen)) < room:
+                texts.append(each.lead[k])
+    return [text for texts in chosen for text in texts]
 
 
 def _provenance(

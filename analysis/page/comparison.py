@@ -157,7 +157,9 @@ def _answer(
         others, grouped = [grouped, *others[:-1]] if others else [], (others or [grouped])[-1]
     every = [one for some in placed.values() for one in some]
     levels = [one.contrast.level(one.where, first.name, unit) for one in every]
-    caption = f"Differences of {second.name} from {first.name}, with their intervals; bands are the margins declared."
+    caption = (
+        f"Differences of {second.name} from {first.name}, filled where one is shown; bands are declared margins."
+    )
     return Answer(
         findings=[Decided(truth, grouped), *others, *levels],
         n_lead=1 + len(others),
@@ -226,7 +228,7 @@ def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[s
     whole = Page(
         title, compared.title, compared.lead, (), compared.panels, compared.table, notes=notes, sections=[made]
     )
-    told = parts.findings_json(title, [compared], [])
+    told = parts.findings_json(title, compared.lead, [compared])
     return Report(whole.html, answer.tables, [*compared.lead], figures, findings=told)
 
 

@@ -899,7 +899,7 @@ def drift_study(rng, ensembles, t_end=2400.0):
     for drift in (0.0, 0.3, 1.0):
         x = wandering(rng, runs, t_end, oscillation=0.3)
         x[:, int(t_end) // 2 :] += drift
-        x = np.rint(100 + 20 * x).astype(np.int64)
+        x = np.rint(400 + 20 * x).astype(np.int64)
         rows = np.concatenate([enough.halves(window(np.arange(t_end), one, 0.0, t_end).alone) for one in x])
         answer = float(ratio(np.column_stack([rows[:, 1] - rows[:, 0], np.ones(runs)]).sum(axis=0, keepdims=True))[0])
         answer /= np.sqrt(rows[:, 2].mean())
@@ -1009,7 +1009,7 @@ def methods_study(rng, ensembles):
     """
     ensembles //= 10
     for name, (test, draw, how, answer) in PLANTED_LAWS.items():
-        found = [test(draw(rng, *how), 0.05, CONFIDENCE, rng) for _ in range(ensembles)]
+        found = [test(draw(rng, *how), CONFIDENCE, rng) for _ in range(ensembles)]
         yield judged("methods", name, answer, [one.size for one in found])
         shown = float(np.mean([one.p_different < 1 - CONFIDENCE for one in found]))
         if answer:

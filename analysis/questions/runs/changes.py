@@ -1,4 +1,4 @@
-"""What changes, and by how much: along swept keys, between engines and their settings, and under perturbation."""
+"""What changes, and by how much: along swept keys, under perturbation, and between engines and their settings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_LEADING, MOST_ALERTS = 3, 3
 
 def answer(study: Study) -> Answer | None:
     """The changes that a study has, in the order of the page; None where nothing differs."""
-    parts = [part for section in (sweep, engines, robustness) if (part := section.answer(study)) is not None]
+    parts = [part for section in (sweep, robustness, engines) if (part := section.answer(study)) is not None]
     if not parts:
         return None
     parts.sort(key=lambda part: isinstance(part.findings[0], Lack))

@@ -99,7 +99,7 @@ def answer(study: Study) -> Answer | None:
             every.sort(key=lambda one: not one.contrast.is_shown)
             levels += [one.contrast.level(one.where, other, unit) for one in every]
             drawn = drawn or every
-    caption = "Differences from the reference, with their intervals; bands are the margins that the scene declares."
+    caption = "Differences from the reference, filled where one is shown; bands are declared margins."
     return Answer(
         tables=tables, figures=forest(drawn, caption), findings=[*lead, *levels], n_lead=min(3, len(lead)),
         alerts=_suspects(known), method=_METHOD,

@@ -77,10 +77,8 @@ def answer(study: Study) -> Answer | None:
     points = every[0].points()
     figures = dict[str, Picture]()
     if any(len(means) for _, _, means in points):
-        caption = (
-            "How far changed systems (filled) lie from the line of no change, beside other starts of the same system"
-            " (open): mean number of sticking blocks, one mark a system."
-        )
+        starts = ", beside other starts of the same system (open)" if every[0].replicates else ""
+        caption = f"How far changed systems lie from the line of no change{starts}: one mark a system."
         figures["robustness"] = Picture(partial(against_base, points), caption)
     return Answer(tables=tables, figures=figures, findings=[*lead, *rest], n_lead=min(3, len(lead)), method=_METHOD)
 
@@ -357,6 +355,6 @@ def against_base(ax: Axes, points: Sequence[tuple[str, bool, np.ndarray]]) -> No
         colour = next(colours[is_change], GREY)
         form: Any = {"marker": next(marks[is_change], "x"), "markersize": 4, "color": colour, "linestyle": ""}
         ax.plot(means[:, 0], means[:, 1], markerfacecolor=colour if is_change else "white", label=name, **form)
-    ax.set(xlim=ends, ylim=ends, aspect="equal", xlabel="mean $n_{stick}$ of the base")
-    ax.set_ylabel("mean $n_{stick}$ of the copy")
+    ax.set(xlim=ends, ylim=ends, aspect="equal", xlabel="mean number of sticking blocks, unchanged")
+    ax.set_ylabel("mean number of sticking blocks, changed")
     ax.figure.legend(loc="outside lower center", ncols=2, handletextpad=0.2)
