@@ -66,8 +66,11 @@ def clause(finding: Finding) -> str:
         case Threshold(subject, is_end, key, last, first, where, basis):
             every = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
             return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{_at(where)}{every}"
-        case Regimes(things, regimes, where):
+        case Regimes(things, regimes, where, when):
             grouped = "; ".join(_regime(regime, things, k == 0) for k, regime in enumerate(regimes))
+            if when:
+                first, said, others = grouped.partition(f" {when}")
+                grouped = first + said + others.replace(said, "")
             return f"{_at(where).strip(' ,')}: {grouped}" if where else grouped
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
