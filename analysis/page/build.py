@@ -218,11 +218,10 @@ def build(
 def _lead(leading: Sequence[Part]) -> list[str]:
     """The answer: the first finding of each question and, as far as there is room, what else leads them."""
     said = leading[:MOST_SAID]
-    room = max(MOST_SAID, 2 * len(said)) if len(said) <= 2 else MOST_SAID
     chosen: list[list[str]] = [[each.lead[0]] for each in said]
     for k in range(1, MOST_SAID):
         for each, texts in zip(said, chosen, strict=True):
-            if k < len(each.lead) and sum(map(len, chosen)) < room:
+            if k < len(each.lead) and sum(map(len, chosen)) < MOST_SAID:
                 texts.append(each.lead[k])
     return [text for texts in chosen for text in texts]
 
