@@ -33,9 +33,9 @@ class Code(Enum):
     FEW = 3, "{n} {units} give a wide interval: more {units} would narrow it."
     OVERLAP = (
         1,
-        "Some block slips {share} of the time ({where}): episodes that overlap count as one; use {remedy}.",
+        "At least one block slips {share} of the time ({where}): episodes that overlap count as one; use {remedy}.",
     )
-    BLURRED = 1, "{what}: blocks that do not follow the belt may count as stuck, so episodes cannot be counted."
+    BLURRED = 1, "{what}: blocks that creep may count as stuck, so episodes cannot be counted and are left out."
     SPANNING = 2, "{share} of the episodes take all {n} blocks: their sizes are those of the chain."
     ONE_SYSTEM = 2, "One system, many starts: intervals are over starts of this system."
 

@@ -259,6 +259,8 @@ class Law:
         How far the data are from the law.
     nearly : str
         The predicate of what is `Fit.CLOSE`; by default "nearly", and the predicate.
+    p_value : float, optional
+        Of data that follow the law.
     """
 
     subject: str
@@ -267,6 +269,7 @@ class Law:
     fit: Fit = Fit.HOLDS
     departure: Level | None = None
     nearly: str = ""
+    p_value: float | None = None
 
 
 @dataclass(frozen=True)
@@ -404,6 +407,7 @@ class Reason(StrEnum):
     NOT_RECORDED = "not recorded"
     NOT_RUN = "not run"
     ALL_FAILED = "all runs failed"
+    CREEP = "blocks that creep may count as stuck"
     NOTHING_COUNTED = "nothing to count"
     ONE_VALUE = "all values are the same"
 

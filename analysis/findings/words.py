@@ -304,13 +304,15 @@ def _law(law: Law) -> str:
     parameter = f"a {name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
     match law.fit:
         case Fit.HOLDS:
-            return f"{law.subject}{_at(level.where)} {law.predicate}, with {parameter}"
+            return f"{_before(level.where)}{law.subject} {law.predicate}, with {parameter}"
         case Fit.CLOSE:
             predicate = law.nearly or f"nearly {law.predicate}"
-            return f"{law.subject}{_at(level.where)} {predicate}, with {parameter}"
+            return f"{_before(level.where)}{law.subject} {predicate}, with {parameter}"
         case Fit.FAILS:
-            apart = "" if law.departure is None else f": {_level(law.departure)}"
-            return f"{law.subject}{_at(level.where)} do not {law.predicate}{apart}"
+            p = "" if law.p_value is None else f"p \u2264 {limit(law.p_value)}"
+            far = "" if law.departure is None else _level(law.departure)
+            apart = "; ".join(filter(None, (far, p)))
+            return f"{_before(level.where)}{law.subject} do not {law.predicate}" + f" ({apart})" * bool(apart)
         case Fit.OPEN:
             return f"whether {law.subject}{_at(level.where)} {law.predicate} is open; {_level(level)}"
 
@@ -344,9 +346,10 @@ def _outcomes(outcomes: Outcomes) -> str:
 
 
 def _most_apart(level: Level) -> str:
-    """The largest difference of several."""
+    """The largest difference of several; without a comparison, the quantity is a distance."""
     if level.comparison is None:
-        return ""
+        where = f" ({level.where})" if level.where else ""
+        return f", most apart in the {level.quantity.name}{where}: {with_interval(level.estimate)}"
     difference, quantity = level.comparison.difference, level.quantity
     where = f" ({level.where})" if level.where else ""
     match difference.verdict:
