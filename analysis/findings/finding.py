@@ -380,6 +380,7 @@ class Regimes:
     things: str
     regimes: tuple[Regime, ...]
     where: str = ""
+    when: str = ""  #: part of several predicates, said once in a sentence: "at t = 150"
 
 
 class Truth(StrEnum):
@@ -490,7 +491,7 @@ def records(finding: Finding) -> list[Record]:
             n, unit = (None, "") if basis is None else (basis.n, basis.unit)
             setting = ", ".join(filter(None, (f"{key} = {last} to {first}", where)))
             return [Record(f"where {subject} {verb}", setting, n=n, unit=unit)]
-        case Regimes(things, regimes, where):
+        case Regimes(things=things, regimes=regimes, where=where):
             return [
                 _record(
                     " and ".join(f"share of {things} that {predicate}" for predicate in regime.predicates),

@@ -66,8 +66,11 @@ def clause(finding: Finding) -> str:
         case Threshold(subject, is_end, key, last, first, where, basis):
             every = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
             return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{_at(where)}{every}"
-        case Regimes(things, regimes, where):
+        case Regimes(things, regimes, where, when):
             grouped = "; ".join(_regime(regime, things, k == 0) for k, regime in enumerate(regimes))
+            if when:
+                first, said, others = grouped.partition(f" {when}")
+                grouped = first + said + others.replace(said, "")
             return f"{_at(where).strip(' ,')}: {grouped}" if where else grouped
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
@@ -301,15 +304,15 @@ def _law(law: Law) -> str:
     parameter = f"a {name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
     match law.fit:
         case Fit.HOLDS:
-            return f"{law.subject}{_at(level.where)} {law.predicate}, with {parameter}"
+            return f"{_before(level.where)}{law.subject} {law.predicate}, with {parameter}"
         case Fit.CLOSE:
             predicate = law.nearly or f"nearly {law.predicate}"
-            return f"{law.subject}{_at(level.where)} {predicate}, with {parameter}"
+            return f"{_before(level.where)}{law.subject} {predicate}, with {parameter}"
         case Fit.FAILS:
             p = "" if law.p_value is None else f"p \u2264 {limit(law.p_value)}"
             far = "" if law.departure is None else _level(law.departure)
             apart = "; ".join(filter(None, (far, p)))
-            return f"{law.subject}{_at(level.where)} do not {law.predicate}" + f" ({apart})" * bool(apart)
+            return f"{_before(level.where)}{law.subject} do not {law.predicate}" + f" ({apart})" * bool(apart)
         case Fit.OPEN:
             return f"whether {law.subject}{_at(level.where)} {law.predicate} is open; {_level(level)}"
 

@@ -276,8 +276,8 @@ def counting_study(rng, ensembles):
         picks = rng.integers(len(rows), size=(ensembles, MATRICES))
         whole = rows.sum(axis=0, keepdims=True)
         independent = {
-            "excess": pool.gamma(n, n * p) / LN2 - 1, "counting": pool.gamma(n, n * p) / LN2 - 1, "habits": 0.0,
-            "coupling": 0.0, "slope": pool.slope(n, n * p), "over_slope": 0.0,
+            "excess": pool.gamma(n, n * p) / LN2 - 1, "finite_size": pool.gamma(n, n * p) / LN2 - 1,
+            "own_dynamics": 0.0, "coupling": 0.0, "rise": pool.slope(n, n * p), "rise_over_two_state": 0.0,
         }  # fmt: skip
         for part, answer in independent.items():
             found = [over_matrices(of[part], rows[some], CONFIDENCE) for some in picks]

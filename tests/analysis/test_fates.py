@@ -463,7 +463,7 @@ def test_sizes_are_grouped_by_what_all_their_runs_do(planted):
     assert isinstance(regimes, Regimes)
     assert sentence(regimes) == (
         "At n = 20 and 50 all 5 runs each settle into steady sliding; at n = 100 all 5 still stick and slip at"
-        " t = 1000; at n = 250 some still stick and slip at t = 1000 and others grow without limit."
+        " t = 1000; at n = 250 some still stick and slip and others grow without limit."
     )
     # Wilson's of 5 in 5: the systems of 20 and of 50 blocks are not counted together
     assert list(answered.figures)[:2] == ["fates", "survival"]

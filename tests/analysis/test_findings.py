@@ -193,7 +193,7 @@ def _findings(rng):
     yield Threshold("stick-slip", bool(rng.integers(2)), "belt_speed", "0.3", "0.4", where, basis)
     mixed = Regime("from v = 8 on", ("slide", "stick", "stop"), 9, 10)
     alone = (Regime("up to v = 7", ("slide",), n, 5, estimate) for n in (1, 2, 4, 5))
-    yield Regimes("starts", (*alone, mixed), where)
+    yield Regimes("starts", (*alone, mixed), where, "at t = 9")
     yield Lack("the decay rate", _pick(rng, Reason), "12 cascades")
     yield Decided(_pick(rng, Truth), share)
 

@@ -318,7 +318,7 @@ def _outcome(
     by_outcome = regimes(key, values, places, study.settings.confidence, _basis(study, 0).unit)
     mixed = [row for row in rows if len(row.kinds) > 1][:MOST_SETTINGS]
     shares: list[Finding] = [_share(study, runs, [row], kind, _where(row)) for row in mixed for kind in row.kinds]
-    return [Regimes("runs", by_outcome, method)], shares
+    return [Regimes("runs", by_outcome, method, _until(*rows))], shares
 
 
 def _share(study: Study, runs: pd.DataFrame, rows: Sequence[Ends], kind: str, where: str) -> Share:
@@ -342,8 +342,7 @@ def _estimate(has: np.ndarray, untold: np.ndarray, drawn: np.ndarray, confidence
 
 def _predicate(kind: str, *rows: Ends) -> str:
     """What runs at some settings do: a verb phrase in the plural."""
-    ends = {row.t_end for row in rows}
-    until = f"at t = {ends.pop():g}" if len(ends) == 1 else "at their end"
+    until = _until(*rows)
     words = {
         SLIDE: f"are sliding {until} ({certified})" if (certified := _certified(*rows)) else PREDICATES[SLIDING],
         STICK_SLIP: f"still stick and slip {until}",
@@ -352,6 +351,12 @@ def _predicate(kind: str, *rows: Ends) -> str:
         STUCK: f"are stuck {until}",
     }
     return words[kind]
+
+
+def _until(*rows: Ends) -> str:
+    """When runs at some settings are looked at."""
+    ends = {row.t_end for row in rows}
+    return f"at t = {ends.pop():g}" if len(ends) == 1 else "at their end"
 
 
 def _certified(*rows: Ends) -> str:
@@ -680,9 +685,8 @@ def _averaged(win: Window) -> tuple[np.ndarray, np.ndarray]:
 
 def _along_t_burn(study: Study, name: str, rows: Sequence[Row], is_short: bool) -> Picture:
     t_burn = study.settings.t_burn
-    says = (
-        "A curve that is not level says that t_burn is too short." if is_short else "Level curves: t_burn is enough."
-    )
+    after = f"after t_burn = {t_burn:g}"
+    says = f"Not all curves are level {after}: it is too short." if is_short else f"No drift is shown {after}."
     return Picture(
         partial(burn_in.by_t_burn, rows, t_burn),
         f"{says} Estimates with other values of t_burn over those with {t_burn:g} ({name}).",
