@@ -40,7 +40,7 @@ def test_the_change_along_the_key_leads_and_then_that_between_engines(both, sett
     lead = found.findings[: found.n_lead]
     assert [type(one) for one in lead] == [Change, Change, Outcomes]
     assert all(len(sentence(one).split()) <= 40 for one in lead)
-    assert lead[-1].different == ("the sigmoid engine",)
+    assert lead[-1].different == ("sigmoid",)
     assert set(found.tables["changes"]["kind"]) == {"key", "law"}
     assert list(found.figures)[:2] == ["sweep_mean", "contrasts"]
 
