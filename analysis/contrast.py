@@ -374,18 +374,21 @@ def contrast(
         test = statistic.difference(mine, theirs, paired)
     except Undefined as why:
         return replace(bare, reason=str(why))
-    relative, p_equivalent = _relative(statistic, before, after, mine, theirs, paired, confidence)
+    relative, ratio_test = _relative(statistic, before, after, mine, theirs, paired, confidence)
+    has_margin = statistic.margin is not None
+    is_relative = ratio_test is not None and (has_margin or scale is Scale.RELATIVE)  # as `Contrast.difference`
     return replace(
-        bare, absolute=_interval(test, confidence), relative=relative, p_different=test.p_different,
-        p_equivalent=p_equivalent,
+        bare, absolute=_interval(test, confidence), relative=relative,
+        p_different=ratio_test.p_different if ratio_test is not None and is_relative else test.p_different,
+        p_equivalent=ratio_test.p_equivalent if ratio_test is not None and has_margin else None,
     )  # fmt: skip
 
 
 def _relative(
     statistic: Statistic, before: Estimate, after: Estimate, mine: UnitSums, theirs: UnitSums, paired: bool,
     confidence: float,
-) -> tuple[Estimate, float | None]:  # fmt: skip
-    """The difference in units of the first, and the p-value of one beyond the margin; without where there is none.
+) -> tuple[Estimate, Compared | Inverted | None]:  # fmt: skip
+    """The difference in units of the first, and its tests; without where there is none.
 
     There is none of what is zero within its interval, nor of shares of runs. What is not negative falls by all of it
     at most: an interval beyond is one that the first order cannot give.
@@ -402,7 +405,7 @@ def _relative(
     found = _interval(test, confidence)
     if found.low is not None and found.low < -1.0 and min(before.value, after.value) >= 0.0:
         return Estimate(reason="the interval goes below zero"), None
-    return found, None if statistic.margin is None else test.p_equivalent
+    return found, test
 
 
 def _interval(test: Compared | Inverted, confidence: float) -> Estimate:

@@ -21,7 +21,7 @@ from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, S
 from stickslip.pipeline.design.values import text
 
 EQUAL, DIFFERENT, UNDECIDED = "equal", "different", "undecided"
-_HUES = (EXACT, SMOOTHED, GREEN, PURPLE, ORANGE, BLUE)
+_HUES = (EXACT, SMOOTHED, GREEN, PURPLE, ORANGE, BLUE, "#8c564b", "#e377c2", "#17becf", "#bcbd22")
 _LETTERS = 24  # of a line of a name
 MOST_ROWS = 36  # in one figure
 
@@ -58,7 +58,7 @@ class Beside(NamedTuple):
     where: str
 
 
-def outcomes(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str) -> list[Outcomes]:
+def outcomes(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str, scope: str = "") -> list[Outcomes]:
     """How settings come out beside a reference: those that differ, those that agree and the others, as far as any do.
 
     A setting differs if one of its statistics is shown to; else it is equal if all that have a margin, which the
@@ -68,8 +68,11 @@ def outcomes(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str
     found = []
     for name in (DIFFERENT, EQUAL, UNDECIDED):
         of = {setting: some for setting, some in settings.items() if by_setting[setting] == name}
-        if of:
-            found.append(Outcomes(other, **{name: in_words(by_setting, name)}, largest=largest(other, of, unit)))
+        if not of:
+            continue
+        level, setting = largest(other, of, unit)
+        others = in_words(by_setting | {setting: ""}, DIFFERENT) if name == DIFFERENT and level is not None else ()
+        found.append(Outcomes(other, **{name: in_words(by_setting, name)}, largest=level, others=others, scope=scope))
     return found
 
 
@@ -83,21 +86,22 @@ def outcome(contrasts: Sequence[Contrast]) -> str:
     return EQUAL if judged and {*judged} <= {Verdict.EQUAL, Verdict.SAME} else UNDECIDED
 
 
-def largest(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str) -> Level | None:
-    """The largest difference that is shown or, if none is, of those with a margin, or of all relative ones."""
-    ratios = [
-        (one.contrast, setting)
-        for setting, some in settings.items()
-        for one in some
-        if one.contrast.is_shown or in_per_cent(one.contrast)
-    ]
-    if not ratios:
-        return None
-    best, setting = max(ratios, key=lambda pair: (pair[0].is_shown, pair[0].has_margin, pair[0].weight))
+def largest(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str) -> tuple[Level | None, Setting]:
+    """The largest difference that is shown or, if none is, of those with a margin, or of all; and its setting."""
+    pairs = [(one.contrast, setting) for setting, some in settings.items() for one in some]
+    best, setting = max(pairs, key=lambda pair: (pair[0].is_shown, pair[0].has_margin, _apart(pair[0])))
     (where,) = in_words({setting: ""}, "")
-    if setting.symbol and len({other.name for other in settings}) == 1:
-        where = f"{setting.symbol} = {setting.text}" if setting.name else setting.text
-    return best.level(where if len(settings) > 1 else "", other, unit)
+    return best.level(where, other, unit), setting
+
+
+def _apart(contrast: Contrast) -> float:
+    """How large a difference is beside the first value, with an interval or without."""
+    before, after = contrast.first.value, contrast.second.value
+    if contrast.is_same or before is None or after is None:
+        return 0.0
+    if contrast.statistic.is_share or not before:
+        return abs(after - before)
+    return abs(after / before - 1.0)
 
 
 def in_words(by_setting: Mapping[Setting, str], name: str) -> tuple[str, ...]:
@@ -128,10 +132,12 @@ def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
         start = end
 
 
-def forest(rows: Sequence[Beside], caption: str) -> dict[str, Picture]:
+def forest(rows: Sequence[Beside], what: str) -> dict[str, Picture]:
     """The figure of differences in per cent with their intervals, by its name; none of fewer than two."""
     shown = [one for one in rows if in_per_cent(one.contrast) and one.contrast.difference.estimate.low is not None]
-    return {"contrasts": Picture(partial(differences, shown[:MOST_ROWS]), caption)} if len(shown) > 1 else {}
+    bands = "; bands are declared margins" * any(one.contrast.has_margin for one in shown)
+    picture = Picture(partial(differences, shown[:MOST_ROWS]), f"{what}, filled where one is shown{bands}.")
+    return {"contrasts": picture} if len(shown) > 1 else {}
 
 
 def differences(rows: Sequence[Beside]) -> Figure:
@@ -157,6 +163,9 @@ def _differences(ax: Axes, rows: Sequence[Beside]) -> None:
         if margin is not None:
             ax.barh(line, 200.0 * margin, left=-100.0 * margin, height=0.8, color="#ececec", zorder=0)
         mark = "o" if abs(value) <= widest else ">" if value > 0 else "<"
+        cut = [(end, arrow) for end, arrow in ((high, ">"), (low, "<")) if abs(end) > widest and mark == "o"]
+        for end, arrow in cut:  # of an interval
+            ax.plot([np.copysign(widest, end)], [y], arrow, color=colour, markersize=3, clip_on=False, gid="cut")
         ax.plot([low, high], [y, y], color=colour, linewidth=1.4)
         ax.plot(
             [min(max(value, -widest), widest)], [y], mark, color=colour, markersize=4, clip_on=False,

@@ -314,7 +314,11 @@ class Outcomes:
     equal, different, undecided : tuple of str
         The settings of each outcome ("h = 0.1 and less").
     largest : Level, optional
-        The largest difference.
+        The largest difference, with its setting.
+    others : tuple of str
+        The settings that differ, beside that of the largest difference.
+    scope : str
+        In what they are compared, where not in all that is recorded: "the number of sticking blocks".
     """
 
     other: str
@@ -322,6 +326,8 @@ class Outcomes:
     different: tuple[str, ...] = ()
     undecided: tuple[str, ...] = ()
     largest: Level | None = None
+    others: tuple[str, ...] = ()
+    scope: str = ""
 
 
 @dataclass(frozen=True)

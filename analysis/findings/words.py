@@ -113,6 +113,12 @@ def _before(where: str) -> str:
 
 
 def _share(share: Share) -> str:
+    if share.basis is not None and share.basis.n == 1 and share.estimate.value in (0.0, 1.0):
+        which = "all" if share.estimate.value else "none of the"
+        alone = (
+            f"{which} {share.things} {share.predicate}{_at(share.where)} ({plural(1, share.basis.unit)}, no interval)"
+        )
+        return alone + _compared(share.comparison)
     said = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{_at(share.where)}"
     if share.comparison is None or share.comparison.difference.verdict is not Verdict.OPEN:
         return said + _compared(share.comparison)
@@ -168,7 +174,8 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
         case Verdict.OPEN:
             return f"; no difference from {other} is shown ({interval(difference, form)})"
         case Verdict.OPEN_AMONG_MANY:
-            return f"; no difference from {other} is shown among {_n_tests(difference)}"
+            apart = interval(difference, form)
+            return f"; difference from {other}: {apart}, not significant among {_n_tests(difference)}"
         case Verdict.UNJUDGED:
             return f", beside {other}, without an interval"
 
@@ -200,7 +207,9 @@ def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = F
     text = _in_points(with_interval(difference.estimate, _form(difference, form), sign=True), difference, form)
     if verdict is Verdict.EQUAL:
         return Cell(text, f"equal within {margin(difference, form)}")
-    return Cell(text, "not shown among so many" * (verdict is Verdict.OPEN_AMONG_MANY))
+    if verdict is Verdict.OPEN_AMONG_MANY:
+        return Cell(text, "not significant among all comparisons")
+    return Cell(text)
 
 
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:
@@ -243,8 +252,8 @@ def _n_tests(difference: Difference) -> str:
 
 
 def _change(change: Change) -> str:
-    quantity, difference, key = change.quantity, change.difference, change.key
-    along = f"as {key} goes from {change.first} to {change.second}{_at(change.where)}"
+    quantity, difference = change.quantity, change.difference
+    along = f"as {_along(change)}{_at(change.where)}"
     match difference.verdict:
         case Verdict.MORE:
             return f"{quantity.name} rises {_from_to(change)}, {_by(change)}, {along}"
@@ -256,12 +265,36 @@ def _change(change: Change) -> str:
         case Verdict.SAME:
             return f"{quantity.name} is the same in every run {along}"
         case Verdict.OPEN:
-            return f"no change of the {quantity.name} is shown ({interval(difference, quantity.form)}) {along}"
+            return f"{quantity.name} {_open(change)}) {along}"
         case Verdict.OPEN_AMONG_MANY:
-            return f"no change of the {quantity.name} is shown among {_n_tests(difference)} {along}"
+            return f"{quantity.name} {_open(change)}, not significant among {_n_tests(difference)}) {along}"
         case Verdict.UNJUDGED:
             few = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)}, no interval"
             return f"{quantity.name} goes {_from_to(change)} {along}{few}"
+
+
+def _along(change: Change) -> str:
+    """What goes from where to where; keys that are swept together by themselves."""
+    together = [part.split(" with ") for part in (change.key, change.first, change.second)]
+    if len({len(part) for part in together}) > 1:
+        together = [[change.key], [change.first], [change.second]]
+    parts = [f"{key} goes from {first} to {second}" for key, first, second in zip(*together, strict=True)]
+    return listed([parts[0], *(part.replace(" goes", "", 1) for part in parts[1:])])
+
+
+def _open(change: Change) -> str:
+    """Levels and the estimate of a change that is not shown, with a bracket that the caller closes."""
+    form, difference = change.quantity.form, change.difference
+    levels = _from_to(change)
+    before, _, after = levels.removeprefix("from ").partition(" to ")
+    levels = f"stays at {after}" if before == after else f"goes {levels}"
+    value = difference.estimate.value
+    assert value is not None
+    unit = _form(difference, form)
+    text = number(value, unit, decimals(difference.estimate, unit), sign=True).removesuffix("%")
+    if text.strip("0.+") == "":
+        text = text.lstrip("+")
+    return f"{levels} (change {text}, {interval(difference, form)}"
 
 
 def _by(change: Change) -> str:
@@ -276,10 +309,24 @@ def _from_to(change: Change) -> str:
     before, after = change.before.value, change.after.value
     assert before is not None
     assert after is not None
-    form = change.quantity.form
-    is_absolute = change.difference.scale is Scale.ABSOLUTE
-    places = decimals(change.difference.estimate if is_absolute else Estimate(max(abs(before), abs(after))), form)
+    form, difference = change.quantity.form, change.difference
+    is_absolute = difference.scale is Scale.ABSOLUTE
+    places = decimals(difference.estimate if is_absolute else Estimate(max(abs(before), abs(after))), form)
+    if is_absolute and difference.estimate.value is not None:
+        before, after = _adding_up(before, after, difference.estimate.value, places + 2 * (form is Form.SHARE))
     return f"from {number(before, form, places)} to {number(after, form, places)}"
+
+
+def _adding_up(before: float, after: float, change: float, places: int) -> tuple[float, float]:
+    """Two values rounded such that they differ by their rounded change: the one nearest to a tie moves."""
+    ends, by = (round(before, places), round(after, places)), round(change, places)
+    missing = round(by - (ends[1] - ends[0]), places)
+    if not missing or abs(missing) > 1.5 * 10.0**-places:
+        return ends
+    moved = round(ends[0] - missing, places), round(ends[1] + missing, places)
+    if abs(moved[0] - before) < abs(moved[1] - after):
+        return moved[0], ends[1]
+    return ends[0], moved[1]
 
 
 def _lifetime(lifetime: Lifetime) -> str:
@@ -333,40 +380,79 @@ def _parts(sum_of: Parts) -> str:
 
 
 def _outcomes(outcomes: Outcomes) -> str:
-    said = [
-        f"{listed(settings)} {verb} {outcomes.other}"
-        for settings, verb in (
-            (outcomes.different, "differs from" if len(outcomes.different) == 1 else "differ from"),
-            (outcomes.equal, "agrees with" if len(outcomes.equal) == 1 else "agree with"),
-            (outcomes.undecided, "cannot be told from"),
-        )
-        if settings
-    ]
-    return "; ".join(said) + ("" if outcomes.largest is None else _most_apart(outcomes.largest))
+    """Settings by outcome; if there is a largest difference that is shown, it is what the sentence says first."""
+    other, largest = outcomes.other, outcomes.largest
+    scope = f" in {outcomes.scope}" if outcomes.scope else ""
+    said = []
+    if outcomes.different and largest is not None and (apart := _larger(largest, other)):
+        said.append(f"{largest.where} gives {apart}")
+        if outcomes.others:
+            said.append(f"{listed(outcomes.others)} also differ{'s' * (len(outcomes.others) == 1)}")
+    elif outcomes.different:
+        said.append(f"{listed(outcomes.different)} differ{'s' * (len(outcomes.different) == 1)} from {other}")
+    if outcomes.equal:
+        said.append(f"{listed(outcomes.equal)} agree{'s' * (len(outcomes.equal) == 1)} with {other}{scope}")
+    if outcomes.undecided:
+        undecided = listed(outcomes.undecided, "or")
+        if largest is None or largest.basis is None:
+            said.append(f"{undecided} cannot be told from {other}{scope}")
+        else:
+            few = f"{plural(largest.basis.n, largest.basis.unit)} {'is' if largest.basis.n == 1 else 'are'} too few"
+            said.append(f"{few} to tell {undecided} from {other}{scope}")
+    is_distance = largest is not None and largest.comparison is None
+    apart = "" if largest is None or (outcomes.different and not is_distance) else _most_apart(largest)
+    return "; ".join(said) + apart
+
+
+def _larger(level: Level, other: str) -> str:
+    """A difference that is shown as an object: "31% (20 to 41%) fewer slip onsets than exact"; else empty."""
+    if level.comparison is None or level.comparison.difference.verdict not in (Verdict.MORE, Verdict.LESS):
+        return ""
+    difference, name, things = level.comparison.difference, level.quantity.name, _things(level.quantity)
+    is_more = difference.verdict is Verdict.MORE
+    if (times := ratio(difference)) is not None:
+        return f"{times} times as many {things} as {other}" if things else f"{times} times the {name} of {other}"
+    by = size(difference, level.quantity.form)
+    if things and difference.scale is Scale.RELATIVE:
+        return f"{by} {'more' if is_more else 'fewer'} {things} than {other}"
+    side = "higher" if is_more else "lower"
+    if difference.scale is Scale.RELATIVE:
+        return f"{'an' if by.startswith('8') or by[:2] in ('11', '18') else 'a'} {by} {side} {name} than {other}"
+    return f"a {name} {by} {side} than {other}"
+
+
+def _things(quantity: Quantity) -> str:
+    """What a quantity is a rate or a mean number of; empty of any other."""
+    heads = [head for head in ("rate of ", "mean number of ") if quantity.name.startswith(head)]
+    return quantity.name.removeprefix(heads[0]) if heads else ""
 
 
 def _most_apart(level: Level) -> str:
-    """The largest difference of several; without a comparison, the quantity is a distance."""
-    if level.comparison is None:
-        where = f" ({level.where})" if level.where else ""
-        return f", most apart in the {level.quantity.name}{where}: {with_interval(level.estimate)}"
-    difference, quantity = level.comparison.difference, level.quantity
-    where = f" ({level.where})" if level.where else ""
-    match difference.verdict:
-        case Verdict.MORE:
-            apart = f"{size(difference, quantity.form)} {quantity.more}"
-        case Verdict.LESS:
-            apart = f"{size(difference, quantity.form)} {quantity.less}"
-        case Verdict.EQUAL:
-            within = f"within {margin(difference, quantity.form)} ({interval(difference, quantity.form)})"
-            return f", most apart in the {quantity.name}: {within}"
-        case Verdict.OPEN:
-            apart = interval(difference, quantity.form)
-        case Verdict.OPEN_AMONG_MANY:
-            apart = f"{interval(difference, quantity.form)}, one of {_n_tests(difference)}"
-        case Verdict.SAME | Verdict.UNJUDGED:
-            return ""
-    return f", most apart in the {quantity.name}{where}: {apart}"
+    """The largest difference of several, of which none is shown; as two values where it has no ratio."""
+    if level.comparison is None:  # a distance
+        return f": {level.quantity.name} {with_interval(level.estimate, level.quantity.form)}"
+    if level.comparison.difference.verdict is Verdict.SAME:
+        return ""
+    difference, form, name = level.comparison.difference, level.quantity.form, level.quantity.name
+    value, after = difference.estimate.value, level.estimate.value
+    if value is None or after is None:
+        return ""
+    if difference.verdict is Verdict.EQUAL:
+        return f"; largest difference {_signed(difference, form)}"
+    is_one_of_many = difference.verdict is Verdict.OPEN_AMONG_MANY
+    n = f", not significant among {_n_tests(difference)}" if is_one_of_many else ""
+    if difference.scale is Scale.RELATIVE:
+        return f": {_things(level.quantity) or name} {_signed(difference, form)}{n}"
+    places = 0 if form is Form.SHARE else decimals(Estimate(max(abs(after), abs(after - value))), form)
+    ends = f"{name} {number(after, form, places)} against {number(after - value, form, places)}"
+    if difference.verdict is Verdict.UNJUDGED:
+        return f": {ends}, without an interval"
+    return f": {ends} (difference {interval(difference, form)}){n}"
+
+
+def _signed(difference: Difference, form: Form) -> str:
+    """A difference with its sign and interval."""
+    return _in_points(with_interval(difference.estimate, _form(difference, form), sign=True), difference, form)
 
 
 def _regime(regime: Regime, things: str, is_first: bool) -> str:

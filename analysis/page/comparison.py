@@ -157,14 +157,11 @@ def _answer(
         others, grouped = [grouped, *others[:-1]] if others else [], (others or [grouped])[-1]
     every = [one for some in placed.values() for one in some]
     levels = [one.contrast.level(one.where, first.name, unit) for one in every]
-    caption = (
-        f"Differences of {second.name} from {first.name}, filled where one is shown; bands are declared margins."
-    )
     return Answer(
         findings=[Decided(truth, grouped), *others, *levels],
         n_lead=1 + len(others),
         tables=tables,
-        figures=forest(every, caption),
+        figures=forest(every, f"Differences of {second.name} from {first.name}"),
         method=f"Verdicts are adjusted for {len(known)} comparisons (Holm), intervals are not.",
     )
 

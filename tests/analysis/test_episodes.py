@@ -612,7 +612,9 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
     different, undecided = of_kind(answer, Outcomes)
     assert answer.findings[:2] == [different, undecided]
     assert (different.other, different.different) == ("exact", ("sigmoid with eps from 1e-3 on",))
-    assert (different.largest.where, different.largest.comparison.difference.estimate.value) == ("eps = 0.01", -1.0)
+    assert (different.largest.where, different.largest.comparison.difference.estimate.value) == (
+        "sigmoid with eps = 0.01", -1.0
+    )  # fmt: skip
     assert undecided.undecided == ("sigmoid with eps = 1e-5",)
     assert undecided.largest.comparison.difference.verdict is Verdict.OPEN
     levels = [level for level in of_kind(answer, Level) if level.quantity is episodes.WORDS[RATE]]

@@ -119,8 +119,8 @@ def test_rates_have_their_sign(rng, planted, settings, rate, verdict):
     assert row["verdict"] == verdict
     assert row["e_fold_low"] < 1 / abs(row["rate"]) < row["e_fold_high"]
     lead, parted = found.findings
-    assert lead.quantity.name == f"time in which start differences of 1e-06 {verdict} e-fold"
-    assert sentence(lead).startswith(f"At n = 200, exact, start differences of 1e-06 {verdict} e-fold in ")
+    assert lead.quantity.name == f"time in which start differences of 1e-6 {verdict} e-fold"
+    assert sentence(lead).startswith(f"At n = 200, exact, start differences of 1e-6 {verdict} e-fold in ")
     assert lead.estimate.low < 1 / abs(rate) < lead.estimate.high
     assert isinstance(parted, Lifetime)
     assert list(found.figures) == ["growth", "parting"]

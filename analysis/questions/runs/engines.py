@@ -84,6 +84,7 @@ def answer(study: Study) -> Answer | None:
         reason = Reason.FEW_UNITS if n_units else Reason.NO_MOTION
         return Answer(findings=[Lack("how far the engines differ", reason)], tables=tables)
     unit = noun(study.unit)
+    scope = "" if study.data.episodes is None else "the number of sticking blocks and slip onsets"
     names = _names(study, found)
     lead: list[Finding] = []
     levels: list[Finding] = []
@@ -94,15 +95,14 @@ def answer(study: Study) -> Answer | None:
             placed = {
                 setting: [Beside(one.contrast, _where(one.pair, names)) for one in rows] for setting, rows in some
             }
-            lead += outcomes(other, placed, unit)
+            lead += outcomes(other, placed, unit, scope)
             every = [one for rows in placed.values() for one in rows]
             every.sort(key=lambda one: not one.contrast.is_shown)
             levels += [one.contrast.level(one.where, other, unit) for one in every]
             drawn = drawn or every
-    caption = "Differences from the reference, filled where one is shown; bands are declared margins."
     return Answer(
-        tables=tables, figures=forest(drawn, caption), findings=[*lead, *levels], n_lead=min(3, len(lead)),
-        alerts=_suspects(known), method=_METHOD,
+        tables=tables, figures=forest(drawn, "Differences from the reference"), findings=[*lead, *levels],
+        n_lead=min(3, len(lead)), alerts=_suspects(known), method=_METHOD,
     )  # fmt: skip
 
 
@@ -149,7 +149,7 @@ def _other(pair: _Pair, groups: Sequence[Group]) -> str:
     if pair.kind == TOLERANCE:
         return "the tightest tolerance"
     if pair.kind == THRESHOLD and pair.reference is pair.other:
-        return "the engine's own definition of sticking"
+        return "its own definition of sticking"
     (name,) = in_words({_engine(pair.reference, groups): DIFFERENT}, DIFFERENT)
     return name
 

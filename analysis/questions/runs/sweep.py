@@ -329,7 +329,7 @@ def _steps(
                 if point.at[axis] == value and (before := tuple((point.at | {axis: base}).values())) in by_place
             ]
             is_bounded = name == IN_MOTION
-            first, second, n_pairs = _in_common((IN_MOTION, AT_MOST) if is_bounded else (name,), pairs)
+            first, second, kept = _in_common((IN_MOTION, AT_MOST) if is_bounded else (name,), pairs)
             if is_bounded and not _differ(first, second, name):
                 continue
             found = contrast(statistic, first, second, True, level, Scale.ABSOLUTE)
@@ -338,17 +338,17 @@ def _steps(
             elif _is_same(first, second, name, noise * largest[name]):
                 # no test: what is the same in each of a few units may differ in others
                 found = replace(found, is_same=True, p_different=None, p_equivalent=None)
-            yield Step(setting, axis, base, value, found, _places(axis, pairs, n_pairs), value == others[-1])
+            yield Step(setting, axis, base, value, found, _places(axis, pairs, kept), value == others[-1])
 
 
-def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], n_pairs: int) -> str:
-    """At how many points of the other keys a contrast is, of how many; empty where it is at all that there are."""
-    if n_pairs == len(pairs):
+def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], kept: Sequence[int]) -> str:
+    """At which points of the other keys a contrast is; empty where it is at all that there are."""
+    if len(kept) == len(pairs):
         return ""
     others = [one for one in pairs[0][0].at if one != axis]
-    if len(others) == 1:
-        return f"over {n_pairs} of {len(others[0].rows)} values of {others[0].name}"
-    return f"over {n_pairs} of {len(pairs)} points of the other keys"
+    if len(kept) == 1:
+        return ", ".join(f"{one.name} = {in_words(pairs[kept[0]][0].at[one])}" for one in others)
+    return f"averaged over {len(kept)} of the {len(pairs)} settings of the other keys"
 
 
 def _is_same(first: Sample, second: Sample, name: str, noise: float) -> bool:
@@ -390,16 +390,17 @@ def _largest(name: str, points: Sequence[Point]) -> float:
     return max(float(np.abs(rows[:, 0] / rows[:, 1]).max(initial=0.0)) for rows in every)
 
 
-def _in_common(names: Sequence[str], pairs: Sequence[tuple[Point, Point]]) -> tuple[Sample, Sample, int]:
+def _in_common(names: Sequence[str], pairs: Sequence[tuple[Point, Point]]) -> tuple[Sample, Sample, list[int]]:
     """The sums of the first and of the second points of pairs, for the units that both of a pair have.
 
-    And of how many pairs units count, for the first name.
+    And of which pairs units count, by number, for the first name.
 
     Of several pairs, all units count over the same ones, as far as that leaves enough: else a unit that lacks a pair
     would differ from others by what that pair is like.
     """
-    samples = [(a.sample, b.sample) for a, b in pairs if a.group.unit == b.group.unit]
-    first, second, n_pairs = Sample(), Sample(), list[int]()
+    places = [k for k, (a, b) in enumerate(pairs) if a.group.unit == b.group.unit]
+    samples = [(pairs[k][0].sample, pairs[k][1].sample) for k in places]
+    first, second, counted = Sample(), Sample(), list[list[int]]()
     for name in names:
         sums = [(a.of(name), b.of(name)) for a, b in samples]
         sums = [(a.within(b), b.within(a)) for a, b in sums]
@@ -407,8 +408,8 @@ def _in_common(names: Sequence[str], pairs: Sequence[tuple[Point, Point]]) -> tu
         first.sums[name], second.sums[name] = (
             UnitSums.together(sums[k][which].within(units) for k in pairs_kept) for which in (0, 1)
         )
-        n_pairs.append(sum(len(sums[k][0].within(units)) > 0 for k in pairs_kept))
-    return first, second, n_pairs[0]
+        counted.append([places[k] for k in pairs_kept if len(sums[k][0].within(units))])
+    return first, second, counted[0]
 
 
 def _without_gaps(have: Sequence[np.ndarray]) -> tuple[list[int], UnitSums]:

@@ -104,7 +104,7 @@ PREDICATES: Mapping[str, str] = {
 }  # fmt: skip
 #: What is said of each group, in this order.
 WORDS: Mapping[str, Quantity] = {
-    RATE: Quantity("rate", "episodes per unit time"),
+    RATE: Quantity("rate", "rate of episodes"),
     SIZE: Quantity("size", "mean size of episodes"),
     DURATION: Quantity("duration", "mean duration of episodes", more="longer than", less="shorter than"),
     QUIET: Quantity("cv", "coefficient of variation of quiet times"),
@@ -275,11 +275,12 @@ def _outcomes(
         if not some or apart_most is None:
             continue
         level, setting = _beside(apart_most, unit), some[id(apart_most.setting)]
-        where = "" if len(some) == 1 else f"{setting.symbol} = {setting.text}" if setting.symbol else setting.name
-        largest = None if level is None else replace(level, where=where)
-        words = in_words(come_out, name)
-        kinds = {"different": words} if name else {"undecided": words}
-        outcomes.append(Outcomes(reference.row["method"], **kinds, largest=largest))
+        (alone,) = in_words({setting: ""}, "")
+        largest = None if level is None else replace(level, where=alone)
+        words, method = in_words(come_out, name), reference.row["method"]
+        rest = in_words(come_out | {setting: "-"}, name)
+        found = Outcomes(method, different=words, others=rest) if name else Outcomes(method, undecided=words)
+        outcomes.append(replace(found, largest=largest))
     return outcomes
 
 
