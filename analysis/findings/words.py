@@ -389,7 +389,8 @@ def _most_apart(level: Level) -> str:
         return ""
     if difference.verdict is Verdict.EQUAL:
         return f"; largest difference {_signed(difference, form)}"
-    n = f", not significant among {_n_tests(difference)}" * (difference.verdict is Verdict.OPEN_AMONG_MANY)
+    is_adjusted = difference.verdict is Verdict.OPEN_AMONG_MANY
+    n = f", not significant among {_n_tests(difference)}" if is_adjusted else ""
     if difference.scale is Scale.RELATIVE:
         return f": {_things(level.quantity) or name} {_signed(difference, form)}{n}"
     places = 0 if form is Form.SHARE else decimals(Estimate(max(abs(after), abs(after - value))), form)
