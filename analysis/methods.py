@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -14,18 +12,14 @@ from stickslip.analysis.catalogues import Catalogues
 from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Comparison, Family
+from stickslip.analysis.members import STEPS, WIDTHS
 from stickslip.analysis.models.episodes import DURATION, QUANTITIES, QUIET, RATE, SIZE, SLIP, Catalogue
 from stickslip.analysis.models.laws import Difference, difference_of_order, distance_of_shares, largest_gap
 from stickslip.analysis.outcomes import Setting
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.multiplicity import holm
-from stickslip.pipeline.design.labels import Label, Part
-from stickslip.pipeline.design.values import text
-from stickslip.sim.engines import ENGINES
-from stickslip.sim.engines.contract import Engine, Number
-
-#: From which on a number is not shown as a power of ten.
-_SMALL = 0.01
+from stickslip.pipeline.design.labels import Label, Part, engine_name
+from stickslip.pipeline.design.labels import apart as labels_apart
 
 
 @dataclass(frozen=True)
@@ -101,7 +95,7 @@ class Apart:
     def comparison(self) -> Comparison:
         """A statistic beside that of the reference, for a finding."""
         assert isinstance(self.found, Contrast)
-        return Comparison(called(self.reference), replace(self.found, family=self.family).difference)
+        return Comparison(self.reference.row["method"], replace(self.found, family=self.family).difference)
 
     def row(self) -> Row:
         """As columns."""
@@ -154,58 +148,25 @@ def _law(study: Study, first: Catalogues, second: Catalogues, name: str) -> Diff
         return str(why)
 
 
-#: A method's name: engine, symbol and value of its setting, and the rest.
-_SETTING = re.compile(r"(.*?) (\S+) = ([^\s,]+)(.*)")
-
-
-def called(reference: Catalogues) -> str:
-    """What others are compared with."""
-    method = str(reference.row["method"])
-    return (
-        "exact events"
-        if method == ENGINES[reference.group.key["engine"]].title and reference.group.is_exact
-        else method
-    )
-
-
 def settings_of(groups: Sequence[Catalogues]) -> list[Setting]:
     """Methods by engine and the number that it is set by, so that ranges of it can be named."""
-    methods = [str(group.row["method"]) for group in groups]
-    parts = [_SETTING.fullmatch(method) for method in methods]
-    is_one = len({part[4] for part in parts if part}) < 2  # what all settings share tells nothing
+    shared = set.intersection(*(set(group.row["method"].parts) for group in groups))
+    return [_setting(group.row["method"], shared) for group in groups]
+
+
+def _setting(method: Label, shared: Collection[Part]) -> Setting:
+    """A method, without what it shares with all others but its engine and the number that it is set by."""
+    numbers = [part for part in method.parts if part[0] in (*WIDTHS, *STEPS)]
+    others = [part for part in method.parts if part not in numbers and (not part[0] or part not in shared)]
+    if len(numbers) != 1:
+        return Setting(method)
+    ((symbol, value),) = numbers
+    return Setting(Label.of(others), symbol, float(value))
+
+
+def names(groups: Sequence[Catalogues]) -> list[Label]:
+    """Names of groups by what tells them apart; what all share is told by none."""
     return [
-        Setting(part[1] + part[4] * (not is_one), part[2], float(part[3])) if part else Setting(method)
-        for part, method in zip(parts, methods, strict=True)
+        name if name else Label.of([("", engine_name(group.group.key["engine"]))])
+        for group, name in zip(groups, labels_apart([group.group.name for group in groups]), strict=True)
     ]
-
-
-def names(found: Sequence[Catalogues]) -> list[str]:
-    """Names of groups by what distinguishes them: method, place in a sweep and number of blocks."""
-    of_one_size = len({one.group.key["n"] for one in found}) == 1
-    engines = {ENGINES[one.group.key["engine"]] for one in found}
-    shared = {("", engine.title) for engine in engines if engine.is_exact and len(engines) == 1}
-    return [_method(one.group.name, ENGINES[one.group.key["engine"]], of_one_size, shared) for one in found]
-
-
-def _method(label: Label, engine: type[Engine], of_one_size: bool, shared: Collection[Part]) -> str:
-    """Name of a method from the label of its group, without what all groups share."""
-    numbers = {name: one.symbol for name, one in engine.settings().items() if isinstance(one, Number) and one.symbol}
-    words: list[str] = []
-    for name, value in label.parts:
-        if (name, value) in shared or (name == "n" and of_one_size):
-            continue
-        said = numbers.get(name, name)
-        if name in numbers and words and words[-1] == engine.title:  # one word for both
-            said = f"{engine.method} {said}"
-            words.pop()
-        shown = _power(float(value)) if numbers.get(name) == "\u03b5" else value
-        words.append(f"{said} = {shown}".replace("e-0", "e-") if name else value)
-    return ", ".join(words) or engine.title
-
-
-def _power(number: float) -> str:
-    """A number, below a hundredth as a power of ten, such as 2.5e-4."""
-    if number >= _SMALL:
-        return text(number)
-    exponent = math.floor(math.log10(number))
-    return f"{number / 10.0**exponent:g}e{exponent}"

@@ -18,6 +18,7 @@ from stickslip.analysis.contrast import Contrast
 from stickslip.analysis.findings.finding import Form, Level, Outcomes, Scale, Verdict
 from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, SMOOTHED, panel
+from stickslip.pipeline.design.values import text
 
 EQUAL, DIFFERENT, UNDECIDED = "equal", "different", "undecided"
 _HUES = (EXACT, SMOOTHED, GREEN, PURPLE, ORANGE, BLUE, "#8c564b", "#e377c2", "#17becf", "#bcbd22")
@@ -47,7 +48,7 @@ class Setting(NamedTuple):
     @property
     def text(self) -> str:
         """The value."""
-        return "" if self.value is None else f"{self.value:g}{self.suffix}"
+        return "" if self.value is None else f"{text(self.value)}{self.suffix}"
 
 
 class Beside(NamedTuple):
@@ -123,9 +124,9 @@ def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
             value = f"= {first.text}" if first.name else f"of {first.text}"
             if len(part) > 1:
                 value = f"{value} to {last.text}"
-                if start == 0:
+                if start == 0 and end < len(settings):
                     value = f"up to {last.text}"
-                elif end == len(settings):
+                elif start > 0 and end == len(settings):
                     value = f"from {first.text} on"
             yield f"{first.name} with {first.symbol} {value}" if first.name else f"{first.symbol} {value}"
         start = end

@@ -24,21 +24,18 @@ class Code(Enum):
         2,
         "A damped oscillator misses the slow spectrum (deviance {deviance} on {dof} degrees of freedom): Q is rough.",
     )
-    UNCERTIFIED = 2, "{n} of {of} runs slide so far, without a certificate that they always will."
+    UNCERTIFIED = 2, "{n} of {of} runs were sliding when they ended; it is not proved that no block sticks again."
     WITHOUT = 2, "{n} of {of} runs have no {what} and are left out there: {why}."
     WITHHELD = 2, "{what} is not given at {n} of {of} points: {why}."
-    TEMPORARY = (
-        2,
-        "{n} of {of} runs slide temporarily and count as lasting: sliding is unstable, and sticking comes back.",
-    )
+    TEMPORARY = 2, "In {n} of {of} runs no block sticks at the end, but sliding is unstable there."
     UNDECIDED = 2, "{n} of {of} runs are undecided; the column attractor_reason says why."
     SHORT = 3, "The runs are short: {what} rests on {n} {things} per run."
     FEW = 3, "{n} {units} give a wide interval: more {units} would narrow it."
     OVERLAP = (
         1,
-        "Some block slips {share} of the time ({where}): episodes that overlap count as one; use {remedy}.",
+        "At least one block slips {share} of the time ({where}): episodes that overlap count as one; use {remedy}.",
     )
-    BLURRED = 1, "{what}: blocks that do not follow the belt may count as stuck, so episodes cannot be counted."
+    BLURRED = 1, "{what}: blocks that creep may count as stuck, so episodes cannot be counted and are left out."
     SPANNING = 2, "{share} of the episodes take all {n} blocks: their sizes are those of the chain."
     ONE_SYSTEM = 2, "One system, many starts: intervals are over starts of this system."
 

@@ -44,6 +44,9 @@ class Quantity:
         What it is beside something smaller, and beside something larger: "longer", "shorter".
     definition : str
         What it is, in a sentence; empty where the name says it.
+    clause : str
+        How its level is said where that is no noun and number, with {} for the estimate or, where a difference is
+        shown, for the comparison: "small differences grow e-fold in {} time units".
     """
 
     key: str
@@ -52,6 +55,7 @@ class Quantity:
     more: str = "above"
     less: str = "below"
     definition: str = ""
+    clause: str = ""
 
 
 class Verdict(StrEnum):
@@ -188,7 +192,7 @@ class Share:
     things : str
         In the plural: "starts", "runs".
     predicate : str
-        A verb phrase in the plural: "end in steady sliding".
+        A verb phrase in the plural: "settle into steady sliding".
     """
 
     key: str
@@ -214,6 +218,8 @@ class Lifetime:
         The time to which runs were followed.
     share_left : float
         The share of runs that were cut off.
+    ended : str
+        What the others have done: "have grown without limit"; empty where the quantity says it.
     """
 
     quantity: Quantity
@@ -225,6 +231,7 @@ class Lifetime:
     where: str = ""
     comparison: Comparison | None = None
     basis: Basis | None = None
+    ended: str = ""
 
 
 class Fit(StrEnum):
@@ -252,6 +259,8 @@ class Law:
         How far the data are from the law.
     nearly : str
         The predicate of what is `Fit.CLOSE`; by default "nearly", and the predicate.
+    p_value : float, optional
+        Of data that follow the law.
     """
 
     subject: str
@@ -260,6 +269,7 @@ class Law:
     fit: Fit = Fit.HOLDS
     departure: Level | None = None
     nearly: str = ""
+    p_value: float | None = None
 
 
 @dataclass(frozen=True)
@@ -290,6 +300,7 @@ class Alike:
     value: float
     among: str
     where: str = ""
+    basis: Basis | None = None
 
 
 @dataclass(frozen=True)
@@ -353,7 +364,7 @@ class Regime:
     predicates : tuple of str
         Verb phrases in the plural, one for each outcome: "slide steadily".
     n, of : int
-        How many things have a known outcome there, and how many there are.
+        How many things have a known outcome there, and how many there are; at each setting if `is_each`.
     share : Estimate
         Of one outcome: the share of such things that have it; without a value where several occur.
     basis : Basis, optional
@@ -365,6 +376,7 @@ class Regime:
     of: int
     share: Estimate = field(default_factory=Estimate)
     basis: Basis | None = None
+    is_each: bool = False
 
 
 @dataclass(frozen=True)
@@ -374,6 +386,7 @@ class Regimes:
     things: str
     regimes: tuple[Regime, ...]
     where: str = ""
+    when: str = ""  #: part of several predicates, said once in a sentence: "at t = 150"
 
 
 class Truth(StrEnum):
@@ -400,6 +413,7 @@ class Reason(StrEnum):
     NOT_RECORDED = "not recorded"
     NOT_RUN = "not run"
     ALL_FAILED = "all runs failed"
+    CREEP = "blocks that creep may count as stuck"
     NOTHING_COUNTED = "nothing to count"
     ONE_VALUE = "all values are the same"
 
@@ -452,7 +466,8 @@ def records(finding: Finding) -> list[Record]:
         case Level(quantity, estimate, where, comparison, basis):
             return [_record(quantity.name, quantity.form, estimate, where, comparison, basis)]
         case Lifetime(quantity=quantity, estimate=estimate, where=where, comparison=comparison, basis=basis):
-            return [_record(quantity.name, quantity.form, estimate, where, comparison, basis)]
+            name = f"time by which half of the {finding.things} {finding.ended}" if finding.ended else quantity.name
+            return [_record(name, quantity.form, estimate, where, comparison, basis)]
         case Share(
             things=things, predicate=predicate, estimate=estimate, where=where, comparison=comparison, basis=basis
         ):
@@ -472,12 +487,9 @@ def records(finding: Finding) -> list[Record]:
             return [
                 _record(f"share of {things} that {predicate}", Form.SHARE, Estimate(high=most), where, None, basis)
             ]
-        case Alike(quantity, value, among, where):
-            return [
-                _record(
-                    quantity.name, quantity.form, Estimate(value), ", ".join(filter(None, (where, among))), None, None
-                )
-            ]
+        case Alike(quantity, value, among, where, basis):
+            setting = where if basis is not None else ", ".join(filter(None, (where, among)))
+            return [_record(quantity.name, quantity.form, Estimate(value), setting, None, basis)]
         case Outcomes():
             return []  # of which contrasts they are is said by findings of their own
         case Threshold(subject, is_end, key, last, first, where, basis):
@@ -485,7 +497,7 @@ def records(finding: Finding) -> list[Record]:
             n, unit = (None, "") if basis is None else (basis.n, basis.unit)
             setting = ", ".join(filter(None, (f"{key} = {last} to {first}", where)))
             return [Record(f"where {subject} {verb}", setting, n=n, unit=unit)]
-        case Regimes(things, regimes, where):
+        case Regimes(things=things, regimes=regimes, where=where):
             return [
                 _record(
                     " and ".join(f"share of {things} that {predicate}" for predicate in regime.predicates),

@@ -46,13 +46,8 @@ def clause(finding: Finding) -> str:
             return _level(finding)
         case Change():
             return _change(finding)
-        case Share(things=things, predicate=predicate, estimate=estimate, where=where, comparison=comparison):
-            if finding.basis is not None and finding.basis.n == 1 and estimate.value in (0.0, 1.0):
-                which = "all" if estimate.value else "none of the"
-                of = plural(1, finding.basis.unit)
-                return f"{which} {things} {predicate}{_at(where)} ({of}, no interval){_compared(comparison)}"
-            share = with_interval(estimate, Form.SHARE)
-            return f"{share} of {things} {predicate}{_at(where)}{_compared(comparison)}"
+        case Share():
+            return _share(finding)
         case Lifetime():
             return _lifetime(finding)
         case Law():
@@ -71,8 +66,11 @@ def clause(finding: Finding) -> str:
         case Threshold(subject, is_end, key, last, first, where, basis):
             every = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
             return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{_at(where)}{every}"
-        case Regimes(things, regimes, where):
+        case Regimes(things, regimes, where, when):
             grouped = "; ".join(_regime(regime, things, k == 0) for k, regime in enumerate(regimes))
+            if when:
+                first, said, others = grouped.partition(f" {when}")
+                grouped = first + said + others.replace(said, "")
             return f"{_at(where).strip(' ,')}: {grouped}" if where else grouped
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
@@ -107,11 +105,46 @@ def _at(where: str) -> str:
     return f" at {where}" if "=" in where.partition(",")[0] else f", {where}"
 
 
+def _before(where: str) -> str:
+    """A setting at the head of a sentence: "at n = 150, exact, "."""
+    if not where:
+        return ""
+    return f"at {where}, " if "=" in where.partition(",")[0] else f"{where}: "
+
+
+def _share(share: Share) -> str:
+    said = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{_at(share.where)}"
+    if share.comparison is None or share.comparison.difference.verdict is not Verdict.OPEN:
+        return said + _compared(share.comparison)
+    difference, other = share.comparison.difference, share.comparison.other
+    value = difference.estimate.value
+    form = _form(difference, Form.SHARE)
+    apart = "" if value is None else f"{number(value, form, decimals(difference.estimate, form), sign=True)}, "
+    apart = apart.replace("%", "") if difference.scale is Scale.ABSOLUTE else apart
+    return f"{said}, consistent with {other} (difference {apart}{interval(difference, Form.SHARE)})"
+
+
 def _level(level: Level) -> str:
+    said = level.quantity.clause and _in_clause(level)
+    if said:
+        return _before(level.where) + level.quantity.clause.format(said)
     name = level.quantity.name + (f", {level.where}" if level.where else "")
     return (
         f"{name}: {with_interval(level.estimate, level.quantity.form)}{_compared(level.comparison, level.quantity)}"
     )
+
+
+def _in_clause(level: Level) -> str:
+    """What stands in the clause of a quantity; empty where its level is compared and no difference is shown."""
+    if level.comparison is None:
+        return with_interval(level.estimate, level.quantity.form)
+    other, difference = level.comparison.other, level.comparison.difference
+    if difference.verdict not in (Verdict.MORE, Verdict.LESS):
+        return ""
+    if (times := ratio(difference)) is not None:
+        return f"{times} times as much as for {other}"
+    side = "more" if difference.verdict is Verdict.MORE else "less"
+    return f"{size(difference, level.quantity.form)} {side} than for {other}"
 
 
 def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -> str:
@@ -292,9 +325,15 @@ def _adding_up(before: float, after: float, change: float, places: int) -> tuple
 
 def _lifetime(lifetime: Lifetime) -> str:
     if lifetime.estimate.value is None:
-        left = number(lifetime.share_left, Form.SHARE)
+        left = "all" if lifetime.share_left == 1.0 else f"{number(lifetime.share_left, Form.SHARE)} of"
         at = ", ".join(filter(None, (f"t = {lifetime.horizon:g}", lifetime.where)))
-        return f"{left} of {lifetime.things} {lifetime.predicate} at {at}"
+        return f"{left} {lifetime.things} {lifetime.predicate} at {at}"
+    if lifetime.ended:
+        at = _at(lifetime.where)
+        is_method = at.startswith(",")  # alone: "exact"
+        begin = f"{lifetime.where}: " * is_method + f"half of the {lifetime.things}" + at * (not is_method)
+        compared = _compared(lifetime.comparison, lifetime.quantity)
+        return f"{begin} {lifetime.ended} by t = {with_interval(lifetime.estimate)}{compared}"
     name = lifetime.quantity.name + _at(lifetime.where)
     return f"{name}: {with_interval(lifetime.estimate)}{_compared(lifetime.comparison, lifetime.quantity)}"
 
@@ -306,13 +345,15 @@ def _law(law: Law) -> str:
     parameter = f"a {name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
     match law.fit:
         case Fit.HOLDS:
-            return f"{law.subject}{_at(level.where)} {law.predicate}, with {parameter}"
+            return f"{_before(level.where)}{law.subject} {law.predicate}, with {parameter}"
         case Fit.CLOSE:
             predicate = law.nearly or f"nearly {law.predicate}"
-            return f"{law.subject}{_at(level.where)} {predicate}, with {parameter}"
+            return f"{_before(level.where)}{law.subject} {predicate}, with {parameter}"
         case Fit.FAILS:
-            apart = "" if law.departure is None else f": {_level(law.departure)}"
-            return f"{law.subject}{_at(level.where)} do not {law.predicate}{apart}"
+            p = "" if law.p_value is None else f"p \u2264 {limit(law.p_value)}"
+            far = "" if law.departure is None else _level(law.departure)
+            apart = "; ".join(filter(None, (far, p)))
+            return f"{_before(level.where)}{law.subject} do not {law.predicate}" + f" ({apart})" * bool(apart)
         case Fit.OPEN:
             return f"whether {law.subject}{_at(level.where)} {law.predicate} is open; {_level(level)}"
 
@@ -347,12 +388,13 @@ def _outcomes(outcomes: Outcomes) -> str:
         said.append(f"{listed(outcomes.equal)} agree{'s' * (len(outcomes.equal) == 1)} with {other}{scope}")
     if outcomes.undecided:
         undecided = listed(outcomes.undecided, "or")
-        if largest is None or largest.basis is None:
+        if largest is None or largest.basis is None or largest.comparison is None:
             said.append(f"{undecided} cannot be told from {other}{scope}")
         else:
             few = f"{plural(largest.basis.n, largest.basis.unit)} {'is' if largest.basis.n == 1 else 'are'} too few"
             said.append(f"{few} to tell {undecided} from {other}{scope}")
-    apart = "" if largest is None or outcomes.different else _most_apart(largest)
+    is_said = largest is None or (outcomes.different and largest.comparison is not None)
+    apart = "" if largest is None or is_said else _most_apart(largest)
     return "; ".join(said) + apart
 
 
@@ -381,7 +423,10 @@ def _things(quantity: Quantity) -> str:
 
 def _most_apart(level: Level) -> str:
     """The largest difference of several, of which none is shown; as two values where it has no ratio."""
-    if level.comparison is None or level.comparison.difference.verdict is Verdict.SAME:
+    if level.comparison is None:  # the quantity is a distance
+        where = f" ({level.where})" if level.where else ""
+        return f", most apart in the {level.quantity.name}{where}: {with_interval(level.estimate)}"
+    if level.comparison.difference.verdict is Verdict.SAME:
         return ""
     difference, form, name = level.comparison.difference, level.quantity.form, level.quantity.name
     value, after = difference.estimate.value, level.estimate.value
@@ -407,11 +452,11 @@ def _signed(difference: Difference, form: Form) -> str:
 
 def _regime(regime: Regime, things: str, is_first: bool) -> str:
     """What things do at some settings; they are named once in a sentence."""
-    where, n, noun = regime.where, regime.n, f" {things}" * is_first
+    where, n, noun, each = regime.where, regime.n, f" {things}" * is_first, " each" * regime.is_each
     first, *others = regime.predicates
     if others:
         parts = [f"some{noun} {first}", *(f"some {predicate}" for predicate in others[:-1]), f"others {others[-1]}"]
         return f"{where} {listed(parts)}"
     if n < regime.of:
-        return f"{where} all {n:,} decided {things} (of {regime.of:,}) {first}"
-    return f"{where} all {n:,}{noun} {first}" if n > 1 else f"{where} {things} {first}"
+        return f"{where} all {n:,} decided {things} (of {regime.of:,}{each}) {first}"
+    return f"{where} all {n:,}{noun}{each} {first}" if n > 1 else f"{where} {things} {first}"

@@ -211,15 +211,19 @@ def build(
     tables = {"groups": groups} | {name: table for answer in found for name, table in answer.tables.items()}
     figures = {name: drawn for answer in found for name, drawn in answer.figures.items()}
     headline = [*stops, title, *lead]
-    told = findings_json(title, leading, [*others, *lacking])
+    told = findings_json(title, lead, [*leading, *others, *lacking])
     return Report(page.html, tables, headline, figures, problems | missing, not_run, told)
 
 
 def _lead(leading: Sequence[Part]) -> list[str]:
-    """The answer: of one question up to three findings, of several the first of each."""
-    if len(leading) == 1:
-        return [*leading[0].lead[:MOST_SAID]]
-    return [each.lead[0] for each in leading[:MOST_SAID]]
+    """The answer: the first finding of each question and, as far as there is room, what else leads them."""
+    said = leading[:MOST_SAID]
+    chosen: list[list[str]] = [[each.lead[0]] for each in said]
+    for k in range(1, MOST_SAID):
+        for each, texts in zip(said, chosen, strict=True):
+            if k < len(each.lead) and sum(map(len, chosen)) < MOST_SAID:
+                texts.append(each.lead[k])
+    return [text for texts in chosen for text in texts]
 
 
 def _provenance(
@@ -278,7 +282,16 @@ def _alerts(study: Study, leading: Sequence[Part], others: Sequence[Part]) -> li
     warned = [Alert.of(Code.ONE_SYSTEM)] if study.unit == START else []
     warned += [alert for part in leading for alert in part.alerts if alert.code.rank != STOP]
     warned += [alert for part in others for alert in part.alerts if STOP < alert.code.rank <= OF_DATA]
-    return [*dict.fromkeys(map(str, sorted(warned, key=lambda alert: alert.code.rank)))][:MOST_ALERTS]
+    once: dict[tuple[Code, str], str] = {}
+    for alert in sorted(warned, key=lambda alert: alert.code.rank):
+        once.setdefault(_subject(alert), str(alert))
+    return [*once.values()][:MOST_ALERTS]
+
+
+def _subject(alert: Alert) -> tuple[Code, str]:
+    """What an alert is about: a drift of one quantity is said once, whatever the settings that answers look at."""
+    text = str(alert)
+    return alert.code, text.partition(" at ")[0] if alert.code is Code.DRIFT else text
 
 
 def _primary(study: Study, answered: Sequence[Part]) -> tuple[str, ...]:

@@ -225,7 +225,7 @@ def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[s
     whole = Page(
         title, compared.title, compared.lead, (), compared.panels, compared.table, notes=notes, sections=[made]
     )
-    told = parts.findings_json(title, [compared], [])
+    told = parts.findings_json(title, compared.lead, [compared])
     return Report(whole.html, answer.tables, [*compared.lead], figures, findings=told)
 
 

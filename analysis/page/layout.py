@@ -54,8 +54,6 @@ class Section:
     ----------
     tables : sequence of Table
         Of data.
-    inside : Markup
-        What comes from a template of its own.
     """
 
     key: str
@@ -66,7 +64,6 @@ class Section:
     table: Table = field(default_factory=Table)
     notes: Sequence[str] = ()
     tables: Sequence[Table] = ()
-    inside: Markup = field(default_factory=Markup)
 
 
 @dataclass(frozen=True)
@@ -99,7 +96,6 @@ class Page:
     alerts: Sequence[str | Markup] = ()
     notes: Sequence[str | Markup] = ()
     sections: Sequence[Section] = ()
-    inside: Markup = field(default_factory=Markup)
     meta: Mapping[str, str] = field(default_factory=dict)
     paragraph: str = ""
 

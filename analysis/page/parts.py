@@ -162,17 +162,17 @@ def _data(answer: Answered) -> Iterator[tuple[str, pd.DataFrame]]:
             yield name, table
 
 
-def findings_json(title: str, leading: Sequence[Part], others: Sequence[Part]) -> dict[str, Any]:
-    """What the page says, all of it."""
+def findings_json(title: str, lead: Sequence[str], parts: Sequence[Part]) -> dict[str, Any]:
+    """What the page says, all of it; `lead` are the sentences of the first screen."""
     rows = [
-        {"question": part.key, "leads": part in leading and k < len(part.lead), "kind": type(finding).__name__,
+        {"question": part.key, "leads": k < len(part.lead) and part.lead[k] in lead, "kind": type(finding).__name__,
          "sentence": sentence(finding), "rows": [_row(row) for row in finding_records(finding)]}
-        for part in (*leading, *others)
+        for part in parts
         for k, finding in enumerate(part.findings)
     ]  # fmt: skip
     alerts = [
         {"question": part.key, "code": alert.code.name, "words": str(alert), **dict(alert.numbers)}
-        for part in (*leading, *others)
+        for part in parts
         for alert in part.alerts
     ]
     return {"title": title, "findings": rows, "alerts": alerts}

@@ -198,6 +198,8 @@ def order(row: tuple[Value, ...]) -> list[tuple[str, float, float]]:
 
 #: Numbers that differ by less, relatively, are shown as one.
 _ROUNDING = 1e-14
+#: Smaller numbers are shown as powers of ten.
+_SMALL = 0.01
 #: A number in a name, whose sign is no hyphen.
 _NUMBER = re.compile(r"(?:(?<!\w)[-+])?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _DRAWN = re.compile(r"(uniform|normal)\(([^,()]+), ([^,()]+)\)")
@@ -207,9 +209,15 @@ Rank: TypeAlias = tuple[int, str, tuple[float, ...]]
 
 
 def shown(value: float) -> str:
-    """A number in few digits, but in all that it has: numbers that differ by more than rounding stay apart."""
+    """A number in few digits, but in all that it has, such as 3e-4: more than rounding is never lost."""
     text = f"{value:g}"
-    return text if abs(float(text) - value) <= _ROUNDING * abs(value) else f"{value:.15g}"
+    if abs(float(text) - value) > _ROUNDING * abs(value):
+        text = f"{value:.15g}"
+    if not 0.0 < abs(value) < _SMALL:
+        return text
+    digits = len(text.partition("e")[0].replace(".", "").lstrip("-0"))
+    mantissa, _, exponent = f"{value:.{max(digits, 1) - 1}e}".partition("e")
+    return f"{mantissa}e{int(exponent)}"
 
 
 def text(value: object) -> str:

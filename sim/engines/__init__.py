@@ -1,6 +1,6 @@
 """The engines, and what they share; `contract` says what one is."""
 
-from stickslip.sim.engines.contract import Engine, Number, Setting
+from stickslip.sim.engines.contract import Engine, Setting
 from stickslip.sim.engines.coulomb.settings import Coulomb
 from stickslip.sim.engines.moreau.settings import Moreau
 from stickslip.sim.engines.sigmoid.settings import Sigmoid
@@ -22,12 +22,6 @@ for _engine in ENGINES.values():
 
 #: That of `simulate`, if none is named.
 DEFAULT = Coulomb.name
-
-
-def symbol(name: str) -> str:
-    """A setting as sentences call it."""
-    setting = SETTINGS[name]
-    return (setting.symbol if isinstance(setting, Number) else "") or name
 
 
 def place(name: str) -> int:

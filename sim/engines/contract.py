@@ -115,15 +115,12 @@ class Number(Setting):
         Its value where only the purpose of a run is given; a tolerance has one for each purpose.
     coarseness : Coarseness or None
         What it makes coarse; None: nothing.
-    symbol : str
-        In sentences of a report; default: its name.
     """
 
     above: float = -math.inf
     below: float = math.inf
     picked: Mapping[Purpose, float] = field(default_factory=dict)
     coarseness: Coarseness | None = None
-    symbol: str = ""
 
     def checked(self, name: str, value: Any) -> float:
         return number(name, value, self.above, self.below)
@@ -190,8 +187,8 @@ class Engine(ABC):
     ----------
     name : str
         As in ``engine="..."``.
-    title, method : str
-        On pages of a report, and there in sentences about methods; default: its name, and the title.
+    title : str
+        On pages of a report; default: its name.
     about : str
         One line for scenes.
     kernels : str
@@ -210,7 +207,6 @@ class Engine(ABC):
 
     name: ClassVar[str]
     title: ClassVar[str]
-    method: ClassVar[str]
     about: ClassVar[str]
     kernels: ClassVar[str] = ""
     sizes: ClassVar[tuple[int, ...]] = (SMALL,)
@@ -222,7 +218,6 @@ class Engine(ABC):
         own = vars(cls)
         if "name" in own:  # an inherited title is that of another engine
             cls.title = own.get("title", cls.name)
-            cls.method = own.get("method", cls.title)
 
     def __post_init__(self) -> None:
         for name, about in self.settings().items():

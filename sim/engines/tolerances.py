@@ -43,6 +43,5 @@ WIDTH = Number(
     in_all=True,
     above=0,
     coarseness=Coarseness.WIDTH,
-    symbol="\u03b5",
 )
-STEP = Number(words="longest step", in_id="h", in_label="always", above=0, coarseness=Coarseness.STEP, symbol="h")
+STEP = Number(words="longest step", in_id="h", in_label="always", above=0, coarseness=Coarseness.STEP)

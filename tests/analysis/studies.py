@@ -276,8 +276,8 @@ def counting_study(rng, ensembles):
         picks = rng.integers(len(rows), size=(ensembles, MATRICES))
         whole = rows.sum(axis=0, keepdims=True)
         independent = {
-            "excess": pool.gamma(n, n * p) / LN2 - 1, "counting": pool.gamma(n, n * p) / LN2 - 1, "habits": 0.0,
-            "coupling": 0.0, "slope": pool.slope(n, n * p), "over_slope": 0.0,
+            "excess": pool.gamma(n, n * p) / LN2 - 1, "finite_size": pool.gamma(n, n * p) / LN2 - 1,
+            "own_dynamics": 0.0, "coupling": 0.0, "rise": pool.slope(n, n * p), "rise_over_two_state": 0.0,
         }  # fmt: skip
         for part, answer in independent.items():
             found = [over_matrices(of[part], rows[some], CONFIDENCE) for some in picks]
@@ -899,7 +899,7 @@ def drift_study(rng, ensembles, t_end=2400.0):
     for drift in (0.0, 0.3, 1.0):
         x = wandering(rng, runs, t_end, oscillation=0.3)
         x[:, int(t_end) // 2 :] += drift
-        x = np.rint(100 + 20 * x).astype(np.int64)
+        x = np.rint(400 + 20 * x).astype(np.int64)
         rows = np.concatenate([enough.halves(window(np.arange(t_end), one, 0.0, t_end).alone) for one in x])
         answer = float(ratio(np.column_stack([rows[:, 1] - rows[:, 0], np.ones(runs)]).sum(axis=0, keepdims=True))[0])
         answer /= np.sqrt(rows[:, 2].mean())
@@ -1009,7 +1009,7 @@ def methods_study(rng, ensembles):
     """
     ensembles //= 10
     for name, (test, draw, how, answer) in PLANTED_LAWS.items():
-        found = [test(draw(rng, *how), 0.05, CONFIDENCE, rng) for _ in range(ensembles)]
+        found = [test(draw(rng, *how), CONFIDENCE, rng) for _ in range(ensembles)]
         yield judged("methods", name, answer, [one.size for one in found])
         shown = float(np.mean([one.p_different < 1 - CONFIDENCE for one in found]))
         if answer:

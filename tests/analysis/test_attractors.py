@@ -89,7 +89,7 @@ def test_shares_and_periods(data, settings):
     assert table["n_runs"].to_dict() == n_of
     assert table.loc["periodic", ["period_least", "period_median", "period_most"]].tolist() == [2.0, 6.0, 9.0]
     assert table["period_median"].notna().sum() == 1
-    assert said(answered)[0] == "30% (11 to 60%) of runs end in steady sliding."
+    assert said(answered)[0] == "30% (11 to 60%) of runs settle into steady sliding."
 
 
 def test_runs_of_one_matrix_are_no_independent_trials(planted, data, settings):
@@ -274,9 +274,11 @@ def swept(planted_runs):
 def test_where_along_a_key_attractors_change(swept, settings):
     answered = settled(Study(swept, settings))
     assert said(answered) == [
-        "Up to belt_speed = 7 all 35 starts settle on a cycle; from belt_speed = 9 on all 20 end in steady sliding.",
-        "Up to belt_speed = 4 all 20 starts settle on a cycle of 1 exit per period; from belt_speed = 5 to 7 all 15"
-        " settle on a cycle of 2 exits per period; from belt_speed = 9 on all 20 end in steady sliding.",
+        "Up to belt_speed = 7 all 5 starts each settle on a cycle; from belt_speed = 9 on all 5 each settle into"
+        " steady sliding.",
+        "Up to belt_speed = 4 all 5 starts each settle on a cycle of 1 exit per period; from belt_speed = 5 to 7 all"
+        " 5 each settle on a cycle of 2 exits per period; from belt_speed = 9 on all 5 each settle into steady"
+        " sliding.",
     ]  # fmt: skip
     for regime in answered.findings[0].regimes:
         assert regime.share.low == pytest.approx(wilson(5, 5)[0])  # of five starts
@@ -296,8 +298,8 @@ def test_where_both_attract(planted_runs, settings):
     ])  # fmt: skip
     answered = settled(Study(data, settings))
     assert said(answered) == [
-        "Up to belt_speed = 2 all 10 starts settle on a cycle; from belt_speed = 3 to 4 some end in steady sliding"
-        " and others settle on a cycle; from belt_speed = 5 on all 10 end in steady sliding."
+        "At belt_speed = 1 and 2 all 5 starts each settle on a cycle; at belt_speed = 3 and 4 some settle into steady"
+        " sliding and others settle on a cycle; at belt_speed = 5 and 6 all 5 each settle into steady sliding."
     ]  # fmt: skip
 
 
@@ -338,10 +340,10 @@ def over_two(planted_runs):
 def test_each_value_of_a_second_key_has_its_regimes_and_the_ends_lead(over_two, settings):
     answered = settled(Study(over_two, settings))
     assert said(answered) == [
-        "At static = 1.2: at belt_speed = 1 all 5 starts settle on a cycle; from belt_speed = 2 on all 20 end in"
-        " steady sliding.",
-        "At static = 1.6: up to belt_speed = 3 all 15 starts settle on a cycle; from belt_speed = 4 on all 10 end in"
-        " steady sliding.",
+        "At static = 1.2: at belt_speed = 1 all 5 starts settle on a cycle; from belt_speed = 2 on all 5 each settle"
+        " into steady sliding.",
+        "At static = 1.6: up to belt_speed = 3 all 5 starts each settle on a cycle; at belt_speed = 4 and 5 all 5"
+        " each settle into steady sliding.",
     ]  # fmt: skip
     assert [regimes.where for regimes in answered.findings if isinstance(regimes, Regimes)] == [
         "static = 1.2", "static = 1.6", "static = 1.4",
@@ -393,8 +395,8 @@ def test_values_that_differ_in_their_seventh_digit_are_told_apart(planted_runs, 
         for v in belts for s in range(5)
     ])  # fmt: skip
     assert said(settled(Study(data, settings))) == [
-        "Up to belt_speed = 3.210572 all 10 starts settle on a cycle; at belt_speed = 3.210573 all 5 end in steady"
-        " sliding."
+        "At belt_speed = 3.210571 and 3.210572 all 5 starts each settle on a cycle; at belt_speed = 3.210573 all 5"
+        " settle into steady sliding."
     ]  # fmt: skip
     answered = fates.answer(Study(data, settings))
     assert answered.tables["fates"]["n_runs"].tolist() == [5, 5, 5]
@@ -407,5 +409,5 @@ def test_runs_that_are_undecided_are_not_among_all(planted_runs, settings):
         for v in (1, 2) for s in range(5)
     ])  # fmt: skip
     answered = settled(Study(data, settings))
-    assert said(answered)[0] == "At all 2 values of belt_speed all 4 decided starts (of 10) settle on a cycle."
+    assert said(answered)[0] == "At belt_speed = 1 and 2 all 2 decided starts (of 5 each) settle on a cycle."
     assert answered.findings[0].regimes[0].share.low is None

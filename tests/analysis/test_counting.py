@@ -78,8 +78,8 @@ def test_the_parts_add_up(rng):
     rows = np.array([counting.run_sums(*run, 3, rng) for run in studies.two_state_blocks(rng, 20, 0.3, 0.05, 400, 5)])
     whole = rows.sum(axis=0, keepdims=True)
     found = {name: float(of(whole)[0]) for name, of in counting.parts(20).items()}
-    assert found["excess"] == pytest.approx(found["counting"] + found["habits"] + found["coupling"])
-    assert found["independent"] == pytest.approx(found["counting"] + found["habits"])
+    assert found["excess"] == pytest.approx(found["finite_size"] + found["own_dynamics"] + found["coupling"])
+    assert found["time_shifted"] == pytest.approx(found["finite_size"] + found["own_dynamics"])
 
 
 def test_intervals_of_the_parts_hold_the_planted_ones(rng):
@@ -108,8 +108,8 @@ def test_independent_blocks_are_finite_size_alone(planted, rng):
     parts = [estimates(finding) for finding in known]
     assert agrees(sum(part["coupling"].low <= 0 <= part["coupling"].high for part in parts), len(parts), 0.95)
     row = next(answer.tables["counting"].iloc[0] for answer in answers if answer.findings[0] is known[0])
-    assert parts[0]["counting"].value == pytest.approx(pool.gamma(40, row["mean"]) / LN2 - 1)
-    assert row["slope_of_pool"] == pytest.approx(0.03, rel=0.1)
+    assert parts[0]["finite_size"].value == pytest.approx(pool.gamma(40, row["mean"]) / LN2 - 1)
+    assert row["rise_of_two_state"] == pytest.approx(0.03, rel=0.1)
 
 
 def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
@@ -120,7 +120,7 @@ def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
         each = estimates(finding)
         assert each["coupling"].low > 0.0
         assert each["excess"].value == pytest.approx(
-            sum(each[name].value for name in ("counting", "habits", "coupling"))
+            sum(each[name].value for name in ("finite_size", "own_dynamics", "coupling"))
         )
     assert re.fullmatch(
         r"Excess over ln 2 at n = 40: [0-9.]+%, from finite size \+[0-9.]+%, "
@@ -153,5 +153,5 @@ def test_the_rate_is_held_against_one_pool_lulls_or_none(planted, rng):
     members = study.data.members.assign(t_end=slow * study.data.members["t_end"])
     study = Study(Data(members.assign(t_stop=members["t_end"]), series, events), study.settings)
     row, law = counting.question(study).tables["counting"].iloc[0], cascades.answer(study).tables["law"].iloc[0]
-    assert row["in_lulls"] > 0.05
-    assert law["over_pool"] / LN2 == pytest.approx(row["excess"] - row["counting"], abs=1e-9)
+    assert row["share_in_lulls"] > 0.05
+    assert law["over_pool"] / LN2 == pytest.approx(row["excess"] - row["finite_size"], abs=1e-9)

@@ -86,7 +86,7 @@ def test_tolerances_are_grouped_by_outcome(planted):
     shifts = {("coulomb", 1e-10): 0, ("coulomb", 1e-6): 0, ("coulomb", 1e-4): 1, ("coulomb", 1e-2): 9}
     different, equal, *_ = asked(planted, shifts).findings
     assert different.other == equal.other == "the tightest tolerance"
-    assert equal.equal == ("exact with tol up to 0.0001",)
+    assert equal.equal == ("exact with tol up to 1e-4",)
     assert different.different == ("exact with tol = 0.01",)
 
 

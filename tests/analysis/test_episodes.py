@@ -329,7 +329,7 @@ def test_episodes_that_cannot_be_judged_have_a_page(planted_episodes, settings, 
     data = planted_episodes(EXACT, **few)
     for question in ((), ("fates",), ("episodes",)):
         html = build(data, replace(settings, question=question), "A chain", "", {}).html
-        assert ("ome block slips" in html) or few["n_matrices"] > 1
+        assert ("t least one block slips" in html) or few["n_matrices"] > 1
 
 
 def test_the_ends_of_two_keys_are_not_compared(planted_episodes, strict):
@@ -472,9 +472,13 @@ def test_settings_that_share_their_draws_are_compared_system_by_system(planted, 
 def test_what_counts_as_stuck_is_told_in_speeds_of_the_belt(planted_episodes, planted, settings, stick, ratio, speed):
     smooth = planted.sigmoid | {"eps": 1e-3, "stick": stick, "ratio": ratio, "belt_speed": -1e-3}
     data = planted_episodes({"exact": ({"belt_speed": -1e-3}, 1.0), "smooth": (smooth, 1.0)})
-    found = episodes.answer(Study(data, settings)).tables["episodes"].set_index("method")["stuck_below"]
+    answer = asked(data, settings)
+    found = answer.tables["episodes"].set_index("method")["stuck_below"]
     assert found["exact"] is pd.NA
     assert found.iloc[1] is pd.NA if speed is None else found.iloc[1] == pytest.approx(speed, rel=1e-4)
+    if speed is not None:  # its episodes cannot be counted: an alert says so, and no row compares them
+        assert Code.BLURRED in codes(answer)
+        assert {level.where for level in of_kind(answer, Level) if "creep" not in level.quantity.name} == {"exact"}
 
 
 def test_a_law_that_cannot_be_compared_is_shown_with_its_reason(planted_episodes, planted, settings):
@@ -605,19 +609,18 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
         episodes=data.episodes,
     )
     answer = asked(data, settings)
-    (outcomes,) = of_kind(answer, Outcomes)
-    assert answer.findings[0] is outcomes
-    assert outcomes == Outcomes(
-        "exact events",
-        different=("sigmoid with \u03b5 from 0.001 on",),
-        undecided=("sigmoid with \u03b5 = 1e-05",),
-    )
+    different, undecided = of_kind(answer, Outcomes)
+    assert answer.findings[:2] == [different, undecided]
+    assert (different.other, different.different) == ("exact", ("sigmoid with eps from 1e-3 on",))
+    assert (different.largest.where, different.largest.comparison.difference.estimate.value) == ("eps = 0.01", -1.0)
+    assert undecided.undecided == ("sigmoid with eps = 1e-5",)
+    assert undecided.largest.comparison.difference.verdict is Verdict.OPEN
     levels = [level for level in of_kind(answer, Level) if level.quantity is episodes.WORDS[RATE]]
-    rates = {level.where.split(",")[0]: level for level in levels}
+    rates = {re.sub(", (ratio|stick) = [^,]*", "", level.where): level for level in levels}
     off = {where: level.comparison.difference for where, level in rates.items() if where != "exact"}
-    assert off["sigmoid \u03b5 = 1e-3"].verdict is Verdict.MORE
-    assert off["sigmoid \u03b5 = 1e-3"].estimate.value == pytest.approx(0.33, abs=0.05)
-    assert off["sigmoid \u03b5 = 0.01"].estimate.value == -1.0
+    assert off["sigmoid, eps = 1e-3"].verdict is Verdict.MORE
+    assert off["sigmoid, eps = 1e-3"].estimate.value == pytest.approx(0.33, abs=0.05)
+    assert off["sigmoid, eps = 0.01"].estimate.value == -1.0
     assert rates["exact"].comparison is None
     over = answer.tables["episode_rates"].set_index("group")
     coarse = answer.tables["episodes"].set_index("method").filter(like="1e-3", axis=0)["group"].item()
@@ -680,9 +683,9 @@ def test_methods_are_named_as_they_are_written(planted_episodes, planted, settin
     """With what tells them apart in a sweep, and n where there are several."""
     moreau = {"engine": "moreau", "step": 0.1, "tol": None}
     for more, names in (
-        ({}, {"exact", "sigmoid \u03b5 = 0.03", "time stepping h = 0.1"}),
-        ({"kappa": [0.2, 0.3]}, {"exact, kappa = 0.2", "sigmoid, kappa = 0.2, \u03b5 = 0.03"}),
-        ({"n": [100, 200]}, {"n = 100, exact", "n = 200, sigmoid \u03b5 = 0.03", "n = 100, time stepping h = 0.1"}),
+        ({}, {"exact", "sigmoid, eps = 0.03", "moreau, step = 0.1"}),
+        ({"kappa": [0.2, 0.3]}, {"exact, kappa = 0.2", "sigmoid, kappa = 0.2, eps = 0.03"}),
+        ({"n": [100, 200]}, {"n = 100, exact", "n = 200, sigmoid, eps = 0.03", "n = 100, moreau, step = 0.1"}),
     ):
         points = [{key: value} for key, values in more.items() for value in values] or [{}]
         engines = {

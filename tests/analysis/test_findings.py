@@ -1,6 +1,7 @@
 """What a finding comes to: its verdict from the interval alone, its sentence, its row, and the digits of numbers."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -130,8 +131,13 @@ def test_sentences():
     )
     left = Lifetime(LATE, "runs", "still stick and slip", Estimate(), 150.0, 0.75, "n = 100")
     assert sentence(left) == "75.0% of runs still stick and slip at t = 150, n = 100."
-    basin = Share("sliding", "starts", "end in steady sliding", Estimate(0.301, 0.288, 0.314))
-    assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts end in steady sliding."
+    basin = Share("sliding", "starts", "settle into steady sliding", Estimate(0.301, 0.288, 0.314))
+    assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts settle into steady sliding."
+    published = Comparison("the published 30.71%", Difference(Estimate(-0.006, -0.019, 0.007), Scale.ABSOLUTE))
+    assert sentence(replace(basin, comparison=published)) == (
+        f"{sentence(basin)[:-1]}, consistent with the published 30.71%"
+        " (difference \u22120.6, \u22121.9 to +0.7 percentage points)."
+    )
     excess = Quantity("excess", "excess", Form.SHARE)
     parts = [
         Level(Quantity(name, name), Estimate(*of))
@@ -175,20 +181,21 @@ def _findings(rng):
     level = Level(quantity, estimate, where, comparison, basis)
     yield level
     yield Change(quantity, "kappa", "0.1", "0.4", Estimate(0.3), estimate, difference, where, basis)
-    yield (share := Share("sliding", "starts", "end in steady sliding", estimate, where, comparison, basis))
+    yield (share := Share("sliding", "starts", "settle into steady sliding", estimate, where, comparison, basis))
     yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis)
+    yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis, "have ended")
     yield Lifetime(LATE, "runs", "still stick", Estimate(), 100.0, 0.7, where, comparison, basis)
     yield Law("sizes", "fall off exponentially", level, _pick(rng, Fit), level)
     yield Parts(level, (level, level))
     yield Limit("pairs", "exits", "trigger another", value, where, basis)
-    yield Alike(quantity, value, "from all starts", where)
+    yield Alike(quantity, value, "from all starts", where, basis)
     yield Outcomes("exact", ("h = 0.1",), ("h = 0.2", "h = 0.4"), (), level)
     yield Outcomes("exact", undecided=("h = 0.1",), largest=level, scope="the number of slip onsets")
     yield Outcomes("exact", ("h = 0.1",), largest=level)
     yield Threshold("stick-slip", bool(rng.integers(2)), "belt_speed", "0.3", "0.4", where, basis)
     mixed = Regime("from v = 8 on", ("slide", "stick", "stop"), 9, 10)
     alone = (Regime("up to v = 7", ("slide",), n, 5, estimate) for n in (1, 2, 4, 5))
-    yield Regimes("starts", (*alone, mixed), where)
+    yield Regimes("starts", (*alone, mixed), where, "at t = 9")
     yield Lack("the decay rate", _pick(rng, Reason), "12 cascades")
     yield Decided(_pick(rng, Truth), share)
 

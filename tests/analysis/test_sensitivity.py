@@ -58,7 +58,7 @@ def test_what_was_not_measured_is_not_said_to_be_unknown(rng, planted, settings)
     parted, rate = answer(Study(Data(changed, data.series), settings)).findings
     assert (parted.estimate.value, parted.share_left, rate.reason) == (None, 1.0, Reason.NOT_RUN)
     assert sentence(parted) == (
-        "100% of copies have not parted at t = 1000, n = 200, exact, with constants changed by up to 1%."
+        "All copies are still together at t = 1000, n = 200, exact, with constants changed by up to 1%."
     )
     settled = answer(Study(Data(changed.assign(outcome="collapsed"), data.series), settings)).findings
     assert [finding.reason for finding in settled] == [Reason.NOT_RUN, Reason.NO_REFERENCE]
@@ -119,7 +119,8 @@ def test_rates_have_their_sign(rng, planted, settings, rate, verdict):
     assert row["verdict"] == verdict
     assert row["e_fold_low"] < 1 / abs(row["rate"]) < row["e_fold_high"]
     lead, parted = found.findings
-    assert lead.quantity.name == f"time in which small differences {verdict} by a factor e"
+    assert lead.quantity.name == f"time in which start differences of 1e-06 {verdict} e-fold"
+    assert sentence(lead).startswith(f"At n = 200, exact, start differences of 1e-06 {verdict} e-fold in ")
     assert lead.estimate.low < 1 / abs(rate) < lead.estimate.high
     assert isinstance(parted, Lifetime)
     assert list(found.figures) == ["growth", "parting"]

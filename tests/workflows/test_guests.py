@@ -50,7 +50,7 @@ class Soft(Engine):
     keeps_stills = True
     takes = Sigmoid.takes
 
-    softness: float = setting(0.05, replace(WIDTH, words="width of the layer", column="", symbol="", in_all=False))
+    softness: float = setting(0.05, replace(WIDTH, words="width of the layer", column="", in_all=False))
 
     def integrate(self, task: Task) -> Run:
         return Sigmoid(eps=self.softness).integrate(task)

@@ -1,13 +1,13 @@
 """Why the decay rate of cascade sizes is not that of a fair coin: finite size, blocks' own dynamics, coupling.
 
-    gamma / ln 2 - 1 = counting + habits + coupling
+    gamma / ln 2 - 1 = finite size + own dynamics + coupling
 
-    counting    pool - coin       as many two-state blocks, of which finitely many can let go (`models.pool`)
-    habits      shifted - pool    the runs' own blocks, which have dynamics of their own, but ignore each other
-    coupling    runs - shifted    what shifting each block's series in time breaks (`nulls.rotated`)
+    finite size     pool - coin       as many two-state blocks, of which finitely many can let go (`models.pool`)
+    own dynamics    shifted - pool    the runs' own blocks, which have dynamics of their own, but ignore each other
+    coupling        runs - shifted    what shifting each block's series in time breaks (`nulls.rotated`)
 
-For independent blocks, with or without memory, coupling is zero; for equal blocks without memory, habits are zero
-too.
+For independent blocks, with or without memory, coupling is zero; for equal blocks without memory, own dynamics are
+zero too.
 
 Lulls, which are stretches longer than `LULL` in which no block sticks, are cut out first. Nothing can let go in a
 lull, yet it would count as time in which fewer blocks stick, and shifting would fill it with events of other blocks.
@@ -54,16 +54,16 @@ EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$np(1-p)$", r"$np(1-p)\,(\gamma
 SHIFTS = 30
 WHOLE = Quantity("excess", "excess over ln 2", Form.SHARE)
 PARTS = (
-    Quantity("counting", "finite size", Form.SHARE),
-    Quantity("habits", "each block's own dynamics", Form.SHARE),
+    Quantity("finite_size", "finite size", Form.SHARE),
+    Quantity("own_dynamics", "each block's own dynamics", Form.SHARE),
     Quantity("coupling", "coupling", Form.SHARE),
 )
-RISE = Quantity("slope", "rise of the chance of a slip onset with each sticking block", Form.SHARE)
-_ESTIMATES = ("excess", "counting", "habits", "coupling", "independent", "slope", "over_slope")
+RISE = Quantity("rise", "rise of the chance of a slip onset with each sticking block", Form.SHARE)
+_ESTIMATES = ("excess", "finite_size", "own_dynamics", "coupling", "time_shifted", "rise", "rise_over_two_state")
 _TABLE: Mapping[str, str] = {
-    "group": S, "n": I, "n_matrices": I, "n_cascades": I, "mean": F, "variance": F, "in_lulls": F,
+    "group": S, "n": I, "n_matrices": I, "n_cascades": I, "mean": F, "variance": F, "share_in_lulls": F,
     **{f"{name}{end}": F for name in _ESTIMATES for end in ("", "_low", "_high")},
-    "slope_of_pool": F, "basis": S,
+    "rise_of_two_state": F,
 }  # fmt: skip
 
 #: Columns of `run_sums`, a numerator and a denominator each: total size and number of cascades of the run, the same
@@ -75,9 +75,9 @@ N_COLUMNS = 8
 def question(study: Study) -> Answer | None:
     """Why is the decay rate not ln 2?
 
-    Finite size is the excess of as many independent two-state blocks, as many of which stick, over ln 2;
-    own dynamics is that of the runs' own blocks, each shifted by a random time, over two-state blocks; and coupling
-    that of the runs over shifted blocks. Stretches of more than 20 in which no block sticks are left out.
+    Finite size is the excess over ln 2 of the same number of independent two-state blocks with the same mean number
+    sticking; own dynamics is that of the runs' own blocks, each shifted by a random time, over two-state blocks; and
+    coupling that of the runs over shifted blocks. Stretches of more than 20 in which no block sticks are left out.
     """
     if not study.data.events:
         return Answer(findings=[Lack("the parts of the decay rate", Reason.NOT_RECORDED, "events")])
@@ -94,10 +94,10 @@ def question(study: Study) -> Answer | None:
     )
     judged = [lead, *(row for row in reversed(alike) if row is not lead and row in known)]
     findings: list[Finding] = [_parts(study, row, len(judged) > 1) for row in judged]
-    slope = Difference(_estimate(lead, "over_slope"))
+    slope = Difference(_estimate(lead, "rise_over_two_state"))
     where, basis = _where(lead, len(judged) > 1), Basis(lead["n_matrices"], systems(study))
     findings.append(
-        Level(RISE, _estimate(lead, "slope"), where, Comparison("independent two-state blocks", slope), basis)
+        Level(RISE, _estimate(lead, "rise"), where, Comparison("independent two-state blocks", slope), basis)
     )
     return Answer(findings=findings, tables=table, figures={"counting": _picture(alike, lead)})
 
@@ -111,8 +111,9 @@ def _picture(rows: Sequence[Row], lead: Row) -> Picture:
     faint = "" if all(row["is_judged"] for row in rows) else " Faint: not in a steady state."
     return Picture(
         partial(by_number, rows),
-        "Coupling is the distance of the runs from time-shifted blocks; line and diamonds: as many independent "
-        f"two-state blocks, of which a share p sticks. Below, times n p (1 − p): finite size is level.{faint}",
+        "Coupling is the distance of the runs from time-shifted blocks; line and diamonds: the same "
+        f"number of independent two-state blocks, of which a share p sticks. "
+        f"Below, times n p (1 − p): finite size is level.{faint}",
     )
 
 
@@ -144,12 +145,12 @@ def _row(study: Study, group: Group) -> Row | None:
     estimates = {name: over_matrices(of[name], sums, level) for name in _ESTIMATES}
     mean = float(ratio(sums[:, MEAN].sum(axis=0, keepdims=True))[0])
     row: Row = {
-        "group": group.label, "n": n, "n_matrices": len(sums), "n_cascades": basis.n_cascades, "basis": basis.code,
+        "group": group.label, "n": n, "n_matrices": len(sums), "n_cascades": basis.n_cascades,
         "is_judged": basis.code in enough.JUDGED,
-        "mean": mean, "variance": mean * (1 - mean / n), "in_lulls": float(lulls / total),
+        "mean": mean, "variance": mean * (1 - mean / n), "share_in_lulls": float(lulls / total),
         "n_runs": len(group), "n_moving": group.n_moving,
         "each": [float(of["coupling"](system[None])[0]) for system in sums if _has_rates(system)],
-        "slope_of_pool": pool.slope(n, mean) if pool.is_one(n, mean) else None,
+        "rise_of_two_state": pool.slope(n, mean) if pool.is_one(n, mean) else None,
         "of": [group.key[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name != "n"],
     }  # fmt: skip
     for name, one in estimates.items():
@@ -246,17 +247,17 @@ def parts(n: int) -> dict[str, Statistic]:
     def independent(rows: np.ndarray) -> np.ndarray:
         return gamma(rows[:, ROTATED]) / LN2 - 1
 
-    def counting(rows: np.ndarray) -> np.ndarray:
+    def finite_size(rows: np.ndarray) -> np.ndarray:
         return of_pool(n, pool.gamma, rows) / LN2 - 1
 
     return {
         "excess": runs,
-        "independent": independent,
-        "counting": counting,
-        "habits": lambda rows: independent(rows) - counting(rows),
+        "time_shifted": independent,
+        "finite_size": finite_size,
+        "own_dynamics": lambda rows: independent(rows) - finite_size(rows),
         "coupling": lambda rows: runs(rows) - independent(rows),
-        "slope": lambda rows: ratio(rows[:, SLOPE]),
-        "over_slope": lambda rows: ratio(rows[:, SLOPE]) / of_pool(n, pool.slope, rows) - 1,
+        "rise": lambda rows: ratio(rows[:, SLOPE]),
+        "rise_over_two_state": lambda rows: ratio(rows[:, SLOPE]) / of_pool(n, pool.slope, rows) - 1,
     }
 
 
@@ -273,10 +274,10 @@ def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
     scale, of_line = (x, np.ones(len(fine))) if scaled else (np.ones(len(x)), 1 / fine)
     ax.axhline(0.0, linestyle="--", color=GREY, linewidth=1, label="fair coin")
     ax.plot(fine, 0.25 / LN2 * of_line, color=GREEN, linewidth=0.8)
-    counted = np.array([row["counting"] for row in rows]) * scale
+    counted = np.array([row["finite_size"] for row in rows]) * scale
     ax.plot(x, counted, "D", color=GREEN, markersize=3.5, label="two-state blocks")
     for name, mark, colour, label in (
-        ("independent", "s", SMOOTHED, "time-shifted"), ("excess", "o", EXACT, "runs"),
+        ("time_shifted", "s", SMOOTHED, "time-shifted"), ("excess", "o", EXACT, "runs"),
     ):  # fmt: skip
         value, low, high = (np.array([row[f"{name}{end}"] for row in rows]) * scale for end in ("", "_low", "_high"))
         for some, alpha, said in ((known, 1.0, label), (~known, 0.35, "")):

@@ -26,7 +26,7 @@ from stickslip.analysis.findings.finding import (
     Scale,
     Share,
 )
-from stickslip.analysis.findings.words import plural
+from stickslip.analysis.findings.words import based_on, plural
 from stickslip.analysis.grid import MOST_SETTINGS, axes_of, dtype, place_of, settings
 from stickslip.analysis.groups import Group
 from stickslip.analysis.models.attractors import (
@@ -67,7 +67,8 @@ _RANGES = {
 _NUMBERS = ("period", "multiplier", "exits_per_period", "events_per_period")
 PERIOD = Quantity("period", "period of the cycle")
 PREDICATES = {
-    REST: "come to rest", SLIDING: "end in steady sliding", PERIODIC: "settle on a cycle", TORUS: "settle on a torus",
+    REST: "come to rest", SLIDING: "settle into steady sliding", PERIODIC: "settle on a cycle",
+    TORUS: "settle on a torus",
     IRREGULAR: "stay irregular", ESCAPING: "grow without limit", UNDECIDED: "are undecided",
 }  # fmt: skip
 METHOD = (
@@ -226,7 +227,8 @@ def settled(study: Study) -> Answer | None:
     else:
         shares = [_findings(study, name if len(runs) > 1 else "", attractors[name], runs[name])
                   for name in list(runs)[:_MOST_LINES]]  # fmt: skip
-        findings, n_lead = [finding for part in shares for finding in part], min(2, len(shares[0]))
+        findings = [finding for part in shares for finding in part]
+        n_lead = 1 + (len(next(iter(attractors.values()))) > 2)  # of two, one says both
         if len(runs) > 1:
             pictures["attractors"] = _bars(runs)
     return Answer(findings=findings, n_lead=n_lead, tables=tables, figures={**pictures, **basin}, method=METHOD)
@@ -332,7 +334,8 @@ def _findings(study: Study, where: str, attractors: Sequence[Attractor], runs: R
     ]  # fmt: skip
     cycle = next((attractor for attractor in attractors if attractor.what == Settled(PERIODIC, 0, 1)), None)
     if n_cycles == 1 and cycle is not None and cycle.period is not None and cycle.n_runs > 1:
-        shares.append(Alike(PERIOD, cycle.period[1], f"from all {plural(cycle.n_runs, things[:-1])}", where))
+        among = Basis(cycle.n_runs, things[:-1])
+        shares.append(Alike(PERIOD, cycle.period[1], f"from all {based_on(among)}", where, among))
     return shares
 
 
@@ -359,7 +362,7 @@ def _bars(runs: Mapping[str, Runs]) -> Picture:
     counts = {kind: [part.n_of(kind) for _, part in drawn] for kind in KINDS}
     more = f", of the first {_MOST_BARS} settings" if len(runs) > _MOST_BARS else ""
     recipe = partial(figures.shares, "", [name for name, _ in drawn], counts, LOOKS)
-    return Picture(recipe, f"Bars of one colour settle on one kind of attractor. Shares of runs by setting{more}.")
+    return Picture(recipe, f"One colour: all runs settle alike. Shares of runs by setting{more}.")
 
 
 # ------------------------------------------------------------------------------------------------- basins

@@ -26,7 +26,7 @@ from stickslip.analysis.outcomes import DIFFERENT, Beside, Setting, forest, in_w
 from stickslip.analysis.stats.estimates import UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.pipeline.design.labels import apart, engine_name
-from stickslip.sim.engines import symbol
+from stickslip.pipeline.design.values import text
 
 FRICTION, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
 #: Smoothing does not explain a difference between engines of more than this many margins, for eps up to _SMOOTH: the
@@ -162,7 +162,7 @@ def _setting(pair: _Pair, groups: Sequence[Group]) -> Setting:
         return Setting(engine, THRESHOLD, pair.threshold)
     if pair.kind == TOLERANCE:
         tolerance = next(name for name in TOLERANCES if key[name] is not None)
-        return Setting(engine, symbol(tolerance), float(key[tolerance]))
+        return Setting(engine, tolerance, float(key[tolerance]))
     return _engine(pair.other, groups)
 
 
@@ -173,8 +173,8 @@ def _engine(group: Group, groups: Sequence[Group]) -> Setting:
     others = [other.key for other in groups if other.key["engine"] == key["engine"]]
     differ = [name for name in (*WIDTHS, *STEPS) if len({other[name] for other in others}) > 1]
     if len(differ) == 1 and key[differ[0]] is not None:
-        return Setting(engine, symbol(differ[0]), float(key[differ[0]]))
-    said = ", ".join(f"{symbol(name)} = {key[name]:g}" for name in differ if key[name] is not None)
+        return Setting(engine, differ[0], float(key[differ[0]]))
+    said = ", ".join(f"{name} = {text(key[name])}" for name in differ if key[name] is not None)
     return Setting(f"{engine} with {said}" if said else engine)
 
 

@@ -7,7 +7,6 @@ from functools import partial
 from itertools import chain
 from typing import Any, NamedTuple
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
@@ -39,6 +38,8 @@ _VECTORS = 2000  # more marks than this are a bitmap inside the SVG
 _DECADES = 30.0  # largest over least value from which an axis is logarithmic
 _MOST_TICKS = 12  # of values that are no numbers
 _MOST_NAMES, _NAME = 40, 0.16  # bars with names of their own; inches that each takes
+#: Of curves, as many as there may be: Okabe and Ito's.
+_HUES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "black", "#999999")
 _SHORT = 24  # of names in a legend of two columns
 
 
@@ -62,10 +63,10 @@ CYCLES = (LOOKS[PERIODIC], Look("#7F2704", "^", ""), Look("#F0E442", "v", ""), L
 OTHERS = Look("#FDD0A2", "p", "\\\\\\")
 #: Of the fates of runs whose attractors are not known.
 FATES = {
-    COLLAPSED: LOOKS[SLIDING], QUIET: Look("#56B4E9", "D", "...", "sliding so far"),
+    COLLAPSED: LOOKS[SLIDING], QUIET: Look("#56B4E9", "D", "...", "sliding (not certified)"),
     SUSTAINED: Look("#E69F00", "o", "", "sticking and slipping"),
-    LULL: Look("#CC79A7", "v", "xxx", "temporarily sliding"), DIVERGED: LOOKS[ESCAPING],
-    UNMOVED: Look("#D9D9D9", "X", "///", "not moved"),
+    LULL: Look("#CC79A7", "v", "xxx", "unstable sliding"), DIVERGED: LOOKS[ESCAPING],
+    UNMOVED: Look("#D9D9D9", "X", "///", "stuck"),
 }  # fmt: skip
 #: How exits of one block are drawn in a bifurcation diagram, by the order of the blocks: colour and mark.
 _BLOCKS = (("black", "o"), ("#D55E00", "s"), ("#0072B2", "^"), ("#CC79A7", "D"))
@@ -338,15 +339,25 @@ def _name(ax: Axes, names: Sequence[str]) -> None:
     figure.set_figheight(max(PANEL[1], 1.0 + _NAME * len(names) * is_few))
 
 
+def has_bands(curves: Mapping[str, Curve]) -> bool:
+    """Whether some curves of survival are drawn with their intervals."""
+    return any(_has_band(share) for _, share, _, _ in curves.values())
+
+
+def _has_band(share: np.ndarray) -> bool:
+    """Of curves that end between none and all: bands of the others lie over each other."""
+    return bool(0.0 < share[-1] < 1.0)
+
+
 @panel(3.4)
 def survival_curves(ax: Axes, curves: Mapping[str, Curve], t_end: float) -> None:
-    """Share of runs that have not ended against time with its interval, a hue for each setting."""
-    hues = matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(curves)))
-    for (label, (times, *values)), hue in zip(curves.items(), hues, strict=True):
+    """Share of runs that have not ended against time, a hue for each setting; with its interval where some ended."""
+    for (label, (times, *values)), hue in zip(curves.items(), _HUES, strict=False):
         t = np.append(times, t_end)
         left, low, high = (np.append(value, value[-1]) for value in values)
         ax.step(t, left, where="post", color=hue, label=label)
-        ax.fill_between(t, low, high, step="post", color=hue, alpha=0.15, linewidth=0)
+        if _has_band(left):
+            ax.fill_between(t, low, high, left < 1.0, step="post", color=hue, alpha=0.15, linewidth=0)
     ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), xlabel="time t", ylabel="share of runs not ended")
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     columns = 2 if max(map(len, curves)) <= _SHORT else 1

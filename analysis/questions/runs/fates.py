@@ -1,7 +1,7 @@
 """How runs end, how long stick-slip lasts, and what runs settle on.
 
 Survival is by Kaplan and Meier. Certified runs, and those whose motion grew without limit, ended: see
-`models.fates.ends_at`. Runs that slide so far without a certificate count as ended at their last events, and the
+`models.fates.ends_at`. Runs that are sliding without a certificate count as ended at their last events, and the
 upper ends of intervals take them as not ended. All others are censored at t_end. `attractors` answers of runs of
 which it is recorded what they settle on.
 """
@@ -47,9 +47,10 @@ from stickslip.analysis.findings.finding import (
     Regimes,
     Share,
 )
+from stickslip.analysis.findings.words import listed
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SYSTEM_KEYS
-from stickslip.analysis.models.attractors import plane
+from stickslip.analysis.models.attractors import SLIDING, plane
 from stickslip.analysis.models.fates import (
     COLLAPSED,
     DIVERGED,
@@ -73,7 +74,8 @@ from stickslip.analysis.models.fates import (
 )
 from stickslip.analysis.questions.runs import attractors
 from stickslip.analysis.questions.runs import fate_figures as figures
-from stickslip.analysis.questions.runs.fate_figures import FATES, Look
+from stickslip.analysis.questions.runs.attractors import PREDICATES
+from stickslip.analysis.questions.runs.fate_figures import FATES
 from stickslip.analysis.questions.runs.regimes import Place, key_of, regimes
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.stats import enough
@@ -92,12 +94,12 @@ DELAY = Quantity("last_event", "median delay of the last event")
 MEAN = Quantity("mean", "mean number of sticking blocks in runs that last")
 METHOD = (
     "A run ends at its last event, if it is certified that no block sticks again, or when its motion has left every"
-    " bound; survival and medians are by Kaplan and Meier. Runs that slide so far without a certificate count as"
+    " bound; survival and medians are by Kaplan and Meier. Runs that are sliding, not certified, count as"
     " ended at their last events, and the upper ends of intervals take them as not ended."
 )
 #: What runs do, beyond what is certain of their fates: a closed set.
-SLIDE, STICK_SLIP, GROW, STUCK = KINDS = ("slide", "stick-slip", "grow", "stuck")
-_LOOKS = (COLLAPSED, SUSTAINED, DIVERGED, UNMOVED)  # the fates as which they are drawn
+SLIDE, STICK_SLIP, UNSTABLE, GROW, STUCK = KINDS = ("slide", "stick-slip", "unstable", "grow", "stuck")
+_LOOKS = (COLLAPSED, SUSTAINED, LULL, DIVERGED, UNMOVED)  # the fates as which they are drawn
 _COUNTS = (*(f"n_{name}" for name in (*WATCHED, FAILED)), "n_moving")
 _GROUP: Mapping[str, str] = {
     "group": S, "n": I, "kappa_n": F, "engine": S, "n_runs": I, **dict.fromkeys(_COUNTS, I), "n_held": I, "t_end": F,
@@ -139,7 +141,7 @@ class Ends(NamedTuple):
     n_held : int
         Runs that count as sustained, of which all blocks have stuck for the last quarter.
     last_end, last_quiet : float, optional
-        The latest end, and the latest last event of runs that slide so far.
+        The latest end, and the latest last event of runs that are sliding without a certificate.
     """
 
     group: Group
@@ -175,9 +177,26 @@ class Ends(NamedTuple):
     def kinds(self) -> dict[str, int]:
         """How many runs do what, of `KINDS` those that occur."""
         n_of = self.n_of
-        counts = (n_of[COLLAPSED] + n_of[QUIET], self.n_moving - self.n_held, n_of[DIVERGED])
+        counts = (n_of[COLLAPSED] + n_of[QUIET], n_of[SUSTAINED] - self.n_held, n_of[LULL], n_of[DIVERGED])
         numbers = dict(zip(KINDS, (*counts, n_of[UNMOVED] + self.n_held), strict=True))
         return {kind: n for kind, n in numbers.items() if n}
+
+    @property
+    def drawn(self) -> dict[str, int]:
+        """How many runs have each look of a fate: as `kinds`, with those that have no certificate apart."""
+        n_of, n_held = self.n_of, self.n_held
+        held = {SUSTAINED: n_of[SUSTAINED] - n_held, UNMOVED: n_of[UNMOVED] + n_held}
+        return {name: held.get(name, n_of[name]) for name in FATES}
+
+    @property
+    def ended(self) -> str:
+        """What runs have done that ended, or may have: a verb phrase."""
+        ends = {name for name in (*ENDS, QUIET) if self.n_of[name]}
+        if ends == {COLLAPSED}:
+            return "have settled into steady sliding"
+        if ends == {DIVERGED}:
+            return "have grown without limit"
+        return "have ended" if DIVERGED in ends else f"are sliding ({_certified(self)})"
 
     @property
     def t_end(self) -> float:
@@ -246,7 +265,8 @@ def answer(study: Study) -> Answer:
     drawable = burn_in.drawable(by_t_burn)
     drawn = next((name for name in (*short, *drawable) if name in drawable), "")
     if drawn and (short or len(pictures) > 1):  # the second stands on the first screen
-        pictures["by_t_burn"] = _along_t_burn(study, drawn, [row for row in by_t_burn if row["group"] == drawn])
+        of_drawn = [row for row in by_t_burn if row["group"] == drawn]
+        pictures["by_t_burn"] = _along_t_burn(study, drawn, of_drawn, drawn in short)
     alerts = _alerts(study, ends, spoken, short)
     return Answer(findings=findings, n_lead=n_lead, alerts=alerts, method=method, tables=tables, figures=pictures)
 
@@ -272,8 +292,9 @@ def _findings(
             n_first = int(outcomes[k] not in outcomes[:k])
             leading += outcome[:n_first]
             others += [*outcome[n_first:], *details]
-        leading += lifetimes[:1]
-        others += lifetimes[1:]
+        first = next((lifetime for lifetime, is_new in lifetimes if is_new), None)
+        leading += [first] if first is not None else []
+        others += [lifetime for lifetime, _ in lifetimes if lifetime is not first]
     delays = [
         Level(DELAY, shift.shift, f"{shift.setting} after {shift.reference}", None, _basis(study, shift.n_systems))
         for shift in shifts
@@ -297,7 +318,7 @@ def _outcome(
     by_outcome = regimes(key, values, places, study.settings.confidence, _basis(study, 0).unit)
     mixed = [row for row in rows if len(row.kinds) > 1][:MOST_SETTINGS]
     shares: list[Finding] = [_share(study, runs, [row], kind, _where(row)) for row in mixed for kind in row.kinds]
-    return [Regimes("runs", by_outcome, method)], shares
+    return [Regimes("runs", by_outcome, method, _until(*rows))], shares
 
 
 def _share(study: Study, runs: pd.DataFrame, rows: Sequence[Ends], kind: str, where: str) -> Share:
@@ -321,24 +342,43 @@ def _estimate(has: np.ndarray, untold: np.ndarray, drawn: np.ndarray, confidence
 
 def _predicate(kind: str, *rows: Ends) -> str:
     """What runs at some settings do: a verb phrase in the plural."""
+    until = _until(*rows)
+    words = {
+        SLIDE: f"are sliding {until} ({certified})" if (certified := _certified(*rows)) else PREDICATES[SLIDING],
+        STICK_SLIP: f"still stick and slip {until}",
+        UNSTABLE: f"are in unstable sliding {until}",
+        GROW: "grow without limit",
+        STUCK: f"are stuck {until}",
+    }
+    return words[kind]
+
+
+def _until(*rows: Ends) -> str:
+    """When runs at some settings are looked at."""
     ends = {row.t_end for row in rows}
-    until = f"at t = {ends.pop():g}" if len(ends) == 1 else "at their end"
-    slide = "stop sticking" if any(row.n_of[QUIET] for row in rows) else "end in steady sliding"
-    words = (slide, f"still stick and slip {until}", "grow without limit", f"are stuck {until}")
-    return words[KINDS.index(kind)]
+    return f"at t = {ends.pop():g}" if len(ends) == 1 else "at their end"
 
 
-def _lifetimes(study: Study, rows: Sequence[Ends]) -> list[Finding]:
-    """The median lifetime where half of the runs have ended, at the settings of the longest first."""
+def _certified(*rows: Ends) -> str:
+    """What to say of certificates of runs that slide; empty if all have one."""
+    if not any(row.n_of[QUIET] for row in rows):
+        return ""
+    return "not all certified" if any(row.n_of[COLLAPSED] for row in rows) else "not certified"
+
+
+def _lifetimes(study: Study, rows: Sequence[Ends]) -> list[tuple[Finding, bool]]:
+    """When half of the runs have ended, of the latest first; and whether that adds to what all runs do there."""
     reached = [row for row in rows if row.lifetime.value is not None]
     reached.sort(key=lambda row: -(row.lifetime.value or 0.0))
-    return [
+    lifetimes = (
         Lifetime(
             LIFETIME, "runs", "still stick and slip", row.lifetime, row.t_end, row.left, _where(row), None,
-            _basis(study, row.n_units),
+            _basis(study, row.n_units), row.ended,
         )
         for row in reached[:MOST_SETTINGS]
-    ]  # fmt: skip
+    )  # fmt: skip
+    is_new = [row.lifetime.low is not None and (len(rows) == 1 or len(row.kinds) > 1) for row in reached]
+    return list(zip(lifetimes, is_new, strict=False))
 
 
 def _stability(study: Study, runs: pd.DataFrame, ends: Sequence[Ends]) -> list[Finding]:
@@ -348,7 +388,7 @@ def _stability(study: Study, runs: pd.DataFrame, ends: Sequence[Ends]) -> list[F
     is_known, is_open = ~np.isnan(rates), np.asarray(is_unstable(rates))
     shares: list[Finding] = []
     for state, of, fate, predicate in (
-        ("stable", is_known & ~is_open, COLLAPSED, "end in steady sliding"),
+        ("stable", is_known & ~is_open, COLLAPSED, PREDICATES[SLIDING]),
         ("unstable", is_known & is_open, DIVERGED, "grow without limit"),
     ):
         table = part[of]
@@ -377,13 +417,14 @@ def _alerts(study: Study, ends: Sequence[Ends], spoken: Sequence[Ends], short: S
     total, n_spoken = sum((row.n_of for row in spoken), Counter[str]()), sum(row.n_runs for row in spoken)
     drifting = list(dict.fromkeys([*(row.group.label for row in spoken if row.is_drifting), *short]))
     n_open, n_settled = attractors.n_undecided(study)
-    few = [len(row.group.units) for row in spoken if row.basis.code == enough.FEW_MATRICES and row.n_moving > 1]
+    few = [row.n_units for row in spoken if row.basis.code == enough.FEW_MATRICES and row.n_moving > 1]
     alerts = []
     if n_failed:
         alerts.append(Alert.of(Code.FAILED, n=n_failed, of=n_runs + n_failed))
     if drifting:
-        more = f" and {len(drifting) - 1} more" if len(drifting) > 1 else ""
-        alerts.append(Alert.of(Code.DRIFT, what=f"n_stick ({drifting[0]}{more})", t_burn=study.settings.t_burn))
+        where = drifting[0] if len(drifting) == 1 else f"{len(drifting)} settings"
+        what = f"The number of sticking blocks at {where}"
+        alerts.append(Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn))
     if n_open > MOST_OPEN * n_settled:
         alerts.append(Alert.of(Code.UNDECIDED, n=n_open, of=n_settled))
     if total[QUIET]:
@@ -447,7 +488,8 @@ def _ran(group: Group) -> Ran:
     t_last, n_last = group.last.T
     t, _ = ends_at(fates, t_last, t_stop, np.broadcast_to(t_end, len(group)))
     is_stuck = (fates == UNMOVED) | ((fates == SUSTAINED) & is_held(t_last, n_last, int(group.key["n"]), t_end))
-    is_kind = [np.isin(fates, SETTLED), np.isin(fates, MOVING) & ~is_stuck, fates == DIVERGED, is_stuck]
+    moves = (fates == SUSTAINED) & ~is_stuck
+    is_kind = [np.isin(fates, SETTLED), moves, fates == LULL, fates == DIVERGED, is_stuck]
     t = np.where(fates == FAILED, np.nan, t)
     kinds = np.select(is_kind, range(len(KINDS)), -1)
     return Ran(group.rows.astype(np.int32), group.column("unit").to_numpy(), t_last, t, fates, kinds.astype(np.int8))
@@ -566,31 +608,29 @@ def _latest(times: np.ndarray) -> float | None:
 def _pictures(
     study: Study, runs: pd.DataFrame, ends: Sequence[Ends], curves: Mapping[str, Curve]
 ) -> dict[str, Picture]:
-    """Survival if some runs ended, and shares by fate; else n_stick of all runs of the largest group."""
+    """Shares by fate, and survival if some runs ended; else n_stick of all runs of the largest group."""
     if not ends:
         return {}
     level, pictures = f"{100 * study.settings.confidence:g}%", dict[str, Picture]()
-    if any(row.n_of[name] for row in ends for name in (*ENDS, QUIET)):
-        places = np.unique(np.linspace(0, len(ends) - 1, MOST_CURVES).round().astype(int))
-        chosen = {_where(ends[k]): curves[ends[k].group.label] for k in places}
-        more = " Bands stay wide where runs slide so far without a certificate." * any(
-            row.n_of[QUIET] for row in ends
-        )
-        more += f" {len(places)} of {len(ends)} settings are drawn." * (len(places) < len(ends))
-        pictures["survival"] = Picture(
-            partial(figures.survival_curves, chosen, max(row.t_end for row in ends)),
-            "Curves fall as runs end, and level off where motion lasts. Share of runs that have not ended, with"
-            f" {level} intervals.{more}",
-        )
     if (starts := _basin(study, runs)) is not None:
         pictures["basin"] = starts
     key, values = key_of([row.label for row in ends]) if len({row.method for row in ends}) == 1 else ("", [])
     values = values or [_where(row) for row in ends]
     if len(ends) > 1 and any(row.n_moving < row.n_runs for row in ends):
-        counts = {name: [row.n_of[name] for row in ends] for name in FATES}
+        drawn = [row.drawn for row in ends]
+        counts = {name: [numbers[name] for numbers in drawn] for name in FATES}
         pictures["fates"] = Picture(
             partial(figures.shares, key, values, counts),
-            "Bars of one colour have one outcome. Shares of runs by what they do at the end, at each setting.",
+            "One colour: all runs ended alike. Shares of runs by what they do at the end, at each setting.",
+        )
+    if any(row.n_of[name] for row in ends for name in (*ENDS, QUIET)):
+        places = np.unique(np.linspace(0, len(ends) - 1, MOST_CURVES).round().astype(int))
+        chosen = _merged(key, [values[k] for k in places], [curves[ends[k].group.label] for k in places])
+        more = f" {len(places)} of {len(ends)} settings are drawn." * (len(places) < len(ends))
+        pictures["survival"] = Picture(
+            partial(figures.survival_curves, chosen, max(row.t_end for row in ends)),
+            "Curves fall as runs end, and level off where motion lasts. Share of runs that have not ended"
+            f"{f', with {level} intervals where some end and some do not' * figures.has_bands(chosen)}.{more}",
         )
     if not pictures:
         row = max(ends, key=lambda row: int(row.group.key["n"]))
@@ -602,6 +642,15 @@ def _pictures(
                 f"{f' ({_where(row)})' if _where(row) else ''}.",
             )
     return pictures
+
+
+def _merged(key: str, values: Sequence[str], curves: Sequence[Curve]) -> dict[str, Curve]:
+    """Curves of survival by their names, those that coincide as one."""
+    alike: dict[tuple[bytes, ...], list[int]] = {}
+    for k, (t, share, _, _) in enumerate(curves):
+        alike.setdefault((t.tobytes(), share.tobytes()), []).append(k)
+    names = {f"{key} = " * bool(key) + listed([values[k] for k in group]): group[0] for group in alike.values()}
+    return {name: curves[k] for name, k in names.items()}
 
 
 def _basin(study: Study, runs: pd.DataFrame) -> Picture | None:
@@ -620,7 +669,10 @@ def _basin(study: Study, runs: pd.DataFrame) -> Picture | None:
     if starts is None or len(starts.names) < 2:
         return None
     few = f", for the {is_known.sum():,} of {len(group):,} whose starts are stored" if not is_known.all() else ""
-    looks: list[tuple[Look, str]] = [(FATES[name], FATES[name].words) for name in _LOOKS]
+    seen, number = np.unique(number, return_inverse=True)
+    slide = "sliding (not all certified)" if (runs["fate"] == QUIET).any() else FATES[COLLAPSED].words
+    names: list[str] = [_LOOKS[k] for k in seen]
+    looks = [(FATES[name], slide if name == COLLAPSED else FATES[name].words) for name in names]
     caption = f"Each colour is a basin. What a run does at the end, by its start{few}."
     return Picture(figures.basin(starts, number[is_known], looks), caption)
 
@@ -631,12 +683,13 @@ def _averaged(win: Window) -> tuple[np.ndarray, np.ndarray]:
     return win.t_start + (np.arange(n_blocks) + 0.5) * (win.t_stop - win.t_start) / n_blocks, win.means(n_blocks)
 
 
-def _along_t_burn(study: Study, name: str, rows: Sequence[Row]) -> Picture:
+def _along_t_burn(study: Study, name: str, rows: Sequence[Row], is_short: bool) -> Picture:
     t_burn = study.settings.t_burn
+    after = f"after t_burn = {t_burn:g}"
+    says = f"Not all curves are level {after}: it is too short." if is_short else f"No drift is shown {after}."
     return Picture(
         partial(burn_in.by_t_burn, rows, t_burn),
-        f"Level curves say that t_burn is long enough. Estimates with other values of t_burn over those with"
-        f" {t_burn:g} ({name}).",
+        f"{says} Estimates with other values of t_burn over those with {t_burn:g} ({name}).",
     )
 
 

@@ -98,10 +98,12 @@ def least_share(places: Sequence[Place], confidence: float) -> float | None:
 
 def _regime(where: str, group: Sequence[Place], confidence: float, unit: str) -> Regime:
     outcomes = next(place.outcomes for place in group if place.outcomes)
-    n, of = (sum(numbers) for numbers in zip(*((place.n, place.of) for place in group), strict=True))
+    numbers = {(place.n, place.of) for place in group}
+    is_each = len(group) > 1 and len(numbers) == 1 and group[0].of > 1  # as many at each
+    n, of = numbers.pop() if is_each else (sum(place.n for place in group), sum(place.of for place in group))
     low = least_share(group, confidence)
     share = Estimate() if len(outcomes) > 1 else Estimate(1.0, low, None if low is None else 1.0)
-    return Regime(where, outcomes, n, of, share, Basis(max(place.n_units for place in group), unit))
+    return Regime(where, outcomes, n, of, share, Basis(max(place.n_units for place in group), unit), is_each)
 
 
 def _where(key: str, values: Sequence[str], part: Stretch) -> str:
@@ -110,6 +112,8 @@ def _where(key: str, values: Sequence[str], part: Stretch) -> str:
     begins, ends = part.first == 0, part.last == len(values) - 1
     if part.first == part.last:
         return f"at {key} = {first}"
+    if part.last == part.first + 1:
+        return f"at {key} = {first} and {last}"
     if begins and ends:
         return f"at all {len(values)} values of {key}"
     if begins:

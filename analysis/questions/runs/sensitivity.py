@@ -32,10 +32,6 @@ CEILING = 3e-2  # of distances that still grow in proportion
 SMALL = 0.1  # largest displacement of a start for a growth rate, as a share of the ceiling
 FLOOR, TOLERANCES = 1e-13, 10.0  # floor of exact engines; that of others is so many times their relative tolerance
 RATE = Quantity("rate", "growth rate of small differences, per unit of time")
-FOLDS = {
-    verdict: Quantity("e_fold", f"time in which small differences {verdict} by a factor e")
-    for verdict in (GROWS, SHRINKS)
-}
 PARTED = Quantity("parted", "median time until copies part from their base")
 _GROWTH: Mapping[str, str] = {
     "setting": S, "n": I, "engine": S, "size": F, "rate": F, "rate_low": F, "rate_high": F, "e_fold": F,
@@ -102,14 +98,22 @@ class _Rate(NamedTuple):
 
     @property
     def finding(self) -> Finding:
-        where, basis = f"{self.setting.label}, with starts moved by {shown(self.size)}", Basis(self.n_used, "pair")
+        where, basis = self.setting.label, Basis(self.n_used, "pair")
+        differences = f"start differences of {shown(self.size)}"
         if not self.law.n_pairs:
-            return Lack(f"{RATE.name}, {where}", Reason.NOT_RECORDED, "add separation under [record]")
+            return Lack(
+                f"growth rate of {differences}, {where}", Reason.NOT_RECORDED, "add separation under [record]"
+            )
         if not self.is_told:
-            return Lack(f"{RATE.name}, {where}", Reason.OUT_OF_RANGE, f"{self.n_used} of {self.n_pairs}")
+            return Lack(
+                f"growth rate of {differences}, {where}", Reason.OUT_OF_RANGE, f"{self.n_used} of {self.n_pairs}"
+            )
         if self.verdict == UNKNOWN:
-            return Level(RATE, self.law.rate, where, basis=basis)
-        return Level(FOLDS[self.verdict], self.e_fold, where, basis=basis)
+            name = f"growth rate of {differences}, per unit of time"
+            return Level(Quantity(RATE.key, name), self.law.rate, where, basis=basis)
+        changes = f"{differences} {self.verdict} e-fold in"
+        name = f"time in which {differences} {self.verdict} e-fold"
+        return Level(Quantity("e_fold", name, clause=f"{changes} {{}} time units"), self.e_fold, where, basis=basis)
 
     def row(self) -> Mapping[str, object]:
         """Row of the table `growth`."""
@@ -167,7 +171,7 @@ def _lifetime(alike: Sequence[_Parting]) -> Lifetime:
     share_left = 1 - float(np.mean(np.concatenate([parted.pairs.has_parted for parted in alike])))
     where, horizon = f"{first.setting.label}, with {change}", float(first.setting.key["t_end"])
     basis = Basis(len(np.unique(first.pairs.matrix)))
-    return Lifetime(PARTED, "copies", "have not parted", first.half, horizon, share_left, where, basis=basis)
+    return Lifetime(PARTED, "copies", "are still together", first.half, horizon, share_left, where, basis=basis)
 
 
 def answer(study: Study) -> Answer | None:
@@ -255,7 +259,24 @@ def _separations(study: Study, comparison: Comparison) -> dict[int, Separation]:
 
 
 Line = tuple[str, np.ndarray, np.ndarray]  # name, times, values
-Stretch = tuple[str, np.ndarray, np.ndarray, tuple[float, float]]  # and from when to when its slope is taken
+
+
+class Stretch(NamedTuple):
+    """Distances of the pairs of a setting, over what they were at the start, and the fit of their growth."""
+
+    name: str
+    pairs: Sequence[tuple[np.ndarray, np.ndarray]]  # times and distances, while these grow in proportion
+    law: Growth
+
+    @property
+    def fit(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times at the ends of the range that the rate is taken in, and the fitted distance there."""
+        ends = np.array([self.law.t_from, self.law.t_to])
+        logs = [
+            np.mean(np.log(distance[some])) for t, distance in self.pairs
+            if (some := (t >= ends[0]) & (t <= ends[1])).any()
+        ]  # fmt: skip
+        return ends, np.exp(np.mean(logs) + (self.law.rate.value or 0.0) * (ends - ends.mean()))
 
 
 def _figures(
@@ -266,8 +287,8 @@ def _figures(
     if lines := _distance_lines(study, compared, told):
         figures["growth"] = Picture(
             partial(distances, lines),
-            "How fast runs leave their base, whose start differs by the size named: median distance of the pairs."
-            " Heavy: the range of the growth rate. Grey: too far apart to grow in proportion.",
+            "How differences of starts grow or shrink: distance of each system's copy from its base, over the"
+            " difference at the start, while they are proportional. Heavy: the fitted rate, over its range.",
         )
     points = {str(parted.change): np.array([*parted.curve()]) for parted in partings}
     if curves := [(name, curve[:, 0], curve[:, 2]) for name, curve in points.items() if len(curve)]:
@@ -280,7 +301,7 @@ def _figures(
 
 
 def _distance_lines(study: Study, compared: Sequence[Setting], told: Sequence[_Rate]) -> list[Stretch]:
-    """Median distance of pairs and the range of its slope, at the size that stands for each setting."""
+    """Distances of pairs and the fit of their growth, at the size that stands for each setting."""
     lines: list[Stretch] = []
     for setting in compared:
         rate = next((rate for rate in told if rate.setting is setting), None)
@@ -288,12 +309,16 @@ def _distance_lines(study: Study, compared: Sequence[Setting], told: Sequence[_R
             if rate is None or comparison.change != Change(START, size=rate.size):
                 continue
             known = [*_separations(study, comparison).values()]
-            m = int(np.median([len(distance) for _, distance in known]))
-            times = max((t for t, _ in known), key=len)[:m]
-            middle = np.array([np.median([d[k] for _, d in known if len(d) > k]) for k in range(m)])
-            label = f"{setting.label}: {shown(rate.size)}"
-            lines.append((label, times, middle, (rate.law.t_from, rate.law.t_to)))
+            pairs = [_in_proportion(t, distance, rate.size, _floor(setting.key)) for t, distance in known]
+            lines.append(Stretch(f"{setting.label}: {shown(rate.size)}", pairs, rate.law))
     return lines
+
+
+def _in_proportion(t: np.ndarray, distance: np.ndarray, size: float, floor: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times and distances over that at the start, until they leave the range in which they are proportional."""
+    is_out = (distance <= floor) | (distance >= CEILING)
+    n = int(np.argmax(is_out)) if is_out.any() else len(distance)
+    return t[:n], distance[:n] / size
 
 
 @panel(3.4)
@@ -315,14 +340,13 @@ def parting_curves(ax: Axes, lines: Sequence[Line]) -> None:
 
 @panel(3.4)
 def distances(ax: Axes, lines: Sequence[Stretch]) -> None:
-    """Median distance of displaced runs from their base, on a logarithmic axis; heavy where its slope is taken."""
-    for k, (name, t, distance, (start, stop)) in enumerate(lines):
+    """Distances of displaced runs from their base, over that at the start, on a logarithmic axis, with the fits."""
+    for k, line in enumerate(lines):
         colour, form = CYCLE[k % len(CYCLE)], ("-", "--", ":")[k // len(CYCLE) % 3]
-        ax.plot(t, np.where(distance > FLOOR, distance, np.nan), form, color=colour, linewidth=0.8)
-        some = (t >= start) & (t <= stop)
-        ax.plot(t[some], distance[some], form, color=colour, linewidth=2.2, label=name)
-    ax.axhspan(CEILING, 1e3, color=GREY, alpha=0.13, linewidth=0)
-    ax.set(yscale="log", ylim=(FLOOR, 10.0), xlabel="time t", ylabel="median distance")
+        for t, distance in line.pairs:
+            ax.plot(t, distance, form, color=colour, linewidth=0.5, alpha=0.5)
+        ax.plot(*line.fit, form, color=colour, linewidth=2.2, label=line.name)
+    ax.set(yscale="log", xlabel="time t", ylabel="distance / at the start")
     ax.figure.legend(loc="outside lower center", ncols=1)
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
 from stickslip.analysis.answer import F, I, Picture, Row, S, frame, named
@@ -124,13 +125,19 @@ def _outcome(verdict: Verdict) -> str:
     return "different" if verdict in (Verdict.MORE, Verdict.LESS) else "undecided"
 
 
-@panel(nrows=2, sharex=True)
-def by_step(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
+def by_step(rows: Sequence[Row]) -> Figure:
     """The decay rate against the sampling step, one line a definition, and below over that of blocks shifted in time.
 
-    The rows are those of the table `definitions`; the band is `events`.
+    The rows are those of the table `definitions`; the band is `events`. What is not known is not drawn.
     """
-    for ax, name, what in zip(axes, ("gamma", "over"), ("decay rate", "over time-shifted"), strict=True):
+    ratios = {"gamma": "decay rate", "over": "over time-shifted"}
+    known = {name: what for name, what in ratios.items() if any(row[f"{name}_low"] is not None for row in rows)}
+    return panel(nrows=len(known), sharex=True, squeeze=False)(_by_step)(known, rows)
+
+
+def _by_step(grid: np.ndarray, drawn: Mapping[str, str], rows: Sequence[Row]) -> None:
+    axes: Sequence[Axes] = grid.ravel().tolist()
+    for ax, (name, what) in zip(axes, drawn.items(), strict=True):
         known = [row for row in rows if row[f"{name}_low"] is not None]
         for row in known:
             if row["dt"] is None:
@@ -147,11 +154,12 @@ def by_step(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
                     fmt="oDs^"[k], linestyle=("-", "-", "--", "--")[k], markersize=3, linewidth=0.9,
                 )  # fmt: skip
         ax.set(xscale="log", ylabel=what)
-    axes[1].axhline(1.0, linestyle="--", color=GREY, linewidth=1)
+    if "over" in drawn:
+        axes[-1].axhline(1.0, linestyle="--", color=GREY, linewidth=1)
     steps = sorted({row["dt"] for row in rows if row["dt"] is not None})
-    axes[1].set_xticks(steps[:: max(1, -(-len(steps) // 5))])
-    axes[1].xaxis.set_major_formatter(lambda x, _: f"{x:g}")
-    axes[1].xaxis.set_minor_formatter(NullFormatter())
-    axes[1].minorticks_off()
-    axes[1].set_xlabel("sampling step dt")
+    axes[-1].set_xticks(steps[:: max(1, -(-len(steps) // 5))])
+    axes[-1].xaxis.set_major_formatter(lambda x, _: f"{x:g}")
+    axes[-1].xaxis.set_minor_formatter(NullFormatter())
+    axes[-1].minorticks_off()
+    axes[-1].set_xlabel("sampling step dt")
     axes[0].figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)

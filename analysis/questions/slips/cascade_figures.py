@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator, NullLocator
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from stickslip.analysis.answer import Row
 from stickslip.analysis.stats.estimates import Estimate
@@ -52,60 +53,79 @@ def one_run(
     inset.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
 
 
-@panel(nrows=2, height_ratios=(1.0, 1.3))
-def size_law(axes: Sequence[Axes], laws: Mapping[str, Sequence[Row]], rate: Estimate) -> None:
+def size_law(laws: Mapping[str, Sequence[Row]], rate: Estimate) -> Figure:
     """Share of cascades of each size for some groups, on a log axis with the fit; below, the same over the coin's.
 
-    The lower axes show only sizes whose shares are known to within `SHOWN`, so that the difference of the decay rate
-    is visible. `laws` are rows of the table `sizes` by group, and `rate` is the first group's.
+    Both axes show only sizes whose shares are known to within `SHOWN`, so that the difference of the decay rate is
+    visible; where not even two are, there is the upper one alone, with all sizes. `laws` are rows of the table
+    `sizes` by group, and `rate` is the first group's.
     """
-    top, below = axes
+    seen = {label: [*filter(_is_seen, rows)] for label, rows in laws.items()}
+    known = {label: [*filter(_is_known, rows)] for label, rows in seen.items()}
+    if is_split(laws):
+        return panel(nrows=2, height_ratios=(1.0, 1.3), sharex=True)(_size_law)(laws, known, rate)
+    return panel(squeeze=False)(_size_law)(laws, seen, rate)
+
+
+def is_split(laws: Mapping[str, Sequence[Row]]) -> bool:
+    """Whether two sizes or more can be drawn over the coin's."""
+    return any(sum(map(_is_known, rows)) > 1 for rows in laws.values())
+
+
+def _is_seen(row: Row) -> bool:
+    return bool(row["n_cascades"] >= FEWEST and row["share_low"])
+
+
+def _is_known(row: Row) -> bool:
+    """Whether the share of a size is known well enough to be drawn over the coin's."""
+    return _is_seen(row) and bool(row["share_high"] - row["share_low"] < 2 * SHOWN * row["share"])
+
+
+def _size_law(
+    axes: np.ndarray, laws: Mapping[str, Sequence[Row]], drawn: Mapping[str, Sequence[Row]], rate: Estimate
+) -> None:
+    top, *others = axes.ravel()
     smallest = next(iter(laws.values()))[0]["size"]
-    largest, widest, ends = smallest, smallest, [1.0]
-    for k, (label, rows) in enumerate(laws.items()):
-        seen = [row for row in rows if row["n_cascades"] >= FEWEST and row["share_low"]]
-        if not seen:
-            continue
-        sizes = np.array([row["size"] for row in seen], dtype=float)
-        share, low, high, chance = (
-            np.array([row[name] for row in seen]) for name in ("share", "share_low", "share_high", "chance")
-        )
-        form: Any = {"fmt": "os"[k % 2], "color": (EXACT, SMOOTHED)[k % 2], "markersize": 3, "linewidth": 0.8}
-        form["markerfacecolor"] = form["color"] if k % 2 == 0 else "white"
-        at = sizes + 0.12 * k
-        top.errorbar(at, share, yerr=[share - low, high - share], label=label, **form)
-        known = high - low < 2 * SHOWN * share
-        over, low, high = (x[known] / chance[known] for x in (share, low, high))
-        below.errorbar(at[known], over, yerr=[over - low, high - over], **form)
-        largest, widest = max(largest, int(sizes[-1])), max(widest, *sizes[known].astype(int), 1)
-        ends += [*low, *high]
+    largest = max((row["size"] for rows in drawn.values() for row in rows), default=smallest)
     grid = np.arange(largest - smallest + 1)
+    sizes, coin = grid + smallest, 2.0 ** -(grid + 1)
 
     def fitted(gamma: float) -> np.ndarray:
         return np.asarray(-np.expm1(-gamma) * np.exp(-gamma * grid))
 
-    if rate.value is not None:
-        top.plot(grid + smallest, fitted(rate.value), color=EXACT, linewidth=1)
-        below.plot(
-            grid + smallest, fitted(rate.value) * 2.0 ** (grid + 1), color=EXACT, linewidth=1, label="exponential"
-        )
-    if rate.low is not None and rate.high is not None:
-        first, last = (fitted(end) * 2.0 ** (grid + 1) for end in (rate.low, rate.high))
-        below.fill_between(grid + smallest, first, last, color=EXACT, alpha=0.2, linewidth=0)
-    two_state = [row for row in next(iter(laws.values())) if row["pool"] is not None]
-    if two_state:
-        over = np.array([row["pool"] / row["chance"] for row in two_state])
-        below.plot(
-            [row["size"] for row in two_state], over, ":", color=GREEN, linewidth=1.4, label="two-state blocks"
-        )
-    below.axhline(1.0, linestyle="--", color=GREY, linewidth=1, label="fair coin")
+    for ax in (top, *others):
+        over = coin if ax is not top else np.ones(len(grid))
+        ends = [1.0]
+        for k, (label, rows) in enumerate(drawn.items()):
+            at = np.array([row["size"] for row in rows], dtype=int)
+            share, low, high = (
+                np.array([row[name] for row in rows], dtype=float) / over[at - smallest]
+                for name in ("share", "share_low", "share_high")
+            )
+            form: Any = {"fmt": "os"[k % 2], "color": (EXACT, SMOOTHED)[k % 2], "markersize": 3, "linewidth": 0.8}
+            form["markerfacecolor"] = form["color"] if k % 2 == 0 else "white"
+            ax.errorbar(at + 0.12 * k, share, yerr=[share - low, high - share], label=label, **form)
+            ends += [*low, *high]
+        if rate.value is not None:
+            ax.plot(sizes, fitted(rate.value) / over, color=EXACT, linewidth=1, label="exponential")
+        if rate.low is not None and rate.high is not None:
+            first, last = (fitted(end) / over for end in (rate.low, rate.high))
+            ax.fill_between(sizes, first, last, color=EXACT, alpha=0.2, linewidth=0)
+        two_state = [row for row in next(iter(laws.values()))[: len(grid)] if row["pool"] is not None]
+        if two_state:
+            pooled = np.array([row["pool"] for row in two_state]) / over[: len(two_state)]
+            ax.plot(sizes[: len(two_state)], pooled, ":", color=GREEN, linewidth=1.4, label="two-state blocks")
+        ax.plot(sizes, coin / over, "--", color=GREY, linewidth=1, label="fair coin")
+        if ax is not top:
+            margin = 0.08 * (max(ends) - min(ends)) + 0.002
+            ax.set(ylabel="f / fair coin", ylim=(min(ends) - margin, max(ends) + margin))
     top.set_yscale("log")
     top.yaxis.set_minor_locator(NullLocator())
-    margin = 0.08 * (max(ends) - min(ends)) + 0.002
+    if others:  # of few sizes, which may lie within a decade or two
+        top.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
+        top.yaxis.set_major_formatter(lambda x, _: f"{x:g}")
     top.set(ylabel="share, f")
-    below.set(xlabel="blocks in a cascade, s", ylabel="f / fair coin", ylim=(min(ends) - margin, max(ends) + margin))
-    size_axis(top, largest)
-    size_axis(below, widest)
-    if len(laws) > 1 and top.get_legend_handles_labels()[0]:  # no size may be known well enough
-        top.legend(loc="upper right")
-    below.figure.legend(*below.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    last_axes = (top, *others)[-1]
+    last_axes.set(xlabel="blocks in a cascade, s")
+    size_axis(last_axes, largest)
+    last_axes.figure.legend(*last_axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)

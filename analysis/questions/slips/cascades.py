@@ -8,7 +8,7 @@ and the likelihood whether they are nearer to that than to a power law.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -28,10 +28,9 @@ from stickslip.analysis.findings.finding import (
     Level,
     Quantity,
     Reason,
-    Share,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import number
+from stickslip.analysis.findings.numbers import with_interval
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models import fates, pool
@@ -41,12 +40,13 @@ from stickslip.analysis.series.nulls import rotations
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough, estimates, student
 from stickslip.analysis.stats.compare import mean_within
-from stickslip.analysis.stats.components import between, quotient
+from stickslip.analysis.stats.components import between
 from stickslip.analysis.stats.dispersion import excess, moments
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, over_matrices, ratio
 from stickslip.analysis.stats.families import EXPONENTIAL, POWER_LAW, log_shares, maximise
 from stickslip.analysis.style import forest
 from stickslip.pipeline.design.labels import Label, apart
+from stickslip.sim.engines import ENGINES
 
 SHIFTS = 30  # most draws of a run's blocks shifted in time, whose rate is then known better than the run's
 PARTS = 10  # of a run, whose scatter gives the interval of its system
@@ -57,7 +57,8 @@ RATE = Quantity(
     "gamma", "decay rate of cascade sizes", definition="γ of f ∝ exp(−γ s), the share of cascades of s blocks"
 )
 VARIANCE = Quantity("variance", "variance of cascade sizes")
-LASTING = Quantity("between", "share of the scatter over systems that longer runs would not reduce", Form.SHARE)
+LEFT = Quantity("excess_shifted", "excess over ln 2 of time-shifted blocks", Form.SHARE)
+COUNTING = "stickslip.workflows.scenes.counting:question"  # gives the parts of the excess
 _LAW: Mapping[str, str] = {
     "group": S, "n": I, "engine": S, "n_matrices": I, "n_cascades": I, "smallest": I,
     "gamma": F, "gamma_low": F, "gamma_high": F, "chance": F, "difference": F, "difference_low": F,
@@ -176,6 +177,20 @@ def gain(sums: Sums, confidence: float) -> Estimate:
     return over_matrices(ratio, np.column_stack([total, sums.counts.sum(axis=1)]), confidence)
 
 
+def gain_of_pool(sums: Sums, confidence: float) -> Estimate:
+    """By how much two-state blocks are likelier than an exponential, in nats in all; otherwise as `gain`."""
+    rate, mean, n_sizes = sums.estimate(gamma, confidence).value, sums.pool_mean, sums.counts.shape[1]
+    if rate is None or mean is None or n_sizes > sums.n:
+        return Estimate()
+    two_state = pool.law(sums.n, mean, n_sizes)
+    seen = sums.counts.sum(axis=0) > 0
+    if not (two_state[seen] > 0.0).all():
+        return Estimate()
+    exponential = np.log(-np.expm1(-rate)) - rate * np.flatnonzero(seen)
+    total = sums.counts.sum() * (sums.counts[:, seen] @ (np.log(two_state[seen]) - exponential))
+    return over_matrices(ratio, np.column_stack([total, sums.counts.sum(axis=1)]), confidence)
+
+
 # ------------------------------------------------------------------------------------------------- the question
 
 
@@ -191,23 +206,27 @@ def answer(study: Study) -> Answer:
         "law": frame(_LAW, [_law_row(one, level, study.margins.get("gamma")) for one in every]),
         "sizes": frame(_SIZES, sizes),
     }
+    drifting = _drifting(study, judged, sums)
     if not judged:
-        return Answer(findings=[lack(study, "the decay rate of cascade sizes")], tables=tables)
+        missing: Finding = drifting or lack(study, "the decay rate of cascade sizes")
+        alerts = [] if drifting is None else [_drift(study)]
+        return Answer(findings=[missing], alerts=alerts, tables=tables, method=_method(study))
     known = [one for group in judged if (one := sums[group.label]).estimate(gamma, level).low is not None]
     if not known:
         return Answer(findings=[Lack("the decay rate of cascade sizes", Reason.ONE_VALUE)], tables=tables)
+    known.sort(key=lambda one: not _is_exact(one.group))
     lead = known[0]
     beside = [one for one in known if _engine(one) == _engine(lead)][:MOST_SETTINGS]
-    names = apart([one.group.name for one in beside])
+    names = apart([one.group.name for one in beside], 2 * _has_several_engines(study))
     leading, findings = _findings(study, lead, names[0])
     for one, name in zip(beside[1:], names[1:], strict=True):
         findings += _rates(study, one, name)
     drawn = [one for one in known if one.n == lead.n][:MOST_DRAWN]
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
-        findings=[*leading, *findings, *definitions.findings],
-        n_lead=len(leading),
-        alerts=_alerts(study, lead, [one.group for one in every]),
+        findings=[*([] if drifting is None else [drifting]), *leading, *findings, *definitions.findings],
+        n_lead=min(3, len(leading) + (drifting is not None)),
+        alerts=_alerts(study, lead),
         tables=tables | definitions.tables,
         figures=_figures(study, lead, drawn, sizes) | definitions.figures,
         method=_method(study),
@@ -220,9 +239,42 @@ def _method(study: Study) -> str:
         "A cascade is a run of blocks that let go with no block sticking in between; its size, their number, has the "
         f"law f ∝ exp(−γ s){f' from {least} on' * (least > 1)}, fitted by maximum likelihood with intervals over "
         f"{systems(study)}s. Time-shifted blocks are each run's own, moved by a random time each "
-        f"({min(study.settings.resamples, SHIFTS)} draws per run); independent two-state blocks are as many, "
-        "as many of which stick on average."
+        f"({min(study.settings.resamples, SHIFTS)} draws per run); independent two-state blocks are "
+        "the same number of independent blocks with the same mean number sticking."
     )
+
+
+def _is_exact(group: Group) -> bool:
+    return ENGINES[group.key["engine"]].is_exact
+
+
+def _has_several_engines(study: Study) -> bool:
+    return len({group.key["engine"] for group in study.groups}) > 1
+
+
+def _drifting(study: Study, judged: Sequence[Group], sums: Mapping[str, Sums]) -> Level | None:
+    """The decay rate of what leads although n_stick drifts: exact runs, where no other exact runs have one."""
+    if any(_is_exact(group) for group in judged):
+        return None
+    level = study.settings.confidence
+    drifts = [
+        group for group in study.groups
+        if group.basis(level).code == enough.DRIFTS and (_is_exact(group) or not judged)
+    ]  # fmt: skip
+    lead = min(drifts, key=lambda group: (not _is_exact(group), -int(group.key["n"])), default=None)
+    if lead is None or (rate := sums[lead.label].estimate(gamma, level)).low is None:
+        return None
+    (name,) = apart([lead.name], 2 * _has_several_engines(study))
+    return Level(RATE, rate, name, basis=Basis(len(sums[lead.label].rows), systems(study)))
+
+
+def _drift(study: Study) -> Alert:
+    """That n_stick drifts in some groups."""
+    level = study.settings.confidence
+    drifting = [group.label for group in study.groups if group.basis(level).code == enough.DRIFTS]
+    where = f"at {drifting[0]}" if len(drifting) == 1 else f"at {len(drifting)} settings"
+    what = f"The number of sticking blocks {where}"
+    return Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn)
 
 
 def _engine(sums: Sums) -> list[object]:
@@ -284,13 +336,10 @@ def _findings(study: Study, sums: Sums, where: str) -> tuple[list[Finding], list
         if null != SHIFTED or sums.is_shifted
     )
     fit = fit_of(departure, gain(sums, level))
-    law = Law("cascade sizes", "fall off exponentially", rate, fit, departure, "fall off nearly exponentially")
-    coupled = _coupling(sums, rate, level)
-    values, errors = of_systems(sums.parts)
-    known = np.isfinite(errors)
-    lasting = Level(LASTING, between(values[known], errors[known], PARTS - 1, level), where, basis=rate.basis)
-    further: list[Finding] = [*others, *more, *([lasting] if lasting.estimate.value is not None else [])]
-    return [law, *coupled, departure], further
+    law = Law("cascade sizes", "fall off exponentially", rate, fit, departure, "do not quite fall off exponentially")
+    better = _better(sums, where, rate.basis, level) if fit is Fit.CLOSE else []
+    left = [] if COUNTING in study.settings.question else _of_shifted(sums, rate, level)
+    return [law, departure, *left], [*better, *others, *more]
 
 
 def fit_of(departure: Level, gain: Estimate) -> Fit:
@@ -304,20 +353,31 @@ def fit_of(departure: Level, gain: Estimate) -> Fit:
     return Fit.CLOSE if is_shown else Fit.HOLDS
 
 
-def _coupling(sums: Sums, rate: Level, confidence: float) -> list[Share]:
-    """How much of a difference from ln 2 goes if blocks are shifted in time; empty where no difference is shown."""
+def _of_shifted(sums: Sums, rate: Level, confidence: float) -> list[Level]:
+    """The difference from ln 2 of time-shifted blocks; empty where the runs show none."""
     assert rate.comparison is not None
-    verdict = rate.comparison.difference.verdict
-    if not sums.is_shifted or verdict not in (Verdict.MORE, Verdict.LESS):
+    if not sums.is_shifted or rate.comparison.difference.verdict not in (Verdict.MORE, Verdict.LESS):
         return []
-    share = quotient(
-        lambda rows: gamma(rows) - gamma_shifted(rows), lambda rows: gamma(rows) - LN2, sums.rows, confidence
+    left = sums.estimate(lambda rows: gamma_shifted(rows) / LN2 - 1, confidence)
+    if left.low is None or left.high is None:
+        return []
+    clause = "time-shifted blocks show no excess over ln 2: {}" if left.low <= 0.0 <= left.high else ""
+    return [Level(replace(LEFT, clause=clause), left, rate.where, basis=rate.basis)]
+
+
+def _better(sums: Sums, where: str, basis: Basis | None, confidence: float) -> list[Level]:
+    """By how much sizes are likelier as those of two-state blocks than as an exponential, where that is shown."""
+    gained = gain_of_pool(sums, confidence)
+    if gained.low is None or gained.low <= 0.0:
+        return []
+    n_cascades = int(sums.counts.sum())
+    better = Quantity(
+        "gain_pool",
+        "log likelihood of two-state blocks over an exponential, in nats",
+        clause="sizes are nearer to independent two-state blocks than to an exponential,"
+        f" by {{}} nats in {n_cascades:,} cascades",
     )
-    if share.low is None or share.high is None:
-        return []
-    difference = "excess over ln 2" if verdict is Verdict.MORE else "shortfall from ln 2"
-    how = ": shifting the blocks in time removes it" if share.low > 0.0 else ", by shifting the blocks in time"
-    return [Share("coupling", f"the {difference}", f"is due to coupling{how}", share, rate.where, basis=rate.basis)]
+    return [Level(better, gained, where, basis=basis)]
 
 
 def of_systems(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -338,7 +398,7 @@ def of_systems(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rate(whole)[:, 0], np.sqrt((PARTS - 1) / PARTS * np.sum(off**2, axis=1))
 
 
-def _alerts(study: Study, lead: Sums, groups: Sequence[Group]) -> list[Alert]:
+def _alerts(study: Study, lead: Sums) -> list[Alert]:
     """How runs of the lead ended that have no cascades, and where n_stick drifts."""
     level, ends, of = study.settings.confidence, lead.group.fates, len(lead.group)
     n = {fate: int(np.count_nonzero(ends == fate)) for fate in (fates.COLLAPSED, fates.DIVERGED, fates.QUIET)}
@@ -348,11 +408,8 @@ def _alerts(study: Study, lead: Sums, groups: Sequence[Group]) -> list[Alert]:
         Alert.of(Code.UNCERTIFIED, n=n[fates.QUIET], of=of),
     ]
     found = [alert for alert in alerts if dict(alert.numbers)["n"]]
-    drifting = [group.label for group in groups if group.basis(level).code == enough.DRIFTS]
-    if drifting:
-        where = f"at {drifting[0]}" if len(drifting) == 1 else f"at {len(drifting)} settings"
-        what = f"The number of sticking blocks {where}"
-        found.insert(0, Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn))
+    if any(group.basis(level).code == enough.DRIFTS for group in study.groups):
+        found.insert(0, _drift(study))
     return found[:3]
 
 
@@ -410,22 +467,33 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Sequence[Ro
     each = [Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])[np.isfinite(errors)]]
     labels: Sequence[Label] = apart([one.group.name for one in drawn])
     of_which = f" ({labels[0]})" if labels[0] else ""
-    share = number(np.exp(-(rate.value or 0.0)), digits=2)
+    assert rate.value is not None
+    ends = [None if end is None else float(np.exp(-end)) for end in (rate.high, rate.low)]
+    times = with_interval(Estimate(float(np.exp(-rate.value)), ends[0], ends[1]))
+    known = np.isfinite(errors)
+    lasting = between(values[known], errors[known], PARTS - 1, level)
+    scatter = ""
+    if lasting.value is not None:
+        share = with_interval(lasting, Form.SHARE)
+        scatter = f" Share of the scatter between systems that is real, not sampling noise: {share}."
     laws = {
         str(label or lead.group.label): [row for row in sizes if row["group"] == one.group.label]
         for label, one in zip(labels, drawn, strict=True)
     }
     unit, draw_run = _first_run(study, lead.group)
+    below = " Below, over a fair coin's 2⁻ˢ, the slope is minus the difference of the decay rate from ln 2."
+    below *= cascade_figures.is_split(laws)
     return {
         "size_law": Picture(
             partial(cascade_figures.size_law, laws, rate),
-            f"Each size is {share} times as common as the one before. Below, over a fair coin's 2⁻ˢ, the slope is "
-            f"the difference of the decay rate from ln 2. Line and band: the exponential law, {level:.0%}.",
+            f"Each size is {times} times as common as the one before.{below} Line and band: the exponential "
+            f"law, {level:.0%}.",
         ),
         "decay_rates": Picture(
             partial(forest, each, rate, "decay rate", (LN2, COIN)),
             f"The decay rate of each {system}{of_which}, its interval from {PARTS} parts of its run, and that of all "
-            f"together (diamond, band). Dashed: {COIN}, which tossing a coin between letting go and sticking gives.",
+            f"together (diamond, band). Dashed: {COIN}, which tossing a coin between letting go and sticking gives."
+            f"{scatter}",
         ),
         "one_run": Picture(
             draw_run,

@@ -94,7 +94,7 @@ def _alerts(exits: Exits, motion: Slow | None, alpha: float) -> list[Alert]:
 
 
 def _leading(study: Study, exits: Exits, motion: Slow | None) -> tuple[list[Finding], list[Finding]]:
-    """What one group shows: first the share of slow common motion or, if none is shown, the primary comparison.
+    """What one group shows: first the share of slow common motion or, if none is shown, why.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def _leading(study: Study, exits: Exits, motion: Slow | None) -> tuple[list[Find
     basis = Basis(exits.n_units, unit)
     compared: list[Finding] = [one.level(where, basis) for one in kept if one.observed.low is not None]
     if motion is None or not motion.is_shown:
-        return [exits.compared[0].law(where, basis), *share, *_lacking(study, motion)], compared[1:]
+        return [*_lacking(study, motion, where), *compared[:1], *share], compared[1:]
     return [_share(motion, where, unit), *share, *_fit(motion, where, unit)], compared
 
 
@@ -127,9 +127,9 @@ def _fit(motion: Slow, where: str, unit: str) -> list[Finding]:
     ]
 
 
-def _lacking(study: Study, motion: Slow | None) -> list[Finding]:
+def _lacking(study: Study, motion: Slow | None, where: str) -> list[Finding]:
     """Why no slow common motion is shown."""
-    what = "slow common motion"
+    what = ", ".join(filter(None, ("slow common motion", where)))
     if motion is None:
         return []
     if motion.verdict == NONE and motion.motion is not None:
@@ -146,7 +146,15 @@ def _picture(drawn: Mapping[str, tuple[list[Row], list[Row]]], motion: Slow | No
     power = "the power of n_stick, the number of sticking blocks,"
     if motion is None or not motion.is_shown:
         caption = f"How far {power} is from that of time-shifted blocks (dashed). Bars and bands: intervals."
-        return Picture(partial(spectrum, drawn), caption)
+        if motion is None:
+            return Picture(partial(spectrum, drawn), caption)
+        caption += f" Shaded: periods over {CYCLES:g} of a block's own cycles, "
+        caption += (
+            "where no slow common motion is shown."
+            if motion.verdict == NONE
+            else "which take longer runs to tell slow common motion."
+        )
+        return Picture(partial(spectrum, drawn, CYCLES * motion.cycle), caption)
     fit = motion.goodness
     quality = number(motion.estimate("quality").value or 0.0, digits=2)
     where = motion.group.label
@@ -159,8 +167,11 @@ def _picture(drawn: Mapping[str, tuple[list[Row], list[Row]]], motion: Slow | No
 
 
 @panel(3.4)
-def spectrum(ax: Axes, groups: Mapping[str, tuple[list[Row], list[Row]]]) -> None:
-    """Power of n_stick over that of time-shifted blocks against the period, fast and slow, with the fit."""
+def spectrum(ax: Axes, groups: Mapping[str, tuple[list[Row], list[Row]]], slow_from: float | None = None) -> None:
+    """Power of n_stick over that of time-shifted blocks against the period, fast and slow, with the fit.
+
+    Periods from `slow_from` on are shaded.
+    """
     ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
     for k, (label, (fast, slow)) in enumerate(groups.items()):
         colour, mark, face = (EXACT, SMOOTHED, GREEN)[k], "os^"[k], ((EXACT, "white", "white")[k])
@@ -172,6 +183,10 @@ def spectrum(ax: Axes, groups: Mapping[str, tuple[list[Row], list[Row]]]) -> Non
                     linewidth=0.9, label=label, markerfacecolor=face)  # fmt: skip
         if slow and all(row["model"] is not None for row in slow):
             ax.plot([_middle(row) for row in slow], [row["model"] for row in slow], color=colour)
+    if slow_from is not None:
+        longest = max(3 * slow_from, ax.get_xlim()[1])
+        ax.axvspan(slow_from, longest, color=GREY, alpha=0.18, linewidth=0)
+        ax.text(slow_from * 1.05, 0.96, "slow", color=GREY, va="top", transform=ax.get_xaxis_transform())
     ax.set(xscale="log", yscale="log", xlabel="period", ylabel="power / time-shifted blocks")
     for axis in (ax.xaxis, ax.yaxis):
         ends = axis.get_view_interval()

@@ -7,14 +7,15 @@ is compared with the finest on the same systems, by whole laws too, since a mean
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
-import matplotlib
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis import answer as answers
 from stickslip.analysis.answer import Answer, B, F, I, Picture, Question, Row, S, frame, named
@@ -51,7 +52,7 @@ from stickslip.analysis.findings.finding import (
 from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.findings.words import capital
 from stickslip.analysis.members import DRAWN
-from stickslip.analysis.methods import LAWS, MAGNITUDES, PRIMARY, Apart, called, compare, names, settings_of
+from stickslip.analysis.methods import LAWS, PRIMARY, Apart, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
     BY_WAY,
     CLASS,
@@ -76,7 +77,7 @@ from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrice
 from stickslip.analysis.stats.families import parameter
 from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, Goodness, goodness
 from stickslip.analysis.stats.student import half_width
-from stickslip.analysis.style import EXACT, GREY, panel
+from stickslip.analysis.style import GREY, panel
 
 POWER, CUT_OFF, EXPONENTIAL, NONE = "power law", "cut-off power law", "exponential", "none of these"
 SLOW = 0.05  # largest share of time in episodes if the drive is slow for the chain
@@ -86,14 +87,14 @@ SLOW = 0.05  # largest share of time in episodes if the drive is slow for the ch
 #: of 90% and 99% (a grid of 12 x 12) become 9.3% and 34% on a belt 50 times slower, and 15% and 66% were expected.
 TELLING = 0.8
 LEFT_OUT = 0.01  # share of a group's episodes that are too small to be drawn
+_HUES = tuple(mpl.colormaps[name] for name in ("Greys", "Oranges", "Blues", "Greens", "Purples", "Reds"))
 FEWEST = 30  # episodes from a magnitude on, for their rate to be drawn
 _STEP = 2  # classes between points of the figures
-MOST_OVER = 2.5  # largest rate in a figure, over the reference's
 _METHOD = (
     "An episode lasts from all blocks stuck to all stuck again; its size is the number of blocks that slip, its"
-    " moment the sum of their slips, its magnitude log10 of that. Methods are compared on the same systems, by means"
-    " and, swapping their runs, by whole distributions; one differs if its rate or its magnitudes do, among all such"
-    " comparisons."
+    " moment the sum of their slips, its magnitude log10 of that; rates are of the whole chain. Methods are compared"
+    " on the same systems: a method differs if its rate of episodes (t test) or its distribution of magnitudes (runs"
+    " swapped between methods) does, with p-values adjusted for the number of methods (Holm)."
 )
 #: A law that is not rejected is no law that is shown.
 PREDICATES: Mapping[str, str] = {
@@ -103,19 +104,19 @@ PREDICATES: Mapping[str, str] = {
 }  # fmt: skip
 #: What is said of each group, in this order.
 WORDS: Mapping[str, Quantity] = {
-    RATE: Quantity("rate", "rate of episodes"),
+    RATE: Quantity("rate", "episodes per unit time"),
     SIZE: Quantity("size", "mean size of episodes"),
     DURATION: Quantity("duration", "mean duration of episodes", more="longer than", less="shorter than"),
     QUIET: Quantity("cv", "coefficient of variation of quiet times"),
     SLIP: Quantity("slip", "share of the belt's travel that is slip in episodes", Form.SHARE),
     STORED: Quantity("stored", "share of the belt's travel that is stored as strain", Form.SHARE),
     CREEP: Quantity("creep", "share of the belt's travel that is creep of stuck blocks", Form.SHARE),
-    OCCUPANCY: Quantity("occupancy", "share of the time in which some block slips", Form.SHARE),
+    OCCUPANCY: Quantity("occupancy", "share of the time in which at least one block slips", Form.SHARE),
     FANO: Quantity("fano", "variance over mean of the number of episodes in windows of quiet time"),
 }
 _COMPARED = (RATE, SIZE, DURATION, SLIP)
-GAP = Quantity("gap", "Kolmogorov-Smirnov distance of moments from the law")
-APART = Quantity("apart", "Kolmogorov-Smirnov distance of magnitudes from the reference's")
+GAP = Quantity("gap", "Kolmogorov-Smirnov distance from the cut-off power law")
+APART = Quantity("apart", "distribution of magnitudes (Kolmogorov-Smirnov distance)")
 B_VALUE = Quantity("b", "b-value")
 MOMENT = Quantity("moment", "mean moment")
 BY_TRAVEL = Quantity("by_travel", "number of episodes per block and unit of belt travel")
@@ -158,22 +159,23 @@ def answer(study: Study) -> Answer | None:
         return None
     groups, level = read(study, study.data.episodes), study.settings.confidence
     if not any(len(group.magnitudes()) for group in groups):
-        why = "some block slips all the time, or none ever does" if groups else ""
+        why = "at least one block slips all the time, or none ever does" if groups else ""
         return Answer(findings=[Lack("episodes", Reason.NOTHING_COUNTED, why)])
     for group, method in zip(groups, names(groups), strict=True):
         summarise(group, level)
         group.row["method"] = method
         group.row["has_b"] = group.is_judged and has_b(group, level)
         group.row |= named("b", b_of_law(group, level) if group.is_judged else Estimate())
-    by_system, judged = systems(groups), [group for group in groups if group.is_judged]
+    counted = [group for group in groups if not _is_blurred(group)]
+    by_system, judged = systems(counted), [group for group in counted if group.is_judged]
     tables = {"episodes": frame(_GROUPS, [group.row for group in groups])}
     alerts = _alerts(study, groups, [first for first, *_ in by_system])
     if not judged:
-        return Answer(findings=[_lack(study, groups)], alerts=alerts, tables=tables)
+        return Answer(findings=[_lack(study, counted)], alerts=alerts, tables=tables)
     lead = _lead(judged)
     leaders = [first for first, *_ in by_system if first.is_judged] or [lead]
     apart = compare(study, by_system)
-    rates = _rates(by_system, lead, _drawn_from(lead, leaders), level)
+    rates = _rates(by_system, _drawn_from(lead, leaders), level)
     fitted = {group.label: _fits(study, group) for group in leaders}
     tables |= {
         "episode_contrasts": frame(_CONTRASTS, [one.row() for one in apart if one.name not in LAWS]),
@@ -184,17 +186,23 @@ def answer(study: Study) -> Answer | None:
     basis = answers.systems(study)
     laws = [_law(study, group, *fitted[group.label], "" if len(leaders) == 1 else group.row["method"])
             for group in sorted(leaders, key=lambda group: group is not lead)]  # fmt: skip
-    outcomes = [_outcomes(first, others, apart) for first, *others in by_system if others and first.is_judged]
-    first = [_level(lead, RATE, apart, basis), laws[0]]
-    findings: list[Finding] = [*outcomes[:1], *first, *_changes(leaders, level, basis), *outcomes[1:], *laws[1:]]
-    findings += _levels(groups, lead, apart, basis)
+    outcomes = [
+        outcome
+        for first, *others in by_system if others and first.is_judged
+        for outcome in _outcomes(first, others, apart, basis)
+    ]  # fmt: skip
+    first: list[Finding] = [_level(lead, RATE, apart, basis), laws[0]]
+    findings = [*outcomes, *first, *_changes(leaders, level, basis), *laws[1:]]
+    findings += _levels(counted, lead, apart, basis)
+    findings += [_level(group, CREEP, apart, basis) for group in groups if group.row["of"][CREEP].value is not None
+                 and not group.group.is_exact]  # fmt: skip
     return Answer(
         findings=findings,
-        n_lead=3,
+        n_lead=min(3, len(outcomes) or 3),
         alerts=alerts,
         method=_METHOD,
         tables=tables,
-        figures=_figures(groups, leaders, rates, bool(apart)),
+        figures=_figures(counted, leaders, rates, bool(apart)),
     )
 
 
@@ -203,6 +211,8 @@ def answer(study: Study) -> Answer | None:
 
 def _lack(study: Study, groups: Sequence[Catalogues]) -> Lack:
     """Why no group can be judged: that with the most episodes."""
+    if not groups:
+        return Lack("the statistics of episodes", Reason.CREEP)
     row = max(groups, key=lambda group: group.row["n_episodes"]).row
     detail = f"{row['n_systems']} {answers.systems(study)}s, {row['n_episodes']} episodes"
     return Lack("the statistics of episodes", _REASONS[row["basis"]], detail)
@@ -221,31 +231,70 @@ def _level(group: Catalogues, name: str, apart: Sequence[Apart], unit: str) -> L
 
 def _levels(groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apart], unit: str) -> list[Finding]:
     """Statistics of all groups, the distances of their magnitudes, and what shows whether the drive is slow."""
-    several = [(name, group) for name in _COMPARED for group in groups if (name, group) != (RATE, lead)]
+    primary = sorted((one for one in apart if one.name in PRIMARY), key=lambda one: not one.is_shown)
+    findings: list[Finding] = [level for one in primary if (level := _beside(one, unit)) is not None]
+    several = [(name, group) for name in _COMPARED for group in groups if name != RATE]
     alone = [(name, lead) for name in (QUIET, STORED, OCCUPANCY, FANO)]
-    creeping = [(CREEP, group) for group in groups if not group.group.is_exact]
-    findings: list[Finding] = [
+    compared = [id(one.setting) for one in apart]
+    rates = [(RATE, group) for group in groups if group is not lead and id(group) not in compared]
+    findings += [
         _level(group, name, apart, unit)
-        for name, group in (*several, *creeping, *alone)
-        if group.row["of"][name].value is not None
+        for name, group in (*rates, *several, *alone)
+        # without the strain, which may fall, slip in episodes is no share of the travel
+        if group.row["of"][name].value is not None and (name != SLIP or group.row["of"][STORED].value is not None)
     ]
-    gaps: list[Finding] = [
-        Level(APART, one.found.size, str(one.setting.row["method"]))
-        for one in apart
-        if one.name == MAGNITUDES and isinstance(one.found, LawDifference)
-    ]
-    return [*findings[: len(groups) - 1], *gaps, *findings[len(groups) - 1 :]]
+    return findings
 
 
-def _outcomes(reference: Catalogues, others: Sequence[Catalogues], apart: Sequence[Apart]) -> Outcomes:
-    """The settings of a system whose rate or magnitudes are shown to differ from the reference's, and the others."""
-    differ = [id(one.setting) for one in apart if one.name in PRIMARY and one.is_shown]
-    come_out = [DIFFERENT if id(other) in differ else UNDECIDED for other in others]
-    by_setting = dict(zip(settings_of(others), come_out, strict=True))
-    different, undecided = (in_words(by_setting, name) for name in (DIFFERENT, UNDECIDED))
-    if different and len(undecided) > 1:
-        undecided = ("the other settings",)
-    return Outcomes(called(reference), different=different, undecided=undecided)
+def _beside(one: Apart, unit: str) -> Level | None:
+    """A rate beside its reference's, or the distance of magnitudes from the reference's."""
+    if one.name == RATE:
+        return _level(one.setting, RATE, [one], unit)
+    if isinstance(one.found, LawDifference):
+        return Level(APART, one.found.size, one.setting.row["method"], basis=Basis(len(one.setting.runs), unit))
+    return None
+
+
+def _outcomes(
+    reference: Catalogues, others: Sequence[Catalogues], apart: Sequence[Apart], unit: str
+) -> list[Outcomes]:
+    """The settings of a system by what is shown to differ, if anything: the rate, or else the magnitudes."""
+    shown = {(id(one.setting), one.name) for one in apart if one.is_shown}
+    settings = dict(zip(settings_of(others), others, strict=True))
+    come_out = {
+        setting: next((name for name in PRIMARY if (id(other), name) in shown), "")
+        for setting, other in settings.items()
+    }
+    outcomes = []
+    for name in (*PRIMARY, ""):
+        some = {id(other): setting for setting, other in settings.items() if come_out[setting] == name}
+        apart_most = max(
+            (one for one in apart if id(one.setting) in some and one.name == (name or RATE)),
+            key=_reach, default=None,
+        )  # fmt: skip
+        if not some or apart_most is None:
+            continue
+        level, setting = _beside(apart_most, unit), some[id(apart_most.setting)]
+        where = "" if len(some) == 1 else f"{setting.symbol} = {setting.text}" if setting.symbol else setting.name
+        largest = None if level is None else replace(level, where=where)
+        words = in_words(come_out, name)
+        kinds = {"different": words} if name else {"undecided": words}
+        outcomes.append(Outcomes(reference.row["method"], **kinds, largest=largest))
+    return outcomes
+
+
+def _reach(one: Apart) -> float:
+    """How far a setting lies from its reference; if no difference is shown, how far it may lie."""
+    if not isinstance(one.found, Contrast):
+        return 0.0 if isinstance(one.found, str) else one.found.size.value or 0.0
+    difference = one.comparison().difference.estimate
+    ends = (difference.value,) if one.is_shown else (difference.low, difference.high)
+    return max(abs(end or 0.0) for end in ends)
+
+
+def _is_blurred(group: Catalogues) -> bool:
+    """Whether blocks that creep slower than the belt may count as stuck, so that episodes cannot be counted."""
+    return (group.row["stuck_below"] or 0.0) > 1.0
 
 
 def _changes(leaders: Sequence[Catalogues], level: float, unit: str) -> list[Change]:
@@ -310,7 +359,7 @@ def _law(study: Study, group: Catalogues, rows: Sequence[Row], fitted: Sequence[
         return Law(moments, PREDICATES[law], Level(MOMENT, _mean_moment(study, group), where, basis=basis))
     if law == NONE:
         far = Level(GAP, Estimate(good.gap), where, basis=basis)
-        return Law(moments, PREDICATES[law], far, Fit.FAILS, far)
+        return Law(moments, PREDICATES[law], far, Fit.FAILS, far, p_value=good.p_value)
     return Law(moments, PREDICATES[law], b, Fit.OPEN if law == UNKNOWN else Fit.HOLDS)
 
 
@@ -345,15 +394,14 @@ def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Cat
     if drifting:
         what = f"The rate of episodes ({', '.join(str(group.row['method']) for group in drifting[:2])})"
         alerts.append(Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn))
-    fast = max(references, key=lambda group: group.row[OCCUPANCY] or 0.0).row
+    fast = max(references or groups, key=lambda group: group.row[OCCUPANCY] or 0.0).row
     if (fast[OCCUPANCY] or 0.0) > SLOW:
         slower = _slower(fast)
         remedy = "a much slower belt" if slower is None else f"a belt about {slower:g} times slower"
         share = number(fast[OCCUPANCY], Form.SHARE, 0)
         alerts.append(Alert.of(Code.OVERLAP, share=share, where=str(fast["method"]), remedy=remedy))
-    blurred = [group.row for group in groups if (group.row["stuck_below"] or 0.0) > 1]
-    if blurred:
-        come_out = [DIFFERENT if group.row in blurred else UNDECIDED for group in groups]
+    if any(map(_is_blurred, groups)):
+        come_out = [DIFFERENT if _is_blurred(group) else UNDECIDED for group in groups]
         methods = in_words(dict(zip(settings_of(groups), come_out, strict=True)), DIFFERENT)
         alerts.append(Alert.of(Code.BLURRED, what=capital(" and ".join(methods))))
     whole = [group for group in groups if (group.row["whole"] or 0.0) > 0.5 and group in references]
@@ -389,10 +437,11 @@ def _slower(row: Row) -> float | None:
     return float(np.ceil(factor / digit) * digit)
 
 
-def _rates(systems: Iterable[Sequence[Catalogues]], lead: Catalogues, first_edge: float, level: float) -> list[Row]:
+def _rates(systems: Sequence[Sequence[Catalogues]], first_edge: float, level: float) -> list[Row]:
     """Episodes per unit time from each magnitude on, and their ratio to those of the reference."""
     rows: list[Row] = []
-    edges = first_edge + CLASS * np.arange(0, int((lead.magnitudes().max() - first_edge) / CLASS) + _STEP, _STEP)
+    largest = max(group.row["largest"] or first_edge for groups in systems for group in groups)
+    edges = first_edge + CLASS * np.arange(0, int((largest - first_edge) / CLASS) + _STEP, _STEP)
     for first, *others in systems:
         reference = {edge: first.at_least(edge) for edge in edges}
         for one, edge in itertools.product((first, *others), edges):
@@ -431,68 +480,90 @@ def _figures(
     groups: Sequence[Catalogues], leaders: Sequence[Catalogues], rates: Sequence[Row], has_pairs: bool
 ) -> dict[str, Picture]:
     """Rates by magnitude of the settings that lead, after those of all methods over the reference's."""
-    labels = {group.label: str(group.row["method"]) for group in groups}
-    shown = {group.label: labels[group.label] for group in leaders} if has_pairs else labels
+    lines = {group.label: Line(group.row["method"], group.group.key["engine"]) for group in groups}
+    shown = {group.label: lines[group.label] for group in leaders} if has_pairs else lines
     every = Picture(
         partial(frequencies, rates, shown),
-        "Rates fall off with magnitude: episodes per unit time of at least each magnitude, M = log10 moment, with"
-        " bands of their intervals.",
+        "Episodes become rarer with magnitude: episodes per unit time of at least each magnitude, M = log10 moment,"
+        " with bands of their intervals.",
     )
+    reference = str(leaders[0].row["method"]) if len(leaders) == 1 else "the reference"
+    beside = {row["group"] for row in rates if row["over"] is not None}
+    are_few = any(row["over"] is None and row["group"] in beside for row in rates)
+    alone = f" Triangles at the top: {reference} has fewer than {FEWEST}, and the method has more."
     over = Picture(
-        partial(over_reference, rates, labels),
-        "Where a line is at 1, a method has as many episodes from that magnitude on as the reference on the same"
-        f" systems; bands are intervals, and triangles at the top are values above {MOST_OVER:g}.",
+        partial(over_reference, rates, lines),
+        f"Where a line is at 1, a method has as many episodes from that magnitude on as {reference}; bands are"
+        f" intervals.{alone * are_few}",
     )
     return {"episode_rates_over": over, "episode_rates": every} if has_pairs else {"episode_rates": every}
 
 
-def _looks(labels: Mapping[str, str]) -> dict[str, dict[str, Any]]:
-    """Style of each group's line: one hue a setting."""
-    hues = [EXACT, *matplotlib.colormaps["Dark2"].colors]  # type: ignore[attr-defined]
-    return {
-        label: {"color": hues[k % len(hues)], "marker": "osDv^Px*"[k % 8], "markersize": 3, "linewidth": 0.9}
-        for k, label in enumerate(labels)
-    }
+class Line(NamedTuple):
+    """The name of a group in a figure, and its engine: lines of an engine are shades of one hue."""
+
+    name: str
+    engine: str
 
 
-def _lines(ax: Axes, rows: Sequence[Row], labels: Mapping[str, str], key: str, most: float = np.inf) -> None:
-    """A line a group with the band of its intervals; triangles mark what lies above the largest value shown."""
-    for label, look in _looks(labels).items():
+def _looks(lines: Mapping[str, Line]) -> dict[str, dict[str, Any]]:
+    """Style of each group's line."""
+    engines = list(dict.fromkeys(line.engine for line in lines.values()))
+    looks: dict[str, dict[str, Any]] = {}
+    for engine, hue in zip(engines, itertools.cycle(_HUES)):
+        labels = [label for label, line in lines.items() if line.engine == engine]
+        shades = np.linspace(1.0, 0.4, len(labels)) if len(labels) > 1 else [0.85]
+        for k, (label, shade) in enumerate(zip(labels, shades, strict=True)):
+            marker = "osDv^Px*"[k % 8]
+            looks[label] = {"color": hue(shade), "marker": marker, "markersize": 3, "linewidth": 0.9}
+    return looks
+
+
+def _lines(ax: Axes, rows: Sequence[Row], lines: Mapping[str, Line], key: str) -> None:
+    """A line a group with the band of its intervals, on a log axis."""
+    for label, look in _looks(lines).items():
         shown = [row for row in rows if row["group"] == label and row[key] is not None]
         if not shown:
             continue
-        x, y = (np.array([row[name] for row in shown]) for name in ("magnitude", key))
-        ax.plot(x[y <= most], y[y <= most], label=labels[label], **look)
-        ax.plot(x[y > most], np.full(np.count_nonzero(y > most), most), **look | {"marker": "^", "linestyle": ""},
-                clip_on=False)  # fmt: skip
-        known = [row for row in shown if row[f"{key}_low"] is not None and row[key] <= most]
+        ax.plot([row["magnitude"] for row in shown], [row[key] for row in shown], label=lines[label].name, **look)
+        known = [row for row in shown if row[f"{key}_low"] is not None]
         low, high = (np.array([row[f"{key}{end}"] for row in known]) for end in ("_low", "_high"))
-        ax.fill_between([row["magnitude"] for row in known], low, high, color=look["color"], alpha=0.12, linewidth=0)
-    ax.set_xlabel("magnitude, M = $\\log_{10}$ moment")
-    if len(labels) > 1:
-        widest = max(len(method) for method in labels.values())
+        least = [0.01 * row[key] for row in known]  # a log axis has no zero
+        ax.fill_between([row["magnitude"] for row in known], np.maximum(low, least), high, color=look["color"],
+                        alpha=0.15, linewidth=0)  # fmt: skip
+    values = [row[key] for row in rows if row[key] and row["group"] in lines]
+    ax.set(xlabel=r"magnitude, M = $\log_{10}$ moment", yscale="log")
+    if values:
+        ax.set_ylim(0.5 * min(values), 2 * max(values))
+    if len(lines) > 1:
+        widest = max(len(line.name) for line in lines.values())
         ax.figure.legend(loc="outside upper center", ncols=2 if widest < 26 else 1)
 
 
 @panel(3.8)
-def frequencies(ax: Axes, rows: Sequence[Row], labels: Mapping[str, str]) -> None:
+def frequencies(ax: Axes, rows: Sequence[Row], lines: Mapping[str, Line]) -> None:
     """Episodes per unit time from each magnitude on, one line a group, with bands of their intervals.
 
-    Rows are those of the table `episode_rates`; labels are names by group.
+    Rows are those of the table `episode_rates`; lines are by group.
     """
-    _lines(ax, rows, labels, "rate")
-    ax.set_yscale("log")
-    lows = [row["rate"] for row in rows if row["rate"] and row["group"] in labels]
-    ax.set(ylabel="rate of episodes, $\\geq$ M", ylim=(0.5 * min(lows), 2 * max(lows)))
+    _lines(ax, rows, lines, "rate")
+    ax.set_ylabel(r"episodes per unit time, $\geq$ M")
 
 
 @panel(3.8)
-def over_reference(ax: Axes, rows: Sequence[Row], labels: Mapping[str, str]) -> None:
-    """Rate over the reference's on the same systems, up to `MOST_OVER`; parameters as in `frequencies`."""
+def over_reference(ax: Axes, rows: Sequence[Row], lines: Mapping[str, Line]) -> None:
+    """Rate over the reference's on the same systems; triangles where the reference has too few to compare with."""
     ax.axhline(1.0, color=GREY, linestyle="--", linewidth=1)
-    _lines(ax, rows, labels, "over", most=MOST_OVER)
-    highest = max([1.4, *(1.15 * row["over"] for row in rows if row["over"] is not None)])
-    ax.set(ylabel="rate / rate of the reference", ylim=(0, min(MOST_OVER, highest)))
+    _lines(ax, rows, lines, "over")
+    beside = {row["group"] for row in rows if row["over"] is not None}
+    for label, look in _looks(lines).items():
+        alone = [row["magnitude"] for row in rows if row["group"] == label in beside and row["over"] is None]
+        ax.plot(alone, np.ones(len(alone)), transform=ax.get_xaxis_transform(), clip_on=False,
+                **look | {"marker": "^", "linestyle": ""})  # fmt: skip
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter("{x:g}")
+    ax.yaxis.set_minor_locator(NullLocator())
+    ax.set_ylabel("episodes, relative to the reference")
 
 
 QUESTION = Question(answer, title="How often and how large are episodes?", share=0.8, rank=2)

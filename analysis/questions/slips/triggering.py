@@ -17,7 +17,6 @@ from stickslip.analysis.findings.finding import (
     Comparison,
     Difference,
     Family,
-    Law,
     Level,
     Limit,
     Quantity,
@@ -58,6 +57,7 @@ class Compared(NamedTuple):
     @property
     def quantity(self) -> Quantity:
         """What is compared."""
+        clause = ""
         match self.part.kind:
             case clustering.POWER:
                 name = f"power of n_stick at periods from {self.part.above:g} to {self.part.upto:g}"
@@ -65,21 +65,14 @@ class Compared(NamedTuple):
                 name = "variance of n_stick"
             case clustering.FANO:
                 name = f"Fano factor in windows of {self.part.upto:g}"
+                clause = f"counts of slip onsets in windows of {self.part.upto:g} vary {{}}"
             case _:
                 name = f"number of pairs of slip onsets within {self.part.upto:g}"
-        return Quantity(self.part.kind, name, definition=DEFINITIONS.get(self.part.kind, ""))
+        return Quantity(self.part.kind, name, definition=DEFINITIONS.get(self.part.kind, ""), clause=clause)
 
     def level(self, where: str, basis: Basis) -> Level:
         """The finding, where it has an interval."""
         return Level(self.quantity, self.observed, where, Comparison("time-shifted blocks", self.difference), basis)
-
-    def law(self, where: str, basis: Basis) -> Level | Law:
-        """The finding in words for slip onsets in windows, if a difference is shown."""
-        level = self.level(where, basis)
-        predicate = {Verdict.MORE: "come in bursts", Verdict.LESS: "are spread evenly"}.get(self.difference.verdict)
-        if self.part.kind != clustering.FANO or predicate is None:
-            return level
-        return Law("slip onsets", predicate, level)
 
     def row(self, group: str) -> Row:
         """Row of the table `clustering`."""

@@ -33,7 +33,6 @@ class Moreau(Engine):
     """
 
     name = "moreau"
-    method = "time stepping"
     about = "time stepping of Moreau and Jean, to compare with: no event is located."
     kernels = "stickslip.sim.engines.moreau"
     keeps_stills = True
