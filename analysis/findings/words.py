@@ -394,7 +394,7 @@ def _outcomes(outcomes: Outcomes) -> str:
         said.append(f"{listed(outcomes.equal)} agree{'s' * (len(outcomes.equal) == 1)} with {other}{scope}")
     if outcomes.undecided:
         undecided = listed(outcomes.undecided, "or")
-        if largest is None or largest.basis is None:
+        if largest is None or largest.basis is None or largest.comparison is None:
             said.append(f"{undecided} cannot be told from {other}{scope}")
         else:
             few = f"{plural(largest.basis.n, largest.basis.unit)} {'is' if largest.basis.n == 1 else 'are'} too few"

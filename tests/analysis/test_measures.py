@@ -367,7 +367,7 @@ def test_averages_are_over_values_that_have_one_throughout(recorded, settings):
     assert {*np.concatenate([line.get_ydata() for line in ax.lines if len(line.get_ydata()) == 4])} == {7.0}
 
 
-def test_a_change_over_some_values_of_another_key_says_over_how_many(recorded, settings):
+def test_a_change_at_some_values_of_another_key_says_at_which(recorded, settings):
     """A period at every belt where kappa = 0.1, and where kappa = 0.2, 0.3 at the first one alone."""
     axes = {"belt_speed": SPEEDS, "kappa": [0.1, 0.2, 0.3]}
     data = recorded(
@@ -375,9 +375,9 @@ def test_a_change_over_some_values_of_another_key_says_over_how_many(recorded, s
     )
     data = replace(data, recorded={"period": data.recorded["period"]._replace(absent="not on a cycle")})
     answer = sweep.answer(Study(data, settings))
-    assert said(answer).endswith("as belt_speed goes from \u22120.3 to \u22120.1, over 1 of 3 values of kappa.")
+    assert said(answer).endswith("as belt_speed goes from \u22120.3 to \u22120.1 at kappa = 0.1.")
     places = {one.key: one.where for one in answer.findings[: answer.n_lead]}
-    assert places == {"belt_speed": "over 1 of 3 values of kappa", "kappa": "over 1 of 3 values of belt_speed"}
+    assert places == {"belt_speed": "kappa = 0.1", "kappa": "belt_speed = -0.3"}
     whole = recorded({"amplitude": lambda _, matrix, v, k: 3 + v + 0.01 * matrix}, axes=axes)
     assert "values of kappa" not in said(sweep.answer(Study(whole, settings)))
 

@@ -55,7 +55,7 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.analysis.style import EXACT, GREY, panel
 from stickslip.pipeline.design.design import Axis, in_words
-from stickslip.pipeline.design.values import Value
+from stickslip.pipeline.design.values import Ratio, Value
 
 ROUNDING = 1e-12  # what sums over a run lose to rounding, at any tolerance
 RISES, FALLS = "rises", "falls"
@@ -115,13 +115,21 @@ class Step(NamedTuple):
     def change(self, where: str, unit: str) -> Change:
         """As a finding."""
         at = ", ".join(filter(None, (where, self.places)))
-        return self.contrast.change(self.axis.name, in_words(self.first), in_words(self.second), at, unit)
+        return self.contrast.change(self.axis.name, _value(self.first), _value(self.second), at, unit)
 
     def row(self) -> Row:
         return {
             "kind": "key", "setting": self.setting, "key": self.axis.name, "first_value": in_words(self.first),
             "second_value": in_words(self.second), **self.contrast.row(),
         }  # fmt: skip
+
+
+def _value(row: tuple[Value, ...]) -> str:
+    """A value of an axis in a sentence: of a ratio, how many times what."""
+    return " with ".join(
+        f"{in_words((value.factor,))} times {value.of}" if isinstance(value, Ratio) else in_words((value,))
+        for value in row
+    )
 
 
 def answer(study: Study) -> Answer | None:
