@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.sim.engines import ENGINES
 from stickslip.sim.runs.pictures import BLUE as BLUE
 from stickslip.sim.runs.pictures import CYCLE as CYCLE
 from stickslip.sim.runs.pictures import GREEN as GREEN
@@ -111,13 +110,6 @@ def legend(figure: Figure, columns: int, axes: Iterable[Axes] | None = None) -> 
 PANEL = (4.2, 3.0)  # inches: half of the page, side by side on wide screens
 EXACT, SMOOTHED = "#1f4e79", "#c4561a"  # the two friction laws, as filled circles and open squares
 P = ParamSpec("P")
-
-
-def of_engine(name: str) -> tuple[str, str]:
-    """The colour of an engine's line, by its place among all, and of its marks: an exact one fills them."""
-    colours = (EXACT, SMOOTHED, GREEN, PURPLE, ORANGE, BLUE)
-    colour = colours[[*ENGINES].index(name) % len(colours)]
-    return colour, colour if ENGINES[name].is_exact else "white"
 
 
 def panel(

@@ -99,17 +99,22 @@ def based_on(basis: Basis | None) -> str:
     return "" if basis is None else plural(basis.n, basis.unit)
 
 
+def _begins_with_key(where: str) -> bool:
+    """Whether a setting begins with the value of a key, "n = 150, exact", and not with a method, "exact"."""
+    return "=" in where.partition(",")[0]
+
+
 def _at(where: str) -> str:
     if not where:
         return ""
-    return f" at {where}" if "=" in where.partition(",")[0] else f", {where}"
+    return f" at {where}" if _begins_with_key(where) else f", {where}"
 
 
 def _before(where: str) -> str:
     """A setting at the head of a sentence: "at n = 150, exact, "."""
     if not where:
         return ""
-    return f"at {where}, " if "=" in where.partition(",")[0] else f"{where}: "
+    return f"at {where}, " if _begins_with_key(where) else f"{where}: "
 
 
 def _share(share: Share) -> str:
@@ -204,7 +209,7 @@ def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = F
     value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
     if value is None:
         return Cell("unknown" if low is None or high is None else interval(difference, form))
-    text = _in_points(with_interval(difference.estimate, _form(difference, form), sign=True), difference, form)
+    text = _signed(difference, form)
     if verdict is Verdict.EQUAL:
         return Cell(text, f"equal within {margin(difference, form)}")
     if verdict is Verdict.OPEN_AMONG_MANY:
@@ -285,9 +290,8 @@ def _along(change: Change) -> str:
 def _open(change: Change) -> str:
     """Levels and the estimate of a change that is not shown, with a bracket that the caller closes."""
     form, difference = change.quantity.form, change.difference
-    levels = _from_to(change)
-    before, _, after = levels.removeprefix("from ").partition(" to ")
-    levels = f"stays at {after}" if before == after else f"goes {levels}"
+    before, after = _levels(change)
+    levels = f"stays at {after}" if before == after else f"goes from {before} to {after}"
     value = difference.estimate.value
     assert value is not None
     unit = _form(difference, form)
@@ -306,6 +310,11 @@ def _by(change: Change) -> str:
 
 
 def _from_to(change: Change) -> str:
+    return "from {} to {}".format(*_levels(change))
+
+
+def _levels(change: Change) -> tuple[str, str]:
+    """The quantity before and after."""
     before, after = change.before.value, change.after.value
     assert before is not None
     assert after is not None
@@ -314,7 +323,7 @@ def _from_to(change: Change) -> str:
     places = decimals(difference.estimate if is_absolute else Estimate(max(abs(before), abs(after))), form)
     if is_absolute and difference.estimate.value is not None:
         before, after = _adding_up(before, after, difference.estimate.value, places + 2 * (form is Form.SHARE))
-    return f"from {number(before, form, places)} to {number(after, form, places)}"
+    return number(before, form, places), number(after, form, places)
 
 
 def _adding_up(before: float, after: float, change: float, places: int) -> tuple[float, float]:

@@ -9,6 +9,7 @@ import pandas as pd
 
 from stickslip.analysis.findings.finding import Form
 from stickslip.analysis.findings.numbers import MINUS, alike, number, with_interval
+from stickslip.analysis.findings.words import plural
 from stickslip.analysis.page.layout import MOST_ROWS, Table
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.values import short
@@ -27,7 +28,7 @@ def data_table(name: str, data: pd.DataFrame) -> Table:
         if column not in hidden
     }
     n_more = len(data) - MOST_ROWS
-    note = f"{n_more:,} more row{'s' * (n_more > 1)} in report/{name}.parquet." if n_more > 0 else ""
+    note = f"{plural(n_more, 'more row')} in report/{name}.parquet." if n_more > 0 else ""
     head = [str(column).replace("_", " ") for column in columns]
     return Table(head, [*zip(*columns.values(), strict=True)], note, name)
 

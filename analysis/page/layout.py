@@ -9,7 +9,6 @@ from itertools import groupby
 from typing import NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
-from markupsafe import Markup
 
 from stickslip.analysis.findings.finding import Comparison, Difference, Record, Scale, Verdict
 from stickslip.analysis.findings.numbers import alike, signs, with_interval
@@ -58,7 +57,7 @@ class Section:
 
     key: str
     title: str
-    summary: str | Markup = ""
+    summary: str = ""
     texts: Sequence[str] = ()
     panels: Sequence[Panel] = ()
     table: Table = field(default_factory=Table)
@@ -89,12 +88,12 @@ class Page:
 
     title: str
     about: str = ""
-    lead: Sequence[str | Markup] = ()
-    stops: Sequence[str | Markup] = ()
+    lead: Sequence[str] = ()
+    stops: Sequence[str] = ()
     panels: Sequence[Panel] = ()
     table: Table = field(default_factory=Table)
-    alerts: Sequence[str | Markup] = ()
-    notes: Sequence[str | Markup] = ()
+    alerts: Sequence[str] = ()
+    notes: Sequence[str] = ()
     sections: Sequence[Section] = ()
     meta: Mapping[str, str] = field(default_factory=dict)
     paragraph: str = ""

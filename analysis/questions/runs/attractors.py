@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from stickslip.analysis.answer import Answer, F, I, Picture, Row, S, Table, frame, named
+from stickslip.analysis.answer import Answer, F, I, Picture, Row, S, Table, frame, named, systems
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import (
     Alike,
@@ -343,7 +343,7 @@ def _unit(study: Study, runs: Sequence[Runs]) -> str:
     """What is independent of some runs."""
     if all(part.is_one_system for part in runs):
         return "start"
-    return "system" if study.unit == "matrix" else study.unit
+    return systems(study)
 
 
 def _published(study: Study, attractor: Attractor, n_cycles: int) -> Comparison | None:

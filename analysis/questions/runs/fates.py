@@ -32,6 +32,7 @@ from stickslip.analysis.answer import (
     frame,
     long,
     named,
+    systems,
 )
 from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.ensemble import Study
@@ -315,7 +316,7 @@ def _outcome(
     key, values = key_of([row.label for row in rows])
     words = {kind: _predicate(kind, *rows) for kind in KINDS}
     places = [Place(tuple(words[kind] for kind in row.kinds), row.n_runs, row.n_runs, row.n_units) for row in rows]
-    by_outcome = regimes(key, values, places, study.settings.confidence, _basis(study, 0).unit)
+    by_outcome = regimes(key, values, places, study.settings.confidence, systems(study))
     mixed = [row for row in rows if len(row.kinds) > 1][:MOST_SETTINGS]
     shares: list[Finding] = [_share(study, runs, [row], kind, _where(row)) for row in mixed for kind in row.kinds]
     return [Regimes("runs", by_outcome, method, _until(*rows))], shares
@@ -432,12 +433,12 @@ def _alerts(study: Study, ends: Sequence[Ends], spoken: Sequence[Ends], short: S
     if total[LULL]:
         alerts.append(Alert.of(Code.TEMPORARY, n=total[LULL], of=n_spoken))
     if few and few[0] > 1:
-        alerts.append(Alert.of(Code.FEW, n=few[0], units=f"{_basis(study, few[0]).unit}s"))
+        alerts.append(Alert.of(Code.FEW, n=few[0], units=f"{systems(study)}s"))
     return alerts[:3]
 
 
 def _basis(study: Study, n: int) -> Basis:
-    return Basis(n, "system" if study.unit == "matrix" else study.unit)
+    return Basis(n, systems(study))
 
 
 def _where(row: Ends) -> str:

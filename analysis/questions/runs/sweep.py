@@ -58,7 +58,6 @@ from stickslip.pipeline.design.design import Axis, in_words
 from stickslip.pipeline.design.values import Ratio, Value
 
 ROUNDING = 1e-12  # what sums over a run lose to rounding, at any tolerance
-RISES, FALLS = "rises", "falls"
 MOST_LINES = 6  # in one figure
 MOST_FIGURES = 8  # of statistics along a key
 MOST_DECADES = 4.0  # of an axis: what lies further below the largest value is below the axis
