@@ -108,7 +108,7 @@ def test_a_grid_tells_which_key_it_is(swept, settings):
     assert found["kappa"].difference == pytest.approx(20)
     assert found["friction"].difference == pytest.approx(16)
     assert {row.n_first for row in found.values()} == {8}, "a unit counts once, whatever the grid"
-    assert [(one.key, one.difference.verdict) for one in answer.findings[: answer.n_lead]] == [
+    assert [(one.keys[0].key, one.difference.verdict) for one in answer.findings[: answer.n_lead]] == [
         ("kappa", Verdict.MORE), ("friction", Verdict.MORE), ("belt_speed", Verdict.SAME),
     ]  # fmt: skip
     assert len(answer.tables["sweep"]) == 30
