@@ -106,7 +106,7 @@ PREDICATES: Mapping[str, str] = {
 }  # fmt: skip
 #: What is said of each group, in this order.
 WORDS: Mapping[str, Quantity] = {
-    RATE: Quantity("rate", "rate of episodes"),
+    RATE: Quantity("rate", "rate of episodes", things="episodes"),
     SIZE: Quantity("size", "mean size of episodes"),
     DURATION: Quantity("duration", "mean duration of episodes", more="longer than", less="shorter than"),
     QUIET: Quantity("cv", "coefficient of variation of quiet times"),
