@@ -19,7 +19,8 @@ from stickslip.analysis.models import clustering, common_motion, fates, growth, 
 from stickslip.analysis.models.episodes import OCCUPANCY, SLOW_DRIVE, Catalogue
 from stickslip.analysis.series.cascades import Law, Window, sizes, sums, window
 from stickslip.analysis.series.cascades import laws as cascade_laws
-from stickslip.analysis.series.nulls import DRAWS, BlockSteps, rotations
+from stickslip.analysis.series.nulls import DRAWS, BlockSteps
+from stickslip.analysis.series.nulls import sums as sums_of_rotated
 from stickslip.analysis.stats import compare, components, dispersion, effective, enough, multiplicity
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import (
@@ -364,7 +365,7 @@ def definitions_study(rng, ensembles):
         observed = sums(win.step)
         for dt in dts:
             observed |= sums(win.sampled(dt), dt)
-        chance = rotations(steps, dts, DRAWS, rng).sums
+        chance = sums_of_rotated(steps, dts, DRAWS, rng)
         for law, rows in runs.items():
             rows.append(np.concatenate([observed[law], chance[law]]))
     picks = rng.integers(POOL * ensembles, size=(ensembles, MATRICES))

@@ -27,7 +27,7 @@ def test_pairs_and_fano_of_rotation_agree_with_simulation(rng):
     steps = studies.blocks_run(rng, n=12)
     own = own_gaps(*steps.exits(), SPAN, SPAN / 2)
     taus, tiles, draws = (0.1, 1.0, 10.0, 150.0, 300.0), (100, 20, 2), 1000
-    turned = [t[step < 0] for t, step in (rotated(steps, rng) for _ in range(draws))]
+    turned = [t[is_exit] for t, is_exit in (rotated(steps, rng) for _ in range(draws))]
     closed = [*map(own.pairs, taus), *map(own.fano, tiles)]
     drawn = np.array(
         [[*(pairs(one, tau) for tau in taus), *(fano(one, 0.0, SPAN, k) for k in tiles)] for one in turned]
