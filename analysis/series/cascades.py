@@ -271,7 +271,7 @@ def sums(steps: np.ndarray, dt: float | None = None) -> dict[Law, np.ndarray]:
         Change of n_stick in each step of dt. Without dt, each change, and the only law is `events`.
     dt : float, optional
     """
-    moved = _falls(steps[steps != 0])
+    moved = _falls(steps[np.flatnonzero(steps != 0)])  # faster than by truth values
     if dt is None:
         return {EVENTS: moved[[0, 2]]}
     held = _falls(steps)

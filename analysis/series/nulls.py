@@ -63,12 +63,18 @@ class BlockSteps:
         """
         places = ((self.t - self.t_start) * (_PLACES / self.span)).astype(np.uint32) << np.uint32(1)
         places |= self.step < 0
-        return np.bincount(self.block), places[in_order(self.block)]
+        return np.bincount(self.block), places[self.by_block]
 
+    @cached_property
+    def by_block(self) -> np.ndarray:
+        """Places of the events, block by block and each in order of time."""
+        return in_order(self.block)
+
+    @cached_property
     def exits(self) -> tuple[np.ndarray, np.ndarray]:
         """Times and blocks of the exits."""
-        is_exit = self.step < 0
-        return self.t[is_exit], self.block[is_exit]
+        places = np.flatnonzero(self.step < 0)
+        return self.t[places], self.block[places]
 
     def window(self) -> Window:
         """The changes as a window of n_stick, whose level is not known and set to zero."""

@@ -293,11 +293,11 @@ POOL, BLOCKS = 3, 16
 SPAN = 600.0
 TAUS = (0.05, 0.2, 1.0)
 PARTS = [
-    *(clustering.Part(clustering.POWER, high, low) for low, high in pairwise((5.0, 15.0, 50.0, 100.0, 250.0))),
-    clustering.Part(clustering.VARIANCE),
-    *(clustering.Part(clustering.FANO, length) for length in (1.0, 5.0, 20.0, 40.0)),
+    *(clustering.Part(clustering.Kind.POWER, high, low) for low, high in pairwise((5.0, 15.0, 50.0, 100.0, 250.0))),
+    clustering.Part(clustering.Kind.VARIANCE),
+    *(clustering.Part(clustering.Kind.FANO, length) for length in (1.0, 5.0, 20.0, 40.0)),
 ]
-PAIRS = [clustering.Part(clustering.PAIRS, tau) for tau in TAUS]
+PAIRS = [clustering.Part(clustering.Kind.PAIRS, tau) for tau in TAUS]
 
 
 def first(sums):
