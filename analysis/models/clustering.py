@@ -77,12 +77,12 @@ def measure(steps: BlockSteps, parts: Sequence[Part]) -> np.ndarray:
     # with room for windows that are stretched to tile the span
     own = own_gaps(t, block, steps.span, min(1.5 * reach, steps.span / 2))
     share = _share_stuck(steps) if kinds & {Kind.POWER, Kind.VARIANCE} else np.zeros(0)
-    spectra = _spectra(steps, share) if Kind.POWER in kinds else (np.zeros(0), np.zeros((2, 0)))
+    frequency, power = _spectra(steps, share) if Kind.POWER in kinds else (np.zeros(0), np.zeros((2, 0)))
 
     def of(part: Part) -> tuple[float, float]:
         match part.kind:
             case Kind.POWER:
-                return _band(*spectra, part.above, part.upto)
+                return _band(frequency, power, part.above, part.upto)
             case Kind.VARIANCE:
                 return steps.window().time_variance(), float(np.sum(share * (1 - share)))
             case Kind.FANO:

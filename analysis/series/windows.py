@@ -102,7 +102,7 @@ def in_parts(stacks: Iterable[Stack], most_runs: int, most_points: int) -> Itera
 
 
 def ranges(first: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where each of some ranges of places begins if they are laid end to end, with their whole length, and all places."""
+    """Where ranges of places begin if they are laid end to end, with the whole length at the end; and all places."""
     begins = np.concatenate(([0], np.cumsum(lengths)))
     return begins, np.repeat(first - begins[:-1], lengths) + np.arange(begins[-1])
 
@@ -199,7 +199,9 @@ class Windows:
     def _looked_up(self, edges: np.ndarray) -> np.ndarray:
         """`at`, by looking up each edge among the levels."""
         parts = zip(edges, self.first[:-1].tolist(), self.first[1:].tolist(), strict=True)
-        return np.array([first - 1 + np.searchsorted(self.t[first:end], own, side="right") for own, first, end in parts])
+        return np.array(
+            [first - 1 + np.searchsorted(self.t[first:end], own, side="right") for own, first, end in parts]
+        )
 
     def _counted(self, edges: np.ndarray) -> np.ndarray:
         """`at`, by counting the levels that begin up to each edge."""
@@ -273,7 +275,9 @@ def windows(series: Stack, t_start: float, t_stop: ArrayLike) -> Windows:
         raise NoSeries(
             k, f"t: expected a change point at or before t_start = {t_start!r}, first is {float(t[first[k]])!r}"
         )
-    n_before, n_until = (np.add.reduceat(is_done, first[:-1], dtype=np.int64) for is_done in (t <= t_start, t <= ends[run]))
+    n_before, n_until = (
+        np.add.reduceat(is_done, first[:-1], dtype=np.int64) for is_done in (t <= t_start, t <= ends[run])
+    )
     begins, places = ranges(first[:-1] + n_before - 1, n_until - n_before + 1)  # from the level that holds at t_start
     t, level = t[places], level[places]
     t[begins[:-1]] = t_start

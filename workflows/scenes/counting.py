@@ -42,8 +42,8 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.motion import lulls
-from stickslip.analysis.series.cascades import EVENTS, Window, sums
 from stickslip.analysis.series import nulls
+from stickslip.analysis.series.cascades import EVENTS, Window, sums
 from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough

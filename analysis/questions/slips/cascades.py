@@ -35,8 +35,8 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models import fates, pool
 from stickslip.analysis.questions.slips import cascade_definitions, cascade_figures
-from stickslip.analysis.series.cascades import spans
 from stickslip.analysis.series import nulls
+from stickslip.analysis.series.cascades import spans
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough, estimates, student
 from stickslip.analysis.stats.compare import mean_within

@@ -77,7 +77,7 @@ class Compared(NamedTuple):
         """Row of the table `clustering`."""
         part, effect = self.part, self.effect
         return {
-            "group": group, "kind": part.kind, "above": part.above, "upto": part.upto,
+            "group": group, "kind": part.kind, "above": part.above or None, "upto": part.upto or None,
             "observed": self.observed.value, "by_rotation": self.independent, "ratio": effect.ratio.value,
             **_ends(effect.ratio), "p_value": effect.p, "p_adjusted": effect.p_adjusted,
             "verdict": self.difference.verdict.value, "reason": effect.ratio.reason or None,
