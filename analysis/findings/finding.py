@@ -358,38 +358,29 @@ class Threshold:
 
 @dataclass(frozen=True)
 class Regime:
-    """Settings at which all of some things have the same outcome, or several outcomes occur.
+    """Settings at which all of some things do the same, or do several things.
 
     Attributes
     ----------
-    where : str
-        Which settings, as an adverbial: "up to belt_speed = 7", "at 3 of 12 settings".
+    things : str
+        In the plural: "starts".
     predicates : tuple of str
         Verb phrases in the plural, one for each outcome: "slide steadily".
     n, of : int
-        How many things have a known outcome there, and how many there are; at each setting if `is_each`.
+        How many things have a known outcome there, and how many there are.
     share : Estimate
         Of one outcome: the share of such things that have it; without a value where several occur.
-    basis : Basis, optional
+    where : Place
+        Which settings: "belt_speed = 5 to 7".
     """
 
-    where: str
+    things: str
     predicates: tuple[str, ...]
     n: int
     of: int
     share: Estimate = field(default_factory=Estimate)
-    basis: Basis | None = None
-    is_each: bool = False
-
-
-@dataclass(frozen=True)
-class Regimes:
-    """What some things do at different settings, grouped by what they do; `things` in the plural: "starts"."""
-
-    things: str
-    regimes: tuple[Regime, ...]
     where: Place = EVERYWHERE
-    when: str = ""  #: part of several predicates, said once in a sentence: "at t = 150"
+    basis: Basis | None = None
 
 
 class Truth(StrEnum):
@@ -435,11 +426,11 @@ class Decided:
     """The answer to a question of yes or no, and the finding that it rests on."""
 
     truth: Truth
-    finding: Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regimes | Threshold | Lack
+    finding: Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Threshold | Lack
 
 
 Finding: TypeAlias = (
-    Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regimes | Threshold | Lack | Decided
+    Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Threshold | Lack | Decided
 )
 
 
@@ -468,16 +459,10 @@ def levels(finding: Finding) -> list[Level]:
         case Threshold(subject, is_end, key, last, first, where, basis):
             quantity = Quantity("threshold", f"where {subject} {'ends' if is_end else 'begins'}")
             return [Level(quantity, Estimate(), Place.key(key, f"{last} to {first}") + where, basis=basis)]
-        case Regimes(things, regimes, where):
-            return [
-                Level(
-                    _share("regime", things, f" and share of {things} that ".join(regime.predicates)),
-                    regime.share,
-                    where + Place.words(regime.where),
-                    basis=regime.basis,
-                )
-                for regime in regimes
-            ]
+        case Regime(things, (predicate,), _, _, share, where, basis):
+            return [Level(_share("regime", things, predicate), share, where, basis=basis)]
+        case Regime():
+            return []  # what some do has shares of its own
         case Decided(_, reason):
             return levels(reason)
         case Outcomes() | Lack():  # of which contrasts outcomes are is said by findings of their own
