@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -9,14 +10,12 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from stickslip.analysis.answer import LONG, F, I, Long, S, Table, frame
+from stickslip.analysis.answer import F, I, S, frame
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.alerts import STOP, Alert, Code
 from stickslip.analysis.findings.words import plural
-from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START
+from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, noun
 from stickslip.analysis.page import AS_TEXT, FINDINGS, FORMULA, PAGE
 from stickslip.analysis.page.data import data_table
 from stickslip.analysis.page.layout import Page, Panel, Section
@@ -24,13 +23,12 @@ from stickslip.analysis.page.layout import Table as PageTable
 from stickslip.analysis.page.parts import Answered, Drawn, Part, ask, findings_json, part
 from stickslip.analysis.questions import is_own, package_questions, question, refuse_unknown
 from stickslip.analysis.settings import AnalysisSettings
-from stickslip.pipeline.design.design import Unit
 from stickslip.pipeline.design.values import text
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
 
 OF_DATA = 2  # the largest rank of alerts that are shown although their question does not lead
-UNITS: Mapping[str, str] = {Unit.MATRIX: "systems", Unit.START: "starts of one system", Unit.FILE: "files"}
+LONG = 100_000  # rows from which on a table is for programs alone: no CSV
 MOST_SAID = 3  # answers on the first screen
 MOST_ALERTS = 3  # in order of rank
 COUNTS = ("matrices", "starts", "members", "finished", "quiet")  # of a group
@@ -52,7 +50,7 @@ class Report(NamedTuple):
     ----------
     html : str
         The whole page, with its images inside.
-    tables : mapping of str to Table
+    tables : mapping of str to DataFrame
         All tables, with nulls where a column does not apply or a number could not be computed.
     headline : sequence of str
         The main statements, for a terminal.
@@ -64,7 +62,7 @@ class Report(NamedTuple):
     """
 
     html: str
-    tables: Mapping[str, Table]
+    tables: Mapping[str, pd.DataFrame]
     headline: Sequence[str]
     figures: Mapping[str, Drawn] = MappingProxyType({})
     findings: Mapping[str, object] = MappingProxyType({})
@@ -78,7 +76,7 @@ class Report(NamedTuple):
         contents: dict[str, Callable[[], bytes]] = {}
         for name, table in self.tables.items():
             contents[f"report/{name}.parquet"] = partial(_parquet, table)
-            if not isinstance(table, Long) and len(table) <= LONG:
+            if len(table) <= LONG:
                 contents[f"report/{name}.csv"] = partial(_csv, table)
         contents[FINDINGS] = partial(_json, self.findings)
         for name, drawn in self.figures.items():
@@ -88,16 +86,10 @@ class Report(NamedTuple):
         return contents | {PAGE: self.html.encode}
 
 
-def _parquet(table: Table) -> bytes:
-    buffer = pa.BufferOutputStream()
-    writer: pq.ParquetWriter | None = None
-    for piece in table if isinstance(table, Long) else [table]:
-        rows = pa.Table.from_pandas(piece, preserve_index=False)
-        writer = writer or pq.ParquetWriter(buffer, rows.schema)
-        writer.write_table(rows)
-    assert writer is not None  # a table that is long has a part
-    writer.close()
-    return buffer.getvalue().to_pybytes()
+def _parquet(table: pd.DataFrame) -> bytes:
+    buffer = io.BytesIO()
+    table.to_parquet(buffer, index=False)
+    return buffer.getvalue()
 
 
 def _csv(table: pd.DataFrame) -> bytes:
@@ -222,10 +214,10 @@ def _provenance(
     origin: Mapping[str, str],
 ) -> Section:
     """How the page was made: settings, what could not be answered, and where the data come from."""
-    settings = study.settings
+    settings, units = study.settings, f"{noun(study.unit)}s" + " of one system" * (study.unit == START)
     texts = [
         f"Statistics use t = {settings.t_burn:g} to the end of each run. Intervals are at "
-        f"{100 * settings.confidence:g}%, over {UNITS[study.unit]}, which are independent; of shares they are "
+        f"{100 * settings.confidence:g}%, over {units}, which are independent; of shares they are "
         "Wilson's, of survival Greenwood's, else from leaving out one of these at a time. Quantities are "
         "dimensionless.",
         *(f"Not answered: {part.title} {text}" for part in lacking for text in part.lead),
