@@ -13,8 +13,9 @@ import pandas as pd
 import pytest
 
 from stickslip import analysis
-from stickslip.analysis import AnalysisSettings, Data, Study, build
+from stickslip.analysis import AnalysisSettings, Study, build
 from stickslip.analysis.stats.estimates import LN2
+from tests.analysis.designs import Data
 from tests.analysis.reports import contents
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -50,7 +50,7 @@ from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.design import Axis, in_words
 from stickslip.pipeline.design.labels import labels
-from stickslip.pipeline.design.values import Value, ranks
+from stickslip.pipeline.design.values import Value, Values, ranks
 
 _MOST_BARS, _MOST_LINES = 24, 12
 _MOST_CYCLES = 4  # that are named apart
@@ -250,17 +250,17 @@ def regardless_of_start(study: Study, has: np.ndarray) -> list[Group]:
     """The groups of the study, those that differ in their starts alone as one, of some members by their rows."""
     alike_but_start: dict[tuple[Any, ...], list[Group]] = {}
     for group in study.groups:
-        alike_but_start.setdefault(tuple((group.key | {"z0": None, "w0": None}).values()), []).append(group)
-    keys, swept, rows = [], [], []
-    for values, groups in alike_but_start.items():
+        values = Values(pair for pair in group.key["values"] if pair[0] not in ("z", "w"))
+        key = group.key | {"z0": None, "w0": None, "values": values}
+        alike_but_start.setdefault(tuple(key.values()), []).append(group)
+    keys, rows = [], []
+    for shared, groups in alike_but_start.items():
         members = np.concatenate([group.rows for group in groups])
         if has[members].any():
             rows.append(members[has[members]])
-            keys.append(dict(zip(study.groups[0].key, values, strict=True)))
-            at = study.data.table.design.swept(groups[0].point)
-            swept.append({name: value for name, value in at.items() if name not in ("z", "w")})
-    parts = zip(labels(keys, swept), keys, rows, strict=True)
-    return [Group(name, key, study.data.table, members) for name, key, members in parts]
+            keys.append(dict(zip(study.groups[0].key, shared, strict=True)))
+    return [Group(name, key, study.data.table, members)
+            for name, key, members in zip(labels(keys), keys, rows, strict=True)]  # fmt: skip
 
 
 def _runs(study: Study, group: Group) -> Runs:
