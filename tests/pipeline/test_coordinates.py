@@ -106,7 +106,7 @@ def test_coordinates_say_what_members_are():
     for k in (0, len(members) // 2, len(members) - 1):
         point = design.point(int(of.point[k]))
         assert point.n == members[k].n
-        assert point.at[0] == (members[k].term("friction"),)
+        assert point.at[0] == (members[k].term("friction"),)  # noqa: PD008
 
 
 @pytest.mark.parametrize(
