@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 from distributed import Client, fire_and_forget
 
+from stickslip.pipeline.dataset.opened import Opened, open_dataset
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.dataset.status import Pace, Status, Tally, counted
@@ -27,7 +28,7 @@ from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.running import ends
 from stickslip.pipeline.running.cluster import Scheduling, check_address, check_memory, connect
 from stickslip.pipeline.running.isolation import compute_alone_packed
-from stickslip.pipeline.running.kept import Kept
+from stickslip.pipeline.running.kept import Kept, KeptRows
 from stickslip.pipeline.running.submit import ATTEMPTS, LOST, in_flight, lost_scheduler, submit
 from stickslip.pipeline.running.trials import check_functions
 from stickslip.pipeline.running.worker import cold_engines, compute, compute_packed, load_kernels, row
@@ -66,6 +67,7 @@ def run_ensemble(
     accept_version: bool = False,
     dashboard: bool = False,
     yes: bool = False,
+    kept: Where | Opened | None = None,
 ) -> Status:
     """Run a scene into the dataset at `out`, or what is missing of it; the same bytes whatever the workers.
 
@@ -77,7 +79,7 @@ def run_ensemble(
         Its `source` is kept beside the data.
     out : str, Path or Place
         Directory of the dataset, or its address in an object store: absent, empty, or an earlier run of this scene,
-        which is resumed, or of a part of it, which is extended.
+        which is resumed, or of a part of it, which grows.
     workers : int
         Local processes of one thread each; 0 runs in this process, for debugging and small scenes.
     scheduler : str, distributed.Client or callable, optional
@@ -94,6 +96,8 @@ def run_ensemble(
         Whether local workers have dask's dashboard, which anybody on this machine may look at.
     yes : bool
         Whether to run more than 10 million members, which may be a typing error.
+    kept : str, Path, Place or Opened, optional
+        Another dataset. Its members that are the same here, and did not fail, are run only for what their rows lack.
 
     Raises
     ------
@@ -112,7 +116,7 @@ def run_ensemble(
     ScheduleError
         If the scheduler is lost, workers do not come up, or run another version.
     """
-    check_caller(workers, scheduler)
+    _check_caller(workers, scheduler)
     start = time.monotonic()
     scene.check_size(yes)
     if isinstance(scheduler, str):
@@ -121,16 +125,23 @@ def run_ensemble(
     ends.check(scene)
     if scheduler is None:
         check_memory(scene, workers)
+    rows = None if kept is None else KeptRows(open_dataset(kept))
+    store = Store(out, scene, retry_failed, accept_version, () if rows is None else rows.opened.manifest.programs)
     if scene.own_record is not None:  # before anything is written
-        check_functions(scene, Store(out, scene, retry_failed, accept_version).look()[1])
-    with Store(out, scene, retry_failed, accept_version) as store:
-        firsts = [member for batch, _ in store.todo for member in batch.members.firsts()]
-        look_at_origins(firsts, scene.own_functions if firsts else ())
-        fill(store, lambda task: (*task, None), firsts, start, Workers(workers, scheduler, dashboard), on_progress)
+        check_functions(scene, store.look()[1])
+    with store:
+        runs = [task[0].members if rows is None else rows.left(task) for task in store.todo]
+        firsts = [member for members in runs for member in members.firsts()]
+        _look_at_origins(firsts, scene.own_functions if store.todo else ())
+
+        def order(task: Task) -> Order:
+            return (*task, None if rows is None else rows.of(task))
+
+        _fill(store, order, firsts, start, Workers(workers, scheduler, dashboard), on_progress)
     return counted(store.opened, store.tasks)
 
 
-def look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction] = ()) -> None:
+def _look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction]) -> None:
     """See that what members come from, and functions, are as they were: a word here, and not a row for each member.
 
     Raises
@@ -143,7 +154,7 @@ def look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction] =
             systems.look_again(origin)
 
 
-def check_caller(workers: int, scheduler: Scheduling) -> None:
+def _check_caller(workers: int, scheduler: Scheduling) -> None:
     """Refuse a number of workers that is none, a worker that loads the caller's script, and kernels not compiled.
 
     Raises
@@ -162,7 +173,7 @@ def check_caller(workers: int, scheduler: Scheduling) -> None:
         check_compiler(os.environ.get("NUMBA_DISABLE_JIT"))
 
 
-#: A shard to be computed, with the rows that there are already, if there are any.
+#: A shard to be computed, with the rows that another dataset has, if there is one.
 Order = tuple[Batch, Recording, Kept | None]
 
 
@@ -179,7 +190,7 @@ class Workers(NamedTuple):
         return self.n == 0 and self.scheduler is None
 
 
-def fill(
+def _fill(
     store: Store,
     order: Callable[[Task], Order],
     firsts: Sequence[Member],
