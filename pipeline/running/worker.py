@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pickle
 import socket
 import time
 from collections import Counter
@@ -77,9 +76,13 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
     )
 
 
-def compute_packed(task: bytes) -> Result:
-    """As `compute`, for a pickled task: what a run sends to workers, which load this module and no driver."""
-    batch, recording, kept = pickle.loads(task)
+#: A shard to be computed, with the rows that another dataset has, if there is one.
+Order = tuple[Batch, Recording, Kept | None]
+
+
+def compute_there(order: Order) -> Result:
+    """As `compute`, on a worker, which loads this module and no driver."""
+    batch, recording, kept = order
     load_kernels(batch.members if kept is None else kept.left(batch.members, recording))
     return compute(batch, recording, kept)
 

@@ -186,8 +186,8 @@ def test_workers_get_the_rows_and_give_the_same_bytes(plain, tmp_path):
         order = (*task, rows.of(task))
         here, there, alone = (
             worker.compute(*order),
-            worker.compute_packed(pickle.dumps(order)),
-            compute_alone(*order),
+            worker.compute_there(pickle.loads(pickle.dumps(order))),
+            compute_alone(order),
         )
         assert here.shard == there.shard == alone.shard
 

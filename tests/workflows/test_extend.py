@@ -26,7 +26,7 @@ def test_it_makes_a_dataset_with_its_report_and_goes_on_after_an_interruption(da
         def interrupted(*_):
             raise Interrupted(2)
 
-        patch.setattr(driver, "_fill", interrupted)
+        patch.setattr(driver, "_Filling", interrupted)
         assert main(words) == 130
     again = f"interrupted; finished work is kept. Resume with:\n  stickslip {' '.join(words)}\n"
     assert again in capsys.readouterr().err
