@@ -7,7 +7,7 @@ import pytest
 from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.findings.finding import Basis, Lack, Limit, Reason, Share, Verdict
 from stickslip.analysis.findings.words import sentence
-from stickslip.analysis.models.clustering import FANO, PAIRS, Part, fano, measure, n_windows, own_gaps, pairs
+from stickslip.analysis.models.clustering import Kind, Part, fano, measure, n_windows, own_gaps, pairs
 from stickslip.analysis.questions.slips import cascades, collective, triggering
 from stickslip.analysis.series.nulls import BlockSteps, rotated
 from stickslip.analysis.tables import records
@@ -25,9 +25,9 @@ def test_pairs_counted_by_hand():
 
 def test_pairs_and_fano_of_rotation_agree_with_simulation(rng):
     steps = studies.blocks_run(rng, n=12)
-    own = own_gaps(*steps.exits(), SPAN, SPAN / 2)
+    own = own_gaps(*steps.exits, SPAN, SPAN / 2)
     taus, tiles, draws = (0.1, 1.0, 10.0, 150.0, 300.0), (100, 20, 2), 1000
-    turned = [t[step < 0] for t, step in (rotated(steps, rng) for _ in range(draws))]
+    turned = [t[is_exit] for t, is_exit in (rotated(steps, rng) for _ in range(draws))]
     closed = [*map(own.pairs, taus), *map(own.fano, tiles)]
     drawn = np.array(
         [[*(pairs(one, tau) for tau in taus), *(fano(one, 0.0, SPAN, k) for k in tiles)] for one in turned]
@@ -103,7 +103,7 @@ def exits_of(planted, runs):
 def test_the_primary_comparison_of_independent_blocks_is_not_adjusted(planted, rng):
     exits = exits_of(planted, [studies.blocks_run(rng) for _ in range(10)])
     first, *others = exits.compared
-    assert first.part == Part(FANO, 20.0)  # 580 units hold twenty windows of 20, not of 40
+    assert first.part == Part(Kind.FANO, 20.0)  # 580 units hold twenty windows of 20, not of 40
     assert first.difference.family is None
     assert 0.5 < first.effect.ratio.value < 2
     assert {one.difference.family.n for one in others} == {len(others)}
@@ -136,7 +136,7 @@ def test_exits_that_follow_others_make_cascades_larger_than_of_the_same_blocks_m
 
 
 def planted_pairs(rows, n_exits, gap, confidence):
-    compared = triggering.compare(rows, [Part(FANO, 20.0), Part(PAIRS, 0.2)], confidence)
+    compared = triggering.compare(rows, [Part(Kind.FANO, 20.0), Part(Kind.PAIRS, 0.2)], confidence)
     return triggering.Exits(None, compared, [], len(rows), n_exits, gap)
 
 
@@ -144,7 +144,7 @@ def test_the_share_of_exits_that_trigger_others_holds_the_planted_one(rng):
     """Each triggered exit is a pair more; of an exponential delay 0.865 is below twice its mean."""
     runs = [studies.triggered(studies.blocks_run(rng), 0.1, 0.1, rng) for _ in range(10)]
     n_exits = float(np.mean([np.sum(steps.step < 0) for steps in runs]))
-    rows = np.array([measure(steps, [Part(FANO, 20.0), Part(PAIRS, 0.2)]) for steps in runs])
+    rows = np.array([measure(steps, [Part(Kind.FANO, 20.0), Part(Kind.PAIRS, 0.2)]) for steps in runs])
     (found,), _ = triggering.triggered(planted_pairs(rows, n_exits, 1.0, 0.99999), "", "system")
     most = found.most if isinstance(found, Limit) else found.estimate.high
     assert 0.0865 < most < 0.25
