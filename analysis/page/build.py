@@ -11,17 +11,18 @@ from typing import NamedTuple
 
 import pandas as pd
 
-from stickslip.analysis.answer import F, I, S, frame
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.alerts import STOP, Alert, Code
 from stickslip.analysis.findings.words import plural
-from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START, noun
+from stickslip.analysis.groups import Group
+from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
 from stickslip.analysis.page import AS_TEXT, FINDINGS, FORMULA, PAGE
 from stickslip.analysis.page.data import data_table
 from stickslip.analysis.page.layout import Page, Panel, Section
 from stickslip.analysis.page.layout import Table as PageTable
 from stickslip.analysis.page.parts import Answered, Drawn, Part, ask, findings_json, part
 from stickslip.analysis.questions import is_own, package_questions, question, refuse_unknown
+from stickslip.analysis.rows import frame_by
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.pipeline.design.values import text
 from stickslip.sim.engines import SETTINGS
@@ -31,16 +32,17 @@ OF_DATA = 2  # the largest rank of alerts that are shown although their question
 LONG = 100_000  # rows from which on a table is for programs alone: no CSV
 MOST_SAID = 3  # answers on the first screen
 MOST_ALERTS = 3  # in order of rank
-COUNTS = ("matrices", "starts", "members", "finished", "quiet")  # of a group
 #: What columns of the table of groups are called on a page.
 CALLED = {"group": "setting", "matrices": "systems", "members": "runs", "quiet": "sliding, not certified"}
-_GROUPS: Mapping[str, str] = {
-    "group": S, **dict.fromkeys(("n", *COUNTS), I), "coupling": S,
-    "file": S, "parameters": S,
-    **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F),
-    **dict.fromkeys((key for key in OPTIONAL if key not in ("file", "parameters")), F), "back_slip": S, "drawn": S,
-    **{name: F if isinstance(SETTINGS.get(name), Number) else S for name in ENGINE_KEYS},
-}  # fmt: skip
+#: How many of what a group has.
+COUNTS: Mapping[str, Callable[[Group], int | None]] = {
+    "matrices": lambda group: group.column("matrix").nunique(),
+    "starts": lambda group: group.column("unit").nunique() if group.unit == START else None,
+    "members": len,
+    "finished": lambda group: int(group.is_finished.sum()),
+    "quiet": lambda group: group.n_quiet,
+}
+_TEXTS = ("coupling", "file", "back_slip", "values")  # of systems
 
 
 class Report(NamedTuple):
@@ -275,19 +277,18 @@ def _primary(study: Study, answered: Sequence[Part]) -> tuple[str, ...]:
 
 def groups_table(study: Study) -> pd.DataFrame:
     """Table of the groups: system, settings of the engine, and numbers of members and matrices."""
-    texts = {column for column, dtype in _GROUPS.items() if dtype == S}
-    rows = []
-    for group in study.groups:
-        key = {name: str(v) if name in texts and v is not None else v for name, v in group.key.items()}
-        rows.append(
-            key
-            | {
-                "group": group.label,
-                "members": len(group),
-                "matrices": group.column("matrix").nunique(),
-                "starts": group.column("unit").nunique() if group.unit == START else None,
-                "finished": int(group.is_finished.sum()),
-                "quiet": group.n_quiet,
-            }
-        )
-    return frame(_GROUPS, rows)
+    columns: dict[str, tuple[type, Callable[[Group], object]]] = {
+        "group": (str, lambda group: group.label),
+        "n": (int, lambda group: group.key["n"]),
+        **{name: (int, count) for name, count in COUNTS.items()},
+        **{name: _of_key(name, name in _TEXTS) for name in SYSTEM_KEYS if name != "n"},
+        **{name: _of_key(name, not isinstance(SETTINGS.get(name), Number)) for name in ENGINE_KEYS},
+    }
+    return frame_by(columns, study.groups)
+
+
+def _of_key(name: str, is_text: bool) -> tuple[type, Callable[[Group], object]]:
+    """The column of a key of groups."""
+    if not is_text:
+        return float, lambda group: group.key[name]
+    return str, lambda group: "" if group.key[name] is None else str(group.key[name])
