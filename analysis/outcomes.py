@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import groupby
 from textwrap import fill
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,10 +15,10 @@ from matplotlib.lines import Line2D
 
 from stickslip.analysis.answer import Picture
 from stickslip.analysis.contrast import Contrast
-from stickslip.analysis.findings.finding import Form, Level, Outcomes, Scale, Verdict
+from stickslip.analysis.findings.finding import Form, Outcomes, Scale, Verdict
 from stickslip.analysis.findings.numbers import signs
+from stickslip.analysis.steps import Setting, Step
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, SMOOTHED, panel
-from stickslip.pipeline.design.values import text
 
 EQUAL, DIFFERENT, UNDECIDED = "equal", "different", "undecided"
 _HUES = (EXACT, SMOOTHED, GREEN, PURPLE, ORANGE, BLUE, "#8c564b", "#e377c2", "#17becf", "#bcbd22")
@@ -26,82 +26,46 @@ _LETTERS = 24  # of a line of a name
 MOST_ROWS = 36  # in one figure
 
 
-class Setting(NamedTuple):
-    """What is set beside a reference.
-
-    Attributes
-    ----------
-    name : str
-        A noun phrase; empty if the symbol is one.
-    symbol : str
-        What tells it from others of that name by its value; empty if there are none.
-    value : float, optional
-    suffix : str
-        What follows the value, as a unit.
-    """
-
-    name: str
-    symbol: str = ""
-    value: float | None = None
-    suffix: str = ""
-
-    @property
-    def text(self) -> str:
-        """The value."""
-        return "" if self.value is None else f"{text(self.value)}{self.suffix}"
-
-
-class Beside(NamedTuple):
-    """A contrast of a setting with its reference, and where: the group that it is of."""
-
-    contrast: Contrast
-    where: str
-
-
-def outcomes(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str, scope: str = "") -> list[Outcomes]:
+def outcomes(other: str, steps: Sequence[Step], unit: str, scope: str = "") -> list[Outcomes]:
     """How settings come out beside a reference: those that differ, those that agree and the others, as far as any do.
 
     A setting differs if one of its statistics is shown to; else it is equal if all that have a margin, which the
     scene declares, are within. Each finding has the largest difference of its settings.
     """
-    by_setting = {setting: outcome([one.contrast for one in some]) for setting, some in settings.items()}
-    found = []
+    settings: dict[Setting, list[Step]] = {}
+    for step in steps:
+        settings.setdefault(step.name, []).append(step)
+    by_setting = {setting: outcome(of_setting) for setting, of_setting in settings.items()}
+    findings = []
     for name in (DIFFERENT, EQUAL, UNDECIDED):
-        of = {setting: some for setting, some in settings.items() if by_setting[setting] == name}
-        if not of:
-            continue
-        level, setting = largest(other, of, unit)
-        others = in_words(by_setting | {setting: ""}, DIFFERENT) if name == DIFFERENT and level is not None else ()
-        found.append(Outcomes(other, **{name: in_words(by_setting, name)}, largest=level, others=others, scope=scope))
-    return found
+        alike = [step for step in steps if by_setting[step.name] == name]
+        if alike:
+            best = max(alike, key=_size)
+            (where,) = in_words({best.name: ""}, "")
+            others = in_words(by_setting | {best.name: ""}, DIFFERENT) if name == DIFFERENT else ()
+            level = replace(best, where=where).level(other, unit)
+            outcome_of = {name: in_words(by_setting, name)}
+            findings.append(Outcomes(other, **outcome_of, largest=level, others=others, scope=scope))
+    return findings
 
 
-def outcome(contrasts: Sequence[Contrast]) -> str:
-    """How some contrasts come out together."""
-    if any(contrast.is_shown for contrast in contrasts):
+def outcome(steps: Sequence[Step]) -> str:
+    """How some steps come out together."""
+    if any(step.contrast.is_shown for step in steps):
         return DIFFERENT
-    judged = [
-        contrast.verdict for contrast in contrasts if contrast.difference.margin is not None or contrast.is_same
-    ]
-    return EQUAL if judged and {*judged} <= {Verdict.EQUAL, Verdict.SAME} else UNDECIDED
+    judged = {step.contrast.verdict for step in steps if step.contrast.has_margin or step.contrast.is_same}
+    return EQUAL if judged and judged <= {Verdict.EQUAL, Verdict.SAME} else UNDECIDED
 
 
-def largest(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str) -> tuple[Level | None, Setting]:
-    """The largest difference that is shown or, if none is, of those with a margin, or of all; and its setting."""
-    pairs = [(one.contrast, setting) for setting, some in settings.items() for one in some]
-    best, setting = max(pairs, key=lambda pair: (pair[0].is_shown, pair[0].has_margin, _apart(pair[0])))
-    (where,) = in_words({setting: ""}, "")
-    return best.level(where, other, unit), setting
-
-
-def _apart(contrast: Contrast) -> float:
-    """How large a difference is beside the first value, with an interval or without."""
+def _size(step: Step) -> tuple[bool, bool, float]:
+    """Sorts steps: those that are shown come last, then those with a margin, then those that are large."""
+    contrast = step.contrast
     before, after = contrast.first.value, contrast.second.value
-    if contrast.is_same or before is None or after is None:
-        return 0.0
-    if contrast.statistic.is_share or not before:
-        return abs(after - before)
-    return abs(after / before - 1.0)
+    size = 0.0
+    if not contrast.is_same and before is not None and after is not None:
+        is_absolute = contrast.statistic.is_share or not before
+        size = abs(after - before) if is_absolute else abs(after / before - 1.0)
+    return contrast.is_shown, contrast.has_margin, size
 
 
 def in_words(by_setting: Mapping[Setting, str], name: str) -> tuple[str, ...]:
@@ -132,7 +96,7 @@ def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
         start = end
 
 
-def forest(rows: Sequence[Beside], what: str) -> dict[str, Picture]:
+def forest(rows: Sequence[Step], what: str) -> dict[str, Picture]:
     """The figure of differences in per cent with their intervals, by its name; none of fewer than two."""
     shown = [one for one in rows if in_per_cent(one.contrast) and one.contrast.difference.estimate.low is not None]
     bands = "; bands are declared margins" * any(one.contrast.has_margin for one in shown)
@@ -140,7 +104,7 @@ def forest(rows: Sequence[Beside], what: str) -> dict[str, Picture]:
     return {"contrasts": picture} if len(shown) > 1 else {}
 
 
-def differences(rows: Sequence[Beside]) -> Figure:
+def differences(rows: Sequence[Step]) -> Figure:
     """Differences with their intervals: a line a statistic, a hue a setting, and declared margins as bands.
 
     Marks are filled where a difference is shown. An arrowhead marks one beyond the axis.
@@ -149,7 +113,7 @@ def differences(rows: Sequence[Beside]) -> Figure:
     return panel(height)(_differences)(rows)
 
 
-def _differences(ax: Axes, rows: Sequence[Beside]) -> None:
+def _differences(ax: Axes, rows: Sequence[Step]) -> None:
     names = list(dict.fromkeys(one.contrast.statistic.quantity.name for one in rows))
     settings = list(dict.fromkeys(one.where for one in rows))
     ends = np.array([_per_cent(one) for one in rows])
@@ -181,7 +145,7 @@ def _differences(ax: Axes, rows: Sequence[Beside]) -> None:
         )
 
 
-def _per_cent(one: Beside) -> tuple[float, float, float]:
+def _per_cent(one: Step) -> tuple[float, float, float]:
     """A difference and the ends of its interval, in per cent or percentage points."""
     estimate = one.contrast.difference.estimate
     assert estimate.value is not None

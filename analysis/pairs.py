@@ -52,6 +52,10 @@ class Comparison:
         """Rows of the changed members."""
         return np.array([pair.changed for pair in self.pairs])
 
+    def of(self, matrix: int) -> list[int]:
+        """Rows of the changed members of a matrix."""
+        return [pair.changed for pair in self.pairs if pair.matrix == matrix]
+
 
 @dataclass(frozen=True)
 class Setting:

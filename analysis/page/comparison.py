@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from stickslip.analysis.answer import Answer, B, I, Picture, Question, Row, S, frame
-from stickslip.analysis.contrast import CHANGES, Contrast, contrast, judged, sample, shares, statistics
+from stickslip.analysis.answer import Answer, Picture, Question, Table
+from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Data, Study
-from stickslip.analysis.findings.finding import Alike, Decided, Form, Lack, Quantity, Reason, Truth
+from stickslip.analysis.findings.finding import Alike, Decided, Form, Quantity, Truth
 from stickslip.analysis.findings.words import capital, plural
 from stickslip.analysis.groups import Group
-from stickslip.analysis.measures import KEYS, Measure, measures
+from stickslip.analysis.measures import ENDS, KEYS, Measure, measures, of_windows
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
-from stickslip.analysis.outcomes import Beside, Setting, forest, outcome, outcomes
+from stickslip.analysis.outcomes import forest, outcome, outcomes
 from stickslip.analysis.page import parts
 from stickslip.analysis.page.build import Report
 from stickslip.analysis.page.layout import Page, Section
+from stickslip.analysis.rows import frame_of
 from stickslip.analysis.settings import AnalysisSettings
+from stickslip.analysis.steps import Kind, Setting, Step, few, judged_together, table_of
 from stickslip.pipeline.design.labels import apart
 
 #: Keys that two settings must share: with another n or coupling, a statistic is not the same quantity.
@@ -28,9 +30,6 @@ SHARED = ("n", "coupling")
 #: Columns that say what a member is, in addition to the numbers of draws that its name has.
 _IDENTITY = (*SYSTEM_KEYS, *ENGINE_KEYS, "seed", "z_start", "w_start", "twin_size", "perturbation_reading")
 MOST_NAMED = 3  # members without a partner
-_TABLE: Mapping[str, str] = {**CHANGES, "is_paired": B}
-_UNMATCHED = {"dataset": S, "setting": S, "members": I}
-_ALONE = {"dataset": S, "setting": S, "member_id": S}
 
 
 @dataclass(frozen=True)
@@ -68,11 +67,13 @@ class Match:
     differs: dict[str, tuple[Any, Any]]
     is_paired: bool
 
-    def alone(self, k: int) -> tuple[Group, list[str]]:
-        """One of the two, by its number, and its members without a partner, if partners are what is compared."""
-        mine, theirs = (self.first, self.second)[:: 1 - 2 * k]
-        lacks = ~mine.column("unit").isin(theirs.column("unit")) & self.is_paired
-        return mine, mine.column("member_id")[lacks].tolist()
+
+class Alone(NamedTuple):
+    """A member without a partner."""
+
+    dataset: str
+    setting: str
+    member_id: str
 
 
 def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Report:
@@ -87,89 +88,82 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
         runs = Quantity("runs", f"runs that {first.name} and {second.name} both hold", Form.COUNT)
         same = Decided(Truth.YES, Alike(runs, len(first.data.table), "to the last digit"))
         return _report(first, second, Answer(findings=[same]))
-    mine, theirs = (_study(each, settings, first.name) for each in (first, second))
-    matches, *left = matched(first.name, mine.groups, second.name, theirs.groups)
-    measured = _both(mine, theirs)
-    asked = [
-        *(measure.statistic for measure, _ in measured),
-        *statistics(mine.margins, mine.compared & theirs.compared),
-        *shares(),
-    ]
-    found: list[tuple[Match, Contrast]] = []
-    for match in matches:
-        pair = sample(match.first), sample(match.second)
-        for held, group, some in zip(pair, (match.first, match.second), zip(*measured, strict=True), strict=False):
-            held.sums.update({measure.name: measure.of(group).sums for measure in some})
-        found += [(match, contrast(each, *pair, match.is_paired, settings.confidence)) for each in asked]
-    together = judged([one for _, one in found], 1 - settings.confidence)
-    contrasts = [(match, one) for (match, _), one in zip(found, together, strict=True)]
-    rows = [
-        {"kind": "dataset", "setting": match.second.label, "reference": match.first.label,
-         "is_paired": match.is_paired, **one.row()}
-        for match, one in contrasts
-    ]  # fmt: skip
+    studies = [_study(ensemble, settings, first.name) for ensemble in (first, second)]
+    matches, *left = matched(first.name, studies[0].groups, second.name, studies[1].groups)
+    asked = _both(*studies)
+    labels = [match.second.name for match in matches]
+    names = dict(zip(labels, apart(labels), strict=True))
     alone = [
-        {"dataset": which.name, "setting": group.label, "member_id": name}
-        for k, (which, some) in enumerate(zip((first, second), left, strict=True))
-        for group, names in [
-            *(match.alone(k) for match in matches),
-            *((one, one.column("member_id").tolist()) for one in some),
-        ]
-        for name in names
+        step
+        for match in matches
+        for step in _steps(match, asked, second.name, names[match.second.name], settings.confidence)
     ]
-    unmatched = [
-        {"dataset": which.name, "setting": group.label, "members": len(group)}
-        for which, some in zip((first, second), left, strict=True)
-        for group in some
-    ]
-    tables = {
-        "compared": frame(_TABLE, rows), "unmatched": frame(_UNMATCHED, unmatched), "alone": frame(_ALONE, alone),
-    }  # fmt: skip
-    notes = _notes(first, second, settings, matches, unmatched, alone, noun(mine.unit))
-    return _report(first, second, _answer(first, second, contrasts, tables, noun(mine.unit)), notes)
+    steps = judged_together(alone, 1 - settings.confidence)
+    unit = noun(studies[0].unit)
+    lost = [*_alone(matches, left, (first.name, second.name))]
+    tables = {"changes": table_of(steps), "alone": frame_of(Alone, lost)}
+    notes = _notes(first, second, settings, matches, left, lost, unit)
+    return _report(first, second, _answer(first, second, steps, tables, unit), notes)
+
+
+def _steps(
+    match: Match, asked: Sequence[tuple[Measure, Measure]], name: str, where: str, confidence: float
+) -> Iterator[Step]:
+    """Each statistic of a setting beside that of its counterpart; all of them are judged together."""
+    setting = Setting(f"{name} ({where})" if where else name)
+    for mine, theirs in asked:
+        before, after = mine.of(match.first), theirs.of(match.second)
+        withheld = before.withheld or after.withheld
+        found = contrast(mine.statistic, before.sums, after.sums, match.is_paired, confidence, withheld=withheld)
+        yield Step(Kind.DATASET, match.second.label, match.first.label, found, where=where, name=setting)
 
 
 def _answer(
-    first: Ensemble,
-    second: Ensemble,
-    contrasts: Sequence[tuple[Match, Contrast]],
-    tables: Mapping[str, Any],
-    unit: str,
+    first: Ensemble, second: Ensemble, steps: Sequence[Step], tables: Mapping[str, Table], unit: str
 ) -> Answer:
     """Whether two ensembles agree, and every statistic of each setting."""
-    known = [(match, one) for match, one in contrasts if one.is_known and not one.reason]
+    known = [step for step in steps if step.contrast.is_known and not step.contrast.reason]
     if not known:
-        what = f"whether {first.name} and {second.name} agree"
-        return Answer(findings=[Decided(Truth.UNDECIDED, Lack(what, Reason.FEW_UNITS))], tables=tables)
-    labels = [match.second.name for match, _ in known]
-    names = dict(zip(labels, apart(labels), strict=True))
-    placed: dict[Setting, list[Beside]] = {}
-    for match, one in known:
-        where = names[match.second.name]
-        said = f"{second.name} ({where})" if where else second.name
-        placed.setdefault(Setting(said), []).append(Beside(one, where))
-    if len({outcome([one.contrast for one in some]) for some in placed.values()}) == 1:  # no setting to tell apart
-        placed = {Setting(second.name): [one for some in placed.values() for one in some]}
-    grouped, *others = outcomes(first.name, placed, unit)
-    is_open = any(one.undecided for one in (grouped, *others))
+        lack = few(f"whether {first.name} and {second.name} agree", len(steps))
+        return Answer(findings=[Decided(Truth.UNDECIDED, lack)], tables=tables)
+    by_setting = {step.name: [other for other in known if other.name == step.name] for step in known}
+    told = known
+    if len({*map(outcome, by_setting.values())}) == 1:  # no setting to tell apart
+        told = [replace(step, name=Setting(second.name)) for step in known]
+    grouped, *others = outcomes(first.name, told, unit)
+    is_open = any(finding.undecided for finding in (grouped, *others))
     truth = Truth.NO if grouped.different else Truth.UNDECIDED if is_open else Truth.YES
-    if truth is Truth.UNDECIDED:  # what is undecided is why
-        others, grouped = [grouped, *others[:-1]] if others else [], (others or [grouped])[-1]
-    every = [one for some in placed.values() for one in some]
-    levels = [one.contrast.level(one.where, first.name, unit) for one in every]
+    if truth is Truth.UNDECIDED and others:  # what is undecided is why
+        others, grouped = [grouped, *others[:-1]], others[-1]
     return Answer(
-        findings=[Decided(truth, grouped), *others, *levels],
+        findings=[Decided(truth, grouped), *others, *(step.level(first.name, unit) for step in known)],
         n_lead=1 + len(others),
         tables=tables,
-        figures=forest(every, f"Differences of {second.name} from {first.name}"),
+        figures=forest(known, f"Differences of {second.name} from {first.name}"),
         method=f"Verdicts are adjusted for {len(known)} comparisons (Holm), intervals are not.",
     )
 
 
+def _alone(matches: Sequence[Match], left: Sequence[Sequence[Group]], names: Sequence[str]) -> Iterator[Alone]:
+    """Members without a partner: those of one setting of a pair alone, if partners are compared, and of the rest."""
+    for k, name in enumerate(names):
+        for match in matches:
+            mine, theirs = (match.first, match.second)[:: 1 - 2 * k]
+            lacks = ~mine.column("unit").isin(theirs.column("unit")) & match.is_paired
+            yield from (Alone(name, mine.label, member_id) for member_id in mine.column("member_id")[lacks])
+        for group in left[k]:
+            yield from (Alone(name, group.label, member_id) for member_id in group.column("member_id"))
+
+
 def _notes(
-    first: Ensemble, second: Ensemble, settings: AnalysisSettings, matches: Sequence[Match],
-    unmatched: Sequence[Row], alone: Sequence[Row], unit: str,
-) -> list[str]:  # fmt: skip
+    first: Ensemble,
+    second: Ensemble,
+    settings: AnalysisSettings,
+    matches: Sequence[Match],
+    left: Sequence[Sequence[Group]],
+    alone: Sequence[Alone],
+    unit: str,
+) -> list[str]:
     """What is compared with what, and what is left out."""
     notes = []
     for match in matches:
@@ -177,16 +171,16 @@ def _notes(
         differs = ", ".join(f"{name} = {_short(a)} against {_short(b)}" for name, (a, b) in match.differs.items())
         where = f"{match.first.label}: " if len(matches) > 1 else ""
         notes.append(f"{where}{how}{f'; another setting: {differs}' if differs else ''}.")
-    notes += [
-        f"{row['setting']} of {row['dataset']} has no counterpart ({plural(row['members'], 'run')})."
-        for row in unmatched
-    ]
-    for which in (first, second):
-        lost = [str(row["member_id"]) for row in alone if row["dataset"] == which.name]
+    for dataset, groups in zip((first, second), left, strict=True):
+        notes += [
+            f"{group.label} of {dataset.name} has no counterpart ({plural(len(group), 'run')})." for group in groups
+        ]
+    for dataset in (first, second):
+        lost = [row.member_id for row in alone if row.dataset == dataset.name]
         if lost:
             has = "has" if len(lost) == 1 else "have"
             shown = ", ".join(lost[:MOST_NAMED]) + (", ..." if len(lost) > MOST_NAMED else "")
-            notes.append(f"{plural(len(lost), 'member')} of {which.name} {has} no partner: {shown}.")
+            notes.append(f"{plural(len(lost), 'member')} of {dataset.name} {has} no partner: {shown}.")
     if first.t_burn != second.t_burn:
         notes.append(f"t_burn = {first.t_burn:g} is that of {first.name}; {second.name} declares {second.t_burn:g}.")
     others = sorted(name for name, margin in second.margins.items() if settings.margins.get(name, margin) != margin)
@@ -199,10 +193,12 @@ def _short(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _both(one: Study, other: Study) -> list[tuple[Measure, Measure]]:
-    """What two studies both measure, beyond n_stick, of which more is compared."""
-    theirs = {measure.name: measure for measure in measures(other, one)}
-    return [(mine, theirs[mine.name]) for mine in measures(one, other) if mine.name in {*theirs} - {*KEYS}]
+def _both(first: Study, second: Study) -> list[tuple[Measure, Measure]]:
+    """What two studies both measure: what both record, all quantities of n_stick, and how runs end."""
+    theirs = {measure.name: measure for measure in measures(second, first) if measure.name not in KEYS}
+    recorded = [(mine, theirs[mine.name]) for mine in measures(first, second) if mine.name in theirs]
+    windows = [measure for measure in of_windows(first) if measure.key in second.compared]
+    return [*recorded, *((measure, measure) for measure in (*windows, *ENDS))]
 
 
 def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[str] = ()) -> Report:

@@ -723,7 +723,7 @@ def test_two_datasets_are_compared_under_the_settings_of_the_first(dataset, tmp_
     scene = (other / "scene.toml").read_text().replace("t_burn = 1.0", "t_burn = 20.0").replace("[0.5]", "[1.0]")
     (other / "scene.toml").write_text(scene + "[analysis.margins]\nmean = 0.9\n")
     alone, first, second = (
-        compared(*pair).tables["compared"] for pair in ((dataset, dataset), (dataset, other), (other, dataset))
+        compared(*pair).tables["changes"] for pair in ((dataset, dataset), (dataset, other), (other, dataset))
     )
     pd.testing.assert_frame_equal(first, alone)
     assert (second["margin"][0], second["first"][0]) != (first["margin"][0], first["first"][0])

@@ -208,7 +208,7 @@ def test_copies_are_beside_their_bases_wherever_these_lie(tmp_path, rng, monkeyp
         return report(opened, asked)
 
     for found in (spread(False), spread(True)):
-        assert found.tables.keys() == plain.tables.keys() >= {"parting", "parting_curves", "robustness"}
+        assert found.tables.keys() == plain.tables.keys() >= {"parting", "parting_curves", "changes"}
         for name, table in plain.tables.items():
             pd.testing.assert_frame_equal(found.tables[name], table, rtol=1e-10)
     assert len(plain.tables["parting"]) == 4

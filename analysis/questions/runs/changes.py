@@ -2,57 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from itertools import chain
-
-import pandas as pd
-
 from stickslip.analysis.answer import Answer, Picture, Question, Table
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Finding, Lack
+from stickslip.analysis.findings.finding import Finding
 from stickslip.analysis.grid import axes_of
 from stickslip.analysis.pairs import settings
 from stickslip.analysis.questions.runs import engines, robustness, sweep
+from stickslip.analysis.steps import table_of
 
 MOST_LEADING, MOST_ALERTS = 3, 3
 
 
 def answer(study: Study) -> Answer | None:
-    """The changes that a study has, in the order of the page; None where nothing differs."""
-    parts = [part for section in (sweep, robustness, engines) if (part := section.answer(study)) is not None]
+    """The changes that a study has, in the order of the page; None where nothing differs.
+
+    The first kind of change leads with up to three findings, each other with one.
+    """
+    sources = (sweep.part, robustness.part, engines.part)
+    parts = [part for source in sources if (part := source(study)) is not None]
     if not parts:
         return None
-    parts.sort(key=lambda part: isinstance(part.findings[0], Lack))
-    told = [part for part in parts if not isinstance(part.findings[0], Lack)] or parts[:1]
-    n_more = MOST_LEADING - len(told)  # beside the first of each
-    lead: list[Finding] = [
-        *told[0].findings[: min(told[0].n_lead, 1 + n_more)],
-        *(one.findings[0] for one in told[1:]),
-    ]
-    rest = [finding for part in parts for finding in part.findings if all(finding is not one for one in lead)]
+    parts.sort(key=lambda part: not part.lead)
+    leading = [part for part in parts if part.lead]
+    lead: list[Finding] = []
+    for k, part in enumerate(leading):
+        lead += part.lead[: MOST_LEADING + 1 - len(leading) if k == 0 else 1]
+    rest = [finding for part in leading for finding in (*part.lead, *part.rest) if finding not in lead]
+    lacks = [part.lack for part in parts if not part.lead]
     alerts = sorted((alert for part in parts for alert in part.alerts), key=lambda alert: alert.code.rank)
+    tables: dict[str, Table] = {"changes": table_of(step for part in parts for step in part.steps)}
+    figures: dict[str, Picture] = {}
+    for part in parts:
+        figures |= dict([*part.figures.items()][:1])
+    for part in parts:
+        tables |= part.tables
+        figures |= {name: picture for name, picture in part.figures.items() if name not in figures}
     return Answer(
-        tables=_tables(parts),
-        figures=_figures(parts),
-        findings=[*lead, *rest],
-        n_lead=len(lead),
-        alerts=alerts[:MOST_ALERTS],
-        method=" ".join(part.method for part in parts if part.method),
+        [*lead, *rest, *lacks],
+        max(len(lead), 1),
+        alerts[:MOST_ALERTS],
+        " ".join(part.method for part in leading if part.method),
+        tables=tables,
+        figures=figures,
     )
-
-
-def _tables(parts: Sequence[Answer]) -> dict[str, Table]:
-    """The tables of all, with one of all contrasts."""
-    contrasts = [part.tables["changes"] for part in parts]
-    frames = [table for table in contrasts if isinstance(table, pd.DataFrame)]
-    named: dict[str, Table] = {name: table for part in parts for name, table in part.tables.items()}
-    return named | {"changes": pd.concat(frames, ignore_index=True)}
-
-
-def _figures(parts: Sequence[Answer]) -> Mapping[str, Picture]:
-    """The first figure of each, and then the others."""
-    firsts = chain.from_iterable([*part.figures.items()][:1] for part in parts)
-    return dict([*firsts, *(item for part in parts for item in part.figures.items())])
 
 
 def _leads(study: Study) -> bool:
