@@ -19,11 +19,13 @@ from stickslip.analysis.findings.finding import (
     Difference,
     Family,
     Form,
+    KeyChange,
     Level,
     Quantity,
     Scale,
     Verdict,
 )
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.models.times import Times, median_difference
 from stickslip.analysis.stats import estimates
 from stickslip.analysis.stats.compare import (
@@ -220,16 +222,16 @@ class Contrast:
         estimate = self.difference.estimate
         return self.is_shown, 0.0 if self.is_same or estimate.value is None else abs(estimate.value)
 
-    def level(self, where: str, other: str, unit: str) -> Level:
+    def level(self, where: Place, other: str, unit: str) -> Level:
         """The second, where it is, compared with the first."""
         return Level(
             self.statistic.quantity, self.second, where, Comparison(other, self.difference), self.basis(unit)
         )
 
-    def change(self, key: str, first: str, second: str, where: str, unit: str) -> Change:
-        """The change from the first to the second along a key."""
+    def change(self, keys: tuple[KeyChange, ...], where: Place, unit: str) -> Change:
+        """The change from the first to the second along keys that are swept together."""
         return Change(
-            self.statistic.quantity, key, first, second, self.first, self.second, self.difference, where,
+            self.statistic.quantity, keys, self.first, self.second, self.difference, where,
             self.basis(unit),
         )  # fmt: skip
 

@@ -10,6 +10,7 @@ import numpy as np
 from stickslip.analysis.answer import F, S
 from stickslip.analysis.contrast import Statistic
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import AT_MOST, IN_MOTION, MOTION, PERHAPS, Measure, Values, measures
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
@@ -17,7 +18,7 @@ from stickslip.analysis.models.fates import FAILED, WATCHED, bounded_share
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.pipeline.design.design import Axis, Row
-from stickslip.pipeline.design.labels import labels
+from stickslip.pipeline.design.labels import Label, labels
 from stickslip.pipeline.design.values import Rank, ranks
 
 #: What the name of a setting says, beside its method.
@@ -52,7 +53,7 @@ class Point:
         return [*map(ranks, self.place.values())]
 
 
-def settings(groups: Iterable[Group]) -> dict[str, list[Group]]:
+def settings(groups: Iterable[Group]) -> dict[Label, list[Group]]:
     """Groups that differ only in keys that are swept, by the name of what they share."""
     found: dict[tuple[int, int], list[Group]] = {}
     for group in groups:
@@ -107,14 +108,14 @@ class Grid:
     axes : list of Axis
     asked : list of Measure
         In the order in which they lead.
-    points : dict of str to list of Point
+    points : dict of Label to list of Point
         By setting, in the order of the values of the axes.
     confidence : float
     """
 
     axes: list[Axis]
     asked: list[Measure]
-    points: dict[str, list[Point]]
+    points: dict[Label, list[Point]]
     confidence: float
 
     @classmethod
@@ -133,14 +134,14 @@ class Grid:
         return [point for points in self.points.values() for point in points]
 
     @property
-    def settings(self) -> list[str]:
+    def settings(self) -> list[Label]:
         """The settings, the one with the most finished runs first: it leads."""
         lead = max(self.points, key=lambda name: sum(point.group.is_finished.sum() for point in self.points[name]))
         return sorted(self.points, key=lambda name: name != lead)
 
-    def where(self, setting: str) -> str:
-        """What tells a setting from the others; empty if there is one."""
-        return setting if len(self.points) > 1 else ""
+    def where(self, setting: Label) -> Place:
+        """What tells a setting from the others."""
+        return Place.of(setting) if len(self.points) > 1 else EVERYWHERE
 
 
 def balanced(sums: Sequence[UnitSums]) -> tuple[list[int], UnitSums]:

@@ -17,6 +17,7 @@ from stickslip.analysis.answer import Picture
 from stickslip.analysis.contrast import Contrast
 from stickslip.analysis.findings.finding import Form, Outcomes, Scale, Verdict
 from stickslip.analysis.findings.numbers import signs
+from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.steps import Setting, Step
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, SMOOTHED, panel
 
@@ -43,9 +44,11 @@ def outcomes(other: str, steps: Sequence[Step], unit: str, scope: str = "") -> l
             best = max(alike, key=_size)
             (where,) = in_words({best.name: ""}, "")
             others = in_words(by_setting | {best.name: ""}, DIFFERENT) if name == DIFFERENT else ()
-            level = replace(best, where=where).level(other, unit)
-            outcome_of = {name: in_words(by_setting, name)}
-            findings.append(Outcomes(other, **outcome_of, largest=level, others=others, scope=scope))
+            level = replace(best, where=EVERYWHERE).level(other, unit)
+            alike_in_words = {name: in_words(by_setting, name)}
+            findings.append(
+                Outcomes(other, **alike_in_words, largest=level, at_largest=where, others=others, scope=scope)
+            )
     return findings
 
 
@@ -115,13 +118,13 @@ def differences(rows: Sequence[Step]) -> Figure:
 
 def _differences(ax: Axes, rows: Sequence[Step]) -> None:
     names = list(dict.fromkeys(one.contrast.statistic.quantity.name for one in rows))
-    settings = list(dict.fromkeys(one.where for one in rows))
+    settings = list(dict.fromkeys(str(one.where) for one in rows))
     ends = np.array([_per_cent(one) for one in rows])
     reach = np.abs(ends).max(axis=1)
     widest = 1.08 * min(reach.max(), 4.0 * float(np.median(reach))) or 1.0
     ax.axvline(0, color=GREY, linewidth=0.8)
     for one, (value, low, high) in zip(rows, ends, strict=True):
-        k, line = settings.index(one.where), names.index(one.contrast.statistic.quantity.name)
+        k, line = settings.index(str(one.where)), names.index(one.contrast.statistic.quantity.name)
         y = line + 0.7 * ((k + 0.5) / len(settings) - 0.5)
         margin, colour = one.contrast.difference.margin, _HUES[k % len(_HUES)]
         if margin is not None:

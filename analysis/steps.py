@@ -16,7 +16,8 @@ import pandas as pd
 from stickslip.analysis.answer import Picture, Table
 from stickslip.analysis.contrast import Contrast, judged
 from stickslip.analysis.findings.alerts import Alert
-from stickslip.analysis.findings.finding import Change, Finding, Lack, Level, Reason
+from stickslip.analysis.findings.finding import Change, Finding, KeyChange, Lack, Level, Reason
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.rows import Columns, frame_by
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.values import text
@@ -71,10 +72,10 @@ class Step:
     setting, reference : str
         Labels of both; along a key, of what all its values share, and empty.
     contrast : Contrast
-    key, first, second : str
-        What both differ in, and its values, in words; empty where the settings say it.
-    where : str
-        What tells the second from others, in a sentence.
+    keys : tuple of KeyChange
+        What both differ in, as far as the settings do not say it.
+    where : Place
+        What tells the second from others.
     name : Setting
         What is set beside the reference, in a list of outcomes.
     """
@@ -83,10 +84,8 @@ class Step:
     setting: str
     reference: str
     contrast: Contrast
-    key: str = ""
-    first: str = ""
-    second: str = ""
-    where: str = ""
+    keys: tuple[KeyChange, ...] = ()
+    where: Place = EVERYWHERE
     name: Setting = _NO_NAME
 
     @property
@@ -94,9 +93,14 @@ class Step:
         """The name of its statistic."""
         return self.contrast.statistic.name
 
+    @property
+    def key_names(self) -> tuple[str, ...]:
+        """The keys along which it is."""
+        return tuple(change.key for change in self.keys)
+
     def change(self, unit: str) -> Change:
-        """As a change along its key."""
-        return self.contrast.change(self.key, self.first, self.second, self.where, unit)
+        """As a change along its keys."""
+        return self.contrast.change(self.keys, self.where, unit)
 
     def level(self, other: str, unit: str) -> Level:
         """As the second, compared with the first, which is called `other`."""
@@ -154,9 +158,9 @@ _COLUMNS: Columns[Step] = {
     "kind": (str, lambda step: step.kind.value),
     "setting": (str, lambda step: step.setting),
     "reference": (str, lambda step: step.reference),
-    "key": (str, lambda step: step.key),
-    "first_value": (str, lambda step: step.first),
-    "second_value": (str, lambda step: step.second),
+    "key": (str, lambda step: " with ".join(step.key_names)),
+    "first_value": (str, lambda step: " with ".join(change.first for change in step.keys)),
+    "second_value": (str, lambda step: " with ".join(change.second for change in step.keys)),
     "quantity": (str, lambda step: step.statistic),
     "n_first": (int, lambda step: step.contrast.n_first),
     "n_second": (int, lambda step: step.contrast.n_second),

@@ -31,6 +31,7 @@ from stickslip.analysis.findings.finding import (
     Verdict,
 )
 from stickslip.analysis.findings.numbers import decimals, is_exact, limit, number, signs, span, with_interval
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.stats.estimates import Estimate
 
 
@@ -55,23 +56,23 @@ def clause(finding: Finding) -> str:
         case Parts():
             return _parts(finding)
         case Limit(things=things, predicate=predicate, most=most, where=where):
-            return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
+            return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{where.tail}"
         case Alike(quantity, value, among, where):
             digits = decimals(Estimate(value), quantity.form) + (
                 quantity.form is not Form.COUNT
             )  # it is known to many
-            return f"{quantity.name}{_at(where)}: {number(value, quantity.form, digits)}, the same {among}"
+            return f"{quantity.name}{where.tail}: {number(value, quantity.form, digits)}, the same {among}"
         case Outcomes():
             return _outcomes(finding)
         case Threshold(subject, is_end, key, last, first, where, basis):
             every = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
-            return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{_at(where)}{every}"
+            return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{where.tail}{every}"
         case Regimes(things, regimes, where, when):
             grouped = "; ".join(_regime(regime, things, k == 0) for k, regime in enumerate(regimes))
             if when:
                 first, said, others = grouped.partition(f" {when}")
                 grouped = first + said + others.replace(said, "")
-            return f"{_at(where).strip(' ,')}: {grouped}" if where else grouped
+            return f"{where.noun}: {grouped}" if where else grouped
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
         case Decided(truth, reason):
@@ -99,32 +100,14 @@ def based_on(basis: Basis | None) -> str:
     return "" if basis is None else plural(basis.n, basis.unit)
 
 
-def _begins_with_key(where: str) -> bool:
-    """Whether a setting begins with the value of a key, "n = 150, exact", and not with a method, "exact"."""
-    return "=" in where.partition(",")[0]
-
-
-def _at(where: str) -> str:
-    if not where:
-        return ""
-    return f" at {where}" if _begins_with_key(where) else f", {where}"
-
-
-def _before(where: str) -> str:
-    """A setting at the head of a sentence: "at n = 150, exact, "."""
-    if not where:
-        return ""
-    return f"at {where}, " if _begins_with_key(where) else f"{where}: "
-
-
 def _share(share: Share) -> str:
     if share.basis is not None and share.basis.n == 1 and share.estimate.value in (0.0, 1.0):
         which = "all" if share.estimate.value else "none of the"
         alone = (
-            f"{which} {share.things} {share.predicate}{_at(share.where)} ({plural(1, share.basis.unit)}, no interval)"
+            f"{which} {share.things} {share.predicate}{share.where.tail} ({plural(1, share.basis.unit)}, no interval)"
         )
         return alone + _compared(share.comparison)
-    said = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{_at(share.where)}"
+    said = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{share.where.tail}"
     if share.comparison is None or share.comparison.difference.verdict is not Verdict.OPEN:
         return said + _compared(share.comparison)
     difference, other = share.comparison.difference, share.comparison.other
@@ -138,7 +121,7 @@ def _share(share: Share) -> str:
 def _level(level: Level) -> str:
     said = level.quantity.clause and _in_clause(level)
     if said:
-        return _before(level.where) + level.quantity.clause.format(said)
+        return level.where.head + level.quantity.clause.format(said)
     name = level.quantity.name + (f", {level.where}" if level.where else "")
     return (
         f"{name}: {with_interval(level.estimate, level.quantity.form)}{_compared(level.comparison, level.quantity)}"
@@ -258,7 +241,7 @@ def _n_tests(difference: Difference) -> str:
 
 def _change(change: Change) -> str:
     quantity, difference = change.quantity, change.difference
-    along = f"as {_along(change)}{_at(change.where)}"
+    along = f"as {_along(change)}{change.where.tail}"
     match difference.verdict:
         case Verdict.MORE:
             return f"{quantity.name} rises {_from_to(change)}, {_by(change)}, {along}"
@@ -279,12 +262,12 @@ def _change(change: Change) -> str:
 
 
 def _along(change: Change) -> str:
-    """What goes from where to where; keys that are swept together by themselves."""
-    together = [part.split(" with ") for part in (change.key, change.first, change.second)]
-    if len({len(part) for part in together}) > 1:
-        together = [[change.key], [change.first], [change.second]]
-    parts = [f"{key} goes from {first} to {second}" for key, first, second in zip(*together, strict=True)]
-    return listed([parts[0], *(part.replace(" goes", "", 1) for part in parts[1:])])
+    """What goes from where to where; of keys that are swept together, each."""
+    first, *others = change.keys
+    return listed([
+        f"{first.key} goes from {first.first} to {first.second}",
+        *(f"{key.key} from {key.first} to {key.second}" for key in others),
+    ])  # fmt: skip
 
 
 def _open(change: Change) -> str:
@@ -341,15 +324,14 @@ def _adding_up(before: float, after: float, change: float, places: int) -> tuple
 def _lifetime(lifetime: Lifetime) -> str:
     if lifetime.estimate.value is None:
         left = "all" if lifetime.share_left == 1.0 else f"{number(lifetime.share_left, Form.SHARE)} of"
-        at = ", ".join(filter(None, (f"t = {lifetime.horizon:g}", lifetime.where)))
-        return f"{left} {lifetime.things} {lifetime.predicate} at {at}"
+        at = Place.key("t", f"{lifetime.horizon:g}") + lifetime.where
+        return f"{left} {lifetime.things} {lifetime.predicate}{at.tail}"
     if lifetime.ended:
-        at = _at(lifetime.where)
-        is_method = at.startswith(",")  # alone: "exact"
-        begin = f"{lifetime.where}: " * is_method + f"half of the {lifetime.things}" + at * (not is_method)
+        where, half = lifetime.where, f"half of the {lifetime.things}"
+        begin = half + where.tail if where.has_key else where.head + half
         compared = _compared(lifetime.comparison, lifetime.quantity)
         return f"{begin} {lifetime.ended} by t = {with_interval(lifetime.estimate)}{compared}"
-    name = lifetime.quantity.name + _at(lifetime.where)
+    name = lifetime.quantity.name + lifetime.where.tail
     return f"{name}: {with_interval(lifetime.estimate)}{_compared(lifetime.comparison, lifetime.quantity)}"
 
 
@@ -360,17 +342,17 @@ def _law(law: Law) -> str:
     parameter = f"a {name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
     match law.fit:
         case Fit.HOLDS:
-            return f"{_before(level.where)}{law.subject} {law.predicate}, with {parameter}"
+            return f"{level.where.head}{law.subject} {law.predicate}, with {parameter}"
         case Fit.CLOSE:
             predicate = law.nearly or f"nearly {law.predicate}"
-            return f"{_before(level.where)}{law.subject} {predicate}, with {parameter}"
+            return f"{level.where.head}{law.subject} {predicate}, with {parameter}"
         case Fit.FAILS:
             p = "" if law.p_value is None else f"p \u2264 {limit(law.p_value)}"
             far = "" if law.departure is None else _level(law.departure)
             apart = "; ".join(filter(None, (far, p)))
-            return f"{_before(level.where)}{law.subject} do not {law.predicate}" + f" ({apart})" * bool(apart)
+            return f"{level.where.head}{law.subject} do not {law.predicate}" + f" ({apart})" * bool(apart)
         case Fit.OPEN:
-            return f"whether {law.subject}{_at(level.where)} {law.predicate} is open; {_level(level)}"
+            return f"whether {law.subject}{level.where.tail} {law.predicate} is open; {_level(level)}"
 
 
 def _parts(sum_of: Parts) -> str:
@@ -384,7 +366,7 @@ def _parts(sum_of: Parts) -> str:
     said.append(f"{last.quantity.name} {with_interval(last.estimate, form, sign=True)}")
     assert whole.estimate.value is not None
     return (
-        f"{whole.quantity.name}{_at(whole.where)}: {number(whole.estimate.value, form, places)}, from {listed(said)}"
+        f"{whole.quantity.name}{whole.where.tail}: {number(whole.estimate.value, form, places)}, from {listed(said)}"
     )
 
 
@@ -394,7 +376,7 @@ def _outcomes(outcomes: Outcomes) -> str:
     scope = f" in {outcomes.scope}" if outcomes.scope else ""
     said = []
     if outcomes.different and largest is not None and (apart := _larger(largest, other)):
-        said.append(f"{largest.where} gives {apart}")
+        said.append(f"{outcomes.at_largest} gives {apart}")
         if outcomes.others:
             said.append(f"{listed(outcomes.others)} also differ{'s' * (len(outcomes.others) == 1)}")
     elif outcomes.different:

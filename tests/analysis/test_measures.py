@@ -380,7 +380,7 @@ def test_a_change_at_some_values_of_another_key_says_at_which(recorded, settings
     data = replace(data, recorded={"period": data.recorded["period"]._replace(absent="not on a cycle")})
     answer = changes_of(Study(data, settings))
     assert said(answer).endswith("as belt_speed goes from \u22120.3 to \u22120.1 at kappa = 0.1.")
-    places = {one.key: one.where for one in answer.findings[: answer.n_lead]}
+    places = {one.key: str(one.where) for one in answer.findings[: answer.n_lead]}
     assert places == {"belt_speed": "kappa = 0.1", "kappa": "belt_speed = -0.3"}
     whole = recorded({"amplitude": lambda _, matrix, v, k: 3 + v + 0.01 * matrix}, axes=axes)
     assert "values of kappa" not in said(changes_of(Study(whole, settings)))

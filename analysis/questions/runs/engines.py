@@ -18,7 +18,8 @@ from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
-from stickslip.analysis.findings.finding import Finding, Verdict
+from stickslip.analysis.findings.finding import Finding, KeyChange, Verdict
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import ENDS, of_windows
 from stickslip.analysis.members import ENGINE_KEYS, STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS, noun
@@ -62,7 +63,7 @@ def part(study: Study) -> Part | None:
     compared = [
         (pair, step)
         for pair in _pairs(study, thresholds)
-        for step in _steps(study, pair, names[pair.group.name], thresholds)
+        for step in _steps(study, pair, Place.of(names[pair.group.name]), thresholds)
     ]
     if not compared:
         return None
@@ -89,20 +90,20 @@ def part(study: Study) -> Part | None:
     return Part(lack, steps, lead, levels, _suspects(known), figures, method=_METHOD)
 
 
-def _steps(study: Study, pair: _Pair, where: str, thresholds: _Thresholds) -> Iterator[Step]:
+def _steps(study: Study, pair: _Pair, where: Place, thresholds: _Thresholds) -> Iterator[Step]:
     """Each statistic of a pair; one by one, as sums of all take more memory than all that is known of the runs."""
-    name, key, value = _setting(pair, study.groups), "", ""
-    measures = [*of_windows(study), *ENDS]
+    name, keys, measures = _setting(pair, study.groups), tuple[KeyChange, ...](), [*of_windows(study), *ENDS]
     if pair.threshold is not None:
-        measures, key, value = of_windows(study, _BY_THRESHOLD), Kind.THRESHOLD.value, f"{pair.threshold:g}"
-        where = ", ".join(filter(None, (where, f"{key} = {value}")))
+        threshold, measures = f"{pair.threshold:g}", of_windows(study, _BY_THRESHOLD)
+        keys = (KeyChange(Kind.THRESHOLD.value, "", threshold),)
+        where += Place.key(Kind.THRESHOLD.value, threshold)
     for measure in measures:
         before, after = measure.of(pair.reference), measure.of(pair.group)
         second, withheld = after.sums, before.withheld or after.withheld
         if pair.threshold is not None:
             second = thresholds[pair.group.label, pair.threshold][measure.key]
         found = contrast(measure.statistic, before.sums, second, True, study.settings.confidence, withheld=withheld)
-        yield Step(pair.kind, pair.group.label, pair.reference.label, found, key, "", value, where, name)
+        yield Step(pair.kind, pair.group.label, pair.reference.label, found, keys, where, name)
 
 
 def _other(pair: _Pair, groups: Sequence[Group]) -> str:

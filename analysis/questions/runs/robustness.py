@@ -16,7 +16,8 @@ from matplotlib.axes import Axes
 from stickslip.analysis.answer import Picture
 from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Basis, Finding, Form, Level, Quantity, Share
+from stickslip.analysis.findings.finding import Basis, Finding, Form, KeyChange, Level, Quantity, Share
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.measures import TITLES, of_windows
 from stickslip.analysis.members import noun
 from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, median
@@ -32,6 +33,7 @@ from stickslip.analysis.steps import Setting as Named
 from stickslip.analysis.style import GREY, SMOOTHED, panel
 from stickslip.pipeline.design import design
 from stickslip.pipeline.design.design import DEFAULT_READING, Change
+from stickslip.pipeline.design.labels import Label
 
 PRIMARY = ("mean", "rate", "gamma")
 _METHOD = (
@@ -47,7 +49,7 @@ def part(study: Study) -> Part | None:
         return None
     every.sort(key=lambda copies: (not copies.sums, -copies.setting.key["n"]))
     unit, confidence = noun(study.unit), study.settings.confidence
-    where = {copies.label: copies.label if len(every) > 1 else "" for copies in every}
+    where = {copies.label: Place.of(copies.label) if len(every) > 1 else EVERYWHERE for copies in every}
     alone = [step for copies in every for step in _steps(study, copies, where[copies.label])]
     steps = judged_together(alone, 1 - confidence)
     lead, rest = list[Finding](), list[Finding]()
@@ -99,7 +101,7 @@ class _Copies:
         return cls(setting, changes, _replicates(study, setting), sums)
 
     @property
-    def label(self) -> str:
+    def label(self) -> Label:
         return self.setting.label
 
     def complete(self, change: Comparison | None = None) -> list[_Set]:
@@ -155,17 +157,17 @@ def _sums(motion: np.ndarray) -> np.ndarray | None:
     return rows
 
 
-def _steps(study: Study, copies: _Copies, where: str) -> Iterator[Step]:
+def _steps(study: Study, copies: _Copies, where: Place) -> Iterator[Step]:
     """Each quantity under each change beside that of the unchanged systems."""
     if not copies.sums:
         return
     for comparison in sorted(copies.changes, key=lambda comparison: comparison.change):
         change, sets = comparison.change, copies.complete(comparison)
-        at = ", ".join(filter(None, (where, str(change))))
+        at, keys = where + Place.words(str(change)), (KeyChange("", "", str(change)),)
         for measure in of_windows(study, PRIMARY):
             before, after = (copies.of_units(measure.key, [one[side] for one in sets]) for side in (0, 1))
             found = contrast(measure.statistic, before, after, True, study.settings.confidence)
-            yield Step(Kind.COPY, copies.label, copies.label, found, "", "", str(change), at, _named(change))
+            yield Step(Kind.COPY, copies.label, copies.label, found, keys, at, _named(change))
 
 
 def _named(change: Change) -> Named:
@@ -176,7 +178,7 @@ def _named(change: Change) -> Named:
     return Named("", f"a change of constants{how}", 100.0 * change.size, "%")
 
 
-def _effects(study: Study, copies: _Copies, where: str, unit: str) -> Iterator[tuple[str, Level]]:
+def _effects(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[tuple[str, Level]]:
     """The mean square effect of each change on each quantity, as a share of that of another system."""
     bases = [base for base in copies.setting.bases.values() if base in copies.sums]
     if not (bases and copies.replicates):
@@ -192,13 +194,13 @@ def _effects(study: Study, copies: _Copies, where: str, unit: str) -> Iterator[t
                 continue
             before, after = (copies.values(quantity, [one[side] for one in sets]) for side in (0, 1))
             effect = components.against_redraw(before, after, confidence)
-            if effect.kind == components.BOUNDED and effect.theta.value is not None:
+            if effect.is_bounded and effect.theta.value is not None:
                 name = f"effect of {comparison.change} on the {TITLES[quantity]} of one system"
                 theta = Quantity("theta", f"{name}, as a share of another system's", Form.SHARE)
                 yield quantity, Level(theta, effect.theta, where, None, Basis(len(sets), unit))
 
 
-def _between(study: Study, copies: _Copies, where: str, unit: str) -> Iterator[Level]:
+def _between(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Level]:
     """How much of the variance of each quantity is between systems."""
     sets = [one.unchanged for one in copies.complete()]
     if not copies.replicates or len(sets) < enough.LEAST_MATRICES:
@@ -226,7 +228,7 @@ def _end(study: Study, row: int) -> _End | None:
     return _End(False, float(study.motion.last[row, 0])) if fate in SETTLED else None
 
 
-def _ends(study: Study, copies: _Copies, where: str, unit: str) -> Iterator[Finding]:
+def _ends(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Finding]:
     """How many copies of runs that ended end differently, and by how much the last event shifts, for each change."""
     bases = {base: end for base in copies.setting.bases.values() if (end := _end(study, base)) is not None}
     if len(bases) < enough.LEAST_MATRICES:
@@ -244,7 +246,7 @@ def _ends(study: Study, copies: _Copies, where: str, unit: str) -> Iterator[Find
                 of_unit = counts.setdefault(pair.matrix, [0, 0])
                 of_unit[0] += not is_alike
                 of_unit[1] += 1
-        at = ", ".join(filter(None, (where, str(comparison.change))))
+        at = where + Place.words(str(comparison.change))
         if counts:
             share = Estimate(*share_over_matrices([*counts.values()], confidence)[:3])
             ends = "end differently from their original"

@@ -19,7 +19,8 @@ from stickslip.analysis.answer import F
 from stickslip.analysis.contrast import Contrast, contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
-from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Reason, Scale, Threshold
+from stickslip.analysis.findings.finding import Basis, Finding, KeyChange, Lack, Level, Reason, Scale, Threshold
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
 from stickslip.analysis.grid import Grid, Point, axes_of, balanced, dtype, estimate, points_at
 from stickslip.analysis.measures import AT_MOST, IN_MOTION, MOTION, Measure
@@ -31,6 +32,7 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.analysis.steps import Kind, Part, Step, few, judged_together
 from stickslip.pipeline.design.design import Axis, Row, in_words
+from stickslip.pipeline.design.labels import Label
 from stickslip.pipeline.design.values import Ratio
 
 ROUNDING = 1e-12  # what sums over a run lose to rounding, at any tolerance
@@ -92,7 +94,7 @@ def _method(grid: Grid, steps: Sequence[Step], unit: str) -> str:
 # ---------------------------------------------------------------------------------------------------- steps
 
 
-def _steps(grid: Grid, setting: str) -> Iterator[KeyStep]:
+def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
     """Each value of each axis beside the first that has enough units, not judged yet."""
     points = grid.points[setting]
     by_place = {tuple(point.place.values()): point for point in points}
@@ -115,11 +117,10 @@ def _steps(grid: Grid, setting: str) -> Iterator[KeyStep]:
             elif _is_same(common, noise * _largest(measure.name, points)):
                 # no test: what is the same in each of a few units may differ in others
                 found = replace(found, is_same=True, p_different=None, p_equivalent=None)
-            where = ", ".join(filter(None, (grid.where(setting), _places(axis, pairs, common.counted))))
-            ends, is_last = (_value(base), _value(value)), value == others[-1]
-            yield KeyStep(
-                Kind.KEY, setting, "", found, axis.name, *ends, where, axis=axis, base=base, is_last=is_last
-            )
+            keys = tuple(map(KeyChange, axis.keys, _values(base), _values(value)))
+            where = grid.where(setting) + _places(axis, pairs, common.counted)
+            is_last = value == others[-1]
+            yield KeyStep(Kind.KEY, setting, "", found, keys, where, axis=axis, base=base, is_last=is_last)
 
 
 def _known_at(name: str, points: Sequence[Point], axis: Axis) -> Sequence[Row]:
@@ -132,12 +133,12 @@ def _known_at(name: str, points: Sequence[Point], axis: Axis) -> Sequence[Row]:
     return known if len(known) > 1 else axis.rows
 
 
-def _value(row: Row) -> str:
-    """A value of an axis in a sentence: of a ratio, how many times what."""
-    return " with ".join(
+def _values(row: Row) -> list[str]:
+    """The values of an axis in a sentence: of a ratio, how many times what."""
+    return [
         f"{in_words((value.factor,))} times {value.of}" if isinstance(value, Ratio) else in_words((value,))
         for value in row
-    )
+    ]
 
 
 class _Common(NamedTuple):
@@ -158,14 +159,14 @@ def _in_common(name: str, pairs: Sequence[tuple[Point, Point]]) -> _Common:
     return _Common(first, second, [places[k] for k in rows if len(both[k][0].within(units))])
 
 
-def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], counted: Sequence[int]) -> str:
+def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], counted: Sequence[int]) -> Place:
     """At which points of the other keys a contrast is; empty where it is at all that there are."""
     if len(counted) == len(pairs):
-        return ""
-    if len(counted) > 1 or not counted:
-        return f"averaged over {len(counted)} of the {len(pairs)} settings of the other keys"
-    at = pairs[counted[0]][0].place
-    return ", ".join(f"{other.name} = {in_words(value)}" for other, value in at.items() if other != axis)
+        return EVERYWHERE
+    if len(counted) != 1:
+        return Place.words(f"averaged over {len(counted)} of the {len(pairs)} settings of the other keys")
+    place = pairs[counted[0]][0].place
+    return Place(tuple((other.name, in_words(value)) for other, value in place.items() if other != axis))
 
 
 def _is_same(common: _Common, noise: float) -> bool:
@@ -266,22 +267,20 @@ def _rest(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str)
     """Of each measure the change to the last value of a key; of the first two all changes, and the first value."""
     for name in order:
         of_name = [step for step in steps if step.statistic == name]
-        firsts: dict[tuple[str, Axis], KeyStep] = {}
-        for step in of_name if name in order[:2] else ():
-            firsts.setdefault((step.setting, step.axis), step)
-        for step in firsts.values():
-            at = points_at(grid.points[step.setting], step.axis, step.base)
-            value = estimate(step.contrast.statistic, at, grid.confidence)
-            if value.value is not None:
-                first = f"{step.axis.name} = {in_words(step.base)}"
-                where = ", ".join(filter(None, (first, grid.where(step.setting))))
-                yield Level(step.contrast.statistic.quantity, value, where, basis=step.contrast.basis(unit))
+        for setting, axis in product(grid.settings, grid.axes) if name in order[:2] else ():
+            along = [step for step in of_name if (step.setting, step.axis) == (setting, axis)]
+            for step in along[:1]:
+                at = points_at(grid.points[setting], axis, step.base)
+                value = estimate(step.contrast.statistic, at, grid.confidence)
+                if value.value is not None:
+                    where = Place.key(axis.name, in_words(step.base)) + grid.where(setting)
+                    yield Level(step.contrast.statistic.quantity, value, where, basis=step.contrast.basis(unit))
         for step in of_name:
             if step.is_last or name in order[:2]:
                 yield step.change(unit)
 
 
-def _thresholds(grid: Grid, setting: str, unit: str) -> Iterator[Threshold]:
+def _thresholds(grid: Grid, setting: Label, unit: str) -> Iterator[Threshold]:
     """Between which values of the first key all runs cease to be in motion, or begin to, wherever the others are."""
     axis, *others = grid.axes
     by_place: dict[tuple[Row, ...], list[Point]] = {}
@@ -295,8 +294,8 @@ def _thresholds(grid: Grid, setting: str, unit: str) -> Iterator[Threshold]:
         first = moves.index(moves[-1])
         if last > first:
             continue  # more than once
-        at = [f"{other.name} = {in_words(value)}" for other, value in zip(others, place, strict=True)]
-        where = ", ".join(filter(None, (grid.where(setting), *at)))
+        at = Place(tuple((other.name, in_words(value)) for other, value in zip(others, place, strict=True)))
+        where = grid.where(setting) + at
         n_units = min(point.group.column("unit").nunique() for point in points)
         before, after = (in_words(points[k].place[axis]) for k in (last, first))
         yield Threshold("stick-slip", bool(moves[0]), axis.name, before, after, where, Basis(n_units, unit))
@@ -316,7 +315,7 @@ def _all_or_none(point: Point) -> bool | None:
 
 def _alerts(grid: Grid) -> list[Alert]:
     """Runs of which it is not known whether they stick again, runs without a value, and values that are withheld."""
-    every, alerts = grid.every, []
+    every, alerts, withheld = grid.every, list[Alert](), list[Alert]()
     if n_quiet := sum(point.fates[QUIET] for point in every):
         n_runs = sum(point.fates[name] for point in every for name in WATCHED)
         alerts.append(Alert.of(Code.UNCERTIFIED, n=n_quiet, of=n_runs))
@@ -330,12 +329,12 @@ def _alerts(grid: Grid) -> list[Alert]:
         if reasons and (measure.is_recorded or len(reasons) < len(every)):
             why = " or ".join(_REASONS.get(reason, reason) for reason in dict.fromkeys(reasons))
             what = capital(measure.statistic.quantity.name)
-            alerts.append(Alert.of(Code.WITHHELD, what=what, n=len(reasons), of=len(every), why=why))
+            withheld.append(Alert.of(Code.WITHHELD, what=what, n=len(reasons), of=len(every), why=why))
     n_members = sum(len(point.group) for point in every)
     for lost, (first, *names) in gaps.items():
         what = f"{first} nor {len(names)} more" if names else first
         alerts.append(Alert.of(Code.WITHOUT, n=len(lost), of=n_members, what=what, why=lost[0][1]))
-    return alerts
+    return alerts + withheld
 
 
 class _Cell(NamedTuple):

@@ -24,6 +24,7 @@ from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.steps import Step
 from stickslip.analysis.style import EXACT, GREY, panel
 from stickslip.pipeline.design.design import Axis, Row, in_words
+from stickslip.pipeline.design.labels import Label
 
 MOST_LINES = 6  # in one figure
 MOST_FIGURES = 8  # of statistics along a key
@@ -41,7 +42,7 @@ def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step]) -> dict[str
     """
     lead, *others = grid.settings
     leading = [step for step in steps if (step.statistic, step.setting) == (order[0], lead)] or steps
-    axes = sorted(grid.axes, key=lambda axis: axis.name != leading[0].key)
+    axes = sorted(grid.axes, key=lambda axis: axis.keys != leading[0].key_names)
     if len(axes) > 1 and len(axes[1].rows) > max(MOST_LINES, len(axes[0].rows)):
         axes[:2] = axes[1::-1]  # a line for each of the few values, not of the many
     settings = [lead]
@@ -57,7 +58,7 @@ def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step]) -> dict[str
 
 
 def _of_setting(
-    grid: Grid, setting: str, axes: Sequence[Axis], order: Sequence[str], steps: Sequence[Step]
+    grid: Grid, setting: Label, axes: Sequence[Axis], order: Sequence[str], steps: Sequence[Step]
 ) -> dict[str, Picture]:
     """The figures of a setting, or of all along the only key."""
     axis, points = axes[0], grid.points[setting]
@@ -77,7 +78,7 @@ def _of_setting(
         if sum(estimate.value is not None for _, line in lines for estimate in line) > 1:
             title, key = by_name[name].statistic.quantity.name, by_name[name].key
             recipe = partial(curves, title, axis.name, axis.x, axis.texts, lines, may_be_log)
-            trend = _trend([step for step in steps if (step.statistic, step.key) == (name, axis.name)])
+            trend = _trend([step for step in steps if (step.statistic, step.key_names) == (name, axis.keys)])
             caption = f"{capital(title)} {trend} {axis.name}{at}. Bars are {100 * grid.confidence:g}% intervals."
             pictures[f"sweep_{key}" if name in KEYS else f"sweep_of_{key}"] = Picture(recipe, caption)
     first = MOTION if order[0] == IN_MOTION else by_name[order[0]]
@@ -116,7 +117,7 @@ def _throughout(name: str, points: Sequence[Point], axes: Sequence[Axis]) -> lis
     return [point for point in points if tuple(point.place[axis] for axis in axes[2:]) in full]
 
 
-def _lines(grid: Grid, setting: str, axes: Sequence[Axis], measure: Measure) -> list[Line]:
+def _lines(grid: Grid, setting: Label, axes: Sequence[Axis], measure: Measure) -> list[Line]:
     """Lines along the first axis, one for each value of the second, or for each setting."""
     parts: list[tuple[str, Iterable[Point]]] = [(name, grid.points[name]) for name in grid.settings[:MOST_LINES]]
     if len(axes) > 1:
