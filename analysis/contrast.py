@@ -63,6 +63,8 @@ class Statistic:
         What it is called in a sentence, a noun phrase without article; empty: its name.
     definition : str
         What it is; empty if the title says it.
+    things : str
+        As of `Quantity`.
     """
 
     name: str
@@ -72,13 +74,14 @@ class Statistic:
     most: float | None = None
     title: str = ""
     definition: str = ""
+    things: str = ""
     is_share: ClassVar[bool] = False
 
     @property
     def quantity(self) -> Quantity:
         """What a finding about it calls it."""
         form = Form.SHARE if self.is_share else Form.NUMBER
-        return Quantity(self.name, self.title or self.name, form, definition=self.definition)
+        return Quantity(self.name, self.title or self.name, form, definition=self.definition, things=self.things)
 
     def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
         """Its value on some units, with an interval over these."""

@@ -39,6 +39,7 @@ TITLES: Mapping[str, str] = {
     "gamma": "decay rate of cascade sizes",
     "correlation_time": "correlation time",
 }
+THINGS: Mapping[str, str] = {"mean": "sticking blocks", "rate": "slip onsets"}  # which some of them count
 #: Reasons, beside the outcomes of runs.
 NO_VALUE, NO_EPISODE, STILL = "its record gives none", "no episode", "not in motion"
 NOT_REACHED = "fewer than half of the runs have it"
@@ -128,13 +129,15 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
         least = None
     by_label = {group.label: group for group in by_study[0]}
     beyond = "from each point's own least magnitude on" if least is None else f"from M = {least:.2f} on"
-    for name, quantity, key, title, definition in (
-        (RATE, RATE, "episode_rate", "", "per unit of time"),
-        (MEAN_SIZE, SIZE, "episode_size", "", "in blocks that slip"),
-        (B, B_VALUE, "episode_b", "b-value of the episodes", f"by Aki {beyond}"),
+    for name, quantity, key, title, things, definition in (
+        (RATE, RATE, "episode_rate", "", "episodes", "per unit of time"),
+        (MEAN_SIZE, SIZE, "episode_size", "", "", "in blocks that slip"),
+        (B, B_VALUE, "episode_b", "b-value of the episodes", "", f"by Aki {beyond}"),
     ):
         of = partial(_episodes, by_label, quantity, least, beyond, study.settings.confidence)
-        statistic = Statistic(name, QUANTITIES[quantity].of, least=0.0, title=title, definition=definition)
+        statistic = Statistic(
+            name, QUANTITIES[quantity].of, least=0.0, title=title, definition=definition, things=things
+        )
         yield Measure(statistic, key, of)
 
 
@@ -338,7 +341,14 @@ def of_windows(study: Study, keys: Collection[str] = tuple(OF_N_STICK)) -> list[
     """The quantities of n_stick, with the margins that the scene declares, over all runs in motion."""
     return [
         Measure(
-            Statistic(quantity.label, quantity.of, study.margins.get(key), least=0.0, title=TITLES[key]),
+            Statistic(
+                quantity.label,
+                quantity.of,
+                study.margins.get(key),
+                least=0.0,
+                title=TITLES[key],
+                things=THINGS.get(key, ""),
+            ),
             key,
             partial(_window_sums, key),
         )

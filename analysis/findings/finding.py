@@ -21,6 +21,7 @@ class Form(Enum):
     NUMBER = "number"
     COUNT = "count"  #: a whole number
     SHARE = "share"  #: in per cent
+    POINTS = "points"  #: a difference of shares, in percentage points
 
 
 class Scale(StrEnum):
@@ -45,6 +46,8 @@ class Quantity:
         What it is beside something smaller, and beside something larger: "longer", "shorter".
     definition : str
         What it is, in a sentence; empty where the name says it.
+    things : str
+        What it is a rate or a mean number of: "slip onsets"; empty of any other.
     clause : str
         How its level is said where that is no noun and number, with {} for the estimate or, where a difference is
         shown, for the comparison: "small differences grow e-fold in {} time units".
@@ -57,6 +60,7 @@ class Quantity:
     less: str = "below"
     definition: str = ""
     clause: str = ""
+    things: str = ""
 
 
 class Verdict(StrEnum):
@@ -264,6 +268,8 @@ class Law:
         How far the data are from the law.
     nearly : str
         The predicate of what is `Fit.CLOSE`; by default "nearly", and the predicate.
+    called : str
+        What the parameter is called beside the subject; by default the name of its quantity.
     p_value : float, optional
         Of data that follow the law.
     """
@@ -274,6 +280,7 @@ class Law:
     fit: Fit = Fit.HOLDS
     departure: Level | None = None
     nearly: str = ""
+    called: str = ""
     p_value: float | None = None
 
 

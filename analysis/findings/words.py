@@ -30,7 +30,7 @@ from stickslip.analysis.findings.finding import (
     Threshold,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import decimals, is_exact, limit, number, signs, span, with_interval
+from stickslip.analysis.findings.numbers import bare, decimals, is_exact, limit, number, signs, span, with_interval
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.stats.estimates import Estimate
 
@@ -112,9 +112,8 @@ def _share(share: Share) -> str:
         return said + _compared(share.comparison)
     difference, other = share.comparison.difference, share.comparison.other
     value = difference.estimate.value
-    form = _form(difference, Form.SHARE)
+    form = form_of(difference, Form.SHARE)
     apart = "" if value is None else f"{number(value, form, decimals(difference.estimate, form), sign=True)}, "
-    apart = apart.replace("%", "") if difference.scale is Scale.ABSOLUTE else apart
     return f"{said}, consistent with {other} (difference {apart}{interval(difference, Form.SHARE)})"
 
 
@@ -205,7 +204,8 @@ def size(difference: Difference, form: Form = Form.NUMBER) -> str:
     value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
     if value is not None and value < 0:
         value, low, high = -value, None if high is None else -high, None if low is None else -low
-    return _in_points(with_interval(Estimate(value, low, high), _form(difference, form)), difference, form)
+    unit = form_of(difference, form)
+    return with_interval(Estimate(value, low, high), unit) + _AFTER[unit]
 
 
 def interval(difference: Difference, form: Form = Form.NUMBER) -> str:
@@ -213,25 +213,30 @@ def interval(difference: Difference, form: Form = Form.NUMBER) -> str:
     low, high = difference.estimate.low, difference.estimate.high
     assert low is not None
     assert high is not None
-    return _in_points(span(low, high, _form(difference, form), sign=True), difference, form)
+    unit = form_of(difference, form)
+    return span(low, high, unit, sign=True) + _AFTER[unit]
 
 
 def margin(difference: Difference, form: Form = Form.NUMBER) -> str:
     """The margin of a difference."""
     assert difference.margin is not None
-    if _form(difference, form) is Form.SHARE:
-        return _in_points(f"{100 * difference.margin:g}%", difference, form)
+    match form_of(difference, form):
+        case Form.SHARE:
+            return f"{100 * difference.margin:g}%"
+        case Form.POINTS:
+            return f"{100 * difference.margin:g}{_AFTER[Form.POINTS]}"
     return f"{difference.margin:g}"
 
 
-def _form(difference: Difference, form: Form) -> Form:
-    return Form.SHARE if difference.scale is Scale.RELATIVE else form
+#: What follows a number and its interval.
+_AFTER = dict.fromkeys(Form, "") | {Form.POINTS: " percentage points"}
 
 
-def _in_points(text: str, difference: Difference, form: Form) -> str:
-    """A difference of two shares, in which per cent are percentage points."""
-    is_of_shares = difference.scale is Scale.ABSOLUTE and form is Form.SHARE
-    return text.replace("%", "") + " percentage points" if is_of_shares else text
+def form_of(difference: Difference, form: Form) -> Form:
+    """How a difference of a quantity is written: relative to another in per cent, of shares in percentage points."""
+    if difference.scale is Scale.RELATIVE:
+        return Form.SHARE
+    return Form.POINTS if form is Form.SHARE else form
 
 
 def _n_tests(difference: Difference) -> str:
@@ -277,10 +282,8 @@ def _open(change: Change) -> str:
     levels = f"stays at {after}" if before == after else f"goes from {before} to {after}"
     value = difference.estimate.value
     assert value is not None
-    unit = _form(difference, form)
-    text = number(value, unit, decimals(difference.estimate, unit), sign=True).removesuffix("%")
-    if text.strip("0.+") == "":
-        text = text.lstrip("+")
+    unit = form_of(difference, form)
+    text = bare(value, unit, decimals(difference.estimate, unit), sign=True)
     return f"{levels} (change {text}, {interval(difference, form)}"
 
 
@@ -338,8 +341,8 @@ def _lifetime(lifetime: Lifetime) -> str:
 def _law(law: Law) -> str:
     level = law.parameter
     quantity = level.quantity
-    name = quantity.name.removesuffix(f" of {law.subject}")
-    parameter = f"a {name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
+    name, value = law.called or quantity.name, with_interval(level.estimate, quantity.form)
+    parameter = f"a {name} of {value}{_compared(level.comparison, quantity)}"
     match law.fit:
         case Fit.HOLDS:
             return f"{level.where.head}{law.subject} {law.predicate}, with {parameter}"
@@ -399,23 +402,14 @@ def _larger(level: Level, other: str) -> str:
     """A difference that is shown as an object: "31% (20 to 41%) fewer slip onsets than exact"; else empty."""
     if level.comparison is None or level.comparison.difference.verdict not in (Verdict.MORE, Verdict.LESS):
         return ""
-    difference, name, things = level.comparison.difference, level.quantity.name, _things(level.quantity)
+    difference, name, things = level.comparison.difference, level.quantity.name, level.quantity.things
     is_more = difference.verdict is Verdict.MORE
     if (times := ratio(difference)) is not None:
         return f"{times} times as many {things} as {other}" if things else f"{times} times the {name} of {other}"
     by = size(difference, level.quantity.form)
     if things and difference.scale is Scale.RELATIVE:
         return f"{by} {'more' if is_more else 'fewer'} {things} than {other}"
-    side = "higher" if is_more else "lower"
-    if difference.scale is Scale.RELATIVE:
-        return f"{'an' if by.startswith('8') or by[:2] in ('11', '18') else 'a'} {by} {side} {name} than {other}"
-    return f"a {name} {by} {side} than {other}"
-
-
-def _things(quantity: Quantity) -> str:
-    """What a quantity is a rate or a mean number of; empty of any other."""
-    heads = [head for head in ("rate of ", "mean number of ") if quantity.name.startswith(head)]
-    return quantity.name.removeprefix(heads[0]) if heads else ""
+    return f"a {name} {by} {'higher' if is_more else 'lower'} than {other}"
 
 
 def _most_apart(level: Level) -> str:
@@ -433,7 +427,7 @@ def _most_apart(level: Level) -> str:
     is_one_of_many = difference.verdict is Verdict.OPEN_AMONG_MANY
     n = f", not significant among {_n_tests(difference)}" if is_one_of_many else ""
     if difference.scale is Scale.RELATIVE:
-        return f": {_things(level.quantity) or name} {_signed(difference, form)}{n}"
+        return f": {level.quantity.things or name} {_signed(difference, form)}{n}"
     places = 0 if form is Form.SHARE else decimals(Estimate(max(abs(after), abs(after - value))), form)
     ends = f"{name} {number(after, form, places)} against {number(after - value, form, places)}"
     if difference.verdict is Verdict.UNJUDGED:
@@ -443,7 +437,8 @@ def _most_apart(level: Level) -> str:
 
 def _signed(difference: Difference, form: Form) -> str:
     """A difference with its sign and interval."""
-    return _in_points(with_interval(difference.estimate, _form(difference, form), sign=True), difference, form)
+    unit = form_of(difference, form)
+    return with_interval(difference.estimate, unit, sign=True) + _AFTER[unit]
 
 
 def _regime(regime: Regime, things: str, is_first: bool) -> str:

@@ -365,7 +365,7 @@ def test_a_setting_whose_rate_drifts_has_no_law(planted_episodes, settings):
     is_out = is_early & table["member_id"].str.endswith("-0.2") & (np.arange(len(table)) % 2 == 0)
     answer = asked(replace(data, episodes=table[~is_out]), settings)
     (alert,) = (alert for alert in answer.alerts if alert.code is Code.DRIFT)
-    assert dict(alert.numbers)["what"] == "The rate of episodes (belt_speed = -0.2)"
+    assert dict(alert.numbers)["where"] == " (belt_speed = -0.2)"
     assert len({*answer.tables["episode_laws"]["group"]}) == 1
     assert len(of_kind(answer, Law)) == 1
 
@@ -435,7 +435,7 @@ def test_what_changes_with_the_number_of_blocks_has_a_verdict(planted_episodes, 
         (episodes.WORDS[SIZE], Verdict.MORE),
         (episodes.BY_TRAVEL, Verdict.LESS),
     ]
-    assert {(change.key, change.first, change.second) for change in changes} == {("n", "100", "200")}
+    assert {change.keys for change in changes} == {(("n", "100", "200"),)}
     relative = [change.difference.estimate.value for change in changes]
     assert relative == pytest.approx([1.0, -0.5], abs=0.1)
     alike, _ = of_kind(asked(replace(data, episodes=data.episodes.assign(size=2)), settings), Change)

@@ -109,7 +109,7 @@ def test_a_grid_tells_which_key_it_is(swept, settings):
     assert found["kappa"].difference == pytest.approx(20)
     assert found["friction"].difference == pytest.approx(16)
     assert {row.n_first for row in found.values()} == {8}, "a unit counts once, whatever the grid"
-    assert [(one.key, one.difference.verdict) for one in answer.findings[: answer.n_lead]] == [
+    assert [(one.keys[0].key, one.difference.verdict) for one in answer.findings[: answer.n_lead]] == [
         ("kappa", Verdict.MORE), ("friction", Verdict.MORE), ("belt_speed", Verdict.SAME),
     ]  # fmt: skip
     assert len(answer.tables["sweep_measures"].query("measure == 'share in motion'")) == 30
@@ -234,7 +234,7 @@ def test_parameters_of_a_function_are_swept(swept, settings):
 
 def test_nothing_swept_is_not_asked_and_too_few_is_said(planted, swept, settings):
     members, series = planted.ensemble({"coulomb": 0.7, "sigmoid": 0.7}, 5)
-    assert changes_of(Study(Data(members, series), settings)) is None
+    assert set(changes_of(Study(Data(members, series), settings)).tables["changes"]["kind"]) == {"law"}
     alone = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: 0, n_matrices=1)
     first = changes_of(Study(alone, settings)).findings[0]
     assert (first.difference.verdict, first.basis.n) == (Verdict.SAME, 1)

@@ -432,9 +432,9 @@ def _alerts(study: Study, ends: Sequence[Ends], spoken: Sequence[Ends], short: S
     if n_failed:
         alerts.append(Alert.of(Code.FAILED, n=n_failed, of=n_runs + n_failed))
     if drifting:
-        where = drifting[0] if len(drifting) == 1 else f"{len(drifting)} settings"
-        what = f"The number of sticking blocks at {where}"
-        alerts.append(Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn))
+        where = f" at {drifting[0]}" if len(drifting) == 1 else f" at {len(drifting)} settings"
+        what, t_burn = "The number of sticking blocks", study.settings.t_burn
+        alerts.append(Alert.of(Code.DRIFT, what=what, where=where, t_burn=t_burn))
     if n_open > MOST_OPEN * n_settled:
         alerts.append(Alert.of(Code.UNDECIDED, n=n_open, of=n_settled))
     if total[QUIET]:

@@ -273,9 +273,8 @@ def _drift(study: Study) -> Alert:
     """That n_stick drifts in some groups."""
     level = study.settings.confidence
     drifting = [group.label for group in study.groups if group.basis(level).code == enough.DRIFTS]
-    where = f"at {drifting[0]}" if len(drifting) == 1 else f"at {len(drifting)} settings"
-    what = f"The number of sticking blocks {where}"
-    return Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn)
+    where = f" at {drifting[0]}" if len(drifting) == 1 else f" at {len(drifting)} settings"
+    return Alert.of(Code.DRIFT, what="The number of sticking blocks", where=where, t_burn=study.settings.t_burn)
 
 
 def _engine(sums: Sums) -> list[object]:
@@ -337,7 +336,8 @@ def _findings(study: Study, sums: Sums, where: Place) -> tuple[list[Finding], li
         if null != SHIFTED or sums.is_shifted
     )
     fit = fit_of(departure, gain(sums, level))
-    law = Law("cascade sizes", "fall off exponentially", rate, fit, departure, "do not quite fall off exponentially")
+    law = Law("cascade sizes", "fall off exponentially", rate, fit, departure, "do not quite fall off exponentially",
+              called="decay rate")  # fmt: skip
     better = _better(sums, where, rate.basis, level) if fit is Fit.CLOSE else []
     left = [] if COUNTING in study.settings.question else _of_shifted(sums, rate, level)
     return [law, departure, *left], [*better, *others, *more]

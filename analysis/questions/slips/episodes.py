@@ -107,7 +107,7 @@ PREDICATES: Mapping[str, str] = {
 }  # fmt: skip
 #: What is said of each group, in this order.
 WORDS: Mapping[str, Quantity] = {
-    RATE: Quantity("rate", "rate of episodes"),
+    RATE: Quantity("rate", "rate of episodes", things="episodes"),
     SIZE: Quantity("size", "mean size of episodes"),
     DURATION: Quantity("duration", "mean duration of episodes", more="longer than", less="shorter than"),
     QUIET: Quantity("cv", "coefficient of variation of quiet times"),
@@ -399,8 +399,8 @@ def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Cat
     alerts = []
     drifting = [group for group in groups if group.row["basis"] == enough.DRIFTS]
     if drifting:
-        what = f"The rate of episodes ({', '.join(str(group.row['method']) for group in drifting[:2])})"
-        alerts.append(Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn))
+        where, t_burn = f" ({', '.join(str(group.row['method']) for group in drifting[:2])})", study.settings.t_burn
+        alerts.append(Alert.of(Code.DRIFT, what="The rate of episodes", where=where, t_burn=t_burn))
     fast = max(references or groups, key=lambda group: group.row[OCCUPANCY] or 0.0).row
     if (fast[OCCUPANCY] or 0.0) > SLOW:
         slower = _slower(fast)
