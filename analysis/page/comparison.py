@@ -11,7 +11,7 @@ from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.finding import Alike, Decided, Form, Quantity, Truth
 from stickslip.analysis.findings.place import Place
-from stickslip.analysis.findings.words import capital, plural
+from stickslip.analysis.findings.words import capital, listed, plural
 from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import ENDS, KEYS, Measure, measures, of_windows
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
@@ -166,14 +166,17 @@ def _lost(dataset: str, groups: Sequence[Group], k: int, matches: Sequence[Match
 
 
 def _of_matches(matches: Sequence[Match], unit: str) -> Iterator[str]:
-    """What is compared with what."""
+    """What is compared with what, settings that are compared alike together."""
+    by_sentence: dict[str, list[str]] = {}
     for first, second, is_paired in matches:
         how = f"Each {unit} is compared with itself" if is_paired else "The systems are drawn independently"
-        differ = ", ".join(
+        differ = [
             f"{name} = {text(first.key[name])} against {text(second.key[name])}" for name in _differ(first, second)
-        )
-        where = f", {first.label}" * (len(matches) > 1)
-        yield f"{how}{where}{f'; another setting: {differ}' if differ else ''}."
+        ]
+        other = f"; another setting: {', '.join(differ)}" if differ else ""
+        by_sentence.setdefault(how + other, []).append(first.label)
+    for sentence, labels in by_sentence.items():
+        yield f"{sentence}{f' ({listed(labels)})' if len(by_sentence) > 1 else ''}."
 
 
 def _of_lost(lost: Sequence[Alone]) -> Iterator[str]:
