@@ -17,7 +17,8 @@ from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models.fates import FAILED, WATCHED, bounded_share
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
-from stickslip.pipeline.design.design import Axis, Row
+from stickslip.pipeline.design.design import Axis
+from stickslip.pipeline.design.design import Row as KeyValues
 from stickslip.pipeline.design.labels import Label, labels
 from stickslip.pipeline.design.values import Rank, ranks
 
@@ -33,7 +34,7 @@ class Point:
     """A group on the grid: its value on each axis, its runs by fate, and its values by measure."""
 
     group: Group
-    place: dict[Axis, Row]
+    place: dict[Axis, KeyValues]
     fates: dict[str, int]
     measured: dict[str, Values]
 
@@ -72,7 +73,7 @@ def axes_of(groups: Sequence[Group]) -> list[Axis]:
     return sorted(found, key=lambda axis: (-len(axis.rows), _PLACE.get(axis.keys[0], -1)))
 
 
-def place_of(axes: Sequence[Axis], group: Group) -> dict[Axis, Row]:
+def place_of(axes: Sequence[Axis], group: Group) -> dict[Axis, KeyValues]:
     """The row of a group on each axis."""
     swept = group.table.design.swept(group.point)
     return {axis: tuple(swept[key] for key in axis.keys) for axis in axes}
@@ -94,7 +95,7 @@ def estimate(statistic: Statistic, points: Iterable[Point], confidence: float) -
     return bounded_share(np.column_stack([moving, at_most - moving, n_runs]), confidence)
 
 
-def points_at(points: Iterable[Point], axis: Axis, value: Row) -> list[Point]:
+def points_at(points: Iterable[Point], axis: Axis, value: KeyValues) -> list[Point]:
     """The points at one value of an axis."""
     return [point for point in points if point.place[axis] == value]
 
@@ -138,6 +139,10 @@ class Grid:
         """The settings, the one with the most finished runs first: it leads."""
         lead = max(self.points, key=lambda name: sum(point.group.is_finished.sum() for point in self.points[name]))
         return sorted(self.points, key=lambda name: name != lead)
+
+    def along(self, measure: Measure, points: Sequence[Point], axis: Axis) -> list[Estimate]:
+        """A measure at each value of an axis, over those of some points that lie there."""
+        return [estimate(measure.statistic, points_at(points, axis, row), self.confidence) for row in axis.rows]
 
     def where(self, setting: Label) -> Place:
         """What tells a setting from the others."""

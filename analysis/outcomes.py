@@ -27,11 +27,12 @@ _LETTERS = 24  # of a line of a name
 MOST_ROWS = 36  # in one figure
 
 
-def outcomes(other: str, steps: Sequence[Step], unit: str, scope: str = "") -> list[Outcomes]:
+def outcomes(other: str, steps: Sequence[Step], unit: str, noun: str, scope: str = "") -> list[Outcomes]:
     """How settings come out beside a reference: those that differ, those that agree and the others, as far as any do.
 
     A setting differs if one of its statistics is shown to; else it is equal if all that have a margin, which the
-    scene declares, are within. Each finding has the largest difference of its settings.
+    scene declares, are within. Each finding has the largest difference of its settings. Where all are undecided they
+    are named by their noun: "any change".
     """
     settings: dict[Setting, list[Step]] = {}
     for step in steps:
@@ -45,7 +46,10 @@ def outcomes(other: str, steps: Sequence[Step], unit: str, scope: str = "") -> l
             (where,) = in_words({best.name: ""}, "")
             others = in_words(by_setting | {best.name: ""}, DIFFERENT) if name == DIFFERENT else ()
             level = replace(best, where=EVERYWHERE).level(other, unit)
-            alike_in_words = {name: in_words(by_setting, name)}
+            words = in_words(by_setting, name)
+            if name == UNDECIDED and len(alike) == len(steps) and len(words) > 1:
+                words = (f"any {noun}",)
+            alike_in_words = {name: words}
             findings.append(
                 Outcomes(other, **alike_in_words, largest=level, at_largest=where, others=others, scope=scope)
             )
@@ -99,12 +103,12 @@ def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
         start = end
 
 
-def forest(rows: Sequence[Step], what: str) -> dict[str, Picture]:
+def forest(rows: Sequence[Step], what: str, name: str = "contrasts") -> dict[str, Picture]:
     """The figure of differences in per cent with their intervals, by its name; none of fewer than two."""
     shown = [one for one in rows if in_per_cent(one.contrast) and one.contrast.difference.estimate.low is not None]
     bands = "; bands are declared margins" * any(one.contrast.has_margin for one in shown)
     picture = Picture(partial(differences, shown[:MOST_ROWS]), f"{what}, filled where one is shown{bands}.")
-    return {"contrasts": picture} if len(shown) > 1 else {}
+    return {name: picture} if len(shown) > 1 else {}
 
 
 def differences(rows: Sequence[Step]) -> Figure:

@@ -140,7 +140,7 @@ def _answer(first: str, second: str, steps: Sequence[Step], tables: Mapping[str,
     grouped = known
     if len({*map(outcome, by_setting.values())}) == 1:  # no setting to tell apart
         grouped = [replace(step, name=Setting(second)) for step in known]
-    lead, *others = outcomes(first, grouped, unit)
+    lead, *others = outcomes(first, grouped, unit, "setting")
     is_open = any(finding.undecided for finding in (lead, *others))
     truth = Truth.NO if lead.different else Truth.UNDECIDED if is_open else Truth.YES
     if truth is Truth.UNDECIDED and others:  # what is undecided is why

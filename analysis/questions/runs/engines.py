@@ -36,6 +36,12 @@ _EXPLAINED, _SMOOTH = 2.0, 0.03
 #: Nor is it known what smoothing explains for eps beyond this share of the belt's speed: at 0.3 of it the mean
 #: n_stick of 200 blocks was a third below the exact law's, at 0.1 a twentieth.
 _OF_BELT = 0.15 * (1 + 1e-9)
+#: What is set beside a reference, of each kind.
+_NOUNS: Mapping[Kind, str] = {
+    Kind.LAW: "other method",
+    Kind.TOLERANCE: "looser tolerance",
+    Kind.THRESHOLD: "other threshold",
+}
 _BY_THRESHOLD = ("mean", "rate", "gamma")
 _METHOD = (
     "Each system is compared with itself. A setting agrees if each statistic with a margin that the scene declares is"
@@ -72,16 +78,16 @@ def part(study: Study) -> Part | None:
     known = [(pair, step) for pair, step in zip(pairs, steps, strict=True) if step.contrast.is_known]
     unit, scope = noun(study.unit), ""
     if study.data.episodes is not None:
-        scope = "the number of sticking blocks and slip onsets"
+        scope = "sticking blocks and slip onsets"
     lead, levels, drawn = list[Finding](), list[Finding](), list[Step]()
-    for kind in (Kind.LAW, Kind.TOLERANCE, Kind.THRESHOLD):
+    for kind in _NOUNS:
         by_other: dict[str, list[Step]] = {}
         for pair, step in known:
             if pair.kind is kind:
                 by_other.setdefault(_other(pair, study.groups), []).append(step)
         for other, beside in by_other.items():
             beside.sort(key=lambda step: (step.name.name, step.name.symbol, step.name.value or 0.0))
-            lead += outcomes(other, beside, unit, scope)
+            lead += outcomes(other, beside, unit, _NOUNS[kind], scope)
             beside.sort(key=lambda step: not step.contrast.is_shown)
             levels += [step.level(other, unit) for step in beside]
             drawn = drawn or beside

@@ -7,13 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
 
-from stickslip.analysis.answer import Picture
 from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Finding, Form, KeyChange, Level, Quantity, Share
@@ -22,7 +19,7 @@ from stickslip.analysis.measures import TITLES, of_windows
 from stickslip.analysis.members import noun
 from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, median
 from stickslip.analysis.models.motion import COLUMNS
-from stickslip.analysis.outcomes import outcomes
+from stickslip.analysis.outcomes import forest, outcomes
 from stickslip.analysis.pairs import START, Comparison, Setting, follow, level, settings
 from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.compare import share_over_matrices
@@ -30,7 +27,6 @@ from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.analysis.steps import Kind, Part, Step, few, judged_together
 from stickslip.analysis.steps import Setting as Named
-from stickslip.analysis.style import GREY, SMOOTHED, panel
 from stickslip.pipeline.design import design
 from stickslip.pipeline.design.design import DEFAULT_READING, Change
 from stickslip.pipeline.design.labels import Label
@@ -57,19 +53,15 @@ def part(study: Study) -> Part | None:
         known = [step for step in steps if step.setting == copies.label and step.contrast.is_known]
         effects = list(_effects(study, copies, where[copies.label], unit))
         if judged := [step for step in known if not step.contrast.reason]:
-            lead += outcomes("no change", judged, unit)
+            lead += outcomes("no change", judged, unit, "change")
             lead += [effect for quantity, effect in effects if quantity == PRIMARY[0]][-1:]
         rest += [step.level("the unchanged system", unit) for step in known]
         rest += [effect for _, effect in effects]
         rest += _between(study, copies, where[copies.label], unit)
     for copies in every:
         lead += _ends(study, copies, where[copies.label], unit)
-    points = every[0].points()
-    figures = {}
-    if any(len(means) for _, _, means in points):
-        starts = ", beside other starts of the same system (open)" if every[0].replicates else ""
-        caption = f"How far changed systems lie from the line of no change{starts}: one mark a system."
-        figures["robustness"] = Picture(partial(against_base, points), caption)
+    drawn = [step for step in steps if step.contrast.is_known]
+    figures = forest(drawn, "Differences from the unchanged systems", "robustness")
     lack = few("the effect of a changed system", len(every[0].sums))
     return Part(lack, steps, lead, rest, figures=figures, method=_METHOD)
 
@@ -125,15 +117,6 @@ class _Copies:
         k = PRIMARY.index(quantity)
         means = [np.mean([self.sums[row][k] for row in of_unit], axis=0) for of_unit in rows]
         return UnitSums(np.arange(len(means)), np.array(means).reshape(-1, 2))
-
-    def points(self) -> list[tuple[str, bool, np.ndarray]]:
-        """Name of each replicate and change, whether it is a change, and the mean n_stick of base and copy."""
-        points = []
-        for comparison in (*self.replicates, *self.changes):
-            rows = [[pair.base, pair.changed] for pair in comparison.pairs]
-            means = self.values(PRIMARY[0], [pair for pair in rows if self.sums.keys() >= {*pair}])
-            points.append((str(comparison.change), comparison.change.kind != START, means.reshape(-1, 2)))
-        return points
 
 
 def _replicates(study: Study, setting: Setting) -> list[Comparison]:
@@ -256,24 +239,3 @@ def _ends(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Fi
             shift = median(means, np.full(len(means), True), confidence)
             shift = replace(shift, value=float(np.median(means)))  # the mean of the two middle ones
             yield Level(Quantity("shift", "median shift of the last event"), shift, at, None, Basis(len(means), unit))
-
-
-@panel(3.4)
-def against_base(ax: Axes, points: Sequence[tuple[str, bool, np.ndarray]]) -> None:
-    """Mean n_stick of each copy against that of its base, one point a matrix; replicates open, changes filled.
-
-    Points are (name, whether it is a change, means of shape (G, 2)).
-    """
-    both = np.concatenate([means.ravel() for _, _, means in points])
-    margin = 0.05 * (both.max() - both.min())
-    ends = (both.min() - margin, both.max() + margin)
-    ax.plot(ends, ends, "--", color=GREY, linewidth=0.9)
-    marks = {True: iter("s^Dv"), False: iter("ophP")}
-    colours = {True: iter(("#f0a860", SMOOTHED, "#8c2d04")), False: iter(("#2171b5", "#6baed6", "#9ecae1"))}
-    for name, is_change, means in points:
-        colour = next(colours[is_change], GREY)
-        form: Any = {"marker": next(marks[is_change], "x"), "markersize": 4, "color": colour, "linestyle": ""}
-        ax.plot(means[:, 0], means[:, 1], markerfacecolor=colour if is_change else "white", label=name, **form)
-    ax.set(xlim=ends, ylim=ends, aspect="equal", xlabel="mean number of sticking blocks, unchanged")
-    ax.set_ylabel("mean number of sticking blocks, changed")
-    ax.figure.legend(loc="outside lower center", ncols=2, handletextpad=0.2)

@@ -31,7 +31,8 @@ from stickslip.analysis.rows import Columns, frame_by
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.analysis.steps import Kind, Part, Step, few, judged_together
-from stickslip.pipeline.design.design import Axis, Row, in_words
+from stickslip.pipeline.design.design import Axis, in_words
+from stickslip.pipeline.design.design import Row as KeyValues
 from stickslip.pipeline.design.labels import Label
 from stickslip.pipeline.design.values import Ratio
 
@@ -50,7 +51,7 @@ class KeyStep(Step):
     """A statistic at a value of an axis beside the first value, `base`; `is_last` if that is the last value."""
 
     axis: Axis
-    base: Row
+    base: KeyValues
     is_last: bool
 
 
@@ -123,7 +124,7 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
             yield KeyStep(Kind.KEY, setting, "", found, keys, where, axis=axis, base=base, is_last=is_last)
 
 
-def _known_at(name: str, points: Sequence[Point], axis: Axis) -> Sequence[Row]:
+def _known_at(name: str, points: Sequence[Point], axis: Axis) -> Sequence[KeyValues]:
     """The values of an axis at which enough units have a measure, or all if they are fewer than two."""
     known = []
     for value in axis.rows:
@@ -133,7 +134,7 @@ def _known_at(name: str, points: Sequence[Point], axis: Axis) -> Sequence[Row]:
     return known if len(known) > 1 else axis.rows
 
 
-def _values(row: Row) -> list[str]:
+def _values(row: KeyValues) -> list[str]:
     """The values of an axis in a sentence: of a ratio, how many times what."""
     return [
         f"{in_words((value.factor,))} times {value.of}" if isinstance(value, Ratio) else in_words((value,))
@@ -283,7 +284,7 @@ def _rest(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str)
 def _thresholds(grid: Grid, setting: Label, unit: str) -> Iterator[Threshold]:
     """Between which values of the first key all runs cease to be in motion, or begin to, wherever the others are."""
     axis, *others = grid.axes
-    by_place: dict[tuple[Row, ...], list[Point]] = {}
+    by_place: dict[tuple[KeyValues, ...], list[Point]] = {}
     for point in grid.points[setting]:
         by_place.setdefault(tuple(point.place[other] for other in others), []).append(point)
     for place, points in by_place.items():

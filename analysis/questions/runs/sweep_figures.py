@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from functools import partial
 from itertools import count
 
@@ -16,14 +17,14 @@ from stickslip.analysis.answer import Picture
 from stickslip.analysis.findings.finding import Verdict
 from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.words import capital
-from stickslip.analysis.grid import MOST_SETTINGS, Grid, Point, estimate, points_at
+from stickslip.analysis.grid import MOST_SETTINGS, Grid, Point, points_at
 from stickslip.analysis.measures import IN_MOTION, KEYS, MOTION, Measure
 from stickslip.analysis.models.fates import MOVING
 from stickslip.analysis.questions.runs.fate_figures import FATES, shares
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.steps import Step
 from stickslip.analysis.style import EXACT, GREY, panel
-from stickslip.pipeline.design.design import Axis, Row, in_words
+from stickslip.pipeline.design.design import Axis, in_words
 from stickslip.pipeline.design.labels import Label
 
 MOST_LINES = 6  # in one figure
@@ -82,11 +83,12 @@ def _of_setting(
             caption = f"{capital(title)} {trend} {axis.name}{at}. Bars are {100 * grid.confidence:g}% intervals."
             pictures[f"sweep_{key}" if name in KEYS else f"sweep_of_{key}"] = Picture(recipe, caption)
     first = MOTION if order[0] == IN_MOTION else by_name[order[0]]
-    if len(axes) > 1 and (cells := _cells(grid, points, axes, first)):
-        across, up = ((axis.name, axis.texts) for axis in axes[:2])
-        title = first.statistic.quantity.name
-        recipe = partial(heat_map, title, across, up, cells, may_be_log)
-        pictures["sweep_map"] = Picture(recipe, f"{capital(title)} over {axis.name} and {axes[1].name}{at}.")
+    if len(axes) > 1:
+        up, throughout, title = axes[1], _throughout(first.name, points, axes), first.statistic.quantity.name
+        cells = [[one.value for one in grid.along(first, points_at(throughout, up, row), axis)] for row in up.rows]
+        if any(value is not None for row in cells for value in row):
+            recipe = partial(heat_map, title, (axis.name, axis.texts), (up.name, up.texts), cells, may_be_log)
+            pictures["sweep_map"] = Picture(recipe, f"{capital(title)} over {axis.name} and {up.name}{at}.")
     return pictures
 
 
@@ -99,102 +101,69 @@ def _trend(steps: Sequence[Step]) -> str:
 
 
 def _throughout(name: str, points: Sequence[Point], axes: Sequence[Axis]) -> list[Point]:
-    """Points at those values of the axes from the third on that have a measure wherever any have it.
+    """Points at those values of the axes from the third on at which most points have a measure.
 
-    If there are none, at those that have it at most points: averages over some here and others there would differ
-    by what these are like.
+    Averages over some values here and others there would differ by what these are like.
     """
-    known: dict[tuple[Row, ...], set[tuple[Row, ...]]] = {}
-    for point in points:
-        if len(point.sums(name)):
-            place = tuple(point.place[axis] for axis in axes)
-            known.setdefault(place[2:], set()).add(place[:2])
-    if not known:
-        return [*points]
-    every = set().union(*known.values())
-    full = {rest for rest, places in known.items() if places == every}
-    full = full or {max(known, key=lambda rest: len(known[rest]))}
-    return [point for point in points if tuple(point.place[axis] for axis in axes[2:]) in full]
+    rest = [tuple(point.place[axis] for axis in axes[2:]) for point in points]
+    n_known = Counter(place for place, point in zip(rest, points, strict=True) if len(point.sums(name)))
+    most = max(n_known.values(), default=0)
+    return [point for place, point in zip(rest, points, strict=True) if n_known[place] == most]
 
 
 def _lines(grid: Grid, setting: Label, axes: Sequence[Axis], measure: Measure) -> list[Line]:
     """Lines along the first axis, one for each value of the second, or for each setting."""
-    parts: list[tuple[str, Iterable[Point]]] = [(name, grid.points[name]) for name in grid.settings[:MOST_LINES]]
+    parts: list[tuple[str, list[Point]]] = [(name, grid.points[name]) for name in grid.settings[:MOST_LINES]]
     if len(axes) > 1:
         along, points = axes[1], _throughout(measure.name, grid.points[setting], axes)
         n_lines = min(len(along.rows), MOST_LINES)
         rows = [along.rows[k] for k in np.linspace(0, len(along.rows) - 1, n_lines).round().astype(int)]
         parts = [(f"{along.name} = {in_words(row)}", points_at(points, along, row)) for row in rows]
-    return [
-        (
-            name,
-            [estimate(measure.statistic, points_at(points, axes[0], row), grid.confidence) for row in axes[0].rows],
-        )
-        for name, points in parts
-    ]
-
-
-def _cells(grid: Grid, points: Sequence[Point], axes: Sequence[Axis], measure: Measure) -> list[list[float | None]]:
-    """A measure over the first two axes, a row for each value of the second; empty if there is no value."""
-    across, up, throughout = axes[0], axes[1], _throughout(measure.name, points, axes)
-    cells = [
-        [
-            estimate(measure.statistic, points_at(points_at(throughout, up, y), across, x), grid.confidence).value
-            for x in across.rows
-        ]
-        for y in up.rows
-    ]
-    return cells if any(value is not None for row in cells for value in row) else []
+    return [(name, grid.along(measure, points, axes[0])) for name, points in parts]
 
 
 @panel()
 def curves(
-    ax: Axes, what: str, key: str, x: Sequence[float] | None, ticks: Sequence[str],
-    lines: Sequence[Line], may_be_log: bool = False,
-) -> None:  # fmt: skip
+    ax: Axes,
+    what: str,
+    key: str,
+    x: Sequence[float] | None,
+    ticks: Sequence[str],
+    lines: Sequence[Line],
+    may_be_log: bool = False,
+) -> None:
     """A statistic against a key, with intervals, one line for each value of another key.
 
     `x` is None if the key's values are not numbers, and they are then evenly spaced. An axis whose values span
-    decades is logarithmic, if it may be.
+    decades is logarithmic, if it may be; below it a statistic is an open triangle at its end.
     """
-    at = np.arange(len(ticks), dtype=float) if x is None else np.array(x)
-    is_log = may_be_log and x is not None and _spans_decades(at * np.sign(at[0]))
-    if is_log and at[0] < 0:  # such as the speed of a belt
-        at, key = -at, f"|{key}|"
-    values = np.array([estimate.value for _, line in lines for estimate in line if estimate.value is not None])
-    is_decades = may_be_log and _spans_decades(values)
-    floor = _floor(values) if is_decades else -np.inf
+    places = np.arange(len(ticks), dtype=float) if x is None else np.array(x)
+    is_log = may_be_log and x is not None and _spans_decades(places)
+    ends = np.array([[(e.value, e.low, e.high) for e in line] for _, line in lines], dtype=float)  # NaN: none
+    known = ends[..., 0][np.isfinite(ends[..., 0])]
+    is_decades = may_be_log and _spans_decades(known)
+    floor = known.max() / 10.0**MOST_DECADES if is_decades else -np.inf
     colours = [EXACT] if len(lines) == 1 else matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(lines)))
-    for k, (name, line) in enumerate(lines):
-        known = np.array([estimate.value is not None for estimate in line])
-        here, mark = at[known], f"{'os^Dv<'[k % 6]}-"
-        ends = np.array([(estimate.value, estimate.low, estimate.high) for estimate in line], dtype=float)[known]
-        value = ends[:, 0]  # an end is NaN where there is no interval
-        ax.errorbar(here, value, np.abs(ends[:, 1:] - value[:, None]).T, fmt=mark, markersize=3.5, linewidth=0.9,
-                    color=colours[k], label=signs(name))  # fmt: skip
-        if (value < floor).any():
-            ax.plot(here[value < floor], np.full((value < floor).sum(), floor), "v", color=colours[k], markersize=5,
-                    markerfacecolor="white")  # fmt: skip
+    for k, ((name, _), (value, low, high)) in enumerate(zip(lines, ends.transpose(0, 2, 1), strict=True)):
+        has = np.isfinite(value)
+        bars = np.abs([low - value, high - value])[:, has]
+        mark, colour = f"{'os^Dv<'[k % 6]}-", colours[k]
+        ax.errorbar(places[has], value[has], bars, fmt=mark, markersize=3.5, color=colour, label=signs(name))
+        below = has & (value < floor)
+        ax.plot(places[below], np.full(below.sum(), floor), "v", color=colour, markerfacecolor="white")
     if x is None:
-        ax.set_xticks(at, [*map(signs, ticks)])
+        ax.set_xticks(places, [*map(signs, ticks)])
     elif not is_log:
-        ax.xaxis.set_major_locator(FixedLocator(at.tolist()) if len(at) <= _FEW_TICKS else MaxNLocator(nbins=6))
-    margin = 0.05 * (at.max() - at.min())
-    ax.set(xlim=(at.min() - margin, at.max() + margin), xlabel=key, ylabel=what)
+        ax.xaxis.set_major_locator(FixedLocator(places.tolist()) if len(places) <= _FEW_TICKS else MaxNLocator(6))
+    margin = 0.05 * np.ptp(places)
+    ax.set(xlim=(places.min() - margin, places.max() + margin), xlabel=key, ylabel=what)
     if is_log:
-        ax.set(xscale="log", xlim=(at.min() / 1.2, 1.2 * at.max()))
+        ax.set(xscale="log", xlim=(places.min() / 1.2, 1.2 * places.max()))
     if is_decades:  # an interval that reaches zero goes down to the axis
         ax.set_yscale("log", nonpositive="clip")
-        ax.set_ylim(max(values.min(), floor) / 2, 2 * values.max())
-        if values.min() < floor:
-            ax.set_ylabel(f"{what} (open triangles: less)")
+        ax.set_ylim(max(known.min(), floor) / 2, 2 * known.max())
     if len(lines) > 1:
         ax.figure.legend(loc="outside upper center", ncols=min(len(lines), 3), handlelength=1.2)
-
-
-def _floor(values: np.ndarray) -> float:
-    """The least value that an axis reaches: what has decayed to the rounding of a run would take most of it."""
-    return float(values.max() / 10.0**MOST_DECADES)
 
 
 def _spans_decades(values: np.ndarray) -> bool:
@@ -212,24 +181,15 @@ def heat_map(
     may_be_log: bool = False,
 ) -> None:
     """A statistic at each point of a grid of two keys, one row for each value of `up`; grey where it has no value."""
-    shown = np.array(cells, dtype=float)
+    shown = np.ma.masked_invalid(np.array(cells, dtype=float))
+    known = shown.compressed()
+    is_log = may_be_log and len(known) > 0 and _spans_decades(known)
+    least = max(known.min(), known.max() / 10.0**MOST_DECADES) if is_log else None
+    norm = LogNorm(least, known.max(), clip=True) if is_log else None
     ax.set_facecolor("#d8d8d8")
-    known = shown[np.isfinite(shown)]
-    is_log = may_be_log and bool(len(known)) and _spans_decades(known)
-    norm = LogNorm(max(known.min(), _floor(known)), known.max(), clip=True) if is_log else None
-    image = ax.imshow(np.ma.masked_invalid(shown), cmap="viridis", aspect="auto", origin="lower", norm=norm)
-    if shown.size <= 80:
-        least, most = image.get_clim()
-        middle = np.sqrt(least * most) if is_log else 0.5 * (least + most)
-        for (row, column), value in np.ndenumerate(shown):
-            if np.isfinite(value):
-                colour = "white" if value < middle else "black"
-                ax.text(column, row, f"{value:.3g}", ha="center", va="center", fontsize=7, color=colour)
+    image = ax.imshow(shown, cmap="viridis", aspect="auto", origin="lower", norm=norm)
     steps = 1 + sum(len(text) + 2 for text in across[1]) // _LETTERS, 1 + len(up[1]) // _LINES
     for axis, (name, ticks), step in zip((ax.xaxis, ax.yaxis), (across, up), steps, strict=True):
         axis.set_label_text(name)
         axis.set_ticks(range(0, len(ticks), step), [*map(signs, ticks[::step])])
-    bar = ax.figure.colorbar(image, ax=ax, label=what)
-    if not is_log:
-        bar.ax.yaxis.set_major_locator(MaxNLocator(nbins=5))
-    bar.outline.set_edgecolor(GREY)
+    ax.figure.colorbar(image, ax=ax, label=what).outline.set_edgecolor(GREY)
