@@ -124,7 +124,7 @@ def judged_together(steps: Sequence[AnyStep], alpha: float) -> list[AnyStep]:
 
 
 @dataclass(frozen=True)
-class Part:
+class Section:
     """What one kind of change comes to.
 
     Attributes

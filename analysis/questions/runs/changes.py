@@ -18,30 +18,30 @@ def answer(study: Study) -> Answer | None:
 
     The first kind of change leads with up to three findings, each other with one.
     """
-    sources = (sweep.part, robustness.part, engines.part)
-    parts = [part for source in sources if (part := source(study)) is not None]
-    if not parts:
+    sources = (sweep.section, robustness.section, engines.section)
+    sections = [section for source in sources if (section := source(study)) is not None]
+    if not sections:
         return None
-    parts.sort(key=lambda part: not part.lead)
-    leading = [part for part in parts if part.lead]
+    sections.sort(key=lambda section: not section.lead)
+    leading = [section for section in sections if section.lead]
     lead: list[Finding] = []
-    for k, part in enumerate(leading):
-        lead += part.lead[: MOST_LEADING + 1 - len(leading) if k == 0 else 1]
-    rest = [finding for part in leading for finding in (*part.lead, *part.rest) if finding not in lead]
-    lacks = [part.lack for part in parts if not part.lead]
-    alerts = sorted((alert for part in parts for alert in part.alerts), key=lambda alert: alert.code.rank)
-    tables: dict[str, Table] = {"changes": table_of(step for part in parts for step in part.steps)}
+    for k, section in enumerate(leading):
+        lead += section.lead[: MOST_LEADING + 1 - len(leading) if k == 0 else 1]
+    below = [finding for section in leading for finding in (*section.lead, *section.rest) if finding not in lead]
+    lacks = [section.lack for section in sections if not section.lead]
+    alerts = sorted((alert for section in sections for alert in section.alerts), key=lambda alert: alert.code.rank)
+    tables: dict[str, Table] = {"changes": table_of(step for section in sections for step in section.steps)}
     figures: dict[str, Picture] = {}
-    for part in parts:
-        figures |= dict([*part.figures.items()][:1])
-    for part in parts:
-        tables |= part.tables
-        figures |= {name: picture for name, picture in part.figures.items() if name not in figures}
+    for section in sections:
+        figures |= dict([*section.figures.items()][:1])
+    for section in sections:
+        tables |= section.tables
+        figures |= {name: picture for name, picture in section.figures.items() if name not in figures}
     return Answer(
-        [*lead, *rest, *lacks],
+        [*lead, *below, *lacks],
         max(len(lead), 1),
         alerts[:MOST_ALERTS],
-        " ".join(part.method for part in leading if part.method),
+        " ".join(section.method for section in leading if section.method),
         tables=tables,
         figures=figures,
     )

@@ -26,7 +26,7 @@ from stickslip.analysis.members import ENGINE_KEYS, STEPS, SYSTEM_KEYS, TOLERANC
 from stickslip.analysis.outcomes import DIFFERENT, forest, in_words, outcomes
 from stickslip.analysis.stats.estimates import UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
-from stickslip.analysis.steps import Kind, Part, Setting, Step, few, judged_together
+from stickslip.analysis.steps import Kind, Section, Setting, Step, few, judged_together
 from stickslip.pipeline.design.labels import apart, engine_name
 from stickslip.pipeline.design.values import text
 
@@ -61,7 +61,7 @@ class _Pair:
     threshold: float | None = None
 
 
-def part(study: Study) -> Part | None:
+def section(study: Study) -> Section | None:
     """How each statistic depends on the engine and its settings; None where there is only one."""
     thresholds = _thresholds(study)
     labels = [group.name for group in study.groups]
@@ -93,7 +93,7 @@ def part(study: Study) -> Part | None:
             drawn = drawn or beside
     figures = forest(drawn, "Differences from the reference")
     lack = few("how far the engines differ", max(step.contrast.n_first for step in steps))
-    return Part(lack, steps, lead, levels, _suspects(known), figures, method=_METHOD)
+    return Section(lack, steps, lead, levels, _suspects(known), figures, method=_METHOD)
 
 
 def _steps(study: Study, pair: _Pair, where: Place, thresholds: _Thresholds) -> Iterator[Step]:

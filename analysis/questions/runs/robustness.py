@@ -25,7 +25,7 @@ from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
-from stickslip.analysis.steps import Kind, Part, Step, few, judged_together
+from stickslip.analysis.steps import Kind, Section, Step, few, judged_together
 from stickslip.analysis.steps import Setting as Named
 from stickslip.pipeline.design import design
 from stickslip.pipeline.design.design import DEFAULT_READING, Change
@@ -38,7 +38,7 @@ _METHOD = (
 )
 
 
-def part(study: Study) -> Part | None:
+def section(study: Study) -> Section | None:
     """Effect of each change of constants or of stiffness ratios, by itself and beside that of another system."""
     every = [copies for setting in settings(study.data.table) if (copies := _Copies.of(study, setting)).changes]
     if not every:
@@ -63,7 +63,7 @@ def part(study: Study) -> Part | None:
     drawn = [step for step in steps if step.contrast.is_known]
     figures = forest(drawn, "Differences from the unchanged systems", "robustness")
     lack = few("the effect of a changed system", len(every[0].sums))
-    return Part(lack, steps, lead, rest, figures=figures, method=_METHOD)
+    return Section(lack, steps, lead, rest, figures=figures, method=_METHOD)
 
 
 class _Set(NamedTuple):
@@ -131,7 +131,7 @@ def _replicates(study: Study, setting: Setting) -> list[Comparison]:
 
 def _sums(motion: np.ndarray) -> np.ndarray | None:
     """Sums of each of `PRIMARY`, shape (3, 2), from a row of `Motion.sums`; None where one of them has no value."""
-    rows = np.array([motion[[COLUMNS[part] for part in QUANTITIES[name].parts]] for name in PRIMARY])
+    rows = np.array([motion[[COLUMNS[section] for section in QUANTITIES[name].parts]] for name in PRIMARY])
     try:
         for name, row in zip(PRIMARY, rows, strict=True):
             QUANTITIES[name].of(row[None])

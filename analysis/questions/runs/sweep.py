@@ -30,7 +30,7 @@ from stickslip.analysis.questions.runs.sweep_figures import figures
 from stickslip.analysis.rows import Columns, frame_by
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
-from stickslip.analysis.steps import Kind, Part, Step, few, judged_together
+from stickslip.analysis.steps import Kind, Section, Step, few, judged_together
 from stickslip.pipeline.design.design import Axis, in_words
 from stickslip.pipeline.design.design import Row as KeyValues
 from stickslip.pipeline.design.labels import Label
@@ -55,20 +55,20 @@ class KeyStep(Step):
     is_last: bool
 
 
-def part(study: Study) -> Part | None:
+def section(study: Study) -> Section | None:
     """How statistics change with each swept key; None where no key is swept."""
     if not axes_of(study.groups):
         return None
     grid, unit = Grid.of(study), noun(study.unit)
     alone = [step for setting in grid.settings for step in _steps(grid, setting)]
     steps = judged_together(alone, 1 - grid.confidence)
-    known = [step for step in steps if step.contrast.is_known]
-    order = _order(grid, [step for step in known if step.setting == grid.settings[0]] or known)
-    lead = _lead(grid, order, known, unit)
-    rest = [finding for finding in _rest(grid, order, known, unit) if finding not in lead]
-    pictures = figures(grid, order, [*known]) if known else {}
+    judged = [step for step in steps if step.contrast.is_known]
+    order = _order(grid, [step for step in judged if step.setting == grid.settings[0]] or judged)
+    lead = _lead(grid, order, judged, unit)
+    rest = [finding for finding in _rest(grid, order, judged, unit) if finding not in lead]
+    pictures = figures(grid, order, [*judged]) if judged else {}
     tables = {"sweep_measures": _table(grid)}
-    return Part(_lack(grid, steps), steps, lead, rest, _alerts(grid), pictures, tables, _method(grid, steps, unit))
+    return Section(_lack(grid, steps), steps, lead, rest, _alerts(grid), pictures, tables, _method(grid, steps, unit))
 
 
 def _lack(grid: Grid, steps: Sequence[Step]) -> Lack:
@@ -105,33 +105,35 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
         base, *others = _known_at(measure.name, points, axis)
         for value in others:
             pairs = [
-                (by_place[before], point)
+                (by_place[reference], point)
                 for point in points_at(points, axis, value)
-                if (before := tuple((point.place | {axis: base}).values())) in by_place
+                if (reference := tuple((point.place | {axis: base}).values())) in by_place
             ]
             common = _in_common(measure.name, pairs)
             if measure is MOTION and not _differ(common):
                 continue
-            found = contrast(measure.statistic, common.first, common.second, True, grid.confidence, Scale.ABSOLUTE)
+            difference = contrast(
+                measure.statistic, common.first, common.second, True, grid.confidence, Scale.ABSOLUTE
+            )
             if measure is MOTION:
-                found = _either_way(found, common, _in_common(AT_MOST, pairs), grid.confidence)
+                difference = _either_way(difference, common, _in_common(AT_MOST, pairs), grid.confidence)
             elif _is_same(common, noise * _largest(measure.name, points)):
                 # no test: what is the same in each of a few units may differ in others
-                found = replace(found, is_same=True, p_different=None, p_equivalent=None)
+                difference = replace(difference, is_same=True, p_different=None, p_equivalent=None)
             keys = tuple(map(KeyChange, axis.keys, _values(base), _values(value)))
             where = grid.where(setting) + _places(axis, pairs, common.counted)
             is_last = value == others[-1]
-            yield KeyStep(Kind.KEY, setting, "", found, keys, where, axis=axis, base=base, is_last=is_last)
+            yield KeyStep(Kind.KEY, setting, "", difference, keys, where, axis=axis, base=base, is_last=is_last)
 
 
 def _known_at(name: str, points: Sequence[Point], axis: Axis) -> Sequence[KeyValues]:
     """The values of an axis at which enough units have a measure, or all if they are fewer than two."""
-    known = []
+    values = []
     for value in axis.rows:
         sums = UnitSums.together(point.sums(name) for point in points_at(points, axis, value))
         if len(sums) >= enough.LEAST_MATRICES:
-            known.append(value)
-    return known if len(known) > 1 else axis.rows
+            values.append(value)
+    return values if len(values) > 1 else axis.rows
 
 
 def _values(row: KeyValues) -> list[str]:
@@ -152,10 +154,10 @@ class _Common(NamedTuple):
 
 def _in_common(name: str, pairs: Sequence[tuple[Point, Point]]) -> _Common:
     """Of several pairs, all units count over the same ones, as far as that leaves enough."""
-    places = [k for k, (before, after) in enumerate(pairs) if before.group.unit == after.group.unit]
+    places = [k for k, (reference, changed) in enumerate(pairs) if reference.group.unit == changed.group.unit]
     both = [(pairs[k][0].sums(name), pairs[k][1].sums(name)) for k in places]
-    both = [(before.within(after), after.within(before)) for before, after in both]
-    rows, units = balanced([before for before, _ in both])
+    both = [(reference.within(changed), changed.within(reference)) for reference, changed in both]
+    rows, units = balanced([reference for reference, _ in both])
     first, second = (UnitSums.together(both[k][side].within(units) for k in rows) for side in (0, 1))
     return _Common(first, second, [places[k] for k in rows if len(both[k][0].within(units))])
 
@@ -172,8 +174,10 @@ def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], counted: Sequence[
 
 def _is_same(common: _Common, noise: float) -> bool:
     """Whether a statistic that is known is the same in each unit; not said of shares, which are of few runs."""
-    before, after = common.first.rows, common.second.rows
-    return len(before) > 0 and bool((np.abs(before[:, 0] / before[:, 1] - after[:, 0] / after[:, 1]) <= noise).all())
+    reference, changed = common.first.rows, common.second.rows
+    return len(reference) > 0 and bool(
+        (np.abs(reference[:, 0] / reference[:, 1] - changed[:, 0] / changed[:, 1]) <= noise).all()
+    )
 
 
 def _largest(name: str, points: Sequence[Point]) -> float:
@@ -188,19 +192,19 @@ def _differ(common: _Common) -> bool:
     return bool(0 < n_moving < n_runs)
 
 
-def _either_way(found: Contrast, moving: _Common, at_most: _Common, confidence: float) -> Contrast:
+def _either_way(difference: Contrast, moving: _Common, at_most: _Common, confidence: float) -> Contrast:
     """What holds of a contrast of shares in motion whatever quiet runs do: a weaker test and a wider interval."""
-    least = contrast(found.statistic, at_most.first, moving.second, True, confidence)
-    most = contrast(found.statistic, moving.first, at_most.second, True, confidence)
-    if found.p_different is None or least.p_different is None or most.p_different is None:
-        return found
+    least = contrast(difference.statistic, at_most.first, moving.second, True, confidence)
+    most = contrast(difference.statistic, moving.first, at_most.second, True, confidence)
+    if difference.p_different is None or least.p_different is None or most.p_different is None:
+        return difference
     is_open = (least.absolute.value or 0.0) <= 0.0 <= (most.absolute.value or 0.0)
     return replace(
-        found,
-        first=replace(found.first, high=least.first.high),
-        second=replace(found.second, high=most.second.high),
-        absolute=replace(found.absolute, low=least.absolute.low, high=most.absolute.high),
-        p_different=1.0 if is_open else max(found.p_different, least.p_different, most.p_different),
+        difference,
+        first=replace(difference.first, high=least.first.high),
+        second=replace(difference.second, high=most.second.high),
+        absolute=replace(difference.absolute, low=least.absolute.low, high=most.absolute.high),
+        p_different=1.0 if is_open else max(difference.p_different, least.p_different, most.p_different),
     )
 
 
@@ -271,8 +275,8 @@ def _rest(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str)
         for setting, axis in product(grid.settings, grid.axes) if name in order[:2] else ():
             along = [step for step in of_name if (step.setting, step.axis) == (setting, axis)]
             for step in along[:1]:
-                at = points_at(grid.points[setting], axis, step.base)
-                value = estimate(step.contrast.statistic, at, grid.confidence)
+                points = points_at(grid.points[setting], axis, step.base)
+                value = estimate(step.contrast.statistic, points, grid.confidence)
                 if value.value is not None:
                     where = Place.key(axis.name, in_words(step.base)) + grid.where(setting)
                     yield Level(step.contrast.statistic.quantity, value, where, basis=step.contrast.basis(unit))
@@ -295,11 +299,11 @@ def _thresholds(grid: Grid, setting: Label, unit: str) -> Iterator[Threshold]:
         first = moves.index(moves[-1])
         if last > first:
             continue  # more than once
-        at = Place(tuple((other.name, in_words(value)) for other, value in zip(others, place, strict=True)))
-        where = grid.where(setting) + at
+        keys = tuple((other.name, in_words(value)) for other, value in zip(others, place, strict=True))
+        where = grid.where(setting) + Place(keys)
         n_units = min(point.group.column("unit").nunique() for point in points)
-        before, after = (in_words(points[k].place[axis]) for k in (last, first))
-        yield Threshold("stick-slip", bool(moves[0]), axis.name, before, after, where, Basis(n_units, unit))
+        ends = [in_words(points[k].place[axis]) for k in (last, first)]
+        yield Threshold("stick-slip", bool(moves[0]), axis.name, ends[0], ends[1], where, Basis(n_units, unit))
 
 
 def _all_or_none(point: Point) -> bool | None:
