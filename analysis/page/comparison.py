@@ -18,7 +18,8 @@ from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
 from stickslip.analysis.outcomes import forest, outcome, outcomes
 from stickslip.analysis.page import parts
 from stickslip.analysis.page.build import Report
-from stickslip.analysis.page.layout import Page, Section
+from stickslip.analysis.page.layout import Page
+from stickslip.analysis.page.layout import Table as PageTable
 from stickslip.analysis.rows import frame_of
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.steps import Kind, Setting, Step, few, judged_together, table_of
@@ -199,20 +200,26 @@ def _of_settings(first: Ensemble, second: Ensemble, settings: AnalysisSettings) 
 
 def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[str]) -> Report:
     title = f"{first.name} beside {second.name}"
-    figures = {name: parts.draw(picture.recipe, True) for name, picture in answer.figures.items()}
     entry = Question(lambda _: answer, title="Do two datasets agree?")
-    part = parts.part(parts.answered("compare", entry, answer, figures))
+    question = parts.answered("compare", entry, answer, with_pdf=True)
+    part = parts.part(question)
+    inside = part.section((), True, False)
     origins = [
         f"{ensemble.name}: " + "".join(f"{name}: {value}. " for name, value in ensemble.provenance.items())
         for ensemble in (first, second)
     ]
-    names = f"{first.name} and {second.name}."
-    made = Section("made", "How was it made?", names, [*part.texts, *origins], notes=part.notes)
-    page = Page(
-        title, part.title, part.lead, (), part.panels, part.table, notes=[*map(capital, notes)], sections=[made]
+    made = inside._replace(
+        key="made",
+        title="How was it made?",
+        summary=f"{first.name} and {second.name}.",
+        texts=[answer.method, *origins],
+        panels=(),
+        table=PageTable(),
     )
+    capitals = [*map(capital, notes)]
+    page = Page(title, part.title, part.lead, (), part.panels, inside.table, notes=capitals, sections=[made])
     findings = parts.findings_json(title, part.lead, [part])
-    return Report(page.html, answer.tables, [*part.lead], figures, findings=findings)
+    return Report(page.html, answer.tables, part.lead, question.figures, findings)
 
 
 def matched(first: str, mine: Sequence[Group], second: str, theirs: Sequence[Group]) -> list[Match]:
