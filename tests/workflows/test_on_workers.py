@@ -197,7 +197,7 @@ def test_copies_are_beside_their_bases_wherever_these_lie(tmp_path, rng, monkeyp
     with children(3, 1000) as beside:
         pages = [spread(executor) for executor in (Shuffled(rng), beside)]
     for found in pages:
-        assert found.tables.keys() == plain.tables.keys() >= {"robustness"}
+        assert found.tables.keys() == plain.tables.keys() >= {"changes"}
         for name, table in plain.tables.items():
             pd.testing.assert_frame_equal(found.tables[name], table, rtol=1e-10)
         said, expected = ([row["sentence"] for row in page.findings["findings"]] for page in (found, plain))
