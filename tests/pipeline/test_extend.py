@@ -263,7 +263,8 @@ def test_a_damaged_dataset_is_refused_and_one_is_not_extended_in_place(plain, tm
     scene = parse_scene(source("waiting = true"))
     before = content(plain)
     with pytest.raises(
-        StoreError, match=rf"waiting_cv, n_contacts, lack; run it into another directory: `stickslip extend {plain}"
+        StoreError,
+        match=rf"n_contacts, which these data lack; run it into another directory: `stickslip extend {plain}",
     ):
         run_ensemble(scene, plain, workers=0, kept=plain)
     assert content(plain) == before
