@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import time
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -34,7 +33,6 @@ from stickslip.pipeline.running.worker import cold_engines, compute, compute_pac
 from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene
-from stickslip.sim.kernels.cache import check_compiler
 from stickslip.sim.numerics.session import numpy_defaults
 
 log = logging.getLogger(__name__)
@@ -99,8 +97,8 @@ def run_ensemble(
     ------
     ValueError
         If `workers` is negative.
-    KernelError
-        If no kernel can be run on this machine.
+    CacheError
+        If others could write the kernel cache.
     StoreError
         If the directory cannot be used or written.
     SceneError
@@ -144,11 +142,11 @@ def look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction] =
 
 
 def check_caller(workers: int, scheduler: Scheduling) -> None:
-    """Refuse a number of workers that is none, a worker that loads the caller's script, and kernels not compiled.
+    """Refuse a number of workers that is none, and a worker that loads the caller's script.
 
     Raises
     ------
-    ValueError, KernelError, ScheduleError
+    ValueError, ScheduleError
         As `run_ensemble`.
     """
     if workers < 0:
@@ -158,8 +156,6 @@ def check_caller(workers: int, scheduler: Scheduling) -> None:
             'expected a scene to be run under if __name__ == "__main__":, got a script that runs it wherever it is '
             "loaded, and every worker loads it; write that line above the call"
         )
-    if scheduler is None:
-        check_compiler(os.environ.get("NUMBA_DISABLE_JIT"))
 
 
 #: A shard to be computed, with the rows that there are already, if there are any.

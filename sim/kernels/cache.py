@@ -33,31 +33,8 @@ MOST_LINKS = 40  # as Linux follows them
 PASS = os.O_DIRECTORY | os.O_NOFOLLOW | (os.O_PATH if sys.platform == "linux" else os.O_RDONLY)
 
 
-class KernelError(Exception):
-    """No kernel can be run on this machine as it is set up. The message says why, and what to do."""
-
-
-class CacheError(KernelError):
+class CacheError(Exception):
     """Others could write the kernel cache. The message says which directory or file it is, and what to do."""
-
-
-class CompilerError(KernelError):
-    """numba is told not to compile."""
-
-
-def check_compiler(disabled: object) -> None:
-    """Refuse numba's switch for debugging: Python cannot run what is written for its compiler.
-
-    Raises
-    ------
-    CompilerError
-        If `disabled`, as numba takes it, is not 0 or empty.
-    """
-    if disabled and disabled != "0":
-        raise CompilerError(
-            f"kernels: expected numba to compile them, got NUMBA_DISABLE_JIT={disabled}; unset it in the environment,"
-            " and remove disable_jit from a .numba_config.yaml in the working directory"
-        )
 
 
 def cache_directory() -> Path:

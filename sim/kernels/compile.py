@@ -31,9 +31,9 @@ from functools import cache, partial
 from typing import Any
 
 import numba
+import numpy as np
 from llvmlite.binding import Linkage
 from numba._dynfunc import make_function
-from numba.core import config
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
@@ -43,9 +43,8 @@ from numba.core.targetconfig import ConfigStack
 from numba.core.types import Integer, Type, unliteral
 from numba.core.types.functions import BaseFunction
 
-from stickslip.sim.kernels.cache import CacheFiles, cache_directory, check_compiler
-
-check_compiler(vars(config)["DISABLE_JIT"])
+from stickslip.sim.kernels.cache import CacheFiles, cache_directory
+from stickslip.sim.kernels.emit import IS_COMPILED
 
 _jit: Any = numba.njit
 _POLICY: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
@@ -185,6 +184,8 @@ def inner(function: Callable[..., Any] | None = None, *, counts: bool = False) -
     """
     if function is None:
         return partial(inner, counts=counts)
+    if not IS_COMPILED:
+        return function
     no_wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
     compiled = _jit(**_POLICY, **no_wrappers, _nrt=counts, pipeline_class=_PartCompiler)(function)
     template = compiled.get_call_template
@@ -198,6 +199,8 @@ def one_of(functions: Sequence[Callable[..., Any]], others: Callable[[type[Any]]
 
     All take and return the same types. `others` gives the function of a class, for which kernels are compiled.
     """
+    if not IS_COMPILED:
+        return lambda which, *arguments: (others(type(which)) if which == () else functions[which])(*arguments)
     numbered = _numbered(functions)
     of_class = cache(lambda kind: _numbered([others(kind)]))
     template, overload = numbered.get_call_template, numbered.get_overload
@@ -239,6 +242,8 @@ def kernel(function: Callable[..., Any] | None = None, *, counts: bool = False) 
     """Compile a function of numbers and arrays that Python calls, with all that it calls, and keep it on disk."""
     if function is None:
         return partial(kernel, counts=counts)
+    if not IS_COMPILED:
+        return np.errstate(all="ignore")(function)  # numbers as machine code has them
     compiled = _jit(**_POLICY, _nrt=counts, no_cfunc_wrapper=True, pipeline_class=_KernelCompiler)(function)
     compiled._cache = _KernelCache(function)
     return compiled

@@ -1,6 +1,6 @@
 """Pictures of a run on matplotlib axes: `KINDS` names them, and `plot` draws one.
 
-Only this module of `sim` uses matplotlib, and it loads it only when something is drawn.
+matplotlib is loaded when something is drawn.
 """
 
 from __future__ import annotations
