@@ -21,11 +21,13 @@ from stickslip.analysis.findings.finding import (
     Difference,
     Family,
     Form,
+    KeyChange,
     Level,
     Quantity,
     Scale,
     Verdict,
 )
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
 from stickslip.analysis.models.fates import DIVERGED, FAILED, is_all_slip
 from stickslip.analysis.models.times import Times, median_difference
@@ -58,6 +60,7 @@ TITLES: Mapping[str, str] = {
     "gamma": "decay rate of cascade sizes",
     "correlation_time": "correlation time",
 }
+THINGS: Mapping[str, str] = {"mean": "sticking blocks", "rate": "slip onsets"}  # which some of them count
 #: Columns of a table of contrasts.
 SCHEMA: Mapping[str, str] = {
     "quantity": S, "n_first": I, "n_second": I,
@@ -89,6 +92,8 @@ class Statistic:
         What it is called in a sentence, a noun phrase without article; empty: its name.
     definition : str
         What it is; empty if the title says it.
+    things : str
+        As of `Quantity`.
     """
 
     name: str
@@ -98,13 +103,14 @@ class Statistic:
     most: float | None = None
     title: str = ""
     definition: str = ""
+    things: str = ""
     is_share: ClassVar[bool] = False
 
     @property
     def quantity(self) -> Quantity:
         """What a finding about it calls it."""
         form = Form.SHARE if self.is_share else Form.NUMBER
-        return Quantity(self.name, self.title or self.name, form, definition=self.definition)
+        return Quantity(self.name, self.title or self.name, form, definition=self.definition, things=self.things)
 
     def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
         """Its value on some units, with an interval over these."""
@@ -204,7 +210,14 @@ class Sample:
 def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(QUANTITIES)) -> list[Statistic]:
     """The named quantities as statistics, each with its margin if one is declared."""
     return [
-        Statistic(quantity.label, quantity.of, margins.get(name), least=0.0, title=TITLES[name])
+        Statistic(
+            quantity.label,
+            quantity.of,
+            margins.get(name),
+            least=0.0,
+            title=TITLES[name],
+            things=THINGS.get(name, ""),
+        )  # fmt: skip
         for name, quantity in QUANTITIES.items()
         if name in of
     ]
@@ -313,16 +326,16 @@ class Contrast:
         estimate = self.difference.estimate
         return self.is_shown, 0.0 if self.is_same or estimate.value is None else abs(estimate.value)
 
-    def level(self, where: str, other: str, unit: str) -> Level:
+    def level(self, where: Place, other: str, unit: str) -> Level:
         """The second, where it is, compared with the first."""
         return Level(
             self.statistic.quantity, self.second, where, Comparison(other, self.difference), self.basis(unit)
         )
 
-    def change(self, key: str, first: str, second: str, where: str, unit: str) -> Change:
-        """The change from the first to the second along a key."""
+    def change(self, keys: tuple[KeyChange, ...], where: Place, unit: str) -> Change:
+        """The change from the first to the second along keys that are swept together."""
         return Change(
-            self.statistic.quantity, key, first, second, self.first, self.second, self.difference, where,
+            self.statistic.quantity, keys, self.first, self.second, self.difference, where,
             self.basis(unit),
         )  # fmt: skip
 

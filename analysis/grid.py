@@ -16,7 +16,7 @@ from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.pipeline.design.design import Axis, Row
-from stickslip.pipeline.design.labels import labels
+from stickslip.pipeline.design.labels import Label, labels
 from stickslip.pipeline.design.values import Rank, ranks
 
 #: What the name of a setting says, beside its method.
@@ -43,7 +43,7 @@ class Point:
         return [*map(ranks, self.at.values())]
 
 
-def settings(groups: Iterable[Group]) -> dict[str, list[Group]]:
+def settings(groups: Iterable[Group]) -> dict[Label, list[Group]]:
     """Groups that differ only in keys that are swept, by the name of what they share."""
     found: dict[tuple[int, int], list[Group]] = {}
     for group in groups:

@@ -125,6 +125,8 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
     ):
         of = partial(_episodes, by_label, quantity, least, beyond, study.settings.confidence)
         statistic = Statistic(name, QUANTITIES[quantity].of, least=0.0, title=title, definition=definition)
+        if quantity == RATE:
+            statistic = replace(statistic, things="episodes")
         yield Measure(statistic, key, of)
 
 

@@ -17,6 +17,7 @@ from stickslip.analysis.answer import Picture
 from stickslip.analysis.contrast import Contrast
 from stickslip.analysis.findings.finding import Form, Level, Outcomes, Scale, Verdict
 from stickslip.analysis.findings.numbers import signs
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.style import BLUE, EXACT, GREEN, GREY, ORANGE, PURPLE, SMOOTHED, panel
 from stickslip.pipeline.design.values import text
 
@@ -55,7 +56,7 @@ class Beside(NamedTuple):
     """A contrast of a setting with its reference, and where: the group that it is of."""
 
     contrast: Contrast
-    where: str
+    where: Place
 
 
 def outcomes(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str, scope: str = "") -> list[Outcomes]:
@@ -71,8 +72,10 @@ def outcomes(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str
         if not of:
             continue
         level, setting = largest(other, of, unit)
+        (most,) = in_words({setting: ""}, "")
         others = in_words(by_setting | {setting: ""}, DIFFERENT) if name == DIFFERENT and level is not None else ()
-        found.append(Outcomes(other, **{name: in_words(by_setting, name)}, largest=level, others=others, scope=scope))
+        words = {name: in_words(by_setting, name)}
+        found.append(Outcomes(other, **words, largest=level, at_largest=most, others=others, scope=scope))
     return found
 
 
@@ -90,8 +93,7 @@ def largest(other: str, settings: Mapping[Setting, Sequence[Beside]], unit: str)
     """The largest difference that is shown or, if none is, of those with a margin, or of all; and its setting."""
     pairs = [(one.contrast, setting) for setting, some in settings.items() for one in some]
     best, setting = max(pairs, key=lambda pair: (pair[0].is_shown, pair[0].has_margin, _apart(pair[0])))
-    (where,) = in_words({setting: ""}, "")
-    return best.level(where, other, unit), setting
+    return best.level(EVERYWHERE, other, unit), setting
 
 
 def _apart(contrast: Contrast) -> float:
@@ -151,13 +153,13 @@ def differences(rows: Sequence[Beside]) -> Figure:
 
 def _differences(ax: Axes, rows: Sequence[Beside]) -> None:
     names = list(dict.fromkeys(one.contrast.statistic.quantity.name for one in rows))
-    settings = list(dict.fromkeys(one.where for one in rows))
+    settings = list(dict.fromkeys(str(one.where) for one in rows))
     ends = np.array([_per_cent(one) for one in rows])
     reach = np.abs(ends).max(axis=1)
     widest = 1.08 * min(reach.max(), 4.0 * float(np.median(reach))) or 1.0
     ax.axvline(0, color=GREY, linewidth=0.8)
     for one, (value, low, high) in zip(rows, ends, strict=True):
-        k, line = settings.index(one.where), names.index(one.contrast.statistic.quantity.name)
+        k, line = settings.index(str(one.where)), names.index(one.contrast.statistic.quantity.name)
         y = line + 0.7 * ((k + 0.5) / len(settings) - 0.5)
         margin, colour = one.contrast.difference.margin, _HUES[k % len(_HUES)]
         if margin is not None:

@@ -22,7 +22,7 @@ from stickslip.analysis.series import parting
 from stickslip.analysis.series.runs import Ended, Runs
 from stickslip.analysis.tables import records
 from stickslip.pipeline.design.design import Change, Kind, Method
-from stickslip.pipeline.design.labels import labels
+from stickslip.pipeline.design.labels import Label, labels
 from stickslip.sim.engines import place
 
 START, CONSTANTS, RATIOS = Kind.START, Kind.CONSTANTS, Kind.RATIOS
@@ -57,7 +57,7 @@ class Comparison:
 class Setting:
     """Members that differ in matrix and change only: `bases`, the row of one a matrix, and comparisons with them."""
 
-    label: str
+    label: Label
     key: dict[str, Any]
     bases: dict[int, int]
     comparisons: tuple[Comparison, ...]

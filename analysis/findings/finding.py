@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from typing import NamedTuple, TypeAlias
 
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.stats.estimates import Estimate
 
 
@@ -20,6 +21,7 @@ class Form(Enum):
     NUMBER = "number"
     COUNT = "count"  #: a whole number
     SHARE = "share"  #: in per cent
+    POINTS = "points"  #: a difference of shares, in percentage points
 
 
 class Scale(StrEnum):
@@ -44,6 +46,8 @@ class Quantity:
         What it is beside something smaller, and beside something larger: "longer", "shorter".
     definition : str
         What it is, in a sentence; empty where the name says it.
+    things : str
+        What it is a rate or a mean number of: "slip onsets"; empty of any other.
     clause : str
         How its level is said where that is no noun and number, with {} for the estimate or, where a difference is
         shown, for the comparison: "small differences grow e-fold in {} time units".
@@ -56,6 +60,7 @@ class Quantity:
     less: str = "below"
     definition: str = ""
     clause: str = ""
+    things: str = ""
 
 
 class Verdict(StrEnum):
@@ -145,15 +150,23 @@ class Level:
 
     Attributes
     ----------
-    where : str
-        What tells the setting from the others ("n = 100, exact"); empty if there is one.
+    where : Place
+        What tells the setting from the others.
     """
 
     quantity: Quantity
     estimate: Estimate
-    where: str = ""
+    where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
+
+
+class KeyChange(NamedTuple):
+    """A key and two of its values."""
+
+    key: str
+    first: str
+    second: str
 
 
 @dataclass(frozen=True)
@@ -162,24 +175,20 @@ class Change:
 
     Attributes
     ----------
-    key : str
-        What is swept: "belt_speed".
-    first, second : str
-        Its values.
+    keys : tuple of KeyChange
+        What is swept, of keys that are swept together each.
     before, after : Estimate
         The quantity at these.
-    where : str
-        At which values of the other keys, or averaged over which; empty if there are none.
+    where : Place
+        At which values of the other keys, or averaged over which.
     """
 
     quantity: Quantity
-    key: str
-    first: str
-    second: str
+    keys: tuple[KeyChange, ...]
     before: Estimate
     after: Estimate
     difference: Difference
-    where: str = ""
+    where: Place = EVERYWHERE
     basis: Basis | None = None
 
 
@@ -199,7 +208,7 @@ class Share:
     things: str
     predicate: str
     estimate: Estimate
-    where: str = ""
+    where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
 
@@ -228,7 +237,7 @@ class Lifetime:
     estimate: Estimate
     horizon: float
     share_left: float
-    where: str = ""
+    where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
     ended: str = ""
@@ -259,6 +268,8 @@ class Law:
         How far the data are from the law.
     nearly : str
         The predicate of what is `Fit.CLOSE`; by default "nearly", and the predicate.
+    called : str
+        What the parameter is called beside the subject; by default the name of its quantity.
     p_value : float, optional
         Of data that follow the law.
     """
@@ -269,6 +280,7 @@ class Law:
     fit: Fit = Fit.HOLDS
     departure: Level | None = None
     nearly: str = ""
+    called: str = ""
     p_value: float | None = None
 
 
@@ -288,7 +300,7 @@ class Limit:
     things: str
     predicate: str
     most: float
-    where: str = ""
+    where: Place = EVERYWHERE
     basis: Basis | None = None
 
 
@@ -299,7 +311,7 @@ class Alike:
     quantity: Quantity
     value: float
     among: str
-    where: str = ""
+    where: Place = EVERYWHERE
     basis: Basis | None = None
 
 
@@ -314,7 +326,9 @@ class Outcomes:
     equal, different, undecided : tuple of str
         The settings of each outcome ("h = 0.1 and less").
     largest : Level, optional
-        The largest difference, with its setting.
+        The largest difference.
+    at_largest : str
+        The setting of the largest difference.
     others : tuple of str
         The settings that differ, beside that of the largest difference.
     scope : str
@@ -326,6 +340,7 @@ class Outcomes:
     different: tuple[str, ...] = ()
     undecided: tuple[str, ...] = ()
     largest: Level | None = None
+    at_largest: str = ""
     others: tuple[str, ...] = ()
     scope: str = ""
 
@@ -349,7 +364,7 @@ class Threshold:
     key: str
     last: str
     first: str
-    where: str = ""
+    where: Place = EVERYWHERE
     basis: Basis | None = None
 
 
@@ -385,7 +400,7 @@ class Regimes:
 
     things: str
     regimes: tuple[Regime, ...]
-    where: str = ""
+    where: Place = EVERYWHERE
     when: str = ""  #: part of several predicates, said once in a sentence: "at t = 150"
 
 
@@ -472,13 +487,10 @@ def records(finding: Finding) -> list[Record]:
             things=things, predicate=predicate, estimate=estimate, where=where, comparison=comparison, basis=basis
         ):
             return [_record(f"share of {things} that {predicate}", Form.SHARE, estimate, where, comparison, basis)]
-        case Change(quantity, key, first, second, _, after, difference, where, basis):
-            setting = ", ".join(filter(None, (f"{key} = {second}", where)))
-            return [
-                _record(
-                    quantity.name, quantity.form, after, setting, Comparison(f"{key} = {first}", difference), basis
-                )
-            ]
+        case Change(quantity, keys, _, after, difference, where, basis):
+            key, first, second = (" with ".join(texts) for texts in zip(*keys, strict=True))
+            comparison = Comparison(f"{key} = {first}", difference)
+            return [_record(quantity.name, quantity.form, after, Place.key(key, second) + where, comparison, basis)]
         case Law(parameter=parameter, departure=departure):
             return [*records(parameter), *(records(departure) if departure is not None else [])]
         case Parts(whole, parts):
@@ -488,22 +500,22 @@ def records(finding: Finding) -> list[Record]:
                 _record(f"share of {things} that {predicate}", Form.SHARE, Estimate(high=most), where, None, basis)
             ]
         case Alike(quantity, value, among, where, basis):
-            setting = where if basis is not None else ", ".join(filter(None, (where, among)))
+            setting = where if basis is not None else where + Place.words(among)
             return [_record(quantity.name, quantity.form, Estimate(value), setting, None, basis)]
         case Outcomes():
             return []  # of which contrasts they are is said by findings of their own
         case Threshold(subject, is_end, key, last, first, where, basis):
             verb = "ends" if is_end else "begins"
             n, unit = (None, "") if basis is None else (basis.n, basis.unit)
-            setting = ", ".join(filter(None, (f"{key} = {last} to {first}", where)))
-            return [Record(f"where {subject} {verb}", setting, n=n, unit=unit)]
+            setting = Place.key(key, f"{last} to {first}") + where
+            return [Record(f"where {subject} {verb}", str(setting), n=n, unit=unit)]
         case Regimes(things=things, regimes=regimes, where=where):
             return [
                 _record(
                     " and ".join(f"share of {things} that {predicate}" for predicate in regime.predicates),
                     Form.SHARE,
                     regime.share,
-                    ", ".join(filter(None, (where, regime.where))),
+                    where + Place.words(regime.where),
                     None,
                     regime.basis,
                 )
@@ -516,10 +528,10 @@ def records(finding: Finding) -> list[Record]:
 
 
 def _record(
-    name: str, form: Form, estimate: Estimate, where: str, comparison: Comparison | None, basis: Basis | None
+    name: str, form: Form, estimate: Estimate, where: Place, comparison: Comparison | None, basis: Basis | None
 ) -> Record:
     n, unit = (None, "") if basis is None else (basis.n, basis.unit)
-    row = Record(name, where, estimate.value, estimate.low, estimate.high, n=n, unit=unit, form=form)
+    row = Record(name, str(where), estimate.value, estimate.low, estimate.high, n=n, unit=unit, form=form)
     if comparison is None:
         return row
     difference = comparison.difference

@@ -282,16 +282,10 @@ def _alerts(study: Study, leading: Sequence[Part], others: Sequence[Part]) -> li
     warned = [Alert.of(Code.ONE_SYSTEM)] if study.unit == START else []
     warned += [alert for part in leading for alert in part.alerts if alert.code.rank != STOP]
     warned += [alert for part in others for alert in part.alerts if STOP < alert.code.rank <= OF_DATA]
-    once: dict[tuple[Code, str], str] = {}
+    once = dict[object, str]()
     for alert in sorted(warned, key=lambda alert: alert.code.rank):
-        once.setdefault(_subject(alert), str(alert))
+        once.setdefault(alert.subject, str(alert))
     return [*once.values()][:MOST_ALERTS]
-
-
-def _subject(alert: Alert) -> tuple[Code, str]:
-    """What an alert is about: a drift of one quantity is said once, whatever the settings that answers look at."""
-    text = str(alert)
-    return alert.code, text.partition(" at ")[0] if alert.code is Code.DRIFT else text
 
 
 def _primary(study: Study, answered: Sequence[Part]) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from stickslip.analysis.answer import Answer, B, I, Picture, Question, Row, S, f
 from stickslip.analysis.contrast import CHANGES, Contrast, contrast, judged, sample, shares, statistics
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.finding import Alike, Decided, Form, Lack, Quantity, Reason, Truth
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import capital, plural
 from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import KEYS, Measure, measures
@@ -147,7 +148,7 @@ def _answer(
     for match, one in known:
         where = names[match.second.name]
         said = f"{second.name} ({where})" if where else second.name
-        placed.setdefault(Setting(said), []).append(Beside(one, where))
+        placed.setdefault(Setting(said), []).append(Beside(one, Place.of(where)))
     if len({outcome([one.contrast for one in some]) for some in placed.values()}) == 1:  # no setting to tell apart
         placed = {Setting(second.name): [one for some in placed.values() for one in some]}
     grouped, *others = outcomes(first.name, placed, unit)

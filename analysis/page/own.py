@@ -23,6 +23,7 @@ from stickslip.analysis.answer import Answer, Picture
 from stickslip.analysis.findings.alerts import Alert
 from stickslip.analysis.findings.finding import Finding, Lifetime
 from stickslip.analysis.findings.numbers import signs
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.page.build import MOST_SAID
 from stickslip.analysis.page.parts import Answered, Drawn, answered, draw
 from stickslip.analysis.questions import of_function
@@ -163,6 +164,8 @@ def _text_or_number(value: Any) -> Any:
 
 def _valid(value: Any, hint: Any, name: str) -> Any:
     """A value of a type, or of a dataclass of such, with clean texts and finite numbers."""
+    if hint is Place and isinstance(value, str):
+        return Place.words(_line(value))
     kinds = [kind for kind in get_args(hint) or (hint,) if kind is not NoneType]
     if get_origin(hint) is tuple:
         if not isinstance(value, list | tuple):

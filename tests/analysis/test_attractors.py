@@ -18,7 +18,7 @@ from stickslip.analysis.models.attractors import Cycle, alike, plane
 from stickslip.analysis.questions.runs import fates
 from stickslip.analysis.questions.runs.attractors import PREDICATES, settled
 from stickslip.analysis.questions.runs.fate_figures import LOOKS
-from stickslip.analysis.questions.runs.regimes import Place, Stretch, stretches_of
+from stickslip.analysis.questions.runs.regimes import Stretch, Tally, stretches_of
 from stickslip.sim.attractors.result import Kind
 
 SERIES = (np.array([0.0, 150.0]), np.array([3, 2]))
@@ -318,7 +318,7 @@ def test_the_figures_along_a_key(swept, settings):
 
 def test_stretches_bridge_what_is_not_known_only_between_alikes():
     outcomes = [(), ("a",), (), ("a",), (), ("b",), ("a", "b")]
-    assert stretches_of([Place(on, 1, 1, 1) for on in outcomes]) == [Stretch(1, 3), Stretch(5, 5), Stretch(6, 6)]
+    assert stretches_of([Tally(on, 1, 1, 1) for on in outcomes]) == [Stretch(1, 3), Stretch(5, 5), Stretch(6, 6)]
 
 
 # ---------------------------------------------------------------------------------------------- over two keys
@@ -345,7 +345,7 @@ def test_each_value_of_a_second_key_has_its_regimes_and_the_ends_lead(over_two, 
         "At static = 1.6: up to belt_speed = 3 all 5 starts each settle on a cycle; at belt_speed = 4 and 5 all 5"
         " each settle into steady sliding.",
     ]  # fmt: skip
-    assert [regimes.where for regimes in answered.findings if isinstance(regimes, Regimes)] == [
+    assert [str(regimes.where) for regimes in answered.findings if isinstance(regimes, Regimes)] == [
         "static = 1.2", "static = 1.6", "static = 1.4",
     ]  # fmt: skip
     ranges = answered.tables["attractor_ranges"]

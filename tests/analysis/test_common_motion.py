@@ -230,7 +230,7 @@ def test_changes_are_those_planted(rng):
                (200, -0.2): 508}  # fmt: skip
     points = [point({"n": n, "belt_speed": v}, period, rng, 0.005) for (n, v), period in periods.items()]
     lines = [line for key in scene.KEYS for line in scene.along(key, points)]
-    assert [(line.key, line.at, len(line.groups)) for line in lines] == [
+    assert [(line.key, str(line.at), len(line.groups)) for line in lines] == [
         ("n", "belt_speed = -0.1", 3), ("n", "belt_speed = -0.2", 3),
         ("belt_speed", "n = 150", 2), ("belt_speed", "n = 175", 2), ("belt_speed", "n = 200", 2),
     ]  # fmt: skip

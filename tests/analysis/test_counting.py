@@ -115,7 +115,7 @@ def test_independent_blocks_are_finite_size_alone(planted, rng):
 def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
     answer = counting.question(coupled_blocks(planted, (20, 40), 0.1, rng, **PLENTY))
     sums = [finding for finding in answer.findings if isinstance(finding, Parts)]
-    assert [finding.whole.where for finding in sums] == ["n = 40", "n = 20"]
+    assert [str(finding.whole.where) for finding in sums] == ["n = 40", "n = 20"]
     for finding in sums:
         each = estimates(finding)
         assert each["coupling"].low > 0.0

@@ -16,6 +16,7 @@ from stickslip.analysis.findings.finding import (
     Family,
     Fit,
     Form,
+    KeyChange,
     Lack,
     Law,
     Level,
@@ -35,6 +36,7 @@ from stickslip.analysis.findings.finding import (
     records,
 )
 from stickslip.analysis.findings.numbers import limit, number, span, with_interval
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital, sentence
 from stickslip.analysis.page.layout import findings_table
 from stickslip.analysis.stats.estimates import Estimate
@@ -42,6 +44,7 @@ from stickslip.analysis.stats.estimates import Estimate
 GAMMA = Quantity("gamma", "decay rate")
 SHARE = Quantity("share", "share of runs in motion", Form.SHARE)
 NANO = " \u00d7 10\u207b\u2079"
+KAPPA = (KeyChange("kappa", "0.1", "0.4"),)
 LATE = Quantity("lifetime", "median lifetime", more="longer", less="shorter")
 
 
@@ -120,16 +123,16 @@ def test_sentences():
         "0.95% (0.61 to 1.31%) above a fair coin's ln 2."
     )
     often = Comparison("shifted blocks", Difference(Estimate(10.4, 4.84, 21.3)))
-    assert sentence(Level(GAMMA, Estimate(6.6), "", often)) == (
+    assert sentence(Level(GAMMA, Estimate(6.6), comparison=often)) == (
         "Decay rate: 6.60, 11.4 (5.8 to 22.3) times that of shifted blocks."
     )
     away = Difference(Estimate(-0.3, -0.4, -0.2), Scale.ABSOLUTE)
-    gone = Change(SHARE, "kappa", "0.1", "0.4", Estimate(0.5), Estimate(0.2), away, "eps = 0.03")
+    gone = Change(SHARE, KAPPA, Estimate(0.5), Estimate(0.2), away, Place.key("eps", "0.03"))
     assert sentence(gone) == (
         "Share of runs in motion falls from 50% to 20%, by 30 (20 to 40) percentage points, "
         "as kappa goes from 0.1 to 0.4 at eps = 0.03."
     )
-    left = Lifetime(LATE, "runs", "still stick and slip", Estimate(), 150.0, 0.75, "n = 100")
+    left = Lifetime(LATE, "runs", "still stick and slip", Estimate(), 150.0, 0.75, Place.key("n", "100"))
     assert sentence(left) == "75.0% of runs still stick and slip at t = 150, n = 100."
     basin = Share("sliding", "starts", "settle into steady sliding", Estimate(0.301, 0.288, 0.314))
     assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts settle into steady sliding."
@@ -143,7 +146,7 @@ def test_sentences():
         Level(Quantity(name, name), Estimate(*of))
         for name, of in (("noise", (-0.012,)), ("pull", (0.021, 0.018, 0.024)))
     ]
-    assert sentence(Parts(Level(excess, Estimate(0.009, 0.006, 0.012), "n = 5"), (*parts,))) == (
+    assert sentence(Parts(Level(excess, Estimate(0.009, 0.006, 0.012), Place.key("n", "5")), (*parts,))) == (
         "Excess at n = 5: 0.90%, from noise \u22121.20% and pull +2.10% (+1.80 to +2.40%)."
     )
     few, both = (Regime(f"at v = {v}", said, 5, 5) for v, said in ((1, ("slide",)), (2, ("slide", "stick"))))
@@ -176,11 +179,12 @@ def _findings(rng):
     quantity = [GAMMA, SHARE, LATE][rng.integers(3)]
     value = rng.uniform(0.0, 1.0)
     estimate = Estimate(value, value / 2, min(2 * value, 1.0))
-    where, basis = ["", "n = 100, exact"][rng.integers(2)], [None, Basis(8), Basis(1, "start")][rng.integers(3)]
+    where = [EVERYWHERE, Place((("n", "100"), ("", "exact")))][rng.integers(2)]
+    basis = [None, Basis(8), Basis(1, "start")][rng.integers(3)]
     comparison = [None, Comparison("the exact engine", difference)][rng.integers(2)]
     level = Level(quantity, estimate, where, comparison, basis)
     yield level
-    yield Change(quantity, "kappa", "0.1", "0.4", Estimate(0.3), estimate, difference, where, basis)
+    yield Change(quantity, KAPPA, Estimate(0.3), estimate, difference, where, basis)
     yield (share := Share("sliding", "starts", "settle into steady sliding", estimate, where, comparison, basis))
     yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis)
     yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis, "have ended")

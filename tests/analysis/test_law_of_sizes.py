@@ -9,6 +9,7 @@ import pytest
 from stickslip.analysis import Data, Study
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Fit, Lack, Law, Level, Outcomes, Reason, Verdict
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import pool
 from stickslip.analysis.questions.slips import cascade_definitions, cascades
@@ -153,8 +154,10 @@ def test_runs_that_ended_are_an_alert(planted, settings):
 
 def test_settings_beside_the_lead_are_levels_with_their_setting(planted, rng):
     answer = cascades.answer(coupled_blocks(planted, (20, 40), 0.0, rng))
-    assert law_of(answer).parameter.where == "n = 40"
-    others = [finding for finding in answer.findings if isinstance(finding, Level) and finding.where == "n = 20"]
+    assert law_of(answer).parameter.where == Place.key("n", "40")
+    others = [
+        finding for finding in answer.findings if isinstance(finding, Level) and finding.where == Place.key("n", "20")
+    ]
     assert {level.comparison.other for level in others} == {cascades.COIN, cascades.SHIFTED, cascades.TWO_STATE}
     assert list(answer.figures) == ["size_law", "decay_rates", "one_run"]  # one sampling step gives no curve
     for picture in answer.figures.values():

@@ -168,10 +168,12 @@ def test_each_change_is_told_between_the_values_that_it_is_between(recorded, set
         "late": lambda rng, matrix, v: None if matrix >= {-0.3: 2, -0.2: 4, -0.1: 8}[v] else 3.0 + matrix - 20 * v,
     })  # fmt: skip
     answer = sweep.answer(Study(data, settings))
-    ends = {one.quantity.key: one for one in answer.findings if isinstance(one, Change) and one.second == "-0.1"}
-    assert (ends["mean early"].first, ends["mean early"].basis.n) == ("-0.3", 8)
+    ends = {
+        one.quantity.key: one for one in answer.findings if isinstance(one, Change) and one.keys[0].second == "-0.1"
+    }
+    assert (ends["mean early"].keys[0].first, ends["mean early"].basis.n) == ("-0.3", 8)
     late = ends["mean late"]
-    assert (late.first, late.basis.n, late.before.value, late.after.value) == ("-0.2", 4, 8.5, 6.5)
+    assert (late.keys[0].first, late.basis.n, late.before.value, late.after.value) == ("-0.2", 4, 8.5, 6.5)
 
 
 def test_no_interval_goes_below_what_a_number_is_never_below(recorded, settings):
@@ -238,9 +240,9 @@ def test_two_swept_keys_are_told_apart(recorded, settings):
     data = recorded({"speed": lambda rng, matrix, kappa, v: 100 * kappa + 1e-3 * matrix + 0.02 * v}, axes=axes)
     answer = sweep.answer(Study(data, settings))
     assert list(answer.figures) == ["sweep_of_speed", "sweep_map"]
-    found = {one.key: one.difference.verdict for one in answer.findings[: answer.n_lead]}
+    found = {one.keys[0].key: one.difference.verdict for one in answer.findings[: answer.n_lead]}
     assert found == {"kappa": Verdict.MORE, "belt_speed": Verdict.MORE}
-    assert answer.findings[0].key == "kappa", "the larger one leads"
+    assert answer.findings[0].keys[0].key == "kappa", "the larger one leads"
     along = answer.figures["sweep_of_speed"].recipe().axes[0]
     assert (along.get_xscale(), along.get_yscale()) == ("log", "log"), "both span two decades"
     assert len(answer.tables["sweep_measures"]) == 6
@@ -346,7 +348,7 @@ def test_what_is_beyond_both_ends_of_a_key_is_told(recorded, settings):
     """A resonance: at the middle speed five times as much as at the first, at the last half as much."""
     at = {-0.3: 1.0, -0.2: 5.0, -0.1: 0.5}
     answer = sweep.answer(Study(recorded({"swing": lambda rng, m, v: at[v] + 0.01 * rng.normal()}), settings))
-    found = {one.second: one.difference.verdict for one in answer.findings[: answer.n_lead]}
+    found = {one.keys[0].second: one.difference.verdict for one in answer.findings[: answer.n_lead]}
     assert found == {"-0.2": Verdict.MORE, "-0.1": Verdict.LESS}
     steady = recorded({"swing": lambda rng, m, v: 5.0 + 10 * v + 0.01 * rng.normal()})
     assert sweep.answer(Study(steady, settings)).n_lead == 1
@@ -376,7 +378,7 @@ def test_a_change_at_some_values_of_another_key_says_at_which(recorded, settings
     data = replace(data, recorded={"period": data.recorded["period"]._replace(absent="not on a cycle")})
     answer = sweep.answer(Study(data, settings))
     assert said(answer).endswith("as belt_speed goes from \u22120.3 to \u22120.1 at kappa = 0.1.")
-    places = {one.key: one.where for one in answer.findings[: answer.n_lead]}
+    places = {one.keys[0].key: str(one.where) for one in answer.findings[: answer.n_lead]}
     assert places == {"belt_speed": "kappa = 0.1", "kappa": "belt_speed = -0.3"}
     whole = recorded({"amplitude": lambda _, matrix, v, k: 3 + v + 0.01 * matrix}, axes=axes)
     assert "values of kappa" not in said(sweep.answer(Study(whole, settings)))

@@ -48,7 +48,7 @@ def test_it_counts_the_first_run_that_finished(study):
 def test_a_run_that_grew_without_limit_is_drawn_as_far_as_it_went(study):
     found = answer(study(n_members=2))
     assert "Run m1 is the first of 2 that was begun" in found.method
-    assert found.findings[0].where == "one run of 4 blocks to t = 4.5"
+    assert str(found.findings[0].where) == "one run of 4 blocks to t = 4.5"
     (ax,) = found.figures["one_run"].recipe().axes
     assert ax.get_xlim() == (0.0, 4.5)
 

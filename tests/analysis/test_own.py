@@ -234,7 +234,7 @@ A = partial(Answer, findings=[YES])
             Answer(findings=[Level(SIZE, Estimate(3.0), basis=Basis(True))]),
             r"n: expected an integer, got a bool",
         ),
-        (Answer(findings=[Level(SIZE, Estimate(3.0), 4)]), r"findings\[0\].where: expected a text, got an int"),
+        (Answer(findings=[Level(SIZE, Estimate(3.0), 4)]), r"findings\[0\].where: expected Place, got an int"),
         (Answer(findings=[Outcomes("it", "h")]), r"findings\[0\].equal: expected a tuple, got a str"),
         (A(alerts=["!"]), r"alerts\[0\]: expected an Alert, got a str; write Alert.of\(Code.FEW, n=3"),
         (A(alerts=[Alert.of(Code.FEW, n=3)]), r"alerts\[0\]: expected the numbers of '.*', got 'units'; add them"),

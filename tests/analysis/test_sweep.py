@@ -12,6 +12,7 @@ import pytest
 from stickslip.analysis import Data, Study, build, measures
 from stickslip.analysis.findings.finding import Change as Changed
 from stickslip.analysis.findings.finding import Lack, Level, Reason, Threshold, Verdict
+from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.members import Members
 from stickslip.analysis.questions.runs import sweep
@@ -107,7 +108,7 @@ def test_a_grid_tells_which_key_it_is(swept, settings):
     assert found["kappa"].difference == pytest.approx(20)
     assert found["friction"].difference == pytest.approx(16)
     assert {row.n_first for row in found.values()} == {8}, "a unit counts once, whatever the grid"
-    assert [(one.key, one.difference.verdict) for one in answer.findings[: answer.n_lead]] == [
+    assert [(one.keys[0].key, one.difference.verdict) for one in answer.findings[: answer.n_lead]] == [
         ("kappa", Verdict.MORE), ("friction", Verdict.MORE), ("belt_speed", Verdict.SAME),
     ]  # fmt: skip
     assert len(answer.tables["sweep"]) == 30
@@ -126,9 +127,9 @@ def test_rows_of_two_settings_are_told_apart(planted, swept, settings):
         dict(exact.series) | {f"{name}s": one for name, one in exact.series.items()},
     )
     found = [one for one in sweep.answer(Study(both, settings)).findings if isinstance(one, Changed)]
-    assert {one.where for one in found} == {"n = 500, exact", "n = 500, sigmoid, eps = 0.03, stick = convergent"}
+    assert {str(one.where) for one in found} == {"n = 500, exact", "n = 500, sigmoid, eps = 0.03, stick = convergent"}
     alone = [one for one in sweep.answer(Study(exact, settings)).findings if isinstance(one, Changed)]
-    assert {one.where for one in alone} == {""}
+    assert {one.where for one in alone} == {EVERYWHERE}
 
 
 def test_no_change_is_not_told_as_one(swept, settings, rng):
@@ -288,7 +289,7 @@ def test_a_change_in_several_settings_is_told_of_all_of_them(swept, settings):
     series = {f"{name}-{n}": run for one, n in zip(some, (500, 600), strict=True) for name, run in one.series.items()}
     answer = sweep.answer(Study(Data(pd.concat(members, ignore_index=True), series), settings))
     lead = answer.findings[: answer.n_lead]
-    assert {one.where: one.difference.verdict for one in lead} == {
+    assert {str(one.where): one.difference.verdict for one in lead} == {
         "n = 500, exact": Verdict.EQUAL, "n = 600, exact": Verdict.MORE,
     }  # fmt: skip
 

@@ -38,6 +38,7 @@ from stickslip.analysis.findings.finding import (
     Quantity,
     Reason,
 )
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models import pool
@@ -117,8 +118,8 @@ def _picture(rows: Sequence[Row], lead: Row) -> Picture:
     )
 
 
-def _where(row: Row, is_swept: bool) -> str:
-    return f"n = {row['n']}" if is_swept else ""
+def _where(row: Row, is_swept: bool) -> Place:
+    return Place.key("n", str(row["n"])) if is_swept else EVERYWHERE
 
 
 def _estimate(row: Row, name: str) -> Estimate:

@@ -26,6 +26,7 @@ from stickslip.analysis.findings.finding import (
     Scale,
     Share,
 )
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import based_on, plural
 from stickslip.analysis.grid import MOST_SETTINGS, axes_of, dtype, place_of, settings
 from stickslip.analysis.groups import Group
@@ -44,12 +45,12 @@ from stickslip.analysis.models.attractors import (
 )
 from stickslip.analysis.questions.runs import fate_figures as figures
 from stickslip.analysis.questions.runs.fate_figures import CYCLES, LOOKS, OTHERS, Look, Points, Sections
-from stickslip.analysis.questions.runs.regimes import Place, least_share, regimes, stretches_of
+from stickslip.analysis.questions.runs.regimes import Tally, least_share, regimes, stretches_of
 from stickslip.analysis.series.runs import by_number
 from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.design import Axis, in_words
-from stickslip.pipeline.design.labels import labels
+from stickslip.pipeline.design.labels import Label, labels
 from stickslip.pipeline.design.values import Value, ranks
 
 _MOST_BARS, _MOST_LINES = 24, 12
@@ -189,7 +190,7 @@ class Attractor:
 class _Line(NamedTuple):
     """The runs along a swept key at one value of each other key, `others`, and of the scene's other settings."""
 
-    setting: str
+    setting: Label
     is_exact: bool
     others: dict[Axis, tuple[Value, ...]]
     along: list[tuple[Value, ...]]
@@ -199,10 +200,10 @@ class _Line(NamedTuple):
     def texts(self) -> list[str]:
         return [in_words(value) for value in self.along]
 
-    def where(self, has_settings: bool) -> str:
+    def where(self, has_settings: bool) -> Place:
         """At which values of the other keys it lies, and in which of several settings."""
-        at = [f"{axis.name} = {in_words(value)}" for axis, value in self.others.items()]
-        return ", ".join([*([self.setting] if has_settings else []), *at])
+        at = Place(tuple((axis.name, in_words(value)) for axis, value in self.others.items()))
+        return Place.of(self.setting) + at if has_settings else at
 
 
 def settled(study: Study) -> Answer | None:
@@ -211,7 +212,7 @@ def settled(study: Study) -> Answer | None:
     groups = regardless_of_start(study, members["attractor"].notna().to_numpy()) if "attractor" in members else []
     if not groups:
         return None
-    runs = {group.label: _runs(study, group) for group in groups}
+    runs = {group.name: _runs(study, group) for group in groups}
     attractors = {name: list(_attractors(study, part, study.settings.published)) for name, part in runs.items()}
     tables: dict[str, Table] = {
         "attractors": frame(_SCHEMA, (row.row(name) for name, rows in attractors.items() for row in rows))
@@ -225,7 +226,7 @@ def settled(study: Study) -> Answer | None:
         tables["attractor_ranges"] = frame(columns | _RANGES, rows)
         pictures = _pictures_along(study, axes, lines)
     else:
-        shares = [_findings(study, name if len(runs) > 1 else "", attractors[name], runs[name])
+        shares = [_findings(study, Place.of(name) if len(runs) > 1 else EVERYWHERE, attractors[name], runs[name])
                   for name in list(runs)[:_MOST_LINES]]  # fmt: skip
         findings = [finding for part in shares for finding in part]
         n_lead = 1 + (len(next(iter(attractors.values()))) > 2)  # of two, one says both
@@ -320,7 +321,7 @@ def _most(numbers: np.ndarray) -> float | None:
     return float(known.max()) if len(known) else None
 
 
-def _findings(study: Study, where: str, attractors: Sequence[Attractor], runs: Runs) -> list[Finding]:
+def _findings(study: Study, where: Place, attractors: Sequence[Attractor], runs: Runs) -> list[Finding]:
     """The share of each attractor of a group, and the period that all cycles share."""
     things = "starts" if runs.is_one_system and runs.n > 1 else "runs"
     n_cycles = sum(attractor.what.kind == PERIODIC for attractor in attractors)
@@ -357,7 +358,7 @@ def _published(study: Study, attractor: Attractor, n_cycles: int) -> Comparison 
     return Comparison(f"the published {100 * value:g}%", Difference(difference, Scale.ABSOLUTE))
 
 
-def _bars(runs: Mapping[str, Runs]) -> Picture:
+def _bars(runs: Mapping[Label, Runs]) -> Picture:
     drawn = list(runs.items())[:_MOST_BARS]
     counts = {kind: [part.n_of(kind) for _, part in drawn] for kind in KINDS}
     more = f", of the first {_MOST_BARS} settings" if len(runs) > _MOST_BARS else ""
@@ -368,7 +369,7 @@ def _bars(runs: Mapping[str, Runs]) -> Picture:
 # ------------------------------------------------------------------------------------------------- basins
 
 
-def _basin(study: Study, runs: Mapping[str, Runs]) -> dict[str, Picture]:
+def _basin(study: Study, runs: Mapping[Label, Runs]) -> dict[str, Picture]:
     """The starts of one system by what they settle on; nothing if all settle on one, or not one or two numbers vary.
 
     Of several systems, that of which most runs settle on others than the commonest.
@@ -413,25 +414,27 @@ def _entry(attractor: Attractor) -> tuple[Look, str]:
 # ------------------------------------------------------------------------------------------------- along a key
 
 
-def _lines(setting: str, groups: Sequence[Group], axes: Sequence[Axis], runs: Mapping[str, Runs]) -> Iterator[_Line]:
+def _lines(
+    setting: Label, groups: Sequence[Group], axes: Sequence[Axis], runs: Mapping[Label, Runs]
+) -> Iterator[_Line]:
     """The lines of a setting along the first axis, in the order of the values of the others."""
     axis, *others = axes
     at_others: dict[tuple[tuple[Value, ...], ...], list[tuple[tuple[Value, ...], Runs]]] = {}
     for group in groups:
         at = place_of(axes, group)
-        at_others.setdefault(tuple(at[other] for other in others), []).append((at[axis], runs[group.label]))
+        at_others.setdefault(tuple(at[other] for other in others), []).append((at[axis], runs[group.name]))
     for here in sorted(at_others, key=lambda at: [*map(ranks, at)]):
         values, line = zip(*sorted(at_others[here], key=lambda pair: ranks(pair[0])), strict=True)
         yield _Line(setting, groups[0].is_exact, dict(zip(others, here, strict=True)), list(values), list(line))
 
 
-def _places(line: _Line, has_exits: bool) -> list[Place]:
+def _places(line: _Line, has_exits: bool) -> list[Tally]:
     """What runs settle on at each value of a line: kinds alone, or cycles by their exits too."""
     places = []
     for runs in line.runs:
         decided = [what for what in _in_order(runs.exits) if what.kind != UNDECIDED]
         outcomes = (what.predicate if has_exits else PREDICATES[what.kind] for what in decided)
-        places.append(Place(tuple(dict.fromkeys(outcomes)), runs.n - runs.n_of(UNDECIDED), runs.n, runs.n_units))
+        places.append(Tally(tuple(dict.fromkeys(outcomes)), runs.n - runs.n_of(UNDECIDED), runs.n, runs.n_units))
     return places
 
 
@@ -500,7 +503,7 @@ def _pictures_along(study: Study, axes: Sequence[Axis], lines: Sequence[_Line]) 
         at = [name] * (len(n_lines) > 1) + [f"{axis.name} = {in_words(value)}" for axis, value in further]
         maps[_nth("attractors", len(maps))] = _map(axes, chosen, f" ({', '.join(at)})" if at else "")
         for k in np.unique(np.linspace(0, len(chosen) - 1, min(len(chosen), _MOST_DIAGRAMS)).round()).astype(int):
-            diagram = _diagram(study, axes[0], chosen[k], chosen[k].where(len(n_lines) > 1))
+            diagram = _diagram(study, axes[0], chosen[k], str(chosen[k].where(len(n_lines) > 1)))
             if diagram is not None:
                 diagrams[_nth("bifurcation", len(diagrams))] = diagram
     return maps | diagrams

@@ -20,12 +20,13 @@ from stickslip.analysis.contrast import CHANGES, Contrast, Sample, contrast, jud
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Finding, Lack, Reason, Verdict
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS, noun
 from stickslip.analysis.outcomes import DIFFERENT, Beside, Setting, forest, in_words, outcomes
 from stickslip.analysis.stats.estimates import UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
-from stickslip.pipeline.design.labels import apart, engine_name
+from stickslip.pipeline.design.labels import Label, apart, engine_name
 from stickslip.pipeline.design.values import text
 
 FRICTION, TOLERANCE, THRESHOLD = "law", "tolerance", "threshold"
@@ -178,16 +179,16 @@ def _engine(group: Group, groups: Sequence[Group]) -> Setting:
     return Setting(f"{engine} with {said}" if said else engine)
 
 
-def _names(study: Study, found: Sequence[_Compared]) -> dict[str, str]:
+def _names(study: Study, found: Sequence[_Compared]) -> dict[str, Label]:
     """What tells each group that is compared from the others, by label."""
     labels = [group.name for group in study.groups]
     of = {one.pair.other.label for one in found}
     return {label: name for label, name in zip(labels, apart(labels), strict=True) if label in of}
 
 
-def _where(pair: _Pair, names: Mapping[str, str]) -> str:
-    at = None if pair.threshold is None else f"threshold = {pair.threshold:g}"
-    return ", ".join(filter(None, (names[pair.other.label], at)))
+def _where(pair: _Pair, names: Mapping[str, Label]) -> Place:
+    method = Place.of(names[pair.other.label])
+    return method if pair.threshold is None else method + Place.key(THRESHOLD, f"{pair.threshold:g}")
 
 
 def _by_threshold(study: Study) -> dict[str, dict[float, Sample]]:

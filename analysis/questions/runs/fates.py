@@ -48,6 +48,7 @@ from stickslip.analysis.findings.finding import (
     Regimes,
     Share,
 )
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import DRAWN, ENGINE_KEYS, SYSTEM_KEYS
@@ -77,7 +78,7 @@ from stickslip.analysis.questions.runs import attractors
 from stickslip.analysis.questions.runs import fate_figures as figures
 from stickslip.analysis.questions.runs.attractors import PREDICATES
 from stickslip.analysis.questions.runs.fate_figures import FATES
-from stickslip.analysis.questions.runs.regimes import Place, key_of, regimes
+from stickslip.analysis.questions.runs.regimes import Tally, key_of, regimes
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.effective import tau
@@ -120,8 +121,8 @@ _RUN = {
 class Shift(NamedTuple):
     """How much later the last event of a system comes by another method: the median over systems."""
 
-    setting: str
-    reference: str
+    setting: Label
+    reference: Label
     n_systems: int
     n_open: int
     shift: Estimate
@@ -135,7 +136,7 @@ class Ends(NamedTuple):
     group : Group
     label : Label
         What tells it from the other groups of its method.
-    method : str
+    method : Label
         What tells its method from others; empty if there is one.
     n_of : Counter
         Runs by fate.
@@ -147,7 +148,7 @@ class Ends(NamedTuple):
 
     group: Group
     label: Label
-    method: str
+    method: Label
     n_of: Counter[str]
     n_held: int
     moving: Estimate
@@ -281,7 +282,7 @@ def _findings(
     """What the runs of each method do, its lifetimes, and how much later last events come by another method."""
     leading: list[Finding] = []
     others: list[Finding] = []
-    methods: dict[str, list[Ends]] = {}
+    methods: dict[Label, list[Ends]] = {}
     for row in ends:
         methods.setdefault(row.method, []).append(row)
     outcomes = [[(row.kinds, row.n_of[QUIET] > 0) for row in rows] for rows in methods.values()]
@@ -289,7 +290,9 @@ def _findings(
     for k, (method, rows) in enumerate(methods.items()):
         lifetimes = _lifetimes(study, rows)
         if k == 0 or not is_alike:
-            outcome, details = _outcome(study, runs, rows, "by every method" if is_alike else method)
+            outcome, details = _outcome(
+                study, runs, rows, Place.words("by every method") if is_alike else Place.of(method)
+            )
             n_first = int(outcomes[k] not in outcomes[:k])
             leading += outcome[:n_first]
             others += [*outcome[n_first:], *details]
@@ -297,7 +300,13 @@ def _findings(
         leading += [first] if first is not None else []
         others += [lifetime for lifetime, _ in lifetimes if lifetime is not first]
     delays = [
-        Level(DELAY, shift.shift, f"{shift.setting} after {shift.reference}", None, _basis(study, shift.n_systems))
+        Level(
+            DELAY,
+            shift.shift,
+            Place.of(shift.setting) + Place.words(f"after {shift.reference}"),
+            None,
+            _basis(study, shift.n_systems),
+        )
         for shift in shifts
         if shift.shift.value is not None
     ]
@@ -306,7 +315,7 @@ def _findings(
 
 
 def _outcome(
-    study: Study, runs: pd.DataFrame, rows: Sequence[Ends], method: str
+    study: Study, runs: pd.DataFrame, rows: Sequence[Ends], method: Place
 ) -> tuple[list[Finding], list[Finding]]:
     """What the runs of a method do: shares where all settings are alike, else settings by outcome; and details."""
     alike = {tuple(row.kinds) for row in rows}
@@ -315,14 +324,14 @@ def _outcome(
         return [_share(study, runs, rows, kind, method) for kind in sorted(kinds, key=lambda kind: -kinds[kind])], []
     key, values = key_of([row.label for row in rows])
     words = {kind: _predicate(kind, *rows) for kind in KINDS}
-    places = [Place(tuple(words[kind] for kind in row.kinds), row.n_runs, row.n_runs, row.n_units) for row in rows]
+    places = [Tally(tuple(words[kind] for kind in row.kinds), row.n_runs, row.n_runs, row.n_units) for row in rows]
     by_outcome = regimes(key, values, places, study.settings.confidence, systems(study))
     mixed = [row for row in rows if len(row.kinds) > 1][:MOST_SETTINGS]
     shares: list[Finding] = [_share(study, runs, [row], kind, _where(row)) for row in mixed for kind in row.kinds]
     return [Regimes("runs", by_outcome, method, _until(*rows))], shares
 
 
-def _share(study: Study, runs: pd.DataFrame, rows: Sequence[Ends], kind: str, where: str) -> Share:
+def _share(study: Study, runs: pd.DataFrame, rows: Sequence[Ends], kind: str, where: Place) -> Share:
     """The share of runs that do something; whether a run that slides so far sticks again cannot be told."""
     labels = [row.group.label for row in rows]
     part = runs[runs["group"].isin(labels) & (runs["fate"] != FAILED)]
@@ -398,7 +407,7 @@ def _stability(study: Study, runs: pd.DataFrame, ends: Sequence[Ends]) -> list[F
             estimate = _estimate(has, has & False, table["drawn"].to_numpy(), study.settings.confidence)
             things = f"runs with a linearly {state} all-slip state"
             basis = _basis(study, table["drawn"].nunique())
-            shares.append(Share(f"{state}_{fate}", things, predicate, estimate, "", None, basis))
+            shares.append(Share(f"{state}_{fate}", things, predicate, estimate, basis=basis))
     return shares
 
 
@@ -408,7 +417,7 @@ def _means(study: Study, ends: Sequence[Ends]) -> list[Finding]:
         return []
     moving = sorted((row for row in ends if row.mean.value is not None), key=lambda row: -int(row.group.key["n"]))
     return [
-        Level(MEAN, row.mean, row.group.label, None, _basis(study, len(row.group.units)))
+        Level(MEAN, row.mean, Place.of(row.group.name), None, _basis(study, len(row.group.units)))
         for row in moving[:MOST_SETTINGS]
     ]
 
@@ -423,9 +432,9 @@ def _alerts(study: Study, ends: Sequence[Ends], spoken: Sequence[Ends], short: S
     if n_failed:
         alerts.append(Alert.of(Code.FAILED, n=n_failed, of=n_runs + n_failed))
     if drifting:
-        where = drifting[0] if len(drifting) == 1 else f"{len(drifting)} settings"
-        what = f"The number of sticking blocks at {where}"
-        alerts.append(Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn))
+        where = f" at {drifting[0]}" if len(drifting) == 1 else f" at {len(drifting)} settings"
+        what, t_burn = "The number of sticking blocks", study.settings.t_burn
+        alerts.append(Alert.of(Code.DRIFT, what=what, where=where, t_burn=t_burn))
     if n_open > MOST_OPEN * n_settled:
         alerts.append(Alert.of(Code.UNDECIDED, n=n_open, of=n_settled))
     if total[QUIET]:
@@ -441,21 +450,23 @@ def _basis(study: Study, n: int) -> Basis:
     return Basis(n, systems(study))
 
 
-def _where(row: Ends) -> str:
-    return ", ".join(filter(None, (row.label, row.method)))
+def _where(row: Ends) -> Place:
+    return Place.of(row.label) + Place.of(row.method)
 
 
 # ------------------------------------------------------------------------------------------------- groups and runs
 
 
-def _names(groups: Sequence[Group]) -> list[tuple[str, Label]]:
+def _names(groups: Sequence[Group]) -> list[tuple[Label, Label]]:
     """What tells the method of each group from the others, and what tells its system."""
     parts = [label.parts for label in apart([group.name for group in groups])]
     of_method = {"", *ENGINE_KEYS}
-    methods = [Label.of([part for part in label if part[0] in of_method]) for label in parts]
     return [
-        (str(method), Label.of([part for part in label if part[0] not in of_method]))
-        for method, label in zip(methods, parts, strict=True)
+        (
+            Label.of([part for part in label if part[0] in of_method]),
+            Label.of([part for part in label if part[0] not in of_method]),
+        )
+        for label in parts
     ]
 
 
@@ -545,7 +556,7 @@ def _kappa_n(key: Mapping[str, Any]) -> float | None:
     return None if key["kappa"] is None or key["n"] == 1 else key["n"] * key["kappa"]
 
 
-def _ends(study: Study, group: Group, method: str, label: Label, runs: Ran) -> tuple[Ends, Curve | None]:
+def _ends(study: Study, group: Group, method: Label, label: Label, runs: Ran) -> tuple[Ends, Curve | None]:
     """What is known of the runs of a group, and their survival; no curve if all failed."""
     level = study.settings.confidence
     _, units, t_last, t, fates, kinds = (column[runs.fate != FAILED] for column in runs)
@@ -587,7 +598,7 @@ def _shifts(groups: Sequence[Group], level: float) -> list[Shift]:
             shift = median(delays, np.full(len(delays), True), level)
             if len(delays):
                 shift = replace(shift, value=float(np.median(delays)))
-            shifts.append(Shift(other.label, reference.label, len(known), len(both) - len(known), shift))
+            shifts.append(Shift(other.name, reference.name, len(known), len(both) - len(known), shift))
     return shifts
 
 
@@ -616,7 +627,7 @@ def _pictures(
     if (starts := _basin(study, runs)) is not None:
         pictures["basin"] = starts
     key, values = key_of([row.label for row in ends]) if len({row.method for row in ends}) == 1 else ("", [])
-    values = values or [_where(row) for row in ends]
+    values = values or [str(_where(row)) for row in ends]
     if len(ends) > 1 and any(row.n_moving < row.n_runs for row in ends):
         drawn = [row.drawn for row in ends]
         counts = {name: [numbers[name] for numbers in drawn] for name in FATES}

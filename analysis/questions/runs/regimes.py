@@ -15,7 +15,7 @@ MOST = 3  # stretches of values that a sentence names
 _LEAST_UNITS = 4  # for a bound on a share that is 1
 
 
-class Place(NamedTuple):
+class Tally(NamedTuple):
     """What the runs at a setting do.
 
     Attributes
@@ -48,7 +48,7 @@ def key_of(labels: Sequence[Label]) -> tuple[str, list[str]]:
 
 
 def regimes(
-    key: str, values: Sequence[str], places: Sequence[Place], confidence: float, unit: str
+    key: str, values: Sequence[str], places: Sequence[Tally], confidence: float, unit: str
 ) -> tuple[Regime, ...]:
     """Settings by what their runs do; of many stretches of values only those whose runs all do the same.
 
@@ -58,7 +58,7 @@ def regimes(
         What alone tells the settings apart; empty if several keys do.
     values : sequence of str
         The value at each, in order.
-    places : sequence of Place
+    places : sequence of Tally
     confidence : float
     unit : str
         What is independent: "system".
@@ -69,7 +69,7 @@ def regimes(
     if 0 < len(stretches) <= MOST:
         parts = [(_where(key, values, part), places[part.first : part.last + 1]) for part in stretches]
     else:
-        alike: dict[tuple[str, ...], list[Place]] = {}
+        alike: dict[tuple[str, ...], list[Tally]] = {}
         for place in places:
             if place.outcomes:
                 alike.setdefault(place.outcomes, []).append(place)
@@ -79,14 +79,14 @@ def regimes(
     return tuple(_regime(where, group, confidence, unit) for where, group in parts)
 
 
-def stretches_of(places: Sequence[Place]) -> list[Stretch]:
+def stretches_of(places: Sequence[Tally]) -> list[Stretch]:
     """Neighbouring places of the same outcomes; what is not known is in one only if it goes on beyond."""
     known = [(k, place.outcomes) for k, place in enumerate(places) if place.outcomes]
     numbers = [[k for k, _ in group] for _, group in groupby(known, lambda pair: pair[1])]
     return [Stretch(group[0], group[-1]) for group in numbers]
 
 
-def least_share(places: Sequence[Place], confidence: float) -> float | None:
+def least_share(places: Sequence[Tally], confidence: float) -> float | None:
     """Of one outcome at all of some places: the least share of units that have it; None for few or some undecided.
 
     All places share their draws, which count once.
@@ -96,7 +96,7 @@ def least_share(places: Sequence[Place], confidence: float) -> float | None:
     return wilson(n_units, n_units, confidence)[0] if is_whole and n_units >= _LEAST_UNITS else None
 
 
-def _regime(where: str, group: Sequence[Place], confidence: float, unit: str) -> Regime:
+def _regime(where: str, group: Sequence[Tally], confidence: float, unit: str) -> Regime:
     outcomes = next(place.outcomes for place in group if place.outcomes)
     numbers = {(place.n, place.of) for place in group}
     is_each = len(group) > 1 and len(numbers) == 1 and group[0].of > 1  # as many at each

@@ -17,6 +17,7 @@ from stickslip.analysis.answer import Answer, F, I, Picture, Row, S, frame, name
 from stickslip.analysis.contrast import CHANGES, TITLES, Contrast, Sample, contrast, judged, statistics
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Finding, Form, Lack, Level, Quantity, Reason, Share
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.members import noun
 from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, median
 from stickslip.analysis.models.motion import COLUMNS
@@ -66,7 +67,7 @@ def answer(study: Study) -> Answer | None:
         "robustness_matrices": frame(_MATRICES, [row for one in every for row in one.matrices]),
         "robustness_ends": frame(_ENDS, ends),
     }
-    where = {one.setting.label: one.setting.label if len(every) > 1 else "" for one in every}
+    where = {one.setting.label: Place.of(one.setting.label) if len(every) > 1 else EVERYWHERE for one in every}
     unit = noun(study.unit)
     lead = [finding for one in every for finding in one.leading(where[one.setting.label], unit)]
     lead += [finding for row in ends for finding in _ends_in_words(row, where[row["setting"]], unit)]
@@ -91,9 +92,9 @@ def _named(change: Change) -> Named:
     return Named("", f"a change of constants{how}", 100.0 * change.size, "%")
 
 
-def _ends_in_words(row: Row, where: str, unit: str) -> Iterator[Finding]:
+def _ends_in_words(row: Row, where: Place, unit: str) -> Iterator[Finding]:
     """How many copies of runs that ended end differently, and by how much the last event shifts."""
-    at = ", ".join(filter(None, (where, row["change"])))
+    at = where + Place.words(row["change"])
     if row["counts"]:
         share, low, high, _ = share_over_matrices(row["counts"], row["confidence"])
         yield Share(
@@ -230,7 +231,7 @@ class _Judged:
             for change, _, one in self.contrasts
         ]  # fmt: skip
 
-    def leading(self, where: str, unit: str) -> list[Finding]:
+    def leading(self, where: Place, unit: str) -> list[Finding]:
         """How changed systems come out beside unchanged ones, and the effect of the largest change on one system."""
         known = [(change, one) for change, _, one in self.contrasts if one.is_known and not one.reason]
         known.sort(key=lambda pair: (pair[0].kind, pair[0].reading or "", pair[0].size))
@@ -238,15 +239,15 @@ class _Judged:
             return []
         placed: dict[Named, list[Beside]] = {}
         for change, one in known:
-            at = ", ".join(filter(None, (where, str(change))))
+            at = where + Place.words(str(change))
             placed.setdefault(_named(change), []).append(Beside(one, at))
         effects = [row for row in self.effects if row["quantity"] == PRIMARY[0] and row["theta"] is not None]
         return [*outcomes("no change", placed, unit), *(self._effect(row, where, unit) for row in effects[-1:])]
 
-    def rest(self, where: str, unit: str) -> list[Finding]:
+    def rest(self, where: Place, unit: str) -> list[Finding]:
         """Each quantity under each change, and how much of its variance lies between systems."""
         found: list[Finding] = [
-            one.level(", ".join(filter(None, (where, str(change)))), UNCHANGED, unit)
+            one.level(where + Place.words(str(change)), UNCHANGED, unit)
             for change, _, one in self.contrasts
             if one.is_known
         ]
@@ -259,7 +260,7 @@ class _Judged:
                 found.append(Level(quantity, value, where, None, Basis(row["n_matrices"], unit)))
         return found
 
-    def _effect(self, row: Row, where: str, unit: str) -> Level:
+    def _effect(self, row: Row, where: Place, unit: str) -> Level:
         """The mean square effect of a change on a quantity, as a share of that of another system."""
         name = f"effect of {row['change']} on the {TITLES[row['quantity']]} of one system"
         quantity = Quantity("theta", f"{name}, as a share of another system's", Form.SHARE)

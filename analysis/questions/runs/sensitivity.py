@@ -13,6 +13,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from stickslip.analysis.answer import Answer, B, F, I, Picture, Question, S, frame, named
 from stickslip.analysis.ensemble import Separation, Study
 from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Lifetime, Quantity, Reason
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
 from stickslip.analysis.members import RELATIVE
 from stickslip.analysis.models.fates import median
@@ -98,7 +99,7 @@ class _Rate(NamedTuple):
 
     @property
     def finding(self) -> Finding:
-        where, basis = self.setting.label, Basis(self.n_used, "pair")
+        where, basis = Place.of(self.setting.label), Basis(self.n_used, "pair")
         differences = f"start differences of {shown(self.size)}"
         if not self.law.n_pairs:
             return Lack(
@@ -169,7 +170,7 @@ def _lifetime(alike: Sequence[_Parting]) -> Lifetime:
         RATIOS: "other stiffness ratios",
     }[first.change.kind]
     share_left = 1 - float(np.mean(np.concatenate([parted.pairs.has_parted for parted in alike])))
-    where, horizon = f"{first.setting.label}, with {change}", float(first.setting.key["t_end"])
+    where, horizon = Place.of(first.setting.label) + Place.words(f"with {change}"), float(first.setting.key["t_end"])
     basis = Basis(len(np.unique(first.pairs.matrix)))
     return Lifetime(PARTED, "copies", "are still together", first.half, horizon, share_left, where, basis=basis)
 

@@ -26,6 +26,7 @@ from stickslip.analysis.findings.finding import (
     Basis,
     Change,
     Finding,
+    KeyChange,
     Lack,
     Level,
     Reason,
@@ -34,6 +35,7 @@ from stickslip.analysis.findings.finding import (
     Verdict,
 )
 from stickslip.analysis.findings.numbers import signs
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
 from stickslip.analysis.grid import (
     AT_MOST,
@@ -55,6 +57,7 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.analysis.style import EXACT, GREY, panel
 from stickslip.pipeline.design.design import Axis, in_words
+from stickslip.pipeline.design.labels import Label
 from stickslip.pipeline.design.values import Ratio, Value
 
 ROUNDING = 1e-12  # what sums over a run lose to rounding, at any tolerance
@@ -88,33 +91,33 @@ class Step(NamedTuple):
 
     Attributes
     ----------
-    setting : str
+    setting : Label
     axis : Axis
     first, second : tuple of Value
         Values of the axis.
     contrast : Contrast
-    places : str
-        In words; empty if it is at all points that there are.
+    places : Place
+        At which values of the other keys; everywhere, if it is at all points that there are.
     is_last : bool
         Whether the second is the last value.
     """
 
-    setting: str
+    setting: Label
     axis: Axis
     first: tuple[Value, ...]
     second: tuple[Value, ...]
     contrast: Contrast
-    places: str
+    places: Place
     is_last: bool
 
     @property
     def name(self) -> str:
         return self.contrast.statistic.name
 
-    def change(self, where: str, unit: str) -> Change:
+    def change(self, where: Place, unit: str) -> Change:
         """As a finding."""
-        at = ", ".join(filter(None, (where, self.places)))
-        return self.contrast.change(self.axis.name, _value(self.first), _value(self.second), at, unit)
+        keys = map(KeyChange, self.axis.keys, _values(self.first), _values(self.second))
+        return self.contrast.change(tuple(keys), where + self.places, unit)
 
     def row(self) -> Row:
         return {
@@ -123,12 +126,12 @@ class Step(NamedTuple):
         }  # fmt: skip
 
 
-def _value(row: tuple[Value, ...]) -> str:
-    """A value of an axis in a sentence: of a ratio, how many times what."""
-    return " with ".join(
+def _values(row: tuple[Value, ...]) -> list[str]:
+    """The values of an axis in a sentence: of a ratio, how many times what."""
+    return [
         f"{in_words((value.factor,))} times {value.of}" if isinstance(value, Ratio) else in_words((value,))
         for value in row
-    )
+    ]
 
 
 def answer(study: Study) -> Answer | None:
@@ -196,12 +199,12 @@ def _leading(asked: Sequence[Measure], steps: Sequence[Step]) -> list[str]:
 
 
 def _findings(
-    points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], leading: Sequence[str],
+    points: Mapping[Label, Sequence[Point]], lead: Label, axes: Sequence[Axis], leading: Sequence[str],
     steps: Sequence[Step], study: Study,
 ) -> tuple[list[Finding], int]:  # fmt: skip
     """The findings, and how many of them lead: where stick-slip ends, and changes of the leading statistic."""
     unit = noun(study.unit)
-    where = {name: name if len(points) > 1 else "" for name in points}
+    where = {name: Place.of(name) if len(points) > 1 else EVERYWHERE for name in points}
     in_order = sorted(points, key=lambda name: name != lead)
     told = [step for name in in_order for step in steps if step.setting == name]
     found: list[Finding] = [
@@ -263,7 +266,7 @@ def _beyond(end: Step, steps: Sequence[Step]) -> list[Step]:
     return [max(found, key=lambda pair: pair[0])[1]] if found else []
 
 
-def _thresholds(points: Sequence[Point], axes: Sequence[Axis], where: str, unit: str) -> Iterator[Threshold]:
+def _thresholds(points: Sequence[Point], axes: Sequence[Axis], where: Place, unit: str) -> Iterator[Threshold]:
     """Between which values of the first key all runs cease to be in motion, or begin to, wherever the others are."""
     axis, *others = axes
     by_place: dict[tuple[tuple[Value, ...], ...], list[Point]] = {}
@@ -278,11 +281,11 @@ def _thresholds(points: Sequence[Point], axes: Sequence[Axis], where: str, unit:
         first = min(k for k, is_moving in enumerate(moves) if is_moving == moves[-1])
         if last > first:
             continue  # more than once
-        at = [f"{other.name} = {in_words(value)}" for other, value in zip(others, place, strict=True)]
+        at = Place(tuple((other.name, in_words(value)) for other, value in zip(others, place, strict=True)))
         n_units = min(point.group.column("unit").nunique() for point in some)
         yield Threshold(
             "stick-slip", bool(moves[0]), axis.name, in_words(told[last][0]), in_words(told[first][0]),
-            ", ".join(filter(None, (where, *at))), Basis(n_units, unit),
+            where + at, Basis(n_units, unit),
         )  # fmt: skip
 
 
@@ -296,7 +299,11 @@ def _all_or_none(point: Point) -> bool | None:
 
 
 def _levels(
-    points: Mapping[str, Sequence[Point]], steps: Sequence[Step], where: Mapping[str, str], unit: str, level: float
+    points: Mapping[Label, Sequence[Point]],
+    steps: Sequence[Step],
+    where: Mapping[Label, Place],
+    unit: str,
+    level: float,
 ) -> Iterator[Level]:
     """The value of a statistic at the first value of each key, with which the others are compared."""
     for name, axis in dict.fromkeys((step.setting, step.axis) for step in steps):
@@ -304,18 +311,18 @@ def _levels(
         at = points_at(points[name], axis, step.first)
         value = estimate(step.contrast.statistic, at, level)
         if value.value is not None:
-            place = ", ".join(filter(None, (f"{axis.name} = {in_words(step.first)}", where[name])))
+            place = Place.key(axis.name, in_words(step.first)) + where[name]
             yield Level(step.contrast.statistic.quantity, value, place, basis=step.contrast.basis(unit))
 
 
-def _drawn(points: Mapping[str, Sequence[Point]], lead: str) -> list[str]:
+def _drawn(points: Mapping[Label, Sequence[Point]], lead: Label) -> list[Label]:
     """The settings with pictures of their own: the one that leads first, then those of the exact law."""
     rest = sorted((name for name in points if name != lead), key=lambda name: not points[name][0].group.is_exact)
     return [lead, *rest][:MOST_SETTINGS]
 
 
 def _steps(
-    setting: str, axes: Sequence[Axis], points: Sequence[Point], asked: Sequence[Measure], study: Study
+    setting: Label, axes: Sequence[Axis], points: Sequence[Point], asked: Sequence[Measure], study: Study
 ) -> Iterator[Step]:
     """Each value of each axis beside the first that has enough units, not judged yet."""
     by_place = {tuple(point.at.values()): point for point in points}
@@ -348,14 +355,14 @@ def _steps(
             yield Step(setting, axis, base, value, found, _places(axis, pairs, kept), value == others[-1])
 
 
-def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], kept: Sequence[int]) -> str:
+def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], kept: Sequence[int]) -> Place:
     """At which points of the other keys a contrast is; empty where it is at all that there are."""
     if len(kept) == len(pairs):
-        return ""
+        return EVERYWHERE
     others = [one for one in pairs[0][0].at if one != axis]
     if len(kept) == 1:
-        return ", ".join(f"{one.name} = {in_words(pairs[kept[0]][0].at[one])}" for one in others)
-    return f"averaged over {len(kept)} of the {len(pairs)} settings of the other keys"
+        return Place(tuple((one.name, in_words(pairs[kept[0]][0].at[one])) for one in others))
+    return Place.words(f"averaged over {len(kept)} of the {len(pairs)} settings of the other keys")
 
 
 def _is_same(first: Sample, second: Sample, name: str, noise: float) -> bool:
@@ -448,7 +455,7 @@ def _differ(first: Sample, second: Sample, name: str) -> bool:
 
 
 def _tables(
-    points: Mapping[str, Sequence[Point]], axes: Sequence[Axis], asked: Sequence[Measure], steps: Sequence[Step],
+    points: Mapping[Label, Sequence[Point]], axes: Sequence[Axis], asked: Sequence[Measure], steps: Sequence[Step],
     level: float,
 ) -> dict[str, Any]:  # fmt: skip
     """Runs by fate, every measure with its interval, and runs without one, at each point; and the changes."""
@@ -485,7 +492,7 @@ def _measured(measure: Measure, point: Point, level: float) -> Row:
     }  # fmt: skip
 
 
-def _missing(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) -> Iterator[Row]:
+def _missing(points: Mapping[Label, Sequence[Point]], asked: Sequence[Measure]) -> Iterator[Row]:
     """Rows of the table `sweep_missing`: each run without a value, and why."""
     for setting, some in points.items():
         for point, one in product(some, asked):
@@ -493,7 +500,7 @@ def _missing(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure]) ->
                 yield {"setting": setting, "measure": one.name, "member_id": member_id, "reason": reason}
 
 
-def _alerts(points: Mapping[str, Sequence[Point]], asked: Sequence[Measure], study: Study) -> list[Alert]:
+def _alerts(points: Mapping[Label, Sequence[Point]], asked: Sequence[Measure], study: Study) -> list[Alert]:
     """Runs of which it is not known whether they stick again, runs without a value, and values that are withheld."""
     every = [point for some in points.values() for point in some]
     n_members = sum(len(point.group) for point in every)
@@ -529,7 +536,7 @@ def _figure(measure: Measure) -> str:
 
 
 def _figures(
-    points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], leading: Sequence[str],
+    points: Mapping[Label, Sequence[Point]], lead: Label, axes: Sequence[Axis], leading: Sequence[str],
     asked: Sequence[Measure], level: float, where: str, steps: Sequence[Step],
 ) -> dict[str, Picture]:  # fmt: skip
     """The statistics along the first axis, in the order of `leading`, and a map of the first over two axes."""
@@ -602,7 +609,7 @@ def _throughout(of: Statistic, points: Sequence[Point], axes: Sequence[Axis]) ->
 
 
 def _lines(
-    points: Mapping[str, Sequence[Point]], lead: str, axes: Sequence[Axis], of: Statistic, level: float
+    points: Mapping[Label, Sequence[Point]], lead: Label, axes: Sequence[Axis], of: Statistic, level: float
 ) -> list[tuple[str, list[Estimate | None]]]:
     """Lines along the first axis, one for each value of the second, or for each setting."""
     kept = {lead, *list(points)[: MOST_LINES - 1]}

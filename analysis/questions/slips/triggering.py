@@ -23,6 +23,7 @@ from stickslip.analysis.findings.finding import (
     Share,
     Verdict,
 )
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
 from stickslip.analysis.models import clustering
 from stickslip.analysis.models.clustering import FANO, PAIRS, POWER, VARIANCE, Part, measure, periods
@@ -70,7 +71,7 @@ class Compared(NamedTuple):
                 name = f"number of pairs of slip onsets within {self.part.upto:g}"
         return Quantity(self.part.kind, name, definition=DEFINITIONS.get(self.part.kind, ""), clause=clause)
 
-    def level(self, where: str, basis: Basis) -> Level:
+    def level(self, where: Place, basis: Basis) -> Level:
         """The finding, where it has an interval."""
         return Level(self.quantity, self.observed, where, Comparison("time-shifted blocks", self.difference), basis)
 
@@ -120,7 +121,7 @@ def _ends(estimate: Estimate) -> Row:
     return {"low": estimate.low, "high": estimate.high}
 
 
-def triggered(exits: Exits, where: str, unit: str) -> tuple[list[Share | Limit], Compared | None]:
+def triggered(exits: Exits, where: Place, unit: str) -> tuple[list[Share | Limit], Compared | None]:
     """The share of exits that trigger another one within a time, or an upper limit, and the pairs that show it.
 
     An exit that another one triggers adds a pair to those of time-shifted blocks. If more pairs are shown, the share
