@@ -18,7 +18,7 @@ import stat
 import sys
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +59,7 @@ def has_kernel(package: str) -> bool:
 
 
 class CacheFiles:
-    """Things on disk, each in a file named by its key, with the interface of numba's cache files.
+    """Things on disk, each in a file named by its key.
 
     Parameters
     ----------
@@ -67,12 +67,10 @@ class CacheFiles:
         `cache_directory()`.
     name : str
         What files begin with.
-    dumps : callable, optional
-        Pickles a thing; for kernels, numba's.
     """
 
-    def __init__(self, directory: Path, name: str, dumps: Callable[[Any], bytes] = pickle.dumps) -> None:
-        self._directory, self._name, self._dumps = directory, name, dumps
+    def __init__(self, directory: Path, name: str) -> None:
+        self._directory, self._name = directory, name
         self._locks: dict[str, contextlib.ExitStack] = {}
 
     def _file(self, key: object, ending: str = _ENDING) -> str:
@@ -130,7 +128,7 @@ class CacheFiles:
             return None
 
     def save(self, key: object, thing: object) -> None:
-        data = self._dumps(thing)
+        data = pickle.dumps(thing)
         temporary = f"{self._name}.{uuid.uuid4().hex}.tmp"
         try:
             with _opened(self._directory) as directory:

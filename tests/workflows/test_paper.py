@@ -281,7 +281,7 @@ def told(scene, measured, undrawn):
 
     def found(**changes):
         html = runner.report(scene, replace(measured, **changes)).html
-        rows = re.findall(r"<tr>(<td data-h=\"claim\".*?)</tr>", html, flags=re.DOTALL)
+        rows = re.findall(r"<tr>(<td data-head=\"claim\".*?)</tr>", html, flags=re.DOTALL)
         texts = [[" ".join(re.sub(r"<[^>]*>", "", cell).split()) for cell in row.split("</td>")] for row in rows]
         return {text[0]: text[1:4] for text in texts}
 

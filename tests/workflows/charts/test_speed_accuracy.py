@@ -289,7 +289,7 @@ def test_words_say_who_is_cheapest_and_by_what_factor(scene_file, said, undrawn)
     for line, error in zip(report.headline[1:], ("1e-4", "1e-6"), strict=True):
         assert f"the sigmoid engine comes to an error of {error} with 1,000 products, 3 times less than" in line
         assert line.endswith("the next, CyRK DOP853.")
-    assert '<td data-h="1e-6">8,000</td>' in report.html
+    assert '<td data-head="1e-6">8,000</td>' in report.html
     assert "the sigmoid engine's error is 2 to 2 times the tolerance" in tolerance.lower()
     assert report.html.count("given up after 5 s") == 1
     at_error = report.tables["at_error"].set_index(["method", "error"]).products
