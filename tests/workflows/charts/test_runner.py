@@ -1,6 +1,5 @@
 """What all charts share: a page of what was measured, with tables and figures, and scenes that are refused."""
 
-import json
 import os
 import subprocess
 import sys
@@ -8,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from pydantic import Field
@@ -90,8 +90,8 @@ def test_the_page_its_headline_and_its_tables(planted, capsys):
     assert '<td data-head="value">5.0e-01</td>' in page  # an exponent keeps its sign as it is written
     assert '<td data-head="value">–</td>' in page
     assert {file.name for file in (planted[1] / "report" / "figures").iterdir()} == {"drawn.svg", "drawn.pdf"}
-    rows = json.loads((planted[1] / "report" / "tables.json").read_text())["rows"]
-    assert [(row["value"], row["count"]) for row in rows] == [(0.5, None), (None, 3)]
+    rows = pd.read_parquet(planted[1] / "report" / "rows.parquet", dtype_backend="pyarrow")
+    assert [*zip(rows["value"].fillna(0.0), rows["count"].fillna(0), strict=True)] == [(0.5, 0), (0.0, 3)]
 
 
 ONE_THREADED = """
