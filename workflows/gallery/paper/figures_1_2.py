@@ -134,7 +134,7 @@ def pair(sign: Literal[1, -1]) -> sim.System:
 
 def corner(system: sim.System, sides: tuple[int, int]) -> Floats:
     """Where both blocks are at the edge of sticking, lambda = `sides`; shape (2,)."""
-    (found,) = (one for one in strata.corners(system) if one.sides == sides)
+    (found,) = (corner for corner in strata.corners(system) if corner.sides == sides)
     return found.point
 
 
