@@ -87,5 +87,5 @@ class PaperScene(Asked):
             for number in self.figures
             for k, recipe in enumerate(drawn[number], start=1)
         }
-        facts = {"claims": judged, "pair": figures_1_2, "force": figure_6.FORCE, "figures": list(figures)}
+        facts = {"claims": judged, "pair": figures_1_2, "force": figure_6.FORCE, "panels": list(figures)}
         return Shown(facts, tables, figures)
