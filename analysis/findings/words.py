@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from stickslip.analysis.findings.finding import (
     Alike,
@@ -19,12 +18,10 @@ from stickslip.analysis.findings.finding import (
     Law,
     Level,
     Lifetime,
-    Limit,
     Outcomes,
     Parts,
     Quantity,
     Regime,
-    Regimes,
     Scale,
     Share,
     Threshold,
@@ -55,8 +52,6 @@ def clause(finding: Finding) -> str:
             return _law(finding)
         case Parts():
             return _parts(finding)
-        case Limit(things=things, predicate=predicate, most=most, where=where):
-            return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{where.tail}"
         case Alike(quantity, value, among, where):
             digits = decimals(Estimate(value), quantity.form) + (
                 quantity.form is not Form.COUNT
@@ -67,12 +62,8 @@ def clause(finding: Finding) -> str:
         case Threshold(subject, is_end, key, last, first, where, basis):
             every = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
             return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{where.tail}{every}"
-        case Regimes(things, regimes, where, when):
-            grouped = "; ".join(_regime(regime, things, k == 0) for k, regime in enumerate(regimes))
-            if when:
-                first, said, others = grouped.partition(f" {when}")
-                grouped = first + said + others.replace(said, "")
-            return f"{where.noun}: {grouped}" if where else grouped
+        case Regime():
+            return _regime(finding)
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
         case Decided(truth, reason):
@@ -176,27 +167,17 @@ def ratio(difference: Difference) -> str | None:
     return with_interval(Estimate(1.0 + value, ends[0], ends[1]))
 
 
-class Cell(NamedTuple):
-    """A difference in a table: its size with its interval, and what that comes to where it is not plain."""
-
-    size: str
-    verdict: str = ""
-
-
-def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = Form.NUMBER) -> Cell:
-    """A difference as the cell of a table: "+0.9% (+0.6 to +1.3%)", "equal within 5%"."""
-    difference = comparison.difference
+def difference_in_words(difference: Difference, form: Form = Form.NUMBER) -> tuple[str, str]:
+    """A difference as the cell of a table, and what it comes to: "+0.9% (+0.6 to +1.3%)", "equal within 5%"."""
+    verdict, estimate = difference.verdict, difference.estimate
     if verdict is Verdict.SAME:
-        return Cell("none in any run")
-    value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
-    if value is None:
-        return Cell("unknown" if low is None or high is None else interval(difference, form))
+        return "none in any run", ""
+    if estimate.value is None:
+        return "unknown" if verdict is Verdict.UNJUDGED else interval(difference, form), ""
     text = _signed(difference, form)
     if verdict is Verdict.EQUAL:
-        return Cell(text, f"equal within {margin(difference, form)}")
-    if verdict is Verdict.OPEN_AMONG_MANY:
-        return Cell(text, "not significant among all comparisons")
-    return Cell(text)
+        return text, f"equal within {margin(difference, form)}"
+    return text, "not significant among all comparisons" * (verdict is Verdict.OPEN_AMONG_MANY)
 
 
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:
@@ -441,13 +422,11 @@ def _signed(difference: Difference, form: Form) -> str:
     return with_interval(difference.estimate, unit, sign=True) + _AFTER[unit]
 
 
-def _regime(regime: Regime, things: str, is_first: bool) -> str:
-    """What things do at some settings; they are named once in a sentence."""
-    where, n, noun, each = regime.where, regime.n, f" {things}" * is_first, " each" * regime.is_each
-    first, *others = regime.predicates
+def _regime(regime: Regime) -> str:
+    head, things, (first, *others) = regime.where.head, regime.things, regime.predicates
     if others:
-        parts = [f"some{noun} {first}", *(f"some {predicate}" for predicate in others[:-1]), f"others {others[-1]}"]
-        return f"{where} {listed(parts)}"
-    if n < regime.of:
-        return f"{where} all {n:,} decided {things} (of {regime.of:,}{each}) {first}"
-    return f"{where} all {n:,}{noun}{each} {first}" if n > 1 else f"{where} {things} {first}"
+        some = [f"some {things} {first}", *(f"some {predicate}" for predicate in others[:-1])]
+        return f"{head}{listed([*some, f'others {others[-1]}'])}"
+    if regime.n < regime.of:
+        return f"{head}all {regime.n:,} decided {things} (of {regime.of:,}) {first}"
+    return f"{head}{f'all {regime.n:,} ' * (regime.n > 1)}{things} {first}"

@@ -43,8 +43,9 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.motion import lulls
+from stickslip.analysis.series import nulls
 from stickslip.analysis.series.cascades import EVENTS, Window, sums
-from stickslip.analysis.series.nulls import BlockSteps, rotations
+from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices, ratio
@@ -227,7 +228,7 @@ def run_sums(win: Window, steps: BlockSteps, draws: int, rng: np.random.Generato
     rng : Generator
     """
     span = win.t_stop - win.t_start
-    observed, rotated = sums(win.step)[EVENTS], rotations(steps, (), draws, rng).sums[EVENTS]
+    observed, rotated = sums(win.step)[EVENTS], nulls.moments(steps, draws, rng)[[1, 0]]
     return np.concatenate([observed, rotated, [win.time_mean() * span, span], slope_sums(win)])
 
 

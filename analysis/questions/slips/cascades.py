@@ -36,8 +36,8 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models import fates, pool
 from stickslip.analysis.questions.slips import cascade_definitions, cascade_figures
+from stickslip.analysis.series import nulls
 from stickslip.analysis.series.cascades import spans
-from stickslip.analysis.series.nulls import rotations
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough, estimates, student
 from stickslip.analysis.stats.compare import mean_within
@@ -299,7 +299,7 @@ def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
     """`cascades.moments` of a run's blocks shifted in time, and total size and number of cascades in parts of it."""
     shifted = np.zeros(3)
     if run.steps is not None:
-        shifted = rotations(run.steps, (), draws, run.generator(), least).moments
+        shifted = nulls.moments(run.steps, draws, run.generator(), least)
     found = spans(run.win)
     size = found.size - (least - 1)
     part = (PARTS * (found.start - run.win.t_start) / (run.win.t_stop - run.win.t_start)).astype(np.int64)

@@ -15,7 +15,7 @@ from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Quantity, Reason, Share
 from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
-from stickslip.analysis.models.clustering import POWER, VARIANCE
+from stickslip.analysis.models.clustering import Kind
 from stickslip.analysis.models.common_motion import NONE, SURROGATES
 from stickslip.analysis.questions.slips import slow_motion, triggering
 from stickslip.analysis.questions.slips.slow_motion import CYCLES, Slow
@@ -25,7 +25,7 @@ from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
 WHAT = "collective motion"
 MOST_DRAWN = 3  # groups in the figure
-OF_ALL_BLOCKS = (POWER, VARIANCE)  # what is compared on the page besides exits; tables have all
+OF_ALL_BLOCKS = (Kind.POWER, Kind.VARIANCE)  # what is compared on the page besides exits; tables have all
 Q = Quantity(
     "quality",
     "Q of slow common motion",
