@@ -417,11 +417,11 @@ def test_no_b_where_most_episodes_have_one_moment(planted_episodes, settings, rn
 def test_how_much_slower_the_belt_has_to_be():
     """On a belt f times slower a share s is s / (s + f (1 - s)); nothing is said where the time is nearly full."""
     for share in (0.06, 0.3, 0.78):
-        factor = episodes._slower({OCCUPANCY: share, BY_WAY: 1.0})
+        factor = episodes._slower(share, 1.0)
         assert share / (share + factor * (1 - share)) <= episodes.SLOW
         assert share / (share + factor / 2 * (1 - share)) > episodes.SLOW
-    assert episodes._slower({OCCUPANCY: 0.99, BY_WAY: 1.0}) is None
-    assert episodes._slower({OCCUPANCY: 0.3, BY_WAY: None}) is None
+    assert episodes._slower(0.99, 1.0) is None
+    assert episodes._slower(0.3, None) is None
 
 
 def test_what_changes_with_the_number_of_blocks_has_a_verdict(planted_episodes, settings):

@@ -428,7 +428,7 @@ def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Cat
         alerts.append(Alert.of(Code.DRIFT, what="The rate of episodes", where=where, t_burn=t_burn))
     fast = max(references or groups, key=_occupancy)
     if _occupancy(fast) > SLOW:
-        slower = _slower(fast)
+        slower = _slower(_occupancy(fast), fast.estimates[BY_WAY].value)
         remedy = "a much slower belt" if slower is None else f"a belt about {slower:g} times slower"
         share = number(_occupancy(fast), Form.SHARE, 0)
         alerts.append(Alert.of(Code.OVERLAP, share=share, where=str(fast.method), remedy=remedy))
@@ -459,14 +459,13 @@ def _occupancy(group: Catalogues) -> float:
     return group.estimates[OCCUPANCY].value or 0.0
 
 
-def _slower(group: Catalogues) -> float | None:
+def _slower(share: float, by_way: float | None) -> float | None:
     """How many times slower a belt has to be for a share of time in episodes of `SLOW`, to one digit; None: unknown.
 
     On a slow belt the time in episodes grows with the belt's travel, and the quiet time with the time itself: the
     ratio of the two is proportional to the belt's speed.
     """
-    share = _occupancy(group)
-    if share > TELLING or not group.estimates[BY_WAY].value:
+    if share > TELLING or not by_way:
         return None
     factor = share / (1 - share) * (1 - SLOW) / SLOW
     digit = 10.0 ** np.floor(np.log10(factor))
