@@ -181,7 +181,7 @@ def _outcomes(
 ) -> tuple[list[tuple[Finding, Sequence[Setting]]], list[Finding]]:
     """What the runs of a method do, with the settings: shares where all do the same, else settings by outcome."""
     alike = {setting.kinds for setting in settings}
-    if len(settings) == 1 or not grid.axes or (len(alike) == 1 and len(settings[0].kinds) == 1):
+    if len(settings) == 1 or not grid.axes or (len(alike) == 1 and len(settings[0].kinds) < 2):
         shares = _shares(study, settings, method)
         n_lead = 2 if sum(isinstance(share, Share) for share in shares) > 2 else 1  # of two, one says both
         return [(share, settings) for share in shares[:n_lead]], shares[n_lead:]
