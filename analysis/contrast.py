@@ -217,7 +217,7 @@ def statistics(margins: Mapping[str, float], of: Collection[str] = tuple(QUANTIT
             least=0.0,
             title=TITLES[name],
             things=THINGS.get(name, ""),
-        )  # fmt: skip
+        )
         for name, quantity in QUANTITIES.items()
         if name in of
     ]

@@ -14,14 +14,13 @@ import pandas as pd
 import pyarrow as pa
 
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
-from stickslip.analysis.answer import B, F, I, S, frame
 from stickslip.analysis.ensemble import Numbers, Recorded, Until
-from stickslip.analysis.findings.finding import Record
 from stickslip.analysis.members import READ, Members
 from stickslip.analysis.page import FINDINGS, PAGE
 from stickslip.analysis.page.comparison import Ensemble, compare
-from stickslip.analysis.page.parts import Answered
+from stickslip.analysis.page.parts import Answered, Row, Said
 from stickslip.analysis.questions import renamed
+from stickslip.analysis.rows import frame_of
 from stickslip.analysis.session import defaults
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
@@ -55,11 +54,6 @@ _UNASKED = (
     "perturbation_draw", "picked_for", "reproduce", "n_stick_end", "n_events", "n_entries", "n_exits", "n_crossings",
     "n_steps", "n_rejected", "n_products", *(column.name for column in DESIGN),
 )  # fmt: skip
-
-_FINDINGS = dict.fromkeys(("question", "leads", "sentence", *Record._fields[:-1]), F) | {
-    "leads": B, "n": I, **dict.fromkeys(("question", "sentence", "quantity", "setting", "compared_with"), S),
-    **dict.fromkeys(("scale", "verdict", "unit"), S),
-}  # fmt: skip
 
 #: Who puts the questions of a dataset: the dataset, its study, and whom to tell how many are answered.
 Asking = Callable[[Opened, Study, Callable[[int, int], None]], list[Answered | None]]
@@ -242,9 +236,13 @@ def findings(where: Where) -> pd.DataFrame:
     if written is None:
         raise StoreError(f"{opened.place}: expected {FINDINGS}, got no such file; `stickslip report DIR` writes it")
     try:
-        told = json.loads(written)["findings"]
-        rows = [{**finding, **row} for finding in told for row in finding["rows"]]
-        return frame(_FINDINGS, rows)
+        rows = [
+            (Said(finding["question"], finding["leads"], finding["sentence"]), Row(**row))
+            for finding in json.loads(written)["findings"]
+            for row in finding["rows"]
+        ]
+        tables = frame_of(Said, (said for said, _ in rows)), frame_of(Row, (row for _, row in rows))
+        return pd.concat(tables, axis="columns").drop(columns="form")
     except (ValueError, KeyError, TypeError) as error:
         raise StoreError(
             f"{opened.place}: {FINDINGS} is damaged ({error}); `stickslip report DIR` writes it"
@@ -284,8 +282,6 @@ def write(built: Report, where: Where) -> str:
         (found,) = place.read_each([name]) if name not in files else [None]
         if found is not None and hashlib.sha256(found).hexdigest() == sha256:
             place.remove(name)
-    for name in built.gone() if listed is None else ():
-        place.remove(name)
     place.replace(LIST, _lines([], written))
     return place.named(PAGE)
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from stickslip.analysis.answer import Answer, B, I, Picture, Question, Row, S, frame
+from stickslip.analysis.answer import Answer, B, I, Question, Row, S, frame
 from stickslip.analysis.contrast import CHANGES, Contrast, contrast, judged, sample, shares, statistics
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.finding import Alike, Decided, Form, Lack, Quantity, Reason, Truth
@@ -20,7 +20,7 @@ from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
 from stickslip.analysis.outcomes import Beside, Setting, forest, outcome, outcomes
 from stickslip.analysis.page import parts
 from stickslip.analysis.page.build import Report
-from stickslip.analysis.page.layout import Page, Section
+from stickslip.analysis.page.layout import Page, Table
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.pipeline.design.labels import apart
 
@@ -208,26 +208,25 @@ def _both(one: Study, other: Study) -> list[tuple[Measure, Measure]]:
 
 def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[str] = ()) -> Report:
     title = f"{first.name} beside {second.name}"
-    pictures = {name: picture for name, picture in answer.figures.items() if isinstance(picture, Picture)}
-    figures = {name: parts.draw(picture.recipe, True) for name, picture in pictures.items()}
     entry = Question(lambda _: answer, title="Do two datasets agree?")
-    compared = parts.part(parts.answered("compare", entry, answer, figures))
+    question = parts.answered("compare", entry, answer, with_pdf=True)
+    compared = parts.part(question)
     origin = [
         f"{which.name}: " + "".join(f"{name}: {value}. " for name, value in which.provenance.items())
         for which in (first, second)
     ]
-    made = Section(
-        "made",
-        "How was it made?",
-        f"{first.name} and {second.name}.",
-        [*compared.texts, *origin],
-        notes=compared.notes,
+    inside = compared.section((), True, False)
+    made = inside._replace(
+        key="made",
+        title="How was it made?",
+        summary=f"{first.name} and {second.name}.",
+        texts=[answer.method, *origin],
+        panels=(),
+        table=Table(),
     )
-    whole = Page(
-        title, compared.title, compared.lead, (), compared.panels, compared.table, notes=notes, sections=[made]
-    )
-    told = parts.findings_json(title, compared.lead, [compared])
-    return Report(whole.html, answer.tables, [*compared.lead], figures, findings=told)
+    page = Page(title, compared.title, compared.lead, (), compared.panels, inside.table, notes=notes, sections=[made])
+    findings = parts.findings_json(title, compared.lead, [compared])
+    return Report(page.html, answer.tables, compared.lead, question.figures, findings)
 
 
 def _is_same(first: Ensemble, second: Ensemble) -> bool:

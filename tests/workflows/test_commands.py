@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import os
 import re
 import shlex
@@ -48,8 +47,6 @@ def test_run_leaves_data_and_a_report(dataset, capsys):
     assert "https://" not in page
     law = pd.read_parquet(dataset / "report" / "law.parquet")
     assert {"coulomb", "sigmoid"} <= set(law["engine"])
-    as_json = json.loads((dataset / "report" / "tables.json").read_text())
-    assert len(as_json["law"]) == len(law)
 
 
 def test_a_report_of_blocks_that_are_driven_and_barred(here, tmp_path, capsys):
@@ -78,8 +75,7 @@ dt = 0.5
 """)
     out = tmp_path / "out"
     assert main(["run", str(scene), "--out", str(out), "--workers", "1"]) == 0
-    groups = json.loads((out / "report" / "tables.json").read_text())["groups"]
-    assert [group["back_slip"] for group in groups] == ["barred"] * 4
+    assert [*pd.read_parquet(out / "report" / "groups.parquet")["back_slip"]] == ["barred"] * 4
     assert "barred" in (out / "report.html").read_text()
     members = query.members(out)
     stored = sum(members[f"{kind}_energy_end"] - members[f"{kind}_energy_start"] for kind in ("kinetic", "elastic"))
@@ -583,7 +579,7 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one_whole(n_whole, tmp_p
     table = pd.DataFrame({"gamma": [0.7]})
     write(Report("<old>", {"law": table}, []), tmp_path / "deep" / "er")
     before = {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}
-    assert before.keys() == {"law.parquet", "law.csv", "tables.json", "findings.json", "report.html", "files.txt"}
+    assert before.keys() == {"law.parquet", "law.csv", "findings.json", "report.html", "files.txt"}
     fsync, calls = os.fsync, []
 
     def full(descriptor):
@@ -714,7 +710,7 @@ def test_two_datasets_side_by_side(dataset, tmp_path, capsys):
     out = tmp_path / "compared"
     assert main(["report", str(dataset), "--compare", str(dataset), "--out", str(out)]) == 0
     assert "to the last digit" in capsys.readouterr().out
-    assert json.loads((out / "report" / "tables.json").read_text()) == {}
+    assert not list(out.glob("report/*.parquet"))
 
 
 def test_two_datasets_are_compared_under_the_settings_of_the_first(dataset, tmp_path, monkeypatch):

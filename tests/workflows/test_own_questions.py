@@ -211,9 +211,9 @@ def test_what_cannot_be_drawn_or_shown_is_left_out_and_the_answer_stands(asked, 
     for line, words in zip(found.missing, expected, strict=True):
         assert re.fullmatch(words, line), line
     assert not found.problem
-    assert [sentence(finding) for finding in found.findings] == ["Size: 3.00."]
+    assert [sentence(finding) for finding in found.answer.findings] == ["Size: 3.00."]
     assert [*found.figures] == ["own-question-c"]
-    assert [*found.tables] == ["own-question-d"]
+    assert [*found.answer.tables] == ["own-question-d"]
 
 
 def test_it_is_found_above_the_dataset_and_what_it_loads_is_named(asked, tmp_path):
@@ -224,7 +224,7 @@ def test_it_is_found_above_the_dataset_and_what_it_loads_is_named(asked, tmp_pat
     found = asked(code, **{"late.py": late})
     assert found.sources == {name: sha256(tmp_path / name) for name in ("own.py", "late.py")}
     found = answer(Task("own:question", str(deeper), open_dataset))
-    assert found.findings
+    assert found.answer.findings
     sys.modules.pop("late")
 
 
