@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members, records
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SETTLED
 from stickslip.analysis.series import parting
 from stickslip.analysis.series.runs import Ended, Runs
-from stickslip.analysis.tables import records
 from stickslip.pipeline.design.design import Change, Kind, Method
 from stickslip.pipeline.design.labels import Label, labels
 from stickslip.sim.engines import place
@@ -175,7 +174,7 @@ def settings(members: Members) -> list[Setting]:
         parts.setdefault((one["point"], method.engine, kept), []).append(k)
     firsts = [members.settings[some[0]] for some in parts.values()]
     keys = [{name: one[name] for name in _SETTING} | {"perturbation_size": 0.0} for one in firsts]
-    names = labels(keys, [design.swept(design.point(one["point"])) for one in firsts])
+    names = labels(keys)
     of_setting = members.own["setting"].to_numpy()
     found = [
         Setting(name, key, *_compared(members, np.flatnonzero(np.isin(of_setting, some))))

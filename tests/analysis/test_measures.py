@@ -8,13 +8,14 @@ import pandas as pd
 import pytest
 from scipy import special
 
-from stickslip.analysis import Data, Study, build, measures
+from stickslip.analysis import Study, build, measures
 from stickslip.analysis.ensemble import Recorded, Until
 from stickslip.analysis.findings.finding import Change, Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.page.comparison import Ensemble, compare
 from stickslip.analysis.questions.runs import sweep
 from stickslip.analysis.stats.compare import wilson
+from tests.analysis.designs import Data
 from tests.analysis.studies import renewals
 from tests.chance import SURE, agrees
 
