@@ -253,6 +253,25 @@ def fates(
     return found
 
 
+def fate(
+    outcome: str,
+    series: tuple[np.ndarray, np.ndarray] | None,
+    t_end: float,
+    growth_rate: float | None = None,
+    n: int | None = None,
+) -> str:
+    """Fate of one run, as `fates`, from its change points, t and n_stick; None if it failed.
+
+    Without the number of blocks n a run that has not moved is taken for one in motion.
+    """
+    if series is None:
+        return FAILED
+    t, n_stick = series
+    rate, blocks = (np.nan if each is None else each for each in (growth_rate, n))
+    one = (np.array([each]) for each in (outcome, t[-1], n_stick[-1], t_end, rate, blocks))
+    return str(fates(*one)[0])
+
+
 def ends_at(
     fates: np.ndarray, t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -34,7 +34,7 @@ from stickslip.analysis.models.episodes import (
     in_classes,
     laws_of_moments,
 )
-from stickslip.analysis.questions.runs import engines, sweep
+from stickslip.analysis.questions.runs.changes import answer as changes_of
 from stickslip.analysis.questions.slips import episodes
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import UnitSums, over_matrices
@@ -458,7 +458,7 @@ def test_settings_that_share_their_draws_are_compared_system_by_system(planted, 
         for one, factor, power in zip(found, (1.0, 0.9), (1, sense), strict=True):
             n_episodes = rng.poisson(1000 * factor * np.exp(power * own))
             of = {SIZE: (2.0 * n_episodes, n_episodes), BY_WAY: (n_episodes, np.full(12, 1000.0))}
-            one.sample.sums.update({what: UnitSums.of(range(12), np.column_stack(of[what])) for what in of})
+            one.sums.update({what: UnitSums.of(range(12), np.column_stack(of[what])) for what in of})
         paired = episodes.along(*found, BY_WAY, 0.95).relative
         found[1].group.key["n"] = 200
         apart = episodes.along(*found, BY_WAY, 0.95).relative  # systems of other sizes are other draws
@@ -647,23 +647,24 @@ def test_a_test_that_few_systems_leave_without_power_costs_the_others_nothing(pl
 
 
 @pytest.mark.parametrize(
-    ("question", "table", "left_out"),
-    [(engines, "changes", {"gamma"}), (sweep, "changes", {"gamma", "mean n_stick"})],
+    ("cases", "left_out"),
+    [
+        ({"exact": 1.0, "smooth": 1.0}, {"gamma"}),
+        ({"slow": -0.1, "fast": -0.2}, {"gamma", "mean n_stick"}),
+    ],
 )
-def test_where_episodes_are_recorded_gamma_is_not_asked_about(
-    question, table, left_out, planted_episodes, planted, settings
-):
+def test_where_episodes_are_recorded_gamma_is_not_asked_about(cases, left_out, planted_episodes, planted, settings):
     """It is of cascades, which no such page has; a sweep compares the episodes instead."""
-    cases = {
-        engines: EXACT | {"smooth": (planted.sigmoid, 1.0)},
-        sweep: {"slow": ({"belt_speed": -0.1}, 1.0), "fast": ({"belt_speed": -0.2}, 1.0)},
-    }
-    data, asking = planted_episodes(cases[question]), replace(settings, margins={"mean": 0.1, "gamma": 0.05})
-    asked = [
-        set(question.answer(Study(one, asking)).tables[table]["quantity"])
+    engines = EXACT | {"smooth": (planted.sigmoid, 1.0)}
+    data = planted_episodes(
+        {name: ({"belt_speed": v}, 1.0) for name, v in cases.items()} if "slow" in cases else engines
+    )
+    asking = replace(settings, margins={"mean": 0.1, "gamma": 0.05})
+    with_episodes, without = (
+        set(changes_of(Study(one, asking)).tables["changes"]["quantity"])
         for one in (data, replace(data, episodes=None))
-    ]
-    assert asked[1] - asked[0] == left_out
+    )
+    assert without - with_episodes == left_out
 
 
 def test_along_a_sweep_each_setting_is_held_against_exact_events_of_its_own_systems(

@@ -20,7 +20,7 @@ from stickslip.analysis.models.fates import (
     UNMOVED,
     bounded_share,
     ends_at,
-    fates,
+    fate,
     half_ended,
     kaplan_meier,
     median,
@@ -158,19 +158,16 @@ def test_ends_at_zero_count_once():
     assert median(np.append(np.zeros(6), times[3:7]), np.arange(10) < 7, 0.95).value == 0.0
 
 
-def fate(outcome, series, t_end, rate=np.nan, n=np.nan):
-    t, n_stick = series
-    return fates(*map(np.atleast_1d, (outcome, t[-1], n_stick[-1], t_end, rate, n)))[0]
-
-
 def test_fates_by_their_last_change_and_the_growth_rate():
     slipping, sticking = (np.array([0.0, 700.0]), np.array([3, 0])), (np.array([0.0, 700.0]), np.array([3, 1]))
-    assert [fate("finished", slipping, 1000.0, rate) for rate in (1e-4, -1e-4, 0.0, 1e-12, np.nan)] == [LULL] + [QUIET] * 4
+    assert [fate("finished", slipping, 1000.0, rate) for rate in (1e-4, -1e-4, 0.0, 1e-12, np.nan, None)] == [
+        LULL, QUIET, QUIET, QUIET, QUIET, QUIET,
+    ]  # fmt: skip
     assert fate("finished", slipping, 900.0) == SUSTAINED  # for less than a quarter
     assert fate("finished", sticking, 1000.0) == SUSTAINED
     assert fate("collapsed", slipping, 1000.0) == COLLAPSED
     assert fate("diverged", slipping, 1000.0) == DIVERGED
-    assert fate("failed", sticking, 1000.0) == "failed"
+    assert fate("failed", None, 1000.0) == "failed"
 
 
 def test_only_what_is_certain_is_an_end():

@@ -13,6 +13,7 @@ import sys
 import time
 import tomllib
 from collections import Counter
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -24,6 +25,7 @@ import pytest
 
 from stickslip import workflows
 from stickslip.analysis import Report
+from stickslip.analysis.page.comparison import compare
 from stickslip.pipeline import Progress, load_scene, query
 from stickslip.pipeline.dataset import opened
 from stickslip.pipeline.dataset.opened import open_dataset
@@ -714,12 +716,13 @@ def test_two_datasets_side_by_side(dataset, tmp_path, capsys):
 
 
 def test_two_datasets_are_compared_under_the_settings_of_the_first(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr("stickslip.analysis.page.comparison._is_same", lambda *_: False)
+    undigested = lambda one, other, settings: compare(replace(one, digest=""), other, settings)  # noqa: E731
+    monkeypatch.setattr("stickslip.workflows.reporting.compare", undigested)
     other = shutil.copytree(dataset, tmp_path / "other")
     scene = (other / "scene.toml").read_text().replace("t_burn = 1.0", "t_burn = 20.0").replace("[0.5]", "[1.0]")
     (other / "scene.toml").write_text(scene + "[analysis.margins]\nmean = 0.9\n")
     alone, first, second = (
-        compared(*pair).tables["compared"] for pair in ((dataset, dataset), (dataset, other), (other, dataset))
+        compared(*pair).tables["changes"] for pair in ((dataset, dataset), (dataset, other), (other, dataset))
     )
     pd.testing.assert_frame_equal(first, alone)
     assert (second["margin"][0], second["first"][0]) != (first["margin"][0], first["first"][0])

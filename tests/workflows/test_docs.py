@@ -27,7 +27,7 @@ from stickslip.analysis.findings.finding import Verdict
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.members import OUTCOMES
-from stickslip.analysis.models.fates import fates
+from stickslip.analysis.models.fates import fate
 from stickslip.analysis.questions import QUESTIONS, question
 from stickslip.pipeline import SceneError, expand, load_scene, parse_scene, query, run_ensemble
 from stickslip.pipeline.dataset.opened import open_dataset
@@ -136,7 +136,7 @@ def test_scenes_do_what_the_page_says(here, tmp_path, monkeypatch):
     run_python("scenes", "K.npz")
     Path("own.py").write_text(block("scenes", "python", "def draw"))
     assert [main(command) for command in commands("scenes")] == [0] * 11
-    assert query.members("runs/settled").attractor.notna().all()
+    assert query.members("runs/more").attractor.notna().all()
 
 
 @pytest.mark.long
@@ -200,12 +200,11 @@ def test_first_scene_gets_the_answer_that_the_page_gives(first, tmp_path):
     rows = [tuple(map(str, row)) for row in query.sql(tmp_path / "mine", command[2]).itertuples(index=False)]
     assert rows == [tuple(line.split()) for line in blocks(page("first-run"), "text")[0].splitlines()[1:]]
     series = query.series(tmp_path / "mine")
-    members = query.members(tmp_path / "mine")
-    points = [series[name] for name in members["member_id"]]
-    t_last, n_last = np.array([(t[-1], n_stick[-1]) for t, n_stick in points]).T
-    unknown = np.full(len(members), np.nan)
-    ends = fates(members["outcome"].to_numpy(), t_last, n_last, np.full(len(members), 200.0), unknown, unknown)
-    assert Counter(zip(members["n"], ends, strict=True)) == {(60, "collapsed"): 5, (60, "quiet"): 7, (120, "quiet"): 1, (120, "sustained"): 11}
+    fates = Counter(
+        (row.n, fate(row.outcome, series[row.member_id], 200.0))
+        for row in query.members(tmp_path / "mine").itertuples()
+    )
+    assert fates == {(60, "collapsed"): 5, (60, "quiet"): 7, (120, "quiet"): 1, (120, "sustained"): 11}
 
 
 def test_the_questions_are_those_of_a_report():

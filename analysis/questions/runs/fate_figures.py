@@ -31,7 +31,7 @@ from stickslip.analysis.models.attractors import (
     Plane,
     plane,
 )
-from stickslip.analysis.models.fates import LULL, QUIET, SUSTAINED, UNMOVED, Curve
+from stickslip.analysis.models.fates import COLLAPSED, DIVERGED, LULL, QUIET, SUSTAINED, UNMOVED, Curve
 from stickslip.analysis.questions.runs.settled import OUTCOMES, Grid, Portion, Runs, Setting, portions, told_apart
 from stickslip.analysis.series.runs import by_number
 from stickslip.analysis.style import PANEL, panel
@@ -73,6 +73,10 @@ LOOKS = {
 #: Of the cycles of one system, and of all that come after these.
 CYCLES = (LOOKS[PERIODIC], Look("#7F2704", "^", ""), Look("#F0E442", "v", ""), Look("#D55E00", "P", ""))
 OTHERS = Look("#FDD0A2", "p", "\\\\\\")
+#: Of the fates of runs.
+FATES = {COLLAPSED: LOOKS[SLIDING], DIVERGED: LOOKS[ESCAPING]} | {
+    fate: LOOKS[fate] for fate in (QUIET, SUSTAINED, LULL, UNMOVED)
+}
 
 
 def pictures(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> dict[str, Picture]:
@@ -93,7 +97,7 @@ def pictures(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> dict[st
         elif len(settings) > 1:
             counts = {kind: [setting.runs.n_of(kind) for setting in settings] for kind in OUTCOMES}
             caption = "One colour: all runs end alike. Shares of runs by what they do at the end, at each setting."
-            figures["fates"] = Picture(partial(shares, *_names(grid, settings), counts), caption)
+            figures["fates"] = Picture(partial(shares, *_names(grid, settings), counts, LOOKS), caption)
     figures |= _basin(study, grid)
     if any(curve[1][-1] < 1.0 for curve in curves.values()):
         figures["survival"] = _survival(study, grid, curves)
@@ -113,12 +117,13 @@ def shares(
     key: str,
     values: Sequence[str],
     counts: Mapping[str, Sequence[float]],
+    looks: Mapping[str, Look] = FATES,
 ) -> None:
     """Shares of runs by outcome, a bar for each value of a key, from above; `counts` are the runs at each value."""
     total, left = np.maximum(np.sum([*counts.values()], axis=0), 1), np.zeros(len(values))
     for outcome, numbers in counts.items():
         if any(numbers):
-            look, width = LOOKS[outcome], np.array(numbers) / total
+            look, width = looks[outcome], np.array(numbers) / total
             bars = ax.barh(
                 range(len(values)), width, 0.8, left, color=look.colour, hatch=look.hatch, label=look.words
             )

@@ -104,9 +104,7 @@ def _largest_episode(study: Study, name: str, events: EventSeries, width: int | 
     start, end, size = episodes[["start", "end", "size"]].iloc[int(episodes["moment"].abs().to_numpy().argmax())]
     margin = _BESIDE * (end - start)
     around = max(start - margin, 0.0), min(end + margin, events.t_end)
-    caption = (
-        f"The largest episode after t = {t_burn:g}, in which {size:g} blocks slip, from t = {span(start, end)}."
-    )
+    caption = f"The largest episode after t = {t_burn:g}, in which {size:g} blocks slip, from t = {span(start, end)}."
     return {"one_episode": Picture(partial(space_time, events, around, width), caption)}
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -188,9 +188,9 @@ def grid_of(study: Study) -> Grid:
     """The unchanged runs of a study by setting; settings of which all runs failed are left out."""
     like: dict[tuple[object, ...], list[Group]] = {}
     for group in study.groups:
-        like.setdefault(tuple(_but_start(group).values()), []).append(group)
+        like.setdefault(tuple(_regardless_of_start(group).values()), []).append(group)
     firsts = [groups[0] for groups in like.values()]
-    names = apart(labels([_but_start(group) for group in firsts]))
+    names = apart(labels([_regardless_of_start(first) for first in firsts]))
     axes = _axes(firsts)
     settings = [
         setting
@@ -200,8 +200,8 @@ def grid_of(study: Study) -> Grid:
     return Grid(settings, axes)
 
 
-def _but_start(group: Group) -> dict[str, object]:
-    """The settings of a group without its start."""
+def _regardless_of_start(group: Group) -> dict[str, Any]:
+    """The key of a group, without where its runs begin."""
     values = Values(pair for pair in group.key["values"] if pair[0] not in _START)
     return group.key | {"z0": None, "w0": None, "values": values}
 
