@@ -6,6 +6,7 @@ import pytest
 
 from stickslip.analysis import AnalysisSettings, Data, Study
 from stickslip.analysis.findings.finding import Basis, Lack, Limit, Reason, Share, Verdict
+from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.clustering import Kind, Part, fano, measure, n_windows, own_gaps, pairs
 from stickslip.analysis.questions.slips import cascades, collective, triggering
@@ -107,7 +108,7 @@ def test_the_primary_comparison_of_independent_blocks_is_not_adjusted(planted, r
     assert first.difference.family is None
     assert 0.5 < first.effect.ratio.value < 2
     assert {one.difference.family.n for one in others} == {len(others)}
-    (found,), _ = triggering.triggered(exits, "", "system")
+    (found,), _ = triggering.triggered(exits, EVERYWHERE, "system")
     assert found.most < 0.1 if isinstance(found, Limit) else found.estimate.low < 0.05
     if isinstance(found, Limit):
         assert found.predicate == "trigger another within 0.05"
@@ -117,14 +118,14 @@ def test_a_common_slow_mode_has_more_exits_in_some_windows(planted, rng):
     exits = exits_of(planted, [studies.blocks_run(rng, depth=0.6) for _ in range(10)])
     first = exits.compared[0]
     assert first.difference.verdict is Verdict.MORE
-    said = sentence(first.level("", Basis(10)))
+    said = sentence(first.level(EVERYWHERE, Basis(10)))
     assert said.startswith("Counts of slip onsets in windows of 20 vary ")
     assert said.endswith(" for time-shifted blocks.")
 
 
 def test_exits_that_follow_others_are_seen(planted, rng):
     runs = [followers(rng, studies.blocks_run(rng), 0.3) for _ in range(10)]
-    (found,), _ = triggering.triggered(exits_of(planted, runs), "", "system")
+    (found,), _ = triggering.triggered(exits_of(planted, runs), EVERYWHERE, "system")
     assert isinstance(found, Share)
     assert 0 < found.estimate.low < found.estimate.value < 0.5
 
@@ -145,11 +146,11 @@ def test_the_share_of_exits_that_trigger_others_holds_the_planted_one(rng):
     runs = [studies.triggered(studies.blocks_run(rng), 0.1, 0.1, rng) for _ in range(10)]
     n_exits = float(np.mean([np.sum(steps.step < 0) for steps in runs]))
     rows = np.array([measure(steps, [Part(Kind.FANO, 20.0), Part(Kind.PAIRS, 0.2)]) for steps in runs])
-    (found,), _ = triggering.triggered(planted_pairs(rows, n_exits, 1.0, 0.99999), "", "system")
+    (found,), _ = triggering.triggered(planted_pairs(rows, n_exits, 1.0, 0.99999), EVERYWHERE, "system")
     most = found.most if isinstance(found, Limit) else found.estimate.high
     assert 0.0865 < most < 0.25
     if isinstance(found, Limit):
-        assert triggering.triggered(planted_pairs(rows, n_exits, 2.0, 0.99999), "", "system") == ([], None)
+        assert triggering.triggered(planted_pairs(rows, n_exits, 2.0, 0.99999), EVERYWHERE, "system") == ([], None)
 
 
 def test_the_limit_is_not_tight_by_luck(rng):
@@ -161,7 +162,7 @@ def test_the_limit_is_not_tight_by_luck(rng):
         by_rotation = np.full(20, pairs_an_exit * n_exits)
         pairs_rows = np.stack([by_rotation * np.exp(ratio), by_rotation], axis=1)
         exits = planted_pairs(np.stack([pairs_rows, pairs_rows], axis=1), n_exits, 1.0, 0.95)
-        (found,), _ = triggering.triggered(exits, "", "system")
+        (found,), _ = triggering.triggered(exits, EVERYWHERE, "system")
         held += (found.most if isinstance(found, Limit) else found.estimate.high) >= 0.0006
         if isinstance(found, Limit):
             effect = exits.compared[1].effect.ratio
