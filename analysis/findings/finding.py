@@ -370,38 +370,29 @@ class Threshold:
 
 @dataclass(frozen=True)
 class Regime:
-    """Settings at which all of some things have the same outcome, or several outcomes occur.
+    """Settings at which all of some things do the same, or do several things.
 
     Attributes
     ----------
-    where : str
-        Which settings, as an adverbial: "up to belt_speed = 7", "at 3 of 12 settings".
+    things : str
+        In the plural: "starts".
     predicates : tuple of str
         Verb phrases in the plural, one for each outcome: "slide steadily".
     n, of : int
-        How many things have a known outcome there, and how many there are; at each setting if `is_each`.
+        How many things have a known outcome there, and how many there are.
     share : Estimate
         Of one outcome: the share of such things that have it; without a value where several occur.
-    basis : Basis, optional
+    where : Place
+        Which settings: "belt_speed = 5 to 7".
     """
 
-    where: str
+    things: str
     predicates: tuple[str, ...]
     n: int
     of: int
     share: Estimate = field(default_factory=Estimate)
-    basis: Basis | None = None
-    is_each: bool = False
-
-
-@dataclass(frozen=True)
-class Regimes:
-    """What some things do at different settings, grouped by what they do; `things` in the plural: "starts"."""
-
-    things: str
-    regimes: tuple[Regime, ...]
     where: Place = EVERYWHERE
-    when: str = ""  #: part of several predicates, said once in a sentence: "at t = 150"
+    basis: Basis | None = None
 
 
 class Truth(StrEnum):
@@ -447,11 +438,11 @@ class Decided:
     """The answer to a question of yes or no, and the finding that it rests on."""
 
     truth: Truth
-    finding: Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regimes | Threshold | Lack
+    finding: Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regime | Threshold | Lack
 
 
 Finding: TypeAlias = (
-    Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regimes | Threshold | Lack | Decided
+    Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regime | Threshold | Lack | Decided
 )
 
 
@@ -509,18 +500,10 @@ def records(finding: Finding) -> list[Record]:
             n, unit = (None, "") if basis is None else (basis.n, basis.unit)
             setting = Place.key(key, f"{last} to {first}") + where
             return [Record(f"where {subject} {verb}", str(setting), n=n, unit=unit)]
-        case Regimes(things=things, regimes=regimes, where=where):
-            return [
-                _record(
-                    " and ".join(f"share of {things} that {predicate}" for predicate in regime.predicates),
-                    Form.SHARE,
-                    regime.share,
-                    where + Place.words(regime.where),
-                    None,
-                    regime.basis,
-                )
-                for regime in regimes
-            ]
+        case Regime(things, (predicate,), _, _, share, where, basis):
+            return [_record(f"share of {things} that {predicate}", Form.SHARE, share, where, None, basis)]
+        case Regime():
+            return []  # what some do has shares of its own
         case Decided(_, reason):
             return records(reason)
         case Lack():

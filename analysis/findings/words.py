@@ -24,7 +24,6 @@ from stickslip.analysis.findings.finding import (
     Parts,
     Quantity,
     Regime,
-    Regimes,
     Scale,
     Share,
     Threshold,
@@ -67,12 +66,8 @@ def clause(finding: Finding) -> str:
         case Threshold(subject, is_end, key, last, first, where, basis):
             every = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
             return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{where.tail}{every}"
-        case Regimes(things, regimes, where, when):
-            grouped = "; ".join(_regime(regime, things, k == 0) for k, regime in enumerate(regimes))
-            if when:
-                first, said, others = grouped.partition(f" {when}")
-                grouped = first + said + others.replace(said, "")
-            return f"{where.noun}: {grouped}" if where else grouped
+        case Regime():
+            return _regime(finding)
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
         case Decided(truth, reason):
@@ -441,13 +436,11 @@ def _signed(difference: Difference, form: Form) -> str:
     return with_interval(difference.estimate, unit, sign=True) + _AFTER[unit]
 
 
-def _regime(regime: Regime, things: str, is_first: bool) -> str:
-    """What things do at some settings; they are named once in a sentence."""
-    where, n, noun, each = regime.where, regime.n, f" {things}" * is_first, " each" * regime.is_each
-    first, *others = regime.predicates
+def _regime(regime: Regime) -> str:
+    head, things, (first, *others) = regime.where.head, regime.things, regime.predicates
     if others:
-        parts = [f"some{noun} {first}", *(f"some {predicate}" for predicate in others[:-1]), f"others {others[-1]}"]
-        return f"{where} {listed(parts)}"
-    if n < regime.of:
-        return f"{where} all {n:,} decided {things} (of {regime.of:,}{each}) {first}"
-    return f"{where} all {n:,}{noun}{each} {first}" if n > 1 else f"{where} {things} {first}"
+        some = [f"some {things} {first}", *(f"some {predicate}" for predicate in others[:-1])]
+        return f"{head}{listed([*some, f'others {others[-1]}'])}"
+    if regime.n < regime.of:
+        return f"{head}all {regime.n:,} decided {things} (of {regime.of:,}) {first}"
+    return f"{head}{f'all {regime.n:,} ' * (regime.n > 1)}{things} {first}"

@@ -27,7 +27,6 @@ from stickslip.analysis.findings.finding import (
     Quantity,
     Reason,
     Regime,
-    Regimes,
     Scale,
     Share,
     Threshold,
@@ -149,10 +148,9 @@ def test_sentences():
     assert sentence(Parts(Level(excess, Estimate(0.009, 0.006, 0.012), Place.key("n", "5")), (*parts,))) == (
         "Excess at n = 5: 0.90%, from noise \u22121.20% and pull +2.10% (+1.80 to +2.40%)."
     )
-    few, both = (Regime(f"at v = {v}", said, 5, 5) for v, said in ((1, ("slide",)), (2, ("slide", "stick"))))
-    assert sentence(Regimes("starts", (few, both))) == (
-        "At v = 1 all 5 starts slide; at v = 2 some slide and others stick."
-    )
+    alike = Regime("starts", ("slide",), 5, 5, where=Place.key("v", "1"))
+    assert sentence(alike) == "At v = 1, all 5 starts slide."
+    assert sentence(replace(alike, predicates=("slide", "stick"))) == "At v = 1, some starts slide and others stick."
     period = Quantity("period", "period of the cycle")
     assert sentence(Alike(period, 3.50812, "from all 8 starts")) == (
         "Period of the cycle: 3.508, the same from all 8 starts."
@@ -197,9 +195,9 @@ def _findings(rng):
     yield Outcomes("exact", undecided=("h = 0.1",), largest=level, scope="the number of slip onsets")
     yield Outcomes("exact", ("h = 0.1",), largest=level)
     yield Threshold("stick-slip", bool(rng.integers(2)), "belt_speed", "0.3", "0.4", where, basis)
-    mixed = Regime("from v = 8 on", ("slide", "stick", "stop"), 9, 10)
-    alone = (Regime("up to v = 7", ("slide",), n, 5, estimate) for n in (1, 2, 4, 5))
-    yield Regimes("starts", (*alone, mixed), where, "at t = 9")
+    yield Regime("starts", ("slide", "stick", "stop"), 9, 10, where=where)
+    for n in (1, 2, 4, 5):
+        yield Regime("starts", ("slide",), n, 5, estimate, where, basis)
     yield Lack("the decay rate", _pick(rng, Reason), "12 cascades")
     yield Decided(_pick(rng, Truth), share)
 

@@ -187,20 +187,6 @@ def test_written_tables_read_back_with_nulls(planted, settings):
         pd.testing.assert_frame_equal(back, table, check_dtype=False)
 
 
-def test_a_table_written_in_parts_is_the_table(planted, settings, monkeypatch):
-    data = planted.ensemble({"coulomb": LN2}, 8)
-    whole = contents(report_of(data, settings))
-    monkeypatch.setattr("stickslip.analysis.answer.LONG", 3)
-    parts = contents(report_of(data, settings))
-    assert {*whole} - {*parts} == {"report/runs.csv"}
-    for name in whole:
-        if name.endswith(".parquet"):
-            tables = [pd.read_parquet(io.BytesIO(some[name])) for some in (whole, parts)]
-            pd.testing.assert_frame_equal(*tables)
-    assert "runs" not in json.loads(parts["report/tables.json"])
-    assert parts["report.html"] == whole["report.html"]
-
-
 def test_a_changed_member_without_a_series_is_refused_by_name(planted, settings):
     members, series = planted.ensemble({"coulomb": LN2}, 5)
     copies = members.assign(member_id="copy of " + members["member_id"], perturbation_size=0.01)
