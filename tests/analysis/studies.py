@@ -445,7 +445,7 @@ def rhythmic(rng, ensembles, span, period, quality, variance=11.0, spread=0.0, s
 
 
 def rhythm_study(rng, ensembles):
-    """Period, quality, width and share of a planted oscillator; and without one, the share that is told so, 95%.
+    """Period, quality and share of a planted oscillator; and without one, the share that is told so, 95%.
 
     Windows hold 3 to 18 periods. Where periods differ between matrices, the answer is the fit to their mean spectrum.
     """
@@ -460,7 +460,7 @@ def rhythm_study(rng, ensembles):
         frequency = np.arange(1, m + 1) / span
         mean = 11.0 * np.average(common_motion.expected(frequency, span, periods, quality), axis=0, weights=weights)
         power, at, q, _ = np.exp(common_motion.best(span, mean + LEFT * OWN, np.full(m, OWN)))
-        answers = {"period": at, "quality": q, "width": 1 / (at * q), "share": power / (11.0 + noise)}
+        answers = {"period": at, "quality": q, "share": power / (11.0 + noise)}
         every = [
             common_motion.common_motion(one, CONFIDENCE, rng).estimates
             for one in rhythmic(rng, ensembles, span, period, quality, spread=spread)
