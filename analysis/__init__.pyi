@@ -16,7 +16,6 @@ from .findings.finding import KeyChange as KeyChange
 from .findings.finding import Lack as Lack
 from .findings.finding import Level as Level
 from .findings.finding import Lifetime as Lifetime
-from .findings.finding import Limit as Limit
 from .findings.finding import Outcomes as Outcomes
 from .findings.finding import Quantity as Quantity
 from .findings.finding import Reason as Reason

@@ -2,12 +2,12 @@
 
 A finding is a quantity, its estimate with an interval, where it holds, and at most one comparison. The sentence on
 the page, the row of a table, the line in a terminal and the entry of ``report/findings.json`` all come from it, and
-from nothing else: `findings.words` says each kind, `records` lays each out as rows.
+from nothing else: `findings.words` says each kind, `levels` lays each out as rows.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, StrEnum
 from typing import NamedTuple, TypeAlias
 
@@ -293,18 +293,6 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class Limit:
-    """An upper limit: a share of some things of which something holds, at most."""
-
-    key: str
-    things: str
-    predicate: str
-    most: float
-    where: Place = EVERYWHERE
-    basis: Basis | None = None
-
-
-@dataclass(frozen=True)
 class Alike:
     """A value that all of some things share, to the accuracy of the runs: no interval belongs to it."""
 
@@ -438,93 +426,48 @@ class Decided:
     """The answer to a question of yes or no, and the finding that it rests on."""
 
     truth: Truth
-    finding: Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regime | Threshold | Lack
+    finding: Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Threshold | Lack
 
 
 Finding: TypeAlias = (
-    Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regime | Threshold | Lack | Decided
+    Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Threshold | Lack | Decided
 )
 
 
-class Record(NamedTuple):
-    """A finding as a row: what is missing is None, or empty where it is a text."""
-
-    quantity: str = ""
-    setting: str = ""
-    estimate: float | None = None
-    low: float | None = None
-    high: float | None = None
-    compared_with: str = ""
-    difference: float | None = None
-    difference_low: float | None = None
-    difference_high: float | None = None
-    scale: str = ""
-    margin: float | None = None
-    verdict: str = ""
-    n: int | None = None
-    unit: str = ""
-    form: Form = Form.NUMBER
-
-
-def records(finding: Finding) -> list[Record]:
-    """The rows of a finding, none of a lack."""
+def levels(finding: Finding) -> list[Level]:
+    """A finding as rows of a table: the values that it states; none of a lack."""
     match finding:
-        case Level(quantity, estimate, where, comparison, basis):
-            return [_record(quantity.name, quantity.form, estimate, where, comparison, basis)]
-        case Lifetime(quantity=quantity, estimate=estimate, where=where, comparison=comparison, basis=basis):
-            name = f"time by which half of the {finding.things} {finding.ended}" if finding.ended else quantity.name
-            return [_record(name, quantity.form, estimate, where, comparison, basis)]
-        case Share(
-            things=things, predicate=predicate, estimate=estimate, where=where, comparison=comparison, basis=basis
-        ):
-            return [_record(f"share of {things} that {predicate}", Form.SHARE, estimate, where, comparison, basis)]
+        case Level():
+            return [finding]
+        case Lifetime(quantity, things, ended=ended, estimate=estimate):
+            name = f"time by which half of the {things} {ended}" if ended else quantity.name
+            quantity = replace(quantity, name=name)
+            return [Level(quantity, estimate, finding.where, finding.comparison, finding.basis)]
+        case Share(key, things, predicate, estimate, where, comparison, basis):
+            return [Level(_share(key, things, predicate), estimate, where, comparison, basis)]
         case Change(quantity, keys, _, after, difference, where, basis):
             key, first, second = (" with ".join(texts) for texts in zip(*keys, strict=True))
             comparison = Comparison(f"{key} = {first}", difference)
-            return [_record(quantity.name, quantity.form, after, Place.key(key, second) + where, comparison, basis)]
+            return [Level(quantity, after, Place.key(key, second) + where, comparison, basis)]
         case Law(parameter=parameter, departure=departure):
-            return [*records(parameter), *(records(departure) if departure is not None else [])]
+            return [parameter] if departure is None else [parameter, departure]
         case Parts(whole, parts):
-            return [record for level in (whole, *parts) for record in records(level)]
-        case Limit(_, things, predicate, most, where, basis):
-            return [
-                _record(f"share of {things} that {predicate}", Form.SHARE, Estimate(high=most), where, None, basis)
-            ]
+            return [whole, *parts]
         case Alike(quantity, value, among, where, basis):
-            setting = where if basis is not None else where + Place.words(among)
-            return [_record(quantity.name, quantity.form, Estimate(value), setting, None, basis)]
-        case Outcomes():
-            return []  # of which contrasts they are is said by findings of their own
+            place = where if basis is not None else where + Place.words(among)
+            return [Level(quantity, Estimate(value), place, basis=basis)]
         case Threshold(subject, is_end, key, last, first, where, basis):
-            verb = "ends" if is_end else "begins"
-            n, unit = (None, "") if basis is None else (basis.n, basis.unit)
-            setting = Place.key(key, f"{last} to {first}") + where
-            return [Record(f"where {subject} {verb}", str(setting), n=n, unit=unit)]
+            quantity = Quantity("threshold", f"where {subject} {'ends' if is_end else 'begins'}")
+            return [Level(quantity, Estimate(), Place.key(key, f"{last} to {first}") + where, basis=basis)]
         case Regime(things, (predicate,), _, _, share, where, basis):
-            return [_record(f"share of {things} that {predicate}", Form.SHARE, share, where, None, basis)]
+            return [Level(_share("regime", things, predicate), share, where, basis=basis)]
         case Regime():
             return []  # what some do has shares of its own
         case Decided(_, reason):
-            return records(reason)
-        case Lack():
+            return levels(reason)
+        case Outcomes() | Lack():  # of which contrasts outcomes are is said by findings of their own
             return []
 
 
-def _record(
-    name: str, form: Form, estimate: Estimate, where: Place, comparison: Comparison | None, basis: Basis | None
-) -> Record:
-    n, unit = (None, "") if basis is None else (basis.n, basis.unit)
-    row = Record(name, str(where), estimate.value, estimate.low, estimate.high, n=n, unit=unit, form=form)
-    if comparison is None:
-        return row
-    difference = comparison.difference
-    value = difference.estimate
-    return row._replace(
-        compared_with=comparison.other,
-        difference=value.value,
-        difference_low=value.low,
-        difference_high=value.high,
-        scale=difference.scale.value,
-        margin=difference.margin,
-        verdict=difference.verdict.value,
-    )
+def _share(key: str, things: str, predicate: str) -> Quantity:
+    return Quantity(key, f"share of {things} that {predicate}", Form.SHARE)

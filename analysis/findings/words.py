@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from stickslip.analysis.findings.finding import (
     Alike,
@@ -19,7 +18,6 @@ from stickslip.analysis.findings.finding import (
     Law,
     Level,
     Lifetime,
-    Limit,
     Outcomes,
     Parts,
     Quantity,
@@ -54,8 +52,6 @@ def clause(finding: Finding) -> str:
             return _law(finding)
         case Parts():
             return _parts(finding)
-        case Limit(things=things, predicate=predicate, most=most, where=where):
-            return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{where.tail}"
         case Alike(quantity, value, among, where):
             digits = decimals(Estimate(value), quantity.form) + (
                 quantity.form is not Form.COUNT
@@ -171,27 +167,17 @@ def ratio(difference: Difference) -> str | None:
     return with_interval(Estimate(1.0 + value, ends[0], ends[1]))
 
 
-class Cell(NamedTuple):
-    """A difference in a table: its size with its interval, and what that comes to where it is not plain."""
-
-    size: str
-    verdict: str = ""
-
-
-def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = Form.NUMBER) -> Cell:
-    """A difference as the cell of a table: "+0.9% (+0.6 to +1.3%)", "equal within 5%"."""
-    difference = comparison.difference
+def difference_in_words(difference: Difference, form: Form = Form.NUMBER) -> tuple[str, str]:
+    """A difference as the cell of a table, and what it comes to: "+0.9% (+0.6 to +1.3%)", "equal within 5%"."""
+    verdict, estimate = difference.verdict, difference.estimate
     if verdict is Verdict.SAME:
-        return Cell("none in any run")
-    value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
-    if value is None:
-        return Cell("unknown" if low is None or high is None else interval(difference, form))
+        return "none in any run", ""
+    if estimate.value is None:
+        return "unknown" if verdict is Verdict.UNJUDGED else interval(difference, form), ""
     text = _signed(difference, form)
     if verdict is Verdict.EQUAL:
-        return Cell(text, f"equal within {margin(difference, form)}")
-    if verdict is Verdict.OPEN_AMONG_MANY:
-        return Cell(text, "not significant among all comparisons")
-    return Cell(text)
+        return text, f"equal within {margin(difference, form)}"
+    return text, "not significant among all comparisons" * (verdict is Verdict.OPEN_AMONG_MANY)
 
 
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:

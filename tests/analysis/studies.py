@@ -590,7 +590,7 @@ def components_study(rng, ensembles):
     ):  # fmt: skip
         every = [components.against_redraw(*matrices(rng, correlation, theta, heavy=heavy), CONFIDENCE)
                  for _ in range(ensembles)]  # fmt: skip
-        bounded = np.array([one.kind == components.BOUNDED for one in every])
+        bounded = np.array([one.is_bounded for one in every])
         held = [
             not known or one.theta.low <= theta <= one.theta.high for one, known in zip(every, bounded, strict=True)
         ]
@@ -605,8 +605,8 @@ def change_study(rng, ensembles):
         every = [
             components.against_redraw(*matrices(rng, correlation, theta, k=3), CONFIDENCE) for _ in range(ensembles)
         ]
-        stays = np.mean([one.p_below(BOUND) < 1 - CONFIDENCE for one in every])
-        moves = np.mean([one.p_above(0.0) < 1 - CONFIDENCE for one in every])
+        stays = np.mean([one.is_below(BOUND) for one in every])
+        moves = np.mean([one.is_above(0.0) for one in every])
         name = f"{theta:g}, correlation {correlation:g}; stays {stays:.2f}, moves {moves:.2f}"
         false = moves if theta == 0 else stays
         yield Row("change: verdict", name, theta, np.nan, np.nan, 1 - false, ensembles)

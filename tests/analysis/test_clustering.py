@@ -4,15 +4,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Data, Study
-from stickslip.analysis.findings.finding import Basis, Lack, Limit, Reason, Share, Verdict
+from stickslip.analysis import AnalysisSettings, Study
+from stickslip.analysis.findings.finding import Basis, Lack, Reason, Share, Verdict
 from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.members import records
 from stickslip.analysis.models.clustering import Kind, Part, fano, measure, n_windows, own_gaps, pairs
 from stickslip.analysis.questions.slips import cascades, collective, triggering
 from stickslip.analysis.series.nulls import BlockSteps, rotated
-from stickslip.analysis.tables import records
 from tests.analysis import studies
+from tests.analysis.designs import Data
 from tests.chance import agrees
 
 SPAN = studies.SPAN
@@ -109,8 +110,8 @@ def test_the_primary_comparison_of_independent_blocks_is_not_adjusted(planted, r
     assert 0.5 < first.ratio.value < 2
     assert {one.difference.family.n for one in others} == {len(others)}
     (found,), _ = triggering.triggered(exits, EVERYWHERE, "system")
-    assert found.most < 0.1 if isinstance(found, Limit) else found.estimate.low < 0.05
-    if isinstance(found, Limit):
+    assert found.estimate.high < 0.1 if is_limit(found) else found.estimate.low < 0.05
+    if is_limit(found):
         assert found.predicate == "trigger another within 0.05"
 
 
@@ -126,7 +127,6 @@ def test_a_common_slow_mode_has_more_exits_in_some_windows(planted, rng):
 def test_exits_that_follow_others_are_seen(planted, rng):
     runs = [followers(rng, studies.blocks_run(rng), 0.3) for _ in range(10)]
     (found,), _ = triggering.triggered(exits_of(planted, runs), EVERYWHERE, "system")
-    assert isinstance(found, Share)
     assert 0 < found.estimate.low < found.estimate.value < 0.5
 
 
@@ -134,6 +134,10 @@ def test_exits_that_follow_others_make_cascades_larger_than_of_the_same_blocks_m
     runs = [followers(rng, studies.blocks_run(rng), 0.3) for _ in range(10)]
     row = cascades.answer(study_of(planted, runs)).tables["law"].iloc[0]
     assert row["over_shifted_high"] < 0
+
+
+def is_limit(share):
+    return share.estimate.value is None
 
 
 def planted_pairs(rows, n_exits, gap, confidence):
@@ -147,9 +151,8 @@ def test_the_share_of_exits_that_trigger_others_holds_the_planted_one(rng):
     n_exits = float(np.mean([np.sum(steps.step < 0) for steps in runs]))
     rows = np.array([measure(steps, [Part(Kind.FANO, 20.0), Part(Kind.PAIRS, 0.2)]) for steps in runs])
     (found,), _ = triggering.triggered(planted_pairs(rows, n_exits, 1.0, 0.99999), EVERYWHERE, "system")
-    most = found.most if isinstance(found, Limit) else found.estimate.high
-    assert 0.0865 < most < 0.25
-    if isinstance(found, Limit):
+    assert 0.0865 < found.estimate.high < 0.25
+    if is_limit(found):
         assert triggering.triggered(planted_pairs(rows, n_exits, 2.0, 0.99999), EVERYWHERE, "system") == ([], None)
 
 
@@ -163,11 +166,11 @@ def test_the_limit_is_not_tight_by_luck(rng):
         pairs_rows = np.stack([by_rotation * np.exp(ratio), by_rotation], axis=1)
         exits = planted_pairs(np.stack([pairs_rows, pairs_rows], axis=1), n_exits, 1.0, 0.95)
         (found,), _ = triggering.triggered(exits, EVERYWHERE, "system")
-        held += (found.most if isinstance(found, Limit) else found.estimate.high) >= 0.0006
-        if isinstance(found, Limit):
+        held += found.estimate.high >= 0.0006
+        if is_limit(found):
             effect = exits.compared[1].ratio
             half = np.sqrt(effect.high / effect.low) - 1.0  # of the interval of the logarithm
-            assert found.most >= 0.999 * half * pairs_an_exit
+            assert found.estimate.high >= 0.999 * half * pairs_an_exit
     assert agrees(held, sets, 0.95, 1.0)
 
 

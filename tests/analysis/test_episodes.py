@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Data, Study, build, catalogues, measures
+from stickslip.analysis import Study, build, catalogues, measures
 from stickslip.analysis import catalogue as as_catalogue
 from stickslip.analysis.catalogues import Catalogues
 from stickslip.analysis.findings.alerts import Code
@@ -34,11 +34,12 @@ from stickslip.analysis.models.episodes import (
     in_classes,
     laws_of_moments,
 )
-from stickslip.analysis.questions.runs import engines, sweep
+from stickslip.analysis.questions.runs.changes import answer as changes_of
 from stickslip.analysis.questions.slips import episodes
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import UnitSums, over_matrices
 from stickslip.analysis.stats.families import maximise, parameter
+from tests.analysis.designs import Data
 from tests.chance import ERRORS, SURE, agrees
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -646,23 +647,24 @@ def test_a_test_that_few_systems_leave_without_power_costs_the_others_nothing(pl
 
 
 @pytest.mark.parametrize(
-    ("question", "table", "left_out"),
-    [(engines, "changes", {"gamma"}), (sweep, "changes", {"gamma", "mean n_stick"})],
+    ("cases", "left_out"),
+    [
+        ({"exact": 1.0, "smooth": 1.0}, {"gamma"}),
+        ({"slow": -0.1, "fast": -0.2}, {"gamma", "mean n_stick"}),
+    ],
 )
-def test_where_episodes_are_recorded_gamma_is_not_asked_about(
-    question, table, left_out, planted_episodes, planted, settings
-):
+def test_where_episodes_are_recorded_gamma_is_not_asked_about(cases, left_out, planted_episodes, planted, settings):
     """It is of cascades, which no such page has; a sweep compares the episodes instead."""
-    cases = {
-        engines: EXACT | {"smooth": (planted.sigmoid, 1.0)},
-        sweep: {"slow": ({"belt_speed": -0.1}, 1.0), "fast": ({"belt_speed": -0.2}, 1.0)},
-    }
-    data, asking = planted_episodes(cases[question]), replace(settings, margins={"mean": 0.1, "gamma": 0.05})
-    asked = [
-        set(question.answer(Study(one, asking)).tables[table]["quantity"])
+    engines = EXACT | {"smooth": (planted.sigmoid, 1.0)}
+    data = planted_episodes(
+        {name: ({"belt_speed": v}, 1.0) for name, v in cases.items()} if "slow" in cases else engines
+    )
+    asking = replace(settings, margins={"mean": 0.1, "gamma": 0.05})
+    with_episodes, without = (
+        set(changes_of(Study(one, asking)).tables["changes"]["quantity"])
         for one in (data, replace(data, episodes=None))
-    ]
-    assert asked[1] - asked[0] == left_out
+    )
+    assert without - with_episodes == left_out
 
 
 def test_along_a_sweep_each_setting_is_held_against_exact_events_of_its_own_systems(

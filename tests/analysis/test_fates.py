@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Lack, Level, Lifetime, Regime, Share
 from stickslip.analysis.findings.words import sentence
@@ -29,6 +29,7 @@ from stickslip.analysis.models.fates import (
 from stickslip.analysis.questions.runs.fates import DELAY, QUESTION, answer
 from stickslip.analysis.stats.compare import share_over_matrices, wilson
 from tests.analysis import studies
+from tests.analysis.designs import Data
 
 EPS = np.finfo(float).eps
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0)
@@ -462,13 +463,6 @@ def test_many_changes_along_a_key_are_counted(planted):
         "At 4 of 7 values of n: all 16 runs still stick and slip at t = 1000.",
         "At 3 of 7 values of n: all 12 runs settle into steady sliding.",
     ]
-
-
-def test_of_many_stretches_only_those_of_one_outcome_are_named(planted):
-    mixed = [COLLAPSED, SUSTAINED] * 2
-    plan = {1: [COLLAPSED] * 4, 2: mixed, 3: [SUSTAINED] * 4, 4: [*mixed[:3], DIVERGED], 5: [DIVERGED] * 4}
-    found = of_kind(asked(of_sizes(planted, {10 * n: outcomes for n, outcomes in plan.items()})), Regime)
-    assert [str(regime.where) for regime in found] == ["n = 10", "n = 30", "n = 50"]
 
 
 def test_a_drift_is_an_alert_even_of_few_cascades(planted):

@@ -21,7 +21,6 @@ from stickslip.analysis.findings.finding import (
     Law,
     Level,
     Lifetime,
-    Limit,
     Outcomes,
     Parts,
     Quantity,
@@ -32,12 +31,13 @@ from stickslip.analysis.findings.finding import (
     Threshold,
     Truth,
     Verdict,
-    records,
+    levels,
 )
 from stickslip.analysis.findings.numbers import limit, number, span, with_interval
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital, sentence
 from stickslip.analysis.page.layout import findings_table
+from stickslip.analysis.page.parts import row as row_of
 from stickslip.analysis.stats.estimates import Estimate
 
 GAMMA = Quantity("gamma", "decay rate")
@@ -189,7 +189,7 @@ def _findings(rng):
     yield Lifetime(LATE, "runs", "still stick", Estimate(), 100.0, 0.7, where, comparison, basis)
     yield Law("sizes", "fall off exponentially", level, _pick(rng, Fit), level)
     yield Parts(level, (level, level))
-    yield Limit("pairs", "exits", "trigger another", value, where, basis)
+    yield Share("pairs", "exits", "trigger another", Estimate(high=value), where, basis=basis)
     yield Alike(quantity, value, "from all starts", where, basis)
     yield Outcomes("exact", ("h = 0.1",), ("h = 0.2", "h = 0.4"), (), level)
     yield Outcomes("exact", undecided=("h = 0.1",), largest=level, scope="the number of slip onsets")
@@ -212,21 +212,21 @@ def test_every_kind_is_a_sentence_and_rows(rng):
             assert not said.endswith("..")
             assert "  " not in said
             assert not re.search(r"\bNone\b|\bnan\b|[A-Z]{2,}|\(\)|<|Verdict", said), said
-            for row in records(finding):
+            for row in map(row_of, levels(finding)):
                 assert row.quantity
                 assert row.low is None or row.high is None or row.low <= row.high
                 assert row.verdict in {"", *Verdict}
                 assert not any(isinstance(cell, float) and np.isnan(cell) for cell in row)
-    assert len(kinds) == 13
+    assert len(kinds) == 12
 
 
 def test_the_table_of_findings_has_limits_and_differences_in_their_units():
     lower = Difference(Estimate(-0.3, -0.4, -0.2), Scale.ABSOLUTE)
     wider = Difference(Estimate(0.5, 0.25, 0.75), Scale.RELATIVE)
     rows = [
-        *records(Limit("pairs", "exits", "trigger another", 0.0028)),
-        *records(Level(SHARE, Estimate(0.2), comparison=Comparison("others", lower))),
-        *records(Level(GAMMA, Estimate(0.7), comparison=Comparison("others", wider))),
+        *levels(Share("pairs", "exits", "trigger another", Estimate(high=0.0028))),
+        *levels(Level(SHARE, Estimate(0.2), comparison=Comparison("others", lower))),
+        *levels(Level(GAMMA, Estimate(0.7), comparison=Comparison("others", wider))),
     ]
     table = str(findings_table(rows).rows).replace("\\xa0", " ")
     for cell in ("at most 0.28%", "\u221230 (\u221240 to \u221220) percentage points", "+50% (+25 to +75%)"):

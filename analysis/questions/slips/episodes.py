@@ -30,7 +30,7 @@ from stickslip.analysis.catalogues import (
     summarise,
     systems,
 )
-from stickslip.analysis.contrast import SCHEMA, Contrast, Statistic, contrast
+from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import (
@@ -79,6 +79,7 @@ from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrice
 from stickslip.analysis.stats.families import parameter
 from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, Goodness, goodness
 from stickslip.analysis.stats.student import half_width
+from stickslip.analysis.steps import table_of
 from stickslip.analysis.style import GREY, panel
 
 POWER, CUT_OFF, EXPONENTIAL, NONE = "power law", "cut-off power law", "exponential", "none of these"
@@ -132,7 +133,6 @@ _GROUPS: Mapping[str, str] = {
     "drift": F, "drift_low": F, "drift_high": F, "stuck_below": F, "has_b": B, "b": F, "b_low": F, "b_high": F,
     "atom": F, "b_reason": S, "basis": S,
 }  # fmt: skip
-_CONTRASTS: Mapping[str, str] = {"setting": S, "reference": S, **SCHEMA}
 _METHODS: Mapping[str, str] = {
     "setting": S, "reference": S, "law": S, "size": F, "size_low": F, "size_high": F, "at": F, "below": F,
     "p_floor": F, "p_different": F, "p_different_holm": F, "reason": S,
@@ -180,7 +180,7 @@ def answer(study: Study) -> Answer | None:
     rates = _rates(by_system, _drawn_from(lead, leaders), level)
     fitted = {group.label: _fits(study, group) for group in leaders}
     tables |= {
-        "episode_contrasts": frame(_CONTRASTS, [one.row() for one in apart if one.name not in LAWS]),
+        "episode_contrasts": table_of(one.step for one in apart if one.name not in LAWS),
         "episode_methods": frame(_METHODS, [one.row() for one in apart if one.name in LAWS]),
         "episode_laws": frame(_LAWS, [row for rows, _ in fitted.values() for row in rows]),
         "episode_rates": frame(_RATES, rates),
@@ -229,9 +229,8 @@ def _level(group: Catalogues, name: str, apart: Sequence[Apart], unit: str) -> L
         low, high = (None if end is None else end - 1.0 for end in (estimate.low, estimate.high))
         off = Estimate((estimate.value or 0.0) - 1.0, low, high)
         beside = Comparison(_POISSON, Difference(off, Scale.ABSOLUTE))
-    return Level(
-        WORDS[name], estimate, Place.of(group.row["method"]), beside, Basis(len(group.sample.of(name)), unit)
-    )
+    basis = Basis(len(group.sums[name].counted), unit)
+    return Level(WORDS[name], estimate, Place.of(group.row["method"]), beside, basis)
 
 
 def _levels(groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apart], unit: str) -> list[Finding]:
@@ -325,7 +324,7 @@ def along(first: Catalogues, last: Catalogues, name: str, level: float) -> Contr
     """How a statistic of two groups differs: paired if both share their random draws."""
     draws = [[group.group.unit, *(group.group.key[key] for key in DRAWN)] for group in (first, last)]
     statistic = Statistic(name, {**QUANTITIES, **SLOW_DRIVE}[name].of)
-    return contrast(statistic, first.sample, last.sample, draws[0] == draws[1], level)
+    return contrast(statistic, first.sums[name], last.sums[name], draws[0] == draws[1], level)
 
 
 def _fits(study: Study, group: Catalogues) -> tuple[list[Row], list[Fitted]]:

@@ -16,7 +16,6 @@ from stickslip.analysis.findings.finding import (
     Difference,
     Family,
     Level,
-    Limit,
     Quantity,
     Share,
     Verdict,
@@ -108,7 +107,7 @@ class Exits(NamedTuple):
     gap: float
 
 
-def triggered(exits: Exits, where: Place, unit: str) -> tuple[list[Share | Limit], Compared | None]:
+def triggered(exits: Exits, where: Place, unit: str) -> tuple[list[Share], Compared | None]:
     """The share of exits that trigger another one within a time, or an upper limit, and the pairs that show it.
 
     An exit that another one triggers adds a pair to those of time-shifted blocks. If more pairs are shown, the share
@@ -136,7 +135,8 @@ def triggered(exits: Exits, where: Place, unit: str) -> tuple[list[Share | Limit
         return [Share("triggered", "slip onsets", predicate, share, where, basis=basis)], shown
     most = max(high, (high / low) ** 0.5) - 1
     predicate = f"trigger another within {shown.part.upto:g}"
-    return [Limit("triggered", "slip onsets", predicate, most * per_exit, where, basis)], shown
+    limit = Estimate(high=most * per_exit)
+    return [Share("triggered", "slip onsets", predicate, limit, where, basis=basis)], shown
 
 
 def exits_of(study: Study, group: Group) -> Exits | None:
