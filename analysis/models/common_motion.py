@@ -274,8 +274,10 @@ def common_motion(data: Spectra, confidence: float, rng: np.random.Generator) ->
     power, period, quality, left = np.exp(start)
     if period > data.span / LEAST_PERIODS:
         return CommonMotion(Shown.SHORT, p, float(period))
-    others = ((g * mean - rows) / (g - 1) for mean, rows in ((whole, data.observed), (own, data.independent)))
-    left_out, _ = fit(data.span, *others, np.tile(start, (g, 1)))
+    observed, independent = (
+        (g * mean - rows) / (g - 1) for mean, rows in ((whole, data.observed), (own, data.independent))
+    )
+    left_out, _ = fit(data.span, observed, independent, np.tile(start, (g, 1)))
     variance = np.append(data.variance.mean(), (data.variance.sum() - data.variance) / (g - 1))
     values = _values(np.exp(np.vstack([start, left_out])), data.span, variance)
     estimates = {number: _estimate(values[number], confidence, number is Number.SHARE) for number in Number}

@@ -51,14 +51,14 @@ def answer(study: Study) -> Answer:
         return Answer(findings=[lack(study, WHAT)])
     motions = [motion for group in judged if (motion := slow_motion(study, group)) is not None]
     motions.sort(key=lambda motion: not motion.is_shown)  # of like ones the first leads
-    exits = [compared for motion in motions[:MOST_GROUPS] if (compared := exits_of(study, motion.group)) is not None]
+    exits = [found for motion in motions[:MOST_GROUPS] if (found := exits_of(study, motion.group)) is not None]
     if not exits:
         return Answer(findings=[Lack(WHAT, Reason.FEW_EVENTS)])
     level, lead, others = study.settings.confidence, motions[0], motions[1:]
     leading, compared = _leading(study, exits[0], lead)
     shares = [_share(motion, Place.of(motion.group.name), systems(study)) for motion in others if motion.is_shown]
-    bands = [(compared.bands, motion.bands(level)) for compared, motion in zip(exits, motions, strict=False)]
-    drawn = {compared.group.label: pair for compared, pair in zip(exits, bands, strict=True)}
+    bands = [(group.bands, motion.bands(level)) for group, motion in zip(exits, motions, strict=False)]
+    drawn = {group.group.label: pair for group, pair in zip(exits, bands, strict=True)}
     return Answer(
         findings=[*leading, *shares, *compared],
         n_lead=3,
@@ -141,7 +141,8 @@ def _picture(drawn: Mapping[str, tuple[list[Band], list[Band]]], motion: Slow) -
         partial(spectrum, drawn),
         f"At long periods slow common motion lifts {power} above that of time-shifted blocks (dashed). Bars and"
         f" bands: intervals; lines through marks: a damped oscillator, which at {motion.group.label} has"
-        f" Q = {quality} and a deviance of {fit.deviance:.0f} on {fit.dof} degrees of freedom (p = {fit.p_value:.2g}).",
+        f" Q = {quality} and a deviance of {fit.deviance:.0f} on {fit.dof} degrees of freedom"
+        f" (p = {fit.p_value:.2g}).",
     )
 
 
@@ -159,8 +160,17 @@ def spectrum(ax: Axes, groups: Mapping[str, tuple[list[Band], list[Band]]], slow
         ax.plot(period, ratio, color=colour, linewidth=0.9)
         period, ratio, low, high = _points(slow)
         face, ends = (EXACT, "white", "white")[k], [ratio - low, high - ratio]
-        form = {"fmt": "os^"[k], "color": colour, "markerfacecolor": face, "markersize": 3, "linewidth": 0.9}
-        ax.errorbar(period, ratio, yerr=ends, label=label, **form)
+        ax.errorbar(
+            period,
+            ratio,
+            ends,
+            fmt="os^"[k],
+            color=colour,
+            markerfacecolor=face,
+            markersize=3,
+            linewidth=0.9,
+            label=label,
+        )
         models = [band.model for band in slow if band.model is not None]
         if models:
             ax.plot([band.middle for band in slow], models, color=colour)

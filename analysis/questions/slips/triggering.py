@@ -168,10 +168,10 @@ def compare(label: str, rows: np.ndarray, parts: Sequence[Part], confidence: flo
     for k, effect in enumerate(together([_over_blocks(rows[:, k], confidence) for k in range(len(parts))], 1)):
         observed = over_matrices(ratio, np.column_stack([rows[:, k, 0], np.ones(len(rows))]), confidence)
         ends = (effect.ratio.value, effect.ratio.low, effect.ratio.high)
-        relative = Estimate(*(None if end is None else end - 1 for end in ends))
+        value, low, high = (None if end is None else end - 1 for end in ends)
         p = effect.p_adjusted
         family = None if p is None or k == 0 else Family(len(parts) - 1, p, alpha=1 - confidence)
-        difference = Difference(relative, family=family)
+        difference = Difference(Estimate(value, low, high), family=family)
         compared.append(Compared(label, parts[k], observed, float(rows[:, k, 1].mean()), effect.ratio, difference))
     return compared
 
