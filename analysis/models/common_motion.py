@@ -148,30 +148,32 @@ def fit(
     frequency = np.arange(1, observed.shape[1] + 1) / span
     low, high = _bounds(frequency, observed)
 
-    def power(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        variance, period, quality, left = np.exp(at).T[:, :, None]
-        return variance * expected(frequency, span, period, quality), left * independent
+    def motion(at: np.ndarray) -> np.ndarray:
+        variance, period, quality, _ = np.moveaxis(np.exp(at), -1, 0)[..., None]
+        return variance * expected(frequency, span, period, quality)
 
     def loss(at: np.ndarray) -> np.ndarray:
-        model = sum(power(at))
+        model = motion(at) + np.exp(at[:, 3:]) * independent
         return np.mean(np.log(model) + observed / model, axis=1)
 
     at, damping = np.clip(start, low, high), np.full(len(start), 1e-2)
-    value, nudge = loss(at), 1e-4 * np.eye(4)
+    value, around = loss(at), np.zeros((5, 1, 4))  # at a point, and beside it in period and in quality
+    around[1:3, 0, 1] = around[3:, 0, 2] = 1e-4, -1e-4
     for _ in range(MOST_STEPS):
-        motion, rest = power(at)
-        model = motion + rest
-        slopes = [(power(at + nudge[k])[0] - power(at - nudge[k])[0]) / 2e-4 for k in (1, 2)]
-        gain = np.stack([motion, *slopes, rest], axis=2) / model[:, :, None]
+        here, *beside = motion(at + around)
+        rest = np.exp(at[:, 3:]) * independent
+        slopes = [(above - below) / 2e-4 for above, below in (beside[:2], beside[2:])]
+        model = here + rest
+        gain = np.stack([here, *slopes, rest], axis=2) / model[:, :, None]
         fisher = np.einsum("bki,bkj->bij", gain, gain)
         ridge = np.einsum("bii->bi", fisher) * damping[:, None] + 1e-9
         score = np.einsum("bki,bk->bi", gain, observed / model - 1)
         step = np.linalg.solve(fisher + ridge[:, :, None] * np.eye(4), score[:, :, None])[:, :, 0]
         tried = np.clip(at + np.clip(step, -0.7, 0.7), low, high)
-        found = loss(tried)
-        is_better = found <= value + 1e-12
-        gained = np.max(value - found, where=is_better, initial=0.0)
-        at, value = np.where(is_better[:, None], tried, at), np.where(is_better, found, value)
+        lost = loss(tried)
+        is_better = lost <= value + 1e-12
+        gained = np.max(value - lost, where=is_better, initial=0.0)
+        at, value = np.where(is_better[:, None], tried, at), np.where(is_better, lost, value)
         damping = np.clip(np.where(is_better, damping / 5, damping * 5), 1e-8, 1e8)
         if gained < 1e-9 and (is_better | (damping > 1e3)).all():
             break

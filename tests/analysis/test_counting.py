@@ -155,4 +155,4 @@ def test_the_rate_is_held_against_one_pool_lulls_or_none(planted, rng):
     study = Study(Data(members.assign(t_stop=members["t_end"]), series, events), study.settings)
     row, law = counting.question(study).tables["counting"].iloc[0], cascades.answer(study).tables["law"].iloc[0]
     assert row["share_in_lulls"] > 0.05
-    assert law["over_pool"] / LN2 == pytest.approx(row["excess"] - row["finite_size"], abs=1e-9)
+    assert (law["gamma"] - law["gamma_pool"]) / LN2 == pytest.approx(row["excess"] - row["finite_size"], abs=1e-9)
