@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from stickslip.analysis.answer import F, S
 from stickslip.analysis.contrast import Statistic
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.place import EVERYWHERE, Place
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import AT_MOST, IN_MOTION, MOTION, PERHAPS, Measure, Values, measures
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
@@ -19,7 +20,7 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.pipeline.design.design import Axis
 from stickslip.pipeline.design.design import Row as KeyValues
-from stickslip.pipeline.design.labels import Label, labels
+from stickslip.pipeline.design.labels import Label, apart, labels
 from stickslip.pipeline.design.values import Rank, ranks
 
 #: What the name of a setting says, beside its method.
@@ -144,9 +145,11 @@ class Grid:
         """A measure at each value of an axis, over those of some points that lie there."""
         return [estimate(measure.statistic, points_at(points, axis, row), self.confidence) for row in axis.rows]
 
-    def where(self, setting: Label) -> Place:
-        """What tells a setting from the others."""
-        return Place.of(setting) if len(self.points) > 1 else EVERYWHERE
+    @cached_property
+    def where(self) -> dict[Label, Place]:
+        """What tells each setting from the others."""
+        labels = [*self.points]
+        return dict(zip(labels, map(Place.of, apart(labels)), strict=True))
 
 
 def balanced(sums: Sequence[UnitSums]) -> tuple[list[int], UnitSums]:

@@ -63,7 +63,7 @@ def _of_setting(
 ) -> dict[str, Picture]:
     """The figures of a setting, or of all along the only key."""
     axis, points = axes[0], grid.points[setting]
-    at = f" at {setting}" if len(axes) > 1 and grid.where(setting) else ""
+    at = grid.where[setting].tail if len(axes) > 1 else ""
     by_name = {measure.name: measure for measure in grid.asked}
     may_be_log = any(measure.is_recorded for measure in grid.asked)
     pictures: dict[str, Picture] = {}
