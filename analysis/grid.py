@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from stickslip.analysis.answer import F, S
 from stickslip.analysis.contrast import Statistic
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.place import Place
@@ -27,7 +26,6 @@ from stickslip.pipeline.design.values import Rank, ranks
 FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
 #: The order of keys on pages, in which parameters come first.
 _PLACE = {name.removesuffix("0"): k for k, name in enumerate(SYSTEM_KEYS)}
-MOST_SETTINGS = 3  # that have pictures of their own
 
 
 @dataclass
@@ -44,7 +42,9 @@ class Point:
         """The point of a group, with what its runs give, whether they are in motion too."""
         fates = {name: int((group.fates == name).sum()) for name in (*WATCHED, FAILED)}
         values = {measure.name: measure.of(group) for measure in (*asked, MOTION, PERHAPS)}
-        return cls(group, place_of(axes, group), fates, values)
+        swept = group.table.design.swept(group.point)
+        place = {axis: tuple(swept[key] for key in axis.keys) for axis in axes}
+        return cls(group, place, fates, values)
 
     def sums(self, name: str) -> UnitSums:
         """The sums of a measure, without units in which nothing was counted."""
@@ -72,17 +72,6 @@ def axes_of(groups: Sequence[Group]) -> list[Axis]:
         if len(rows) > 1:
             found.append(Axis(axis.keys, tuple(sorted(rows, key=ranks))))
     return sorted(found, key=lambda axis: (-len(axis.rows), _PLACE.get(axis.keys[0], -1)))
-
-
-def place_of(axes: Sequence[Axis], group: Group) -> dict[Axis, KeyValues]:
-    """The row of a group on each axis."""
-    swept = group.table.design.swept(group.point)
-    return {axis: tuple(swept[key] for key in axis.keys) for axis in axes}
-
-
-def dtype(axis: Axis, k: int) -> str:
-    """Type of a column of the values of an axis' k-th key: numbers, or texts where one is something else."""
-    return F if all(isinstance(row[k], float) for row in axis.rows) else S
 
 
 def estimate(statistic: Statistic, points: Iterable[Point], confidence: float) -> Estimate:

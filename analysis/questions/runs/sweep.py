@@ -15,14 +15,13 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.answer import F
 from stickslip.analysis.contrast import Contrast, contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, KeyChange, Lack, Level, Reason, Scale, Threshold
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
-from stickslip.analysis.grid import Grid, Point, axes_of, balanced, dtype, estimate, points_at
+from stickslip.analysis.grid import Grid, Point, axes_of, balanced, estimate, points_at
 from stickslip.analysis.measures import AT_MOST, IN_MOTION, MOTION, Measure
 from stickslip.analysis.members import RELATIVE, noun
 from stickslip.analysis.models.fates import MOVING, QUIET, WATCHED
@@ -376,7 +375,7 @@ def _table(grid: Grid) -> pd.DataFrame:
     columns = dict(_COLUMNS)
     for axis in grid.axes:
         for k, key in enumerate(axis.keys):
-            kind = float if dtype(axis, k) == F else str
+            kind = float if all(isinstance(row[k], float) for row in axis.rows) else str
             columns[key] = kind, partial(_key_of, axis, k, kind)
     return frame_by(columns, cells)
 
