@@ -16,11 +16,10 @@ from typing import Any
 import numpy as np
 
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members, records
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SETTLED
 from stickslip.analysis.series import parting
 from stickslip.analysis.series.runs import Ended, Runs
-from stickslip.analysis.tables import records
 from stickslip.pipeline.design.design import Change, Kind, Method
 from stickslip.pipeline.design.labels import Label, labels
 from stickslip.sim.engines import place
@@ -179,7 +178,7 @@ def settings(members: Members) -> list[Setting]:
         numbers.setdefault((values["point"], method.engine, fixed), []).append(k)
     firsts = [members.settings[alike[0]] for alike in numbers.values()]
     keys = [{name: values[name] for name in _SETTING} | {"perturbation_size": 0.0} for values in firsts]
-    names = labels(keys, [design.swept(design.point(values["point"])) for values in firsts])
+    names = labels(keys)
     number = members.own["setting"].to_numpy()
     all_settings = [
         Setting(name, key, *_compared(members, np.flatnonzero(np.isin(number, alike))))

@@ -25,7 +25,6 @@ from stickslip.analysis.session import defaults
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
 from stickslip.pipeline.design.design import Coordinates
-from stickslip.pipeline.design.values import short
 from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
@@ -41,7 +40,6 @@ from stickslip.pipeline.query import (
     series,
 )
 from stickslip.pipeline.scene.columns import DESIGN
-from stickslip.pipeline.scene.systems import REALISATION
 from stickslip.version import __version__
 from stickslip.workflows.fresh import LIST, UNFINISHED, made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
@@ -52,7 +50,7 @@ _LISTED = re.compile(r"([0-9a-f]{64})  (report/(?:figures/)?[\w-]+\.(?:parquet|c
 #: Columns of members that no question of this package looks at.
 _UNASKED = (
     "perturbation_draw", "picked_for", "reproduce", "n_stick_end", "n_events", "n_entries", "n_exits", "n_crossings",
-    "n_steps", "n_rejected", "n_products", *(column.name for column in DESIGN),
+    "n_steps", "n_rejected", "n_products", "drawn", *(column.name for column in DESIGN),
 )  # fmt: skip
 
 #: Who puts the questions of a dataset: the dataset, its study, and whom to tell how many are answered.
@@ -84,7 +82,8 @@ def _data(opened: Opened, whole: bool = False) -> Data:
                     problems.setdefault(name, {})[member_id] = printable(why)
         return _prepared(scene, part).assign(**coordinates._asdict())
 
-    asked = [name for name in names if whole or name not in _UNASKED]
+    # the design has parameters, which may have a name that the analysis gives a column
+    asked = [name for name in names if name not in scene.parameters and (whole or name not in _UNASKED)]
     table = Members.of(starmap(prepared, members_in_parts(opened, asked)), opened.design)
     pa.default_memory_pool().release_unused()  # else what reading took would stay taken, 150 bytes a member
     recorded = {
@@ -126,11 +125,7 @@ def _prepared(scene: Scene, table: pd.DataFrame) -> pd.DataFrame:
     own = set() if scene.own_record is None else {column.name for column in scene.own_record.kept}
     table = table.drop(columns=[*(kept | own) - {*READ}])  # analysis may add one of that name
     table["matrix"] += scene.run.matrices * table["seed"].map(_seeds(scene).index)  # another seed is other systems
-    if names := [name for name in scene.parameters if name != REALISATION]:
-        rows = zip(*(table[name].map(short) for name in names), strict=True)
-        words = ["; ".join(map("{} = {}".format, names, row)) for row in rows]
-        table = table.drop(columns=names).assign(parameters=words)  # one may have a name that analysis gives a column
-    for name in ("file", "parameters", "reason"):  # words from outside, which pages and figures show
+    for name in ("file", "reason"):  # words from outside, which pages and figures show
         if name in table and table[name].notna().any():
             table[name] = table[name].map(printable if name == "reason" else _drawable, na_action="ignore")
     return table

@@ -16,7 +16,7 @@ from stickslip.analysis.answer import LONG, F, I, Long, S, Table, frame
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.alerts import STOP, Alert, Code
 from stickslip.analysis.findings.words import plural
-from stickslip.analysis.members import ENGINE_KEYS, OPTIONAL, START
+from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS
 from stickslip.analysis.page import AS_TEXT, FINDINGS, FORMULA, PAGE
 from stickslip.analysis.page.data import data_table
 from stickslip.analysis.page.layout import Page, Panel, Section
@@ -38,9 +38,9 @@ COUNTS = ("matrices", "starts", "members", "finished", "quiet")  # of a group
 CALLED = {"group": "setting", "matrices": "systems", "members": "runs", "quiet": "sliding, not certified"}
 _GROUPS: Mapping[str, str] = {
     "group": S, **dict.fromkeys(("n", *COUNTS), I), "coupling": S,
-    "file": S, "parameters": S,
-    **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F),
-    **dict.fromkeys((key for key in OPTIONAL if key not in ("file", "parameters")), F), "back_slip": S, "drawn": S,
+    "file": S, **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F),
+    **dict.fromkeys((key for key in SYSTEM_KEYS if key not in ("n", "coupling", "file")), F),
+    "back_slip": S, "values": S,
     **{name: F if isinstance(SETTINGS.get(name), Number) else S for name in ENGINE_KEYS},
 }  # fmt: skip
 
@@ -286,7 +286,7 @@ def groups_table(study: Study) -> pd.DataFrame:
     texts = {column for column, dtype in _GROUPS.items() if dtype == S}
     rows = []
     for group in study.groups:
-        key = {name: str(v) if name in texts and v is not None else v for name, v in group.key.items()}
+        key = {name: (str(v) or None) if name in texts and v is not None else v for name, v in group.key.items()}
         rows.append(
             key
             | {

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy.stats import norm
 
-from stickslip.analysis import Data, Study
+from stickslip.analysis import Study
 from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Alike, Regime, Share, Verdict
@@ -18,6 +18,7 @@ from stickslip.analysis.questions.runs import fates
 from stickslip.analysis.questions.runs.fate_figures import LOOKS
 from stickslip.analysis.questions.runs.settled import PREDICATES, Outcome, Stretch, stretches
 from stickslip.sim.attractors.result import Kind
+from tests.analysis.designs import Data
 
 SERIES = (np.array([0.0, 150.0]), np.array([3, 2]))
 KINDS = 3 * ["sliding"] + 5 * ["periodic"] + ["irregular", "undecided"]

@@ -6,10 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Data, Study
+from stickslip.analysis import Study
 from stickslip.analysis.burn_in import estimates, geweke, with_enough
 from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.questions.runs import fates
+from tests.analysis.designs import Data
 from tests.chance import SURE, agrees
 
 N, T_END, T_BURN, DECAY = 200, 1000.0, 100.0, 80.0

@@ -4,15 +4,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.findings.finding import Basis, Lack, Reason, Share, Verdict
 from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.members import records
 from stickslip.analysis.models.clustering import Kind, Part, fano, measure, n_windows, own_gaps, pairs
 from stickslip.analysis.questions.slips import cascades, collective, triggering
 from stickslip.analysis.series.nulls import BlockSteps, rotated
-from stickslip.analysis.tables import records
 from tests.analysis import studies
+from tests.analysis.designs import Data
 from tests.chance import agrees
 
 SPAN = studies.SPAN

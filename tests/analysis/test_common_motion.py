@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Fit, Lack, Level, Reason, Share, Verdict
 from stickslip.analysis.findings.words import sentence
@@ -18,6 +18,7 @@ from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.workflows.scenes import rhythm as scene
 from tests.analysis import studies
+from tests.analysis.designs import Data
 from tests.chance import ERRORS, agrees
 
 SPAN = 2400.0

@@ -8,10 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.findings.finding import Verdict
 from stickslip.analysis.page.comparison import Ensemble, compare, matched
 from stickslip.analysis.stats.estimates import LN2
+from tests.analysis.designs import Data
 from tests.analysis.reports import contents
 
 pytestmark = pytest.mark.usefixtures("undrawn")

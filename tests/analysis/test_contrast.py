@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.contrast import (
     Share,
     Statistic,
@@ -20,6 +20,7 @@ from stickslip.analysis.measures import ENDS, SHORT_WINDOW, of_windows
 from stickslip.analysis.stats.compare import bounded_difference
 from stickslip.analysis.stats.enough import FEW_MATRICES
 from stickslip.analysis.stats.estimates import UnitSums, gamma, ratio
+from tests.analysis.designs import Data
 
 MEAN = Statistic("mean", ratio, 0.1)
 SHARE = Share("share")

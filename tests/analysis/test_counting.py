@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stickslip.analysis import Data, Study
+from stickslip.analysis import Study
 from stickslip.analysis.findings.finding import Lack, Parts, Reason
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import pool
@@ -18,6 +18,7 @@ from stickslip.analysis.stats.estimates import LN2
 from stickslip.workflows.scenes import counting
 from tests.analysis import studies
 from tests.analysis.blocks import coupled_blocks
+from tests.analysis.designs import Data
 from tests.chance import agrees
 
 pytestmark = pytest.mark.usefixtures("undrawn")

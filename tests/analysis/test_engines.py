@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Data, Study, build
+from stickslip.analysis import AnalysisSettings, Study, build
 from stickslip.analysis.contrast import Contrast, Statistic
 from stickslip.analysis.findings.finding import Outcomes, Verdict
 from stickslip.analysis.findings.words import sentence
@@ -16,6 +16,7 @@ from stickslip.analysis.questions.runs.changes import answer
 from stickslip.analysis.stats.estimates import Estimate, ratio
 from stickslip.analysis.steps import Kind, Step
 from stickslip.analysis.style import EXACT
+from tests.analysis.designs import Data
 
 SETTINGS = AnalysisSettings(
     t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0, margins={"mean": 0.1, "rate": 0.1, "gamma": 0.05}

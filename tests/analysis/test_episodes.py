@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Data, Study, build, catalogues, measures
+from stickslip.analysis import Study, build, catalogues, measures
 from stickslip.analysis import catalogue as as_catalogue
 from stickslip.analysis.catalogues import Catalogues
 from stickslip.analysis.findings.alerts import Code
@@ -39,6 +39,7 @@ from stickslip.analysis.questions.slips import episodes
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import UnitSums, over_matrices
 from stickslip.analysis.stats.families import maximise, parameter
+from tests.analysis.designs import Data
 from tests.chance import ERRORS, SURE, agrees
 
 pytestmark = pytest.mark.usefixtures("undrawn")

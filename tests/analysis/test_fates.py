@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Lack, Level, Lifetime, Regime, Share
 from stickslip.analysis.findings.words import sentence
@@ -29,6 +29,7 @@ from stickslip.analysis.models.fates import (
 from stickslip.analysis.questions.runs.fates import DELAY, QUESTION, answer
 from stickslip.analysis.stats.compare import share_over_matrices, wilson
 from tests.analysis import studies
+from tests.analysis.designs import Data
 
 EPS = np.finfo(float).eps
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0)

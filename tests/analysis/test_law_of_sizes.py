@@ -6,20 +6,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Data, Study
+from stickslip.analysis import Study
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Fit, Lack, Law, Level, Outcomes, Reason, Verdict
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.members import records
 from stickslip.analysis.models import pool
 from stickslip.analysis.questions.slips import cascade_definitions, cascades
 from stickslip.analysis.series.cascades import EVENTS
 from stickslip.analysis.series.cascades import Law as Definition
 from stickslip.analysis.stats.components import between
 from stickslip.analysis.stats.estimates import LN2, gamma, over_matrices
-from stickslip.analysis.tables import records
 from tests.analysis import studies
 from tests.analysis.blocks import coupled_blocks
+from tests.analysis.designs import Data
 from tests.chance import ERRORS, agrees
 
 

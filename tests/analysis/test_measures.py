@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy import special
 
-from stickslip.analysis import Data, Study, build, measures
+from stickslip.analysis import Study, build, measures
 from stickslip.analysis.ensemble import Recorded, Until
 from stickslip.analysis.findings.finding import Change, Verdict
 from stickslip.analysis.findings.words import sentence
@@ -17,6 +17,7 @@ from stickslip.analysis.page.comparison import Ensemble, compare
 from stickslip.analysis.questions.runs.changes import answer as changes_of
 from stickslip.analysis.stats.compare import wilson
 from stickslip.analysis.stats.estimates import UnitSums
+from tests.analysis.designs import Data
 from tests.analysis.studies import renewals
 from tests.chance import SURE, agrees
 

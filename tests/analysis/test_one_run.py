@@ -6,16 +6,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Data, Study, build
+from stickslip.analysis import Study, build
 from stickslip.analysis.findings.finding import Lack, Reason
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.page.parts import ask
 from stickslip.analysis.questions.runs.one_run import MOST_MEMBERS, answer
+from tests.analysis.designs import Data
 
 #: Four blocks: 0 lets go at 1, sticks at 3, lets go at 4; 1 slips throughout; 2 and 3 never do.
 EVENTS = (
     np.array([1.0, 3.0, 4.0]), np.zeros(3, np.int32), np.array([1, 0, -1], np.int8), np.array([0, -1, 0, 0], np.int8),
 )  # fmt: skip
+
 SERIES = (np.array([0.0, 1.0, 3.0, 4.0]), np.array([3, 2, 3, 2]))
 
 

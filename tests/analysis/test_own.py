@@ -19,7 +19,6 @@ from stickslip.analysis import (
     Basis,
     Code,
     Comparison,
-    Data,
     Difference,
     Estimate,
     Lack,
@@ -40,6 +39,7 @@ from stickslip.analysis.findings.finding import Family
 from stickslip.analysis.page.own import OwnError, own_answer
 from stickslip.analysis.page.parts import Answered, ask
 from stickslip.analysis.questions import BESIDE_SCENES, QUESTIONS, RENAMED, refuse_unknown, renamed
+from tests.analysis.designs import Data
 from tests.analysis.reports import contents
 
 KEY = "own:question"

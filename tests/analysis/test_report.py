@@ -13,8 +13,9 @@ import pandas as pd
 import pytest
 
 from stickslip import analysis
-from stickslip.analysis import AnalysisSettings, Data, Study, build
+from stickslip.analysis import AnalysisSettings, Study, build
 from stickslip.analysis.stats.estimates import LN2
+from tests.analysis.designs import Data
 from tests.analysis.reports import contents
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -238,10 +239,7 @@ def test_no_sentence_in_python(room):
 @pytest.mark.parametrize(
     ("spoil", "named"),
     [
-        (lambda m, s: (m.drop(columns="outcome"), s), "outcome"),
-        (lambda m, s: (m.iloc[:0], s), "at least one row"),
         (lambda m, s: (pd.concat([m, m]), s), "more than once"),
-        (lambda m, s: (m.assign(outcome="done"), s), "'done'"),
         (lambda m, s: (m.assign(t_end=100.0), s), "t_burn"),
         (lambda m, s: (m, {}), "coulomb-000"),
         (lambda m, s: (m.assign(outcome="collapsed"), {}), "of the member 'coulomb-000'"),

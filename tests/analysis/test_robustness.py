@@ -7,10 +7,11 @@ import pandas as pd
 import pytest
 from scipy import signal
 
-from stickslip.analysis.ensemble import Data, Study
+from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Lack, Level, Outcomes, Reason, Share, Verdict
 from stickslip.analysis.page.build import build
 from stickslip.analysis.questions.runs.changes import answer
+from tests.analysis.designs import Data
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

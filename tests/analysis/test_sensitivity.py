@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis.ensemble import Data, Study
+from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Lack, Level, Lifetime, Reason
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.fates import median
@@ -15,6 +15,7 @@ from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, level
 from stickslip.analysis.pairs import settings as sorted_settings
 from stickslip.analysis.questions.runs.sensitivity import GROWS, SHRINKS, UNKNOWN, answer
 from stickslip.analysis.series import parting
+from tests.analysis.designs import Data
 
 T_END = 1000.0
 

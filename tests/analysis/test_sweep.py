@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Data, Study, build, measures
+from stickslip.analysis import Study, build, measures
 from stickslip.analysis.findings.finding import Change as Changed
 from stickslip.analysis.findings.finding import Lack, Level, Reason, Threshold, Verdict
 from stickslip.analysis.findings.place import EVERYWHERE
@@ -20,7 +20,8 @@ from stickslip.analysis.questions.runs.changes import answer as changes_of
 from stickslip.analysis.stats import enough
 from stickslip.pipeline.design.design import Axis, Change, Design, Method, Source, Unit
 from stickslip.pipeline.design.labels import apart, labels
-from stickslip.pipeline.design.values import FILE, Distribution, Ratio, rank, read
+from stickslip.pipeline.design.values import Distribution, Ratio, Values, rank
+from tests.analysis.designs import Data, members
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -208,25 +209,20 @@ def test_keys_that_go_together_are_one_axis_and_distributions_are_values(planted
     )  # fmt: skip
     point = together["kappa"].map({kappa: k for k, (kappa, _) in enumerate(pairs)})
     places = {"point": point, "unit": together["matrix"], "method": 0, "change": 0, "base": np.arange(len(together))}
-    members = Members.of([together.assign(**places)], design)
-    (axis,) = axes_of(Study(Data(members, data.series), settings).groups)
+    swept_together = Members.of([together.assign(**places)], design)
+    (axis,) = axes_of(Study(Data(swept_together, data.series), settings).groups)
     assert axis == Axis(("kappa", "rho"), tuple(pairs))
-    assert set(changes(changes_of(Study(Data(members, data.series), settings)))) == {"kappa with rho"}
-    drawn = data.members.assign(
-        kappa=0.2,
-        friction=data.members["kappa"].map({0.1: 1.0}),
-        drawn=data.members["kappa"].map({0.2: "friction = uniform(0.9, 1.1)", 0.3: "friction = uniform(0.8, 1.2)"}),
-    )
+    assert set(changes(changes_of(Study(Data(swept_together, data.series), settings)))) == {"kappa with rho"}
+    laws = {0.1: 1.0, 0.2: Distribution("uniform", 0.9, 1.1), 0.3: Distribution("uniform", 0.8, 1.2)}
+    drawn = data.members.assign(kappa=0.2, friction=data.members["kappa"].map(laws))
     (axis,) = axes_of(Study(Data(drawn, data.series), settings).groups)
     assert axis.texts == ["1", "uniform(0.9, 1.1)", "uniform(0.8, 1.2)"], "wider ones last"
 
 
 def test_parameters_of_a_function_are_swept(swept, settings):
     data = swept({"kappa": [0.1, 0.2]}, lambda at, matrix: 300 * at["kappa"] + matrix % 2)
-    members = data.members.assign(
-        parameters=data.members["kappa"].map({0.1: "gap = 1; a = 2", 0.2: "gap = 2.5; a = 2"})
-    )
-    answer = changes_of(Study(Data(members.assign(kappa=None), data.series), settings))
+    table = data.members.assign(gap=data.members["kappa"].map({0.1: 1.0, 0.2: 2.5}), a=2.0, kappa=None)
+    answer = changes_of(Study(Data(members(table, parameters=("gap", "a")), data.series), settings))
     row = changes(answer)["gap"]
     assert (row.verdict, row.first_value, row.second_value) == (Verdict.MORE, "1", "2.5")
     assert row.difference == pytest.approx(30)
@@ -254,9 +250,9 @@ def test_figures_draw_what_the_table_says(swept, settings, key):
     )
     places = np.array(speeds)
     if key == "friction":
-        laws = {speed: f"uniform(0, 0.{k + 1})" for k, speed in enumerate(speeds)}
-        drawn = data.members["belt_speed"].map({speed: f"friction = {law}" for speed, law in laws.items()})
-        data = Data(data.members.assign(belt_speed=-0.1, drawn=drawn), data.series)
+        laws = {speed: Distribution("uniform", 0.0, 0.1 * (k + 1)) for k, speed in enumerate(speeds)}
+        drawn = data.members["belt_speed"].map(laws)
+        data = Data(data.members.assign(belt_speed=-0.1, friction=drawn), data.series)
         places = np.arange(3)
     answer = changes_of(Study(data, settings))
     table = answer.tables["sweep_measures"].query("measure == 'mean n_stick'")
@@ -268,7 +264,7 @@ def test_figures_draw_what_the_table_says(swept, settings, key):
         np.testing.assert_allclose(line.lines[0].get_ydata(), mean)
         np.testing.assert_allclose(np.asarray(line.lines[0].get_xdata(), float), places, atol=0.01 * np.ptp(places))
     if key == "friction":
-        assert [label.get_text() for label in axes.get_xticklabels()] == list(laws.values())
+        assert [label.get_text() for label in axes.get_xticklabels()] == [*map(str, laws.values())]
     away = ended(data, data.members["kappa"] == 0.3, "diverged")
     assert {"sweep_fates", "sweep_mean", "sweep_gamma"} <= set(build(away, settings, "Drawn", "", {}).figures)
 
@@ -298,15 +294,12 @@ def test_settings_are_in_the_order_of_their_numbers_and_widths():
     ]
     for values in in_order:
         assert sorted(reversed(values), key=rank) == values
-    assert read("friction = uniform(0.8, 1.1); gap = 1e-05; z = file") == {
-        "friction": uniform(0.8, 1.1), "gap": 1e-5, "z": FILE,
-    }  # fmt: skip
-    keys = [planted_key(kappa=0.2), planted_key(kappa=0.3)]
-    both = labels(keys, [{"friction": uniform(0.8, 1.1)}, {"friction": uniform(0.8, 1.2)}])
+    pairs = [(0.2, uniform(0.8, 1.1)), (0.3, uniform(0.8, 1.2))]
+    both = labels([planted_key(kappa=kappa, values=Values([("friction", law)])) for kappa, law in pairs])
     assert both[0] == "n = 2, exact, kappa = 0.2, friction = uniform(0.8, 1.1)"
     assert apart(both, always=1)[1] == "n = 2, kappa = 0.3, friction = uniform(0.8, 1.2)"
 
 
 def planted_key(**changes):
-    fixed = {"n": 2, "kappa": 0.2, "friction": None, "drawn": None, "perturbation_size": 0.0, "engine": "coulomb"}
+    fixed = {"n": 2, "kappa": 0.2, "friction": None, "perturbation_size": 0.0, "engine": "coulomb"}
     return fixed | {"tol": 1e-8} | changes

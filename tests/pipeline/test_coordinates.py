@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from pandas import DataFrame
 from pandas.testing import assert_frame_equal
 
 from stickslip.pipeline import StoreError, expand, extend, parse_scene, query, run_ensemble, verify
@@ -106,7 +106,7 @@ def test_coordinates_say_what_members_are():
     for k in (0, len(members) // 2, len(members) - 1):
         point = design.point(int(of.point[k]))
         assert point.n == members[k].n
-        assert point.at[0] == (members[k].term("friction"),)
+        assert point.at[0] == (members[k].term("friction"),)  # noqa: PD008
 
 
 @pytest.mark.parametrize(
@@ -218,7 +218,7 @@ def test_a_dataset_of_the_version_before_goes_on(tmp_path):
     again = rows(path)
     columns = [name for name in before[0] if name not in ("n_steps", "n_products")]
     # the last digits of a run are those of the CPU that it was made on
-    old, new = (pd.DataFrame(part, columns=columns) for part in (before, again))
+    old, new = (DataFrame(part, columns=columns) for part in (before, again))
     assert_frame_equal(new, old, rtol=1e-9, atol=1e-9)
     assert {row.get("design_point") is None for row in again} == {True, False}
     for name, table in reporting.report(path).tables.items():

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import groupby
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -47,7 +47,7 @@ from stickslip.analysis.stats.compare import wilson
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.design import Axis, Row, Unit, in_words
 from stickslip.pipeline.design.labels import Label, apart, labels
-from stickslip.pipeline.design.values import Named, Value, ranks
+from stickslip.pipeline.design.values import Named, Value, Values, ranks
 
 MOST_STRETCHES = 3  # of values of a key, that findings name
 MOST_CYCLES = 4  # of one system, that are told apart
@@ -189,13 +189,9 @@ def grid_of(study: Study) -> Grid:
     """The unchanged runs of a study by setting; settings of which all runs failed are left out."""
     like: dict[tuple[object, ...], list[Group]] = {}
     for group in study.groups:
-        like.setdefault(tuple((group.key | {"z0": None, "w0": None}).values()), []).append(group)
+        like.setdefault(tuple(_regardless_of_start(group).values()), []).append(group)
     firsts = [groups[0] for groups in like.values()]
-    swept = [first.table.design.swept(first.point) for first in firsts]
-    names = apart(labels(
-        [first.key | {"z0": None, "w0": None} for first in firsts],
-        [{key: value for key, value in at.items() if key not in _START} for at in swept],
-    ))  # fmt: skip
+    names = apart(labels([_regardless_of_start(first) for first in firsts]))
     axes = _axes(firsts)
     settings = [
         setting
@@ -203,6 +199,12 @@ def grid_of(study: Study) -> Grid:
         if len((setting := _setting(study, name, groups, axes)).runs.rows)
     ]
     return Grid(settings, axes)
+
+
+def _regardless_of_start(group: Group) -> dict[str, Any]:
+    """The key of a group, without where its runs begin."""
+    values = Values(pair for pair in group.key["values"] if pair[0] not in _START)
+    return group.key | {"z0": None, "w0": None, "values": values}
 
 
 def _axes(groups: Sequence[Group]) -> list[Axis]:
