@@ -124,10 +124,12 @@ class Grid:
         """The points of all settings."""
         return [point for points in self.points.values() for point in points]
 
-    @property
+    @cached_property
     def settings(self) -> list[Label]:
         """The settings, the one with the most finished runs first: it leads."""
-        lead = max(self.points, key=lambda name: sum(point.group.is_finished.sum() for point in self.points[name]))
+        lead = max(
+            self.points, key=lambda name: sum(int(point.group.is_finished.sum()) for point in self.points[name])
+        )
         return sorted(self.points, key=lambda name: name != lead)
 
     def along(self, measure: Measure, points: Sequence[Point], axis: Axis) -> list[Estimate]:
