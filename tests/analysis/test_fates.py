@@ -465,13 +465,6 @@ def test_many_changes_along_a_key_are_counted(planted):
     ]
 
 
-def test_of_many_stretches_only_those_of_one_outcome_are_named(planted):
-    mixed = [COLLAPSED, SUSTAINED] * 2
-    plan = {1: [COLLAPSED] * 4, 2: mixed, 3: [SUSTAINED] * 4, 4: [*mixed[:3], DIVERGED], 5: [DIVERGED] * 4}
-    found = of_kind(asked(of_sizes(planted, {10 * n: outcomes for n, outcomes in plan.items()})), Regime)
-    assert [str(regime.where) for regime in found] == ["n = 10", "n = 30", "n = 50"]
-
-
 def test_a_drift_is_an_alert_even_of_few_cascades(planted):
     t = np.arange(0.0, 1000.0)
     rising = {f"200-{k}": (t, np.arange(1000) // 10 + k) for k in range(5)}

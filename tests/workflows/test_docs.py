@@ -136,7 +136,7 @@ def test_scenes_do_what_the_page_says(here, tmp_path, monkeypatch):
     run_python("scenes", "K.npz")
     Path("own.py").write_text(block("scenes", "python", "def draw"))
     assert [main(command) for command in commands("scenes")] == [0] * 11
-    assert query.members("runs/settled").attractor.notna().all()
+    assert query.members("runs/more").attractor.notna().all()
 
 
 @pytest.mark.long

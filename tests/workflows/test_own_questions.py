@@ -2,7 +2,6 @@
 
 import hashlib
 import re
-import shutil
 import sys
 from pathlib import Path
 from shutil import copytree
@@ -95,10 +94,11 @@ def test_own_answers_it_and_the_page_names_its_files(place, capsys):
     assert not (place / "ran").exists()
 
 
-def test_who_adds_a_record_is_told_how_the_page_keeps_its_questions(place, tmp_path, capsys):
-    out = str(shutil.copytree(place / "runs" / "mine", tmp_path / "mine"))
-    assert main(["extend", out, "--record", "stick_share", "--workers", "1"]) == 0
-    assert f"rewrite it with: stickslip report {out} --own\n" in capsys.readouterr().out
+def test_who_adds_a_record_is_told_how_the_page_answers_its_questions(place, tmp_path, capsys):
+    out = str(tmp_path / "more")
+    asked = ["--record", "stick_share", "--out", out, "--workers", "1"]
+    assert main(["extend", str(place / "runs" / "mine"), *asked]) == 0
+    assert f"`stickslip report {out} --own` runs the code beside the scene" in capsys.readouterr().out
 
 
 def sha256(file):

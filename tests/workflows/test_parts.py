@@ -48,12 +48,12 @@ READERS = {
     "verify": ["verify", "{d}"],
     "query": ["query", "{d}", "SELECT count(*), sum(len(t)) FROM shards"],
     "export": ["export", "{d}", "--netcdf", "{o}"],
+    "extend": ["extend", "{d}", "--record", "end", "--out", "{o}", "--workers", "1"],
     "compare": ["report", "{d}", "--compare", "{x}"],
     "compared": ["report", "{x}", "--compare", "{d}", "--out", "{o}"],
 }
 WRITERS = {
     "run": ["run", "{s}", "--out", "{d}", "--workers", "1", "--no-report"],
-    "extend": ["extend", "{d}", "--record", "end", "--workers", "1"],
     "report": ["report", "{d}"],
 }
 #: The parts that every command looks at, and those that a report alone is made of.

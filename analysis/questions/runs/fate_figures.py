@@ -247,8 +247,7 @@ def _entry(row: Portion) -> tuple[Look, str]:
     if row.outcome == PERIODIC and row.cycle is None:
         look, words = OTHERS, "other cycles"
     elif row.cycle is not None:
-        exits = f", {row.exits} exits" if (row.exits or 0) > 1 else ""
-        look, words = CYCLES[row.cycle - 1], f"cycle, period {row.period_median:.4g}{exits}"
+        look, words = CYCLES[row.cycle - 1], f"cycle, period {row.period:.4g}"
     return look, f"{words}: {with_interval(row.share, Form.SHARE)}"
 
 

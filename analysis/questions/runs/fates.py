@@ -54,7 +54,6 @@ from stickslip.analysis.questions.runs import bifurcations, fate_figures
 from stickslip.analysis.questions.runs.settled import (
     PREDICATES,
     Grid,
-    Grouped,
     Outcome,
     Portion,
     Setting,
@@ -186,16 +185,16 @@ def _outcomes(
         shares = _shares(study, settings, method)
         n_lead = 2 if sum(isinstance(share, Share) for share in shares) > 2 else 1  # of two, one says both
         return [(share, settings) for share in shares[:n_lead]], shares[n_lead:]
-    first, *middle = grid.lines(settings)[:MOST_LINES]
-    said: list[Grouped] = []
-    for line in [first, *middle[-1:], *middle[:-1]]:
+    first, *others = grid.lines(settings)[:MOST_LINES]
+    said: list[tuple[Finding, Sequence[Setting]]] = []
+    for line in [first, *others[-1:], *others[:-1]]:
         said += regimes(study, grid, line, [setting.kinds for setting in line], method)
     kinds, exits = [setting.kinds for setting in first], [setting.exits for setting in first]
-    if not middle and stretches(kinds) != stretches(exits):
-        by_exits = regimes(study, grid, first, exits, method)
-        said += [grouped for grouped in by_exits if grouped.regime not in [known.regime for known in said]]
+    if not others and stretches(kinds) != stretches(exits):
+        known = [finding for finding, _ in said]
+        said += [pair for pair in regimes(study, grid, first, exits, method) if pair[0] not in known]
     mixed = [setting for setting in settings if len(setting.kinds) > 1]
-    return [*said], [share for setting in mixed[:MOST_LINES] for share in _shares(study, [setting], setting.where)]
+    return said, [share for setting in mixed[:MOST_LINES] for share in _shares(study, [setting], setting.where)]
 
 
 def _shares(study: Study, settings: Sequence[Setting], where: Place) -> list[Finding]:
@@ -210,12 +209,12 @@ def _shares(study: Study, settings: Sequence[Setting], where: Place) -> list[Fin
         (predicate,) = predicates([Outcome(row.outcome)], settings)
         beside = _beside(row, published.get(row.outcome))
         if row.outcome == PERIODIC and n_cycles > 1:
-            name = "other cycles" if row.cycle is None else f"the cycle of period {row.period_median:.4g}"
+            name = "other cycles" if row.cycle is None else f"the cycle of period {row.period:.4g}"
             predicate, beside = f"settle on {name}", None
-        findings.append(Share(row.outcome, things(settings), predicate, row.share, where, beside, basis))
-        if row.cycle and n_cycles == 1 and row.period_median is not None and row.n_runs > 1:
-            among = Basis(row.n_runs, things(settings)[:-1])
-            findings.append(Alike(PERIOD, row.period_median, f"from all {based_on(among)}", where, among))
+        findings.append(Share(row.outcome, things(basis), predicate, row.share, where, beside, basis))
+        if row.cycle and n_cycles == 1 and row.period is not None and row.n_runs > 1:
+            among = Basis(row.n_runs, things(basis)[:-1])
+            findings.append(Alike(PERIOD, row.period, f"from all {based_on(among)}", where, among))
     return findings
 
 

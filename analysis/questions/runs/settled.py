@@ -72,18 +72,17 @@ _PARTLY_CERTIFIED = "are sliding{} (not all certified)"
 
 
 class Outcome(NamedTuple):
-    """What a run does in the end: the kind and, of a cycle, its exits per period or its number in its system.
-
-    The number is 0 for cycles that are not told apart.
-    """
+    """What a run does in the end: the kind and, of a cycle, its exits per period; 0 where these tell none apart."""
 
     kind: str
     exits: int = 0
-    cycle: int = 0
 
 
 class Runs(NamedTuple):
-    """Runs whose outcome is known, shape (m,) each: their rows among the members; units are independent."""
+    """Runs whose outcome is known, shape (m,) each: their rows among the members; units are independent.
+
+    `cycles` are numbers of the cycles of a system, 0 for those that are not told apart.
+    """
 
     rows: np.ndarray
     units: np.ndarray
@@ -211,10 +210,9 @@ def _axes(groups: Sequence[Group]) -> list[Axis]:
     """Along which some groups differ: the number of blocks or the file, and what is swept."""
     swept = [axis for axis in axes_of(groups) if not {*axis.keys} <= {*_START}]
     source = "file" if len({group.point.file for group in groups}) > 1 else "n"
-    rows = {_values(group)[source] for group in groups}
-    of_source = [Axis((source,), tuple((value,) for value in sorted(rows, key=lambda row: ranks([row]))))]
-    # files have no order
-    return sorted([*of_source[: len(rows) - 1], *swept], key=lambda axis: (axis.keys == ("file",), -len(axis.rows)))
+    rows = sorted({(_values(group)[source],) for group in groups}, key=ranks)
+    axes = [Axis((source,), tuple(rows)), *swept] if len(rows) > 1 else swept
+    return sorted(axes, key=lambda axis: (axis.keys == ("file",), -len(axis.rows)))  # files have no order
 
 
 def _values(group: Group) -> dict[str, Value]:
@@ -297,14 +295,14 @@ def _words(outcome: Outcome, settings: Sequence[Setting]) -> str:
     return PREDICATES[outcome.kind] + exits
 
 
-def things(settings: Iterable[Setting]) -> str:
-    """What the runs of some settings are called, in the plural."""
-    return "starts" if all(setting.of_starts for setting in settings) else "runs"
-
-
 def unit(study: Study, settings: Iterable[Setting]) -> str:
     """What is independent at some settings, in the singular."""
     return "start" if all(setting.of_starts for setting in settings) else noun(study.unit)
+
+
+def things(basis: Basis) -> str:
+    """What runs are called, in the plural."""
+    return "starts" if basis.unit == "start" else "runs"
 
 
 # ------------------------------------------------------------------------------------------------- shares
@@ -312,19 +310,14 @@ def unit(study: Study, settings: Iterable[Setting]) -> str:
 
 @dataclass(frozen=True)
 class Portion:
-    """The runs of a setting that have an outcome: how many, their share, and what their cycles are like.
+    """The runs of a setting that have an outcome: how many, and their share.
 
     Attributes
     ----------
-    outcome : str
     cycle : int, optional
         Its number among those of its system.
-    n_runs, of : int
-    share : Estimate
-    exits : int, optional
-        Per period, if all have as many.
-    period_least, period_median, period_most, multiplier : float, optional
-        Of cycles; the largest multiplier.
+    period, multiplier : float, optional
+        Of cycles: the median, and the largest.
     """
 
     setting: str
@@ -333,10 +326,7 @@ class Portion:
     n_runs: int
     of: int
     share: Estimate
-    exits: int | None = None
-    period_least: float | None = None
-    period_median: float | None = None
-    period_most: float | None = None
+    period: float | None = None
     multiplier: float | None = None
 
 
@@ -354,7 +344,10 @@ def portions(study: Study, runs: Runs, name: str = "", besides: Iterable[str] = 
         untold = (runs.kinds == QUIET) & (kind == SUSTAINED)
         share = share_of(has, untold, runs.units, study.settings.confidence)
         row = Portion(name, kind, cycle or None, int(has.sum()), len(has), share)
-        rows.append(_of_cycles(study, row, runs.at(has)) if kind == PERIODIC else row)
+        if kind == PERIODIC and has.any():
+            period, multiplier = (study.number(number)[runs.rows[has]] for number in ("period", "multiplier"))
+            row = replace(row, period=float(np.median(period)), multiplier=float(multiplier.max()))
+        rows.append(row)
     return rows
 
 
@@ -364,25 +357,6 @@ def share_of(has: np.ndarray, untold: np.ndarray, units: np.ndarray, confidence:
     return bounded_share(
         np.column_stack([np.bincount(place, has), np.bincount(place, untold), np.bincount(place)]), confidence
     )
-
-
-def _of_cycles(study: Study, row: Portion, runs: Runs) -> Portion:
-    """A row with the numbers of its cycles."""
-    periods, multipliers = (_known(study.number(name)[runs.rows]) for name in ("period", "multiplier"))
-    exits = np.unique(runs.exits)
-    least, median, most = np.percentile(periods, (0, 50, 100)).tolist() if len(periods) else 3 * [None]
-    return replace(
-        row,
-        exits=int(exits[0]) if len(exits) == 1 else None,
-        period_least=least,
-        period_median=median,
-        period_most=most,
-        multiplier=float(multipliers.max()) if len(multipliers) else None,
-    )
-
-
-def _known(numbers: np.ndarray) -> np.ndarray:
-    return numbers[~np.isnan(numbers)]
 
 
 def together(settings: Sequence[Setting]) -> Runs:
@@ -400,55 +374,33 @@ def together(settings: Sequence[Setting]) -> Runs:
 # ------------------------------------------------------------------------------------------------- regimes
 
 
-class Stretch(NamedTuple):
-    """Neighbouring settings along a key, by the places of the first and the last."""
-
-    first: int
-    last: int
-
-
-def stretches(outcomes: Sequence[tuple[Outcome, ...]]) -> list[Stretch]:
+def stretches(outcomes: Sequence[tuple[Outcome, ...]]) -> list[slice]:
     """Neighbouring settings of the same outcomes; what is not known is in one only if it goes on beyond."""
     known = [(k, here) for k, here in enumerate(outcomes) if here]
     numbers = [[k for k, _ in group] for _, group in groupby(known, lambda pair: pair[1])]
-    return [Stretch(group[0], group[-1]) for group in numbers]
-
-
-class Grouped(NamedTuple):
-    """Settings whose runs do the same, and what they do."""
-
-    regime: Regime
-    settings: Sequence[Setting]
+    return [slice(group[0], group[-1] + 1) for group in numbers]
 
 
 def regimes(
     study: Study, grid: Grid, line: Sequence[Setting], outcomes: Sequence[tuple[Outcome, ...]], method: Place
-) -> list[Grouped]:
-    """A line by what its runs do: stretches of values or, if there are many, how many values.
-
-    Of many stretches only those are named whose runs all do the same, as those between have several outcomes.
-    """
-    parts = stretches(outcomes)
+) -> list[tuple[Regime, Sequence[Setting]]]:
+    """A line by what its runs do, with the settings: few stretches of values, or else how many values."""
+    axis, parts = grid.axes[0], stretches(outcomes)
+    groups = [(Place.key(axis.name, _span(line[part])), line[part], outcomes[part.start]) for part in parts]
     if len(parts) > MOST_STRETCHES:
-        parts = [part for part in parts if len(outcomes[part.first]) == 1]
-    axis, beside = grid.axes[0], grid.beside(line[0]) + method
-    groups: list[tuple[Place, Sequence[Setting], tuple[Outcome, ...]]] = []
-    if 0 < len(parts) <= MOST_STRETCHES:
-        for part in parts:
-            settings = line[part.first : part.last + 1]
-            groups.append((Place.key(axis.name, _ends(settings)), settings, outcomes[part.first]))
-    else:
-        alike_in: dict[tuple[Outcome, ...], list[Setting]] = {}
+        like: dict[tuple[Outcome, ...], list[Setting]] = {}
         for setting, here in zip(line, outcomes, strict=True):
-            alike_in.setdefault(here, []).append(setting)
-        for here, settings in sorted(alike_in.items(), key=lambda pair: -len(pair[1])):
-            if here:
-                count = Place.words(f"at {len(settings)} of {len(line)} values of {axis.name}")
-                groups.append((count, settings, here))
-    return [Grouped(_regime(study, where + beside, settings, here), settings) for where, settings, here in groups]
+            like.setdefault(here, []).append(setting)
+        by_number = sorted((pair for pair in like.items() if pair[0]), key=lambda pair: -len(pair[1]))
+        groups = [
+            (Place.words(f"at {len(settings)} of {len(line)} values of {axis.name}"), settings, here)
+            for here, settings in by_number
+        ]
+    beside = grid.beside(line[0]) + method
+    return [(_regime(study, where + beside, settings, here), settings) for where, settings, here in groups]
 
 
-def _ends(line: Sequence[Setting]) -> str:
+def _span(line: Sequence[Setting]) -> str:
     """The values of a stretch along the first axis."""
     first, last = (in_words(setting.at[0]) for setting in (line[0], line[-1]))
     return first if len(line) == 1 else f"{first} {'and' if len(line) == 2 else 'to'} {last}"
@@ -463,4 +415,4 @@ def _regime(study: Study, where: Place, settings: Sequence[Setting], outcomes: S
         is_bounded = n == of and n_units >= LEAST_UNITS
         share = Estimate(1.0, wilson(n_units, n_units, level)[0], 1.0) if is_bounded else Estimate(1.0)
     basis = Basis(n_units, unit(study, settings))
-    return Regime(things(settings), predicates(outcomes, settings), n, of, share, where, basis)
+    return Regime(things(basis), predicates(outcomes, settings), n, of, share, where, basis)
