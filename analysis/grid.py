@@ -57,21 +57,21 @@ class Point:
 
 def settings(groups: Iterable[Group]) -> dict[Label, list[Group]]:
     """Groups that differ only in keys that are swept, by the name of what they share."""
-    found: dict[tuple[int, int], list[Group]] = {}
+    by_source: dict[tuple[int, int], list[Group]] = {}
     for group in groups:
-        found.setdefault((group.point.source, group.setting["method"]), []).append(group)
-    keys = [{name: some[0].key[name] for name in (*FIXED, *ENGINE_KEYS)} for some in found.values()]
-    return dict(zip(labels(keys), found.values(), strict=True))
+        by_source.setdefault((group.point.source, group.setting["method"]), []).append(group)
+    keys = [{name: groups[0].key[name] for name in (*FIXED, *ENGINE_KEYS)} for groups in by_source.values()]
+    return dict(zip(labels(keys), by_source.values(), strict=True))
 
 
 def axes_of(groups: Sequence[Group]) -> list[Axis]:
     """The axes of a sweep along which some groups differ, the longest first; rows are in the order of pages."""
-    found = []
+    axes = []
     for k, axis in enumerate(groups[0].table.design.axes):
         rows = {group.point.at[k] for group in groups}
         if len(rows) > 1:
-            found.append(Axis(axis.keys, tuple(sorted(rows, key=ranks))))
-    return sorted(found, key=lambda axis: (-len(axis.rows), _PLACE.get(axis.keys[0], -1)))
+            axes.append(Axis(axis.keys, tuple(sorted(rows, key=ranks))))
+    return sorted(axes, key=lambda axis: (-len(axis.rows), _PLACE.get(axis.keys[0], -1)))
 
 
 def estimate(statistic: Statistic, points: Iterable[Point], confidence: float) -> Estimate:
@@ -149,15 +149,15 @@ def balanced(sums: Sequence[UnitSums]) -> tuple[list[int], UnitSums]:
     What lacks most is left out first, be it sums or a unit: a unit that lacks some would differ from others by what
     these are like. If too few units are left all count, with their gaps.
     """
-    every = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(one.units for one in sums)]))
-    has = np.array([np.isin(every, one.units) for one in sums]).reshape(len(sums), len(every))
-    rows, columns = np.arange(len(sums)), np.arange(len(every))
-    while not (left := has[np.ix_(rows, columns)]).all():
-        of_row, of_column = left.mean(axis=1), left.mean(axis=0)
+    units = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(one.units for one in sums)]))
+    has = np.array([np.isin(units, one.units) for one in sums]).reshape(len(sums), len(units))
+    rows, columns = np.arange(len(sums)), np.arange(len(units))
+    while not (known := has[np.ix_(rows, columns)]).all():
+        of_row, of_column = known.mean(axis=1), known.mean(axis=0)
         if of_row.min() <= of_column.min():
             rows = np.delete(rows, of_row.argmin())
         else:
             columns = np.delete(columns, of_column.argmin())
-    if len(columns) * bool(len(rows)) < min(len(every), enough.LEAST_MATRICES):
-        rows, columns = np.arange(len(sums)), np.arange(len(every))
-    return rows.tolist(), UnitSums(every[columns], np.zeros((len(columns), 2)))
+    if len(columns) * bool(len(rows)) < min(len(units), enough.LEAST_MATRICES):
+        rows, columns = np.arange(len(sums)), np.arange(len(units))
+    return rows.tolist(), UnitSums(units[columns], np.zeros((len(columns), 2)))

@@ -100,12 +100,13 @@ class Measure:
 
 def measures(study: Study, beside: Study | None = None) -> list[Measure]:
     """What is measured of a study, the first of which leads; `beside` is the study that it is compared with."""
-    every = [measure for source in SOURCES for measure in source(study, beside)]
-    if not any(measure.is_recorded for measure in every):
-        return [measure for measure in every if measure.name in KEYS]
+    all_measures = [measure for source in SOURCES for measure in source(study, beside)]
+    if not any(measure.is_recorded for measure in all_measures):
+        return [measure for measure in all_measures if measure.name in KEYS]
     left_out = () if "cascades" in study.settings.question else KEYS
     return sorted(
-        (measure for measure in every if measure.name not in left_out), key=lambda measure: not measure.is_recorded
+        (measure for measure in all_measures if measure.name not in left_out),
+        key=lambda measure: not measure.is_recorded,
     )
 
 
@@ -120,7 +121,9 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
     the page of episodes.
     """
     studies = [study] if beside is None else [study, beside]
-    by_study = [read(each, each.data.episodes) for each in studies if each.data.episodes is not None]
+    by_study = [
+        read(one_study, one_study.data.episodes) for one_study in studies if one_study.data.episodes is not None
+    ]
     if len(by_study) < len(studies):
         return
     full = [group for groups in by_study for group in groups if group.n_from(group.least) >= enough.LEAST_CASCADES]
@@ -273,7 +276,7 @@ def _of_times(study: Study, beside: Study | None, name: str, column: Recorded) -
 
     The median leads if it is known wherever the time is, with its interval.
     """
-    limit = min(each.limit(name) for each in (study, beside) if each is not None)
+    limit = min(one_study.limit(name) for one_study in (study, beside) if one_study is not None)
     called, words = column.called or name, column.words
     median = Median(f"median {name}", ratio, title=f"median {called}", definition=f"{words}, by Kaplan and Meier")
     mean = Bounded(
@@ -283,13 +286,13 @@ def _of_times(study: Study, beside: Study | None, name: str, column: Recorded) -
         title=f"restricted mean of {'the ' * column.says_it}{called} up to {limit:g}",
         definition=f"{words}; the area up to {limit:g} under the curve of Kaplan and Meier",
     )
-    both = [
+    median_and_mean = [
         Measure(median, f"{name}_median", partial(_median, study, name)),
         Measure(mean, name, partial(_restricted, study, name, limit)),
     ]
     medians = [study.median(group, name) for group in study.groups]
     is_known = all(None not in (median.value, median.low, median.high) for median in medians)
-    yield from both if is_known else both[::-1]
+    yield from median_and_mean if is_known else median_and_mean[::-1]
 
 
 def _median(study: Study, name: str, group: Group) -> Values:
