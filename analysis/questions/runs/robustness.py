@@ -15,7 +15,7 @@ from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Finding, Form, KeyChange, Level, Quantity, Share
 from stickslip.analysis.findings.place import Place
-from stickslip.analysis.measures import TITLES, of_windows
+from stickslip.analysis.measures import of_windows
 from stickslip.analysis.members import noun
 from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, median
 from stickslip.analysis.models.motion import COLUMNS
@@ -179,7 +179,7 @@ def _effects(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator
             before, after = (copies.values(quantity, [rows[side] for rows in sets]) for side in (0, 1))
             effect = components.against_redraw(before, after, confidence)
             if effect.is_bounded and effect.theta.value is not None:
-                name = f"effect of {comparison.change} on the {TITLES[quantity]} of one system"
+                name = f"effect of {comparison.change} on the {QUANTITIES[quantity].title} of one system"
                 theta = Quantity("theta", f"{name}, as a share of another system's", Form.SHARE)
                 yield quantity, Level(theta, effect.theta, where, None, Basis(len(sets), unit))
 
@@ -192,7 +192,7 @@ def _between(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator
     for quantity in PRIMARY:
         share = components.intraclass(copies.values(quantity, sets), study.settings.confidence)
         if share.value is not None:
-            name = f"share of the variance of the {TITLES[quantity]} between systems"
+            name = f"share of the variance of the {QUANTITIES[quantity].title} between systems"
             correlation = Quantity("correlation", name, Form.SHARE)
             yield Level(correlation, share, where, None, Basis(len(sets), unit))
 
