@@ -458,7 +458,7 @@ def test_settings_that_share_their_draws_are_compared_system_by_system(planted, 
         for one, factor, power in zip(found, (1.0, 0.9), (1, sense), strict=True):
             n_episodes = rng.poisson(1000 * factor * np.exp(power * own))
             of = {SIZE: (2.0 * n_episodes, n_episodes), BY_WAY: (n_episodes, np.full(12, 1000.0))}
-            one.sample.sums.update({what: UnitSums.of(range(12), np.column_stack(of[what])) for what in of})
+            one.sums.update({what: UnitSums.of(range(12), np.column_stack(of[what])) for what in of})
         paired = episodes.along(*found, BY_WAY, 0.95).relative
         found[1].group.key["n"] = 200
         apart = episodes.along(*found, BY_WAY, 0.95).relative  # systems of other sizes are other draws
