@@ -90,7 +90,7 @@ class _Copies:
             return cls(setting, [], [], {})
         copies = [pair.changed for comparison in setting.comparisons for pair in comparison.pairs]
         moving = [row for row in (*setting.bases.values(), *copies) if study.motion.fates[row] in MOVING]
-        sums = {row: difference for row in moving if (difference := _sums(study.motion.sums[row])) is not None}
+        sums = {row: of_run for row in moving if (of_run := _sums(study.motion.sums[row])) is not None}
         return cls(setting, changes, _replicates(study, setting), sums)
 
     @property
