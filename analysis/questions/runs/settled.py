@@ -217,7 +217,7 @@ def _axes(groups: Sequence[Group]) -> list[Axis]:
 
 def _values(group: Group) -> dict[str, Value]:
     """What a group has of each key that an axis may have."""
-    source: dict[str, Value] = {"n": group.point.n, "file": Named(group.point.file or "")}
+    source: dict[str, Value] = {"n": group.point.n, "file": Named(group.key["file"] or "")}
     return source | group.table.design.swept(group.point)
 
 
