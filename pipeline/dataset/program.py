@@ -32,8 +32,8 @@ _DETERMINING = (
     "pipeline/scene",
 )
 
-#: Parts of these that no run needs: they explain, or draw.
-_OUTSIDE = ("sim/theory/", "sim/runs/pictures.py", "sim/runs/show.py")
+#: What no run needs of these.
+_OUTSIDE = ("sim/runs/show.py",)
 
 
 def program() -> str:
