@@ -62,6 +62,7 @@ def run_ensemble(
     on_progress: Callable[[Progress], None] | None = None,
     retry_failed: bool = False,
     accept_version: bool = False,
+    *,
     dashboard: bool = False,
     yes: bool = False,
     kept: Where | Opened | None = None,
