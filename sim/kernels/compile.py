@@ -12,8 +12,6 @@ Decisions, and why:
 - only a kernel is optimised and compiled to machine code, with all that is linked into it: numba would do both for
   every function that it calls, which is half of the time of a cold start. What is linked into it is called from
   there alone, and LLVM is told so.
-- while a kernel is compiled, an operation is resolved once for each set of argument types: numba tries a
-  dozen candidates at each place, which is a quarter of the time.
 - the cache directory is named by a digest of all source files that kernels come from: numba's own check sees only a
   change in the file of a kernel, not in a constant or a callee of another file, and would run stale code.
 - a compiled kernel is kept in a file of its own that ends in its sha256. numba's own files, numbered through an
@@ -24,10 +22,9 @@ Decisions, and why:
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -72,32 +69,6 @@ class _KernelCache:
             _warn_uncached(error)
 
 
-#: Whether what is being compiled counts references, within what else is.
-_counting: list[bool] = []
-
-
-@contextlib.contextmanager
-def _types_once() -> Iterator[None]:
-    """Within this, numba resolves an operation on given types once; its lock keeps other threads out."""
-    functions: Any = types.BaseFunction
-    find = functions.get_call_type
-    known: dict[Any, Any] = {}
-
-    def find_once(function: Any, context: Any, args: Any, kws: Any) -> Any:
-        if kws or not all(isinstance(arg, types.Type) for arg in args):  # a literal number: 1 would equal True
-            return find(function, context, args, kws)
-        key = function, context, tuple(args), _counting[-1]
-        if key not in known:
-            known[key] = find(function, context, args, kws)
-        return known[key]
-
-    functions.get_call_type = find_once
-    try:
-        yield
-    finally:
-        functions.get_call_type = find
-
-
 class _Whole(JITCodeLibrary):
     """The code of a kernel, with that of all that it calls.
 
@@ -136,21 +107,13 @@ class _Compiler(Compiler):
 
     def _compile_core(self) -> Any:
         self.state.library = self.library(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
-        _counting.append(self.state.flags.nrt)
-        try:
-            return super()._compile_core()
-        finally:
-            _counting.pop()
+        return super()._compile_core()
 
 
 class _KernelCompiler(_Compiler):
     """Compiles a kernel with all that it calls."""
 
     library = _Whole
-
-    def _compile_core(self) -> Any:
-        with _types_once():
-            return super()._compile_core()
 
 
 class _PartCompiler(_Compiler):
