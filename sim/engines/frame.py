@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stickslip.sim.engines import loop
-from stickslip.sim.engines.precheck import precheck_of
 from stickslip.sim.engines.stacks import note_slice, rest_of, run_of
 from stickslip.sim.kernels.compile import inner
 
@@ -25,7 +24,6 @@ class Way(NamedTuple):
     and the state stays.
     """
 
-    most_events: Any  #: (remaining): how many events may be recorded before the next check of the buffers
     blank: Any  #: (): no window
     open: Any  #: (window, remaining): that window, or, if it is over, the next one
     note: Any  #: (events, n_recorded): record the modes that have changed; the number, and whether all are the same
@@ -41,17 +39,18 @@ def frame(way: Way) -> Any:
     Why each ended, and what it recorded, is put into a row of `slices`: see `Several.advance`. A second call goes on
     from there.
     """
-    most_events, blank, open_next, note, at, carry = way
+    blank, open_next, note, at, carry = way
 
     @inner
-    def take(model, work, goal, state, events, precheck):  # type: ignore[no-untyped-def]
+    def take(run, events, precheck):  # type: ignore[no-untyped-def]
+        model, work, goal, state = run.model, run.work, run.goal, run.state
         clock, counters = state.clock, state.counters
         n_recorded, n_last, window = np.int64(0), loop.n_tried(counters) + loop.STEPS_A_SLICE, blank()
         while loop.n_tried(counters) < n_last:
             remaining = goal.t_end - clock[loop.TIME]
             if remaining <= 0.0 and not goal.is_last:
                 return loop.DONE, n_recorded  # the next piece decides which blocks stick from here on
-            if n_recorded + most_events(model, work, goal, state, remaining) > len(events.t):
+            if n_recorded + run.events_a_step > len(events.t):
                 return loop.BUFFER_FULL, n_recorded
             window = open_next(model, work, goal, state, window, remaining)
             before = n_recorded
@@ -60,7 +59,7 @@ def frame(way: Way) -> Any:
                 at(model, work, goal, state, window, clock[loop.TIME])
                 return loop.DONE, n_recorded
             if same and loop.is_check_due(state, state.mode, precheck, remaining):
-                if loop.may_collapse(state, state.mode, precheck):
+                if loop.may_collapse(state, run.slip, precheck):
                     return loop.ALL_SLIP, n_recorded
                 if n_recorded > 0:
                     return loop.PAUSED, n_recorded
@@ -82,9 +81,7 @@ def frame(way: Way) -> Any:
     def take_all(stack, events, precheck, first, slices):  # type: ignore[no-untyped-def]
         for row in range(len(slices)):
             run = run_of(stack, first + row)  # type: ignore[call-arg, var-annotated]
-            buffers = rest_of(events, slices, row)
-            slip = precheck_of(precheck, run.slip)
-            status, n_recorded = take(run.model, run.work, run.goal, run.state, buffers, slip)
+            status, n_recorded = take(run, rest_of(events, slices, row), precheck)
             note_slice(slices, row, status, n_recorded, run.state.counters)
 
     return take_all

@@ -220,11 +220,11 @@ def is_check_due(state, mode, precheck, left):  # type: ignore[no-untyped-def]
 
 
 @inner
-def may_collapse(state, mode, precheck):  # type: ignore[no-untyped-def]
+def may_collapse(state, slip, precheck):  # type: ignore[no-untyped-def]
     """Whether Python is to certify a collapse; if not, the time of the next pre-check is noted."""
-    later = too_far(precheck, state.z, state.w, mode[0])
+    later = too_far(precheck, state.z, state.w) if state.mode[0] == slip else np.inf
     if later != 0.0:
-        state.clock[CHECK + (mode[0] > 0)] = state.clock[TIME] + later
+        state.clock[CHECK + (state.mode[0] > 0)] = state.clock[TIME] + later
     return later == 0.0
 
 

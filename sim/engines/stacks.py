@@ -39,6 +39,7 @@ class Stack(NamedTuple):
     goal: Any
     state: State
     slip: NDArray[np.int64]  #: of the pre-check
+    events_a_step: int  #: the most that one step can record
 
 
 def _type_of_run(kind: Any) -> Any:
@@ -178,7 +179,7 @@ class Several(ABC):
         """
         drive, slips = self.drives[first], np.array([each.precheck.slip for each in self.collapse])
         self.lengths[first] = drive.length
-        stack = Stack(self.models, self.work, self.goal(drive), self.states, slips)
+        stack = Stack(self.models, self.work, self.goal(drive), self.states, slips, self.events_a_step)
         type(self).kernel(stack, events, self.collapse[first].precheck, first, slices)
 
     def slice(self, k: int, events: Events, bound: float) -> tuple[int, int]:

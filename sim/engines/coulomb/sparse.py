@@ -20,7 +20,7 @@ from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.sticking import force_rounding, push
 from stickslip.sim.engines.coulomb.taylor import UNDECIDED, Window, curvature, decide, error_after, expand, pull_of
-from stickslip.sim.engines.coulomb.windows import evaluate, instant, most_events, note, record, sample, stalls
+from stickslip.sim.engines.coulomb.windows import evaluate, instant, note, record, sample, stalls
 from stickslip.sim.engines.frame import Way, frame
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
@@ -374,4 +374,4 @@ def _carry(model, work, goal, state, opened, is_after_event, precheck, events, n
     return opened, n_recorded, False
 
 
-take = frame(Way(most_events, _blank, _open, note, _at, _carry))
+take = frame(Way(_blank, _open, note, _at, _carry))

@@ -31,7 +31,7 @@ from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
 from stickslip.sim.engines.coulomb.taylor import correct, error_after, expand, shift
-from stickslip.sim.engines.coulomb.windows import evaluate, most_events, note, sample, stalls
+from stickslip.sim.engines.coulomb.windows import evaluate, note, sample, stalls
 from stickslip.sim.engines.frame import Way, frame
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arithmetic import ROUNDING, largest
@@ -179,4 +179,4 @@ def _carry(model, work, goal, state, window, is_after_event, precheck, events, n
     return window, n_recorded, stalls(goal, counters, t_next - t, t, not is_after_event)
 
 
-take = frame(Way(most_events, _blank, _open, note, _at, _carry))
+take = frame(Way(_blank, _open, note, _at, _carry))

@@ -87,12 +87,6 @@ def touch(model, series, i, before, mode, error):  # type: ignore[no-untyped-def
 
 
 @inner
-def most_events(model, work, goal, state, remaining):  # type: ignore[no-untyped-def]
-    """All blocks at one instant; see `frame.Way`."""
-    return len(state.z)
-
-
-@inner
 def note(model, work, goal, state, events, n_recorded):  # type: ignore[no-untyped-def]
     """Record the modes that have changed; returns how many events are recorded, and whether all modes agree."""
     clock, counters, mode, known_mode = state.clock, state.counters, state.mode, work.search.known_mode

@@ -20,7 +20,7 @@ from stickslip.sim.engines.frame import Way, frame
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.collocation import force, force_changed, predict
 from stickslip.sim.engines.waveform.control import Solution, grow, is_in_single_range, next_step, shrink, single_limit
-from stickslip.sim.engines.waveform.events import PASSES, Span, note_all_stuck, sample, step_events, until
+from stickslip.sim.engines.waveform.events import Span, note_all_stuck, sample, step_events, until
 from stickslip.sim.engines.waveform.layout import blocks, shared
 from stickslip.sim.engines.waveform.pieces import record_changes, solve_exactly
 from stickslip.sim.engines.waveform.substeps import keep_substeps, probe_blocks, solve_blocks
@@ -258,20 +258,6 @@ class Window(NamedTuple):
 
 
 @inner
-def _most_of(exact, model, work):  # type: ignore[no-untyped-def]
-    """The most events of a macro step."""
-    if exact is None:
-        return PASSES * (len(work.modes_before) + len(work.substeps.block)) * len(model.bands)
-    else:
-        return len(work.changes.x)
-
-
-@inner
-def _most_events(model, work, goal, state, remaining):  # type: ignore[no-untyped-def]
-    return _most_of(model.exact, model, work) if remaining > 0.0 else 0
-
-
-@inner
 def _blank():  # type: ignore[no-untyped-def]
     return Window(0.0, True)
 
@@ -327,4 +313,4 @@ def _carry(model, work, goal, state, window, is_after_event, precheck, events, n
     return Window(h, True), n_recorded, False
 
 
-take = frame(Way(_most_events, _blank, _open, _note, _at, _carry))
+take = frame(Way(_blank, _open, _note, _at, _carry))
