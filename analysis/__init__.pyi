@@ -12,10 +12,10 @@ from .findings.finding import Comparison as Comparison
 from .findings.finding import Decided as Decided
 from .findings.finding import Difference as Difference
 from .findings.finding import Form as Form
+from .findings.finding import KeyChange as KeyChange
 from .findings.finding import Lack as Lack
 from .findings.finding import Level as Level
 from .findings.finding import Lifetime as Lifetime
-from .findings.finding import Limit as Limit
 from .findings.finding import Outcomes as Outcomes
 from .findings.finding import Quantity as Quantity
 from .findings.finding import Reason as Reason
@@ -23,6 +23,7 @@ from .findings.finding import Scale as Scale
 from .findings.finding import Share as Share
 from .findings.finding import Truth as Truth
 from .findings.numbers import with_interval as with_interval
+from .findings.place import Place as Place
 from .page.build import Report as Report
 from .page.build import build as build
 from .series.cascades import DEFINITIONS as DEFINITIONS

@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 
 from stickslip.analysis.answer import Row, named
-from stickslip.analysis.contrast import Sample
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS
@@ -51,7 +50,7 @@ class Catalogues:
     least : float
         Magnitude from which laws are fitted: the least of the first group of the same systems that has episodes, so
         that they compare. A model's catalogue is complete, so none is left out. Filled by `read`.
-    sample : Sample
+    sums : dict of str to UnitSums
         Sums of each quantity by unit, for contrasts; filled by `summarise`.
     row : dict
         The statistics as columns and, under `of`, as estimates; filled by `summarise`.
@@ -60,7 +59,7 @@ class Catalogues:
     group: Group
     runs: dict[int, list[Catalogue]]
     least: float = 0.0
-    sample: Sample = field(default_factory=Sample)
+    sums: dict[str, UnitSums] = field(default_factory=dict)
     row: Row = field(default_factory=dict)
 
     @property
@@ -166,7 +165,7 @@ def summarise(one: Catalogues, level: float) -> None:
     for name, quantity in quantities.items():
         rows = np.array([quantity.sums(run, one.least) for run in one.each()], dtype=np.float64)
         known = np.isfinite(rows).all(axis=1) & (name != B_VALUE or share <= ATOM)
-        one.sample.sums[name] = UnitSums.of(np.array(units)[known], rows[known])
+        one.sums[name] = UnitSums.of(np.array(units)[known], rows[known])
     basis = one.basis(level)
     n_episodes = basis.n_cascades
     sizes = np.concatenate([run.size for run in one.each()])
@@ -179,7 +178,7 @@ def summarise(one: Catalogues, level: float) -> None:
         "atom": share, "b_reason": ONE_MOMENT if share > ATOM else None,
     }  # fmt: skip
     one.row["of"] = {
-        name: over_matrices(quantity.of, one.sample.of(name).rows, level) for name, quantity in quantities.items()
+        name: over_matrices(quantity.of, one.sums[name].counted.rows, level) for name, quantity in quantities.items()
     }
     for name, estimate in one.row["of"].items():
         one.row |= named(name, estimate)

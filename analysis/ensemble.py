@@ -11,13 +11,14 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 import pandas as pd
 
+from stickslip.analysis import arguments
 from stickslip.analysis.groups import Group, fill, groups
-from stickslip.analysis.members import Members
+from stickslip.analysis.members import Members, known_outcomes
 from stickslip.analysis.models.fates import DIVERGED, FAILED
 from stickslip.analysis.models.motion import Motion, joined, motion
 from stickslip.analysis.models.times import Times
 from stickslip.analysis.series.cascades import Window
-from stickslip.analysis.series.runs import Ended, Events, Given, Put, Run, Runs, Series, generator, named_window
+from stickslip.analysis.series.runs import Ended, Events, Put, Run, Runs, Series, generator, named_window
 from stickslip.analysis.series.windows import ChangePoints
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.analysis.stats import enough
@@ -28,6 +29,8 @@ from stickslip.sim.numerics.arguments import apart, did_you_mean
 
 T = TypeVar("T")
 _TOGETHER = 100_000  # members that are asked about at once
+#: Columns of `Members.own` that tell how a run ended, and of which setting and unit it is.
+_ENDS = ("member_id", "unit", "setting", "outcome", "t_stop", "growth_rate", "attractor")
 #: Distance of a run's state from its unperturbed twin's: times, shape (m,), and distance, shape (m,).
 Separation = tuple[np.ndarray, np.ndarray]
 
@@ -125,10 +128,8 @@ class Data:
 
     Attributes
     ----------
-    table : Members, or DataFrame
-        The members; from a table of one row a member with the columns in `members.REQUIRED` at least, null where a
-        setting does not apply.
-    series : Series, or dict of str to ChangePoints
+    table : Members
+    series : Series
         Series of n_stick of every member that did not fail.
     events : mapping to Events
         Empty if the scene does not record them.
@@ -155,15 +156,7 @@ class Data:
     lists: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if isinstance(self.table, pd.DataFrame):
-            object.__setattr__(self, "table", Members.of([self.table]))
-        recorded = {
-            name: one._replace(values=Numbers.of(self.table, one.values)) if isinstance(one.values, dict) else one
-            for name, one in self.recorded.items()
-        }
-        object.__setattr__(self, "recorded", recorded)
-        if isinstance(self.series, dict):
-            object.__setattr__(self, "series", Given(self.series))
+        arguments.instance("table", self.table, Members)
 
     @property
     def members(self) -> pd.DataFrame:
@@ -218,12 +211,13 @@ class Study:
 
     def ended(self, rows: np.ndarray) -> Ended:
         """How the runs of some members ended, by their rows and in their order."""
-        some = self.data.table.ends.at(rows)
-        t_end = some.of_each("t_end").astype(np.float64)
-        names, outcomes = (column.to_numpy(object) for column in (some.own["member_id"], some.known_outcomes))
-        t_stop, rates = (some.own[name].to_numpy(np.float64, na_value=np.nan) for name in ("t_stop", "growth_rate"))
-        n = some.of_each("n").astype(np.int64)
-        return Ended(rows, names, some.own["unit"].to_numpy(), outcomes, t_end, t_stop, rates, n)
+        table = self.data.table
+        own = pd.DataFrame({name: table.own[name].iloc[rows] for name in _ENDS if name in table.own})
+        settings = own["setting"].to_numpy()
+        n, t_end = (np.array([setting[name] for setting in table.settings])[settings] for name in ("n", "t_end"))
+        t_stop, rates = (own[name].to_numpy(np.float64, na_value=np.nan) for name in ("t_stop", "growth_rate"))
+        names, outcomes = (column.to_numpy(object) for column in (own["member_id"], known_outcomes(own)))
+        return Ended(rows, names, own["unit"].to_numpy(), outcomes, t_end, t_stop, rates, n)
 
     @cached_property
     def motion(self) -> Motion:

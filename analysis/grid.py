@@ -3,47 +3,58 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from stickslip.analysis.answer import F, S
-from stickslip.analysis.contrast import Sample, Statistic
+from stickslip.analysis.contrast import Statistic
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.groups import Group
-from stickslip.analysis.measures import GAMMA, MEAN, Measure, Values, of_gamma, of_mean
+from stickslip.analysis.measures import AT_MOST, IN_MOTION, MOTION, PERHAPS, Measure, Values, measures
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
-from stickslip.analysis.models.fates import FAILED, MOVING, QUIET, WATCHED, bounded_share
+from stickslip.analysis.models.fates import FAILED, WATCHED, bounded_share
+from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
-from stickslip.pipeline.design.design import Axis, Row
-from stickslip.pipeline.design.labels import labels
+from stickslip.pipeline.design.design import Axis
+from stickslip.pipeline.design.design import Row as KeyValues
+from stickslip.pipeline.design.labels import Label, labels
 from stickslip.pipeline.design.values import Rank, ranks
 
 #: What the name of a setting says, beside its method.
 FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
 #: The order of keys on pages, in which parameters come first.
 _PLACE = {name.removesuffix("0"): k for k, name in enumerate(SYSTEM_KEYS)}
-IN_MOTION = "share in motion"
 MOST_SETTINGS = 3  # that have pictures of their own
-AT_MOST = "share in motion or quiet"  # whether a quiet run is in motion cannot be told
 
 
 @dataclass
 class Point:
-    """A group on the grid: its value on each axis, the sums of its units, its runs by fate, its values by measure."""
+    """A group on the grid: its value on each axis, its runs by fate, and its values by measure."""
 
     group: Group
-    at: dict[Axis, Row]
-    sample: Sample = field(default_factory=Sample)
-    fates: dict[str, int] = field(default_factory=dict)
-    values: dict[str, Values] = field(default_factory=dict)
+    place: dict[Axis, KeyValues]
+    fates: dict[str, int]
+    measured: dict[str, Values]
+
+    @classmethod
+    def of(cls, group: Group, axes: Sequence[Axis], asked: Sequence[Measure]) -> Point:
+        """The point of a group, with what its runs give, whether they are in motion too."""
+        fates = {name: int((group.fates == name).sum()) for name in (*WATCHED, FAILED)}
+        values = {measure.name: measure.of(group) for measure in (*asked, MOTION, PERHAPS)}
+        return cls(group, place_of(axes, group), fates, values)
+
+    def sums(self, name: str) -> UnitSums:
+        """The sums of a measure, without units in which nothing was counted."""
+        return self.measured[name].sums.counted
 
     def rank(self) -> list[list[Rank]]:
         """Sorts points along the axes, in the order of their values."""
-        return [*map(ranks, self.at.values())]
+        return [*map(ranks, self.place.values())]
 
 
-def settings(groups: Iterable[Group]) -> dict[str, list[Group]]:
+def settings(groups: Iterable[Group]) -> dict[Label, list[Group]]:
     """Groups that differ only in keys that are swept, by the name of what they share."""
     found: dict[tuple[int, int], list[Group]] = {}
     for group in groups:
@@ -62,7 +73,7 @@ def axes_of(groups: Sequence[Group]) -> list[Axis]:
     return sorted(found, key=lambda axis: (-len(axis.rows), _PLACE.get(axis.keys[0], -1)))
 
 
-def place_of(axes: Sequence[Axis], group: Group) -> dict[Axis, Row]:
+def place_of(axes: Sequence[Axis], group: Group) -> dict[Axis, KeyValues]:
     """The row of a group on each axis."""
     swept = group.table.design.swept(group.point)
     return {axis: tuple(swept[key] for key in axis.keys) for axis in axes}
@@ -73,31 +84,86 @@ def dtype(axis: Axis, k: int) -> str:
     return F if all(isinstance(row[k], float) for row in axis.rows) else S
 
 
-def point_of(study: Study, group: Group, axes: Sequence[Axis], of: Iterable[Measure] = ()) -> Point:
-    """The point of a group, with what its runs give, measured by `of` too."""
-    found = Point(
-        group, place_of(axes, group), fates={name: int((group.fates == name).sum()) for name in (*WATCHED, FAILED)}
-    )
-    ran = group.fates != FAILED
-    units, fates = group.column("unit").to_numpy()[ran], group.fates[ran]
-    for name, has in ((IN_MOTION, MOVING), (AT_MOST, (*MOVING, QUIET))):
-        found.sample.sums[name] = UnitSums.of(units, np.column_stack([np.isin(fates, has), np.ones(len(fates))]))
-    found.values |= {one.name: one.of(group) for one in of}
-    n_stick = {MEAN: of_mean(group), GAMMA: of_gamma(study.settings.confidence, group)}
-    found.sample.sums.update({name: values.sums for name, values in (n_stick | found.values).items()})
-    return found
-
-
-def estimate(of: Statistic, points: Iterable[Point], confidence: float) -> Estimate:
+def estimate(statistic: Statistic, points: Iterable[Point], confidence: float) -> Estimate:
     """A statistic over some points of a grid, taken together."""
-    some = list(points)
-    sums = UnitSums.together(point.sample.of(of.name) for point in some)
-    if of.name == IN_MOTION and len(sums):
-        rows, at_most = sums.rows, UnitSums.together(point.sample.of(AT_MOST) for point in some).rows[:, 0]
-        return bounded_share(np.column_stack([rows[:, 0], at_most - rows[:, 0], rows[:, 1]]), confidence)
-    return of.estimate(sums, confidence)
+    together = list(points)
+    sums = UnitSums.together(point.sums(statistic.name) for point in together)
+    if statistic.name != IN_MOTION or not len(sums):
+        return statistic.estimate(sums, confidence)
+    moving, n_runs = sums.rows.T
+    at_most = UnitSums.together(point.sums(AT_MOST) for point in together).rows[:, 0]
+    return bounded_share(np.column_stack([moving, at_most - moving, n_runs]), confidence)
 
 
-def points_at(points: Iterable[Point], axis: Axis, value: Row) -> list[Point]:
+def points_at(points: Iterable[Point], axis: Axis, value: KeyValues) -> list[Point]:
     """The points at one value of an axis."""
-    return [point for point in points if point.at[axis] == value]
+    return [point for point in points if point.place[axis] == value]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """What a sweep has: its axes, the points of each setting along them, and what is measured there.
+
+    Attributes
+    ----------
+    axes : list of Axis
+    asked : list of Measure
+        In the order in which they lead.
+    points : dict of Label to list of Point
+        By setting, in the order of the values of the axes.
+    confidence : float
+    """
+
+    axes: list[Axis]
+    asked: list[Measure]
+    points: dict[Label, list[Point]]
+    confidence: float
+
+    @classmethod
+    def of(cls, study: Study) -> Grid:
+        """That of a study."""
+        axes, asked = axes_of(study.groups), measures(study)
+        points = {
+            name: sorted((Point.of(group, axes, asked) for group in groups), key=Point.rank)
+            for name, groups in settings(study.groups).items()
+        }
+        return cls(axes, asked, points, study.settings.confidence)
+
+    @property
+    def every(self) -> list[Point]:
+        """The points of all settings."""
+        return [point for points in self.points.values() for point in points]
+
+    @property
+    def settings(self) -> list[Label]:
+        """The settings, the one with the most finished runs first: it leads."""
+        lead = max(self.points, key=lambda name: sum(point.group.is_finished.sum() for point in self.points[name]))
+        return sorted(self.points, key=lambda name: name != lead)
+
+    def along(self, measure: Measure, points: Sequence[Point], axis: Axis) -> list[Estimate]:
+        """A measure at each value of an axis, over those of some points that lie there."""
+        return [estimate(measure.statistic, points_at(points, axis, row), self.confidence) for row in axis.rows]
+
+    def where(self, setting: Label) -> Place:
+        """What tells a setting from the others."""
+        return Place.of(setting) if len(self.points) > 1 else EVERYWHERE
+
+
+def balanced(sums: Sequence[UnitSums]) -> tuple[list[int], UnitSums]:
+    """Of several sums over units, by number, and of their units those such that all that are left have all.
+
+    What lacks most is left out first, be it sums or a unit: a unit that lacks some would differ from others by what
+    these are like. If too few units are left all count, with their gaps.
+    """
+    every = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(one.units for one in sums)]))
+    has = np.array([np.isin(every, one.units) for one in sums]).reshape(len(sums), len(every))
+    rows, columns = np.arange(len(sums)), np.arange(len(every))
+    while not (left := has[np.ix_(rows, columns)]).all():
+        of_row, of_column = left.mean(axis=1), left.mean(axis=0)
+        if of_row.min() <= of_column.min():
+            rows = np.delete(rows, of_row.argmin())
+        else:
+            columns = np.delete(columns, of_column.argmin())
+    if len(columns) * bool(len(rows)) < min(len(every), enough.LEAST_MATRICES):
+        rows, columns = np.arange(len(sums)), np.arange(len(every))
+    return rows.tolist(), UnitSums(every[columns], np.zeros((len(columns), 2)))

@@ -24,6 +24,7 @@ import pandas as pd
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET
 from stickslip.analysis.models.motion import COLUMNS, EFFECTIVE, Motion
+from stickslip.analysis.series.runs import by_number
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
 from stickslip.analysis.stats.quantities import QUANTITIES
@@ -122,7 +123,6 @@ class Group:
 
     @property
     def name(self) -> Label:
-        """The label, and its parts."""
         assert isinstance(self.label, Label)
         return self.label
 
@@ -216,25 +216,26 @@ class Group:
 
 def groups(members: Members, some: np.ndarray) -> list[Group]:
     """Some members, by their rows, as groups: unperturbed ones first, then by n, engine and settings, by value."""
-    parts = [
-        (members.settings[int(members.own["setting"].iloc[rows[0]])], rows)
-        for _, rows in members.places(("point", "method", "perturbation_size"), some)
-    ]
-    swept = [members.design.swept(members.design.point(setting["point"])) for setting, _ in parts]
-    keys = [{name: setting[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS)} for setting, _ in parts]
-    names = labels(keys, swept)
-    found = [
-        Group(name, key, members, _by_unit(members, rows))
-        for name, key, (_, rows) in zip(names, keys, parts, strict=True)
-    ]
+    places: dict[tuple[Any, ...], int] = {}
+    of_setting = np.array(
+        [
+            places.setdefault((setting["point"], setting["method"], setting["perturbation_size"]), len(places))
+            for setting in members.settings
+        ]
+    )
+    parts = [some[rows] for rows in by_number(of_setting[members.own["setting"].to_numpy()[some]])]
+    shared = [members.settings[members.own["setting"].iloc[rows[0]]] for rows in parts]
+    keys = [{name: setting[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS)} for setting in shared]
+    listed = [Group(name, key, members, _by_unit(members, rows))
+              for name, key, rows in zip(labels(keys), keys, parts, strict=True)]  # fmt: skip
+    return sorted(listed, key=_place)
 
-    def order(k: int) -> tuple[Any, ...]:
-        key = keys[k]
-        values = [ranks(swept[k].values()) if name in ("parameters", "drawn") else rank(value)
-                  for name, value in key.items()]  # fmt: skip
-        return key["perturbation_size"], key["n"], place(key["engine"]), values
 
-    return [found[k] for k in sorted(range(len(found)), key=order)]
+def _place(group: Group) -> tuple[Any, ...]:
+    """Sorts groups."""
+    key, swept = group.key, group.table.design.swept(group.point)
+    values = [ranks(swept.values()) if name == "values" else rank(value) for name, value in key.items()]
+    return key["perturbation_size"], key["n"], place(key["engine"]), values
 
 
 def _by_unit(members: Members, rows: np.ndarray) -> np.ndarray:

@@ -9,20 +9,19 @@ and differences are those of `analysis.contrast`. A run without a value is in no
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from stickslip.analysis import contrast
 from stickslip.analysis.catalogues import ONE_MOMENT, Catalogues, has_b, read
 from stickslip.analysis.contrast import Bounded, Median, PerEvent, Share, Statistic
 from stickslip.analysis.ensemble import Recorded, Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
 from stickslip.analysis.models.episodes import ATOM, B_VALUE, QUANTITIES, RATE, SIZE
-from stickslip.analysis.models.fates import FAILED, UNMOVED
+from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, QUIET, UNMOVED, is_all_slip
 from stickslip.analysis.models.times import Times
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import UnitSums, per_event, ratio
@@ -32,9 +31,19 @@ MEAN, GAMMA = OF_N_STICK["mean"].label, OF_N_STICK["gamma"].label
 MEAN_SIZE, B = "mean size of episodes", "b of episodes"
 #: Names under which margins are declared.
 KEYS = {MEAN: "mean", GAMMA: "gamma"}
+#: What findings call the quantities of n_stick.
+TITLES: Mapping[str, str] = {
+    "mean": "mean number of sticking blocks",
+    "variance": "variance of the number of sticking blocks",
+    "rate": "rate of slip onsets",
+    "gamma": "decay rate of cascade sizes",
+    "correlation_time": "correlation time",
+}
+THINGS: Mapping[str, str] = {"mean": "sticking blocks", "rate": "slip onsets"}  # which some of them count
 #: Reasons, beside the outcomes of runs.
 NO_VALUE, NO_EPISODE, STILL = "its record gives none", "no episode", "not in motion"
 NOT_REACHED = "fewer than half of the runs have it"
+SHORT_WINDOW = "short window"
 LEAST_GAPS = 50  # per block: the scatter of random times that lie in a window of as many is 2% too small
 CONTACTS = "n_contacts"  # the column of the number of blocks with friction
 
@@ -91,11 +100,13 @@ class Measure:
 
 def measures(study: Study, beside: Study | None = None) -> list[Measure]:
     """What is measured of a study, the first of which leads; `beside` is the study that it is compared with."""
-    found = [one for source in SOURCES for one in source(study, beside)]
-    if not any(one.is_recorded for one in found):
-        return [one for one in found if one.name in KEYS]
+    every = [measure for source in SOURCES for measure in source(study, beside)]
+    if not any(measure.is_recorded for measure in every):
+        return [measure for measure in every if measure.name in KEYS]
     left_out = () if "cascades" in study.settings.question else KEYS
-    return sorted((one for one in found if one.name not in left_out), key=lambda one: not one.is_recorded)
+    return sorted(
+        (measure for measure in every if measure.name not in left_out), key=lambda measure: not measure.is_recorded
+    )
 
 
 # ------------------------------------------------------------------------------------------------- episodes
@@ -108,48 +119,44 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
     one of them too few, from each group's own. A group has a b only where its law holds for all its episodes, as on
     the page of episodes.
     """
-    if study.data.episodes is None or (beside is not None and beside.data.episodes is None):
+    studies = [study] if beside is None else [study, beside]
+    by_study = [read(each, each.data.episodes) for each in studies if each.data.episodes is not None]
+    if len(by_study) < len(studies):
         return
-    found = read(study, study.data.episodes)
-    rivals = [] if beside is None or beside.data.episodes is None else read(beside, beside.data.episodes)
-    full = [one for one in (*found, *rivals) if one.n_from(one.least) >= enough.LEAST_CASCADES]
-    least = max((one.least for one in full), default=None)
-    if least is not None and any(one.n_from(least) < enough.LEAST_CASCADES for one in full):
+    full = [group for groups in by_study for group in groups if group.n_from(group.least) >= enough.LEAST_CASCADES]
+    least = max((group.least for group in full), default=None)
+    if least is not None and any(group.n_from(least) < enough.LEAST_CASCADES for group in full):
         least = None
-    by_label = {one.label: one for one in found}
+    by_label = {group.label: group for group in by_study[0]}
     beyond = "from each point's own least magnitude on" if least is None else f"from M = {least:.2f} on"
-    for name, quantity, key, title, definition in (
-        (RATE, RATE, "episode_rate", "", "per unit of time"),
-        (MEAN_SIZE, SIZE, "episode_size", "", "in blocks that slip"),
-        (B, B_VALUE, "episode_b", "b-value of the episodes", f"by Aki {beyond}"),
+    for name, quantity, key, title, things, definition in (
+        (RATE, RATE, "episode_rate", "", "episodes", "per unit of time"),
+        (MEAN_SIZE, SIZE, "episode_size", "", "", "in blocks that slip"),
+        (B, B_VALUE, "episode_b", "b-value of the episodes", "", f"by Aki {beyond}"),
     ):
         of = partial(_episodes, by_label, quantity, least, beyond, study.settings.confidence)
-        statistic = Statistic(name, QUANTITIES[quantity].of, least=0.0, title=title, definition=definition)
+        statistic = Statistic(
+            name, QUANTITIES[quantity].of, least=0.0, title=title, definition=definition, things=things
+        )
         yield Measure(statistic, key, of)
 
 
 def _episodes(
-    by_label: dict[str, Catalogues], name: str, common: float | None, beyond: str, level: float, group: Group
+    by_label: Mapping[str, Catalogues], name: str, common: float | None, beyond: str, level: float, group: Group
 ) -> Values:
     """The sums of a quantity of episodes over the runs of a group that reached t_end.
 
     b is from the magnitude `common` on, or from the group's own if it is None; `beyond` says so in words.
     """
-    missing = _unfinished(group)
-    if group.label not in by_label:
+    missing = _without(group, ~group.is_finished, lambda _, outcome: outcome)
+    catalogues = by_label.get(group.label)
+    if catalogues is None:
         return Values(missing=missing)
-    found = by_label[group.label]
-    least = found.least if common is None else common
-    if name == B_VALUE and found.n_from(least) < enough.LEAST_CASCADES:
-        return Values(missing=missing, withheld=f"fewer than {enough.LEAST_CASCADES} episodes {beyond}")
-    if name == B_VALUE and found.atom(least) > ATOM:
-        return Values(missing=missing, withheld=ONE_MOMENT)
-    if name == B_VALUE and found.basis(level).code == enough.DRIFTS:
-        return Values(missing=missing, withheld="the rate of episodes drifts")
-    if name == B_VALUE and not has_b(found, level):
-        return Values(missing=missing, withheld="no single b is shown to hold")
+    least = catalogues.least if common is None else common
+    if name == B_VALUE and (why := _why_no_b(catalogues, least, beyond, level)):
+        return Values(missing=missing, withheld=why)
     units, rows, finished = list[int](), list[tuple[float, float]](), group.finished
-    of_unit = {unit: iter(runs) for unit, runs in found.runs.items()}  # in the order of the members
+    of_unit = {unit: iter(runs) for unit, runs in catalogues.runs.items()}  # in the order of the members
     for unit, member_id in zip(finished["unit"], finished["member_id"], strict=True):
         row = QUANTITIES[name].sums(next(of_unit[int(unit)]), least)
         if row[1] > 0:
@@ -160,9 +167,21 @@ def _episodes(
     return Values(UnitSums.of(units, rows), missing)
 
 
-def _unfinished(group: Group) -> dict[str, str]:
-    lost = ~group.is_finished
-    return dict(zip(group.column("member_id")[lost], group.column("outcome")[lost], strict=True))
+def _why_no_b(catalogues: Catalogues, least: float, beyond: str, level: float) -> str:
+    """Why a group has no b; empty if it has one."""
+    if catalogues.n_from(least) < enough.LEAST_CASCADES:
+        return f"fewer than {enough.LEAST_CASCADES} episodes {beyond}"
+    if catalogues.atom(least) > ATOM:
+        return ONE_MOMENT
+    if catalogues.basis(level).code == enough.DRIFTS:
+        return "the rate of episodes drifts"
+    return "" if has_b(catalogues, level) else "no single b is shown to hold"
+
+
+def _without(group: Group, lacks: np.ndarray, why: Callable[[str, str], str]) -> dict[str, str]:
+    """Why some runs of a group have no value, from the name and the outcome of each."""
+    names, outcomes = (group.column(name)[lacks] for name in ("member_id", "outcome"))
+    return {str(name): why(name, outcome) for name, outcome in zip(names, outcomes, strict=True)}
 
 
 # ---------------------------------------------------------------------------------------- columns of records
@@ -178,50 +197,47 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
     and of the exact law alone, which it is of.
     """
     table = study.data.table
-    is_smoothed = np.array([one["eps"] is not None for one in table.settings])
+    is_smoothed = np.array([setting["eps"] is not None for setting in table.settings])
     for name, column in study.data.recorded.items():
-        is_own = name in READ
+        is_read = name in READ
         numbers = study.number(name)
-        if is_own:
+        if is_read:
             numbers = np.where(is_smoothed[table.own["setting"]], np.nan, numbers)
-        if (beside is not None and name not in beside.data.recorded) or (is_own and np.isnan(numbers).all()):
+        if (beside is not None and name not in beside.data.recorded) or (is_read and np.isnan(numbers).all()):
             continue
         if column.until is not None:
             yield from _of_times(study, beside, name, column)
-            continue
-        called, absent = column.called or name, column.absent
-        title, definition = f"mean {called}", "" if column.says_it else column.words
-        statistic = Statistic(f"mean {name}", ratio, least=column.least)
-        if column.most is not None:
-            statistic = Bounded(f"mean {name}", ratio, most=column.most)
-        of: Callable[[Group], Values] = partial(_column, numbers, column.problems, column.absent or NO_VALUE)
-        if column.is_share:
-            statistic, title = Share(f"share {name}"), f"share of runs with {called}"
-            of = partial(_share, numbers, column.problems, column.absent or NO_VALUE)
-        elif column.of_gaps == "mean":
-            definition = f"{column.words}, as the time of blocks per exit, which nothing cuts off"
-            statistic, of, absent = PerEvent(f"mean {name}", per_event), _per_exit, STILL
-        elif column.of_gaps:
-            of = partial(_of_gaps, numbers, column.problems, column.absent or NO_VALUE, study.settings.t_burn)
-        statistic = replace(statistic, title=title, definition=definition)
-        yield Measure(statistic, name, of, absent, is_recorded=not is_own)
+        else:
+            measure = _of_column(name, column, numbers, study.settings.t_burn)
+            yield replace(measure, is_recorded=not is_read)
+
+
+def _of_column(name: str, column: Recorded, numbers: np.ndarray, t_burn: float) -> Measure:
+    title, definition = f"mean {column.called or name}", "" if column.says_it else column.words
+    values = partial(_column, numbers, column.problems, column.absent or NO_VALUE)
+    if column.is_share:
+        share = Share(f"share {name}", title=f"share of runs with {column.called or name}", definition=definition)
+        return Measure(share, name, partial(_share, numbers, values), column.absent)
+    if column.of_gaps == "mean":
+        definition = f"{column.words}, as the time of blocks per exit, which nothing cuts off"
+        per_exit = PerEvent(f"mean {name}", per_event, title=title, definition=definition)
+        return Measure(per_exit, name, _per_exit, STILL)
+    mean = Statistic(f"mean {name}", ratio, least=column.least, title=title, definition=definition)
+    if column.most is not None:
+        mean = Bounded(f"mean {name}", ratio, most=column.most, title=title, definition=definition)
+    return Measure(mean, name, partial(_of_gaps, values, t_burn) if column.of_gaps else values, column.absent)
 
 
 def _column(numbers: np.ndarray, problems: Mapping[str, str], reason: str, group: Group) -> Values:
-    lacks = ~np.isfinite(numbers[group.rows])
-    missing = {
-        str(member_id): outcome if outcome == FAILED else problems.get(member_id, reason)
-        for member_id, outcome in zip(group.column("member_id")[lacks], group.column("outcome")[lacks], strict=True)
-    }
-    return Values(group.sums_of(numbers), missing)
+    def why(name: str, outcome: str) -> str:
+        return outcome if outcome == FAILED else problems.get(name, reason)
+
+    return Values(group.sums_of(numbers), _without(group, ~np.isfinite(numbers[group.rows]), why))
 
 
-def _share(numbers: np.ndarray, problems: Mapping[str, str], reason: str, group: Group) -> Values:
-    """Runs of each unit that have a property, and those of which that is known."""
+def _share(numbers: np.ndarray, values: Callable[[Group], Values], group: Group) -> Values:
     has = numbers[group.rows]
-    known = np.isfinite(has)
-    sums = UnitSums.of(group.column("unit").to_numpy()[known], np.column_stack([has, known])[known])
-    return replace(_column(numbers, problems, reason, group), sums=sums)
+    return replace(values(group), sums=_runs_with(group, has, np.isfinite(has)))
 
 
 def _per_exit(group: Group) -> Values:
@@ -231,33 +247,25 @@ def _per_exit(group: Group) -> Values:
     lie in a window whole is too small, as long ones are cut off. A run that has not moved yet has no exit so far.
     """
     not_moved = np.asarray(group.fates == UNMOVED)
-    counted, ended = (group.members[rows] for rows in (group.is_moving | not_moved, ~(group.is_moving | not_moved)))
-    exits = UnitSums.together(
-        [
-            UnitSums(group.units, group.of("rate", "runs")),
-            UnitSums.of(group.members["unit"][not_moved], np.repeat([[0.0, 1.0]], not_moved.sum(), axis=0)),
-        ]
-    )
+    goes_on = group.is_moving | not_moved
+    none = UnitSums.of(group.members["unit"][not_moved], np.repeat([[0.0, 1.0]], not_moved.sum(), axis=0))
+    exits = UnitSums.together([UnitSums(group.units, group.of("rate", "runs")), none])
+    members = group.members[goes_on]
     n = float(group.key["n"])
-    n_contacts = counted[CONTACTS].fillna(n) if CONTACTS in counted else np.full(len(counted), n)
-    contacts = UnitSums.of(counted["unit"], np.column_stack([n_contacts, np.ones(len(counted))]))
+    n_contacts = members[CONTACTS].fillna(n) if CONTACTS in members else np.full(len(members), n)
+    contacts = UnitSums.of(members["unit"], np.column_stack([n_contacts, np.ones(len(members))]))
     rates = ratio(exits.rows) / ratio(contacts.rows)
-    missing = {
-        str(member_id): outcome if outcome == FAILED else STILL
-        for member_id, outcome in zip(ended["member_id"], ended["outcome"], strict=True)
-    }
+    missing = _without(group, ~goes_on, lambda _, outcome: outcome if outcome == FAILED else STILL)
     return Values(UnitSums(exits.units, np.column_stack([rates, np.ones(len(rates))])), missing)
 
 
-def _of_gaps(numbers: np.ndarray, problems: Mapping[str, str], reason: str, t_burn: float, group: Group) -> Values:
-    """As `_column`, but withheld in short windows: the scatter of the times that lie in them whole is too small."""
-    values, rates = _column(numbers, problems, reason, group), _per_exit(group).sums.rows[:, 0]
+def _of_gaps(column: Callable[[Group], Values], t_burn: float, group: Group) -> Values:
+    """As a column, but withheld in short windows: the scatter of the times that lie in them whole is too small."""
+    values, rates = column(group), _per_exit(group).sums.rows[:, 0]
     n_exits = (float(group.key["t_end"]) - t_burn) * float(rates.mean()) if len(rates) else 0.0
-    if len(values.sums) and n_exits < LEAST_GAPS:
-        return Values(
-            missing=values.missing, withheld=f"fewer than {LEAST_GAPS} exits per block: long times are cut off"
-        )
-    return values
+    if not len(values.sums) or n_exits >= LEAST_GAPS:
+        return values
+    return Values(missing=values.missing, withheld=f"fewer than {LEAST_GAPS} exits per block: long times are cut off")
 
 
 def _of_times(study: Study, beside: Study | None, name: str, column: Recorded) -> Iterator[Measure]:
@@ -265,26 +273,23 @@ def _of_times(study: Study, beside: Study | None, name: str, column: Recorded) -
 
     The median leads if it is known wherever the time is, with its interval.
     """
-    studies = [study] if beside is None else [study, beside]
-    limit = min(some.limit(name) for some in studies)
+    limit = min(each.limit(name) for each in (study, beside) if each is not None)
     called, words = column.called or name, column.words
-    by_median = Measure(
-        Median(f"median {name}", ratio, title=f"median {called}", definition=f"{words}, by Kaplan and Meier"),
-        f"{name}_median",
-        partial(_median, study, name),
+    median = Median(f"median {name}", ratio, title=f"median {called}", definition=f"{words}, by Kaplan and Meier")
+    mean = Bounded(
+        f"restricted mean {name}",
+        ratio,
+        most=limit,
+        title=f"restricted mean of {'the ' * column.says_it}{called} up to {limit:g}",
+        definition=f"{words}; the area up to {limit:g} under the curve of Kaplan and Meier",
     )
-    by_mean = Measure(
-        Bounded(
-            f"restricted mean {name}", ratio, most=limit,
-            title=f"restricted mean of {'the ' * column.says_it}{called} up to {limit:g}",
-            definition=f"{words}; the area up to {limit:g} under the curve of Kaplan and Meier",
-        ),
-        name,
-        partial(_restricted, study, name, limit),
-    )  # fmt: skip
+    both = [
+        Measure(median, f"{name}_median", partial(_median, study, name)),
+        Measure(mean, name, partial(_restricted, study, name, limit)),
+    ]
     medians = [study.median(group, name) for group in study.groups]
     is_known = all(None not in (median.value, median.low, median.high) for median in medians)
-    yield from (by_median, by_mean) if is_known else (by_mean, by_median)
+    yield from both if is_known else both[::-1]
 
 
 def _median(study: Study, name: str, group: Group) -> Values:
@@ -305,12 +310,12 @@ def _restricted(study: Study, name: str, limit: float, group: Group) -> Values:
 def _times(study: Study, name: str, group: Group) -> tuple[Times, dict[str, str]]:
     """A time of the runs of a group, and why others have none: that it did not happen is no reason."""
     times, is_known = study.times(group, name)
-    lost, problems = group.members[~is_known], study.data.recorded[name].problems
-    missing = {
-        str(member_id): outcome if outcome == FAILED else problems.get(str(member_id), NO_VALUE)
-        for member_id, outcome in zip(lost["member_id"], lost["outcome"], strict=True)
-    }
-    return times, missing
+    problems = study.data.recorded[name].problems
+
+    def why(member_id: str, outcome: str) -> str:
+        return outcome if outcome == FAILED else problems.get(member_id, NO_VALUE)
+
+    return times, _without(group, ~is_known, why)
 
 
 # ------------------------------------------------------------------------------------------------- n_stick
@@ -318,21 +323,81 @@ def _times(study: Study, name: str, group: Group) -> tuple[Times, dict[str, str]
 
 def _of_n_stick(study: Study, _: Study | None) -> Iterator[Measure]:
     """Mean n_stick and gamma of what is in motion; without gamma where episodes are recorded."""
-    of: dict[str, Callable[[Group], Values]] = {MEAN: of_mean, GAMMA: partial(of_gamma, study.settings.confidence)}
-    for statistic in contrast.statistics(study.margins, study.compared & {*KEYS.values()}):
-        yield Measure(statistic, KEYS[statistic.name], of[statistic.name], is_recorded=False)
+    of: dict[str, Callable[[Group], Values]] = {
+        "mean": lambda group: Values(UnitSums(group.units, group.by_unit("mean", "runs"))),
+        "gamma": partial(_gamma, study.settings.confidence),
+    }
+    for measure in of_windows(study, (*of,)):
+        yield replace(measure, of=of[measure.key], is_recorded=False)
 
 
-def of_mean(group: Group) -> Values:
-    """Mean n_stick of a filled group's runs in motion, every unit with the same weight."""
-    return Values(UnitSums(group.units, group.by_unit("mean", "runs")))
-
-
-def of_gamma(confidence: float, group: Group) -> Values:
-    """Sums of gamma over a filled group's runs in motion, if they allow a statistic of a steady state."""
+def _gamma(confidence: float, group: Group) -> Values:
+    """Sums of gamma over a group's runs in motion, if they allow a statistic of a steady state."""
     basis = group.basis(confidence).code
     return Values(group.sums("gamma")) if basis in enough.JUDGED else Values(withheld=basis)
 
+
+def of_windows(study: Study, keys: Collection[str] = tuple(OF_N_STICK)) -> list[Measure]:
+    """The quantities of n_stick, with the margins that the scene declares, over all runs in motion."""
+    return [
+        Measure(
+            Statistic(
+                quantity.label,
+                quantity.of,
+                study.margins.get(key),
+                least=0.0,
+                title=TITLES[key],
+                things=THINGS.get(key, ""),
+            ),
+            key,
+            partial(_window_sums, key),
+        )
+        for key, quantity in OF_N_STICK.items()
+        if key in keys and key in study.compared
+    ]
+
+
+def _window_sums(key: str, group: Group) -> Values:
+    is_short = key == "correlation_time" and 2 * group.n_short > group.n_runs
+    return Values(group.sums(key), withheld=SHORT_WINDOW * is_short)
+
+
+# --------------------------------------------------------------------------------------------- ends of runs
+
+
+def _runs_with(group: Group, has: np.ndarray, known: np.ndarray) -> UnitSums:
+    """Runs of each unit that have a property, and those of which that is known."""
+    return UnitSums.of(group.column("unit").to_numpy()[known], np.column_stack([has, known])[known])
+
+
+def _with_fate(fates: Collection[str], group: Group) -> Values:
+    return Values(_runs_with(group, np.isin(group.fates, [*fates]), group.fates != FAILED))
+
+
+def _without_late_stick(group: Group) -> Values:
+    """Engines certify a collapse more or less often: what is seen in all is whether a block sticks late."""
+    t_last, n_last = group.last.T
+    has = (group.fates != DIVERGED) & is_all_slip(t_last, n_last, float(group.key["t_end"]))
+    return Values(_runs_with(group, has, group.fates != FAILED))
+
+
+#: Shares of runs by how they ended, by which engines and datasets are compared.
+ENDS = (
+    Measure(
+        Share("share of runs with no late stick", title="share of runs without a late stick"),
+        "all_slip",
+        _without_late_stick,
+    ),
+    Measure(
+        Share("share of runs that run away", title="share of runs whose motion grows without limit"),
+        "run_away",
+        partial(_with_fate, (DIVERGED,)),
+    ),
+)
+IN_MOTION, AT_MOST = "share in motion", "share in motion or quiet"
+#: Whether runs are in motion, and whether they may be: of a quiet run that cannot be told.
+MOTION = Measure(Share(IN_MOTION, title="share of runs in motion"), "motion", partial(_with_fate, MOVING))
+PERHAPS = Measure(Share(AT_MOST), "perhaps", partial(_with_fate, (*MOVING, QUIET)))
 
 #: What an ensemble may hold that can be measured, in the order in which measures lead.
 SOURCES: tuple[Callable[[Study, Study | None], Iterator[Measure]], ...] = (_of_episodes, _of_columns, _of_n_stick)

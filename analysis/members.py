@@ -1,8 +1,8 @@
-"""The table of members: its columns, the columns that are derived, and how alike members are found."""
+"""The members of an ensemble as the statistics see them: what is each one's own, and the settings that many share."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,44 +12,39 @@ import pandas as pd
 
 from stickslip.analysis.models.attractors import SLIDING
 from stickslip.analysis.models.fates import COLLAPSED
-from stickslip.analysis.series.runs import by_number
-from stickslip.analysis.tables import designed, records
 from stickslip.pipeline.design.design import Design, Unit
-from stickslip.pipeline.design.values import BELT
+from stickslip.pipeline.design.values import BELT, Value, Values
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Coarseness, Number, Numbers
 from stickslip.sim.systems.terms import TERMS
 
 OUTCOMES = ("finished", "collapsed", "diverged", "failed")
-#: Terms of a system that every table of members has.
-_ALWAYS = ("belt_speed", "kappa", "rho")
-#: Columns that may be missing and then count as null: what a scene may sweep or draw.
-OPTIONAL = (
-    "file",
-    "parameters",
-    *(term.name for term in TERMS if term.name not in _ALWAYS),
-    *("back_slip", "z0", "w0", "drawn"),
-)
 #: The keys that draws depend on: along other keys draws are shared.
 DRAWN = ("n", "coupling", "file")
 #: What the independent units of a group may be.
 MATRIX, START, FILE = Unit
-SYSTEM_KEYS = ("n", "coupling", *_ALWAYS, *OPTIONAL, "t_end", "perturbation_size")
-#: Columns that may be missing because a scene does without some draws, changes or engines.
-_NOT_EVERYWHERE = (
-    *(name for name, setting in SETTINGS.items() if not setting.in_all),
-    *("ratio_draw", "perturbation_reading", "twin_size", "start_draw", "growth_rate", "seed"),
+#: Terms that names of settings begin with.
+_FIRST = ("belt_speed", "kappa", "rho")
+#: What members of a setting share of the system; `values` is what it has of keys without a number in their column.
+SYSTEM_KEYS = (
+    *("n", "coupling", *_FIRST, "file"),
+    *(term.name for term in TERMS if term.name not in _FIRST),
+    *("back_slip", "z0", "w0", "values", "t_end", "perturbation_size"),
 )
+#: Columns of records that the analysis takes for itself.
+READ = ("growth_rate",)
 
 
 def noun(unit: str) -> str:
-    """The noun for an independent unit in a sentence: "system" or "start"."""
-    return "start" if unit == START else "system"
+    """The noun for an independent unit in a sentence: "system", "start" or "file"."""
+    return "system" if unit == MATRIX else unit
 
 
 def _that_coarsen(*kinds: Coarseness) -> tuple[str, ...]:
     """The settings of engines that make runs coarse in one of some ways."""
-    return tuple(name for name, one in SETTINGS.items() if isinstance(one, Number) and one.coarseness in kinds)
+    return tuple(
+        name for name, setting in SETTINGS.items() if isinstance(setting, Number) and setting.coarseness in kinds
+    )
 
 
 WIDTHS, STEPS = _that_coarsen(Coarseness.WIDTH), _that_coarsen(Coarseness.STEP)
@@ -61,27 +56,11 @@ ENGINE_KEYS = (
     *TOLERANCES,
 )
 #: Columns that are null unless friction depends on the speed of slip.
-SPEED_DEPENDENT = (*WIDTHS, *(term.name for term in TERMS if term.table == "weakening"))
-REQUIRED = (
-    *(key for key in SYSTEM_KEYS if key not in OPTIONAL),
-    *(key for key in ENGINE_KEYS if key not in _NOT_EVERYWHERE),
-    "member_id",
-    "matrix",
-    "outcome",
-    "reason",
-    "t_stop",
-)
-#: Columns of `Members.own` that tell how a run ended, and of which setting and unit it is.
-_ENDS = ("member_id", "unit", "setting", "outcome", "t_stop", "growth_rate", "attractor")
-_NONE = "members: expected at least one row, got none"
-#: Columns of records that the analysis takes for itself.
-READ = ("growth_rate",)
-
-
-#: Nullable types of pandas, by those of Python.
-_TYPES = {int: "Int64", float: "Float64", bool: "boolean", str: "string"}
-#: What many members share: what separates their groups, and what tells copies apart.
+_SPEED_DEPENDENT = (*WIDTHS, *(term.name for term in TERMS if term.table == "weakening"))
+#: What members of a setting share, and what tells copies and systems of different seeds apart.
 SHARED = (*SYSTEM_KEYS, *ENGINE_KEYS, "twin_size", "perturbation_reading", "seed")
+#: Nullable types of pandas, by those of Python.
+_TYPES: dict[type, Any] = {int: "Int64", float: "Float64", bool: "boolean", str: "string"}
 #: Where a setting stands in the design.
 POINT = ("point", "method", "change")
 
@@ -108,38 +87,23 @@ class Members:
     design: Design
 
     @classmethod
-    def of(cls, tables: Iterable[pd.DataFrame], design: Design | None = None) -> Members:
-        """The members of some tables, one after the other, each with the columns in `REQUIRED` at least.
-
-        Parameters
-        ----------
-        tables : iterable of DataFrame
-            With the columns of `Coordinates`, if there is a design.
-        design : Design, optional
-            If it is left out, each column that differs is taken for a key that was swept, as in
-            `stickslip.analysis.tables`.
+    def of(cls, tables: Iterable[pd.DataFrame], design: Design) -> Members:
+        """The members of some tables, one after the other, as a dataset has them, with the columns of `Coordinates`.
 
         Raises
         ------
         ValueError
-            If a column is missing, or there is no member at all; the error names what.
+            If there is no member at all.
         """
-        if design is None:
-            table = _complete(pd.concat([*tables], ignore_index=True))
-            if table.empty:
-                raise ValueError(_NONE)
-            coordinates, design = designed(table)
-            tables = [table.assign(**coordinates._asdict())]
         settings: dict[tuple[Any, ...], dict[str, Any]] = {}
-        parts = [_own(_complete(table), design, settings) for table in tables]
+        parts = [_own(table, design, settings) for table in tables]
         if not settings:
-            raise ValueError(_NONE)
-        found = [*settings.values()]
-        own = joined(parts)
-        depends = np.array([any(one[name] is not None for name in SPEED_DEPENDENT) for one in found])
+            raise ValueError("members: expected at least one row, got none")
+        listed, own = [*settings.values()], joined(parts)
+        depends = np.array([any(setting[name] is not None for name in _SPEED_DEPENDENT) for setting in listed])
         # what grows need not stick where friction depends on speed, and smoothing changes the rate
         own["growth_rate"] = own["growth_rate"].astype("float64").mask(depends[own["setting"]])
-        return cls(own, found, design)
+        return cls(own, listed, design)
 
     def __len__(self) -> int:
         return len(self.own)
@@ -153,52 +117,39 @@ class Members:
         """Some of them, by their rows, whose numbers they keep."""
         return replace(self, own=self.own.iloc[rows])
 
-    @property
-    def ends(self) -> Members:
-        """All of them, with the columns alone that tell how a run ended."""
-        return replace(self, own=self.own[[name for name in _ENDS if name in self.own]])
-
     def of_each(self, name: str) -> np.ndarray:
         """A value of the settings for each member, shape (R,), of objects."""
-        found = np.empty(len(self.settings), dtype=object)
-        found[:] = [one[name] for one in self.settings]
-        return found[self.own["setting"]]
+        values = np.empty(len(self.settings), dtype=object)
+        values[:] = [setting[name] for setting in self.settings]
+        return values[self.own["setting"]]
 
     @property
     def together(self) -> pd.DataFrame:
         """One row a member, with all columns."""
-        kinds = pd.DataFrame({name: _typed([one[name] for one in self.settings]) for name in SHARED})
-        shared = kinds.take(self.own["setting"].to_numpy())
+        shared = pd.DataFrame({name: _typed([setting[name] for setting in self.settings]) for name in SHARED})
+        shared = shared.take(self.own["setting"].to_numpy()).set_axis(self.own.index)
         own = self.own.drop(columns="setting").assign(outcome=self.own["outcome"].astype(str))
-        return pd.concat([own, shared.set_axis(own.index)], axis="columns")
+        return pd.concat([own, shared], axis="columns")
 
     @property
     def unchanged(self) -> np.ndarray:
         """Rows of members that are not changed copies, of constants or of the start; all if every one is a copy."""
-        copies = np.array([one["change"] > 0 for one in self.settings])[self.own["setting"]]
-        return np.arange(len(self)) if copies.all() else np.flatnonzero(~copies)
+        is_copy = np.array([setting["change"] > 0 for setting in self.settings])[self.own["setting"]]
+        return np.arange(len(self)) if is_copy.all() else np.flatnonzero(~is_copy)
 
-    @property
-    def known_outcomes(self) -> pd.Series:
-        """Outcomes, where a finished run counts as collapsed that is recorded to slide for ever, which is a proof."""
-        outcomes = self.own["outcome"]
-        if "attractor" not in self.own:
-            return outcomes
-        return outcomes.mask((outcomes == "finished") & (self.own["attractor"] == SLIDING), COLLAPSED)
 
-    def places(self, keys: Sequence[str], some: np.ndarray) -> list[tuple[dict[str, Any], np.ndarray]]:
-        """Some members, by their rows, split by their values of some of `SHARED`: values, and the rows with them."""
-        found: dict[tuple[Any, ...], int] = {}
-        of_setting = np.array([found.setdefault(tuple(one[k] for k in keys), len(found)) for one in self.settings])
-        number = of_setting[self.own["setting"].to_numpy()[some]]
-        values = [dict(zip(keys, one, strict=True)) for one in found]
-        return [(values[number[own[0]]], some[own]) for own in by_number(number)]
+def known_outcomes(own: pd.DataFrame) -> pd.Series:
+    """Outcomes, where a finished run counts as collapsed that is recorded to slide for ever, which is a proof."""
+    outcomes = own["outcome"]
+    if "attractor" not in own:
+        return outcomes
+    return outcomes.mask((outcomes == "finished") & (own["attractor"] == SLIDING), COLLAPSED)
 
 
 def _typed(values: Sequence[Any]) -> pd.api.extensions.ExtensionArray:
     """Values of one kind with the nullable type of pandas for it; null stands for None."""
     kinds = {type(value) for value in values if value is not None}
-    dtypes: list[Any] = [_TYPES.get(kind, object) for kind in kinds] or ["Int8"]
+    dtypes = [_TYPES.get(kind, object) for kind in kinds] or ["Int8"]
     return pd.array(list(values), dtype=dtypes[0] if len(dtypes) == 1 else object)
 
 
@@ -209,21 +160,21 @@ def joined(parts: list[pd.DataFrame]) -> pd.DataFrame:
     return pd.DataFrame(columns, copy=False)
 
 
-def _complete(table: pd.DataFrame) -> pd.DataFrame:
-    """A table with all columns that may be missing."""
-    if missing := [name for name in REQUIRED if name not in table.columns]:
-        raise ValueError(f"members: missing column(s) {', '.join(missing)}")
-    unknown = sorted({str(outcome) for outcome in table["outcome"].unique()} - set(OUTCOMES))
-    if unknown:
-        raise ValueError(f"members: outcome must be one of {', '.join(OUTCOMES)}, got {unknown[0]!r}")
-    absent = [name for name in (*OPTIONAL, *_NOT_EVERYWHERE) if name not in table]
-    null = pd.array([None] * len(table), dtype="Int8")  # which takes the least memory
-    outcomes = pd.Categorical(table["outcome"], categories=list(OUTCOMES))
-    return table.assign(**dict.fromkeys(absent, null), outcome=outcomes)
+def records(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Rows of a table as dictionaries of plain Python values, None for null."""
+    plain = table.astype(object)
+    rows = plain.where(plain.notna(), None).to_dict("records")
+    return [{str(name): value for name, value in row.items()} for row in rows]
 
 
 def _own(table: pd.DataFrame, design: Design, settings: dict[tuple[Any, ...], dict[str, Any]]) -> pd.DataFrame:
     """`Members.own` of a table but for rates; enters new settings."""
+    null = pd.array([None] * len(table), dtype="Int8")  # which takes the least memory
+    columns = (*SHARED, "start_draw", "ratio_draw", "growth_rate")
+    table = table.assign(
+        **dict.fromkeys((name for name in columns if name not in table), null),
+        outcome=pd.Categorical(table["outcome"], categories=list(OUTCOMES)),
+    )
     of_seed, seeds = pd.factorize(table["seed"])  # -1 for null
     shape = design.n_points, len(design.methods), len(design.changes), len(seeds) + 1
     codes = np.ravel_multi_index((*(table[name].to_numpy() for name in POINT), of_seed + 1), shape)
@@ -235,17 +186,26 @@ def _own(table: pd.DataFrame, design: Design, settings: dict[tuple[Any, ...], di
         settings.setdefault(key, row | _of_point(design, row))
         of_code.append(numbers.setdefault(key, len(numbers)))
     starts = {f"{key}_start": table[f"{key}0"].astype("float64") for key in ("z", "w")}
-    own = table.drop(columns=[*SHARED, *POINT], errors="ignore").drop(columns="unit_is", errors="ignore")
+    own = table.drop(columns=[*SHARED, *POINT])
     return own.assign(**starts, setting=np.array(of_code, dtype=np.int32)[code])
 
 
-def _of_point(design: Design, row: Mapping[str, Any]) -> dict[str, Any]:
+def _of_point(design: Design, row: dict[str, Any]) -> dict[str, Any]:
     """What all members of a setting share by their point, in place of what the row of one says."""
     point = design.point(int(row["point"]))
     values = design.values(point)
-    found: dict[str, Any] = {"unit_is": point.unit}
+    shared: dict[str, Any] = {"unit_is": point.unit}
     for key in ("z", "w"):
         is_belt = values.get(key) == BELT and row[f"{key}0"] == row["belt_speed"]
         if not (isinstance(values.get(key, 0.0), float) or is_belt):
-            found[f"{key}0"] = None
-    return found | ({"file": None, "kappa": None} if point.unit is Unit.FILE else {})
+            shared[f"{key}0"] = None
+    if point.unit is Unit.FILE:
+        shared |= {"file": None, "kappa": None}
+    columns = {name.removesuffix("0"): value for name, value in (row | shared).items()}
+    swept = design.swept(point)
+
+    def is_beside(key: str, value: Value) -> bool:
+        """Whether no column has it; a number in the scene says nothing where a file or a function has its own."""
+        return columns.get(key) is None and (key in swept or key not in columns or not isinstance(value, float))
+
+    return shared | {"values": Values(pair for pair in values.items() if is_beside(*pair))}

@@ -15,9 +15,9 @@ from stickslip.analysis.findings.finding import Comparison, Family
 from stickslip.analysis.members import STEPS, WIDTHS
 from stickslip.analysis.models.episodes import DURATION, QUANTITIES, QUIET, RATE, SIZE, SLIP, Catalogue
 from stickslip.analysis.models.laws import Difference, difference_of_order, distance_of_shares, largest_gap
-from stickslip.analysis.outcomes import Setting
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.multiplicity import holm
+from stickslip.analysis.steps import Kind, Setting, Step
 from stickslip.pipeline.design.labels import Label, Part, engine_name
 from stickslip.pipeline.design.labels import apart as labels_apart
 
@@ -92,16 +92,20 @@ class Apart:
         """Whether a difference is shown, among all comparisons of its family."""
         return self.family is not None and self.family.p_different < self.family.alpha
 
+    @property
+    def step(self) -> Step:
+        """A statistic beside that of the reference."""
+        assert isinstance(self.found, Contrast)
+        return Step(Kind.LAW, self.setting.label, self.reference.label, replace(self.found, family=self.family))
+
     def comparison(self) -> Comparison:
         """A statistic beside that of the reference, for a finding."""
-        assert isinstance(self.found, Contrast)
-        return Comparison(self.reference.row["method"], replace(self.found, family=self.family).difference)
+        return Comparison(self.reference.row["method"], self.step.contrast.difference)
 
     def row(self) -> Row:
-        """As columns."""
+        """A law as columns."""
+        assert not isinstance(self.found, Contrast)
         row: Row = {"setting": self.setting.label, "reference": self.reference.label}
-        if isinstance(self.found, Contrast):
-            return row | replace(self.found, family=self.family).row()
         row |= {"law": self.name, "p_different_holm": self.family and self.family.p_different}
         if isinstance(self.found, str):
             return row | {"reason": self.found}
@@ -117,7 +121,7 @@ def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apa
         for reference, *others in by_system if reference.is_judged
         for other in others
         for apart in (
-            *(Apart(other, reference, name, contrast(one, reference.sample, other.sample, True, level))
+            *(Apart(other, reference, name, contrast(one, reference.sums[name], other.sums[name], True, level))
               for name, one in STATISTICS.items()),
             *(Apart(other, reference, name, _law(study, reference, other, name)) for name in LAWS),
         )

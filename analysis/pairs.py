@@ -8,7 +8,7 @@ several draws of one matrix are not independent.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from functools import partial
 from itertools import pairwise
 from typing import Any
@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
+from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members, records
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SETTLED
 from stickslip.analysis.series import parting
 from stickslip.analysis.series.runs import Ended, Runs
-from stickslip.analysis.tables import records
 from stickslip.pipeline.design.design import Change, Kind, Method
-from stickslip.pipeline.design.labels import labels
+from stickslip.pipeline.design.labels import Label, labels
 from stickslip.sim.engines import place
 
 START, CONSTANTS, RATIOS = Kind.START, Kind.CONSTANTS, Kind.RATIOS
@@ -52,12 +51,16 @@ class Comparison:
         """Rows of the changed members."""
         return np.array([pair.changed for pair in self.pairs])
 
+    def of(self, matrix: int) -> list[int]:
+        """Rows of the changed members of a matrix."""
+        return [pair.changed for pair in self.pairs if pair.matrix == matrix]
+
 
 @dataclass(frozen=True)
 class Setting:
     """Members that differ in matrix and change only: `bases`, the row of one a matrix, and comparisons with them."""
 
-    label: str
+    label: Label
     key: dict[str, Any]
     bases: dict[int, int]
     comparisons: tuple[Comparison, ...]
@@ -107,45 +110,45 @@ def level(study: Study, setting: Setting) -> float | None:
     return parting.level(study.total(counts, rows)) or None
 
 
-def _counts(n: int, t_end: float, runs: Runs, some: Ended) -> np.ndarray:
-    return parting.counts(map(runs.points, some.member_id), _known(some, t_end), n, runs.t_burn, t_end)
+def _counts(n: int, t_end: float, runs: Runs, ended: Ended) -> np.ndarray:
+    return parting.counts(map(runs.points, ended.member_id), _until(ended, t_end), n, runs.t_burn, t_end)
 
 
-def _known(some: Ended, t_end: float) -> np.ndarray:
+def _until(ended: Ended, t_end: float) -> np.ndarray:
     """Until when runs are known: a collapsed run stays as it is; one that ran away is followed until it did."""
-    return np.where(some.outcome == DIVERGED, np.minimum(some.t_stop, t_end), t_end)
+    return np.where(ended.outcome == DIVERGED, np.minimum(ended.t_stop, t_end), t_end)
 
 
 def follow(study: Study, comparisons: Sequence[Comparison], level: float, t_end: float) -> list[Followed]:
     """The pairs of each comparison, followed up to t_end at most; pairs with a failed run are left out."""
-    every = [(k, one.matrix, one.base, one.changed) for k, some in enumerate(comparisons) for one in some.pairs]
-    outcomes = study.data.table.own["outcome"].to_numpy(object)
+    every = [(k, *astuple(pair)) for k, comparison in enumerate(comparisons) for pair in comparison.pairs]
     number, matrix, base, changed = np.array(every).T
+    outcomes = study.data.table.own["outcome"].to_numpy(object)
     has_run = (outcomes[base] != FAILED) & (outcomes[changed] != FAILED)
-    number, matrix, base, changed = (some[has_run] for some in (number, matrix, base, changed))
-    t_stop = np.minimum(*(_known(study.ended(rows), t_end) for rows in (base, changed)))
+    number, matrix, base, changed = (column[has_run] for column in (number, matrix, base, changed))
+    t_stop = np.minimum(*(_until(study.ended(rows), t_end) for rows in (base, changed)))
     longest = parting.gap_times(parting.n_gaps(t_stop.max(initial=0.0)))
     edges = np.unique(np.geomspace(1, len(longest) + 1, CURVE_POINTS).astype(int)) - 1
-    times = np.array([longest[a:b].mean() for a, b in pairwise(edges)])
+    times = np.array([longest[begin:end].mean() for begin, end in pairwise(edges)])
     order = np.argsort(changed)  # shards are read one after the other
-    given = study.each(partial(_followed, level, t_end, edges), changed[order], base[order])
-    found = np.empty((len(changed), len(edges)))
-    found[order] = given.reshape(found.shape)
-    own = [number == k for k in range(len(comparisons))]
-    return [Followed(matrix[some], t_stop[some], found[some, 0], times, found[some, 1:]) for some in own]
+    gaps = np.empty((len(changed), len(edges)))
+    in_order = study.each(partial(_gaps, level, t_end, edges), changed[order], base[order])
+    gaps[order] = in_order.reshape(gaps.shape)
+    of_comparison = [number == k for k in range(len(comparisons))]
+    return [Followed(matrix[rows], t_stop[rows], gaps[rows, 0], times, gaps[rows, 1:]) for rows in of_comparison]
 
 
-def _followed(level: float, t_end: float, edges: np.ndarray, runs: Runs, some: Ended, beside: Ended) -> np.ndarray:
-    """When each run has parted from the one beside it, NaN if it has not, and means of their gap between edges."""
-    found = np.full((len(some), len(edges)), np.nan)
-    t_stop = np.minimum(_known(some, t_end), _known(beside, t_end)).tolist()
-    for row, base, changed, t in zip(found, beside.member_id, some.member_id, t_stop, strict=True):
-        gaps = parting.gap(runs.points(base), runs.points(changed), t)
+def _gaps(level: float, t_end: float, edges: np.ndarray, runs: Runs, changed: Ended, base: Ended) -> np.ndarray:
+    """When each run has parted from its base, NaN if it has not, and means of their gap between edges."""
+    means = np.full((len(changed), len(edges)), np.nan)
+    t_stop = np.minimum(_until(changed, t_end), _until(base, t_end)).tolist()
+    for row, name, original, t in zip(means, changed.member_id, base.member_id, t_stop, strict=True):
+        gaps = parting.gap(runs.points(original), runs.points(name), t)
         t_parted = parting.parted_at(gaps, level)
         row[0] = np.nan if t_parted is None else t_parted
         for k, (begin, end) in enumerate(pairwise(edges[edges <= len(gaps)]), 1):
             row[k] = gaps[begin:end].mean()
-    return found
+    return means
 
 
 def settings(members: Members) -> list[Setting]:
@@ -168,20 +171,21 @@ def settings(members: Members) -> list[Setting]:
     design = members.design
     if len(design.changes) == 1 and not any(map(_is_drawn, design.methods)):
         return []
-    parts: dict[tuple[Any, ...], list[int]] = {}
-    for k, one in enumerate(members.settings):
-        method = design.methods[one["method"]]
-        kept = tuple(pair for pair in method.settings if pair[0] != "ratio")
-        parts.setdefault((one["point"], method.engine, kept), []).append(k)
-    firsts = [members.settings[some[0]] for some in parts.values()]
-    keys = [{name: one[name] for name in _SETTING} | {"perturbation_size": 0.0} for one in firsts]
-    names = labels(keys, [design.swept(design.point(one["point"])) for one in firsts])
-    of_setting = members.own["setting"].to_numpy()
-    found = [
-        Setting(name, key, *_compared(members, np.flatnonzero(np.isin(of_setting, some))))
-        for name, key, some in zip(names, keys, parts.values(), strict=True)
+    numbers: dict[tuple[Any, ...], list[int]] = {}
+    for k, values in enumerate(members.settings):
+        method = design.methods[values["method"]]
+        fixed = tuple(pair for pair in method.settings if pair[0] != "ratio")
+        numbers.setdefault((values["point"], method.engine, fixed), []).append(k)
+    firsts = [members.settings[alike[0]] for alike in numbers.values()]
+    keys = [{name: values[name] for name in _SETTING} | {"perturbation_size": 0.0} for values in firsts]
+    names = labels(keys)
+    number = members.own["setting"].to_numpy()
+    all_settings = [
+        Setting(name, key, *_compared(members, np.flatnonzero(np.isin(number, alike))))
+        for name, key, alike in zip(names, keys, numbers.values(), strict=True)
     ]
-    return sorted((one for one in found if one.bases), key=lambda s: (s.key["n"], place(s.key["engine"]), s.label))
+    with_bases = [setting for setting in all_settings if setting.bases]
+    return sorted(with_bases, key=lambda setting: (setting.key["n"], place(setting.key["engine"]), setting.label))
 
 
 def _is_drawn(method: Method) -> bool:
@@ -191,31 +195,30 @@ def _is_drawn(method: Method) -> bool:
 
 def _compared(members: Members, rows: np.ndarray) -> tuple[dict[int, int], tuple[Comparison, ...]]:
     """The base of each unit of a setting, and the comparisons with bases."""
-    of_change, is_drawn = (np.array(some)[members.own["setting"].to_numpy()[rows]] for some in (
-        [one["change"] for one in members.settings],
-        [_is_drawn(members.design.methods[one["method"]]) for one in members.settings],
-    ))  # fmt: skip
-    own = members.own[["member_id", "unit", "base", "matrix", "start_draw", "ratio_draw"]].iloc[rows]
+    design = members.design
+    changes = np.array([values["change"] for values in members.settings])
+    is_drawn = np.array([_is_drawn(design.methods[values["method"]]) for values in members.settings])
+    table = members.own[["member_id", "unit", "base", "matrix", "start_draw", "ratio_draw", "setting"]].iloc[rows]
+    number = table["setting"].to_numpy()
     # equal ratios come before drawn ones, which are numbered
-    ratios = np.where(is_drawn, 1 + own["ratio_draw"].fillna(0).to_numpy(np.int64), 0)
-    own = own.assign(change=of_change, ratios=ratios, start_draw=own["start_draw"].fillna(-1))
-    listed = records(own.assign(row=rows).sort_values(["unit", "member_id"]))
-    unchanged = [one for one in listed if not one["change"]]
-    original = {one["base"]: one["row"] for one in unchanged}
-    first = min((one["ratios"] for one in unchanged), default=0)
-    firsts = {(one["matrix"], one["start_draw"]): one["row"] for one in unchanged if one["ratios"] == first}
+    ratios = np.where(is_drawn[number], 1 + table["ratio_draw"].fillna(0).to_numpy(np.int64), 0)
+    start = table["start_draw"].fillna(-1)
+    table = table.assign(row=rows, change=changes[number], ratios=ratios, start_draw=start)
+    runs = records(table.sort_values(["unit", "member_id"]))
+    unchanged = [run for run in runs if not run["change"]]
+    original = {run["base"]: run["row"] for run in unchanged}
+    least = min((run["ratios"] for run in unchanged), default=0)
+    of_draws = {(run["matrix"], run["start_draw"]): run["row"] for run in unchanged if run["ratios"] == least}
     bases: dict[int, int] = {}
     pairs: dict[Change, list[Pair]] = {}
-    for one in listed:
-        change, base = members.design.changes[one["change"]], original.get(one["base"])
-        if not one["change"]:
-            change, base = Change(RATIOS), firsts.get((one["matrix"], one["start_draw"]))
-            if one["ratios"] == first:
-                bases.setdefault(one["unit"], one["row"])
-        if base is not None and base != one["row"]:
-            pairs.setdefault(change, []).append(Pair(one["unit"], base, one["row"]))
+    for run in runs:
+        change, base = design.changes[run["change"]], original.get(run["base"])
+        if not run["change"]:
+            change, base = Change(RATIOS), of_draws.get((run["matrix"], run["start_draw"]))
+            if run["ratios"] == least:
+                bases.setdefault(run["unit"], run["row"])
+        if base is not None and base != run["row"]:
+            pairs.setdefault(change, []).append(Pair(run["unit"], base, run["row"]))
     order = (START, RATIOS, CONSTANTS)
-    return bases, tuple(
-        Comparison(change, tuple(pairs[change]))
-        for change in sorted(pairs, key=lambda c: (order.index(c.kind), c.reading or "", c.size))
-    )
+    in_order = sorted(pairs, key=lambda change: (order.index(change.kind), change.reading or "", change.size))
+    return bases, tuple(Comparison(change, tuple(pairs[change])) for change in in_order)

@@ -7,7 +7,6 @@ import contextlib
 import json
 import logging
 import os
-import pickle
 import resource
 import subprocess
 import sys
@@ -105,8 +104,8 @@ def _farm(address: str, n_workers: int, seconds: float, size: int) -> None:
     resource.setrlimit(resource.RLIMIT_NOFILE, (files, files))
     shard = os.urandom(size)
 
-    def wait(task: bytes) -> Result:
-        batch, *_ = pickle.loads(task)
+    def wait(order: worker.Order) -> Result:
+        batch, *_ = order
         first, *_, last = batch.members.ids()
         time.sleep(seconds)
         done = {"finished": len(batch.members)}
@@ -114,7 +113,7 @@ def _farm(address: str, n_workers: int, seconds: float, size: int) -> None:
             batch.name, shard, len(batch.members), first, last, done, program(), seconds, "farm", os.getpid()
         )
 
-    worker.compute_packed = wait  # the driver names it, and sends no code
+    worker.compute_there = wait  # the driver names it, and sends no code
 
     async def live() -> None:
         with tempfile.TemporaryDirectory() as folder:

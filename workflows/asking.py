@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import gc
-from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from stickslip.pipeline.machine.processes import Child, ChildDied, n_cores
+from stickslip.pipeline.machine.processes import Child, n_cores
+from stickslip.pipeline.running.executor import Children, Executor, Here
 from stickslip.workflows import own_questions
 
 if TYPE_CHECKING:
     from stickslip.analysis.ensemble import Study
     from stickslip.analysis.page.parts import Answered
-    from stickslip.analysis.series.runs import Put
     from stickslip.pipeline.dataset.opened import Opened
     from stickslip.pipeline.running.cluster import Scheduling
-    from stickslip.workflows.parts import Asked
 
 MOST_PROCESSES = 4  # there are few questions, and the longest one takes its time
 #: Members from which on the processes share the runs instead of the questions: going through the runs is most of it,
 #: and what each process knows of the members fills the memory.
 _MANY = 20_000
+#: Runs that a process is asked about together, at least: opening their shards takes two milliseconds.
+_LEAST = 2_000
 
 
 class Asking:
@@ -56,17 +58,12 @@ class Asking:
         self._stack = ExitStack()
         self._is_spread = workers is not None or scheduler is not None
         n_children = 0 if self._is_spread else min(n_cores(), MOST_PROCESSES) - 1
-        self._children = [self._stack.enter_context(Child(answer)) for _ in range(n_children)]
-        self._pool = ThreadPoolExecutor(max(n_children, 1))
-        self._loading = [(child, self._pool.submit(_load, child)) for child in self._children]
+        self._children = self._stack.enter_context(Children(n_children, _load))
 
     def __enter__(self) -> Asking:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for child in self._children:
-            child.kill()
-        self._pool.shutdown()
         self._stack.close()
 
     def __call__(self, opened: Opened, study: Study, on_answer: Callable[[int, int], None]) -> list[Answered | None]:
@@ -76,103 +73,75 @@ class Asking:
         are in their answers.
         """
         from stickslip.analysis.page.layout import prepare
-        from stickslip.analysis.page.parts import ask
         from stickslip.analysis.questions import package_questions, question
-        from stickslip.workflows.on_children import OnChildren
 
         names = package_questions(study.settings.question)
-        to_go = deque(sorted(names, key=lambda key: -question(key).share))
-        found: dict[str, Answered | None] = {}
+        longest_first = sorted(names, key=lambda key: -question(key).share)
         tasks = [] if self.own is None else own_questions.tasks(opened, self.own, self.with_pdf)
         n_asked = len(names) + len(tasks)
+        answers: dict[str, Answered | None] = {}
+        with ExitStack() as stack:
+            executor = self._executor(stack, opened, study)
+            pool = stack.enter_context(ThreadPoolExecutor(max(len(tasks), 1)))
+            children = [stack.enter_context(Child(own_questions.answer, shows_errors=True)) for _ in tasks]
+            own = [pool.submit(own_questions.put, *pair) for pair in zip(children, tasks, strict=True)]
+            prepare()
+            remember(opened, study)
+            asked = partial(answer, opened, self.with_pdf)
+            for results in executor.map(asked, longest_first):
+                for number, answered in results:
+                    answers[longest_first[number]] = answered
+                    on_answer(len(answers), n_asked)
+            for task, future in zip(tasks, own, strict=True):
+                answers[task.name] = future.result()
+                on_answer(len(answers), n_asked)
+        return [answers[key] for key in (*names, *(task.name for task in tasks))]
 
-        def next_ones() -> Iterator[str]:
-            with suppress(IndexError):  # none is left
-                while True:
-                    yield to_go.popleft()
+    def _executor(self, stack: ExitStack, opened: Opened, study: Study) -> Executor:
+        """Where questions are answered; where their functions are put to runs, the study is told."""
+        from stickslip.workflows.parts import Parts
 
-        def by_child(child: Child, loading: Future[None]) -> None:
-            loading.result()
-            with suppress(ChildDied):  # its questions are then answered by others
-                child(opened)
-            for key in next_ones():
-                try:
-                    found[key] = child((key, self.with_pdf))
-                except ChildDied:
-                    to_go.append(key)
-                    return
-                on_answer(len(found), n_asked)
-
-        def by_own(child: Child, task: own_questions.Task) -> None:
-            found[task.name] = own_questions.put(child, task)
-            on_answer(len(found), n_asked)
-
-        def here() -> None:
-            for key in next_ones():
-                found[key] = ask(study, key, self.with_pdf)
-                on_answer(len(found), n_asked)
-
-        is_many = opened.n_done >= _MANY
-        if is_many and not self._is_spread:
-            for _, loading in self._loading:
-                loading.result()
-            study.put = OnChildren(opened, study.settings, self._children)
         if self._is_spread:
-            study.put = self._stack.enter_context(_spread(opened, study, self._workers or 0, self._scheduler))
-        asked = [] if is_many else [self._pool.submit(by_child, *one) for one in self._loading]
-        if tasks:
-            pool = self._stack.enter_context(ThreadPoolExecutor(len(tasks)))
-            alone = [self._stack.enter_context(Child(own_questions.answer, shows_errors=True)) for _ in tasks]
-            self._children += alone
-            asked += [pool.submit(by_own, *one) for one in zip(alone, tasks, strict=True)]
-        prepare()
-        here()
-        for one in asked:
-            one.result()
-        here()
-        return [found[key] for key in (*names, *(task.name for task in tasks))]
+            from stickslip.pipeline.running.cluster import check_address, connect
+            from stickslip.pipeline.running.submit import Dask
+            from stickslip.workflows.fresh import program
+
+            if isinstance(self._scheduler, str):
+                check_address(self._scheduler)
+            client = stack.enter_context(connect(self._workers or 0, self._scheduler))
+            workers = Dask(client, self._scheduler, "run the command again", version=program)
+            there = replace(opened, place=opened.place.from_anywhere)
+            study.put = Parts(there, study.settings, workers)
+            return Here()
+        if opened.n_done >= _MANY:
+            study.put = Parts(opened, study.settings, self._children, _LEAST)
+            return Here()
+        return self._children
 
 
-@contextmanager
-def _spread(opened: Opened, study: Study, workers: int, scheduler: Scheduling) -> Iterator[Put]:
-    """Puts functions to runs on workers of dask, which are there as long as the with-block."""
-    from stickslip.pipeline.running.cluster import check_address, connect
-    from stickslip.workflows.on_workers import OnWorkers
-
-    if isinstance(scheduler, str):
-        check_address(scheduler)
-    with connect(workers, scheduler) as client:
-        yield OnWorkers(opened, study.settings, client, scheduler)
-
-
-def _load(child: Child) -> None:
-    try:
-        child(None)
-    except ChildDied:  # seen again when it is asked
-        return
-
-
-#: In a child: the study of the dataset that it was handed last.
-_study: Study | None = None
-
-
-def answer(argument: Opened | Asked | tuple[str, bool] | None) -> Any:
-    """In a child: load what answering takes (None), take over a dataset, or answer one question to it.
-
-    A question is its name, and whether to draw figures as PDF too; or else what is asked of some runs.
-    """
-    global _study
+def _load() -> None:
+    """In a child: load what answering takes."""
     gc.disable()  # the process ends with the report
+    from stickslip.analysis.page import parts  # noqa: F401
+    from stickslip.workflows import reporting  # noqa: F401
+
+
+#: The study of the dataset that this process was asked about last, and what tells it from others.
+_latest: tuple[tuple[str, str], Study] | None = None
+
+
+def remember(opened: Opened, study: Study) -> None:
+    """Keep the study of a dataset for the questions to it that this process answers."""
+    global _latest
+    _latest = (str(opened.place), opened.manifest.digest), study
+
+
+def answer(opened: Opened, with_pdf: bool, name: str) -> Answered | None:
+    """The answer to a question about a dataset; None if its data do not raise it."""
     from stickslip.analysis.page.parts import ask
-    from stickslip.pipeline.dataset.opened import Opened
-    from stickslip.workflows.parts import Asked
     from stickslip.workflows.reporting import study_of
 
-    if isinstance(argument, Asked):
-        return argument.answer()
-    if isinstance(argument, Opened):
-        _study = study_of(argument)
-    elif argument is not None:
-        assert _study is not None
-        return ask(_study, *argument)
-    return None
+    if _latest is None or _latest[0] != (str(opened.place), opened.manifest.digest):
+        remember(opened, study_of(opened))
+    assert _latest is not None
+    return ask(_latest[1], name, with_pdf)

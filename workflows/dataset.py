@@ -94,13 +94,17 @@ class Dataset:
         """The answer to a question in SQL; see `stickslip.sql`."""
         return query.sql(self.path, sql)
 
-    def extend(self, record: Mapping[str, Any], workers: int = 2, *, quiet: bool = False) -> Dataset:
-        """Add records, as `stickslip.pipeline.extend` does, with the progress on the standard error.
+    def extend(self, record: Mapping[str, Any], out: Where, workers: int = 2, *, quiet: bool = False) -> Dataset:
+        """Another dataset with more records, as `stickslip.pipeline.extend` makes it.
+
+        With the progress on the standard error.
 
         Parameters
         ----------
         record : mapping of str to value
             Keys under [record], as in ``{"waiting": True, "t_burn": 50.0}``.
+        out : str, Path or Place
+            Directory of the new dataset, or its address.
         workers : int
             Local processes; 0 computes in this one.
         quiet : bool
@@ -111,9 +115,9 @@ class Dataset:
         SceneError, StoreError, ValueError, ScheduleError
             As there.
         """
-        with nullcontext() if quiet else Watch(self.path) as watch:
-            extend(self.path, record, workers, on_progress=watch)
-        return self
+        with nullcontext() if quiet else Watch(out) as watch:
+            extend(self.path, record, out, workers, on_progress=watch)
+        return Dataset(out)
 
     def findings(self) -> pd.DataFrame:
         """What the page of the report says, one row a quantity at a setting.

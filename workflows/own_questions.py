@@ -106,9 +106,7 @@ def put(child: Child, task: Task, longest: float | None = None) -> Answered:
         found: Answered = child(task)
     except ChildDied as death:
         how = "got none" if is_late.is_set() else f"its process ended ({death})"
-        found = Answered(
-            task.name, {}, problem=f"expected an answer within {longest:g} s, {how}; correct the function"
-        )
+        found = Answered(task.name, problem=f"expected an answer within {longest:g} s, {how}; correct the function")
     finally:
         limit.cancel()
     return found
@@ -130,7 +128,7 @@ def answer(task: Task) -> Answered:
         function = own.resolve(task.name, _place(task), _KEY)
         found = _asked(task, function)
     except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
-        found = Answered(task.name, {}, problem=_told(error, _ANSWER, function))
+        found = Answered(task.name, problem=_told(error, _ANSWER, function))
     if function is None:
         return found
     return replace(found, sources=_sources(function, set(sys.modules) - before))
@@ -149,7 +147,7 @@ def _asked(task: Task, function: own.OwnFunction) -> Answered:
 
     if task.opened is None:
         own.use(function, callable, is_trial=True)  # loads it
-        return Answered(task.name, {})
+        return Answered(task.name)
     study = study_of(task.opened, whole=True)
 
     def ask(found: Callable[[Study], object]) -> Answered:

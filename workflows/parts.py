@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,13 +16,15 @@ from stickslip.analysis.series.runs import Ended, Runs, by_number
 from stickslip.analysis.settings import AnalysisSettings
 from stickslip.pipeline.dataset.opened import Opened
 from stickslip.pipeline.query import all_events, series
+from stickslip.pipeline.running.executor import Executor
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Asked:
-    """A part of what is asked: its number, the dataset without other shards, the function and some of its runs."""
+    """A part of what is asked: the dataset without other shards, the function and some of its runs."""
 
-    number: int
     opened: Opened
     settings: AnalysisSettings
     of: Callable[..., Any]
@@ -36,35 +38,43 @@ class Asked:
 
 
 class Parts:
-    """The parts of a dataset.
+    """Puts functions to the runs of a dataset.
 
     Parameters
     ----------
     opened : Opened
     settings : AnalysisSettings
+    executor : Executor
     least : int
         Runs of a part, at least, but for the last: consecutive shards go together until there are so many.
     """
 
-    def __init__(self, opened: Opened, settings: AnalysisSettings, least: int = 1) -> None:
+    def __init__(self, opened: Opened, settings: AnalysisSettings, executor: Executor, least: int = 1) -> None:
         self._settings, self._opened, self._names = settings, opened, opened.in_parts(least)
+        self._executor = executor
         shards = opened.manifest.shards
         self._ends = np.cumsum([sum(shards[name].rows for name in part) for part in self._names])
 
-    def ask(self, of: Callable[..., Any], some: Ended, beside: Ended | None) -> tuple[list[Asked], list[list[int]]]:
-        """A function put to some runs: what is asked of each part that has some, and their places among `some`.
+    def __call__(self, of: Callable[..., T], some: Ended, beside: Ended | None = None) -> list[tuple[list[int], T]]:
+        """The places of the runs of each part among `some`, and what the function gives of these.
 
         With the shards of the runs beside these, which mostly lie in the same part.
+
+        Raises
+        ------
+        ScheduleError
+            If dask's scheduler or its workers are lost, or are of another version.
         """
         part = np.searchsorted(self._ends, some.row, side="right")
         places = by_number(part)
         asked = []
-        for number, own in enumerate(places):
+        for own in places:
             more = None if beside is None else beside.take(own)
             also = () if more is None else np.unique(np.searchsorted(self._ends, more.row, side="right")).tolist()
             names = sorted({name for k in (part[own[0]], *also) for name in self._names[k]})
-            asked.append(Asked(number, _only(self._opened, names), self._settings, of, some.take(own), more))
-        return asked, [own.tolist() for own in places]
+            asked.append(Asked(_only(self._opened, names), self._settings, of, some.take(own), more))
+        given = {k: result for results in self._executor.map(Asked.answer, asked) for k, result in results}
+        return [(own.tolist(), given[k]) for k, own in enumerate(places)]
 
 
 def _only(opened: Opened, names: Sequence[str]) -> Opened:

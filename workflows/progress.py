@@ -68,10 +68,6 @@ def _status_lines(found: Status) -> list[str]:
             f"damaged {found.n_damaged} of these shards, or missing, with {found.n_lost} of the members:"
             f" `{which}` says which"
         )
-    if (extension := found.extension) is not None:
-        done = f"{extension.n_shards_done} of {extension.n_shards} shards"
-        go_on = "" if found.running is not None else ": rerun `stickslip extend` with the same keys to go on"
-        lines.append(f"extend  {', '.join(extension.records)}, {done}{go_on}")
     if found.running is not None:
         elapsed = clock(time.time() - found.running.began)
         # a store's lock is a lease, which its owner renews
@@ -123,9 +119,7 @@ class Watch:
             self._print(f"dask    {progress.dashboard}")
         if self._last is not None and progress.last_shard is not None and progress.n_failed > self._last.n_failed:
             self._opened = open_dataset(self._directory) if self._opened is None else self._opened.again()
-            # those of an extension are known, and its shards are not yet the dataset's
-            shards = [progress.last_shard] if progress.last_shard in self._opened.manifest.shards else []
-            failed = rows_that_failed(self._opened, shards) if shards else []
+            failed = rows_that_failed(self._opened, [progress.last_shard])
             for reason, count in Counter(reason for _, reason in failed).most_common():
                 self._print(f"failed  {count}: {reason}")
         is_news = self._last is None or progress.waiting != self._last.waiting

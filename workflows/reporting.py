@@ -14,19 +14,17 @@ import pandas as pd
 import pyarrow as pa
 
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
-from stickslip.analysis.answer import B, F, I, S, frame
 from stickslip.analysis.ensemble import Numbers, Recorded, Until
-from stickslip.analysis.findings.finding import Record
 from stickslip.analysis.members import READ, Members
 from stickslip.analysis.page import FINDINGS, PAGE
 from stickslip.analysis.page.comparison import Ensemble, compare
-from stickslip.analysis.page.parts import Answered
+from stickslip.analysis.page.parts import Answered, Row, Said
 from stickslip.analysis.questions import renamed
+from stickslip.analysis.rows import frame_of
 from stickslip.analysis.session import defaults
 from stickslip.pipeline import Scene, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
 from stickslip.pipeline.design.design import Coordinates
-from stickslip.pipeline.design.values import short
 from stickslip.pipeline.errors import printable
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
@@ -42,7 +40,6 @@ from stickslip.pipeline.query import (
     series,
 )
 from stickslip.pipeline.scene.columns import DESIGN
-from stickslip.pipeline.scene.systems import REALISATION
 from stickslip.version import __version__
 from stickslip.workflows.fresh import LIST, UNFINISHED, made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
@@ -53,13 +50,8 @@ _LISTED = re.compile(r"([0-9a-f]{64})  (report/(?:figures/)?[\w-]+\.(?:parquet|c
 #: Columns of members that no question of this package looks at.
 _UNASKED = (
     "perturbation_draw", "picked_for", "reproduce", "n_stick_end", "n_events", "n_entries", "n_exits", "n_crossings",
-    "n_steps", "n_rejected", "n_products", *(column.name for column in DESIGN),
+    "n_steps", "n_rejected", "n_products", "drawn", *(column.name for column in DESIGN),
 )  # fmt: skip
-
-_FINDINGS = dict.fromkeys(("question", "leads", "sentence", *Record._fields[:-1]), F) | {
-    "leads": B, "n": I, **dict.fromkeys(("question", "sentence", "quantity", "setting", "compared_with"), S),
-    **dict.fromkeys(("scale", "verdict", "unit"), S),
-}  # fmt: skip
 
 #: Who puts the questions of a dataset: the dataset, its study, and whom to tell how many are answered.
 Asking = Callable[[Opened, Study, Callable[[int, int], None]], list[Answered | None]]
@@ -90,7 +82,8 @@ def _data(opened: Opened, whole: bool = False) -> Data:
                     problems.setdefault(name, {})[member_id] = printable(why)
         return _prepared(scene, part).assign(**coordinates._asdict())
 
-    asked = [name for name in names if whole or name not in _UNASKED]
+    # the design has parameters, which may have a name that the analysis gives a column
+    asked = [name for name in names if name not in scene.parameters and (whole or name not in _UNASKED)]
     table = Members.of(starmap(prepared, members_in_parts(opened, asked)), opened.design)
     pa.default_memory_pool().release_unused()  # else what reading took would stay taken, 150 bytes a member
     recorded = {
@@ -132,11 +125,7 @@ def _prepared(scene: Scene, table: pd.DataFrame) -> pd.DataFrame:
     own = set() if scene.own_record is None else {column.name for column in scene.own_record.kept}
     table = table.drop(columns=[*(kept | own) - {*READ}])  # analysis may add one of that name
     table["matrix"] += scene.run.matrices * table["seed"].map(_seeds(scene).index)  # another seed is other systems
-    if names := [name for name in scene.parameters if name != REALISATION]:
-        rows = zip(*(table[name].map(short) for name in names), strict=True)
-        words = ["; ".join(map("{} = {}".format, names, row)) for row in rows]
-        table = table.drop(columns=names).assign(parameters=words)  # one may have a name that analysis gives a column
-    for name in ("file", "parameters", "reason"):  # words from outside, which pages and figures show
+    for name in ("file", "reason"):  # words from outside, which pages and figures show
         if name in table and table[name].notna().any():
             table[name] = table[name].map(printable if name == "reason" else _drawable, na_action="ignore")
     return table
@@ -242,9 +231,13 @@ def findings(where: Where) -> pd.DataFrame:
     if written is None:
         raise StoreError(f"{opened.place}: expected {FINDINGS}, got no such file; `stickslip report DIR` writes it")
     try:
-        told = json.loads(written)["findings"]
-        rows = [{**finding, **row} for finding in told for row in finding["rows"]]
-        return frame(_FINDINGS, rows)
+        rows = [
+            (Said(finding["question"], finding["leads"], finding["sentence"]), Row(**row))
+            for finding in json.loads(written)["findings"]
+            for row in finding["rows"]
+        ]
+        tables = frame_of(Said, (said for said, _ in rows)), frame_of(Row, (row for _, row in rows))
+        return pd.concat(tables, axis="columns").drop(columns="form")
     except (ValueError, KeyError, TypeError) as error:
         raise StoreError(
             f"{opened.place}: {FINDINGS} is damaged ({error}); `stickslip report DIR` writes it"
@@ -284,8 +277,6 @@ def write(built: Report, where: Where) -> str:
         (found,) = place.read_each([name]) if name not in files else [None]
         if found is not None and hashlib.sha256(found).hexdigest() == sha256:
             place.remove(name)
-    for name in built.gone() if listed is None else ():
-        place.remove(name)
     place.replace(LIST, _lines([], written))
     return place.named(PAGE)
 

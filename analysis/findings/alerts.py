@@ -16,7 +16,7 @@ class Code(Enum):
 
     SUSPECT = 0, "The numerics are suspect: {what} differs by more than smoothing explains ({where})."
     FAILED = 1, "{n} of {of} runs failed and are left out."
-    DRIFT = 1, "{what} still drifts after t_burn = {t_burn:g}: raise t_burn."
+    DRIFT = 1, "{what}{where} still drifts after t_burn = {t_burn:g}: raise t_burn."
     DIVERGED = 2, "The motion grew without limit in {n} of {of} runs."
     SETTLED = 2, "{n} of {of} runs settled into steady sliding; {what} is of the others."
     NOT_MOVING = 2, "{n} of {of} runs are not in motion; {what} is of the others."
@@ -61,6 +61,11 @@ class Alert:
     def of(cls, code: Code, **numbers: int | float | str) -> Alert:
         """From the numbers of its words, by name."""
         return cls(code, tuple(numbers.items()))
+
+    @property
+    def subject(self) -> tuple[Code, tuple[int | float | str, ...]]:
+        """What it is about: alerts that differ in their setting alone are one."""
+        return self.code, tuple(value for name, value in self.numbers if name != "where")
 
     def __str__(self) -> str:
         return self.code.words.format(**dict(self.numbers))

@@ -2,15 +2,16 @@
 
 A finding is a quantity, its estimate with an interval, where it holds, and at most one comparison. The sentence on
 the page, the row of a table, the line in a terminal and the entry of ``report/findings.json`` all come from it, and
-from nothing else: `findings.words` says each kind, `records` lays each out as rows.
+from nothing else: `findings.words` says each kind, `levels` lays each out as rows.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, StrEnum
 from typing import NamedTuple, TypeAlias
 
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.stats.estimates import Estimate
 
 
@@ -20,6 +21,7 @@ class Form(Enum):
     NUMBER = "number"
     COUNT = "count"  #: a whole number
     SHARE = "share"  #: in per cent
+    POINTS = "points"  #: a difference of shares, in percentage points
 
 
 class Scale(StrEnum):
@@ -44,6 +46,8 @@ class Quantity:
         What it is beside something smaller, and beside something larger: "longer", "shorter".
     definition : str
         What it is, in a sentence; empty where the name says it.
+    things : str
+        What it is a rate or a mean number of: "slip onsets"; empty of any other.
     clause : str
         How its level is said where that is no noun and number, with {} for the estimate or, where a difference is
         shown, for the comparison: "small differences grow e-fold in {} time units".
@@ -56,6 +60,7 @@ class Quantity:
     less: str = "below"
     definition: str = ""
     clause: str = ""
+    things: str = ""
 
 
 class Verdict(StrEnum):
@@ -145,15 +150,23 @@ class Level:
 
     Attributes
     ----------
-    where : str
-        What tells the setting from the others ("n = 100, exact"); empty if there is one.
+    where : Place
+        What tells the setting from the others.
     """
 
     quantity: Quantity
     estimate: Estimate
-    where: str = ""
+    where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
+
+
+class KeyChange(NamedTuple):
+    """A key and two of its values."""
+
+    key: str
+    first: str
+    second: str
 
 
 @dataclass(frozen=True)
@@ -162,24 +175,20 @@ class Change:
 
     Attributes
     ----------
-    key : str
-        What is swept: "belt_speed".
-    first, second : str
-        Its values.
+    keys : tuple of KeyChange
+        What is swept, of keys that are swept together each.
     before, after : Estimate
         The quantity at these.
-    where : str
-        At which values of the other keys, or averaged over which; empty if there are none.
+    where : Place
+        At which values of the other keys, or averaged over which.
     """
 
     quantity: Quantity
-    key: str
-    first: str
-    second: str
+    keys: tuple[KeyChange, ...]
     before: Estimate
     after: Estimate
     difference: Difference
-    where: str = ""
+    where: Place = EVERYWHERE
     basis: Basis | None = None
 
 
@@ -199,7 +208,7 @@ class Share:
     things: str
     predicate: str
     estimate: Estimate
-    where: str = ""
+    where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
 
@@ -228,7 +237,7 @@ class Lifetime:
     estimate: Estimate
     horizon: float
     share_left: float
-    where: str = ""
+    where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
     ended: str = ""
@@ -259,6 +268,8 @@ class Law:
         How far the data are from the law.
     nearly : str
         The predicate of what is `Fit.CLOSE`; by default "nearly", and the predicate.
+    called : str
+        What the parameter is called beside the subject; by default the name of its quantity.
     p_value : float, optional
         Of data that follow the law.
     """
@@ -269,6 +280,7 @@ class Law:
     fit: Fit = Fit.HOLDS
     departure: Level | None = None
     nearly: str = ""
+    called: str = ""
     p_value: float | None = None
 
 
@@ -281,25 +293,13 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class Limit:
-    """An upper limit: a share of some things of which something holds, at most."""
-
-    key: str
-    things: str
-    predicate: str
-    most: float
-    where: str = ""
-    basis: Basis | None = None
-
-
-@dataclass(frozen=True)
 class Alike:
     """A value that all of some things share, to the accuracy of the runs: no interval belongs to it."""
 
     quantity: Quantity
     value: float
     among: str
-    where: str = ""
+    where: Place = EVERYWHERE
     basis: Basis | None = None
 
 
@@ -314,7 +314,9 @@ class Outcomes:
     equal, different, undecided : tuple of str
         The settings of each outcome ("h = 0.1 and less").
     largest : Level, optional
-        The largest difference, with its setting.
+        The largest difference.
+    at_largest : str
+        The setting of the largest difference.
     others : tuple of str
         The settings that differ, beside that of the largest difference.
     scope : str
@@ -326,6 +328,7 @@ class Outcomes:
     different: tuple[str, ...] = ()
     undecided: tuple[str, ...] = ()
     largest: Level | None = None
+    at_largest: str = ""
     others: tuple[str, ...] = ()
     scope: str = ""
 
@@ -349,44 +352,35 @@ class Threshold:
     key: str
     last: str
     first: str
-    where: str = ""
+    where: Place = EVERYWHERE
     basis: Basis | None = None
 
 
 @dataclass(frozen=True)
 class Regime:
-    """Settings at which all of some things have the same outcome, or several outcomes occur.
+    """Settings at which all of some things do the same, or do several things.
 
     Attributes
     ----------
-    where : str
-        Which settings, as an adverbial: "up to belt_speed = 7", "at 3 of 12 settings".
+    things : str
+        In the plural: "starts".
     predicates : tuple of str
         Verb phrases in the plural, one for each outcome: "slide steadily".
     n, of : int
-        How many things have a known outcome there, and how many there are; at each setting if `is_each`.
+        How many things have a known outcome there, and how many there are.
     share : Estimate
         Of one outcome: the share of such things that have it; without a value where several occur.
-    basis : Basis, optional
+    where : Place
+        Which settings: "belt_speed = 5 to 7".
     """
 
-    where: str
+    things: str
     predicates: tuple[str, ...]
     n: int
     of: int
     share: Estimate = field(default_factory=Estimate)
+    where: Place = EVERYWHERE
     basis: Basis | None = None
-    is_each: bool = False
-
-
-@dataclass(frozen=True)
-class Regimes:
-    """What some things do at different settings, grouped by what they do; `things` in the plural: "starts"."""
-
-    things: str
-    regimes: tuple[Regime, ...]
-    where: str = ""
-    when: str = ""  #: part of several predicates, said once in a sentence: "at t = 150"
 
 
 class Truth(StrEnum):
@@ -432,104 +426,48 @@ class Decided:
     """The answer to a question of yes or no, and the finding that it rests on."""
 
     truth: Truth
-    finding: Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regimes | Threshold | Lack
+    finding: Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Threshold | Lack
 
 
 Finding: TypeAlias = (
-    Level | Change | Share | Lifetime | Law | Parts | Limit | Alike | Outcomes | Regimes | Threshold | Lack | Decided
+    Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Threshold | Lack | Decided
 )
 
 
-class Record(NamedTuple):
-    """A finding as a row: what is missing is None, or empty where it is a text."""
-
-    quantity: str = ""
-    setting: str = ""
-    estimate: float | None = None
-    low: float | None = None
-    high: float | None = None
-    compared_with: str = ""
-    difference: float | None = None
-    difference_low: float | None = None
-    difference_high: float | None = None
-    scale: str = ""
-    margin: float | None = None
-    verdict: str = ""
-    n: int | None = None
-    unit: str = ""
-    form: Form = Form.NUMBER
-
-
-def records(finding: Finding) -> list[Record]:
-    """The rows of a finding, none of a lack."""
+def levels(finding: Finding) -> list[Level]:
+    """A finding as rows of a table: the values that it states; none of a lack."""
     match finding:
-        case Level(quantity, estimate, where, comparison, basis):
-            return [_record(quantity.name, quantity.form, estimate, where, comparison, basis)]
-        case Lifetime(quantity=quantity, estimate=estimate, where=where, comparison=comparison, basis=basis):
-            name = f"time by which half of the {finding.things} {finding.ended}" if finding.ended else quantity.name
-            return [_record(name, quantity.form, estimate, where, comparison, basis)]
-        case Share(
-            things=things, predicate=predicate, estimate=estimate, where=where, comparison=comparison, basis=basis
-        ):
-            return [_record(f"share of {things} that {predicate}", Form.SHARE, estimate, where, comparison, basis)]
-        case Change(quantity, key, first, second, _, after, difference, where, basis):
-            setting = ", ".join(filter(None, (f"{key} = {second}", where)))
-            return [
-                _record(
-                    quantity.name, quantity.form, after, setting, Comparison(f"{key} = {first}", difference), basis
-                )
-            ]
+        case Level():
+            return [finding]
+        case Lifetime(quantity, things, ended=ended, estimate=estimate):
+            name = f"time by which half of the {things} {ended}" if ended else quantity.name
+            quantity = replace(quantity, name=name)
+            return [Level(quantity, estimate, finding.where, finding.comparison, finding.basis)]
+        case Share(key, things, predicate, estimate, where, comparison, basis):
+            return [Level(_share(key, things, predicate), estimate, where, comparison, basis)]
+        case Change(quantity, keys, _, after, difference, where, basis):
+            key, first, second = (" with ".join(texts) for texts in zip(*keys, strict=True))
+            comparison = Comparison(f"{key} = {first}", difference)
+            return [Level(quantity, after, Place.key(key, second) + where, comparison, basis)]
         case Law(parameter=parameter, departure=departure):
-            return [*records(parameter), *(records(departure) if departure is not None else [])]
+            return [parameter] if departure is None else [parameter, departure]
         case Parts(whole, parts):
-            return [record for level in (whole, *parts) for record in records(level)]
-        case Limit(_, things, predicate, most, where, basis):
-            return [
-                _record(f"share of {things} that {predicate}", Form.SHARE, Estimate(high=most), where, None, basis)
-            ]
+            return [whole, *parts]
         case Alike(quantity, value, among, where, basis):
-            setting = where if basis is not None else ", ".join(filter(None, (where, among)))
-            return [_record(quantity.name, quantity.form, Estimate(value), setting, None, basis)]
-        case Outcomes():
-            return []  # of which contrasts they are is said by findings of their own
+            place = where if basis is not None else where + Place.words(among)
+            return [Level(quantity, Estimate(value), place, basis=basis)]
         case Threshold(subject, is_end, key, last, first, where, basis):
-            verb = "ends" if is_end else "begins"
-            n, unit = (None, "") if basis is None else (basis.n, basis.unit)
-            setting = ", ".join(filter(None, (f"{key} = {last} to {first}", where)))
-            return [Record(f"where {subject} {verb}", setting, n=n, unit=unit)]
-        case Regimes(things=things, regimes=regimes, where=where):
-            return [
-                _record(
-                    " and ".join(f"share of {things} that {predicate}" for predicate in regime.predicates),
-                    Form.SHARE,
-                    regime.share,
-                    ", ".join(filter(None, (where, regime.where))),
-                    None,
-                    regime.basis,
-                )
-                for regime in regimes
-            ]
+            quantity = Quantity("threshold", f"where {subject} {'ends' if is_end else 'begins'}")
+            return [Level(quantity, Estimate(), Place.key(key, f"{last} to {first}") + where, basis=basis)]
+        case Regime(things, (predicate,), _, _, share, where, basis):
+            return [Level(_share("regime", things, predicate), share, where, basis=basis)]
+        case Regime():
+            return []  # what some do has shares of its own
         case Decided(_, reason):
-            return records(reason)
-        case Lack():
+            return levels(reason)
+        case Outcomes() | Lack():  # of which contrasts outcomes are is said by findings of their own
             return []
 
 
-def _record(
-    name: str, form: Form, estimate: Estimate, where: str, comparison: Comparison | None, basis: Basis | None
-) -> Record:
-    n, unit = (None, "") if basis is None else (basis.n, basis.unit)
-    row = Record(name, where, estimate.value, estimate.low, estimate.high, n=n, unit=unit, form=form)
-    if comparison is None:
-        return row
-    difference = comparison.difference
-    value = difference.estimate
-    return row._replace(
-        compared_with=comparison.other,
-        difference=value.value,
-        difference_low=value.low,
-        difference_high=value.high,
-        scale=difference.scale.value,
-        margin=difference.margin,
-        verdict=difference.verdict.value,
-    )
+def _share(key: str, things: str, predicate: str) -> Quantity:
+    return Quantity(key, f"share of {things} that {predicate}", Form.SHARE)

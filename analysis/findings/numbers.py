@@ -41,16 +41,16 @@ def _exponent(size: float) -> int:
 
 
 def _scale(form: Form) -> float:
-    return 100.0 if form is Form.SHARE else 1.0
+    return 100.0 if form in (Form.SHARE, Form.POINTS) else 1.0
 
 
 def number(value: float, form: Form = Form.NUMBER, digits: int | None = None, sign: bool = False) -> str:
     """A number with so many decimals, of a share in per cent; by default with three digits."""
-    text = _plain(value, form, digits, sign)
-    return f"{text}%" if form is Form.SHARE else text
+    return bare(value, form, digits, sign) + "%" * (form is Form.SHARE)
 
 
-def _plain(value: float, form: Form, digits: int | None, sign: bool) -> str:
+def bare(value: float, form: Form = Form.NUMBER, digits: int | None = None, sign: bool = False) -> str:
+    """A number as of `number`, without its unit."""
     scaled = value * _scale(form) + 0.0
     places = decimals(Estimate(value), form) if digits is None else digits
     while form is Form.SHARE and value < 1.0 and round(scaled, places) == 100.0 and places < MOST_DIGITS:
@@ -62,16 +62,16 @@ def _plain(value: float, form: Form, digits: int | None, sign: bool) -> str:
         text = f"{scaled:,.{places}f}"
     if round(scaled, places) == 0.0:
         text = text.lstrip("-")  # minus zero is zero
-    return ("+" if sign and value > 0 else "") + text.replace("-", MINUS)
+    return ("+" if sign and round(scaled, places) > 0.0 else "") + text.replace("-", MINUS)
 
 
 def span(low: float, high: float, form: Form = Form.NUMBER, sign: bool = False, digits: int | None = None) -> str:
     """Two ends, "0.697 to 0.702" or "28.8 to 31.4%", by default with two digits of half their distance."""
     least = decimals(Estimate(low=low, high=high), form)
     places = least if digits is None else digits
-    while places < least and _plain(low, form, places, sign) == _plain(high, form, places, sign):
+    while places < least and bare(low, form, places, sign) == bare(high, form, places, sign):
         places += 1
-    ends = (_plain(end, form, places, sign) for end in (low, high))
+    ends = (bare(end, form, places, sign) for end in (low, high))
     return " to ".join(ends) + "%" * (form is Form.SHARE)
 
 

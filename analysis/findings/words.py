@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from stickslip.analysis.findings.finding import (
     Alike,
@@ -19,18 +18,17 @@ from stickslip.analysis.findings.finding import (
     Law,
     Level,
     Lifetime,
-    Limit,
     Outcomes,
     Parts,
     Quantity,
     Regime,
-    Regimes,
     Scale,
     Share,
     Threshold,
     Verdict,
 )
-from stickslip.analysis.findings.numbers import decimals, is_exact, limit, number, signs, span, with_interval
+from stickslip.analysis.findings.numbers import bare, decimals, is_exact, limit, number, signs, span, with_interval
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.stats.estimates import Estimate
 
 
@@ -54,24 +52,18 @@ def clause(finding: Finding) -> str:
             return _law(finding)
         case Parts():
             return _parts(finding)
-        case Limit(things=things, predicate=predicate, most=most, where=where):
-            return f"at most {limit(most, Form.SHARE)} of {things} {predicate}{_at(where)}"
         case Alike(quantity, value, among, where):
             digits = decimals(Estimate(value), quantity.form) + (
                 quantity.form is not Form.COUNT
             )  # it is known to many
-            return f"{quantity.name}{_at(where)}: {number(value, quantity.form, digits)}, the same {among}"
+            return f"{quantity.name}{where.tail}: {number(value, quantity.form, digits)}, the same {among}"
         case Outcomes():
             return _outcomes(finding)
         case Threshold(subject, is_end, key, last, first, where, basis):
             every = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
-            return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{_at(where)}{every}"
-        case Regimes(things, regimes, where, when):
-            grouped = "; ".join(_regime(regime, things, k == 0) for k, regime in enumerate(regimes))
-            if when:
-                first, said, others = grouped.partition(f" {when}")
-                grouped = first + said + others.replace(said, "")
-            return f"{_at(where).strip(' ,')}: {grouped}" if where else grouped
+            return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{where.tail}{every}"
+        case Regime():
+            return _regime(finding)
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
         case Decided(truth, reason):
@@ -99,46 +91,27 @@ def based_on(basis: Basis | None) -> str:
     return "" if basis is None else plural(basis.n, basis.unit)
 
 
-def _begins_with_key(where: str) -> bool:
-    """Whether a setting begins with the value of a key, "n = 150, exact", and not with a method, "exact"."""
-    return "=" in where.partition(",")[0]
-
-
-def _at(where: str) -> str:
-    if not where:
-        return ""
-    return f" at {where}" if _begins_with_key(where) else f", {where}"
-
-
-def _before(where: str) -> str:
-    """A setting at the head of a sentence: "at n = 150, exact, "."""
-    if not where:
-        return ""
-    return f"at {where}, " if _begins_with_key(where) else f"{where}: "
-
-
 def _share(share: Share) -> str:
     if share.basis is not None and share.basis.n == 1 and share.estimate.value in (0.0, 1.0):
         which = "all" if share.estimate.value else "none of the"
         alone = (
-            f"{which} {share.things} {share.predicate}{_at(share.where)} ({plural(1, share.basis.unit)}, no interval)"
+            f"{which} {share.things} {share.predicate}{share.where.tail} ({plural(1, share.basis.unit)}, no interval)"
         )
         return alone + _compared(share.comparison)
-    said = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{_at(share.where)}"
+    said = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{share.where.tail}"
     if share.comparison is None or share.comparison.difference.verdict is not Verdict.OPEN:
         return said + _compared(share.comparison)
     difference, other = share.comparison.difference, share.comparison.other
     value = difference.estimate.value
-    form = _form(difference, Form.SHARE)
+    form = form_of(difference, Form.SHARE)
     apart = "" if value is None else f"{number(value, form, decimals(difference.estimate, form), sign=True)}, "
-    apart = apart.replace("%", "") if difference.scale is Scale.ABSOLUTE else apart
     return f"{said}, consistent with {other} (difference {apart}{interval(difference, Form.SHARE)})"
 
 
 def _level(level: Level) -> str:
     said = level.quantity.clause and _in_clause(level)
     if said:
-        return _before(level.where) + level.quantity.clause.format(said)
+        return level.where.head + level.quantity.clause.format(said)
     name = level.quantity.name + (f", {level.where}" if level.where else "")
     return (
         f"{name}: {with_interval(level.estimate, level.quantity.form)}{_compared(level.comparison, level.quantity)}"
@@ -194,27 +167,17 @@ def ratio(difference: Difference) -> str | None:
     return with_interval(Estimate(1.0 + value, ends[0], ends[1]))
 
 
-class Cell(NamedTuple):
-    """A difference in a table: its size with its interval, and what that comes to where it is not plain."""
-
-    size: str
-    verdict: str = ""
-
-
-def difference_in_words(comparison: Comparison, verdict: Verdict, form: Form = Form.NUMBER) -> Cell:
-    """A difference as the cell of a table: "+0.9% (+0.6 to +1.3%)", "equal within 5%"."""
-    difference = comparison.difference
+def difference_in_words(difference: Difference, form: Form = Form.NUMBER) -> tuple[str, str]:
+    """A difference as the cell of a table, and what it comes to: "+0.9% (+0.6 to +1.3%)", "equal within 5%"."""
+    verdict, estimate = difference.verdict, difference.estimate
     if verdict is Verdict.SAME:
-        return Cell("none in any run")
-    value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
-    if value is None:
-        return Cell("unknown" if low is None or high is None else interval(difference, form))
+        return "none in any run", ""
+    if estimate.value is None:
+        return "unknown" if verdict is Verdict.UNJUDGED else interval(difference, form), ""
     text = _signed(difference, form)
     if verdict is Verdict.EQUAL:
-        return Cell(text, f"equal within {margin(difference, form)}")
-    if verdict is Verdict.OPEN_AMONG_MANY:
-        return Cell(text, "not significant among all comparisons")
-    return Cell(text)
+        return text, f"equal within {margin(difference, form)}"
+    return text, "not significant among all comparisons" * (verdict is Verdict.OPEN_AMONG_MANY)
 
 
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:
@@ -222,7 +185,8 @@ def size(difference: Difference, form: Form = Form.NUMBER) -> str:
     value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
     if value is not None and value < 0:
         value, low, high = -value, None if high is None else -high, None if low is None else -low
-    return _in_points(with_interval(Estimate(value, low, high), _form(difference, form)), difference, form)
+    unit = form_of(difference, form)
+    return with_interval(Estimate(value, low, high), unit) + _AFTER[unit]
 
 
 def interval(difference: Difference, form: Form = Form.NUMBER) -> str:
@@ -230,25 +194,30 @@ def interval(difference: Difference, form: Form = Form.NUMBER) -> str:
     low, high = difference.estimate.low, difference.estimate.high
     assert low is not None
     assert high is not None
-    return _in_points(span(low, high, _form(difference, form), sign=True), difference, form)
+    unit = form_of(difference, form)
+    return span(low, high, unit, sign=True) + _AFTER[unit]
 
 
 def margin(difference: Difference, form: Form = Form.NUMBER) -> str:
     """The margin of a difference."""
     assert difference.margin is not None
-    if _form(difference, form) is Form.SHARE:
-        return _in_points(f"{100 * difference.margin:g}%", difference, form)
+    match form_of(difference, form):
+        case Form.SHARE:
+            return f"{100 * difference.margin:g}%"
+        case Form.POINTS:
+            return f"{100 * difference.margin:g}{_AFTER[Form.POINTS]}"
     return f"{difference.margin:g}"
 
 
-def _form(difference: Difference, form: Form) -> Form:
-    return Form.SHARE if difference.scale is Scale.RELATIVE else form
+#: What follows a number and its interval.
+_AFTER = dict.fromkeys(Form, "") | {Form.POINTS: " percentage points"}
 
 
-def _in_points(text: str, difference: Difference, form: Form) -> str:
-    """A difference of two shares, in which per cent are percentage points."""
-    is_of_shares = difference.scale is Scale.ABSOLUTE and form is Form.SHARE
-    return text.replace("%", "") + " percentage points" if is_of_shares else text
+def form_of(difference: Difference, form: Form) -> Form:
+    """How a difference of a quantity is written: relative to another in per cent, of shares in percentage points."""
+    if difference.scale is Scale.RELATIVE:
+        return Form.SHARE
+    return Form.POINTS if form is Form.SHARE else form
 
 
 def _n_tests(difference: Difference) -> str:
@@ -258,7 +227,7 @@ def _n_tests(difference: Difference) -> str:
 
 def _change(change: Change) -> str:
     quantity, difference = change.quantity, change.difference
-    along = f"as {_along(change)}{_at(change.where)}"
+    along = f"as {_along(change)}{change.where.tail}"
     match difference.verdict:
         case Verdict.MORE:
             return f"{quantity.name} rises {_from_to(change)}, {_by(change)}, {along}"
@@ -279,12 +248,12 @@ def _change(change: Change) -> str:
 
 
 def _along(change: Change) -> str:
-    """What goes from where to where; keys that are swept together by themselves."""
-    together = [part.split(" with ") for part in (change.key, change.first, change.second)]
-    if len({len(part) for part in together}) > 1:
-        together = [[change.key], [change.first], [change.second]]
-    parts = [f"{key} goes from {first} to {second}" for key, first, second in zip(*together, strict=True)]
-    return listed([parts[0], *(part.replace(" goes", "", 1) for part in parts[1:])])
+    """What goes from where to where; of keys that are swept together, each."""
+    first, *others = change.keys
+    return listed([
+        f"{first.key} goes from {first.first} to {first.second}",
+        *(f"{key.key} from {key.first} to {key.second}" for key in others),
+    ])  # fmt: skip
 
 
 def _open(change: Change) -> str:
@@ -294,10 +263,8 @@ def _open(change: Change) -> str:
     levels = f"stays at {after}" if before == after else f"goes from {before} to {after}"
     value = difference.estimate.value
     assert value is not None
-    unit = _form(difference, form)
-    text = number(value, unit, decimals(difference.estimate, unit), sign=True).removesuffix("%")
-    if text.strip("0.+") == "":
-        text = text.lstrip("+")
+    unit = form_of(difference, form)
+    text = bare(value, unit, decimals(difference.estimate, unit), sign=True)
     return f"{levels} (change {text}, {interval(difference, form)}"
 
 
@@ -341,36 +308,35 @@ def _adding_up(before: float, after: float, change: float, places: int) -> tuple
 def _lifetime(lifetime: Lifetime) -> str:
     if lifetime.estimate.value is None:
         left = "all" if lifetime.share_left == 1.0 else f"{number(lifetime.share_left, Form.SHARE)} of"
-        at = ", ".join(filter(None, (f"t = {lifetime.horizon:g}", lifetime.where)))
-        return f"{left} {lifetime.things} {lifetime.predicate} at {at}"
+        at = Place.key("t", f"{lifetime.horizon:g}") + lifetime.where
+        return f"{left} {lifetime.things} {lifetime.predicate}{at.tail}"
     if lifetime.ended:
-        at = _at(lifetime.where)
-        is_method = at.startswith(",")  # alone: "exact"
-        begin = f"{lifetime.where}: " * is_method + f"half of the {lifetime.things}" + at * (not is_method)
+        where, half = lifetime.where, f"half of the {lifetime.things}"
+        begin = half + where.tail if where.has_key else where.head + half
         compared = _compared(lifetime.comparison, lifetime.quantity)
         return f"{begin} {lifetime.ended} by t = {with_interval(lifetime.estimate)}{compared}"
-    name = lifetime.quantity.name + _at(lifetime.where)
+    name = lifetime.quantity.name + lifetime.where.tail
     return f"{name}: {with_interval(lifetime.estimate)}{_compared(lifetime.comparison, lifetime.quantity)}"
 
 
 def _law(law: Law) -> str:
     level = law.parameter
     quantity = level.quantity
-    name = quantity.name.removesuffix(f" of {law.subject}")
-    parameter = f"a {name} of {with_interval(level.estimate, quantity.form)}{_compared(level.comparison, quantity)}"
+    name, value = law.called or quantity.name, with_interval(level.estimate, quantity.form)
+    parameter = f"a {name} of {value}{_compared(level.comparison, quantity)}"
     match law.fit:
         case Fit.HOLDS:
-            return f"{_before(level.where)}{law.subject} {law.predicate}, with {parameter}"
+            return f"{level.where.head}{law.subject} {law.predicate}, with {parameter}"
         case Fit.CLOSE:
             predicate = law.nearly or f"nearly {law.predicate}"
-            return f"{_before(level.where)}{law.subject} {predicate}, with {parameter}"
+            return f"{level.where.head}{law.subject} {predicate}, with {parameter}"
         case Fit.FAILS:
             p = "" if law.p_value is None else f"p \u2264 {limit(law.p_value)}"
             far = "" if law.departure is None else _level(law.departure)
             apart = "; ".join(filter(None, (far, p)))
-            return f"{_before(level.where)}{law.subject} do not {law.predicate}" + f" ({apart})" * bool(apart)
+            return f"{level.where.head}{law.subject} do not {law.predicate}" + f" ({apart})" * bool(apart)
         case Fit.OPEN:
-            return f"whether {law.subject}{_at(level.where)} {law.predicate} is open; {_level(level)}"
+            return f"whether {law.subject}{level.where.tail} {law.predicate} is open; {_level(level)}"
 
 
 def _parts(sum_of: Parts) -> str:
@@ -384,7 +350,7 @@ def _parts(sum_of: Parts) -> str:
     said.append(f"{last.quantity.name} {with_interval(last.estimate, form, sign=True)}")
     assert whole.estimate.value is not None
     return (
-        f"{whole.quantity.name}{_at(whole.where)}: {number(whole.estimate.value, form, places)}, from {listed(said)}"
+        f"{whole.quantity.name}{whole.where.tail}: {number(whole.estimate.value, form, places)}, from {listed(said)}"
     )
 
 
@@ -394,7 +360,7 @@ def _outcomes(outcomes: Outcomes) -> str:
     scope = f" in {outcomes.scope}" if outcomes.scope else ""
     said = []
     if outcomes.different and largest is not None and (apart := _larger(largest, other)):
-        said.append(f"{largest.where} gives {apart}")
+        said.append(f"{outcomes.at_largest} gives {apart}")
         if outcomes.others:
             said.append(f"{listed(outcomes.others)} also differ{'s' * (len(outcomes.others) == 1)}")
     elif outcomes.different:
@@ -417,23 +383,14 @@ def _larger(level: Level, other: str) -> str:
     """A difference that is shown as an object: "31% (20 to 41%) fewer slip onsets than exact"; else empty."""
     if level.comparison is None or level.comparison.difference.verdict not in (Verdict.MORE, Verdict.LESS):
         return ""
-    difference, name, things = level.comparison.difference, level.quantity.name, _things(level.quantity)
+    difference, name, things = level.comparison.difference, level.quantity.name, level.quantity.things
     is_more = difference.verdict is Verdict.MORE
     if (times := ratio(difference)) is not None:
         return f"{times} times as many {things} as {other}" if things else f"{times} times the {name} of {other}"
     by = size(difference, level.quantity.form)
     if things and difference.scale is Scale.RELATIVE:
         return f"{by} {'more' if is_more else 'fewer'} {things} than {other}"
-    side = "higher" if is_more else "lower"
-    if difference.scale is Scale.RELATIVE:
-        return f"{'an' if by.startswith('8') or by[:2] in ('11', '18') else 'a'} {by} {side} {name} than {other}"
-    return f"a {name} {by} {side} than {other}"
-
-
-def _things(quantity: Quantity) -> str:
-    """What a quantity is a rate or a mean number of; empty of any other."""
-    heads = [head for head in ("rate of ", "mean number of ") if quantity.name.startswith(head)]
-    return quantity.name.removeprefix(heads[0]) if heads else ""
+    return f"a {name} {by} {'higher' if is_more else 'lower'} than {other}"
 
 
 def _most_apart(level: Level) -> str:
@@ -451,7 +408,7 @@ def _most_apart(level: Level) -> str:
     is_one_of_many = difference.verdict is Verdict.OPEN_AMONG_MANY
     n = f", not significant among {_n_tests(difference)}" if is_one_of_many else ""
     if difference.scale is Scale.RELATIVE:
-        return f": {_things(level.quantity) or name} {_signed(difference, form)}{n}"
+        return f": {level.quantity.things or name} {_signed(difference, form)}{n}"
     places = 0 if form is Form.SHARE else decimals(Estimate(max(abs(after), abs(after - value))), form)
     ends = f"{name} {number(after, form, places)} against {number(after - value, form, places)}"
     if difference.verdict is Verdict.UNJUDGED:
@@ -461,16 +418,15 @@ def _most_apart(level: Level) -> str:
 
 def _signed(difference: Difference, form: Form) -> str:
     """A difference with its sign and interval."""
-    return _in_points(with_interval(difference.estimate, _form(difference, form), sign=True), difference, form)
+    unit = form_of(difference, form)
+    return with_interval(difference.estimate, unit, sign=True) + _AFTER[unit]
 
 
-def _regime(regime: Regime, things: str, is_first: bool) -> str:
-    """What things do at some settings; they are named once in a sentence."""
-    where, n, noun, each = regime.where, regime.n, f" {things}" * is_first, " each" * regime.is_each
-    first, *others = regime.predicates
+def _regime(regime: Regime) -> str:
+    head, things, (first, *others) = regime.where.head, regime.things, regime.predicates
     if others:
-        parts = [f"some{noun} {first}", *(f"some {predicate}" for predicate in others[:-1]), f"others {others[-1]}"]
-        return f"{where} {listed(parts)}"
-    if n < regime.of:
-        return f"{where} all {n:,} decided {things} (of {regime.of:,}{each}) {first}"
-    return f"{where} all {n:,}{noun}{each} {first}" if n > 1 else f"{where} {things} {first}"
+        some = [f"some {things} {first}", *(f"some {predicate}" for predicate in others[:-1])]
+        return f"{head}{listed([*some, f'others {others[-1]}'])}"
+    if regime.n < regime.of:
+        return f"{head}all {regime.n:,} decided {things} (of {regime.of:,}) {first}"
+    return f"{head}{f'all {regime.n:,} ' * (regime.n > 1)}{things} {first}"

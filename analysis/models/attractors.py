@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stickslip.sim.numerics.arguments import Floats
 
@@ -102,20 +101,3 @@ def _name(numbers: Sequence[tuple[str, int]], n: int) -> str:
             of = f" of block{'s' if len(blocks) > 1 else ''} {', '.join(map(str, blocks))}"
         parts.append(words[key] + of)
     return " and ".join(parts)
-
-
-def edges(values: Floats) -> Floats:
-    """Edges of cells around two or more rising values: midpoints, and as far beyond the ends."""
-    middle = (values[1:] + values[:-1]) / 2
-    return np.concatenate([[2 * values[0] - middle[0]], middle, [2 * values[-1] - middle[-1]]])
-
-
-def on_grid(points: Floats) -> tuple[Floats, Floats, NDArray[np.int64]] | None:
-    """Rising values along both axes, and which point is at each, shape (len(y), len(x)); None if they are no grid."""
-    x, column = np.unique(points[:, 0], return_inverse=True)
-    y, row = np.unique(points[:, 1], return_inverse=True)
-    if len(x) < 2 or len(y) < 2 or len(x) * len(y) != len(points):
-        return None
-    place = np.full((len(y), len(x)), -1, dtype=np.int64)
-    place[row, column] = np.arange(len(points))
-    return None if (place < 0).any() else (x, y, place)

@@ -15,18 +15,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from scipy import fft
 
 from stickslip.analysis.series.nulls import BlockSteps, in_order
 from stickslip.analysis.stats.estimates import Undefined
-from stickslip.sim.numerics.arguments import apart
 
-POWER, VARIANCE, FANO, PAIRS = "power", "variance", "fano", "pairs"
 SAMPLES = 4096  # of a window: periods above a thousandth of it are free of aliasing
 SEGMENTS = 2  # window over Welch's segment; segments have a Hann taper and overlap by half
-CHUNK = 256  # blocks whose samples are in memory at a time
+CHUNK = 16  # blocks whose samples are in memory, and in the processor's cache, at a time
+
+
+class Kind(StrEnum):
+    """What is measured."""
+
+    POWER = "power"  #: its mean over a band of periods
+    VARIANCE = "variance"  #: in time
+    FANO = "fano"  #: variance over mean of the number of exits in windows
+    PAIRS = "pairs"  #: number of pairs of exits close in time
 
 
 @dataclass(frozen=True)
@@ -35,18 +43,16 @@ class Part:
 
     Attributes
     ----------
-    kind : str
-        `POWER`, the mean over a band of periods; `VARIANCE` in time; `FANO`, the variance over the mean of the number
-        of exits in windows; `PAIRS`, the number of pairs of exits close in time.
-    upto : float, optional
+    kind : Kind
+    upto : float
         Longest period (`POWER`); length of the windows (`FANO`); largest gap of a pair (`PAIRS`).
-    above : float, optional
+    above : float
         Shortest period (`POWER`).
     """
 
-    kind: str
-    upto: float | None = None
-    above: float | None = None
+    kind: Kind
+    upto: float = 0.0
+    above: float = 0.0
 
 
 def measure(steps: BlockSteps, parts: Sequence[Part]) -> np.ndarray:
@@ -56,43 +62,36 @@ def measure(steps: BlockSteps, parts: Sequence[Part]) -> np.ndarray:
     ----------
     steps : BlockSteps
     parts : sequence of Part
-        Their periods must be within `periods(span)`.
+        Their periods are within `periods(span)`, and gaps and windows at most half the span.
 
     Raises
     ------
-    ValueError
-        If a period is longer than a segment or too short for the samples, or if a gap or a window is longer than half
-        of the run's window.
     Undefined
         If there are fewer than two exits.
     """
-    t, block = steps.exits()
+    t, block = steps.exits
     if len(t) < 2:
         raise Undefined("fewer than two exits")
-    reach = max((part.upto or 0.0 for part in parts if part.kind in (FANO, PAIRS)), default=0.0)
-    if 2 * reach > steps.span:
-        most, got = apart(steps.span / 2, reach)
-        raise ValueError(f"parts: expected gaps and windows of at most {most}, got {got}")
-    own = own_gaps(
-        t, block, steps.span, min(1.5 * reach, steps.span / 2)
-    )  # room for windows that are stretched to tile the span
     kinds = {part.kind for part in parts}
-    share = _share_stuck(steps) if kinds & {POWER, VARIANCE} else np.zeros(0)
-    spectra = _spectra(steps, share) if POWER in kinds else None
-    found = []
-    for part in parts:
-        if part.kind == POWER:
-            assert spectra is not None
-            found.append(_band(*spectra, *_checked(part, steps.span)))
-        elif part.kind == VARIANCE:
-            found.append(np.array([steps.window().time_variance(), np.sum(share * (1 - share))]))
-        elif part.kind == FANO:
-            k = n_windows(part.upto or steps.span, steps.span)
-            found.append(np.array([fano(t, steps.t_start, steps.t_stop, k), own.fano(k)]))
-        else:
-            tau = part.upto or 0.0
-            found.append(np.array([pairs(t, tau), own.pairs(tau)]))
-    return np.array(found)
+    reach = max((part.upto for part in parts if part.kind in (Kind.FANO, Kind.PAIRS)), default=0.0)
+    # with room for windows that are stretched to tile the span
+    own = own_gaps(t, block, steps.span, min(1.5 * reach, steps.span / 2))
+    share = _share_stuck(steps) if kinds & {Kind.POWER, Kind.VARIANCE} else np.zeros(0)
+    frequency, power = _spectra(steps, share) if Kind.POWER in kinds else (np.zeros(0), np.zeros((2, 0)))
+
+    def of(part: Part) -> tuple[float, float]:
+        match part.kind:
+            case Kind.POWER:
+                return _band(frequency, power, part.above, part.upto)
+            case Kind.VARIANCE:
+                return steps.window().time_variance(), float(np.sum(share * (1 - share)))
+            case Kind.FANO:
+                k = n_windows(part.upto, steps.span)
+                return fano(t, steps.t_start, steps.t_stop, k), own.fano(k)
+            case Kind.PAIRS:
+                return pairs(t, part.upto), own.pairs(part.upto)
+
+    return np.array([of(part) for part in parts])
 
 
 # ------------------------------------------------------------------------------------------ pairs and counts
@@ -159,16 +158,18 @@ def own_gaps(t: np.ndarray, block: np.ndarray, span: float, reach: float) -> Own
     """Gaps below `reach` between exits of the same block; `t` must be in order, and reach <= span / 2."""
     order = in_order(block)
     times, index, counts = t[order], block[order], np.bincount(block)
-    size, start = counts[index], (np.cumsum(counts) - counts)[index]
-    place = np.arange(len(times)) - start
-    gaps, lag = [np.zeros(0)], 1
-    while lag < counts.max(initial=0):
-        forward = (times[start + (place + lag) % size] - times) % span  # grows with the lag
-        near = (forward < reach) & (lag < size)
-        if not near.any():
+    first, size = (np.cumsum(counts) - counts)[index], counts[index]
+    gaps, at = [np.zeros(0)], np.arange(len(times))
+    for lag in range(1, counts.max(initial=0)):
+        following = at + lag
+        is_next_round = following >= first[at] + size[at]
+        following -= size[at] * is_next_round
+        forward = times[following] - times[at] + span * is_next_round  # grows with the lag
+        near = np.flatnonzero((forward < reach) & (lag < size[at]))
+        if not len(near):
             break
         gaps.append(forward[near])
-        lag += 1
+        at = at[near]
     return OwnGaps(counts, np.concatenate(gaps), span)
 
 
@@ -178,14 +179,6 @@ def own_gaps(t: np.ndarray, block: np.ndarray, span: float, reach: float) -> Own
 def periods(span: float) -> tuple[float, float]:
     """Shortest and longest period that the power of a window resolves."""
     return 4 * span / SAMPLES, span / SEGMENTS
-
-
-def _checked(part: Part, span: float) -> tuple[float, float]:
-    """The band of a part; ValueError if the window does not resolve it."""
-    shortest, longest = periods(span)
-    if part.above is None or part.upto is None or not shortest <= part.above < part.upto <= longest:
-        raise ValueError(f"parts: expected a band of periods within {shortest:g} and {longest:g}, got {part}")
-    return part.above, part.upto
 
 
 def _share_stuck(steps: BlockSteps) -> np.ndarray:
@@ -203,42 +196,42 @@ def _first_steps(steps: BlockSteps) -> np.ndarray:
 
 def _spectra(steps: BlockSteps, share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Frequencies, shape (m,), with the power of n_stick and the sum of the blocks' powers, shape (2, m)."""
-    dt = steps.span / SAMPLES
-    index, first = steps.block, _first_steps(steps)
-    place = np.minimum(np.ceil((steps.t - steps.t_start) / dt).astype(np.int64), SAMPLES)
+    dt, n_blocks, width = steps.span / SAMPLES, len(share), SAMPLES + 1
+    begins = (_first_steps(steps) < 0) - share
+    block, step = steps.block[steps.by_block], steps.step[steps.by_block]
+    place = np.minimum(np.ceil((steps.t - steps.t_start) / dt).astype(np.int64), SAMPLES)[steps.by_block]
     total, own = np.zeros(SAMPLES), np.zeros(SAMPLES // SEGMENTS // 2 + 1)
-    for begin in range(0, len(share), CHUNK):
-        some = slice(begin, begin + CHUNK)
-        inside = (index >= begin) & (index < begin + CHUNK)
-        shape = len(share[some]), SAMPLES + 1
-        at = (index[inside] - begin) * shape[1] + place[inside]
-        jumps = np.bincount(at, steps.step[inside].astype(np.float64), shape[0] * shape[1]).reshape(shape)
-        jumps[:, 0] += first[some] < 0
-        x = np.cumsum(jumps, axis=1)[:, :SAMPLES] - share[some, None]
+    for first in range(0, n_blocks, CHUNK):
+        last = min(first + CHUNK, n_blocks)
+        part = slice(*np.searchsorted(block, (first, last)))
+        cell = (block[part] - first) * width + place[part]
+        jumps = np.bincount(cell, step[part], (last - first) * width).reshape(-1, width)
+        jumps[:, 0] += begins[first:last]
+        x = np.cumsum(jumps, axis=1)[:, :SAMPLES]
         total += x.sum(axis=0)
-        own += _welch(x, dt).sum(axis=0)
-    return np.fft.rfftfreq(SAMPLES // SEGMENTS, dt), np.array([_welch(total[None], dt)[0], own])
+        own += _welch(x, dt)
+    return np.fft.rfftfreq(SAMPLES // SEGMENTS, dt), np.array([_welch(total[None], dt), own])
 
 
 def _welch(x: np.ndarray, dt: float) -> np.ndarray:
-    """One-sided power of each row of x, from which the mean over the whole window has been subtracted.
+    """One-sided power, added up over the rows of x, from which their means over the whole window are subtracted.
 
     Welch's method subtracts the mean of each segment instead, which would remove the slowest motion.
     """
     m = SAMPLES // SEGMENTS
     taper = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(m) / m)
     starts = range(0, SAMPLES - m + 1, m // 2)
-    power = np.zeros((len(x), m // 2 + 1))
+    power = np.zeros(m // 2 + 1)
     for k in starts:
-        found = fft.rfft(x[:, k : k + m] * taper)
-        power += found.real**2 + found.imag**2
+        parts = fft.rfft(x[:, k : k + m] * taper).view(np.float64)  # real and imaginary by turns
+        power += np.einsum("ij,ij->j", parts, parts).reshape(-1, 2).sum(axis=1)
     return power * (2 * dt / (len(starts) * np.sum(taper**2)))
 
 
-def _band(frequency: np.ndarray, spectra: np.ndarray, shortest: float, longest: float) -> np.ndarray:
+def _band(frequency: np.ndarray, spectra: np.ndarray, shortest: float, longest: float) -> tuple[float, float]:
     """Mean power between two periods by the trapezoidal rule, which works for bands with few frequencies or none."""
     low, high = 1 / longest, 1 / shortest
     inside = frequency[(frequency > low) & (frequency < high)]
     nodes = np.concatenate(([low], inside, [high]))
-    at = np.array([np.interp(nodes, frequency, one) for one in spectra])
-    return np.trapezoid(at, nodes, axis=1) / (high - low)
+    total, own = (np.trapezoid(np.interp(nodes, frequency, power), nodes) / (high - low) for power in spectra)
+    return float(total), float(own)

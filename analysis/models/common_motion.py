@@ -53,13 +53,14 @@ def periodogram(steps: BlockSteps, m: int) -> np.ndarray:
     It is one-sided, 2 |X(f)|^2 / span, and exact: computed from the times of the steps, without samples. The sum of
     the blocks' powers is the expectation of the power of n_stick under rotation.
     """
-    n_blocks = int(steps.block.max(initial=-1)) + 1
-    turn = np.exp(-2j * np.pi * (steps.t - steps.t_start) / steps.span)
-    net = np.bincount(steps.block, steps.step, n_blocks)
-    phase, found = steps.step.astype(np.complex128), np.empty((2, m))
+    order = steps.by_block
+    firsts = np.flatnonzero(np.diff(steps.block[order], prepend=-1))
+    turn = np.exp(-2j * np.pi * (steps.t[order] - steps.t_start) / steps.span)
+    phase, found = steps.step[order].astype(np.complex128), np.empty((2, m))
+    net = np.add.reduceat(phase, firsts)
     for k in range(m):
         phase *= turn
-        x = np.bincount(steps.block, phase.real, n_blocks) + 1j * np.bincount(steps.block, phase.imag, n_blocks) - net
+        x = np.add.reduceat(phase, firsts) - net
         found[:, k] = abs(x.sum()) ** 2, np.sum(x.real**2 + x.imag**2)
     return found * (2 / steps.span) * (steps.span / (2 * np.pi * np.arange(1, m + 1))) ** 2
 

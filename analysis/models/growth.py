@@ -44,9 +44,14 @@ class Growth:
     n_ceiling: int
 
     @property
+    def n_used(self) -> int:
+        """How many pairs stay in their linear range."""
+        return self.n_pairs - self.n_floor - self.n_ceiling
+
+    @property
     def is_selected(self) -> bool:
         """Whether so many pairs are dropped that the rate is that of a biased selection."""
-        return self.n_floor + self.n_ceiling > MOST_DROPPED * self.n_pairs
+        return self.n_pairs - self.n_used > MOST_DROPPED * self.n_pairs
 
 
 def growth(

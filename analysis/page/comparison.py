@@ -1,36 +1,34 @@
-"""Whether two datasets are the same: their statistics side by side, or one sentence if their runs are equal."""
+"""Whether two datasets are the same: their statistics side by side, or one sentence if their data are equal."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
-import numpy as np
-
-from stickslip.analysis.answer import Answer, B, I, Picture, Question, Row, S, frame
-from stickslip.analysis.contrast import CHANGES, Contrast, contrast, judged, sample, shares, statistics
+from stickslip.analysis.answer import Answer, Question, Table
+from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Data, Study
-from stickslip.analysis.findings.finding import Alike, Decided, Form, Lack, Quantity, Reason, Truth
-from stickslip.analysis.findings.words import capital, plural
+from stickslip.analysis.findings.finding import Alike, Decided, Form, Quantity, Truth
+from stickslip.analysis.findings.place import Place
+from stickslip.analysis.findings.words import capital, listed, plural
 from stickslip.analysis.groups import Group
-from stickslip.analysis.measures import KEYS, Measure, measures
+from stickslip.analysis.measures import ENDS, KEYS, Measure, measures, of_windows
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
-from stickslip.analysis.outcomes import Beside, Setting, forest, outcome, outcomes
+from stickslip.analysis.outcomes import forest, outcome, outcomes
 from stickslip.analysis.page import parts
 from stickslip.analysis.page.build import Report
-from stickslip.analysis.page.layout import Page, Section
+from stickslip.analysis.page.layout import Page
+from stickslip.analysis.page.layout import Table as PageTable
+from stickslip.analysis.rows import frame_of
 from stickslip.analysis.settings import AnalysisSettings
-from stickslip.pipeline.design.labels import apart
+from stickslip.analysis.steps import Kind, Setting, Step, few, judged_together, table_of
+from stickslip.pipeline.design.labels import Label, apart
+from stickslip.pipeline.design.values import text
 
 #: Keys that two settings must share: with another n or coupling, a statistic is not the same quantity.
 SHARED = ("n", "coupling")
-#: Columns that say what a member is, in addition to the numbers of draws that its name has.
-_IDENTITY = (*SYSTEM_KEYS, *ENGINE_KEYS, "seed", "z_start", "w_start", "twin_size", "perturbation_reading")
 MOST_NAMED = 3  # members without a partner
-_TABLE: Mapping[str, str] = {**CHANGES, "is_paired": B}
-_UNMATCHED = {"dataset": S, "setting": S, "members": I}
-_ALONE = {"dataset": S, "setting": S, "member_id": S}
 
 
 @dataclass(frozen=True)
@@ -59,20 +57,20 @@ class Ensemble:
     digest: str = ""
 
 
-@dataclass(frozen=True)
-class Match:
-    """Two settings to compare; `differs` maps each key in which they differ to both values."""
+class Match(NamedTuple):
+    """Two settings to compare; paired if both have the same units."""
 
     first: Group
     second: Group
-    differs: dict[str, tuple[Any, Any]]
     is_paired: bool
 
-    def alone(self, k: int) -> tuple[Group, list[str]]:
-        """One of the two, by its number, and its members without a partner, if partners are what is compared."""
-        mine, theirs = (self.first, self.second)[:: 1 - 2 * k]
-        lacks = ~mine.column("unit").isin(theirs.column("unit")) & self.is_paired
-        return mine, mine.column("member_id")[lacks].tolist()
+
+class Alone(NamedTuple):
+    """A member without a partner."""
+
+    dataset: str
+    setting: str
+    member_id: str
 
 
 def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Report:
@@ -83,187 +81,149 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     ValueError
         If they have no settings to compare, or an ensemble contradicts itself or the settings.
     """
-    if _is_same(first, second):
+    if first.digest and first.digest == second.digest:
         runs = Quantity("runs", f"runs that {first.name} and {second.name} both hold", Form.COUNT)
         same = Decided(Truth.YES, Alike(runs, len(first.data.table), "to the last digit"))
-        return _report(first, second, Answer(findings=[same]))
-    mine, theirs = (_study(each, settings, first.name) for each in (first, second))
-    matches, *left = matched(first.name, mine.groups, second.name, theirs.groups)
-    measured = _both(mine, theirs)
-    asked = [
-        *(measure.statistic for measure, _ in measured),
-        *statistics(mine.margins, mine.compared & theirs.compared),
-        *shares(),
-    ]
-    found: list[tuple[Match, Contrast]] = []
-    for match in matches:
-        pair = sample(match.first), sample(match.second)
-        for held, group, some in zip(pair, (match.first, match.second), zip(*measured, strict=True), strict=False):
-            held.sums.update({measure.name: measure.of(group).sums for measure in some})
-        found += [(match, contrast(each, *pair, match.is_paired, settings.confidence)) for each in asked]
-    together = judged([one for _, one in found], 1 - settings.confidence)
-    contrasts = [(match, one) for (match, _), one in zip(found, together, strict=True)]
-    rows = [
-        {"kind": "dataset", "setting": match.second.label, "reference": match.first.label,
-         "is_paired": match.is_paired, **one.row()}
-        for match, one in contrasts
-    ]  # fmt: skip
-    alone = [
-        {"dataset": which.name, "setting": group.label, "member_id": name}
-        for k, (which, some) in enumerate(zip((first, second), left, strict=True))
-        for group, names in [
-            *(match.alone(k) for match in matches),
-            *((one, one.column("member_id").tolist()) for one in some),
-        ]
-        for name in names
-    ]
-    unmatched = [
-        {"dataset": which.name, "setting": group.label, "members": len(group)}
-        for which, some in zip((first, second), left, strict=True)
-        for group in some
-    ]
-    tables = {
-        "compared": frame(_TABLE, rows), "unmatched": frame(_UNMATCHED, unmatched), "alone": frame(_ALONE, alone),
-    }  # fmt: skip
-    notes = _notes(first, second, settings, matches, unmatched, alone, noun(mine.unit))
-    return _report(first, second, _answer(first, second, contrasts, tables, noun(mine.unit)), notes)
-
-
-def _answer(
-    first: Ensemble,
-    second: Ensemble,
-    contrasts: Sequence[tuple[Match, Contrast]],
-    tables: Mapping[str, Any],
-    unit: str,
-) -> Answer:
-    """Whether two ensembles agree, and every statistic of each setting."""
-    known = [(match, one) for match, one in contrasts if one.is_known and not one.reason]
-    if not known:
-        what = f"whether {first.name} and {second.name} agree"
-        return Answer(findings=[Decided(Truth.UNDECIDED, Lack(what, Reason.FEW_UNITS))], tables=tables)
-    labels = [match.second.name for match, _ in known]
+        return _report(first, second, Answer(findings=[same]), [])
+    studies = [_study(ensemble, settings, first.name) for ensemble in (first, second)]
+    groups = [study.groups for study in studies]
+    matches = matched(first.name, groups[0], second.name, groups[1])
+    measured, unit = _both(*studies), noun(studies[0].unit)
+    labels = [match.second.name for match in matches]
     names = dict(zip(labels, apart(labels), strict=True))
-    placed: dict[Setting, list[Beside]] = {}
-    for match, one in known:
-        where = names[match.second.name]
-        said = f"{second.name} ({where})" if where else second.name
-        placed.setdefault(Setting(said), []).append(Beside(one, where))
-    if len({outcome([one.contrast for one in some]) for some in placed.values()}) == 1:  # no setting to tell apart
-        placed = {Setting(second.name): [one for some in placed.values() for one in some]}
-    grouped, *others = outcomes(first.name, placed, unit)
-    is_open = any(one.undecided for one in (grouped, *others))
-    truth = Truth.NO if grouped.different else Truth.UNDECIDED if is_open else Truth.YES
-    if truth is Truth.UNDECIDED:  # what is undecided is why
-        others, grouped = [grouped, *others[:-1]] if others else [], (others or [grouped])[-1]
-    every = [one for some in placed.values() for one in some]
-    levels = [one.contrast.level(one.where, first.name, unit) for one in every]
+    alone = [
+        step
+        for match in matches
+        for step in _steps(match, measured, second.name, names[match.second.name], settings.confidence)
+    ]
+    steps = judged_together(alone, 1 - settings.confidence)
+    lost = [row for k, ensemble in enumerate((first, second)) for row in _lost(ensemble.name, groups[k], k, matches)]
+    tables = {"changes": table_of(steps), "alone": frame_of(Alone, lost)}
+    notes = [*_of_matches(matches, unit), *_of_lost(lost), *_of_settings(first, second, settings)]
+    return _report(first, second, _answer(first.name, second.name, steps, tables, unit), notes)
+
+
+def _study(ensemble: Ensemble, settings: AnalysisSettings, whose: str) -> Study:
+    try:
+        return Study(ensemble.data, settings)
+    except ValueError as error:
+        raise ValueError(f"{ensemble.name}, under the settings of {whose}: {error}") from None
+
+
+def _both(first: Study, second: Study) -> list[tuple[Measure, Measure]]:
+    """What two studies both measure: what both record, all quantities of n_stick, and how runs end."""
+    theirs = {measure.name: measure for measure in measures(second, first) if measure.name not in KEYS}
+    recorded = [(mine, theirs[mine.name]) for mine in measures(first, second) if mine.name in theirs]
+    windows = [measure for measure in of_windows(first) if measure.key in second.compared]
+    return [*recorded, *((measure, measure) for measure in (*windows, *ENDS))]
+
+
+def _steps(
+    match: Match, measured: Sequence[tuple[Measure, Measure]], name: str, where: Label, confidence: float
+) -> Iterator[Step]:
+    """Each statistic of a setting beside that of its counterpart."""
+    setting = Setting(f"{name} ({where})" if where else name)
+    for mine, theirs in measured:
+        before, after = mine.of(match.first), theirs.of(match.second)
+        withheld = before.withheld or after.withheld
+        found = contrast(mine.statistic, before.sums, after.sums, match.is_paired, confidence, withheld=withheld)
+        labels = match.second.label, match.first.label
+        yield Step(Kind.DATASET, *labels, found, where=Place.of(where), name=setting)
+
+
+def _answer(first: str, second: str, steps: Sequence[Step], tables: Mapping[str, Table], unit: str) -> Answer:
+    """Whether two ensembles agree, and every statistic of each setting."""
+    known = [step for step in steps if step.contrast.is_known and not step.contrast.reason]
+    if not known:
+        lack = few(f"whether {first} and {second} agree", len(steps))
+        return Answer(findings=[Decided(Truth.UNDECIDED, lack)], tables=tables)
+    by_setting = {step.name: [other for other in known if other.name == step.name] for step in known}
+    grouped = known
+    if len({*map(outcome, by_setting.values())}) == 1:  # no setting to tell apart
+        grouped = [replace(step, name=Setting(second)) for step in known]
+    lead, *others = outcomes(first, grouped, unit, "setting")
+    is_open = any(finding.undecided for finding in (lead, *others))
+    truth = Truth.NO if lead.different else Truth.UNDECIDED if is_open else Truth.YES
+    if truth is Truth.UNDECIDED and others:  # what is undecided is why
+        others, lead = [lead, *others[:-1]], others[-1]
     return Answer(
-        findings=[Decided(truth, grouped), *others, *levels],
+        findings=[Decided(truth, lead), *others, *(step.level(first, unit) for step in known)],
         n_lead=1 + len(others),
         tables=tables,
-        figures=forest(every, f"Differences of {second.name} from {first.name}"),
+        figures=forest(known, f"Differences of {second} from {first}"),
         method=f"Verdicts are adjusted for {len(known)} comparisons (Holm), intervals are not.",
     )
 
 
-def _notes(
-    first: Ensemble, second: Ensemble, settings: AnalysisSettings, matches: Sequence[Match],
-    unmatched: Sequence[Row], alone: Sequence[Row], unit: str,
-) -> list[str]:  # fmt: skip
-    """What is compared with what, and what is left out."""
-    notes = []
-    for match in matches:
-        how = f"each {unit} is compared with itself" if match.is_paired else "the systems are drawn independently"
-        differs = ", ".join(f"{name} = {_short(a)} against {_short(b)}" for name, (a, b) in match.differs.items())
-        where = f"{match.first.label}: " if len(matches) > 1 else ""
-        notes.append(f"{where}{how}{f'; another setting: {differs}' if differs else ''}.")
-    notes += [
-        f"{row['setting']} of {row['dataset']} has no counterpart ({plural(row['members'], 'run')})."
-        for row in unmatched
-    ]
-    for which in (first, second):
-        lost = [str(row["member_id"]) for row in alone if row["dataset"] == which.name]
-        if lost:
-            has = "has" if len(lost) == 1 else "have"
-            shown = ", ".join(lost[:MOST_NAMED]) + (", ..." if len(lost) > MOST_NAMED else "")
-            notes.append(f"{plural(len(lost), 'member')} of {which.name} {has} no partner: {shown}.")
+def _lost(dataset: str, groups: Sequence[Group], k: int, matches: Sequence[Match]) -> Iterator[Alone]:
+    """The members of the first or second dataset without a partner, where partners are compared."""
+    for group in groups:
+        names = group.column("member_id")
+        for match in matches:
+            mine, theirs = (match.second, match.first) if k else (match.first, match.second)
+            if mine is group:
+                names = names[~group.column("unit").isin(theirs.column("unit")) & match.is_paired]
+        yield from (Alone(dataset, group.label, str(name)) for name in names)
+
+
+def _of_matches(matches: Sequence[Match], unit: str) -> Iterator[str]:
+    """What is compared with what, settings that are compared alike together."""
+    by_sentence: dict[str, list[str]] = {}
+    for first, second, is_paired in matches:
+        how = f"Each {unit} is compared with itself" if is_paired else "The systems are drawn independently"
+        differ = [
+            f"{name} = {text(first.key[name])} against {text(second.key[name])}" for name in _differ(first, second)
+        ]
+        other = f"; another setting: {', '.join(differ)}" if differ else ""
+        by_sentence.setdefault(how + other, []).append(first.label)
+    for sentence, labels in by_sentence.items():
+        yield f"{sentence}{f' ({listed(labels)})' if len(by_sentence) > 1 else ''}."
+
+
+def _of_lost(lost: Sequence[Alone]) -> Iterator[str]:
+    """Members without a partner, the first of each dataset by name."""
+    for dataset in dict.fromkeys(row.dataset for row in lost):
+        names = [row.member_id for row in lost if row.dataset == dataset]
+        shown = ", ".join(names[:MOST_NAMED]) + (", ..." if len(names) > MOST_NAMED else "")
+        has = "has" if len(names) == 1 else "have"
+        yield f"{plural(len(names), 'member')} of {dataset} {has} no partner: {shown}."
+
+
+def _of_settings(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Iterator[str]:
+    """Which of the settings of the analysis, all those of the first, differ from those of the second."""
     if first.t_burn != second.t_burn:
-        notes.append(f"t_burn = {first.t_burn:g} is that of {first.name}; {second.name} declares {second.t_burn:g}.")
+        yield f"t_burn = {first.t_burn:g} is that of {first.name}; {second.name} declares {second.t_burn:g}."
     others = sorted(name for name, margin in second.margins.items() if settings.margins.get(name, margin) != margin)
     if others:
-        notes.append(f"Margins are those of {first.name}; {second.name} declares others for {', '.join(others)}.")
-    return [capital(note) for note in notes]
+        yield f"Margins are those of {first.name}; {second.name} declares others for {', '.join(others)}."
 
 
-def _short(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _both(one: Study, other: Study) -> list[tuple[Measure, Measure]]:
-    """What two studies both measure, beyond n_stick, of which more is compared."""
-    theirs = {measure.name: measure for measure in measures(other, one)}
-    return [(mine, theirs[mine.name]) for mine in measures(one, other) if mine.name in {*theirs} - {*KEYS}]
-
-
-def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[str] = ()) -> Report:
+def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[str]) -> Report:
     title = f"{first.name} beside {second.name}"
-    pictures = {name: picture for name, picture in answer.figures.items() if isinstance(picture, Picture)}
-    figures = {name: parts.draw(picture.recipe, True) for name, picture in pictures.items()}
     entry = Question(lambda _: answer, title="Do two datasets agree?")
-    compared = parts.part(parts.answered("compare", entry, answer, figures))
-    origin = [
-        f"{which.name}: " + "".join(f"{name}: {value}. " for name, value in which.provenance.items())
-        for which in (first, second)
+    question = parts.answered("compare", entry, answer, with_pdf=True)
+    part = parts.part(question)
+    inside = part.section((), True, False)
+    origins = [
+        f"{ensemble.name}: " + "".join(f"{name}: {value}. " for name, value in ensemble.provenance.items())
+        for ensemble in (first, second)
     ]
-    made = Section(
-        "made",
-        "How was it made?",
-        f"{first.name} and {second.name}.",
-        [*compared.texts, *origin],
-        notes=compared.notes,
+    made = inside._replace(
+        key="made",
+        title="How was it made?",
+        summary=f"{first.name} and {second.name}.",
+        texts=[answer.method, *origins],
+        panels=(),
+        table=PageTable(),
     )
-    whole = Page(
-        title, compared.title, compared.lead, (), compared.panels, compared.table, notes=notes, sections=[made]
-    )
-    told = parts.findings_json(title, compared.lead, [compared])
-    return Report(whole.html, answer.tables, [*compared.lead], figures, findings=told)
+    capitals = [*map(capital, notes)]
+    page = Page(title, part.title, part.lead, (), part.panels, inside.table, notes=capitals, sections=[made])
+    findings = parts.findings_json(title, part.lead, [part])
+    return Report(page.html, answer.tables, part.lead, question.figures, findings)
 
 
-def _is_same(first: Ensemble, second: Ensemble) -> bool:
-    """Whether both hold the same runs, by the digests of their data or else by every change of n_stick.
-
-    What a member is must be the same too, as runs that stick throughout have no changes, and so must what records of
-    one name keep.
-    """
-    if first.digest and first.digest == second.digest:
-        return True
-    one, two = (each.data.members.set_index("member_id") for each in (first, second))
-    mine, theirs = first.data.recorded, second.data.recorded
-    if any(mine[name].values != theirs[name].values for name in mine.keys() & theirs.keys()):
-        return False
-    if set(one.index) != set(two.index):
-        return False
-    for name in (*_IDENTITY, "outcome"):
-        a, b = one[name].astype(object), two[name].reindex(one.index).astype(object)
-        if not ((a == b) | (a.isna() & b.isna())).all():
-            return False
-    return all(
-        all(np.array_equal(a, b) for a, b in zip(points, second.data.series[name], strict=True))
-        for name, points in first.data.series.items()
-    )
-
-
-def _study(one: Ensemble, settings: AnalysisSettings, whose: str) -> Study:
-    try:
-        return Study(one.data, settings)
-    except ValueError as error:
-        raise ValueError(f"{one.name}, under the settings of {whose}: {error}") from None
-
-
-def matched(
-    first: str, mine: Sequence[Group], second: str, theirs: Sequence[Group]
-) -> tuple[list[Match], list[Group], list[Group]]:
-    """Pairs of settings of two datasets, each matched with the one that differs in the fewest keys.
+def matched(first: str, mine: Sequence[Group], second: str, theirs: Sequence[Group]) -> list[Match]:
+    """Settings of two datasets, each matched with the one that differs in the fewest keys.
 
     They must share `SHARED`. Units are paired if both datasets drew the same ones: the same `seed`, coupling, n and
     matrix give the same random system up to the scales kappa and rho, and starts are the same for the same system.
@@ -275,50 +235,39 @@ def matched(
     mine, theirs : sequence of Group
         Groups of unchanged members.
 
-    Returns
-    -------
-    matches, left_first, left_second
-        The last two are the settings without a counterpart.
-
     Raises
     ------
     ValueError
         If no setting of one can be compared with one of the other.
     """
-    keys = (*SYSTEM_KEYS, *ENGINE_KEYS)
+    shared = [[tuple(group.key[name] for name in SHARED) for group in groups] for groups in (mine, theirs)]
     near = sorted(
-        (sum(a.key[name] != b.key[name] for name in keys), i, j)
-        for i, a in enumerate(mine)
-        for j, b in enumerate(theirs)
-        if all(a.key[name] == b.key[name] for name in SHARED)
+        (len(_differ(group, other)), i, j)
+        for i, group in enumerate(mine)
+        for j, other in enumerate(theirs)
+        if shared[0][i] == shared[1][j]
     )
     if not near:
-        has = ["; ".join(dict.fromkeys(_shared(group) for group in some)) for some in (mine, theirs)]
+        has = ["; ".join(f"n = {n}, coupling = {coupling}" for n, coupling in dict.fromkeys(keys)) for keys in shared]
         raise ValueError(
             f"{first} and {second}: expected settings that share {' and '.join(SHARED)}, got {has[0]} in "
             f"{first} and {has[1]} in {second}; run a scene with the same n and coupling to compare them"
         )
-    found: dict[int, int] = {}
+    matches: dict[int, int] = {}
     for _, i, j in near:
-        if i not in found and j not in found.values():
-            found[i] = j
-    matches = []
-    for i, j in sorted(found.items(), key=lambda pair: -mine[pair[0]].key["n"]):
-        a, b = mine[i], theirs[j]
-        differs = {name: (a.key[name], b.key[name]) for name in keys if a.key[name] != b.key[name]}
-        matches.append(Match(a, b, differs, _draws(a) == _draws(b)))
-    return (
-        matches,
-        [group for i, group in enumerate(mine) if i not in found],
-        [group for j, group in enumerate(theirs) if j not in found.values()],
-    )
+        if i not in matches and j not in matches.values():
+            matches[i] = j
+    pairs = [(mine[i], theirs[j]) for i, j in sorted(matches.items())]
+    pairs.sort(key=lambda pair: -pair[0].key["n"])
+    return [Match(group, other, _draws(group) == _draws(other)) for group, other in pairs]
 
 
-def _shared(group: Group) -> str:
-    return ", ".join(f"{name} = {group.key[name]}" for name in SHARED)
+def _differ(first: Group, second: Group) -> list[str]:
+    """The keys in which two groups differ."""
+    return [name for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if first.key[name] != second.key[name]]
 
 
 def _draws(group: Group) -> tuple[object, ...]:
     """What identifies the draws of a group's units: the seed and the kind of unit; for starts, the system too."""
-    of = set(group.column("matrix")) if group.unit == START else None
-    return {group.table.settings[k]["seed"] for k in group.column("setting").unique()}, group.unit, of
+    systems = set(group.column("matrix")) if group.unit == START else None
+    return {group.table.settings[k]["seed"] for k in group.column("setting").unique()}, group.unit, systems

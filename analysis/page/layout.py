@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cache
-from itertools import groupby
+from types import MappingProxyType
 from typing import NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from stickslip.analysis.findings.finding import Comparison, Difference, Record, Scale, Verdict
+from stickslip.analysis.findings.finding import Comparison, Form, Level
 from stickslip.analysis.findings.numbers import alike, signs, with_interval
-from stickslip.analysis.findings.words import difference_in_words, plural
+from stickslip.analysis.findings.words import based_on, difference_in_words, plural
 from stickslip.analysis.stats.estimates import Estimate
 
 MOST_ROWS = 24  # of a table on a page
@@ -26,18 +25,8 @@ class Panel(NamedTuple):
     caption: str
 
 
-@dataclass(frozen=True)
-class Table:
-    """A table of texts.
-
-    Attributes
-    ----------
-    head : sequence of str
-    rows : sequence of sequence of str
-    note : str
-        Where the rows are that it leaves out.
-    caption : str
-    """
+class Table(NamedTuple):
+    """A table of texts; `note` says where the rows are that it leaves out."""
 
     head: Sequence[str] = ()
     rows: Sequence[Sequence[str]] = ()
@@ -45,28 +34,20 @@ class Table:
     caption: str = ""
 
 
-@dataclass(frozen=True)
-class Section:
-    """A folded part of a page: its title, a line of what it says, and what is inside.
-
-    Attributes
-    ----------
-    tables : sequence of Table
-        Of data.
-    """
+class Section(NamedTuple):
+    """A folded part of a page: its title, a line of what it says, and what is inside; `tables` are of data."""
 
     key: str
     title: str
     summary: str = ""
     texts: Sequence[str] = ()
     panels: Sequence[Panel] = ()
-    table: Table = field(default_factory=Table)
+    table: Table = Table()
     notes: Sequence[str] = ()
     tables: Sequence[Table] = ()
 
 
-@dataclass(frozen=True)
-class Page:
+class Page(NamedTuple):
     """A page.
 
     Attributes
@@ -91,11 +72,11 @@ class Page:
     lead: Sequence[str] = ()
     stops: Sequence[str] = ()
     panels: Sequence[Panel] = ()
-    table: Table = field(default_factory=Table)
+    table: Table = Table()
     alerts: Sequence[str] = ()
     notes: Sequence[str] = ()
     sections: Sequence[Section] = ()
-    meta: Mapping[str, str] = field(default_factory=dict)
+    meta: Mapping[str, str] = MappingProxyType({})
     paragraph: str = ""
 
     @property
@@ -121,60 +102,51 @@ def prepare() -> None:
     _template()
 
 
-def findings_table(records: Sequence[Record], where: str = "", most: int = MOST_ROWS) -> Table:
+def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_ROWS) -> Table:
     """The table of some findings; columns that hold nothing are left out, and so is a column of one quantity.
 
     Parameters
     ----------
-    records : sequence of Record
+    levels : sequence of Level
     where : str
         The name of the file with all of them; empty if the others are shown elsewhere.
     most : int
         Rows that are shown.
     """
-    shown = [record for record in records if record.estimate is not None or record.high is not None]
-    places = {name: alike(map(_estimate, rows), rows[0].form) for name, rows in _by_quantity(shown).items()}
+    levels = [level for level in levels if level.estimate.value is not None or level.estimate.high is not None]
+    estimates: dict[str, list[Estimate]] = {}
+    for level in levels:
+        estimates.setdefault(level.quantity.name, []).append(level.estimate)
     cells = [
         {
-            "what": record.quantity,
-            "where": signs(record.setting),
-            "estimate": _level(record, places[record.quantity]),
-            "compared with": signs(record.compared_with),
-            "difference": _difference(record),
-            "from": "" if record.n is None else _unbroken(plural(record.n, record.unit)),
+            "what": level.quantity.name,
+            "where": signs(str(level.where)),
+            "estimate": _estimate(level, estimates[level.quantity.name]),
+            "compared with": signs(level.comparison.other) if level.comparison is not None else "",
+            "difference": _difference(level.comparison, level.quantity.form) if level.comparison is not None else "",
+            "from": _unbroken(based_on(level.basis)),
         }
-        for record in shown[:most]
+        for level in levels[:most]
     ]
     head = [name for name in (cells[0] if cells else ()) if any(cell[name] for cell in cells)]
     if len(cells) > 1 and len({cell["what"] for cell in cells}) == 1 and "where" in head:
         head.remove("what")
-    n_more = len(shown) - most
+    n_more = len(levels) - most
     note = f"{plural(n_more, 'more row')} in {where}." if n_more > 0 and where else ""
     return Table(head, [[cell[name] for name in head] for cell in cells], note)
 
 
-def _by_quantity(records: Sequence[Record]) -> dict[str, list[Record]]:
-    in_order = sorted(records, key=lambda record: record.quantity)
-    return {name: [*rows] for name, rows in groupby(in_order, key=lambda record: record.quantity)}
+def _estimate(level: Level, estimates: Sequence[Estimate]) -> str:
+    """With as many decimals as others of its quantity."""
+    form = level.quantity.form
+    return _unbroken(with_interval(level.estimate, form, alike(estimates, form)))
 
 
-def _estimate(record: Record) -> Estimate:
-    return Estimate(record.estimate, record.low, record.high)
-
-
-def _level(record: Record, digits: int) -> str:
-    return _unbroken(with_interval(_estimate(record), record.form, digits))
+def _difference(comparison: Comparison, form: Form) -> str:
+    size, verdict = difference_in_words(comparison.difference, form)
+    return f"{_unbroken(size)}, {verdict}" if verdict else _unbroken(size)
 
 
 def _unbroken(text: str) -> str:
     """A text that is broken only before a bracket."""
     return text.replace(" ", "\u00a0").replace("\u00a0(", " (")
-
-
-def _difference(record: Record) -> str:
-    if not record.compared_with:
-        return ""
-    value = Estimate(record.difference, record.difference_low, record.difference_high)
-    difference = Difference(value, Scale(record.scale), record.margin)
-    said = difference_in_words(Comparison(record.compared_with, difference), Verdict(record.verdict), record.form)
-    return ", ".join([_unbroken(said.size), *filter(None, [said.verdict])])

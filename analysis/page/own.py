@@ -6,7 +6,6 @@ Only for a process in which the user's code may run: drawing calls it.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from enum import Enum
@@ -22,15 +21,15 @@ from matplotlib.figure import Figure
 from stickslip.analysis.answer import Answer, Picture
 from stickslip.analysis.findings.alerts import Alert
 from stickslip.analysis.findings.finding import Finding, Lifetime
-from stickslip.analysis.findings.numbers import signs
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.page.build import MOST_SAID
-from stickslip.analysis.page.parts import Answered, Drawn, answered, draw
+from stickslip.analysis.page.parts import Answered, Drawn, draw
 from stickslip.analysis.questions import of_function
 from stickslip.analysis.stats.estimates import Estimate
 
-_NAME = re.compile(r"\w+")
 _LONGEST_NAME = 40  # of a figure or a table: it is part of a file's
-_NO_XML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
+#: Characters that no XML may hold, for `str.translate`.
+_NO_XML = dict.fromkeys({*range(0x20), *range(0xD800, 0xE000), 0xFFFE, 0xFFFF} - {*b"\t\n\r"})
 _EXAMPLE = 'return Answer(findings=[Level(Quantity("length", "mean length"), estimate)])'
 _LACKING = 'Answer(findings=[Lack("the mean length", Reason.NOT_RECORDED)])'
 
@@ -67,17 +66,20 @@ def own_answer(
         If it returned no answer, or one that cannot be shown.
     """
     answer = _checked(returned)
-    drawn, undrawn = _kept(answer.figures, partial(_drawn, with_pdf=with_pdf), told, "a Picture(recipe, caption)")
+    figures, undrawn = _kept(answer.figures, partial(_drawn, with_pdf=with_pdf), told, "a Picture(recipe, caption)")
     tables, unreadable = _kept(answer.tables, _plain, told, "a pandas.DataFrame")
     missing = [f"figures[{name!r}]: {why}" for name, why in undrawn.items()]
     missing += [f"tables[{name!r}]: {why}" for name, why in unreadable.items()]
-    prefix = re.sub(r"\W", "-", key)  # which no question of ours has
-    figures = {f"{prefix}-{name}": answer.figures[name] for name in drawn}
-    whole = replace(answer, figures=figures, tables={f"{prefix}-{name}": table for name, table in tables.items()})
+    prefix = key.replace(":", "-").replace(".", "-")  # which no question of ours has
     question = of_function(function)
-    titled = replace(question, title=_line(question.title), method=_line(question.method))
-    named = {f"{prefix}-{name}": figure for name, figure in drawn.items()}
-    return replace(answered(key, titled, whole, named), missing=tuple(missing))
+    answer = replace(
+        answer,
+        method=answer.method or _line(question.method),
+        tables={f"{prefix}-{name}": table for name, table in tables.items()},
+        figures={},
+    )
+    named = {f"{prefix}-{name}": drawn for name, drawn in figures.items()}
+    return Answered(key, _line(question.title), answer, named, missing=tuple(missing))
 
 
 def _kept(
@@ -95,7 +97,7 @@ def _kept(
 
 def _line(text: str) -> str:
     """A text in one line, without what a terminal obeys, or no file may hold."""
-    return signs("".join(c for c in " ".join(text.split()) if c.isprintable()))
+    return "".join(" " if c.isspace() else c for c in text if c.isspace() or c.isprintable())
 
 
 def _kind(value: object) -> str:
@@ -141,7 +143,7 @@ def _check_names(name: str, given: object) -> None:
     if not isinstance(given, Mapping):
         raise OwnError(f"{name}: expected a dictionary, got {_kind(given)}")
     for key in given:
-        if not isinstance(key, str) or not _NAME.fullmatch(key):
+        if not isinstance(key, str) or not f"_{key}".isidentifier():
             raise OwnError(f"{name}: expected names of letters, digits and underscores, got {key!r:.100}; rename it")
         if len(key) > _LONGEST_NAME:
             raise OwnError(f"{name}: expected names of at most {_LONGEST_NAME} letters, got {key:.100}; shorten it")
@@ -163,6 +165,8 @@ def _text_or_number(value: Any) -> Any:
 
 def _valid(value: Any, hint: Any, name: str) -> Any:
     """A value of a type, or of a dataclass of such, with clean texts and finite numbers."""
+    if hint is Place and isinstance(value, str):
+        return Place.words(_line(value))
     kinds = [kind for kind in get_args(hint) or (hint,) if kind is not NoneType]
     if get_origin(hint) is tuple:
         if not isinstance(value, list | tuple):
@@ -213,7 +217,7 @@ def _drawn(picture: object, with_pdf: bool) -> Drawn:
         return got
 
     drawn = draw(figure, with_pdf)
-    return replace(drawn, svg=_NO_XML.sub("", drawn.svg))
+    return replace(drawn, svg=drawn.svg.translate(_NO_XML), caption=picture.caption)
 
 
 def _plain(table: object) -> pd.DataFrame:

@@ -3,37 +3,37 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import pandas as pd
 from matplotlib.figure import Figure
 
-from stickslip.analysis.answer import Answer, Question, Recipe, Table
+from stickslip.analysis.answer import Answer, Question, Recipe
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.alerts import Alert
-from stickslip.analysis.findings.finding import Finding, Lack, Record
-from stickslip.analysis.findings.finding import records as finding_records
+from stickslip.analysis.findings.finding import Basis, Lack, Level, levels
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.page import FINDINGS
 from stickslip.analysis.page.data import data_table
-from stickslip.analysis.page.layout import MOST_FIRST, Panel, Section, findings_table
-from stickslip.analysis.page.layout import Table as PageTable
+from stickslip.analysis.page.layout import MOST_FIRST, Panel, Section, Table, findings_table
 from stickslip.analysis.questions import question
+from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import pdf, svg
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """A drawn figure: the contents of its files in a report; as PDF if it was asked for."""
+    """A drawn figure: the contents of its files in a report, as PDF if it was asked for, and its caption."""
 
     svg: str
     pdf: bytes | None = None
+    caption: str = ""
 
-    def address(self) -> str:
-        """Data URL of the SVG, for an image inside the page; with inline SVGs, ids of two figures would clash."""
-        return f"data:image/svg+xml;base64,{base64.b64encode(self.svg.encode()).decode('ascii')}"
+    @property
+    def panel(self) -> Panel:
+        """With the SVG as a data URL, for an image inside the page: of two inline SVGs, ids would clash."""
+        return Panel(f"data:image/svg+xml;base64,{base64.b64encode(self.svg.encode()).decode('ascii')}", self.caption)
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,10 @@ class Answered:
 
     Attributes
     ----------
+    key, title : str
+    answer : Answer
+        Without figures.
+    figures : mapping of str to Drawn
     sources : mapping of str to str
         The files of a user's own question, and the sha256 of each.
     problem : str
@@ -51,15 +55,9 @@ class Answered:
     """
 
     key: str
-    tables: Mapping[str, Table] = field(default_factory=dict)
-    figures: Mapping[str, Drawn] = field(default_factory=dict)
-    findings: Sequence[Finding] = ()
-    n_lead: int = 1
-    alerts: Sequence[Alert] = ()
-    method: str = ""
-    paragraph: str = ""
-    captions: Mapping[str, str] = field(default_factory=dict)
     title: str = ""
+    answer: Answer = field(default_factory=Answer)
+    figures: Mapping[str, Drawn] = field(default_factory=dict)
     sources: Mapping[str, str] = field(default_factory=dict)
     problem: str = ""
     missing: tuple[str, ...] = ()
@@ -69,19 +67,16 @@ def ask(study: Study, key: str, with_pdf: bool = False) -> Answered | None:
     """Answer to a question of this package; None if such data do not raise it, as one block has no cascades."""
     entry = question(key)
     answer = entry.answer(study) if entry.is_asked_of(study) else None
-    if answer is None:
-        return None
-    figures = {name: draw(picture.recipe, with_pdf) for name, picture in answer.figures.items()}
-    return answered(key, entry, answer, figures)
+    return None if answer is None else answered(key, entry, answer, with_pdf)
 
 
-def answered(key: str, entry: Question, answer: Answer, figures: Mapping[str, Drawn]) -> Answered:
+def answered(key: str, entry: Question, answer: Answer, with_pdf: bool) -> Answered:
     """An answer to a question, with its figures drawn."""
-    captions = {name: picture.caption for name, picture in answer.figures.items()}
-    return Answered(
-        key, answer.tables, figures, answer.findings, answer.n_lead, answer.alerts,
-        answer.method or entry.method, answer.paragraph, captions, entry.title,
-    )  # fmt: skip
+    figures = {
+        name: replace(draw(picture.recipe, with_pdf), caption=picture.caption)
+        for name, picture in answer.figures.items()
+    }
+    return Answered(key, entry.title, replace(answer, method=answer.method or entry.method, figures={}), figures)
 
 
 def draw(recipe: Recipe | Figure, with_pdf: bool) -> Drawn:
@@ -90,93 +85,128 @@ def draw(recipe: Recipe | Figure, with_pdf: bool) -> Drawn:
     return Drawn(svg(figure), pdf(figure) if with_pdf else None)
 
 
-@dataclass(frozen=True)
-class Part:
-    """An answer as a page has it.
-
-    Attributes
-    ----------
-    lead : sequence of str
-        Its sentences, the first of which is the answer, or why there is none.
-    is_lack : bool
-        Whether there is none.
-    head, table : Table
-        Of the first findings, for the first screen, and of all.
-    tables : sequence of Table
-        Data that are for readers.
-    """
+class Part(NamedTuple):
+    """An answer as a page has it: its findings as sentences, and as rows of a table."""
 
     key: str
     title: str
-    lead: Sequence[str]
-    is_lack: bool
-    findings: Sequence[Finding]
-    alerts: Sequence[Alert]
+    answer: Answer
     panels: Sequence[Panel]
-    head: PageTable
-    table: PageTable
-    tables: Sequence[PageTable]
-    texts: Sequence[str]
-    notes: Sequence[str]
-    paragraph: str = ""
+    sentences: Sequence[str]
+    rows: Sequence[Level]
+
+    @property
+    def lead(self) -> Sequence[str]:
+        """Its first sentences: the answer, or why there is none."""
+        return self.sentences[: max(self.answer.n_lead, 1)]
+
+    @property
+    def is_lack(self) -> bool:
+        """Whether there is no answer."""
+        return all(isinstance(finding, Lack) for finding in self.answer.findings)
+
+    @property
+    def head(self) -> Table:
+        """The first rows, for the first screen."""
+        return findings_table(self.rows, most=MOST_FIRST)
 
     def section(self, on_first: Sequence[Panel], is_said: bool, is_shown: bool) -> Section:
         """Folded, without what the first screen says and shows."""
+        answer, table, tables = self.answer, findings_table(self.rows, FINDINGS), self.answer.tables
+        files = ", ".join(f"report/{name}.parquet" for name in tables)
+        is_for_readers = ":" in self.key  # a question beside a scene
         return Section(
             self.key,
             self.title,
             "" if is_said else self.lead[0],
-            self.texts if is_shown else [self.paragraph, *self.texts],
+            [answer.method] if is_shown else [answer.paragraph, answer.method],
             [panel for panel in self.panels if panel not in on_first],
-            PageTable() if is_shown and len(self.head.rows) == len(self.table.rows) else self.table,
-            self.notes,
-            self.tables,
+            Table() if is_shown and len(table.rows) <= MOST_FIRST else table,
+            [f"Tables: {files}."] if files else [],
+            [
+                data_table(name, table)
+                for name, table in tables.items()
+                if is_for_readers and isinstance(table, pd.DataFrame)
+            ],
         )
 
 
-def part(answer: Answered) -> Part:
+def part(question: Answered) -> Part:
     """An answer as a page has it."""
-    files = [f"report/{name}.parquet" for name in answer.tables]
-    rows = [*dict.fromkeys(row for finding in answer.findings for row in finding_records(finding))]
+    findings = question.answer.findings
     return Part(
-        answer.key,
-        answer.title,
-        [sentence(finding) for finding in answer.findings[: max(answer.n_lead, 1)]],
-        all(isinstance(finding, Lack) for finding in answer.findings),
-        answer.findings,
-        answer.alerts,
-        [Panel(drawn.address(), answer.captions[name]) for name, drawn in answer.figures.items()],
-        findings_table(rows, most=MOST_FIRST),
-        findings_table(rows, FINDINGS),
-        [data_table(*table) for table in _data(answer)],
-        [answer.method],
-        [f"Tables: {', '.join(files)}."] if files else [],
-        answer.paragraph,
+        question.key,
+        question.title,
+        question.answer,
+        [drawn.panel for drawn in question.figures.values()],
+        [sentence(finding) for finding in findings],
+        [*dict.fromkeys(row for finding in findings for row in levels(finding))],
     )
 
 
-def _data(answer: Answered) -> Iterator[tuple[str, pd.DataFrame]]:
-    """The tables of a question beside a scene, which are for readers."""
-    for name, table in answer.tables.items():
-        if ":" in answer.key and isinstance(table, pd.DataFrame):
-            yield name, table
+class Said(NamedTuple):
+    """A finding in `report/findings.json`: who asks, whether it stands on the first screen, and its words."""
+
+    question: str
+    leads: bool
+    sentence: str
 
 
-def findings_json(title: str, lead: Sequence[str], parts: Sequence[Part]) -> dict[str, Any]:
+class Row(NamedTuple):
+    """A value of a finding in `report/findings.json`: what is missing is None, or empty where it is a text."""
+
+    quantity: str
+    setting: str
+    estimate: float | None
+    low: float | None
+    high: float | None
+    compared_with: str
+    difference: float | None
+    difference_low: float | None
+    difference_high: float | None
+    scale: str
+    margin: float | None
+    verdict: str
+    n: int | None
+    unit: str
+    form: str
+
+
+def row(level: Level) -> Row:
+    """The value of a quantity as a row."""
+    estimate, comparison, basis = level.estimate, level.comparison, level.basis or Basis(0, "")
+    difference = None if comparison is None else comparison.difference
+    apart = Estimate() if difference is None else difference.estimate
+    return Row(
+        level.quantity.name,
+        str(level.where),
+        estimate.value,
+        estimate.low,
+        estimate.high,
+        "" if comparison is None else comparison.other,
+        apart.value,
+        apart.low,
+        apart.high,
+        "" if difference is None else difference.scale.value,
+        None if difference is None else difference.margin,
+        "" if difference is None else difference.verdict.value,
+        basis.n or None,
+        basis.unit,
+        level.quantity.form.value,
+    )
+
+
+def findings_json(title: str, lead: Sequence[str], parts: Sequence[Part]) -> dict[str, object]:
     """What the page says, all of it; `lead` are the sentences of the first screen."""
-    rows = [
-        {"question": part.key, "leads": k < len(part.lead) and part.lead[k] in lead, "kind": type(finding).__name__,
-         "sentence": sentence(finding), "rows": [_row(row) for row in finding_records(finding)]}
+    findings = [
+        Said(part.key, k < len(part.lead) and said in lead, said)._asdict()
+        | {"kind": type(finding).__name__, "rows": [row(level)._asdict() for level in levels(finding)]}
         for part in parts
-        for k, finding in enumerate(part.findings)
-    ]  # fmt: skip
+        for k, (said, finding) in enumerate(zip(part.sentences, part.answer.findings, strict=True))
+    ]
     alerts = [
         {"question": part.key, "code": alert.code.name, "words": str(alert), **dict(alert.numbers)}
         for part in parts
-        for alert in part.alerts
+        for alert in part.answer.alerts
     ]
-    return {"title": title, "findings": rows, "alerts": alerts}
-
-
-def _row(record: Record) -> dict[str, Any]:
-    return record._asdict() | {"form": record.form.value}
+    return {"title": title, "findings": findings, "alerts": alerts}

@@ -260,22 +260,6 @@ def spans(win: Window) -> Spans:
     return Spans(path[start] - path[stop], win.t[start], win.t[stop - 1])
 
 
-def moments(steps: np.ndarray, least: int = 1) -> np.ndarray:
-    """Number, sum and sum of squares of the sizes by `events` from a least one on, which counts as 1; shape (3,).
-
-    Parameters
-    ----------
-    steps : ndarray of int, shape (m,)
-        The changes of n_stick, none of them zero.
-    least : int, optional
-    """
-    path = np.concatenate(([0], np.cumsum(steps)))
-    start, stop = falls(path)
-    size = path[start] - path[stop] - (least - 1)
-    size = size[size > 0]
-    return np.array([len(size), size.sum(), size @ size], dtype=np.float64)
-
-
 def sums(steps: np.ndarray, dt: float | None = None) -> dict[Law, np.ndarray]:
     """Total size and number of the complete cascades by law: the two columns that `estimates.gamma` takes.
 
@@ -287,31 +271,25 @@ def sums(steps: np.ndarray, dt: float | None = None) -> dict[Law, np.ndarray]:
         Change of n_stick in each step of dt. Without dt, each change, and the only law is `events`.
     dt : float, optional
     """
-    at = np.flatnonzero(steps != 0)  # faster on truth values than on numbers
-    moved = steps[at]
-    rises = np.flatnonzero(moved > 0)
-    pausing = _sums(moved[rises[0] : rises[-1] + 1]) if len(rises) else np.zeros(3)
+    moved = _falls(steps[np.flatnonzero(steps != 0)])  # faster than by truth values
     if dt is None:
-        return {EVENTS: pausing[[0, 2]]}
-    falling, fall = steps < 0, np.zeros(3)
-    if not falling.all():
-        first, last = np.searchsorted(at, (np.argmin(falling), len(steps) - np.argmin(falling[::-1])))
-        fall = _sums(moved[first:last], at[first:last])
+        return {EVENTS: moved[[0, 2]]}
+    held = _falls(steps)
     return {
-        Law("drop", dt): fall[[0, 2]], Law("length", dt): fall[[1, 2]],
-        Law("descent", dt): pausing[[0, 2]], Law("decreases", dt): pausing[[1, 2]],
-    }  # fmt: skip
+        Law("drop", dt): held[[0, 2]],
+        Law("length", dt): held[[1, 2]],
+        Law("descent", dt): moved[[0, 2]],
+        Law("decreases", dt): moved[[1, 2]],
+    }
 
 
-def _sums(moved: np.ndarray, at: np.ndarray | None = None) -> np.ndarray:
-    """Total depth, total number of steps and number of the falls in a series of changes, shape (3,).
-
-    With `at`, the number of the step of each change, a fall ends where steps without change lie between two changes.
-    """
-    falling = moved < 0
-    goes_on = falling[1:] & falling[:-1]
-    if at is not None:
-        goes_on &= at[1:] == at[:-1] + 1
+def _falls(steps: np.ndarray) -> np.ndarray:
+    """Total depth, total number of steps and number of the complete falls in a series of steps, shape (3,)."""
+    falling = steps < 0
+    if falling.all():
+        return np.zeros(3)
+    first, last = np.argmin(falling), len(steps) - np.argmin(falling[::-1])
+    falling = falling[first:last]
     n_steps = np.count_nonzero(falling)
-    depth = -np.minimum(moved, 0).sum()
-    return np.array([depth, n_steps, n_steps - np.count_nonzero(goes_on)], dtype=np.float64)
+    n_joined = np.count_nonzero(falling[1:] & falling[:-1])
+    return np.array([-np.minimum(steps[first:last], 0).sum(), n_steps, n_steps - n_joined], dtype=np.float64)

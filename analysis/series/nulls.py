@@ -18,19 +18,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
 from stickslip.analysis.series import cascades
-from stickslip.analysis.series.cascades import Law, Window
+from stickslip.analysis.series.cascades import EVENTS, Law, Window
 
 #: Largest number of rotations of a run. They scatter as the run does, so d of them add a share of 1 / d to the
 #: variance of a difference from chance: 10 widen intervals by 5%. The intervals include this, as each matrix is
 #: compared with its own rotations.
 DRAWS = 10
 _PLACES = 2**31  # in a window, of the events of a surrogate
-Sums = dict[Law, np.ndarray]  # total size and number of cascades, the two columns that `estimates.gamma` takes
 
 
 @dataclass(frozen=True)
@@ -57,18 +55,26 @@ class BlockSteps:
         return self.t_stop - self.t_start
 
     @cached_property
-    def phases(self) -> np.ndarray:
-        """Places of the events in the window as whole numbers, uint32, shape (m,), which wrap around with it.
+    def phases(self) -> tuple[np.ndarray, np.ndarray]:
+        """Number of events of each block; and, block by block, their places in the window, uint32, shape (m,).
 
-        The last bit is one for an exit, the others count units of span / 2^31.
+        Places are whole numbers, which wrap around with the window: the last bit is one for an exit, the others count
+        units of span / 2^31.
         """
         places = ((self.t - self.t_start) * (_PLACES / self.span)).astype(np.uint32) << np.uint32(1)
-        return places | (self.step < 0)
+        places |= self.step < 0
+        return np.bincount(self.block), places[self.by_block]
 
+    @cached_property
+    def by_block(self) -> np.ndarray:
+        """Places of the events, block by block and each in order of time."""
+        return in_order(self.block)
+
+    @cached_property
     def exits(self) -> tuple[np.ndarray, np.ndarray]:
         """Times and blocks of the exits."""
-        is_exit = self.step < 0
-        return self.t[is_exit], self.block[is_exit]
+        places = np.flatnonzero(self.step < 0)
+        return self.t[places], self.block[places]
 
     def window(self) -> Window:
         """The changes as a window of n_stick, whose level is not known and set to zero."""
@@ -128,50 +134,63 @@ def rotated(steps: BlockSteps, rng: np.random.Generator) -> tuple[np.ndarray, np
 
     Returns
     -------
-    t, step : ndarray, shape (m,)
-        Times since t_start, in order, and changes of n_stick.
+    t : ndarray, shape (m,)
+        Times since t_start, in order.
+    is_exit : ndarray of bool, shape (m,)
     """
-    n_blocks = int(steps.block.max()) + 1 if len(steps.block) else 0
-    shift = rng.integers(_PLACES, size=n_blocks, dtype=np.uint32) << np.uint32(1)
-    places = steps.phases + shift[steps.block]  # a sum beyond 32 bits begins again at zero
+    places = _rotated(steps, rng)
+    return (places >> np.uint32(1)) * (steps.span / _PLACES), (places & np.uint32(1)).astype(bool)
+
+
+def _rotated(steps: BlockSteps, rng: np.random.Generator) -> np.ndarray:
+    """`BlockSteps.phases` of a surrogate, in order of time."""
+    counts, phases = steps.phases
+    shift = rng.integers(_PLACES, size=len(counts), dtype=np.uint32) << np.uint32(1)
+    places = phases + np.repeat(shift, counts)  # a sum beyond 32 bits begins again at zero
     places.sort()
-    return (places >> np.uint32(1)) * (steps.span / _PLACES), 1 - 2 * (places & np.uint32(1)).astype(np.int64)
+    return places
 
 
-class Rotations(NamedTuple):
-    """Sums over the cascades of some surrogates by law, and their `cascades.moments`, shape (3,)."""
+def moments(steps: BlockSteps, draws: int, rng: np.random.Generator, least: int = 1) -> np.ndarray:
+    """Number, sum and sum of squares of the sizes by `events` in `draws` surrogates of `rotated`, shape (3,).
 
-    sums: Sums
-    moments: np.ndarray
-
-
-def rotations(
-    steps: BlockSteps, dts: Sequence[float], draws: int, rng: np.random.Generator, least: int = 1
-) -> Rotations:
-    """What blocks that ignore each other would do: sums over `draws` surrogates of `rotated`.
-
-    `least` is the smallest size that the moments are of.
+    Sizes are counted from a least one on, which counts as 1.
     """
-    found: Sums = {law: np.zeros(2) for law in cascades.laws(dts)}
-    steps_of, moments = {dt: int(steps.span / dt * (1 + 1e-12)) for dt in dts}, np.zeros(3)
+    found = np.zeros(3)
     for _ in range(draws):
-        t, step = rotated(steps, rng)
-        drawn, nets = cascades.sums(step), dict[float, np.ndarray]()
-        moments += cascades.moments(step, least)
+        is_exit = (_rotated(steps, rng) & np.uint32(1)).astype(bool)
+        found += _moments(is_exit, least)
+    return found
+
+
+def _moments(is_exit: np.ndarray, least: int = 1) -> np.ndarray:
+    """Number, sum and sum of squares of the lengths of runs of exits between entries, shape (3,)."""
+    turns = np.flatnonzero(is_exit[1:] != is_exit[:-1])
+    lengths = np.diff(turns)
+    size = lengths[0 if len(turns) and is_exit[turns[0] + 1] else 1 :: 2] - (least - 1)
+    size = size[size > 0]
+    return np.array([len(size), size.sum(), size @ size], dtype=np.float64)
+
+
+def sums(steps: BlockSteps, dts: Sequence[float], draws: int, rng: np.random.Generator) -> dict[Law, np.ndarray]:
+    """`cascades.sums` by every definition and sampling step, over `draws` surrogates of `rotated`."""
+    found = {law: np.zeros(2) for law in cascades.laws(dts)}
+    for _ in range(draws):
+        t, is_exit = rotated(steps, rng)
+        drawn, nets = {EVENTS: _moments(is_exit)[[1, 0]]}, dict[float, np.ndarray]()
         for dt in sorted(dts):
-            finer, k = _divisor(dt, nets)
+            n_steps, (finer, k) = int(steps.span / dt * (1 + 1e-12)), _divisor(dt, nets)
             if k:
-                whole = nets[finer][: len(nets[finer]) // k * k]
-                nets[dt] = whole.reshape(-1, k) @ np.ones(k)
+                nets[dt] = nets[finer][: len(nets[finer]) // k * k].reshape(-1, k) @ np.ones(k)
             else:
-                nets[dt] = np.bincount((t / dt).astype(np.int64), step, steps_of[dt])
-            drawn |= cascades.sums(nets[dt][: steps_of[dt]], dt)
-        for law, one in drawn.items():
-            found[law] += one
-    return Rotations(found, moments)
+                nets[dt] = np.bincount((t / dt).astype(np.int64), 1.0 - 2.0 * is_exit, n_steps)
+            drawn |= cascades.sums(nets[dt][:n_steps], dt)
+        for law, total in drawn.items():
+            found[law] += total
+    return found
 
 
 def _divisor(dt: float, finer: Iterable[float]) -> tuple[float, int]:
     """The longest of some shorter steps that divides dt, and dt as a multiple of it; dt and 0 if none does."""
-    multiples = ((one, round(dt / one)) for one in finer)
-    return max(((one, k) for one, k in multiples if abs(k * one - dt) < 1e-12 * dt), default=(dt, 0))
+    multiples = ((step, round(dt / step)) for step in finer)
+    return max(((step, k) for step, k in multiples if abs(k * step - dt) < 1e-12 * dt), default=(dt, 0))

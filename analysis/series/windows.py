@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 #: Change points of n_stick of a run: t and n_stick, each shape (m,); n_stick[k] holds on [t[k], t[k+1]), the last for
 #: ever.
 ChangePoints = tuple[np.ndarray, np.ndarray]
+_MANY = 40  # levels for each edge from which on looking edges up is faster than counting levels
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class Stack:
 
     def take(self, some: np.ndarray) -> Stack:
         """Some of the runs, by their places."""
-        first, places = taken(self.first, some)
+        first, places = ranges(self.first[some], np.diff(self.first)[some])
         return Stack(first, self.t[places], self.n_stick[places])
 
     @property
@@ -100,11 +101,10 @@ def in_parts(stacks: Iterable[Stack], most_runs: int, most_points: int) -> Itera
         yield Stack.joined(held)
 
 
-def taken(first: np.ndarray, some: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where runs begin in flat arrays of some of them, by their places, and the places of what is theirs."""
-    lengths = np.diff(first)[some]
+def ranges(first: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where ranges of places begin if they are laid end to end, with the whole length at the end; and all places."""
     begins = np.concatenate(([0], np.cumsum(lengths)))
-    return begins, np.repeat(first[some] - begins[:-1], lengths) + np.arange(begins[-1])
+    return begins, np.repeat(first - begins[:-1], lengths) + np.arange(begins[-1])
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class Windows:
 
     def take(self, some: np.ndarray) -> Windows:
         """Some of the runs, by their places."""
-        first, places = taken(self.first, some)
+        first, places = ranges(self.first[some], np.diff(self.first)[some])
         return Windows(self.t_start, self.t_stop[some], first, self.t[places], self.level[places])
 
     @property
@@ -178,29 +178,42 @@ class Windows:
 
     def means(self, count: int) -> np.ndarray:
         """Exact time means of n_stick over `count` equal parts of each window, shape (R, count)."""
-        length = self.span / count
+        length = self.span[:, None] / count
         base = self.level[self.first[:-1]]  # areas are those above it, so that what is constant has no rounding
         height = self.level - base[self.run]
-        holds = self.at(count)  # at each edge of a part
-        edges = self.t_start + length[:, None] * np.arange(count + 1)
-        after = height[holds] * (self.t[holds] + self.lasted[holds] - edges)  # the level's area behind the edge
-        begun = np.bincount(self._cell(count), height * self.lasted, len(self) * (count + 1))
-        areas = after[:, :-1] - after[:, 1:] + begun.reshape(len(self), -1)[:, 1:]
-        return np.asarray(base[:, None] + areas / length[:, None])
+        held = self.at(count)
+        edges = self.t_start + length * np.arange(count + 1)
+        after = height[held] * (self.t[held] + self.lasted[held] - edges)  # the level's area behind the edge
+        starts = np.column_stack([self.first[:-1], held[:, :-1] + 1])  # of the levels that begin within each part
+        begun = np.add.reduceat(np.append(height * self.lasted, 0.0), starts.ravel()).reshape(starts.shape)[:, 1:]
+        areas = after[:, :-1] - after[:, 1:] + np.where(held[:, 1:] > held[:, :-1], begun, 0.0)
+        return np.asarray(base[:, None] + areas / length)
 
     def at(self, count: int) -> np.ndarray:
         """Place of the level that holds at t_start + k span / count, k = 0, ..., count, shape (R, count + 1)."""
-        begun = np.bincount(self._cell(count), minlength=len(self) * (count + 1)).reshape(len(self), -1)
-        return self.first[:-1, None] - 1 + np.cumsum(begun, axis=1)
+        edges = self.t_start + self.span[:, None] / count * np.arange(count + 1)
+        held = self._looked_up(edges) if len(self.t) > _MANY * edges.size else self._counted(edges)
+        held[:, -1] = self.first[1:] - 1  # t_stop may be rounded
+        return held
 
-    def _cell(self, count: int) -> np.ndarray:
-        """Number of the first edge of `count` parts at or after each level's beginning, counted over all runs."""
-        length = (self.span / count)[self.run]
+    def _looked_up(self, edges: np.ndarray) -> np.ndarray:
+        """`at`, by looking up each edge among the levels."""
+        parts = zip(edges, self.first[:-1].tolist(), self.first[1:].tolist(), strict=True)
+        return np.array(
+            [first - 1 + np.searchsorted(self.t[first:end], own, side="right") for own, first, end in parts]
+        )
+
+    def _counted(self, edges: np.ndarray) -> np.ndarray:
+        """`at`, by counting the levels that begin up to each edge."""
+        n_edges = edges.shape[1]
+        length = (self.span / (n_edges - 1))[self.run]
         k = np.ceil((self.t - self.t_start) / length)
         k -= self.t_start + length * (k - 1) >= self.t  # corrects the rounding of the quotient
         k += self.t_start + length * k < self.t
         k[self.first[:-1]] = 0
-        return self.run * (count + 1) + np.minimum(k, count).astype(np.int64)
+        cell = self.run * n_edges + np.minimum(k, n_edges - 1).astype(np.int64)
+        begun = np.bincount(cell, minlength=edges.size).reshape(edges.shape)
+        return self.first[:-1, None] - 1 + np.cumsum(begun, axis=1)
 
     @cached_property
     def step(self) -> np.ndarray:
@@ -248,7 +261,7 @@ def windows(series: Stack, t_start: float, t_stop: ArrayLike) -> Windows:
     if not (t_start < ends).all():
         k = int(np.argmin(t_start < ends))
         raise NoSeries(k, f"t_start: expected t_start < t_stop, got {t_start!r} and {float(ends[k])!r}")
-    first, t, level = series.first, series.t.copy(), series.n_stick.astype(np.int64, copy=False)
+    first, t, level = series.first, series.t, series.n_stick.astype(np.int64, copy=False)
     run = np.repeat(np.arange(len(series)), np.diff(first))
     is_wrong = np.append(False, t[1:] < t[:-1])
     is_wrong[first[:-1]] = False
@@ -262,13 +275,18 @@ def windows(series: Stack, t_start: float, t_stop: ArrayLike) -> Windows:
         raise NoSeries(
             k, f"t: expected a change point at or before t_start = {t_start!r}, first is {float(t[first[k]])!r}"
         )
-    held = np.add.reduceat((t <= t_start).astype(np.int64), first[:-1]) + first[:-1] - 1  # what holds at t_start
-    kept = (np.arange(len(t)) >= held[run]) & ((t <= ends[run]) | (np.arange(len(t)) == held[run]))
-    t[held] = t_start
-    t, level, run = t[kept], level[kept], run[kept]
-    moved = np.append(True, (level[1:] != level[:-1]) | (run[1:] != run[:-1]))
-    run = run[moved]
-    return Windows(t_start, ends, np.searchsorted(run, np.arange(len(series) + 1)), t[moved], level[moved])
+    n_before, n_until = (
+        np.add.reduceat(is_done, first[:-1], dtype=np.int64) for is_done in (t <= t_start, t <= ends[run])
+    )
+    begins, places = ranges(first[:-1] + n_before - 1, n_until - n_before + 1)  # from the level that holds at t_start
+    t, level = t[places], level[places]
+    t[begins[:-1]] = t_start
+    is_change = np.append(True, level[1:] != level[:-1])
+    is_change[begins[:-1]] = True
+    if not is_change.all():
+        begins = np.concatenate(([0], np.cumsum(np.add.reduceat(is_change, begins[:-1], dtype=np.int64))))
+        t, level = t[is_change], level[is_change]
+    return Windows(t_start, ends, begins, t, level)
 
 
 class NoSeries(ValueError):

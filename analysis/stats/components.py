@@ -25,9 +25,7 @@ import numpy as np
 from scipy import special
 
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.estimates import Estimate, Statistic
-
-BOUNDED, UNBOUNDED = "bounded", "unbounded"
+from stickslip.analysis.stats.estimates import Estimate
 
 
 def intraclass(values: np.ndarray, confidence: float) -> Estimate:
@@ -65,43 +63,28 @@ class Against:
     Attributes
     ----------
     theta : Estimate
-        (A - B) / (C - B); an unbounded end of the interval is None.
-    kind : str
-        `UNBOUNDED` if the matrices cannot be told apart from replicates.
+        (A - B) / (C - B); without an interval if matrices cannot be told apart from replicates.
     change, replicate, redraw : float
         A, B and C.
-    covariance : ndarray, shape (2, 2)
-        Of A - B and C - B.
-    dof : int
-        Degrees of freedom of their errors.
     """
 
     theta: Estimate
-    kind: str
     change: float
     replicate: float
     redraw: float
-    covariance: np.ndarray
-    dof: int
 
-    def p_below(self, bound: float) -> float:
-        """p-value for the claim that theta lies below a bound; 1 if matrices cannot be told apart.
+    @property
+    def is_bounded(self) -> bool:
+        """Whether matrices can be told apart from replicates."""
+        return self.theta.high is not None
 
-        The one-sided value, doubled: it is below alpha just when the 1 - alpha interval lies below the bound.
-        """
-        return 1.0 if self.kind == UNBOUNDED else self._p(bound, 1.0)
+    def is_below(self, bound: float) -> bool:
+        """Whether the effect is shown to be below a bound."""
+        return self.theta.high is not None and self.theta.high < bound
 
-    def p_above(self, bound: float) -> float:
-        """p-value for the claim that theta lies above a bound, likewise."""
-        return self._p(bound, -1.0)
-
-    def _p(self, bound: float, side: float) -> float:
-        gap = (self.change - self.replicate) - bound * (self.redraw - self.replicate)
-        weights = np.array([1.0, -bound])
-        error = float(np.sqrt(weights @ self.covariance @ weights))
-        if error == 0:
-            return float(side * gap >= 0)
-        return min(2 * student.below(side * gap / error, self.dof), 1.0)
+    def is_above(self, bound: float) -> bool:
+        """Whether the effect is shown to be above a bound."""
+        return self.theta.low is not None and self.theta.low > bound
 
 
 def against_redraw(values: np.ndarray, changed: np.ndarray, confidence: float) -> Against:
@@ -137,10 +120,8 @@ def against_redraw(values: np.ndarray, changed: np.ndarray, confidence: float) -
     t2 = student.half_width(confidence, g - 1) ** 2
     value = float(top / bottom) if bottom > 0 else None
     interval = _fieller(top, bottom, t2 * covariance)
-    sides = (float(a), float(b), redraw, covariance, g - 1)
-    if interval is None:
-        return Against(Estimate(value, reason="matrices cannot be told apart"), UNBOUNDED, *sides)
-    return Against(Estimate(value, *interval), BOUNDED, *sides)
+    theta = Estimate(value, *interval) if interval else Estimate(value, reason="matrices cannot be told apart")
+    return Against(theta, float(a), float(b), redraw)
 
 
 def between(values: np.ndarray, errors: np.ndarray, dof: int, confidence: float) -> Estimate:
@@ -164,28 +145,6 @@ def between(values: np.ndarray, errors: np.ndarray, dof: int, confidence: float)
     quantiles = (1.0, special.fdtri(g - 1, g * dof, 1 - tail), special.fdtri(g - 1, g * dof, tail))
     value, low, high = (1 - quantile / f if f > quantile else 0.0 for quantile in map(float, quantiles))
     return Estimate(value, low, high)
-
-
-def quotient(top: Statistic, bottom: Statistic, rows: np.ndarray, confidence: float) -> Estimate:
-    """One statistic over another, with Fieller's interval from leaving out one row at a time.
-
-    Without an interval if it is unbounded, as the statistic below may be zero.
-
-    Parameters
-    ----------
-    top, bottom : callable
-    rows : ndarray, shape (G, c)
-        Sums, one row a matrix; G >= 3.
-    confidence : float
-    """
-    g, whole = len(rows), rows.sum(axis=0, keepdims=True)
-    above, below = float(top(whole)[0]), float(bottom(whole)[0])
-    if below == 0:
-        return Estimate(reason="nothing to compare")
-    sign, t2 = np.sign(below), student.half_width(confidence, g - 1) ** 2
-    covariance = (g - 1) ** 2 / g * np.cov([of(whole - rows) for of in (top, bottom)])
-    interval = _fieller(sign * above, sign * below, t2 * covariance)
-    return Estimate(above / below, *(interval or (None, None)))
 
 
 def _fieller(top: float, bottom: float, v: np.ndarray) -> tuple[float, float] | None:

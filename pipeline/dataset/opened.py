@@ -238,7 +238,7 @@ def open_dataset(path: Where | Opened) -> Opened:
     place = place_of(path)
     manifest = read_manifest(place)
     try:
-        scene = stored_scene(place, manifest)
+        scene = stored_scene(place)
     except SceneError as error:
         raise StoreError(f"{error}; rerun the scene with this directory to restore it") from None
     if scene.hash != manifest.scene_hash:
@@ -249,8 +249,8 @@ def open_dataset(path: Where | Opened) -> Opened:
     return Opened(place, scene, manifest)
 
 
-def stored_scene(place: Place, manifest: Manifest | None = None) -> Scene:
-    """The scene that lies at a place; that of the manifest, if it has one that is still to be written.
+def stored_scene(place: Place) -> Scene:
+    """The scene that lies at a place.
 
     Raises
     ------
@@ -258,8 +258,6 @@ def stored_scene(place: Place, manifest: Manifest | None = None) -> Scene:
         If there is none, or it is not a scene.
     """
     file = place.named(SCENE)
-    if manifest is not None and manifest.scene is not None:
-        return parse_scene(manifest.scene.encode(), file)
     try:
         source = place.read(SCENE)
     except FileNotFoundError:

@@ -16,7 +16,6 @@ from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import Shard
 from stickslip.pipeline.places.place import LOCK, Lock, Where
 from stickslip.pipeline.places.plain import is_alive
-from stickslip.pipeline.scene.scene import parse_scene
 
 
 @dataclass(frozen=True)
@@ -110,15 +109,6 @@ class Running:
 
 
 @dataclass(frozen=True)
-class ExtensionTally:
-    """An extension that was begun: the records that it adds, and how many of its shards are done."""
-
-    records: tuple[str, ...]
-    n_shards: int
-    n_shards_done: int
-
-
-@dataclass(frozen=True)
 class Status(Tally):
     """A dataset at one moment; `rate`, in members a second, and `eta`, in seconds, are None as long as unknown."""
 
@@ -130,7 +120,6 @@ class Status(Tally):
     running: Running | None
     rate: float | None
     eta: float | None
-    extension: ExtensionTally | None = None
 
 
 def status(path: Where | Opened) -> Status:
@@ -188,17 +177,7 @@ def counted(opened: Opened, tasks: Sequence[Task]) -> Status:
         running=current,
         rate=rate,
         eta=eta,
-        extension=_extension(opened),
     )
-
-
-def _extension(opened: Opened) -> ExtensionTally | None:
-    found = opened.manifest.extension
-    if found is None:
-        return None
-    records = parse_scene(found.scene.encode(), "extension").records
-    names = tuple(one.name for one in records if one.words and one not in opened.scene.records)
-    return ExtensionTally(names, len(found.packing), len(found.shards))
 
 
 def running(path: Where) -> Running | None:

@@ -68,7 +68,7 @@ def verify(path: Where | Opened) -> list[str]:
                 problem = problem or _content(found, content, schema_of(recording), batch, shard.outcomes)
             if problem:
                 problems.append(printable(f"{place.named(f'{DATA}/{name}')}: {problem}"))
-    known = {f"{DATA}/{name}" for name in found.manifest.known}
+    known = {f"{DATA}/{name}" for name in found.manifest.shards}
     strays = [name for name in files if name.startswith((f"{DATA}/", TEMPORARY)) and name not in known]
     return problems + [
         printable(f"{place.named(name)}: stray file, not in the manifest: nothing reads it; delete it")

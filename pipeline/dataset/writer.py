@@ -7,7 +7,7 @@ import hashlib
 import logging
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
 from types import TracebackType
 from typing import Self
@@ -31,8 +31,7 @@ from stickslip.pipeline.places.manifest import (
 )
 from stickslip.pipeline.places.place import DATA, LOCK, MANIFEST, SCENE, TEMPORARY, TIMINGS, Place, Where
 from stickslip.pipeline.records import End
-from stickslip.pipeline.scene.adding import lines_between
-from stickslip.pipeline.scene.scene import Scene, parse_scene
+from stickslip.pipeline.scene.scene import Scene
 from stickslip.pipeline.scene.source import parse_toml
 
 log = logging.getLogger(__name__)
@@ -62,7 +61,9 @@ class Store:
     retry_failed : bool
         Whether shards with failed members are to be computed again; they stay until they are replaced.
     accept_version : bool
-        Whether to resume data that another version of the program began; numbers may differ.
+        Whether to resume data that another version of the program began, or take rows over; numbers may differ.
+    programs : sequence of str
+        Those that wrote data of which rows are taken over.
 
     Raises
     ------
@@ -73,9 +74,16 @@ class Store:
         process; or it cannot be written. Nothing is changed then.
     """
 
-    def __init__(self, path: Where, scene: Scene, retry_failed: bool = False, accept_version: bool = False) -> None:
+    def __init__(
+        self,
+        path: Where,
+        scene: Scene,
+        retry_failed: bool = False,
+        accept_version: bool = False,
+        programs: Sequence[str] = (),
+    ) -> None:
         self.place, self.scene = place_of(path), scene.from_source
-        self._retry_failed, self._accept_version = retry_failed, accept_version
+        self._retry_failed, self._accept_version, self._programs = retry_failed, accept_version, programs
         self._held = contextlib.ExitStack()
         self._lost = False
         self._record: Callable[[bytes], None] | None = None
@@ -83,7 +91,7 @@ class Store:
     @property
     def done(self) -> dict[str, Shard]:
         """The shards that are committed."""
-        return dict(self._shards)
+        return dict(self._manifest.shards)
 
     @property
     def opened(self) -> Opened:
@@ -138,12 +146,8 @@ class Store:
 
     def _leftovers(self, manifest: Manifest) -> list[str]:
         """What a crash may have left: files that were being written, and shards that were not committed."""
-        known = {f"{DATA}/{name}" for name in manifest.known}
+        known = {f"{DATA}/{name}" for name in manifest.shards}
         return [name for name in self.place.names() if name not in known and _LEFT.fullmatch(name)]
-
-    def _remove_leftovers(self, manifest: Manifest) -> None:
-        for leftover in self._leftovers(manifest):
-            self.place.remove(leftover)
 
     def _remove(self, name: str) -> None:
         with contextlib.suppress(OSError):
@@ -194,17 +198,15 @@ class Store:
         """The manifest of a dataset of a smaller scene, extended; a refusal if the scene differs otherwise."""
         stored: Scene | None = None
         with contextlib.suppress(SceneError):
-            stored = stored_scene(self.place, manifest)
+            stored = stored_scene(self.place)
         if stored is None or stored.hash != manifest.scene_hash or not grows(stored, self.scene):
             columns = [] if stored is None else lacked(stored, self.scene)
-            if stored is not None and columns:
-                keys = lines_between(stored, self.scene)
-                first = (
-                    f"add these with `{command('extend', str(self.place), '--record', *keys)}`, or " if keys else ""
-                )
+            if columns:
+                again = command("extend", str(self.place), "--scene", "SCENE", "--out", "DIR")
                 raise StoreError(
                     f"{self.place}: expected runs with the columns of the data on disk, got a scene that adds some "
-                    f"with {', '.join(columns)}, which these data lack; {first}run it into another directory"
+                    f"with {', '.join(columns)}, which these data lack; `{again}` runs it into another "
+                    f"directory, and no more than it must"
                 )
             raise StoreError(
                 f"{self.place}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of "
@@ -217,18 +219,13 @@ class Store:
             earlier=[*manifest.earlier, stored.source],
             packing=[*manifest.packing, list(pack(self.scene, stored))],
             shards=manifest.shards,
-            extension=manifest.extension,
         )
 
     def _on_from_ends(self, stored: Scene | None) -> str:
         """What to do for longer runs, if that is what the scene asks for."""
         if stored is None or self.scene.run.t_end <= stored.run.t_end:
             return ""
-        kept = (
-            ""
-            if stored.keeps(End)
-            else f", once `{command('extend', str(self.place), '--record', 'end')}` has kept them"
-        )
+        kept = "" if stored.keeps(End) else " of a dataset that keeps them (`end = true` under [record])"
         return (
             "; a run that goes on is not, to the last bit, one in one piece, so these are not lengthened: another"
             f" scene can start at their ends, with `dataset` under [start]{kept}"
@@ -273,8 +270,6 @@ class Store:
         again = {name for name, shard in manifest.shards.items() if self._retry_failed and shard.n_failed}
         self.todo = [task for task in self.tasks if task[0].name not in manifest.shards or task[0].name in again]
         if self.todo:
-            if manifest.extension is not None:
-                raise begun(self.place, manifest)
             manifest.programs = self._with_this_program(manifest)
 
     def _forget_damaged(self, shards: dict[str, Shard]) -> None:
@@ -286,15 +281,16 @@ class Store:
 
     def _with_this_program(self, manifest: Manifest) -> list[str]:
         """The programs whose numbers a dataset may hold, once this one adds to it; or a refusal."""
-        if program() in manifest.programs:
-            return manifest.programs
-        if manifest.shards and not self._accept_version:
+        known = [*dict.fromkeys([*(manifest.programs if manifest.shards else []), *self._programs])]
+        if program() in known:
+            return known
+        if (manifest.shards or self._programs) and not self._accept_version:
             raise StoreError(
                 f"{self.place}: expected data of this version of the program ({program()}), got data of another "
-                f"({', '.join(manifest.programs) or 'unknown'}), whose numbers may differ; use that version, "
+                f"({', '.join(known) or 'unknown'}), whose numbers may differ; use that version, "
                 f"choose another directory, or mix them with --accept-version"
             )
-        return [*(manifest.programs if manifest.shards else []), program()]
+        return [*known, program()]
 
     def _open(self) -> None:
         manifest = self._manifest
@@ -303,29 +299,15 @@ class Store:
             log.warning("%s: lost; rebuilt from %s", self.place.named(MANIFEST), TIMINGS)
         self._held.enter_context(last_act(self._sweep))
         with unbroken():
-            self._end_extension(manifest)
-            self._remove_leftovers(manifest)
+            for leftover in self._leftovers(manifest):
+                self.place.remove(leftover)
             manifest.recorded_from = None
             if self.todo:
                 self._record = self._held.enter_context(self.place.record(TIMINGS))
                 manifest.recorded_from = len(self.place.read_record(TIMINGS))
             # the manifest first: it makes the directory a dataset
             self.place.replace(MANIFEST, manifest.to_bytes())
-            self._keep_scene()
-
-    def _end_extension(self, manifest: Manifest) -> None:
-        """Do the rest of an extension that a crash cut short at its end."""
-        if manifest.scene is not None:
-            self._keep_scene()
-            manifest.scene = None
-
-    def _keep_scene(self) -> None:
-        self.place.replace(SCENE, self.scene.source.encode())
-
-    @property
-    def _shards(self) -> dict[str, Shard]:
-        """Where commits go."""
-        return self._manifest.shards
+            self.place.replace(SCENE, self.scene.source.encode())
 
     def note(self, line: str) -> None:
         """Add a line to the lock, for processes that ask who is writing."""
@@ -357,9 +339,9 @@ class Store:
             try:
                 self.place.replace_each({f"{DATA}/{result.name}": result.shard for result in results})
                 self._record(lines)
-                self._shards.update(shards)
+                self._manifest.shards.update(shards)
             except BaseException:
-                for name in shards.keys() - self._shards.keys():
+                for name in shards.keys() - self._manifest.shards.keys():
                     self._remove(f"{DATA}/{name}")
                 raise
         return list(shards.values())
@@ -373,19 +355,6 @@ def _shard(result: Result) -> Shard:
         first=result.first,
         last=result.last,
         outcomes=result.outcomes,
-    )
-
-
-def begun(place: Place, manifest: Manifest) -> StoreError:
-    """The refusal of what would lose an extension that was begun."""
-    found = manifest.extension
-    assert found is not None
-    keys = lines_between(stored_scene(place, manifest), parse_scene(found.scene.encode(), "extension"))
-    how = f"`{command('extend', str(place), '--record', *keys)}`" if keys else "the command that began it"
-    return StoreError(
-        f"{place}: expected no extension that was begun, got one by {', '.join(keys) or 'other records'}, of which "
-        f"{len(found.shards)} of {len(found.packing)} shards are done; finish it with {how}, or give it up with "
-        f"`{command('extend', str(place), '--give-up')}`"
     )
 
 

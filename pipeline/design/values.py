@@ -202,7 +202,6 @@ _ROUNDING = 1e-14
 _SMALL = 0.01
 #: A number in a name, whose sign is no hyphen.
 _NUMBER = re.compile(r"(?:(?<!\w)[-+])?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-_DRAWN = re.compile(r"(uniform|normal)\(([^,()]+), ([^,()]+)\)")
 
 #: Sorts values on pages.
 Rank: TypeAlias = tuple[int, str, tuple[float, ...]]
@@ -245,13 +244,8 @@ def ranks(row: Iterable[object]) -> list[Rank]:
     return [*map(rank, row)]
 
 
-def read(text: str) -> dict[str, Value]:
-    """What a text such as "friction = uniform(0.8, 1.2); z = file" says, by key: numbers, distributions, words."""
-    return {key: _value(said) for key, _, said in (part.partition(" = ") for part in text.split("; ") if part)}
+class Values(tuple[tuple[str, Value], ...]):
+    """What some keys hold, by name."""
 
-
-def _value(said: str) -> Value:
-    drawn = _DRAWN.fullmatch(said)
-    if drawn is not None:
-        return Distribution(drawn[1], float(drawn[2]), float(drawn[3]))
-    return float(said) if _NUMBER.fullmatch(said) else Named(said)
+    def __str__(self) -> str:
+        return "; ".join(f"{key} = {text(value)}" for key, value in self)

@@ -70,30 +70,14 @@ def read_shards(place: Place, shards: Mapping[str, Shard]) -> Iterator[tuple[str
 ShardName = Annotated[str, Field(pattern=r"^shard-\d{5,}-[0-9a-f]{12}\.parquet$")]
 
 
-class Extension(BaseModel):
-    """What a finished dataset is being extended to, beside its own shards: see `pipeline.dataset.extending`.
-
-    The scene's source, the packing of its members, and of its shards, in which records are added to the rows, those
-    that are done.
-    """
-
-    model_config = ConfigDict(strict=True, extra="forbid")
-    scene: str
-    packing: list[Annotated[int, Field(ge=1)]]
-    programs: list[str]
-    shards: dict[ShardName, Shard] = {}
-
-
 class Manifest(BaseModel):
     """The shards that are done, by name, the scene that they belong to, and how its members are packed.
 
     `earlier` holds the sources of the scenes that this one grew from; `packing`, for each of these and for the scene
     itself, the number of members of each shard that it added (see `ensemble.pack.tasks`). `programs` are the
     versions of the program whose numbers the shards may hold. `recorded_from`, while a run goes on or after it was
-    killed, is the byte of the record at which its own commits begin. With an `extension` these are commits of its
-    shards. `scene` is the source of the scene from the moment at which the shards of an extension replace the others
-    until its file is written, and the others are removed. `design` is what the ensemble was made to differ in, as
-    `pipeline.design.design.Design.as_json` says it; data of an earlier version lack it.
+    killed, is the byte of the record at which its own commits begin. `design` is what the ensemble was made to differ
+    in, as `pipeline.design.design.Design.as_json` says it; data of an earlier version lack it.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid")
@@ -104,8 +88,6 @@ class Manifest(BaseModel):
     packing: list[list[Annotated[int, Field(ge=1)]]]
     shards: dict[ShardName, Shard] = {}
     recorded_from: Annotated[int, Field(ge=0)] | None = None
-    extension: Extension | None = None
-    scene: str | None = None
     design: dict[str, JsonValue] | None = None
 
     @model_validator(mode="after")
@@ -113,11 +95,6 @@ class Manifest(BaseModel):
         if len(self.packing) != len(self.earlier) + 1:
             raise ValueError(f"expected the packing of {len(self.earlier) + 1} scenes, got {len(self.packing)}")
         return self
-
-    @property
-    def known(self) -> set[str]:
-        """The names of all shards that are done, those of an extension too."""
-        return {*self.shards, *(self.extension.shards if self.extension is not None else ())}
 
     @property
     def digest(self) -> str:
@@ -218,8 +195,7 @@ def read_manifest(path: Where, is_forgiving: bool = False) -> Manifest:
             f"{_HEALED_BY_RUNNING}"
         )
     commits.append(Commit.parse(rest))  # most often nothing, or what a crash cut short
-    shards = manifest.shards if manifest.extension is None else manifest.extension.shards
-    shards.update({commit.shard: commit.entry for commit in commits if commit is not None})
+    manifest.shards.update({commit.shard: commit.entry for commit in commits if commit is not None})
     return manifest
 
 

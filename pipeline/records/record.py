@@ -11,6 +11,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
 import numpy as np
@@ -27,7 +28,7 @@ _NONE = np.empty(0)
 
 
 class NotKeptError(RuntimeError):
-    """A record that is added to a dataset reads what it does not say that it needs."""
+    """A row of a dataset does not hold what a record reads of the run."""
 
 
 class Member(Protocol):
@@ -50,9 +51,9 @@ class Member(Protocol):
     def ratios(self) -> float | np.ndarray: ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Made:
-    """A member that was run: what records are computed from.
+    """A member that was run, or as a row of a dataset has it: what records are computed from.
 
     Attributes
     ----------
@@ -68,8 +69,11 @@ class Made:
         What records before this one computed, by column.
     stop_early : bool or "always"
         As in `stickslip.simulate`, for what runs it again: a test for collapse may change the last digits.
+    is_whole : bool
+        Whether all of the run is there; of a row, reading what it does not hold is a `NotKeptError`.
     """
 
+    is_whole: ClassVar[bool] = True
     member: Member
     system: System
     run: Run
@@ -78,10 +82,15 @@ class Made:
     found: dict[str, Any]
     stop_early: bool | str
 
+    @cached_property
+    def events(self) -> EventSeries:
+        """The run's events, to its end."""
+        return self.run.events
+
     @property
     def contact_events(self) -> EventSeries:
         """The run's events of the blocks that have friction."""
-        return self.run.events.of_blocks(self.system.has_friction)
+        return self.events.of_blocks(self.system.has_friction)
 
     def samples(self, times: Floats) -> Samples:
         """The run's state at times that a record asked for, as far as the run goes."""
@@ -138,7 +147,7 @@ class Record(ABC):
     needs : frozenset of str
         What `of` reads: "run" if it reads of the run what no record keeps, such as samples; else the names of the
         records that keep all that it reads of it, such as "events"; and "system" if it reads the system or the start.
-        A record that does not need "run" is added to a finished dataset without running anything.
+        `stickslip extend` computes a record that does not need "run" from the rows of a dataset.
     is_shared : bool
         Whether most of its cost is computed once for several members.
     is_certified : bool

@@ -6,7 +6,7 @@ import contextlib
 import logging
 import os
 import time
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import current_process
@@ -14,25 +14,25 @@ from typing import NamedTuple
 
 from distributed import Client, fire_and_forget
 
-from stickslip.pipeline.dataset.program import program
+from stickslip.pipeline.dataset.opened import Opened, open_dataset
 from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.dataset.status import Pace, Status, Tally, counted
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.ensemble.expand import expand
 from stickslip.pipeline.ensemble.member import Member
-from stickslip.pipeline.ensemble.pack import Batch, Task
+from stickslip.pipeline.ensemble.pack import Task
 from stickslip.pipeline.errors import ScheduleError
 from stickslip.pipeline.own.function import OwnFunction
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.running import ends
 from stickslip.pipeline.running.cluster import Scheduling, check_address, check_memory, connect
-from stickslip.pipeline.running.isolation import compute_alone_packed
-from stickslip.pipeline.running.kept import Kept
-from stickslip.pipeline.running.submit import ATTEMPTS, LOST, in_flight, lost_scheduler, submit
+from stickslip.pipeline.running.executor import Executor, Here
+from stickslip.pipeline.running.isolation import compute_alone
+from stickslip.pipeline.running.kept import KeptRows
+from stickslip.pipeline.running.submit import LOST, Dask
 from stickslip.pipeline.running.trials import check_functions
-from stickslip.pipeline.running.worker import cold_engines, compute, compute_packed, load_kernels, row
+from stickslip.pipeline.running.worker import Order, cold_engines, compute, compute_there, load_kernels, row
 from stickslip.pipeline.scene import systems
-from stickslip.pipeline.scene.columns import Recording
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.sim.kernels.cache import check_compiler
 from stickslip.sim.numerics.session import numpy_defaults
@@ -66,6 +66,7 @@ def run_ensemble(
     accept_version: bool = False,
     dashboard: bool = False,
     yes: bool = False,
+    kept: Where | Opened | None = None,
 ) -> Status:
     """Run a scene into the dataset at `out`, or what is missing of it; the same bytes whatever the workers.
 
@@ -77,7 +78,7 @@ def run_ensemble(
         Its `source` is kept beside the data.
     out : str, Path or Place
         Directory of the dataset, or its address in an object store: absent, empty, or an earlier run of this scene,
-        which is resumed, or of a part of it, which is extended.
+        which is resumed, or of a part of it, which grows.
     workers : int
         Local processes of one thread each; 0 runs in this process, for debugging and small scenes.
     scheduler : str, distributed.Client or callable, optional
@@ -94,6 +95,8 @@ def run_ensemble(
         Whether local workers have dask's dashboard, which anybody on this machine may look at.
     yes : bool
         Whether to run more than 10 million members, which may be a typing error.
+    kept : str, Path, Place or Opened, optional
+        Another dataset. Its members that are the same here, and did not fail, are run only for what their rows lack.
 
     Raises
     ------
@@ -112,7 +115,7 @@ def run_ensemble(
     ScheduleError
         If the scheduler is lost, workers do not come up, or run another version.
     """
-    check_caller(workers, scheduler)
+    _check_caller(workers, scheduler)
     start = time.monotonic()
     scene.check_size(yes)
     if isinstance(scheduler, str):
@@ -121,16 +124,23 @@ def run_ensemble(
     ends.check(scene)
     if scheduler is None:
         check_memory(scene, workers)
+    rows = None if kept is None else KeptRows(open_dataset(kept))
+    store = Store(out, scene, retry_failed, accept_version, () if rows is None else rows.opened.manifest.programs)
     if scene.own_record is not None:  # before anything is written
-        check_functions(scene, Store(out, scene, retry_failed, accept_version).look()[1])
-    with Store(out, scene, retry_failed, accept_version) as store:
-        firsts = [member for batch, _ in store.todo for member in batch.members.firsts()]
-        look_at_origins(firsts, scene.own_functions if firsts else ())
-        fill(store, lambda task: (*task, None), firsts, start, Workers(workers, scheduler, dashboard), on_progress)
+        check_functions(scene, store.look()[1])
+    with store:
+        runs = [task[0].members if rows is None else rows.left(task) for task in store.todo]
+        firsts = [member for members in runs for member in members.firsts()]
+        _look_at_origins(firsts, scene.own_functions if store.todo else ())
+
+        def order(task: Task) -> Order:
+            return (*task, None if rows is None else rows.of(task))
+
+        _Filling(store, firsts, Workers(workers, scheduler, dashboard), on_progress, start)(order)
     return counted(store.opened, store.tasks)
 
 
-def look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction] = ()) -> None:
+def _look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction]) -> None:
     """See that what members come from, and functions, are as they were: a word here, and not a row for each member.
 
     Raises
@@ -143,7 +153,7 @@ def look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction] =
             systems.look_again(origin)
 
 
-def check_caller(workers: int, scheduler: Scheduling) -> None:
+def _check_caller(workers: int, scheduler: Scheduling) -> None:
     """Refuse a number of workers that is none, a worker that loads the caller's script, and kernels not compiled.
 
     Raises
@@ -162,10 +172,6 @@ def check_caller(workers: int, scheduler: Scheduling) -> None:
         check_compiler(os.environ.get("NUMBA_DISABLE_JIT"))
 
 
-#: A shard to be computed, with the rows that there are already, if there are any.
-Order = tuple[Batch, Recording, Kept | None]
-
-
 class Workers(NamedTuple):
     """Where to compute; see `run_ensemble`."""
 
@@ -179,96 +185,122 @@ class Workers(NamedTuple):
         return self.n == 0 and self.scheduler is None
 
 
-def fill(
-    store: Store,
-    order: Callable[[Task], Order],
-    firsts: Sequence[Member],
-    start: float,
-    at: Workers,
-    on_progress: Callable[[Progress], None] | None,
-) -> None:
-    """Compute what a dataset is to have, and commit it as it comes in.
+class _Filling:
+    """Computes what a dataset is to have, and commits it as it comes in.
 
     Parameters
     ----------
     store : Store
-    order : callable
-        What of a task is sent to a worker; called when it is.
     firsts : sequence of Member
         Those that are run: the first of each pair of an origin of systems and an engine.
-    start : float
-        When this began, by `time.monotonic`.
-    at : Workers
+    workers : Workers
     on_progress : callable, optional
         As of `run_ensemble`.
-
-    Raises
-    ------
-    SceneError, StoreError, ScheduleError
-        As `run_ensemble`.
+    start : float
+        When this began, by `time.monotonic`.
     """
-    todo = {batch.name: batch.cost for batch, _ in store.todo}
-    tally = Tally.of(store.tasks, {name: done for name, done in store.done.items() if name not in todo})
-    by_engine = {member.engine: member for member in reversed(firsts)}
-    cold = cold_engines(tuple(by_engine)) if at.scheduler is None else ()
-    link: str | None = None
-    pace: Pace | None = None
-    n_workers = int(at.is_here)
-    most_workers = n_shards_before = 0
-    is_waiting = bool(todo)
 
-    def words() -> str | None:
-        if todo and not n_workers:
-            return "workers"
-        if not is_waiting:
-            return None
-        return f"{' and '.join(cold)} to be compiled, once: some ten seconds" if cold else "the first shard"
+    def __init__(
+        self,
+        store: Store,
+        firsts: Sequence[Member],
+        workers: Workers,
+        on_progress: Callable[[Progress], None] | None,
+        start: float,
+    ) -> None:
+        self._store, self._workers, self._on_progress, self._start = store, workers, on_progress, start
+        self._costs = {batch.name: batch.cost for batch, _ in store.todo}
+        there = {name: shard for name, shard in store.done.items() if name not in self._costs}
+        self._tally = Tally.of(store.tasks, there)
+        self._by_engine = {member.engine: member for member in reversed(firsts)}
+        self._cold = cold_engines(self._by_engine) if workers.scheduler is None else ()
+        self._dashboard: str | None = None
+        self._pace: Pace | None = None
+        self._n_workers = int(workers.is_here)
+        self._most_workers = self._n_shards_before = 0
+        self._is_waiting = bool(store.todo)
 
-    def report(last_shard: str | None = None) -> None:
-        if on_progress is not None:
-            rate, eta = tally.pace(pace, time.time())
-            on_progress(
-                Progress(**vars(tally), elapsed=time.monotonic() - start, last_shard=last_shard, dashboard=link,
-                         rate=rate, eta=eta, waiting=words())
+    def __call__(self, order: Callable[[Task], Order]) -> None:
+        """Compute and commit; `order` gives what of a task is sent to a worker, and is called when it is.
+
+        Raises
+        ------
+        SceneError, StoreError, ScheduleError
+            As `run_ensemble`.
+        """
+        self._report()
+        self._store.note(f"began {time.time():.3f}")
+        if not self._store.todo:
+            return
+        compute_order = _compute_here if self._workers.is_here else compute_there
+        # closed at once if a commit fails or the user interrupts, and the workers with it
+        with (
+            self._executor() as executor,
+            contextlib.closing(executor.map(compute_order, map(order, self._store.todo))) as computed,
+        ):
+            for numbered in computed:
+                self._commit([result for _, result in numbered])
+
+    @contextlib.contextmanager
+    def _executor(self) -> Iterator[Executor]:
+        n_workers, scheduler, has_dashboard = self._workers
+        if self._workers.is_here:
+            yield Here()
+            return
+        # at an address it may be asked for none here
+        n_workers = max(1, min(n_workers, max(len(self._costs), len(self._cold))))
+        with connect(n_workers, scheduler, has_dashboard) as client:
+            # side by side: one batch alone would compile them one after the other
+            for engine in self._cold:
+                fire_and_forget(client.submit(load_kernels, [self._by_engine[engine]], pure=False))
+            with contextlib.suppress(KeyError):  # it has none
+                self._dashboard = client.dashboard_link or None
+            if self._dashboard is not None:
+                self._store.note(f"dashboard {self._dashboard}")
+            # in processes of their own most of those pass whose workers died
+            yield Dask(client, scheduler, _AGAIN, compute_alone, on_workers=partial(self._staffed, client))
+
+    def _staffed(self, client: Client, count: int) -> None:
+        if count and not self._n_workers and self._workers.scheduler is not None and self._is_waiting:
+            self._cold = _cold_there(client, tuple(self._by_engine)) or self._cold
+        self._n_workers = count
+        if self._is_waiting or not count:
+            self._report()
+
+    def _commit(self, results: Sequence[Result]) -> None:
+        self._is_waiting = False
+        if max(self._n_workers, 1) > self._most_workers:
+            self._most_workers, self._n_shards_before = max(self._n_workers, 1), self._tally.n_shards_done
+        for result, shard in zip(results, self._store.commit(*results), strict=True):
+            self._tally = self._tally.plus(shard, self._costs[result.name])
+            self._report(result.name)
+        # a worker's first shard takes as long as starting it and compiling do
+        is_new = self._pace is None or self._pace.n_workers < self._most_workers
+        if is_new and self._tally.n_shards_done - self._n_shards_before >= self._most_workers:
+            tally = self._tally
+            self._pace = Pace(time.time(), tally.n_done, tally.cost_done, tally.n_shards_done, self._most_workers)
+            self._store.note(self._pace.line)
+
+    def _report(self, last_shard: str | None = None) -> None:
+        if self._on_progress is not None:
+            rate, eta = self._tally.pace(self._pace, time.time())
+            elapsed, waiting = time.monotonic() - self._start, self._waiting_for()
+            self._on_progress(
+                Progress(**vars(self._tally), elapsed=elapsed, last_shard=last_shard, dashboard=self._dashboard,
+                         rate=rate, eta=eta, waiting=waiting)
             )  # fmt: skip
 
-    def connected(client: Client) -> None:
-        nonlocal link
-        with contextlib.suppress(KeyError):  # it has none
-            link = client.dashboard_link or None
-        if link is not None:
-            store.note(f"dashboard {link}")
+    def _waiting_for(self) -> str | None:
+        if self._costs and not self._n_workers:
+            return "workers"
+        if not self._is_waiting:
+            return None
+        cold = " and ".join(self._cold)
+        return f"{cold} to be compiled, once: some ten seconds" if cold else "the first shard"
 
-    def staffed(client: Client, count: int) -> None:
-        nonlocal n_workers, cold
-        if count and not n_workers and at.scheduler is not None and is_waiting:
-            cold = _cold_there(client, tuple(by_engine)) or cold
-        n_workers = count
-        if is_waiting or not count:
-            report()
 
-    report()
-    store.note(f"began {time.time():.3f}")
-    # closed at once if a commit fails or the user interrupts, and the workers with it
-    with contextlib.closing(_results(store.todo, order, by_engine, cold, at, connected, staffed)) as results:
-        for some in results:
-            for result in some:
-                if result.program != program():
-                    raise ScheduleError(
-                        f"expected workers with this version of the program ({program()}), got {result.program} on "
-                        f"{result.host}; install the same there, then rerun the scene"
-                    )
-            is_waiting = False
-            if max(n_workers, 1) > most_workers:
-                most_workers, n_shards_before = max(n_workers, 1), tally.n_shards_done
-            for result, shard in zip(some, store.commit(*some), strict=True):
-                tally = tally.plus(shard, todo[result.name])
-                report(result.name)
-            # a worker's first shard takes as long as starting it and compiling do
-            is_new = pace is None or pace.n_workers < most_workers
-            if is_new and tally.n_shards_done - n_shards_before >= most_workers:
-                pace = Pace(time.time(), tally.n_done, tally.cost_done, tally.n_shards_done, most_workers)
-                store.note(pace.line)
+def _compute_here(order: Order) -> Result:
+    return compute(*order)
 
 
 def _cold_there(client: Client, engines: tuple[str, ...]) -> tuple[str, ...]:
@@ -299,49 +331,3 @@ def run_member(scene: Scene, member_id: str) -> dict[str, object]:
             f"member_id: expected a member of the scene, such as {next(members.ids())!r}, got {member_id!r}"
         )
     return row(members[place], scene.recording)
-
-
-def _results(
-    todo: list[Task],
-    order: Callable[[Task], Order],
-    by_engine: Mapping[str, Member],
-    cold: Sequence[str],
-    at: Workers,
-    connected: Callable[[Client], None],
-    staffed: Callable[[Client, int], None],
-) -> Generator[Sequence[Result]]:
-    """The batches' results in the order they come in, those that are there together.
-
-    `connected` is told the client, once there is one, and `staffed` again and again how many threads it has.
-    `by_engine` has a member of each engine; `cold` are those that are to be compiled on this machine.
-    """
-    if not todo:
-        return
-    workers, scheduler, dashboard = at
-    if at.is_here:
-        for task in todo:
-            yield [compute(*order(task))]
-        return
-    n_workers = max(1, min(workers, max(len(todo), len(cold))))  # at an address it may be asked for none here
-    with connect(n_workers, scheduler, dashboard) as client:
-        # side by side: one batch alone would compile them one after the other
-        for engine in cold:
-            fire_and_forget(client.submit(load_kernels, [by_engine[engine]], pure=False))
-        connected(client)
-        try:
-            lost = yield from submit(
-                client, map(order, todo), compute_packed, in_flight(client), scheduler, _AGAIN,
-                partial(staffed, client),
-            )  # fmt: skip
-            # dask blames a worker's death on all tasks that waited there: in processes of their own most pass
-            for _ in range(ATTEMPTS):
-                lost = yield from submit(client, lost, compute_alone_packed, lambda: n_workers, scheduler, _AGAIN)
-        except LOST as error:
-            raise lost_scheduler(_AGAIN) from error
-    if lost:
-        first = lost[0][0].members
-        raise ScheduleError(
-            f"expected workers to stay alive, got {len(lost)} batches whose workers died {ATTEMPTS + 1} times, but "
-            f"not of their members; the first holds {first[0].member_id} to {first[-1].member_id}; see who kills "
-            f"them, then {_AGAIN}"
-        )

@@ -3,30 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-import pickle
 from collections.abc import Sequence
 from typing import Any
 
 from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.ensemble.member import Member
-from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.machine.processes import Child, ChildDied
-from stickslip.pipeline.running.kept import Kept
-from stickslip.pipeline.running.worker import compute, failed, run_members
+from stickslip.pipeline.running.worker import Order, compute, failed, run_members
 from stickslip.pipeline.scene.columns import Recording
 
 
-def compute_alone(batch: Batch, recording: Recording, kept: Kept | None = None) -> Result:
+def compute_alone(order: Order) -> Result:
     """As `compute`, with members that run in a process of their own.
 
     When it dies, the member it was at is run again, in another; if that dies too, the member's row says so.
     """
-    return compute(batch, recording, kept, _run_alone)
-
-
-def compute_alone_packed(task: bytes) -> Result:
-    """As `compute_alone`, for a pickled task."""
-    return compute_alone(*pickle.loads(task))
+    return compute(*order, _run_alone)
 
 
 def _run_alone(members: Sequence[Member], recording: Recording) -> list[dict[str, Any]]:

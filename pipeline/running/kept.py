@@ -1,177 +1,186 @@
-"""Rows of a finished dataset to which records are added: computed from what is kept, or by running members again."""
+"""Rows that a dataset has of members of another scene: what they hold of a run is not computed again."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Any, NoReturn, cast
 
 import numpy as np
 import pyarrow as pa
 
 from stickslip import sim
+from stickslip.pipeline.dataset.opened import Opened, reading
 from stickslip.pipeline.dataset.schema import Values, schema_of
+from stickslip.pipeline.ensemble.expand import Members
 from stickslip.pipeline.ensemble.member import Member
-from stickslip.pipeline.errors import StoreError, foreign
+from stickslip.pipeline.ensemble.pack import Task
 from stickslip.pipeline.records import ALWAYS
 from stickslip.pipeline.records.record import Made, NotKeptError, Record, stop_early
 from stickslip.pipeline.records.slips.thresholds import has_several
 from stickslip.pipeline.running.ends import end_of
-from stickslip.pipeline.scene.columns import DESIGN, MEMBER, Recording
+from stickslip.pipeline.scene.columns import Recording
 
 #: Runs members: the columns of each, as `stickslip.pipeline.running.worker.run_members`.
 Runs = Callable[[Sequence[Member], Recording], list[dict[str, Any]]]
 
-#: Columns that no record reads: they are the member's own, or made of its events.
-_UNREAD = {column.name for column in (*MEMBER, *DESIGN)} - {"t_end"} | {"t", "n_stick"}
+#: Shards that are in memory at once: the members of a new one are in a few of them.
+_SHARDS = 8
+
+
+class KeptRows:
+    """The rows of a dataset, for a scene of which some members are the same.
+
+    Parameters
+    ----------
+    opened : Opened
+
+    Raises
+    ------
+    StoreError
+        If a shard is damaged.
+    """
+
+    def __init__(self, opened: Opened) -> None:
+        opened.check()
+        self.opened = opened
+        self._batches = {batch.name: batch for batch, _ in opened.tasks if batch.name in opened.manifest.shards}
+        self._place = {
+            member_id: (name, row)
+            for name, batch in self._batches.items()
+            for row, member_id in enumerate(batch.members.ids())
+        }
+        self._read = lru_cache(_SHARDS)(self._read_shard)
+
+    def of(self, task: Task) -> Kept:
+        """The rows of a shard's members that did not fail."""
+        shards: dict[str, dict[int, int]] = {}
+        for place, (name, row) in self._there(task[0].members).items():
+            shards.setdefault(name, {})[place] = row
+        tables = [schema_of(self.opened.scene.recording).empty_table()]
+        places: list[int] = []
+        for name, rows in shards.items():
+            table = self._read(name).take(pa.array(rows.values(), pa.int64()))
+            places += rows
+            tables.append(table)
+        table = pa.concat_tables(tables)
+        is_run = [outcome != "failed" for outcome in table["outcome"].to_pylist()]
+        table = table.filter(pa.array(is_run, pa.bool_())).combine_chunks()
+        return Kept(table, tuple(np.array(places, int)[is_run].tolist()), self.opened.scene.records)
+
+    def left(self, task: Task) -> Members:
+        """The members of a shard that are run, unless what is kept of them failed."""
+        batch, recording = task
+        there = self._there(batch.members)
+        return batch.members.at(
+            [
+                place
+                for place, member in enumerate(batch.members)
+                if place not in there or must_run(member, recording.records, self.opened.scene.records)
+            ]
+        )
+
+    def _there(self, members: Members) -> dict[int, tuple[str, int]]:
+        """Where the dataset has members, by their places."""
+        there = {}
+        for place, member in enumerate(members):
+            name, row = self._place.get(member.member_id, ("", 0))
+            if name and self._batches[name].members[row] == member:
+                there[place] = (name, row)
+        return there
+
+    def _read_shard(self, name: str) -> pa.Table:
+        source = self.opened.shards([name])
+        with reading(self.opened.place):
+            table = source.to_table(use_threads=False)  # a thread of Arrow's may outlive its library
+        self.opened.check_members(table, [name])
+        return self.opened.checked(table)
 
 
 @dataclass(frozen=True)
 class Kept:
-    """The rows of some members, in order, and the records that they have."""
+    """Rows of some members of a batch.
+
+    Attributes
+    ----------
+    table : pyarrow.Table
+    places : tuple of int
+        Those of the members in the batch, one a row.
+    records : tuple of Record
+        What the dataset of the rows keeps.
+    """
 
     table: pa.Table
+    places: tuple[int, ...]
     records: tuple[Record, ...]
 
-    def extended(self, members: Sequence[Member], recording: Recording, run: Runs) -> dict[str, Values]:
-        """The columns of `recording`: those that are kept as they are, and those of the new records.
+    def left(self, members: Sequence[Member], recording: Recording) -> list[Member]:
+        """The members that are run."""
+        kept = {k for k in self.places if not must_run(members[k], recording.records, self.records)}
+        return [member for k, member in enumerate(members) if k not in kept]
 
-        `run` is called with the members for which the rows do not hold what a new record needs.
+    def completed(self, members: Sequence[Member], recording: Recording, run: Runs) -> dict[str, Values]:
+        """The columns of all members: kept, computed from what is kept, or of runs.
 
-        Raises
-        ------
-        StoreError
-            If a run that is made again is not the one that is kept, or a record cannot be computed.
+        `run` is called with the members of which the rows lack something.
         """
-        new = added(recording.records, self.records)
-        held = held_by(self.records)
-        rows: list[dict[str, Any]] = [{} for _ in members]
-        again = []
-        for k, (member, outcome) in enumerate(zip(members, self.table["outcome"].to_pylist(), strict=True)):
-            if must_run(member, outcome, new, held):
-                again.append(k)
-            elif outcome != "failed":
-                rows[k] = self._computed(member, k, new)
-        # a record may take from those before it, and a run ends earlier where one asks for its certificate
-        asked = tuple(
-            record
-            for record in recording.records
-            if record in new or record.is_certified or any(record.name in each.needs for each in new)
-        )
-        found = run([members[k] for k in again], replace(recording, records=asked))
-        self._check([members[k] for k in again], again, found, [one for one in asked if one not in new])
-        for k, one in zip(again, found, strict=True):
-            rows[k] = one
-        kept = self.table.column_names
-        return {
-            field.name: self.table[field.name].combine_chunks().cast(field.type)
-            if field.name in kept
-            else [row.get(field.name) for row in rows]
-            for field in schema_of(recording)
+        new = [record for record in recording.records if record not in self.records]
+        rows: dict[int, int] = {}
+        computed: list[dict[str, Any]] = []
+        for row, place in enumerate(self.places):
+            member = members[place]
+            if not must_run(member, recording.records, self.records):
+                with suppress(NotKeptError):
+                    computed.append(member.row() | self._computed(member, row, new))
+                    rows[place] = row
+        again = [place for place in range(len(members)) if place not in rows]
+        results = run([members[place] for place in again], recording)
+        ran = [members[place].row() | result for place, result in zip(again, results, strict=True)]
+        changed = {
+            column.name for record in self.records if record not in recording.records for column in record.kept
         }
+        table, order = self.table.take(pa.array(rows.values(), pa.int64())), np.argsort([*rows, *again])
 
-    def needs_runs(self, members: Sequence[Member], recording: Recording) -> bool:
-        """Whether a member has to be run again."""
-        new, outcomes = added(recording.records, self.records), self.table["outcome"].to_pylist()
-        held = held_by(self.records)
-        return any(must_run(*one, new, held) for one in zip(members, outcomes, strict=True))
+        def values(field: pa.Field) -> pa.Array:
+            name, kind = field.name, field.type
+            is_kept = name in table.column_names and name not in changed
+            kept = table[name].combine_chunks().cast(kind) if is_kept else _array(computed, name, kind)
+            return pa.concat_arrays([kept, _array(ran, name, kind)]).take(pa.array(order, pa.int64()))
+
+        return {field.name: values(field) for field in schema_of(recording)}
 
     @cached_property
     def _of_runs(self) -> dict[str, pa.Array]:
-        """The columns that say what came of the members, not what they are."""
-        names = [name for name in self.table.column_names if name not in _UNREAD]
-        return {name: self.table[name].combine_chunks() for name in names}
+        """The columns that say what came of the members, but for those that are made of the events."""
+        names = {column.name for record in (ALWAYS, *self.records) for column in record.kept}
+        return {name: self.table[name].combine_chunks() for name in names - {"t", "n_stick"}}
 
-    def _computed(self, member: Member, k: int, new: Sequence[Record]) -> dict[str, Any]:
+    def _computed(self, member: Member, row: int, new: Sequence[Record]) -> dict[str, Any]:
         """The columns of new records of a member, from its row."""
-        row = {name: values[k] for name, values in self._of_runs.items()}
-        has_system = any("system" in record.needs for record in new)
-        made = Made(
-            member,
-            member.system() if has_system else cast("sim.System", _NotKept("system")),
-            _run(row, self.records, has_several(dict(member.settings))),
-            member.start(end_of(member)) if has_system else cast("tuple[Any, Any]", _NotKept("start")),
-            cast("Callable[..., sim.Samples]", _NotKept("again")),
-            {name: _value(one) for name, one in row.items() if one.is_valid},
-            stop_early(self.records),
-        )
-        found: dict[str, Any] = {}
+        values = {name: _value(column[row]) for name, column in self._of_runs.items() if column[row].is_valid}
+        made = _OfRow(member, values, self.records)
+        computed: dict[str, Any] = {}
         for record in new:
             if record.applies(member):
-                try:
-                    found |= record.of(made)
-                except Exception as error:
-                    raise StoreError(
-                        f"record.{record.name}: expected a value for {member.member_id}, got {foreign(error)}; the"
-                        f" dataset is as it was: leave the record out"
-                    ) from error
-                made.found.update(found)
-        return found
-
-    def _check(
-        self, members: Sequence[Member], at: list[int], found: list[dict[str, Any]], others: Sequence[Record]
-    ) -> None:
-        """See that runs that were made again are those that are kept."""
-        of_kept = self.table.take(pa.array(at, pa.int64()))
-        for column in (column for record in (ALWAYS, *others) for column in record.kept):
-            before = of_kept[column.name].combine_chunks()
-            now = pa.array([one.get(column.name) for one in found], before.type)
-            if not now.equals(before):
-                k = next(k for k in range(len(now)) if now[k] != before[k])
-                failed = found[k].get("reason") if found[k]["outcome"] == "failed" else None
-                raise StoreError(
-                    f"{members[k].member_id}: expected the run that is kept, got another ({failed or column.name});"
-                    f" the dataset is as it was: extend it on the machine that ran it, with the same versions, or run"
-                    f" the scene with the record into another directory"
-                )
+                computed |= record.of(made)
+                made.found.update(computed)
+        return computed
 
 
-def added(records: Sequence[Record], kept: Sequence[Record]) -> tuple[Record, ...]:
-    """Those of `records` that are not kept."""
-    return tuple(one for one in records if one not in kept)
-
-
-def held_by(kept: Sequence[Record]) -> Set[str]:
-    """What a row holds of a run by the records that are kept, and what is had without one: names as in `needs`."""
-    return {"system", *(record.name for record in kept)}
-
-
-def reads_more(record: Record, held: Set[str]) -> bool:
-    """Whether a record reads more of a run than what is held of it: names as in `Record.needs`."""
-    return record.is_sampled or not record.needs <= held
-
-
-def must_run(member: Member, outcome: str, new: Sequence[Record], held: Set[str]) -> bool:
-    """Whether a member is run again for new records, of a dataset that holds so much of it."""
-    return outcome != "failed" and any(reads_more(one, held) for one in new if one.applies(member))
-
-
-def _run(row: Mapping[str, pa.Scalar], kept: Sequence[Record], has_thresholds: bool) -> sim.Run:
-    """A run as far as a row has it; with other definitions of sticking, `thresholds`, or not."""
-    names = {record.name for record in kept}
-    outcome, t_stop = row["outcome"].as_py(), row["t_stop"].as_py()
-    # nothing happens any more after a collapse: the run is known to the end
-    end = t_stop if outcome == "diverged" else row["t_end"].as_py()
-    events: Any = _NotKept("events")
-    if "events" in names:
-        t, block, mode = (_value(row[f"event_{name}"]) for name in ("t", "block", "mode"))
-        events = sim.EventSeries(t, block, mode, _value(row["initial_mode"]), t_start=0.0, t_end=end)
-    z, w = (_value(row[name]) if "end" in names else cast("Any", _NotKept(name)) for name in ("z_end", "w_end"))
-    counts = [row[name].as_py() for name in ("n_steps", "n_rejected", "n_products", "n_events")]
-    return sim.Run(
-        z=z,
-        w=w,
-        t_end=end,
-        events=events,
-        outcome=outcome,
-        reason=row["reason"].as_py() or "",
-        stats=sim.Stats(*counts),
-        t_collapse=t_stop if outcome == "collapsed" else None,
-        samples=cast("sim.Samples", _NotKept("samples")),
-        stills=cast("Any", _NotKept("stills")),
-        by_threshold=cast("Any", _NotKept("by_threshold")) if has_thresholds else {},
+def must_run(member: Member, records: Sequence[Record], kept: Sequence[Record]) -> bool:
+    """Whether a row with the records that are kept holds too little of a member's run for others."""
+    held = {"system", *(record.name for record in kept)}
+    return stop_early(records) != stop_early(kept) or any(
+        record.is_sampled or not record.needs <= held
+        for record in records
+        if record not in kept and record.applies(member)
     )
+
+
+def _array(rows: Sequence[Mapping[str, Any]], name: str, kind: pa.DataType) -> pa.Array:
+    return pa.array([row.get(name) for row in rows], kind)
 
 
 def _value(entry: pa.Scalar) -> Any:
@@ -181,25 +190,69 @@ def _value(entry: pa.Scalar) -> Any:
     return entry.as_py()
 
 
-class _NotKept:
-    """Stands for what a row does not hold."""
+class _OfRow(Made):
+    """A member as its row has it; what the row does not hold is a `NotKeptError`."""
 
-    def __init__(self, what: str) -> None:
-        self._what = what
+    is_whole = False
+    _member: Member
+    _held: set[str]
+
+    def __init__(self, member: Member, values: dict[str, Any], records: Sequence[Record]) -> None:
+        held = {record.name for record in records}
+        vars(self).update(member=member, found=values, stop_early=stop_early(records), _member=member, _held=held)
+
+    @cached_property
+    def system(self) -> sim.System:
+        return self._member.system()
+
+    @cached_property
+    def start(self) -> tuple[Any, Any]:
+        return self._member.start(end_of(self._member))
+
+    @cached_property
+    def events(self) -> sim.EventSeries:
+        self._check("events")
+        values = self.found
+        # nothing happens any more after a collapse: the run is known to the end
+        t_end = values["t_stop"] if values["outcome"] == "diverged" else self._member.t_end
+        t, block, mode = (values[f"event_{name}"] for name in ("t", "block", "mode"))
+        return sim.EventSeries(t, block, mode, values["initial_mode"], t_start=0.0, t_end=t_end)
+
+    @cached_property
+    def run(self) -> sim.Run:
+        self._check("end")
+        if has_several(dict(self._member.settings)):
+            raise NotKeptError("by_threshold")
+        values, outcome = self.found, self.found["outcome"]
+        return sim.Run(
+            z=values["z_end"],
+            w=values["w_end"],
+            t_end=self.events.t_end,
+            events=self.events,
+            outcome=outcome,
+            reason=values.get("reason", ""),
+            stats=sim.Stats(*(values[name] for name in ("n_steps", "n_rejected", "n_products", "n_events"))),
+            t_collapse=values["t_stop"] if outcome == "collapsed" else None,
+            samples=cast("sim.Samples", _Unread("samples")),
+            stills=cast("Any", _Unread("stills")),
+        )
+
+    def again(self, member: Any, times: tuple[float, ...]) -> sim.Samples:
+        raise NotKeptError("samples")
+
+    def _check(self, record: str) -> None:
+        if record not in self._held:
+            raise NotKeptError(record)
+
+
+class _Unread:
+    """Stands in a run for what no row holds."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
 
     def __getattr__(self, name: str) -> NoReturn:
-        self._refuse()
+        raise NotKeptError(self._name)
 
-    def __array__(self, *_: object, **__: object) -> NoReturn:
-        self._refuse()
-
-    def __iter__(self) -> NoReturn:
-        self._refuse()
-
-    def __bool__(self) -> NoReturn:
-        self._refuse()
-
-    def _refuse(self) -> NoReturn:
-        raise NotKeptError(
-            f"{self._what}: expected a record that names in `needs` what it reads, got one that does not"
-        )
+    def __len__(self) -> NoReturn:
+        raise NotKeptError(self._name)

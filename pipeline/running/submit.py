@@ -10,7 +10,7 @@ import pickle
 import time
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import CancelledError
-from typing import Any, TypeVar
+from typing import Any
 
 from dask.sizeof import sizeof
 from distributed import Client, Future, KilledWorker, as_completed
@@ -19,6 +19,7 @@ from distributed.comm import CommClosedError
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.errors import ScheduleError
 from stickslip.pipeline.running.cluster import Scheduling
+from stickslip.pipeline.running.executor import Executor, R, Results, T, call_there
 from stickslip.pipeline.running.slurm import Jobs
 
 log = logging.getLogger(__name__)
@@ -44,98 +45,127 @@ ATTEMPTS = 3
 #: What is raised where the scheduler is lost; TimeoutError is an OSError.
 LOST = (CancelledError, CommClosedError, OSError)
 
-T = TypeVar("T")
-R = TypeVar("R")
 
-
-def in_flight(client: Client) -> Callable[[], int]:
-    """How many tasks are to be in flight, for as many workers as there are at the last look."""
+def in_flight(client: Client, n_together: int) -> Callable[[], int]:
+    """How many tasks are to be in flight, so many for each worker that there is at the last look."""
     looked, count = -math.inf, 0
 
     def window() -> int:
         nonlocal looked, count
         if time.monotonic() - looked > _LOOK_AT_WORKERS:
-            count = WINDOW * max(1, sum(client.nthreads().values()))
+            count = n_together * max(1, sum(client.nthreads().values()))
             looked = time.monotonic()
         return count
 
     return window
 
 
-def lost_scheduler(again: str) -> ScheduleError:
-    """The error for a scheduler that is lost."""
-    return ScheduleError(f"expected the scheduler to stay until the end, lost it; start it again, then {again}")
-
-
-def submit(
-    client: Client,
-    todo: Iterable[T],
-    work: Callable[[bytes], R],
-    window: Callable[[], int],
-    scheduler: Scheduling,
-    again: str,
-    on_workers: Callable[[int], None] = lambda n: None,
-) -> Generator[list[R], None, list[T]]:
-    """Yield results as they come in, those that are there together, with `window()` tasks in flight.
-
-    Returns the tasks whose workers died.
+class Dask(Executor):
+    """Workers of dask.
 
     Parameters
     ----------
     client : Client
-    todo : iterable
-        Tasks, each taken when there is room for it.
-    work : callable
-        Takes a pickled task.
-    window : callable
     scheduler : str, Client, callable or None
         As of `connect`.
     again : str
         What errors say to do once their reason is gone.
+    alone : callable, optional
+        Computes, in place of the function, parts whose workers died.
+    version : callable, optional
+        Of what has to be the same on workers.
     on_workers : callable, optional
         Called about once a second with how many threads there are to compute.
-
-    Raises
-    ------
-    ScheduleError
-        If workers do not come up, or run another version.
-    Exception
-        One of `LOST` if the scheduler is lost, and whatever `work` raises.
     """
-    waiting = iter(todo)
-    running = as_completed(loop=client.loop)
-    task_of: dict[Future[Any], T] = {}
-    lost: list[T] = []
-    patience = _Patience(client, scheduler, again, on_workers)
-    while True:
-        # measured each time, as clusters grow and shrink
-        for task in itertools.islice(waiting, max(0, window() - running.count())):
-            # in bytes: the scheduler, in this process, would unpack and pack the members one by one
-            future = client.submit(work, pickle.dumps(task), pure=False)
-            task_of[future] = task
-            running.add(future)
-        if running.is_empty():
-            return lost
-        patience.look()
-        _until(running.has_ready, patience)
-        results: list[R] = []
+
+    def __init__(
+        self,
+        client: Client,
+        scheduler: Scheduling,
+        again: str,
+        alone: Callable[[Any], Any] | None = None,
+        version: Callable[[], str] = program,
+        on_workers: Callable[[int], None] = lambda n: None,
+    ) -> None:
+        self._client, self._scheduler, self._again = client, scheduler, again
+        self._alone, self._version, self._on_workers = alone, version, on_workers
+
+    def map(self, function: Callable[[T], R], parts: Iterable[T]) -> Results[R]:
+        """As `Executor.map`, with some parts in flight for each worker.
+
+        Raises
+        ------
+        ScheduleError
+            If the scheduler or its workers are lost, do not come up, or run another version.
+        Exception
+            Whatever the function raises.
+        """
+        tasks: Iterable[tuple[int, T]] = enumerate(parts)
+        lost: list[tuple[int, T]] = []
+        n_together = WINDOW
         try:
-            while running.has_ready() and len(results) < _TOGETHER and sizeof(results) < _ROOM:
-                future = next(running)
-                task = task_of.pop(future)
-                try:
-                    results.append(_fetch(future, patience))
-                except KilledWorker:
-                    lost.append(task)
-                except (ImportError, AttributeError) as error:
-                    raise ScheduleError(
-                        f"expected workers with this version of the program ({program()}), got one that cannot run "
-                        f"it ({error}); install the same there, then {again}"
-                    ) from error
-                future.release()  # a held result is computed again when its worker dies
-        finally:  # what has come in is kept even if the next is lost
-            if results:
-                yield results
+            for _ in range(ATTEMPTS + 1):
+                tasks = lost = yield from self._attempt(function, tasks, in_flight(self._client, n_together))
+                # dask blames a worker's death on all tasks that waited there
+                function, n_together = self._alone or function, 1
+        except LOST as error:
+            raise ScheduleError(
+                f"expected the scheduler to stay until the end, lost it; start it again, then {self._again}"
+            ) from error
+        if lost:
+            raise ScheduleError(
+                f"expected workers to stay alive, got {len(lost)} parts whose workers died {ATTEMPTS + 1} times; "
+                f"see what ends them (memory?), then {self._again}"
+            )
+
+    def _attempt(
+        self, function: Callable[[T], R], tasks: Iterable[tuple[int, T]], window: Callable[[], int]
+    ) -> Generator[list[tuple[int, R]], None, list[tuple[int, T]]]:
+        """What the function gives of numbered parts, as it comes in; returns those whose workers died."""
+        waiting = iter(tasks)
+        running = as_completed(loop=self._client.loop)
+        task_of: dict[Future[Any], tuple[int, T]] = {}
+        lost: list[tuple[int, T]] = []
+        patience = _Patience(self._client, self._scheduler, self._again, self._on_workers)
+        while True:
+            # measured each time, as clusters grow and shrink
+            for task in itertools.islice(waiting, max(0, window() - running.count())):
+                # in bytes: the scheduler, in this process, would unpack and pack the members one by one
+                part = pickle.dumps(task[1])
+                future = self._client.submit(call_there, function, part, self._version, pure=False)
+                task_of[future] = task
+                running.add(future)
+            if running.is_empty():
+                return lost
+            patience.look()
+            _until(running.has_ready, patience)
+            results: list[tuple[int, R]] = []
+            try:
+                while running.has_ready() and len(results) < _TOGETHER and sizeof(results) < _ROOM:
+                    future = next(running)
+                    task = task_of.pop(future)
+                    try:
+                        results.append((task[0], self._checked(_fetch(future, patience))))
+                    except KilledWorker:
+                        lost.append(task)
+                    except (ImportError, AttributeError) as error:
+                        raise self._of_another(f"one that cannot run it ({error})") from error
+                    future.release()  # a held result is computed again when its worker dies
+            finally:  # what has come in is kept even if the next is lost
+                if results:
+                    yield results
+
+    def _checked(self, answer: tuple[str, str, R]) -> R:
+        version, host, result = answer
+        if version != self._version():
+            raise self._of_another(f"{version} on {host}")
+        return result
+
+    def _of_another(self, which: str) -> ScheduleError:
+        return ScheduleError(
+            f"expected workers with this version of the program ({self._version()}), got {which}; install the same "
+            f"there, then {self._again}"
+        )
 
 
 class _Patience:

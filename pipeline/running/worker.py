@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pickle
 import socket
 import time
 from collections import Counter
@@ -49,7 +48,7 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
     batch : Batch
     recording : Recording
     kept : Kept, optional
-        Their rows with fewer records, to which the others are added.
+        What another dataset has of them, which is not computed again.
     run : callable, optional
         How members are run: `run_members` if left out.
     """
@@ -60,7 +59,7 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
     if kept is None:
         rows = columns(members, run(members, recording), recording)
     else:
-        rows = kept.extended(members, recording, run)
+        rows = kept.completed(members, recording, run)
     if batch.coordinates is not None:
         rows = {**rows, **dict(zip((column.name for column in DESIGN), batch.coordinates, strict=True))}
     return Result(
@@ -77,11 +76,14 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
     )
 
 
-def compute_packed(task: bytes) -> Result:
-    """As `compute`, for a pickled task: what a run sends to workers, which load this module and no driver."""
-    batch, recording, kept = pickle.loads(task)
-    if kept is None or kept.needs_runs(batch.members, recording):
-        load_kernels(batch.members)
+#: A shard to be computed, with the rows that another dataset has, if there is one.
+Order = tuple[Batch, Recording, Kept | None]
+
+
+def compute_there(order: Order) -> Result:
+    """As `compute`, on a worker, which loads this module and no driver."""
+    batch, recording, kept = order
+    load_kernels(batch.members if kept is None else kept.left(batch.members, recording))
     return compute(batch, recording, kept)
 
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis import AnalysisSettings, Study
 from tests.analysis import studies
+from tests.analysis.designs import Data
 
 
 def coupled_blocks(planted, n, pull, rng, matrices=8, changes=3000):

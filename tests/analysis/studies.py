@@ -19,7 +19,8 @@ from stickslip.analysis.models import clustering, common_motion, fates, growth, 
 from stickslip.analysis.models.episodes import OCCUPANCY, SLOW_DRIVE, Catalogue
 from stickslip.analysis.series.cascades import Law, Window, sizes, sums, window
 from stickslip.analysis.series.cascades import laws as cascade_laws
-from stickslip.analysis.series.nulls import DRAWS, BlockSteps, rotations
+from stickslip.analysis.series.nulls import DRAWS, BlockSteps
+from stickslip.analysis.series.nulls import sums as sums_of_rotated
 from stickslip.analysis.stats import compare, components, dispersion, effective, enough, multiplicity
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import (
@@ -292,11 +293,11 @@ POOL, BLOCKS = 3, 16
 SPAN = 600.0
 TAUS = (0.05, 0.2, 1.0)
 PARTS = [
-    *(clustering.Part(clustering.POWER, high, low) for low, high in pairwise((5.0, 15.0, 50.0, 100.0, 250.0))),
-    clustering.Part(clustering.VARIANCE),
-    *(clustering.Part(clustering.FANO, length) for length in (1.0, 5.0, 20.0, 40.0)),
+    *(clustering.Part(clustering.Kind.POWER, high, low) for low, high in pairwise((5.0, 15.0, 50.0, 100.0, 250.0))),
+    clustering.Part(clustering.Kind.VARIANCE),
+    *(clustering.Part(clustering.Kind.FANO, length) for length in (1.0, 5.0, 20.0, 40.0)),
 ]
-PAIRS = [clustering.Part(clustering.PAIRS, tau) for tau in TAUS]
+PAIRS = [clustering.Part(clustering.Kind.PAIRS, tau) for tau in TAUS]
 
 
 def first(sums):
@@ -364,7 +365,7 @@ def definitions_study(rng, ensembles):
         observed = sums(win.step)
         for dt in dts:
             observed |= sums(win.sampled(dt), dt)
-        chance = rotations(steps, dts, DRAWS, rng).sums
+        chance = sums_of_rotated(steps, dts, DRAWS, rng)
         for law, rows in runs.items():
             rows.append(np.concatenate([observed[law], chance[law]]))
     picks = rng.integers(POOL * ensembles, size=(ensembles, MATRICES))
@@ -589,7 +590,7 @@ def components_study(rng, ensembles):
     ):  # fmt: skip
         every = [components.against_redraw(*matrices(rng, correlation, theta, heavy=heavy), CONFIDENCE)
                  for _ in range(ensembles)]  # fmt: skip
-        bounded = np.array([one.kind == components.BOUNDED for one in every])
+        bounded = np.array([one.is_bounded for one in every])
         held = [
             not known or one.theta.low <= theta <= one.theta.high for one, known in zip(every, bounded, strict=True)
         ]
@@ -604,8 +605,8 @@ def change_study(rng, ensembles):
         every = [
             components.against_redraw(*matrices(rng, correlation, theta, k=3), CONFIDENCE) for _ in range(ensembles)
         ]
-        stays = np.mean([one.p_below(BOUND) < 1 - CONFIDENCE for one in every])
-        moves = np.mean([one.p_above(0.0) < 1 - CONFIDENCE for one in every])
+        stays = np.mean([one.is_below(BOUND) for one in every])
+        moves = np.mean([one.is_above(0.0) for one in every])
         name = f"{theta:g}, correlation {correlation:g}; stays {stays:.2f}, moves {moves:.2f}"
         false = moves if theta == 0 else stays
         yield Row("change: verdict", name, theta, np.nan, np.nan, 1 - false, ensembles)

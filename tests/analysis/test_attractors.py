@@ -8,18 +8,17 @@ import pandas as pd
 import pytest
 from scipy.stats import norm
 
-from stickslip.analysis import Data, Study
+from stickslip.analysis import Study
 from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Alike, Regimes, Share, Verdict
+from stickslip.analysis.findings.finding import Alike, Regime, Share, Verdict
 from stickslip.analysis.findings.words import sentence
-from stickslip.analysis.models import attractors
 from stickslip.analysis.models.attractors import Cycle, alike, plane
 from stickslip.analysis.questions.runs import fates
-from stickslip.analysis.questions.runs.attractors import PREDICATES, settled
 from stickslip.analysis.questions.runs.fate_figures import LOOKS
-from stickslip.analysis.questions.runs.regimes import Place, Stretch, stretches_of
+from stickslip.analysis.questions.runs.settled import PREDICATES, Outcome, stretches
 from stickslip.sim.attractors.result import Kind
+from tests.analysis.designs import Data
 
 SERIES = (np.array([0.0, 150.0]), np.array([3, 2]))
 KINDS = 3 * ["sliding"] + 5 * ["periodic"] + ["irregular", "undecided"]
@@ -79,43 +78,42 @@ def said(answered):
 
 
 def test_shares_and_periods(data, settings):
-    answered = settled(Study(data(), settings))
+    answered = fates.answer(Study(data(), settings))
     n_of = {"sliding": 3, "periodic": 5, "irregular": 1, "undecided": 1}
     assert {key: round(10 * share.estimate.value) for key, share in shares(answered).items()} == n_of
     for key, share in shares(answered).items():
         np.testing.assert_allclose([share.estimate.low, share.estimate.high], wilson(n_of[key], 10), rtol=1e-9)
         assert share.basis.n == 10
-    table = answered.tables["attractors"].set_index("attractor")
+    table = answered.tables["fates"].set_index("outcome")
     assert table["n_runs"].to_dict() == n_of
-    assert table.loc["periodic", ["period_least", "period_median", "period_most"]].tolist() == [2.0, 6.0, 9.0]
-    assert table["period_median"].notna().sum() == 1
-    assert said(answered)[0] == "30% (11 to 60%) of runs settle into steady sliding."
+    assert table["period"].dropna().to_dict() == {"periodic": 6.0}
+    assert said(answered) == [
+        "50% (24 to 76%) of runs settle on a cycle.",
+        "30% (11 to 60%) of runs settle into steady sliding.",
+    ]
 
 
 def test_runs_of_one_matrix_are_no_independent_trials(planted, data, settings):
     """Two matrices of ten runs each, all of one kind: the interval is that of two trials."""
     whole = data(10 * ["rest"] + 10 * ["periodic"], 20 * [None])
     whole = replace(whole, table=whole.members.assign(matrix=[0] * 10 + [1] * 10 + [2]))
-    estimate = shares(settled(Study(whole, settings)))["rest"].estimate
+    estimate = shares(fates.answer(Study(whole, settings)))["rest"].estimate
     np.testing.assert_allclose([estimate.low, estimate.high], wilson(1, 2), rtol=1e-9)
 
 
 def test_the_question_is_of_attractors_where_they_are_recorded(data, settings):
     kept = data()
-    assert settled(Study(Data(kept.members.drop(columns="attractor"), kept.series), settings)) is None
-    assert settled(Study(data([None] * 10), settings)) is None
+    for other in (Data(kept.members.drop(columns="attractor"), kept.series), data([None] * 10)):
+        assert set(fates.answer(Study(other, settings)).tables["fates"]["outcome"]) == {"sustained"}
     study = Study(kept, settings)
     assert fates.QUESTION.leads(study)
-    answered = fates.answer(study)
-    assert {"attractors", "fates"} <= answered.tables.keys()
-    assert [finding for finding in answered.findings if isinstance(finding, Share)] == settled(study).findings
+    assert shares(fates.answer(study)).keys() == {*KINDS}
     undecided = fates.answer(Study(data(2 * ["undecided"] + 8 * ["rest"], 10 * [None]), settings))
     assert {alert.code: dict(alert.numbers) for alert in undecided.alerts}[Code.UNDECIDED] == {"n": 2, "of": 10}
 
 
 def test_every_kind_of_attractor_has_words_and_a_look():
-    assert get_args(Kind) == attractors.KINDS
-    assert [*PREDICATES] == [*LOOKS] == [*attractors.KINDS]
+    assert {*get_args(Kind)} <= {*PREDICATES} == {*LOOKS}
 
 
 # ---------------------------------------------------------------------------------------------- basins
@@ -147,23 +145,27 @@ def basin(planted_runs, rng):
 
 def test_cycles_of_one_system_are_told_apart_with_their_shares(basin, settings):
     data, starts = basin
-    answered = settled(Study(data, settings))
-    rows = answered.tables["attractors"].set_index("period_median")
+    answered = fates.answer(Study(data, settings))
+    rows = answered.tables["fates"].set_index("period")
     fast, slow = (starts[:, 0] >= 1).sum(), (starts[:, 0] <= -1).sum()
     assert (rows.loc[3.0, "n_runs"], rows.loc[7.0, "n_runs"]) == (fast, slow)
     assert set(rows["cycle"].dropna()) == {1, 2}
-    (share,) = [finding for finding in answered.findings if finding.predicate == "settle on the cycle of period 7"]
+    (share,) = [
+        share
+        for share in answered.findings
+        if isinstance(share, Share) and share.predicate == "settle on the cycle of period 7"
+    ]
     np.testing.assert_allclose([share.estimate.low, share.estimate.high], wilson(slow, 400), rtol=1e-9)
     assert (share.things, share.basis.n, share.basis.unit) == ("starts", 400, "start")
 
 
 def test_a_period_that_all_starts_share_has_no_interval(planted_runs, settings):
     starts = [started(0.1 * k, 0.0, start_draw=k, drawn="z = uniform(0, 1)") for k in range(8)]
-    answered = settled(Study(planted_runs([start | cycle(3.5081, 0.5) for start in starts]), settings))
+    answered = fates.answer(Study(planted_runs([start | cycle(3.5081, 0.5) for start in starts]), settings))
     (period,) = [finding for finding in answered.findings if isinstance(finding, Alike)]
     assert (period.value, period.among) == (3.5081, "from all 8 starts")
     other = [start | cycle(3.5081 + 0.1 * (k == 0), 0.5) for k, start in enumerate(starts)]
-    assert not [finding for finding in settled(Study(planted_runs(other), settings)).findings
+    assert not [finding for finding in fates.answer(Study(planted_runs(other), settings)).findings
                 if isinstance(finding, Alike)]  # fmt: skip
 
 
@@ -173,17 +175,17 @@ def test_a_share_is_set_beside_the_published_one(basin, settings):
     low, high = wilson(has.sum(), 400)
     for value, verdict in ((has.mean(), Verdict.OPEN), (low - 0.01, Verdict.MORE), (high + 0.01, Verdict.LESS)):
         study = Study(data, replace(settings, published={"sliding": value}))
-        comparison = shares(settled(study))["sliding"].comparison
+        comparison = shares(fates.answer(study))["sliding"].comparison
         assert comparison.difference.verdict is verdict
         assert comparison.difference.estimate.low == pytest.approx(low - value)
-    none = shares(settled(Study(data, replace(settings, published={"torus": 0.2}))))["torus"]
+    none = shares(fates.answer(Study(data, replace(settings, published={"torus": 0.2}))))["torus"]
     assert (none.estimate.value, none.comparison.difference.verdict) == (0.0, Verdict.LESS)
 
 
 def test_the_basin_has_a_mark_for_each_start_and_shares_in_its_legend(basin, settings):
     data, starts = basin
-    answered = settled(Study(data, settings))
-    (ax,) = answered.figures["basin_of_attractors"].recipe().axes
+    answered = fates.answer(Study(data, settings))
+    (ax,) = answered.figures["basin"].recipe().axes
     shown = {len(line.get_xdata()): line for line in ax.lines}
     z = starts[:, 0]
     assert set(shown) == {(abs(z) < 1).sum(), (z >= 1).sum(), (z <= -1).sum()}
@@ -192,36 +194,22 @@ def test_the_basin_has_a_mark_for_each_start_and_shares_in_its_legend(basin, set
     assert sorted(sliding.get_xdata()) == sorted(z[abs(z) < 1])
     words = [text.get_text() for text in ax.figure.legends[0].get_texts()]
     low, high = 100 * wilson((abs(z) < 1).sum(), 400)
-    assert f"steady sliding: {25 * (abs(z) < 1).mean() * 4:.1f}% ({low:.1f} to {high:.1f})" in words
-    assert any(entry.startswith("cycle, period 7, 2 exits: ") for entry in words)
+    assert f"steady sliding: {100 * (abs(z) < 1).mean():.1f}% ({low:.1f} to {high:.1f}%)" in words
+    assert any(entry.startswith("cycle, period 7: ") for entry in words)
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("displacement z at start", "velocity w at start")
 
 
-def test_starts_on_a_grid_are_cells_of_one_picture(planted_runs, settings):
-    """Each start is swept, so that it is a group elsewhere; here all are one."""
+def test_starts_of_a_grid_and_of_a_line_are_one_setting(planted_runs, settings):
     z, w = np.linspace(-1, 1, 5), np.linspace(0, 3, 4)
-    rows = [started(a, b) | (SLIDES if a + b > 1 else cycle(3.0, 0.5)) for a in z for b in w]
-    answered = settled(Study(planted_runs(rows), settings))
-    assert set(answered.tables["attractors"]["of"]) == {20}
-    (ax,) = answered.figures["basin_of_attractors"].recipe().axes
-    mesh = ax.collections[0]
-    slides = np.add.outer(w, z) > 1
-    assert (mesh.get_array().reshape(4, 5) == np.where(slides, 0, 1)).all()
-    # cells are centred on the starts; a line runs between cells that differ
-    assert ax.dataLim.intervalx == pytest.approx([-1.25, 1.25])
-    assert len(ax.collections[1].get_segments()) == (np.diff(slides, axis=0) != 0).sum() + np.diff(slides).sum()
-    assert "attractor_ranges" not in answered.tables
-
-
-def test_starts_along_a_line_are_a_strip(planted_runs, settings):
-    rows = [started(a, 0.5) | (SLIDES if a < 0.5 else cycle(3.0, 0.5)) for a in (0.0, 1.0, 2.0, 4.0)]
-    answered = settled(Study(planted_runs(rows), settings))
-    (ax,) = answered.figures["basin_of_attractors"].recipe().axes
-    mesh, lines = ax.collections
-    assert mesh.get_coordinates()[0, :, 0].tolist() == [-0.5, 0.5, 1.5, 3.0, 5.0]
-    assert mesh.get_array().ravel().tolist() == [0, 1, 1, 1]
-    assert [segment[:, 0].tolist() for segment in lines.get_segments()] == [[0.5, 0.5]]
-    assert ax.get_xlabel() == "displacement z at start"
+    for ws, label in ((w, "velocity w at start"), (w[:1], "")):
+        rows = [started(a, b) | (SLIDES if a + b > 0.5 else cycle(3.0, 0.5)) for a in z for b in ws]
+        answered = fates.answer(Study(planted_runs(rows), settings))
+        assert set(answered.tables["fates"]["of"]) == {5 * len(ws)}
+        assert not [finding for finding in answered.findings if isinstance(finding, Regime)]
+        (ax,) = answered.figures["basin"].recipe().axes
+        (sliding,) = [line for line in ax.lines if line.get_color() == "#0072B2"]
+        assert len(sliding.get_xdata()) == (np.add.outer(ws, z) > 0.5).sum()
+        assert (ax.get_xlabel(), ax.get_ylabel()) == ("displacement z at start", label)
 
 
 def test_what_varies_of_the_starts(rng):
@@ -272,22 +260,19 @@ def swept(planted_runs):
 
 
 def test_where_along_a_key_attractors_change(swept, settings):
-    answered = settled(Study(swept, settings))
+    answered = fates.answer(Study(swept, settings))
     assert said(answered) == [
-        "Up to belt_speed = 7 all 5 starts each settle on a cycle; from belt_speed = 9 on all 5 each settle into"
-        " steady sliding.",
-        "Up to belt_speed = 4 all 5 starts each settle on a cycle of 1 exit per period; from belt_speed = 5 to 7 all"
-        " 5 each settle on a cycle of 2 exits per period; from belt_speed = 9 on all 5 each settle into steady"
-        " sliding.",
-    ]  # fmt: skip
-    for regime in answered.findings[0].regimes:
+        "At belt_speed = 1 to 7, all 35 starts settle on a cycle.",
+        "At belt_speed = 9 to 12, all 20 starts settle into steady sliding.",
+        "At belt_speed = 1 to 4, all 20 starts settle on a cycle of 1 exit per period.",
+    ]
+    regimes = [finding for finding in answered.findings if isinstance(finding, Regime)]
+    assert sentence(regimes[3]) == "At belt_speed = 5 to 7, all 15 starts settle on a cycle of 2 exits per period."
+    for regime in regimes:
         assert regime.share.low == pytest.approx(wilson(5, 5)[0])  # of five starts
-    ranges = answered.tables["attractor_ranges"]
-    assert ranges["attractors"].tolist() == [
-        "periodic, 1 exit per period", "periodic, 2 exits per period", "sliding",
-    ]  # fmt: skip
-    np.testing.assert_allclose(ranges["least_share"].astype(float), wilson(5, 5)[0], rtol=1e-9)
-    np.testing.assert_allclose(ranges["multiplier_last"].astype(float), [0.9, 0.5, np.nan])
+    table = answered.tables["fates"].set_index(["setting", "outcome"])
+    multipliers = table.xs("periodic", level="outcome")["multiplier"].astype(float)
+    np.testing.assert_allclose(multipliers, [0.3, 0.5, 0.7, 0.9, 0.5, 0.5, 0.5])
 
 
 def test_where_both_attract(planted_runs, settings):
@@ -296,17 +281,17 @@ def test_where_both_attract(planted_runs, settings):
         started(0.1 * k, 0.0, start_draw=k, drawn="z = uniform(0, 1)", belt_speed=float(v))
         | (cycle(3.0, 0.1) if v <= 2 or (v <= 4 and k < 2) else SLIDES) for v in range(1, 7) for k in range(5)
     ])  # fmt: skip
-    answered = settled(Study(data, settings))
-    assert said(answered) == [
-        "At belt_speed = 1 and 2 all 5 starts each settle on a cycle; at belt_speed = 3 and 4 some settle into steady"
-        " sliding and others settle on a cycle; at belt_speed = 5 and 6 all 5 each settle into steady sliding."
-    ]  # fmt: skip
+    assert said(fates.answer(Study(data, settings))) == [
+        "At belt_speed = 1 and 2, all 10 starts settle on a cycle.",
+        "At belt_speed = 3 and 4, some starts settle into steady sliding and others settle on a cycle.",
+        "At belt_speed = 5 and 6, all 10 starts settle into steady sliding.",
+    ]
 
 
 def test_the_figures_along_a_key(swept, settings):
-    figures = settled(Study(swept, settings)).figures
-    (ax,) = figures["attractors"].recipe().axes
-    assert [bar.get_height() for bar in ax.containers[0]] == [0.0] * 8 + [1.0] * 4  # sliding
+    figures = fates.answer(Study(swept, settings)).figures
+    (ax,) = figures["fates"].recipe().axes
+    assert [bar.get_width() for bar in ax.containers[0]] == [0.0] * 8 + [1.0] * 4  # sliding
     above, middle, below = figures["bifurcation"].recipe().axes
     (line,) = above.lines
     expected = [(v, 0.5) for v in range(1, 5)] + [(v, 0.5 + s * v / 10) for v in range(5, 8) for s in (1, -1)]
@@ -317,8 +302,9 @@ def test_the_figures_along_a_key(swept, settings):
 
 
 def test_stretches_bridge_what_is_not_known_only_between_alikes():
-    outcomes = [(), ("a",), (), ("a",), (), ("b",), ("a", "b")]
-    assert stretches_of([Place(on, 1, 1, 1) for on in outcomes]) == [Stretch(1, 3), Stretch(5, 5), Stretch(6, 6)]
+    a, b = Outcome("sliding"), Outcome("periodic")
+    outcomes = [(), (a,), (), (a,), (), (b,), (a, b)]
+    assert stretches(outcomes) == [slice(1, 4), slice(5, 6), slice(6, 7)]
 
 
 # ---------------------------------------------------------------------------------------------- over two keys
@@ -338,39 +324,20 @@ def over_two(planted_runs):
 
 
 def test_each_value_of_a_second_key_has_its_regimes_and_the_ends_lead(over_two, settings):
-    answered = settled(Study(over_two, settings))
+    answered = fates.answer(Study(over_two, settings))
     assert said(answered) == [
-        "At static = 1.2: at belt_speed = 1 all 5 starts settle on a cycle; from belt_speed = 2 on all 5 each settle"
-        " into steady sliding.",
-        "At static = 1.6: up to belt_speed = 3 all 5 starts each settle on a cycle; at belt_speed = 4 and 5 all 5"
-        " each settle into steady sliding.",
-    ]  # fmt: skip
-    assert [regimes.where for regimes in answered.findings if isinstance(regimes, Regimes)] == [
-        "static = 1.2", "static = 1.6", "static = 1.4",
-    ]  # fmt: skip
-    ranges = answered.tables["attractor_ranges"]
-    assert ranges[["static", "first", "last"]].to_numpy().tolist() == [
-        [1.2, "1", "1"], [1.2, "2", "5"], [1.4, "1", "2"], [1.4, "3", "5"], [1.6, "1", "3"], [1.6, "4", "5"],
-    ]  # fmt: skip
-
-
-def test_each_of_few_settings_has_its_own_pictures(planted_runs, settings):
-    data = planted_runs([
-        started(0.1 * s, 0.0, start_draw=s, drawn="z = uniform(0, 1)", belt_speed=float(v), static=1.2 + 0.2 * k, n=n)
-        | (cycle(3.0, 0.1, 1) | {"exits_z": [0.5]} if v <= k + n else SLIDES | {"section_z": [0.0]})
-        for n in (1, 2) for v in range(1, 6) for k in range(3) for s in range(5)
-    ])  # fmt: skip
-    figures = settled(Study(data, settings)).figures
-    assert [name for name in figures if name.startswith("attractors")] == ["attractors", "attractors_2"]
-    assert len([name for name in figures if name.startswith("bifurcation")]) == 6
+        "At belt_speed = 1, static = 1.2, all 5 starts settle on a cycle.",
+        "At belt_speed = 2 to 5, static = 1.2, all 20 starts settle into steady sliding.",
+        "At belt_speed = 1 to 3, static = 1.6, all 15 starts settle on a cycle.",
+    ]
+    regimes = [finding for finding in answered.findings if isinstance(finding, Regime)]
+    assert [dict(regime.where.parts)["static"] for regime in regimes] == ["1.2", "1.2", "1.6", "1.6", "1.4", "1.4"]
 
 
 def test_the_figures_over_two_keys(over_two, settings):
-    figures = settled(Study(over_two, settings)).figures
-    assert [name for name in figures if name != "basin_of_attractors"] == [
-        "attractors", "bifurcation", "bifurcation_2", "bifurcation_3",
-    ]  # fmt: skip
-    (ax,) = figures["attractors"].recipe().axes
+    figures = fates.answer(Study(over_two, settings)).figures
+    assert [*figures][:2] == ["fates", "bifurcation"]
+    (ax,) = figures["fates"].recipe().axes
     cells = np.ma.filled(ax.collections[0].get_array(), -1).reshape(3, 5)
     assert [len(set(row[: k + 1])) for k, row in enumerate(cells)] == [1, 1, 1]
     assert [(row[k + 1 :] != row[0]).all() for k, row in enumerate(cells)] == [True] * 3
@@ -383,8 +350,7 @@ def test_what_is_certain_to_slide_for_ever_has_collapsed(over_two, settings):
     quiet = {name: (np.array([0.0, 1.0]), np.array([1, 0])) for name in over_two.members["member_id"]}
     study = Study(replace(over_two, series=quiet), settings)
     kinds = study.data.members.set_index("member_id")["attractor"]
-    fates = set(zip(kinds, study.motion.fates, strict=True))
-    assert fates == {("sliding", "collapsed"), ("periodic", "quiet")}
+    assert set(zip(kinds, study.motion.fates, strict=True)) == {("sliding", "collapsed"), ("periodic", "quiet")}
 
 
 def test_values_that_differ_in_their_seventh_digit_are_told_apart(planted_runs, settings):
@@ -394,12 +360,12 @@ def test_values_that_differ_in_their_seventh_digit_are_told_apart(planted_runs, 
         | (SLIDES | {"section_z": [0.0]} if v == belts[-1] else cycle(3.0, 0.1, 1) | {"exits_z": [0.5]})
         for v in belts for s in range(5)
     ])  # fmt: skip
-    assert said(settled(Study(data, settings))) == [
-        "At belt_speed = 3.210571 and 3.210572 all 5 starts each settle on a cycle; at belt_speed = 3.210573 all 5"
-        " settle into steady sliding."
-    ]  # fmt: skip
     answered = fates.answer(Study(data, settings))
-    assert answered.tables["fates"]["n_runs"].tolist() == [5, 5, 5]
+    assert said(answered) == [
+        "At belt_speed = 3.210571 and 3.210572, all 10 starts settle on a cycle.",
+        "At belt_speed = 3.210573, all 5 starts settle into steady sliding.",
+    ]
+    assert answered.tables["fates"]["of"].tolist() == [5, 5, 5]
 
 
 def test_runs_that_are_undecided_are_not_among_all(planted_runs, settings):
@@ -408,6 +374,5 @@ def test_runs_that_are_undecided_are_not_among_all(planted_runs, settings):
         | (cycle(3.0, 0.1, 1) | {"exits_z": [0.5]} if s < 2 else dict(attractor="undecided", attractor_reason="few"))
         for v in (1, 2) for s in range(5)
     ])  # fmt: skip
-    answered = settled(Study(data, settings))
-    assert said(answered)[0] == "At belt_speed = 1 and 2 all 2 decided starts (of 5 each) settle on a cycle."
-    assert answered.findings[0].regimes[0].share.low is None
+    answered = fates.answer(Study(data, settings))
+    assert said(answered) == ["40% (12 to 77%) of starts settle on a cycle."]

@@ -6,10 +6,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Data, Study
+from stickslip.analysis import Study
 from stickslip.analysis.burn_in import estimates, geweke, with_enough
 from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.questions.runs import fates
+from tests.analysis.designs import Data
 from tests.chance import SURE, agrees
 
 N, T_END, T_BURN, DECAY = 200, 1000.0, 100.0, 80.0
@@ -154,7 +155,8 @@ def gamma_of(group):
 def test_an_alert_says_that_t_burn_is_too_short(planted, settings, rng):
     found = fates.answer(Study(ensemble(planted, rng, 100.0), settings))
     assert dict(found.alerts[0].numbers) == {
-        "what": "The number of sticking blocks at n = 200, exact",
+        "what": "The number of sticking blocks",
+        "where": " at n = 200, exact",
         "t_burn": 100.0,
     }
     assert "by_t_burn" in found.figures

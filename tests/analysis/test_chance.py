@@ -5,8 +5,9 @@ import pytest
 from scipy import stats
 
 from stickslip.analysis import Law, over_matrices, sizes, window
+from stickslip.analysis.series import nulls
 from stickslip.analysis.series.cascades import Window, laws
-from stickslip.analysis.series.nulls import BlockSteps, block_steps, rotated, rotations
+from stickslip.analysis.series.nulls import BlockSteps, block_steps, rotated
 from stickslip.analysis.stats.estimates import LN2, gamma
 from tests.chance import SURE, agrees
 
@@ -89,11 +90,11 @@ def alternating(n_blocks, n_changes, span, seed):
 def test_rotation_keeps_each_block_up_to_its_shift():
     for block in range(12):
         before = alternating(1, 7, 50.0, block)
-        t, step = rotated(before, np.random.default_rng(2))
+        t, is_exit = rotated(before, np.random.default_rng(2))
         assert (np.diff(t) >= 0).all()
         gaps = [np.diff(times, append=times[0] + 50.0) for times in (before.t, t)]  # on the circle
         assert any(
-            np.allclose(np.roll(gaps[0], k), gaps[1]) and np.array_equal(np.roll(before.step, k), step)
+            np.allclose(np.roll(gaps[0], k), gaps[1]) and np.array_equal(np.roll(before.step < 0, k), is_exit)
             for k in range(7)
         )
 
@@ -103,7 +104,7 @@ def test_rotation_breaks_what_blocks_share(rng):
     one = alternating(1, 40, 100.0, 5)
     both = BlockSteps(0.0, 100.0, np.repeat(one.t, 2), np.tile([0, 1], 40), np.repeat(one.step, 2))
     assert sizes(both.window(), EVENTS).min() == 2
-    total, count = rotations(both, (), 200, rng).sums[EVENTS]
+    total, count = nulls.sums(both, (), 200, rng)[EVENTS]
     assert total / count < 1.8
 
 
@@ -115,7 +116,7 @@ def test_rotation_of_many_slow_blocks_is_what_independence_gives(dt, rng):
     length: chance gives a different gamma for each definition and dt, which is why none stands without them.
     """
     steps = alternating(4000, 2, 2000.0, 6)
-    draws = [rotations(steps, (dt,), 1, rng).sums for _ in range(40)]
+    draws = [nulls.sums(steps, (dt,), 1, rng) for _ in range(40)]
     assert set(draws[0]) == set(laws((dt,)))
     step = stats.skellam(2 * dt, 2 * dt)
     falls = -np.arange(-60, 0)

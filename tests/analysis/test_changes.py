@@ -6,11 +6,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Data, Study, build
+from stickslip.analysis import Study, build
 from stickslip.analysis.findings.finding import Change, Lack, Outcomes, Reason
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.questions import refuse_unknown, renamed
 from stickslip.analysis.questions.runs.changes import answer
+from tests.analysis.designs import Data
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 

@@ -4,14 +4,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Data, Study
-from stickslip.analysis.findings.finding import Basis, Lack, Limit, Reason, Share, Verdict
+from stickslip.analysis import AnalysisSettings, Study
+from stickslip.analysis.findings.finding import Basis, Lack, Reason, Share, Verdict
+from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.findings.words import sentence
-from stickslip.analysis.models.clustering import FANO, PAIRS, Part, fano, measure, n_windows, own_gaps, pairs
+from stickslip.analysis.members import records
+from stickslip.analysis.models.clustering import Kind, Part, fano, measure, n_windows, own_gaps, pairs
 from stickslip.analysis.questions.slips import cascades, collective, triggering
 from stickslip.analysis.series.nulls import BlockSteps, rotated
-from stickslip.analysis.tables import records
 from tests.analysis import studies
+from tests.analysis.designs import Data
 from tests.chance import agrees
 
 SPAN = studies.SPAN
@@ -25,9 +27,9 @@ def test_pairs_counted_by_hand():
 
 def test_pairs_and_fano_of_rotation_agree_with_simulation(rng):
     steps = studies.blocks_run(rng, n=12)
-    own = own_gaps(*steps.exits(), SPAN, SPAN / 2)
+    own = own_gaps(*steps.exits, SPAN, SPAN / 2)
     taus, tiles, draws = (0.1, 1.0, 10.0, 150.0, 300.0), (100, 20, 2), 1000
-    turned = [t[step < 0] for t, step in (rotated(steps, rng) for _ in range(draws))]
+    turned = [t[is_exit] for t, is_exit in (rotated(steps, rng) for _ in range(draws))]
     closed = [*map(own.pairs, taus), *map(own.fano, tiles)]
     drawn = np.array(
         [[*(pairs(one, tau) for tau in taus), *(fano(one, 0.0, SPAN, k) for k in tiles)] for one in turned]
@@ -103,13 +105,13 @@ def exits_of(planted, runs):
 def test_the_primary_comparison_of_independent_blocks_is_not_adjusted(planted, rng):
     exits = exits_of(planted, [studies.blocks_run(rng) for _ in range(10)])
     first, *others = exits.compared
-    assert first.part == Part(FANO, 20.0)  # 580 units hold twenty windows of 20, not of 40
+    assert first.part == Part(Kind.FANO, 20.0)  # 580 units hold twenty windows of 20, not of 40
     assert first.difference.family is None
     assert 0.5 < first.effect.ratio.value < 2
     assert {one.difference.family.n for one in others} == {len(others)}
-    (found,), _ = triggering.triggered(exits, "", "system")
-    assert found.most < 0.1 if isinstance(found, Limit) else found.estimate.low < 0.05
-    if isinstance(found, Limit):
+    (found,), _ = triggering.triggered(exits, EVERYWHERE, "system")
+    assert found.estimate.high < 0.1 if is_limit(found) else found.estimate.low < 0.05
+    if is_limit(found):
         assert found.predicate == "trigger another within 0.05"
 
 
@@ -117,15 +119,14 @@ def test_a_common_slow_mode_has_more_exits_in_some_windows(planted, rng):
     exits = exits_of(planted, [studies.blocks_run(rng, depth=0.6) for _ in range(10)])
     first = exits.compared[0]
     assert first.difference.verdict is Verdict.MORE
-    said = sentence(first.level("", Basis(10)))
+    said = sentence(first.level(EVERYWHERE, Basis(10)))
     assert said.startswith("Counts of slip onsets in windows of 20 vary ")
     assert said.endswith(" for time-shifted blocks.")
 
 
 def test_exits_that_follow_others_are_seen(planted, rng):
     runs = [followers(rng, studies.blocks_run(rng), 0.3) for _ in range(10)]
-    (found,), _ = triggering.triggered(exits_of(planted, runs), "", "system")
-    assert isinstance(found, Share)
+    (found,), _ = triggering.triggered(exits_of(planted, runs), EVERYWHERE, "system")
     assert 0 < found.estimate.low < found.estimate.value < 0.5
 
 
@@ -135,8 +136,12 @@ def test_exits_that_follow_others_make_cascades_larger_than_of_the_same_blocks_m
     assert row["over_shifted_high"] < 0
 
 
+def is_limit(share):
+    return share.estimate.value is None
+
+
 def planted_pairs(rows, n_exits, gap, confidence):
-    compared = triggering.compare(rows, [Part(FANO, 20.0), Part(PAIRS, 0.2)], confidence)
+    compared = triggering.compare(rows, [Part(Kind.FANO, 20.0), Part(Kind.PAIRS, 0.2)], confidence)
     return triggering.Exits(None, compared, [], len(rows), n_exits, gap)
 
 
@@ -144,12 +149,11 @@ def test_the_share_of_exits_that_trigger_others_holds_the_planted_one(rng):
     """Each triggered exit is a pair more; of an exponential delay 0.865 is below twice its mean."""
     runs = [studies.triggered(studies.blocks_run(rng), 0.1, 0.1, rng) for _ in range(10)]
     n_exits = float(np.mean([np.sum(steps.step < 0) for steps in runs]))
-    rows = np.array([measure(steps, [Part(FANO, 20.0), Part(PAIRS, 0.2)]) for steps in runs])
-    (found,), _ = triggering.triggered(planted_pairs(rows, n_exits, 1.0, 0.99999), "", "system")
-    most = found.most if isinstance(found, Limit) else found.estimate.high
-    assert 0.0865 < most < 0.25
-    if isinstance(found, Limit):
-        assert triggering.triggered(planted_pairs(rows, n_exits, 2.0, 0.99999), "", "system") == ([], None)
+    rows = np.array([measure(steps, [Part(Kind.FANO, 20.0), Part(Kind.PAIRS, 0.2)]) for steps in runs])
+    (found,), _ = triggering.triggered(planted_pairs(rows, n_exits, 1.0, 0.99999), EVERYWHERE, "system")
+    assert 0.0865 < found.estimate.high < 0.25
+    if is_limit(found):
+        assert triggering.triggered(planted_pairs(rows, n_exits, 2.0, 0.99999), EVERYWHERE, "system") == ([], None)
 
 
 def test_the_limit_is_not_tight_by_luck(rng):
@@ -161,12 +165,12 @@ def test_the_limit_is_not_tight_by_luck(rng):
         by_rotation = np.full(20, pairs_an_exit * n_exits)
         pairs_rows = np.stack([by_rotation * np.exp(ratio), by_rotation], axis=1)
         exits = planted_pairs(np.stack([pairs_rows, pairs_rows], axis=1), n_exits, 1.0, 0.95)
-        (found,), _ = triggering.triggered(exits, "", "system")
-        held += (found.most if isinstance(found, Limit) else found.estimate.high) >= 0.0006
-        if isinstance(found, Limit):
+        (found,), _ = triggering.triggered(exits, EVERYWHERE, "system")
+        held += found.estimate.high >= 0.0006
+        if is_limit(found):
             effect = exits.compared[1].effect.ratio
             half = np.sqrt(effect.high / effect.low) - 1.0  # of the interval of the logarithm
-            assert found.most >= 0.999 * half * pairs_an_exit
+            assert found.estimate.high >= 0.999 * half * pairs_an_exit
     assert agrees(held, sets, 0.95, 1.0)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Fit, Lack, Level, Reason, Share, Verdict
 from stickslip.analysis.findings.words import sentence
@@ -18,6 +18,7 @@ from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.workflows.scenes import rhythm as scene
 from tests.analysis import studies
+from tests.analysis.designs import Data
 from tests.chance import ERRORS, agrees
 
 SPAN = 2400.0
@@ -230,7 +231,7 @@ def test_changes_are_those_planted(rng):
                (200, -0.2): 508}  # fmt: skip
     points = [point({"n": n, "belt_speed": v}, period, rng, 0.005) for (n, v), period in periods.items()]
     lines = [line for key in scene.KEYS for line in scene.along(key, points)]
-    assert [(line.key, line.at, len(line.groups)) for line in lines] == [
+    assert [(line.key, str(line.at), len(line.groups)) for line in lines] == [
         ("n", "belt_speed = -0.1", 3), ("n", "belt_speed = -0.2", 3),
         ("belt_speed", "n = 150", 2), ("belt_speed", "n = 175", 2), ("belt_speed", "n = 200", 2),
     ]  # fmt: skip

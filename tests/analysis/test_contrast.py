@@ -1,38 +1,35 @@
 """Two settings set side by side: closed forms, false alarms on planted data, and verdicts that follow the numbers."""
 
 from collections import Counter
+from functools import partial
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
 
-from stickslip.analysis import AnalysisSettings, Data, Study
+from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.contrast import (
-    SHORT_WINDOW,
-    Sample,
     Share,
     Statistic,
     contrast,
     judged,
-    sample,
-    shares,
-    statistics,
 )
 from stickslip.analysis.findings.finding import Scale, Verdict
+from stickslip.analysis.measures import ENDS, SHORT_WINDOW, of_windows
 from stickslip.analysis.stats.compare import bounded_difference
 from stickslip.analysis.stats.enough import FEW_MATRICES
 from stickslip.analysis.stats.estimates import UnitSums, gamma, ratio
+from tests.analysis.designs import Data
 
 MEAN = Statistic("mean", ratio, 0.1)
 SHARE = Share("share")
 SETTINGS = AnalysisSettings(t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0)
-MARGINS = {"mean": 0.1, "variance": 0.25, "rate": 0.1, "correlation_time": 0.5, "gamma": 0.05, "band": 0.5}
 
 
-def of(values, name="mean", first=0):
+def of(values, first=0):
     rows = np.column_stack([values, np.ones(len(values))])
-    return Sample({name: UnitSums(first + np.arange(len(rows)), rows)})
+    return UnitSums(first + np.arange(len(rows)), rows)
 
 
 def verdicts(contrasts):
@@ -79,12 +76,12 @@ def test_shares_differ_by_newcombes_interval():
 
     Paired: of 20 with 2, 5, 1 and 12 of each kind, by the formula with phi = (ad - bc - n / 2) / sqrt(...).
     """
-    many, few = (of(np.arange(n) < k, "share", first=first) for k, n, first in ((56, 70, 100), (48, 80, 0)))
+    many, few = (of(np.arange(n) < k, first=first) for k, n, first in ((56, 70, 100), (48, 80, 0)))
     found = contrast(SHARE, few, many, False, 0.95)
     assert found.absolute.value == pytest.approx(0.2)
     assert ends(found.absolute) == pytest.approx((0.0524, 0.3339), abs=5e-5)
     first, second = np.repeat([[1, 1, 0, 0], [1, 0, 1, 0]], (2, 5, 1, 12), axis=1)
-    paired = contrast(SHARE, of(first, "share"), of(second, "share"), True, 0.95)
+    paired = contrast(SHARE, of(first), of(second), True, 0.95)
     (p, low_p, high_p), (q, low_q, high_q) = (
         (k / 20, *stats.binomtest(k, 20).proportion_ci(0.95, method="wilson")) for k in (7, 3)
     )
@@ -106,7 +103,7 @@ def test_tests_of_shares_invert_their_interval():
 
 
 def test_shares_of_none_and_none_are_not_exactly_known():
-    none = of(np.zeros(20), "share")
+    none = of(np.zeros(20))
     high = stats.binomtest(0, 20).proportion_ci(0.95, method="wilson").high
     for paired in (False, True):
         found = contrast(SHARE, none, none, paired, 0.95)
@@ -143,7 +140,7 @@ def test_alarms_on_planted_shares(paired):
     rng = np.random.default_rng(4)
     alarms = 0
     for _ in range(400):
-        one, two = (of((rng.random(20) < 0.3).astype(float), "share") for _ in range(2))
+        one, two = (of((rng.random(20) < 0.3).astype(float)) for _ in range(2))
         found = contrast(SHARE, one, two, paired, 0.95)
         alarms += verdicts([found])[0] in (Verdict.MORE, Verdict.LESS)
         assert found.difference.scale is Scale.ABSOLUTE
@@ -174,7 +171,7 @@ def test_verdicts_follow_the_numbers():
         assert verdicts([contrast(MEAN, of(base), other, True, 0.95)]) == [verdict]
     bare = Statistic("mean", ratio)  # no margin: nothing is equal
     assert verdicts([contrast(bare, of(base), of(base + rng.normal(0, 0.1, 20)), True, 0.95)]) == [Verdict.OPEN]
-    ones = Sample({"gamma": UnitSums(np.arange(4), np.full((4, 2), 9.0))})
+    ones = UnitSums(np.arange(4), np.full((4, 2), 9.0))
     found = contrast(Statistic("gamma", gamma, 0.05), ones, ones, True, 0.95)
     assert (found.verdict, found.is_known) == (Verdict.UNJUDGED, False)
     assert "size 1" in found.reason
@@ -218,25 +215,19 @@ def test_a_sample_is_the_planted_one(planted):
     series = {f"m{k}": (t, a + 2 * wave) for k, a in enumerate((10, 12, 20))}
     series |= {name: quiet for name in ("m3", "m4", "m5", "m2 again", "m7 again")}
     study = Study(Data(members, series), SETTINGS)
-    found = sample(study.groups[0])
-    means = found.of("mean n_stick")
+    sums = {measure.name: measure.of(study.groups[0]).sums for measure in (*of_windows(study), *ENDS)}
+    means = sums["mean n_stick"]
     assert means.units.tolist() == [0, 1, 2]  # m4 is quiet and in shares alone
     assert means.rows[:, 0] == pytest.approx([11, 13, 21])
-    assert found.of("variance of n_stick in time").rows[:3, 0] == pytest.approx([1, 1, 1])
-    assert found.of("exit rate").rows[:3, 0] == pytest.approx(2 / 5, rel=0.01)
-    total, count = found.of("gamma").rows[0]
+    assert sums["variance of n_stick in time"].rows[:3, 0] == pytest.approx([1, 1, 1])
+    assert sums["exit rate"].rows[:3, 0] == pytest.approx(2 / 5, rel=0.01)
+    total, count = sums["gamma"].rows[0]
     assert total == 2 * count
-    shares = {name: found.of(name).rows.T.tolist() for name in found.sums if name.startswith("share")}
+    shares = {name: of_units.rows.T.tolist() for name, of_units in sums.items() if name.startswith("share")}
     assert shares == {  # failed runs are in none
         "share of runs with no late stick": [[0, 0, 0, 1, 1, 0, 1], [1, 1, 2, 1, 1, 1, 1]],
         "share of runs that run away": [[0, 0, 1, 0, 0, 1, 0], [1, 1, 2, 1, 1, 1, 1]],
     }
-
-
-def test_a_margin_is_that_which_is_declared():
-    assert [one.margin for one in statistics({"mean": 0.1})] == [0.1, None, None, None, None]
-    assert [one.name for one in statistics({}, {"mean", "gamma"})] == ["mean n_stick", "gamma"]
-    assert {one.margin for one in shares()} == {None}
 
 
 def test_a_correlation_time_longer_than_the_window_can_tell_is_not_judged(planted):
@@ -246,7 +237,8 @@ def test_a_correlation_time_longer_than_the_window_can_tell_is_not_judged(plante
     series = {f"m{k}": (t, np.rint(60 + k - t / 20).astype(int)) for k in range(4)}
     steeper = {name: (t, n_stick - t.astype(int) // 99) for name, (t, n_stick) in series.items()}
     studies = [Study(Data(members, some), SETTINGS) for some in (series, steeper)]
-    found, other = (sample(study.groups[0]) for study in studies)
-    one = next(one for one in statistics(MARGINS) if one.name == "correlation time")
-    assert contrast(one, found, other, True, 0.95).reason == SHORT_WINDOW
-    assert not contrast(one, found, found, True, 0.95).reason
+    (measure,) = of_windows(studies[0], ["correlation_time"])
+    first, second = (measure.of(study.groups[0]) for study in studies)
+    judged = partial(contrast, measure.statistic, first.sums, paired=True, confidence=0.95, withheld=first.withheld)
+    assert judged(second.sums).reason == SHORT_WINDOW
+    assert not judged(first.sums).reason

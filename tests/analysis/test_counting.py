@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from stickslip.analysis import Data, Study
+from stickslip.analysis import Study
 from stickslip.analysis.findings.finding import Lack, Parts, Reason
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import pool
@@ -18,6 +18,7 @@ from stickslip.analysis.stats.estimates import LN2
 from stickslip.workflows.scenes import counting
 from tests.analysis import studies
 from tests.analysis.blocks import coupled_blocks
+from tests.analysis.designs import Data
 from tests.chance import agrees
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -115,7 +116,7 @@ def test_independent_blocks_are_finite_size_alone(planted, rng):
 def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
     answer = counting.question(coupled_blocks(planted, (20, 40), 0.1, rng, **PLENTY))
     sums = [finding for finding in answer.findings if isinstance(finding, Parts)]
-    assert [finding.whole.where for finding in sums] == ["n = 40", "n = 20"]
+    assert [str(finding.whole.where) for finding in sums] == ["n = 40", "n = 20"]
     for finding in sums:
         each = estimates(finding)
         assert each["coupling"].low > 0.0

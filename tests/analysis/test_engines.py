@@ -7,14 +7,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Data, Study, build
+from stickslip.analysis import AnalysisSettings, Study, build
 from stickslip.analysis.contrast import Contrast, Statistic
 from stickslip.analysis.findings.finding import Outcomes, Verdict
 from stickslip.analysis.findings.words import sentence
-from stickslip.analysis.outcomes import Beside, differences
-from stickslip.analysis.questions.runs.engines import answer
+from stickslip.analysis.outcomes import differences
+from stickslip.analysis.questions.runs.changes import answer
 from stickslip.analysis.stats.estimates import Estimate, ratio
+from stickslip.analysis.steps import Kind, Step
 from stickslip.analysis.style import EXACT
+from tests.analysis.designs import Data
 
 SETTINGS = AnalysisSettings(
     t_burn=100.0, dt=(0.5,), resamples=2, confidence=0.95, seed=0, margins={"mean": 0.1, "rate": 0.1, "gamma": 0.05}
@@ -200,7 +202,7 @@ def test_a_difference_beyond_the_axis_is_an_arrowhead_at_its_edge():
     def beside(name, value, half):
         estimate = Estimate(value, value - half, value + half)
         found = Contrast(replace(mean, name=name), 8, 8, Estimate(1.0), Estimate(2.0), estimate, estimate)
-        return Beside(found, "")
+        return Step(Kind.LAW, "", "", found)
 
     rows = [beside("far", 1.5, 0.3), beside("near", 0.02, 0.1), beside("shown", 0.2, 0.1)]
     (ax,) = differences(rows).axes

@@ -16,32 +16,34 @@ from stickslip.analysis.findings.finding import (
     Family,
     Fit,
     Form,
+    KeyChange,
     Lack,
     Law,
     Level,
     Lifetime,
-    Limit,
     Outcomes,
     Parts,
     Quantity,
     Reason,
     Regime,
-    Regimes,
     Scale,
     Share,
     Threshold,
     Truth,
     Verdict,
-    records,
+    levels,
 )
 from stickslip.analysis.findings.numbers import limit, number, span, with_interval
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital, sentence
 from stickslip.analysis.page.layout import findings_table
+from stickslip.analysis.page.parts import row as row_of
 from stickslip.analysis.stats.estimates import Estimate
 
 GAMMA = Quantity("gamma", "decay rate")
 SHARE = Quantity("share", "share of runs in motion", Form.SHARE)
 NANO = " \u00d7 10\u207b\u2079"
+KAPPA = (KeyChange("kappa", "0.1", "0.4"),)
 LATE = Quantity("lifetime", "median lifetime", more="longer", less="shorter")
 
 
@@ -120,16 +122,16 @@ def test_sentences():
         "0.95% (0.61 to 1.31%) above a fair coin's ln 2."
     )
     often = Comparison("shifted blocks", Difference(Estimate(10.4, 4.84, 21.3)))
-    assert sentence(Level(GAMMA, Estimate(6.6), "", often)) == (
+    assert sentence(Level(GAMMA, Estimate(6.6), comparison=often)) == (
         "Decay rate: 6.60, 11.4 (5.8 to 22.3) times that of shifted blocks."
     )
     away = Difference(Estimate(-0.3, -0.4, -0.2), Scale.ABSOLUTE)
-    gone = Change(SHARE, "kappa", "0.1", "0.4", Estimate(0.5), Estimate(0.2), away, "eps = 0.03")
+    gone = Change(SHARE, KAPPA, Estimate(0.5), Estimate(0.2), away, Place.key("eps", "0.03"))
     assert sentence(gone) == (
         "Share of runs in motion falls from 50% to 20%, by 30 (20 to 40) percentage points, "
         "as kappa goes from 0.1 to 0.4 at eps = 0.03."
     )
-    left = Lifetime(LATE, "runs", "still stick and slip", Estimate(), 150.0, 0.75, "n = 100")
+    left = Lifetime(LATE, "runs", "still stick and slip", Estimate(), 150.0, 0.75, Place.key("n", "100"))
     assert sentence(left) == "75.0% of runs still stick and slip at t = 150, n = 100."
     basin = Share("sliding", "starts", "settle into steady sliding", Estimate(0.301, 0.288, 0.314))
     assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts settle into steady sliding."
@@ -143,13 +145,12 @@ def test_sentences():
         Level(Quantity(name, name), Estimate(*of))
         for name, of in (("noise", (-0.012,)), ("pull", (0.021, 0.018, 0.024)))
     ]
-    assert sentence(Parts(Level(excess, Estimate(0.009, 0.006, 0.012), "n = 5"), (*parts,))) == (
+    assert sentence(Parts(Level(excess, Estimate(0.009, 0.006, 0.012), Place.key("n", "5")), (*parts,))) == (
         "Excess at n = 5: 0.90%, from noise \u22121.20% and pull +2.10% (+1.80 to +2.40%)."
     )
-    few, both = (Regime(f"at v = {v}", said, 5, 5) for v, said in ((1, ("slide",)), (2, ("slide", "stick"))))
-    assert sentence(Regimes("starts", (few, both))) == (
-        "At v = 1 all 5 starts slide; at v = 2 some slide and others stick."
-    )
+    alike = Regime("starts", ("slide",), 5, 5, where=Place.key("v", "1"))
+    assert sentence(alike) == "At v = 1, all 5 starts slide."
+    assert sentence(replace(alike, predicates=("slide", "stick"))) == "At v = 1, some starts slide and others stick."
     period = Quantity("period", "period of the cycle")
     assert sentence(Alike(period, 3.50812, "from all 8 starts")) == (
         "Period of the cycle: 3.508, the same from all 8 starts."
@@ -176,26 +177,27 @@ def _findings(rng):
     quantity = [GAMMA, SHARE, LATE][rng.integers(3)]
     value = rng.uniform(0.0, 1.0)
     estimate = Estimate(value, value / 2, min(2 * value, 1.0))
-    where, basis = ["", "n = 100, exact"][rng.integers(2)], [None, Basis(8), Basis(1, "start")][rng.integers(3)]
+    where = [EVERYWHERE, Place((("n", "100"), ("", "exact")))][rng.integers(2)]
+    basis = [None, Basis(8), Basis(1, "start")][rng.integers(3)]
     comparison = [None, Comparison("the exact engine", difference)][rng.integers(2)]
     level = Level(quantity, estimate, where, comparison, basis)
     yield level
-    yield Change(quantity, "kappa", "0.1", "0.4", Estimate(0.3), estimate, difference, where, basis)
+    yield Change(quantity, KAPPA, Estimate(0.3), estimate, difference, where, basis)
     yield (share := Share("sliding", "starts", "settle into steady sliding", estimate, where, comparison, basis))
     yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis)
     yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis, "have ended")
     yield Lifetime(LATE, "runs", "still stick", Estimate(), 100.0, 0.7, where, comparison, basis)
     yield Law("sizes", "fall off exponentially", level, _pick(rng, Fit), level)
     yield Parts(level, (level, level))
-    yield Limit("pairs", "exits", "trigger another", value, where, basis)
+    yield Share("pairs", "exits", "trigger another", Estimate(high=value), where, basis=basis)
     yield Alike(quantity, value, "from all starts", where, basis)
     yield Outcomes("exact", ("h = 0.1",), ("h = 0.2", "h = 0.4"), (), level)
     yield Outcomes("exact", undecided=("h = 0.1",), largest=level, scope="the number of slip onsets")
     yield Outcomes("exact", ("h = 0.1",), largest=level)
     yield Threshold("stick-slip", bool(rng.integers(2)), "belt_speed", "0.3", "0.4", where, basis)
-    mixed = Regime("from v = 8 on", ("slide", "stick", "stop"), 9, 10)
-    alone = (Regime("up to v = 7", ("slide",), n, 5, estimate) for n in (1, 2, 4, 5))
-    yield Regimes("starts", (*alone, mixed), where, "at t = 9")
+    yield Regime("starts", ("slide", "stick", "stop"), 9, 10, where=where)
+    for n in (1, 2, 4, 5):
+        yield Regime("starts", ("slide",), n, 5, estimate, where, basis)
     yield Lack("the decay rate", _pick(rng, Reason), "12 cascades")
     yield Decided(_pick(rng, Truth), share)
 
@@ -210,21 +212,21 @@ def test_every_kind_is_a_sentence_and_rows(rng):
             assert not said.endswith("..")
             assert "  " not in said
             assert not re.search(r"\bNone\b|\bnan\b|[A-Z]{2,}|\(\)|<|Verdict", said), said
-            for row in records(finding):
+            for row in map(row_of, levels(finding)):
                 assert row.quantity
                 assert row.low is None or row.high is None or row.low <= row.high
                 assert row.verdict in {"", *Verdict}
                 assert not any(isinstance(cell, float) and np.isnan(cell) for cell in row)
-    assert len(kinds) == 13
+    assert len(kinds) == 12
 
 
 def test_the_table_of_findings_has_limits_and_differences_in_their_units():
     lower = Difference(Estimate(-0.3, -0.4, -0.2), Scale.ABSOLUTE)
     wider = Difference(Estimate(0.5, 0.25, 0.75), Scale.RELATIVE)
     rows = [
-        *records(Limit("pairs", "exits", "trigger another", 0.0028)),
-        *records(Level(SHARE, Estimate(0.2), comparison=Comparison("others", lower))),
-        *records(Level(GAMMA, Estimate(0.7), comparison=Comparison("others", wider))),
+        *levels(Share("pairs", "exits", "trigger another", Estimate(high=0.0028))),
+        *levels(Level(SHARE, Estimate(0.2), comparison=Comparison("others", lower))),
+        *levels(Level(GAMMA, Estimate(0.7), comparison=Comparison("others", wider))),
     ]
     table = str(findings_table(rows).rows).replace("\\xa0", " ")
     for cell in ("at most 0.28%", "\u221230 (\u221240 to \u221220) percentage points", "+50% (+25 to +75%)"):

@@ -6,19 +6,21 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Data, Study
+from stickslip.analysis import Study
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Fit, Lack, Law, Level, Outcomes, Reason, Verdict
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.members import records
 from stickslip.analysis.models import pool
 from stickslip.analysis.questions.slips import cascade_definitions, cascades
 from stickslip.analysis.series.cascades import EVENTS
 from stickslip.analysis.series.cascades import Law as Definition
-from stickslip.analysis.stats.components import between, quotient
+from stickslip.analysis.stats.components import between
 from stickslip.analysis.stats.estimates import LN2, gamma, over_matrices
-from stickslip.analysis.tables import records
 from tests.analysis import studies
 from tests.analysis.blocks import coupled_blocks
+from tests.analysis.designs import Data
 from tests.chance import ERRORS, agrees
 
 
@@ -153,8 +155,10 @@ def test_runs_that_ended_are_an_alert(planted, settings):
 
 def test_settings_beside_the_lead_are_levels_with_their_setting(planted, rng):
     answer = cascades.answer(coupled_blocks(planted, (20, 40), 0.0, rng))
-    assert law_of(answer).parameter.where == "n = 40"
-    others = [finding for finding in answer.findings if isinstance(finding, Level) and finding.where == "n = 20"]
+    assert law_of(answer).parameter.where == Place.key("n", "40")
+    others = [
+        finding for finding in answer.findings if isinstance(finding, Level) and finding.where == Place.key("n", "20")
+    ]
     assert {level.comparison.other for level in others} == {cascades.COIN, cascades.SHIFTED, cascades.TWO_STATE}
     assert list(answer.figures) == ["size_law", "decay_rates", "one_run"]  # one sampling step gives no curve
     for picture in answer.figures.values():
@@ -163,20 +167,6 @@ def test_settings_beside_the_lead_are_levels_with_their_setting(planted, rng):
 
 
 # ------------------------------------------------------------------------------------------- estimates
-
-
-def test_a_quotient_has_the_coverage_of_its_interval(rng):
-    """Of two means that depend on each other, the lower one four of its errors from zero."""
-    covariance, n = np.array([[1.0, 0.6], [0.6, 1.0]]), 2000
-    held = 0
-    for _ in range(n):
-        x, y = (rng.multivariate_normal([1.0, 0.5], covariance, 64)).T
-        rows = np.column_stack([x, y, np.ones(64)])
-        estimate = quotient(lambda s: s[:, 0] / s[:, 2], lambda s: s[:, 1] / s[:, 2], rows, 0.95)
-        held += estimate.low is not None and estimate.low <= 2.0 <= estimate.high
-    assert agrees(held, n, 0.94, 0.96)
-    nothing = np.column_stack([x, y - y.mean(), np.ones(64)])
-    assert quotient(lambda s: s[:, 0] / s[:, 2], lambda s: s[:, 1] / s[:, 2], nothing, 0.95).low is None
 
 
 def test_the_rate_of_a_system_is_over_the_parts_of_its_run(rng):

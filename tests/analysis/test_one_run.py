@@ -6,16 +6,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Data, Study, build
+from stickslip.analysis import Study, build
 from stickslip.analysis.findings.finding import Lack, Reason
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.page.parts import ask
 from stickslip.analysis.questions.runs.one_run import MOST_MEMBERS, answer
+from tests.analysis.designs import Data
 
 #: Four blocks: 0 lets go at 1, sticks at 3, lets go at 4; 1 slips throughout; 2 and 3 never do.
 EVENTS = (
     np.array([1.0, 3.0, 4.0]), np.zeros(3, np.int32), np.array([1, 0, -1], np.int8), np.array([0, -1, 0, 0], np.int8),
 )  # fmt: skip
+
 SERIES = (np.array([0.0, 1.0, 3.0, 4.0]), np.array([3, 2, 3, 2]))
 
 
@@ -48,7 +50,7 @@ def test_it_counts_the_first_run_that_finished(study):
 def test_a_run_that_grew_without_limit_is_drawn_as_far_as_it_went(study):
     found = answer(study(n_members=2))
     assert "Run m1 is the first of 2 that was begun" in found.method
-    assert found.findings[0].where == "one run of 4 blocks to t = 4.5"
+    assert str(found.findings[0].where) == "one run of 4 blocks to t = 4.5"
     (ax,) = found.figures["one_run"].recipe().axes
     assert ax.get_xlim() == (0.0, 4.5)
 

@@ -6,15 +6,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis.ensemble import Data, Study
+from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Lack, Level, Lifetime, Reason
 from stickslip.analysis.findings.words import sentence
-from stickslip.analysis.models.fates import median
 from stickslip.analysis.models.growth import growth
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, level
 from stickslip.analysis.pairs import settings as sorted_settings
-from stickslip.analysis.questions.runs.sensitivity import GROWS, SHRINKS, UNKNOWN, answer
+from stickslip.analysis.questions.runs.sensitivity import answer
 from stickslip.analysis.series import parting
+from tests.analysis.designs import Data
 
 T_END = 1000.0
 
@@ -78,23 +78,6 @@ def test_a_run_has_parted_when_the_mean_of_the_last_span_reaches_half_of_the_lev
     assert len(parting.gap(base, moved, 10.0)) == 0
 
 
-def half_parted(times, has_parted):
-    return median(np.array(times, dtype=float), np.array(has_parted), 0.95)
-
-
-def test_the_median_time_counts_what_was_not_seen_to_part():
-    every = half_parted(np.arange(1.0, 21.0), [True] * 20)
-    assert every.value == 10.0
-    assert every.low < 10.0 < every.high
-    # half of them are only known not to have parted by 5
-    some = half_parted([5.0] * 10 + list(range(11, 21)), [False] * 10 + [True] * 10)
-    assert some.value == 15.0
-    assert half_parted([5.0] * 10, [False] * 10).reason == "fewer than half have ended"
-    few = half_parted([5.0] * 8 + [1.0, 2.0], [False] * 8 + [True] * 2)
-    assert few.value is None
-    assert few.reason
-
-
 def ensemble(rng, planted, rate, g=12, size=1e-6, t_part=400.0, **settings):
     """Matrices with one displaced start: distances exp(rate t), and a path that is the base's until t_part."""
     rows, series, separations = [], {}, {}
@@ -111,13 +94,9 @@ def ensemble(rng, planted, rate, g=12, size=1e-6, t_part=400.0, **settings):
     return Data(pd.DataFrame(rows), series, {}, separations)
 
 
-@pytest.mark.parametrize(("rate", "verdict"), [(0.01, GROWS), (-0.0128, SHRINKS)])
+@pytest.mark.parametrize(("rate", "verdict"), [(0.01, "grow"), (-0.0128, "shrink")])
 def test_rates_have_their_sign(rng, planted, settings, rate, verdict):
     found = answer(Study(ensemble(rng, planted, rate), settings))
-    row = found.tables["growth"].iloc[0]
-    assert row["rate"] == pytest.approx(rate, abs=0.002)
-    assert row["verdict"] == verdict
-    assert row["e_fold_low"] < 1 / abs(row["rate"]) < row["e_fold_high"]
     lead, parted = found.findings
     assert lead.quantity.name == f"time in which start differences of 1e-6 {verdict} e-fold"
     assert sentence(lead).startswith(f"At n = 200, exact, start differences of 1e-6 {verdict} e-fold in ")
@@ -143,9 +122,8 @@ def test_runs_too_short_for_a_rate_have_none():
 def test_displacements_below_the_errors_of_a_smoothed_law_tell_nothing(rng, planted, settings):
     smoothed = {**planted.sigmoid, "ratio": "one"}
     found = answer(Study(ensemble(rng, planted, 0.001, size=1e-8, **smoothed), settings))
-    row = found.tables["growth"].iloc[0]
-    assert (row["n_used"], row["n_floor"], row["verdict"]) == (0, 12, UNKNOWN)
-    assert Reason.OUT_OF_RANGE in [finding.reason for finding in found.findings if isinstance(finding, Lack)]
+    (lack,) = [finding for finding in found.findings if isinstance(finding, Lack)]
+    assert (lack.reason, lack.detail) == (Reason.OUT_OF_RANGE, "0 of 12")
 
 
 def test_pairs_that_are_a_selection_tell_nothing(rng, planted, settings):
@@ -153,18 +131,15 @@ def test_pairs_that_are_a_selection_tell_nothing(rng, planted, settings):
     for matrix in range(4):
         times, distance = data.separations[f"m{matrix}-t"]
         data.separations[f"m{matrix}-t"] = times[:30], distance[:30]
-    row = answer(Study(data, settings)).tables["growth"].iloc[0]
-    assert row["is_selected"]
-    assert row["verdict"] == UNKNOWN
+    lack = answer(Study(data, settings)).findings[-1]
+    assert (lack.reason, lack.detail) == (Reason.OUT_OF_RANGE, "8 of 12")
 
 
 def test_when_copies_part(rng, planted, settings):
-    row = answer(Study(ensemble(rng, planted, 0.01), settings)).tables["parting"].iloc[0]
-    assert row["median"] == pytest.approx(410, abs=10)
-    assert row["n_parted"] == 12
-    row = answer(Study(ensemble(rng, planted, 0.01, t_part=2 * T_END), settings)).tables["parting"].iloc[0]
-    assert pd.isna(row["median"])
-    assert row["n_parted"] == 0
+    _, parted = answer(Study(ensemble(rng, planted, 0.01), settings)).findings
+    assert (parted.estimate.value, parted.share_left) == (pytest.approx(410, abs=10), 0.0)
+    _, parted = answer(Study(ensemble(rng, planted, 0.01, t_part=2 * T_END), settings)).findings
+    assert (parted.estimate.value, parted.share_left) == (None, 1.0)
 
 
 def test_runs_that_ran_away_are_watched_until_then(rng, planted, settings):
@@ -172,8 +147,8 @@ def test_runs_that_ran_away_are_watched_until_then(rng, planted, settings):
     away = data.members["member_id"].isin([f"m{k}-t" for k in range(4)])
     members = data.members
     members.loc[away, ["outcome", "t_stop"]] = ["diverged", 300.0]
-    row = answer(Study(replace(data, table=members), settings)).tables["parting"].iloc[0]
-    assert (row["n_pairs"], row["n_parted"]) == (12, 8)
+    parted = answer(Study(replace(data, table=members), settings)).findings[1]
+    assert parted.share_left == pytest.approx(4 / 12)
 
 
 def test_nothing_to_compare(planted, settings):

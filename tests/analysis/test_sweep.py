@@ -9,16 +9,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Data, Study, build, measures
+from stickslip.analysis import Study, build, measures
 from stickslip.analysis.findings.finding import Change as Changed
 from stickslip.analysis.findings.finding import Lack, Level, Reason, Threshold, Verdict
+from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.findings.words import sentence
+from stickslip.analysis.grid import axes_of
 from stickslip.analysis.members import Members
-from stickslip.analysis.questions.runs import sweep
+from stickslip.analysis.questions.runs.changes import answer as changes_of
 from stickslip.analysis.stats import enough
 from stickslip.pipeline.design.design import Axis, Change, Design, Method, Source, Unit
 from stickslip.pipeline.design.labels import apart, labels
-from stickslip.pipeline.design.values import FILE, Distribution, Ratio, rank, read
+from stickslip.pipeline.design.values import Distribution, Ratio, Values, rank
+from tests.analysis.designs import Data, members
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -62,7 +65,7 @@ BELT = [-0.1, -0.15, -0.2, -0.25, -0.3, -0.35, -0.4, -0.5]
 def test_a_change_along_eight_values_is_found_within_matrices(swept, settings):
     """The matrices differ by 100; the change is 30, and it alternates by 1."""
     data = swept({"belt_speed": BELT}, lambda at, matrix: 75 * (at["belt_speed"] + 0.5) + matrix % 2)
-    answer = sweep.answer(Study(data, settings))
+    answer = changes_of(Study(data, settings))
     row = changes(answer)["belt_speed"]
     assert (row.verdict, row.first_value, row.second_value) == (Verdict.MORE, "-0.5", "-0.1")
     assert row.difference == pytest.approx(30)
@@ -75,14 +78,14 @@ def test_a_change_along_eight_values_is_found_within_matrices(swept, settings):
     assert len(sentence(first).split()) <= 25
     assert isinstance(base, Level)
     assert len([one for one in answer.findings if one.quantity == first.quantity]) == len(BELT)
-    table = answer.tables["sweep"]
+    table = answer.tables["sweep_measures"].query("measure == 'mean n_stick'")
     assert list(table["belt_speed"]) == sorted(BELT)  # as "first" and "last" are meant
     assert (table["n_units"] == 8).all()
 
 
 def test_opposite_changes_are_not_the_same(swept, settings):
     data = swept({"belt_speed": [-0.2, -0.1]}, lambda at, m: (30 if m % 2 else -30) * int(at["belt_speed"] == -0.1))
-    row = changes(sweep.answer(Study(data, settings)))["belt_speed"]
+    row = changes(changes_of(Study(data, settings)))["belt_speed"]
     assert abs(row.difference) < 1e-9 < row.difference_high
     assert row.verdict == Verdict.OPEN
 
@@ -90,14 +93,14 @@ def test_opposite_changes_are_not_the_same(swept, settings):
 def test_without_a_margin_nothing_stays(swept, settings):
     data = swept({"belt_speed": [-0.2, -0.1]}, lambda at, m: (-1) ** m * (at["belt_speed"] == -0.1))
     for margins, verdict in (({"mean": 0.02}, Verdict.EQUAL), ({}, Verdict.OPEN)):
-        row = changes(sweep.answer(Study(data, replace(settings, margins=margins))))["belt_speed"]
+        row = changes(changes_of(Study(data, replace(settings, margins=margins))))["belt_speed"]
         assert row.verdict == verdict
 
 
 def test_a_grid_tells_which_key_it_is(swept, settings):
     axes = {"kappa": [0.2, 0.25], "friction": [0.8, 0.9, 1.0, 1.1, 1.2], "belt_speed": [-0.1, -0.2, -0.3]}
     data = swept(axes, lambda at, matrix: 40 * at["friction"] + 400 * (at["kappa"] - 0.2) + matrix % 3)
-    answer = sweep.answer(Study(data, settings))
+    answer = changes_of(Study(data, settings))
     found = changes(answer)
     assert {key: row.verdict for key, row in found.items()} == {
         "kappa": Verdict.MORE,
@@ -107,10 +110,10 @@ def test_a_grid_tells_which_key_it_is(swept, settings):
     assert found["kappa"].difference == pytest.approx(20)
     assert found["friction"].difference == pytest.approx(16)
     assert {row.n_first for row in found.values()} == {8}, "a unit counts once, whatever the grid"
-    assert [(one.key, one.difference.verdict) for one in answer.findings[: answer.n_lead]] == [
+    assert [(one.keys[0].key, one.difference.verdict) for one in answer.findings[: answer.n_lead]] == [
         ("kappa", Verdict.MORE), ("friction", Verdict.MORE), ("belt_speed", Verdict.SAME),
     ]  # fmt: skip
-    assert len(answer.tables["sweep"]) == 30
+    assert len(answer.tables["sweep_measures"].query("measure == 'share in motion'")) == 30
     report = build(data, settings, "Grid", "", {})
     assert "as kappa goes from 0.2 to 0.25" in report.headline[1]
     assert {"sweep_map", "sweep_mean"} <= {*report.figures}
@@ -125,16 +128,16 @@ def test_rows_of_two_settings_are_told_apart(planted, swept, settings):
         pd.concat([exact.members, rows], ignore_index=True),
         dict(exact.series) | {f"{name}s": one for name, one in exact.series.items()},
     )
-    found = [one for one in sweep.answer(Study(both, settings)).findings if isinstance(one, Changed)]
-    assert {one.where for one in found} == {"n = 500, exact", "n = 500, sigmoid, eps = 0.03, stick = convergent"}
-    alone = [one for one in sweep.answer(Study(exact, settings)).findings if isinstance(one, Changed)]
-    assert {one.where for one in alone} == {""}
+    found = [one for one in changes_of(Study(both, settings)).findings if isinstance(one, Changed)]
+    assert {str(one.where) for one in found} == {"n = 500, exact", "n = 500, sigmoid, eps = 0.03, stick = convergent"}
+    alone = [one for one in changes_of(Study(exact, settings)).findings if isinstance(one, Changed)]
+    assert {one.where for one in alone} == {EVERYWHERE}
 
 
 def test_no_change_is_not_told_as_one(swept, settings, rng):
     noise = {key: rng.standard_normal() for key in product(range(8), BELT)}
     data = swept({"belt_speed": BELT}, lambda at, matrix: 3 * noise[matrix, at["belt_speed"]])
-    table = sweep.answer(Study(data, settings)).tables["changes"]
+    table = changes_of(Study(data, settings)).tables["changes"]
     assert (table["p_different_holm"] >= table["p_different"]).dropna().all()
     told = table[table["verdict"].isin([Verdict.MORE, Verdict.LESS])]
     assert (told["p_different_holm"] < 0.05).all()
@@ -151,8 +154,8 @@ def ended(data, some, outcome):
 def test_shares_of_runs_that_stay_in_motion(swept, settings):
     data = swept({"belt_speed": [-0.1, -0.2, -0.3]}, lambda at, matrix: 0, n_matrices=20)
     data = ended(data, data.members["belt_speed"] == -0.3, "collapsed")
-    answer = sweep.answer(Study(data, settings))
-    row = changes(answer, sweep.IN_MOTION)["belt_speed"]
+    answer = changes_of(Study(data, settings))
+    row = changes(answer, measures.IN_MOTION)["belt_speed"]
     assert (row.verdict, row.first, row.second, row.difference) == (Verdict.MORE, 0.0, 1.0, 1.0)
     assert 0.5 < row.difference_low < row.difference_high <= 1
     mean = changes(answer)["belt_speed"]
@@ -162,13 +165,13 @@ def test_shares_of_runs_that_stay_in_motion(swept, settings):
     assert (first.is_end, first.key, first.last, first.first) == (False, "belt_speed", "-0.3", "-0.2")
     assert sentence(first) == "Stick-slip begins between belt_speed = \u22120.3 and \u22120.2, in all 20 systems."
     some = ended(data, data.members["member_id"].isin(["m0-0", "m1-0"]), "collapsed")  # at -0.1 two runs
-    assert not any(isinstance(one, Threshold) for one in sweep.answer(Study(some, settings)).findings)
+    assert not any(isinstance(one, Threshold) for one in changes_of(Study(some, settings)).findings)
 
 
 def test_motion_that_ends_for_most_runs_is_a_change_of_their_share(swept, settings):
     data = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: 0, n_matrices=20)
     data = ended(data, (data.members["belt_speed"] == -0.2) & (data.members["matrix"] > 2), "collapsed")
-    first = sweep.answer(Study(data, settings)).findings[0]
+    first = changes_of(Study(data, settings)).findings[0]
     assert isinstance(first, Changed)
     assert sentence(first).startswith("Share of runs in motion rises from 15% to 100%, by 85 (")
 
@@ -177,7 +180,7 @@ def test_shares_of_few_runs_that_do_not_differ_are_not_shown_to_be_alike(swept, 
     """The same matrices end at both speeds: of five that says little, whatever the difference seen."""
     data = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: 0, n_matrices=5)
     data = ended(data, data.members["matrix"] < 2, "collapsed")
-    row = changes(sweep.answer(Study(data, settings)), sweep.IN_MOTION)["belt_speed"]
+    row = changes(changes_of(Study(data, settings)), measures.IN_MOTION)["belt_speed"]
     assert (row.difference, row.verdict) == (0.0, Verdict.OPEN)
     assert row.difference_low < -0.3 < 0.3 < row.difference_high
 
@@ -190,7 +193,7 @@ def test_as_many_units_as_are_needed_are_enough(swept, settings):
         n_matrices=enough.LEAST_MATRICES,
     )
     data = ended(data, data.members["member_id"] == "m0-0", "collapsed")
-    found = changes(sweep.answer(Study(data, settings)))["belt_speed"]
+    found = changes(changes_of(Study(data, settings)))["belt_speed"]
     assert (found.first_value, found.second_value) == ("-0.2", "-0.1")
     assert found.n_first == found.n_second == enough.LEAST_MATRICES
     assert not pd.isna(found.p_different)
@@ -206,25 +209,20 @@ def test_keys_that_go_together_are_one_axis_and_distributions_are_values(planted
     )  # fmt: skip
     point = together["kappa"].map({kappa: k for k, (kappa, _) in enumerate(pairs)})
     places = {"point": point, "unit": together["matrix"], "method": 0, "change": 0, "base": np.arange(len(together))}
-    members = Members.of([together.assign(**places)], design)
-    (axis,) = sweep.axes_of(Study(Data(members, data.series), settings).groups)
+    swept_together = Members.of([together.assign(**places)], design)
+    (axis,) = axes_of(Study(Data(swept_together, data.series), settings).groups)
     assert axis == Axis(("kappa", "rho"), tuple(pairs))
-    assert set(changes(sweep.answer(Study(Data(members, data.series), settings)))) == {"kappa with rho"}
-    drawn = data.members.assign(
-        kappa=0.2,
-        friction=data.members["kappa"].map({0.1: 1.0}),
-        drawn=data.members["kappa"].map({0.2: "friction = uniform(0.9, 1.1)", 0.3: "friction = uniform(0.8, 1.2)"}),
-    )
-    (axis,) = sweep.axes_of(Study(Data(drawn, data.series), settings).groups)
+    assert set(changes(changes_of(Study(Data(swept_together, data.series), settings)))) == {"kappa with rho"}
+    laws = {0.1: 1.0, 0.2: Distribution("uniform", 0.9, 1.1), 0.3: Distribution("uniform", 0.8, 1.2)}
+    drawn = data.members.assign(kappa=0.2, friction=data.members["kappa"].map(laws))
+    (axis,) = axes_of(Study(Data(drawn, data.series), settings).groups)
     assert axis.texts == ["1", "uniform(0.9, 1.1)", "uniform(0.8, 1.2)"], "wider ones last"
 
 
 def test_parameters_of_a_function_are_swept(swept, settings):
     data = swept({"kappa": [0.1, 0.2]}, lambda at, matrix: 300 * at["kappa"] + matrix % 2)
-    members = data.members.assign(
-        parameters=data.members["kappa"].map({0.1: "gap = 1; a = 2", 0.2: "gap = 2.5; a = 2"})
-    )
-    answer = sweep.answer(Study(Data(members.assign(kappa=None), data.series), settings))
+    table = data.members.assign(gap=data.members["kappa"].map({0.1: 1.0, 0.2: 2.5}), a=2.0, kappa=None)
+    answer = changes_of(Study(Data(members(table, parameters=("gap", "a")), data.series), settings))
     row = changes(answer)["gap"]
     assert (row.verdict, row.first_value, row.second_value) == (Verdict.MORE, "1", "2.5")
     assert row.difference == pytest.approx(30)
@@ -232,12 +230,12 @@ def test_parameters_of_a_function_are_swept(swept, settings):
 
 def test_nothing_swept_is_not_asked_and_too_few_is_said(planted, swept, settings):
     members, series = planted.ensemble({"coulomb": 0.7, "sigmoid": 0.7}, 5)
-    assert sweep.answer(Study(Data(members, series), settings)) is None
+    assert set(changes_of(Study(Data(members, series), settings)).tables["changes"]["kind"]) == {"law"}
     alone = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: 0, n_matrices=1)
-    first = sweep.answer(Study(alone, settings)).findings[0]
+    first = changes_of(Study(alone, settings)).findings[0]
     assert (first.difference.verdict, first.basis.n) == (Verdict.SAME, 1)
     still = ended(alone, alone.members["matrix"] == 0, "collapsed")
-    (lack,) = sweep.answer(Study(still, settings)).findings
+    (lack,) = changes_of(Study(still, settings)).findings
     assert lack == Lack("what changes with belt_speed", Reason.NO_MOTION)
 
 
@@ -261,11 +259,11 @@ def test_figures_draw_what_the_table_says(swept, settings, key):
     )
     places = np.array(speeds)
     if key == "friction":
-        laws = {speed: f"uniform(0, 0.{k + 1})" for k, speed in enumerate(speeds)}
-        drawn = data.members["belt_speed"].map({speed: f"friction = {law}" for speed, law in laws.items()})
-        data = Data(data.members.assign(belt_speed=-0.1, drawn=drawn), data.series)
+        laws = {speed: Distribution("uniform", 0.0, 0.1 * (k + 1)) for k, speed in enumerate(speeds)}
+        drawn = data.members["belt_speed"].map(laws)
+        data = Data(data.members.assign(belt_speed=-0.1, friction=drawn), data.series)
         places = np.arange(3)
-    answer = sweep.answer(Study(data, settings))
+    answer = changes_of(Study(data, settings))
     table = answer.tables["sweep_measures"].query("measure == 'mean n_stick'")
     means = [table[table["kappa"].astype(float) == kappa]["estimate"].astype(float) for kappa in (0.2, 0.3)]
     assert all((np.diff(some) > 0).all() for some in means)
@@ -275,7 +273,7 @@ def test_figures_draw_what_the_table_says(swept, settings, key):
         np.testing.assert_allclose(line.lines[0].get_ydata(), mean)
         np.testing.assert_allclose(np.asarray(line.lines[0].get_xdata(), float), places, atol=0.01 * np.ptp(places))
     if key == "friction":
-        assert [label.get_text() for label in axes.get_xticklabels()] == list(laws.values())
+        assert [label.get_text() for label in axes.get_xticklabels()] == [*map(str, laws.values())]
     np.testing.assert_allclose(answer.figures["sweep_map"].recipe().axes[0].images[0].get_array(), means)
 
 
@@ -286,9 +284,9 @@ def test_a_change_in_several_settings_is_told_of_all_of_them(swept, settings):
     members = [one.members.assign(n=n, member_id=one.members["member_id"] + f"-{n}")
                for one, n in zip(some, (500, 600), strict=True)]  # fmt: skip
     series = {f"{name}-{n}": run for one, n in zip(some, (500, 600), strict=True) for name, run in one.series.items()}
-    answer = sweep.answer(Study(Data(pd.concat(members, ignore_index=True), series), settings))
+    answer = changes_of(Study(Data(pd.concat(members, ignore_index=True), series), settings))
     lead = answer.findings[: answer.n_lead]
-    assert {one.where: one.difference.verdict for one in lead} == {
+    assert {str(one.where): one.difference.verdict for one in lead} == {
         "n = 500, exact": Verdict.EQUAL, "n = 600, exact": Verdict.MORE,
     }  # fmt: skip
 
@@ -304,15 +302,12 @@ def test_settings_are_in_the_order_of_their_numbers_and_widths():
     ]
     for values in in_order:
         assert sorted(reversed(values), key=rank) == values
-    assert read("friction = uniform(0.8, 1.1); gap = 1e-05; z = file") == {
-        "friction": uniform(0.8, 1.1), "gap": 1e-5, "z": FILE,
-    }  # fmt: skip
-    keys = [planted_key(kappa=0.2), planted_key(kappa=0.3)]
-    both = labels(keys, [{"friction": uniform(0.8, 1.1)}, {"friction": uniform(0.8, 1.2)}])
+    pairs = [(0.2, uniform(0.8, 1.1)), (0.3, uniform(0.8, 1.2))]
+    both = labels([planted_key(kappa=kappa, values=Values([("friction", law)])) for kappa, law in pairs])
     assert both[0] == "n = 2, exact, kappa = 0.2, friction = uniform(0.8, 1.1)"
     assert apart(both, always=1)[1] == "n = 2, kappa = 0.3, friction = uniform(0.8, 1.2)"
 
 
 def planted_key(**changes):
-    fixed = {"n": 2, "kappa": 0.2, "friction": None, "drawn": None, "perturbation_size": 0.0, "engine": "coulomb"}
+    fixed = {"n": 2, "kappa": 0.2, "friction": None, "perturbation_size": 0.0, "engine": "coulomb"}
     return fixed | {"tol": 1e-8} | changes

@@ -4,13 +4,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import Data, Study, build
-from stickslip.analysis.members import FILE, MATRIX, START, Members
+from stickslip.analysis import Study, build
+from stickslip.analysis.members import FILE, MATRIX, POINT, START, Members
 from stickslip.analysis.stats import student
 from stickslip.pipeline.design.values import rank
+from tests.analysis.designs import Data, members
 
 
-def runs_of(planted, rng, systems, n_starts):
+def runs_of(planted, rng, systems, n_starts, unit=None):
     """A run for each start of each system (file, matrix), at levels that differ between systems and starts."""
     rows, series = [], {}
     for file, matrix in systems:
@@ -20,7 +21,7 @@ def runs_of(planted, rng, systems, n_starts):
             given = {"file": file, "start_draw": start if n_starts > 1 else None}
             rows.append(planted.member(name, matrix, **given))
             series[name] = planted.runs(rng, 400, 0.7, level=level + rng.integers(5))
-    return Data(pd.DataFrame(rows).convert_dtypes(), series)
+    return Data(members(pd.DataFrame(rows), unit), series)
 
 
 @pytest.mark.parametrize(
@@ -35,7 +36,7 @@ def runs_of(planted, rng, systems, n_starts):
     ],
 )
 def test_the_interval_is_over_the_units(planted, settings, rng, systems, n_starts, unit, n_units):
-    data = runs_of(planted, rng, systems, n_starts)
+    data = runs_of(planted, rng, systems, n_starts, unit)
     (group,) = Study(data, settings).groups
     assert (group.unit, len(group.units)) == (unit, n_units)
     of_run = pd.Series({
@@ -48,7 +49,7 @@ def test_the_interval_is_over_the_units(planted, settings, rng, systems, n_start
 
 
 def test_files_with_several_starts_are_kept_apart(planted, settings, rng):
-    data = runs_of(planted, rng, [("a.npz", 5), ("b.npz", 8)], 12)
+    data = runs_of(planted, rng, [("a.npz", 5), ("b.npz", 8)], 12, START)
     found = Study(data, settings).groups
     assert [(group.key["file"], group.unit, len(group.units)) for group in found] == [
         ("a.npz", START, 12),
@@ -60,8 +61,9 @@ def test_files_with_several_starts_are_kept_apart(planted, settings, rng):
 def test_a_start_that_is_not_drawn_is_one_run_of_its_matrix(planted, settings, rng):
     drawn = runs_of(planted, rng, [(None, 0)], 8)
     fixed = planted.member("fixed", 0, z0=-0.7, start_draw=None)
-    members = pd.concat([drawn.members, pd.DataFrame([fixed])]).convert_dtypes()
-    data = Data(members, dict(drawn.series) | {"fixed": planted.runs(rng, 400, 0.7)})
+    data = Data(
+        pd.concat([drawn.members, pd.DataFrame([fixed])]), dict(drawn.series) | {"fixed": planted.runs(rng, 400, 0.7)}
+    )
     assert sorted((group.unit, len(group.units)) for group in Study(data, settings).groups) == [
         (MATRIX, 1),
         (START, 8),
@@ -88,17 +90,12 @@ def test_settings_are_in_the_order_of_their_values():
 
 
 def test_the_table_of_all_members_makes_the_same_members(planted):
-    """Whether in one part or in several, and again from what it makes."""
+    """Whether in one part or in several."""
     drawn, _ = planted.ensemble({"coulomb": 0.69, "sigmoid": 0.5}, 6)
     table = pd.DataFrame(drawn).assign(seed=[0, 1] * (len(drawn) // 2))
-    whole = Members.of([table])
-    again = Members.of([whole.together])
-    parts = Members.of(table.iloc[k : k + 5] for k in range(0, len(table), 5))
+    whole = members(table)
+    table = whole.together.assign(**{name: whole.of_each(name).astype(int) for name in POINT})
+    parts = Members.of((table.iloc[k : k + 5] for k in range(0, len(table), 5)), whole.design)
     assert whole.together.columns.is_unique
-    for other in (again, parts):
-        pd.testing.assert_frame_equal(other.together[list(whole.together)], whole.together, check_dtype=False)
-        assert sorted(map(str, other.settings)) == sorted(map(str, whole.settings))
-    rows = np.arange(len(table))
-    for key, some in whole.places(["engine", "seed"], rows):
-        assert whole.at(some).together[["engine", "seed"]].drop_duplicates().to_numpy().tolist() == [[*key.values()]]
-    assert sorted(np.concatenate([some for _, some in whole.places(["engine", "seed"], rows)])) == rows.tolist()
+    pd.testing.assert_frame_equal(parts.together[list(whole.together)], whole.together, check_dtype=False)
+    assert sorted(map(str, parts.settings)) == sorted(map(str, whole.settings))

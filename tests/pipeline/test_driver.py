@@ -12,13 +12,14 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from distributed import KilledWorker
 from distributed.comm import CommClosedError
 
 from stickslip.pipeline import Progress, ScheduleError, expand, run_ensemble, status, verify
 from stickslip.pipeline.dataset.status import Pace, Tally
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.machine.processes import ONE_THREAD
-from stickslip.pipeline.running import cluster, driver, submit, worker
+from stickslip.pipeline.running import cluster, driver, executor, submit, worker
 from stickslip.sim.engines import ENGINES
 from tests.pipeline.conftest import SOURCE
 from tests.processes import is_running, until
@@ -108,14 +109,14 @@ def test_a_script_that_every_worker_runs_is_told_so(source, tmp_path):
 
 @pytest.mark.long
 def test_a_batch_whose_workers_died_is_run_again(scene, source, finished, content, tmp_path, monkeypatch):
-    compute = driver.compute_packed
+    compute = driver.compute_there
 
-    def dies(task):
-        if pickle.loads(task)[0].name.startswith("shard-00002"):
+    def dies(order):
+        if order[0].name.startswith("shard-00002"):
             os._exit(1)
-        return compute(task)
+        return compute(order)
 
-    monkeypatch.setattr(driver, "compute_packed", dies)
+    monkeypatch.setattr(driver, "compute_there", dies)
     with cluster.local(1) as client:
         result = run_ensemble(scene, tmp_path / "out", workers=0, scheduler=client)
     assert result.is_complete
@@ -137,13 +138,6 @@ def test_interrupt_leaves_a_dataset_to_resume(scene, source, finished, content, 
     assert content(tmp_path / "out") == before
     run_ensemble(scene, tmp_path / "out", workers=0)
     assert content(tmp_path / "out") == content(finished)
-
-
-def test_workers_of_another_version_are_refused(scene, source, tmp_path, monkeypatch):
-    monkeypatch.setattr("stickslip.pipeline.running.driver.program", lambda: "9.9.9-0123")
-    with pytest.raises(ScheduleError, match=r"expected workers with this version of the program \(9\.9\.9-0123\)"):
-        run_ensemble(scene, tmp_path / "out", workers=0)
-    assert status(tmp_path / "out").n_done == 0
 
 
 def test_a_run_without_workers_gives_up(monkeypatch):
@@ -179,60 +173,79 @@ class Running(list):
         return self.pop(0)
 
 
+class Done:
+    """A task that is done, and fails as it is told to."""
+
+    def __init__(self, function, part, version, fails=None):
+        self.answer, self._fails = lambda: executor.call_there(function, part, version), fails
+
+    def result(self, timeout):
+        if self._fails is not None:
+            raise self._fails
+        return self.answer()
+
+    def release(self):
+        pass
+
+
+def cluster_of(done, monkeypatch):
+    """In place of a cluster, one where all is done at once."""
+    monkeypatch.setattr(submit, "as_completed", lambda loop: Running())
+    send = lambda call, function, part, version, pure: done(function, part, version)  # noqa: E731
+    return SimpleNamespace(loop=None, submit=send, cluster=None, status="running", nthreads=dict)
+
+
 def test_no_more_are_in_flight_than_the_window_holds(monkeypatch):
-    """In place of a cluster, what is done at once; a batch is in flight until its result is released."""
+    """A batch is in flight until its result is released."""
     in_flight, most = set(), []
 
-    class Done:
-        def __init__(self, task):
-            self.task = task
+    class Flying(Done):
+        def __init__(self, *arguments):
+            super().__init__(*arguments)
+            most.append(len(in_flight))
             in_flight.add(self)
-
-        def result(self, timeout):
-            return pickle.loads(self.task)
 
         def release(self):
             in_flight.discard(self)
 
-    def send(work, task, pure):
-        future = Done(task)
-        most.append(len(in_flight))
-        return future
-
-    monkeypatch.setattr(submit, "as_completed", lambda loop: Running())
-    client = SimpleNamespace(loop=None, submit=send, cluster=None, status="running", nthreads=dict)
-    found = submit.submit(client, list(range(10)), None, lambda: 3, None, "go on")
-    assert [one for some in found for one in some] == list(range(10))
-    assert max(most) == 3
+    workers = submit.Dask(cluster_of(Flying, monkeypatch), None, "go on")
+    assert [pair for pairs in workers.map(abs, range(10)) for pair in pairs] == [(k, k) for k in range(10)]
+    assert max(most) == submit.WINDOW - 1
 
 
 def test_what_came_in_is_kept_though_the_scheduler_is_lost(monkeypatch):
     """Three results are there at once, and while the third is fetched nobody answers."""
+    fails = iter([None, None, CommClosedError()])
+    workers = submit.Dask(cluster_of(lambda *task: Done(*task, next(fails)), monkeypatch), None, "go on")
+    results = workers.map(abs, range(3))
+    assert next(results) == [(0, 0), (1, 1)]
+    with pytest.raises(ScheduleError, match="scheduler to stay until the end, lost it; start it again, then go on"):
+        next(results)
 
-    class Done:
-        def __init__(self, task):
-            self.task = task
 
-        def result(self, timeout):
-            if self.task == 2:
-                raise CommClosedError
-            return self.task
+def test_parts_whose_workers_died_are_computed_alone_and_given_up_in_the_end(monkeypatch):
+    functions = []
 
-        def release(self):
-            pass
+    def done(function, part, version):
+        functions.append(function)
+        return Done(function, part, version, KilledWorker("", None, 3) if pickle.loads(part) == -1 else None)
 
-    monkeypatch.setattr(submit, "as_completed", lambda loop: Running())
-    client = SimpleNamespace(
-        loop=None,
-        submit=lambda work, task, pure: Done(pickle.loads(task)),
-        cluster=None,
-        status="running",
-        nthreads=dict,
-    )
-    found = submit.submit(client, range(3), None, lambda: 3, None, "go on")
-    assert next(found) == [0, 1]
-    with pytest.raises(CommClosedError):
-        next(found)
+    workers = submit.Dask(cluster_of(done, monkeypatch), None, "go on", alone=int)
+    results = workers.map(abs, [1, -1])
+    assert next(results) == [(0, 1)]
+    with pytest.raises(ScheduleError, match=r"got 1 parts whose workers died 4 times.*go on"):
+        next(results)
+    assert functions == [abs, abs, int, int, int]
+
+
+def test_workers_of_another_version_are_refused(monkeypatch):
+    versions = iter(["theirs", "ours", "ours"])
+    client = cluster_of(Done, monkeypatch)
+    workers = submit.Dask(client, None, "go on", version=lambda: next(versions))
+    with pytest.raises(
+        ScheduleError, match=r"this version of the program \(ours\), got theirs on .*install the same"
+    ):
+        next(workers.map(abs, range(3)))
 
 
 def test_workers_are_counted_once_a_second(monkeypatch):
@@ -240,7 +253,7 @@ def test_workers_are_counted_once_a_second(monkeypatch):
     clock, looks = [0.0], []
     client = SimpleNamespace(nthreads=lambda: looks.append(clock[0]) or dict.fromkeys(range(len(looks)), 1))
     monkeypatch.setattr(submit.time, "monotonic", lambda: clock[0])
-    window = submit.in_flight(client)
+    window = submit.in_flight(client, submit.WINDOW)
     found = []
     for clock[0] in (5.0, 5.5, 5.9, 6.1, 7.0, 7.2):
         found.append(window() // submit.WINDOW)
@@ -286,7 +299,7 @@ def test_a_run_says_what_it_waits_for_and_asks_a_worker_what_is_to_be_compiled(s
 
     with cluster.local(1) as client:
         client.run(exec, f"import os; os.environ['NUMBA_CACHE_DIR'] = {str(tmp_path / 'kernels')!r}")
-        monkeypatch.setattr(driver, "compute_packed", compute)
+        monkeypatch.setattr(driver, "compute_there", compute)
         with pytest.raises(ZeroDivisionError):
             run_ensemble(scene, tmp_path / "out", scheduler=lambda: client, on_progress=seen.append)
     waiting = [progress.waiting for progress in seen]

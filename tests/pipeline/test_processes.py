@@ -31,7 +31,7 @@ def test_a_file_of_the_users_is_no_module_of_ours(scene, tmp_path, monkeypatch):
         (tmp_path / f"{name}.py").write_text("raise SystemExit(3)\n")
     monkeypatch.chdir(tmp_path)
     batch = Batch(0, expand(scene)[:2], scene.hash)
-    here, there = compute(batch, scene.recording), compute_alone(batch, scene.recording)
+    here, there = compute(batch, scene.recording), compute_alone((batch, scene.recording, None))
     assert there.shard == here.shard
 
 

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import json
 import os
 import re
 import shlex
@@ -14,6 +13,7 @@ import sys
 import time
 import tomllib
 from collections import Counter
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,6 +25,7 @@ import pytest
 
 from stickslip import workflows
 from stickslip.analysis import Report
+from stickslip.analysis.page.comparison import compare
 from stickslip.pipeline import Progress, load_scene, query
 from stickslip.pipeline.dataset import opened
 from stickslip.pipeline.dataset.opened import open_dataset
@@ -48,8 +49,6 @@ def test_run_leaves_data_and_a_report(dataset, capsys):
     assert "https://" not in page
     law = pd.read_parquet(dataset / "report" / "law.parquet")
     assert {"coulomb", "sigmoid"} <= set(law["engine"])
-    as_json = json.loads((dataset / "report" / "tables.json").read_text())
-    assert len(as_json["law"]) == len(law)
 
 
 def test_a_report_of_blocks_that_are_driven_and_barred(here, tmp_path, capsys):
@@ -78,8 +77,7 @@ dt = 0.5
 """)
     out = tmp_path / "out"
     assert main(["run", str(scene), "--out", str(out), "--workers", "1"]) == 0
-    groups = json.loads((out / "report" / "tables.json").read_text())["groups"]
-    assert [group["back_slip"] for group in groups] == ["barred"] * 4
+    assert [*pd.read_parquet(out / "report" / "groups.parquet")["back_slip"]] == ["barred"] * 4
     assert "barred" in (out / "report.html").read_text()
     members = query.members(out)
     stored = sum(members[f"{kind}_energy_end"] - members[f"{kind}_energy_start"] for kind in ("kinetic", "elastic"))
@@ -583,7 +581,7 @@ def test_a_report_that_cannot_be_written_leaves_the_old_one_whole(n_whole, tmp_p
     table = pd.DataFrame({"gamma": [0.7]})
     write(Report("<old>", {"law": table}, []), tmp_path / "deep" / "er")
     before = {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}
-    assert before.keys() == {"law.parquet", "law.csv", "tables.json", "findings.json", "report.html", "files.txt"}
+    assert before.keys() == {"law.parquet", "law.csv", "findings.json", "report.html", "files.txt"}
     fsync, calls = os.fsync, []
 
     def full(descriptor):
@@ -714,16 +712,17 @@ def test_two_datasets_side_by_side(dataset, tmp_path, capsys):
     out = tmp_path / "compared"
     assert main(["report", str(dataset), "--compare", str(dataset), "--out", str(out)]) == 0
     assert "to the last digit" in capsys.readouterr().out
-    assert json.loads((out / "report" / "tables.json").read_text()) == {}
+    assert not list(out.glob("report/*.parquet"))
 
 
 def test_two_datasets_are_compared_under_the_settings_of_the_first(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr("stickslip.analysis.page.comparison._is_same", lambda *_: False)
+    undigested = lambda one, other, settings: compare(replace(one, digest=""), other, settings)  # noqa: E731
+    monkeypatch.setattr("stickslip.workflows.reporting.compare", undigested)
     other = shutil.copytree(dataset, tmp_path / "other")
     scene = (other / "scene.toml").read_text().replace("t_burn = 1.0", "t_burn = 20.0").replace("[0.5]", "[1.0]")
     (other / "scene.toml").write_text(scene + "[analysis.margins]\nmean = 0.9\n")
     alone, first, second = (
-        compared(*pair).tables["compared"] for pair in ((dataset, dataset), (dataset, other), (other, dataset))
+        compared(*pair).tables["changes"] for pair in ((dataset, dataset), (dataset, other), (other, dataset))
     )
     pd.testing.assert_frame_equal(first, alone)
     assert (second["margin"][0], second["first"][0]) != (first["margin"][0], first["first"][0])

@@ -266,7 +266,7 @@ def test_files_with_any_name_leave_pages_and_figures_that_open(here, rng, tmp_pa
             listed.write(f"{'0' * 64}  {name}\n{name}\n")
     write(Report("", {}, [], {figures[0].stem: Drawn("<svg/>")}), out)
     left = {file.name for file in (out / "report").rglob("*") if file.is_file()}
-    kept = {figures[0].name, "tables.json", "findings.json", "files.txt", notes.name}
+    kept = {figures[0].name, "findings.json", "files.txt", notes.name}
     assert left == kept, "others are of another report"
     assert (out / "manifest.json").exists()
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stickslip.analysis import measures
-from stickslip.analysis.questions.runs import sweep
+from stickslip.analysis.questions.runs.changes import answer as changes_of
 from stickslip.pipeline import parse_scene, query, run_ensemble
 from stickslip.workflows.reporting import study_of
 
@@ -38,7 +38,7 @@ dt = 0.5
 def test_a_swept_chain_tells_of_its_episodes_and_then_of_its_energy(tmp_path):
     place = str(tmp_path / "chain")
     run_ensemble(parse_scene(SCENE.encode()), place, workers=0)
-    answer = sweep.answer(study_of(place))
+    answer = changes_of(study_of(place))
     table = answer.tables["sweep_measures"].set_index(["measure", "weakening_rate"])
     members, episodes = query.members(place), query.episodes(place)
     rate_of = members.set_index("member_id")["weakening_rate"]
@@ -62,6 +62,6 @@ def test_a_sweep_with_certificates_is_about_the_motion_and_not_about_when_they_c
         place = str(tmp_path / str(k))
         run_ensemble(parse_scene(scene.encode()), place, workers=0)
         study = study_of(place)
-        table = sweep.answer(study).tables["changes"]
+        table = changes_of(study).tables["changes"]
         assert measures.MEAN in set(table["quantity"])
         assert not table["quantity"].str.contains("collapse").any()

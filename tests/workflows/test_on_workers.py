@@ -1,5 +1,6 @@
 """Functions that questions put to runs, computed shard by shard on workers, in any order."""
 
+import contextlib
 import pickle
 
 import numpy as np
@@ -8,14 +9,16 @@ import pytest
 
 from stickslip.analysis.page.parts import ask
 from stickslip.analysis.questions import package_questions
-from stickslip.pipeline import ScheduleError, parse_scene, run_ensemble
+from stickslip.pipeline import parse_scene, run_ensemble
 from stickslip.pipeline.dataset.opened import open_dataset
 from stickslip.pipeline.ensemble import pack
 from stickslip.pipeline.machine.processes import ChildDied
 from stickslip.pipeline.query import frames, series
-from stickslip.workflows import asking, on_children, on_workers
+from stickslip.pipeline.running import executor
+from stickslip.pipeline.running.executor import Executor
+from stickslip.workflows import asking
 from stickslip.workflows.commands import main
-from stickslip.workflows.on_workers import OnWorkers
+from stickslip.workflows.parts import Parts
 from stickslip.workflows.reporting import report, study_of
 from tests.scenes import COULOMB, ensemble
 
@@ -42,28 +45,27 @@ def in_shards(tmp_path_factory):
     return in_shards_of(tmp_path_factory.mktemp("shards") / "small", 20, 40.0, 5.0)
 
 
-def put(opened):
-    return OnWorkers(opened, study_of(opened).settings, None, None)
+class Shuffled(Executor):
+    """In place of a cluster: every part in this process, out of order."""
+
+    def __init__(self, rng):
+        self._rng = rng
+
+    def map(self, function, parts):
+        parts = list(parts)
+        for k in self._rng.permutation(len(parts)):
+            yield [(k, pickle.loads(pickle.dumps(function(pickle.loads(pickle.dumps(parts[k]))))))]
 
 
-def shuffled(rng):
-    """In place of a cluster: every task in this process, out of order."""
-
-    def submit(client, todo, work, window, scheduler, again):
-        todo = list(todo)
-        for k in rng.permutation(len(todo)):
-            yield [pickle.loads(pickle.dumps(work(pickle.dumps(todo[k]))))]
-        return []
-
-    return submit
+def put(opened, executor, least=1):
+    return Parts(opened, study_of(opened).settings, executor, least)
 
 
-def test_what_workers_find_is_what_one_process_finds(in_shards, rng, monkeypatch):
-    monkeypatch.setattr(on_workers, "submit", shuffled(rng))
+def test_what_workers_find_is_what_one_process_finds(in_shards, rng):
     plain, opened = report(in_shards), open_dataset(in_shards)
 
     def ask_on_workers(opened, study, on_answer):
-        study.put = put(opened)
+        study.put = put(opened, Shuffled(rng))
         return [ask(study, key) for key in package_questions(study.settings.question)]
 
     spread = report(opened, ask_on_workers)
@@ -72,10 +74,9 @@ def test_what_workers_find_is_what_one_process_finds(in_shards, rng, monkeypatch
         pd.testing.assert_frame_equal(spread.tables[name], table, rtol=1e-10)
 
 
-def test_every_run_is_asked_once_whatever_is_asked_for(in_shards, rng, monkeypatch):
-    monkeypatch.setattr(on_workers, "submit", shuffled(rng))
+def test_every_run_is_asked_once_whatever_is_asked_for(in_shards, rng):
     study = study_of(in_shards)
-    study.put = put(open_dataset(in_shards))
+    study.put = put(open_dataset(in_shards), Shuffled(rng))
     for group in study.groups:
         assert study.sums(group, counted, 1)[:, 1].tolist() == np.bincount(group.moving["unit"])[group.units].tolist()
 
@@ -84,81 +85,71 @@ def counted(run):
     return np.array([run.win.t_stop])
 
 
-def test_parts_whose_workers_died_are_asked_again_and_given_up_in_the_end(in_shards, rng, monkeypatch):
-    asked = []
-
-    def dying(client, todo, work, window, scheduler, again):
-        todo = list(todo)
-        asked.append(len(todo))
-        for task in todo[1:]:
-            yield [work(pickle.dumps(task))]
-        return todo[:1]
-
-    monkeypatch.setattr(on_workers, "submit", dying)
-    study = study_of(in_shards)
-    study.put = put(open_dataset(in_shards))
-    with pytest.raises(ScheduleError, match=r"got 1 parts? whose workers died 3 times.*run the command again"):
-        _ = study.groups
-    assert asked == [len(open_dataset(in_shards).manifest.shards), 1, 1]
-
-
-def test_workers_with_another_version_of_the_analysis_are_refused(in_shards, rng, monkeypatch):
-    monkeypatch.setattr(on_workers, "submit", shuffled(rng))
-    study = study_of(in_shards)
-    study.put = put(open_dataset(in_shards))
-    versions = iter(["theirs", "ours", "ours"])
-    monkeypatch.setattr(on_workers, "program", lambda: next(versions))
-    with pytest.raises(ScheduleError, match=r"this version of the program \(ours\), got theirs; install the same"):
-        _ = study.groups
-
-
 def divided(run):
     return np.array([1 // int(run.win.t_start - run.win.t_start)])
 
 
-class InThisProcess:
-    """In place of a child, which dies at some calls."""
+@contextlib.contextmanager
+def children(*lives):
+    """Processes that die after so many calls: in this one."""
 
-    def __init__(self, n_calls):
-        self._n_calls = n_calls
+    class Mortal:
+        def __init__(self, _):
+            self._n_calls = next(calls)
 
-    def kill(self):
-        self._n_calls = 0
+        def __enter__(self):
+            return self
 
-    def __call__(self, asked):
-        if self._n_calls == 0:
-            raise ChildDied("signal SIGKILL")
-        self._n_calls -= 1
-        return pickle.loads(pickle.dumps(asked)).answer()
+        def __exit__(self, *_):
+            pass
+
+        def kill(self):
+            self._n_calls = 0
+
+        def __call__(self, task):
+            if self._n_calls == 0:
+                raise ChildDied("signal SIGKILL")
+            self._n_calls -= 1
+            return executor.call(pickle.loads(pickle.dumps(task)))
+
+    calls = iter(lives)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(executor, "Child", Mortal)
+        with executor.Children(len(lives), nothing) as found:
+            yield found
 
 
-@pytest.mark.parametrize("lives", [(), (0,), (2, 1), (1000, 1)])
-def test_processes_beside_this_one_may_die(in_shards, monkeypatch, lives):
-    monkeypatch.setattr(on_children, "_LEAST", 7)
+def nothing():
+    """What children load."""
+
+
+@pytest.mark.parametrize("lives", [(), (0,), (3, 2), (1000, 1)])
+def test_processes_beside_this_one_may_die(in_shards, lives):
     alone, study = study_of(in_shards), study_of(in_shards)
-    study.put = on_children.OnChildren(open_dataset(in_shards), study.settings, [InThisProcess(n) for n in lives])
-    for mine, theirs in zip(alone.groups, study.groups, strict=True):
-        assert (mine.fates == theirs.fates).all()
-        np.testing.assert_array_equal(mine.counts, theirs.counts)
-        for name, column in mine.totals.items():
-            np.testing.assert_allclose(column, theirs.totals[name], rtol=1e-12)
-        assert study.sums(theirs, counted, 1).tolist() == alone.sums(mine, counted, 1).tolist()
+    with children(*lives) as beside:
+        study.put = put(open_dataset(in_shards), beside, least=7)
+        for mine, theirs in zip(alone.groups, study.groups, strict=True):
+            assert (mine.fates == theirs.fates).all()
+            np.testing.assert_array_equal(mine.counts, theirs.counts)
+            for name, column in mine.totals.items():
+                np.testing.assert_allclose(column, theirs.totals[name], rtol=1e-12)
+            assert study.sums(theirs, counted, 1).tolist() == alone.sums(mine, counted, 1).tolist()
 
 
-def test_what_a_process_dies_of_is_seen_here(in_shards, monkeypatch):
+def test_what_a_process_dies_of_is_seen_here(in_shards):
     study = study_of(in_shards)
-    beside = [InThisProcess(0), InThisProcess(0)]
-    study.put = on_children.OnChildren(open_dataset(in_shards), study.settings, beside)
-    (group,) = [group for group in study.groups if group.n_moving]
-    with pytest.raises(ZeroDivisionError):
-        study.sums(group, divided, 1)
+    with children(0, 1) as beside:
+        study.put = put(open_dataset(in_shards), beside, least=7)
+        (group,) = [group for group in study.groups if group.n_moving]
+        with pytest.raises(ZeroDivisionError):
+            study.sums(group, divided, 1)
 
 
 def test_a_report_of_many_runs_is_that_of_few(in_shards, monkeypatch):
     """From some number on processes share the runs, and the table of members is read in parts."""
     plain = report(in_shards)
     monkeypatch.setattr(asking, "_MANY", 1)
-    monkeypatch.setattr(on_children, "_LEAST", 7)
+    monkeypatch.setattr(asking, "_LEAST", 7)
     monkeypatch.setattr(frames, "_ROWS", 11)
     with asking.Asking() as put:
         many = report(in_shards, put)
@@ -188,8 +179,6 @@ def test_series_of_many_runs_are_those_of_each(in_shards, rng):
 def test_copies_are_beside_their_bases_wherever_these_lie(tmp_path, rng, monkeypatch):
     """With every member a shard, and a part, of its own."""
     monkeypatch.setattr(pack, "TARGET_COST", 1e-9)
-    monkeypatch.setattr(on_workers, "submit", shuffled(rng))
-    monkeypatch.setattr(on_children, "_LEAST", 1)
     run_ensemble(parse_scene(ensemble(
         60, 80.0, 9, COULOMB, seed=2,
         rest="[twins]\nsizes = [1e-6, 1e-2]\n[perturbation]\nsizes = [0.01, 0.1]",
@@ -198,21 +187,22 @@ def test_copies_are_beside_their_bases_wherever_these_lie(tmp_path, rng, monkeyp
     plain, opened = report(tmp_path), open_dataset(tmp_path)
     assert len(opened.manifest.shards) == opened.n_members
 
-    def spread(of_children):
+    def spread(executor):
         def asked(opened, study, on_answer):
-            study.put = put(opened)
-            if of_children:
-                study.put = on_children.OnChildren(opened, study.settings, [InThisProcess(3), InThisProcess(1000)])
+            study.put = put(opened, executor)
             return [ask(study, key) for key in package_questions(study.settings.question)]
 
         return report(opened, asked)
 
-    for found in (spread(False), spread(True)):
-        assert found.tables.keys() == plain.tables.keys() >= {"parting", "parting_curves", "robustness"}
+    with children(3, 1000) as beside:
+        pages = [spread(executor) for executor in (Shuffled(rng), beside)]
+    for found in pages:
+        assert found.tables.keys() == plain.tables.keys() >= {"changes"}
         for name, table in plain.tables.items():
             pd.testing.assert_frame_equal(found.tables[name], table, rtol=1e-10)
-    assert len(plain.tables["parting"]) == 4
-    assert plain.tables["parting"]["n_parted"].max() > 5
+        said, expected = ([row["sentence"] for row in page.findings["findings"]] for page in (found, plain))
+        assert said == expected
+        assert any("part from their base" in sentence for sentence in said)
 
 
 @pytest.mark.long

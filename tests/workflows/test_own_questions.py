@@ -2,7 +2,6 @@
 
 import hashlib
 import re
-import shutil
 import sys
 from pathlib import Path
 from shutil import copytree
@@ -95,10 +94,11 @@ def test_own_answers_it_and_the_page_names_its_files(place, capsys):
     assert not (place / "ran").exists()
 
 
-def test_who_adds_a_record_is_told_how_the_page_keeps_its_questions(place, tmp_path, capsys):
-    out = str(shutil.copytree(place / "runs" / "mine", tmp_path / "mine"))
-    assert main(["extend", out, "--record", "stick_share", "--workers", "1"]) == 0
-    assert f"rewrite it with: stickslip report {out} --own\n" in capsys.readouterr().out
+def test_who_adds_a_record_is_told_how_the_page_answers_its_questions(place, tmp_path, capsys):
+    out = str(tmp_path / "more")
+    asked = ["--record", "stick_share", "--out", out, "--workers", "1"]
+    assert main(["extend", str(place / "runs" / "mine"), *asked]) == 0
+    assert f"`stickslip report {out} --own` runs the code beside the scene" in capsys.readouterr().out
 
 
 def sha256(file):
@@ -211,9 +211,9 @@ def test_what_cannot_be_drawn_or_shown_is_left_out_and_the_answer_stands(asked, 
     for line, words in zip(found.missing, expected, strict=True):
         assert re.fullmatch(words, line), line
     assert not found.problem
-    assert [sentence(finding) for finding in found.findings] == ["Size: 3.00."]
+    assert [sentence(finding) for finding in found.answer.findings] == ["Size: 3.00."]
     assert [*found.figures] == ["own-question-c"]
-    assert [*found.tables] == ["own-question-d"]
+    assert [*found.answer.tables] == ["own-question-d"]
 
 
 def test_it_is_found_above_the_dataset_and_what_it_loads_is_named(asked, tmp_path):
@@ -224,7 +224,7 @@ def test_it_is_found_above_the_dataset_and_what_it_loads_is_named(asked, tmp_pat
     found = asked(code, **{"late.py": late})
     assert found.sources == {name: sha256(tmp_path / name) for name in ("own.py", "late.py")}
     found = answer(Task("own:question", str(deeper), open_dataset))
-    assert found.findings
+    assert found.answer.findings
     sys.modules.pop("late")
 
 

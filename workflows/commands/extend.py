@@ -1,142 +1,69 @@
-"""`stickslip extend`: more records for a dataset that is finished."""
+"""`stickslip extend`: a dataset with more records than another, whose runs it takes over."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 import tomllib
-from contextlib import nullcontext
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from stickslip.pipeline.errors import command, printable
-from stickslip.pipeline.machine.processes import forked_workers, loading
-from stickslip.pipeline.machine.signals import Interrupted
-from stickslip.workflows.commands.command import DONE, Command, Wrong, add_places
-
-if TYPE_CHECKING:
-    from stickslip.pipeline.running.extend import Addition
+from stickslip.workflows.commands.command import Command, Wrong, add_places
+from stickslip.workflows.commands.run import add_options, check_directory, check_name, run, say_estimate
 
 
 class Extend(Command):
     """`stickslip extend`."""
 
     name = "extend"
-    words = "add records to a finished dataset, running no more than it must"
+    words = "add records to a dataset, in another directory, running no more than it must"
     examples = (
-        ("stickslip extend runs/mine --record waiting", "from the events that the dataset keeps"),
-        ("stickslip extend runs/mine --record waiting stick_share t_burn=50", "measured from t = 50"),
-        ("stickslip extend runs/mine --record amplitude dt=0.1 --dry-run", "what members that run again would take"),
-        ("stickslip extend runs/mine --record mine:quiet_share t_burn=50", "by a function of your own, in mine.py"),
+        ("stickslip extend runs/mine --record waiting --out runs/more", "from the events that are kept"),
+        ("stickslip extend runs/mine --record waiting t_burn=50 --out runs/more", "measured from t = 50"),
+        ("stickslip extend runs/mine --record amplitude dt=0.1 --out runs/more --dry-run", "what reruns would take"),
+        ("stickslip extend runs/mine --record mine:quiet --out runs/more", "by your own function, in mine.py"),
+        ("stickslip extend runs/mine --scene mine.toml --out runs/more", "a scene with more records or members"),
     )
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         # argparse names DIR last, where it would be taken for one more key
-        parser.usage = "%(prog)s DIR (--record KEY[=VALUE] ... | --give-up) [options]"
+        parser.usage = "%(prog)s DIR (--record KEY[=VALUE] ... | --scene FILE) --out DIR2 [options]"
         parser.add_argument("directory", metavar="DIR")
         what = parser.add_mutually_exclusive_group(required=True)
         what.add_argument(
             "--record", nargs="+", metavar="KEY[=VALUE]",
             help="keys under [record] of a scene; one without a value is true; or module:function, for its `own`",
         )  # fmt: skip
-        what.add_argument(
-            "--give-up", action="store_true", help="forget an extension that was begun; the dataset stays as it is"
+        what.add_argument("--scene", metavar="FILE", help="a scene file whose members are those of DIR, or more")
+        parser.add_argument(
+            "--out", required=True, metavar="DIR2", help="directory of the new dataset, or its address"
         )
         add_places(parser)
-        parser.add_argument("--accept-version", action="store_true", help="extend data that another version wrote")
-        parser.add_argument(
-            "--dry-run", action="store_true", help="show what would be run and estimate the time; write nothing"
-        )
+        add_options(parser)
 
     def __call__(self, arguments: argparse.Namespace) -> int:
-        if arguments.give_up:
-            return _give_up(arguments.directory)
-        keys = _keys(arguments.record)
+        from stickslip.pipeline.dataset.opened import open_dataset
+        from stickslip.pipeline.places.locate import place_of
+        from stickslip.pipeline.running.extend import with_records
+        from stickslip.workflows.scenes import find, load
+
+        check_name("--out", arguments.out)
+        keys = _keys(arguments.record or [])
         if arguments.dry_run and arguments.scheduler is not None:
             raise Wrong("--scheduler: expected none with --dry-run, which uses this machine; leave it out")
-        are_forked = arguments.is_program and arguments.workers > 0 and arguments.scheduler is None
-        with forked_workers() if are_forked and not arguments.dry_run else nullcontext():
-            return _extend(arguments, keys)
-
-
-def _extend(arguments: argparse.Namespace, keys: dict[str, Any]) -> int:
-    with loading() if arguments.is_program else nullcontext():
-        from stickslip.pipeline.dataset.opened import open_dataset
-        from stickslip.pipeline.machine.signals import last_act
-        from stickslip.pipeline.places.place import DATA, SCENE
-        from stickslip.pipeline.running.extend import addition, extend, is_there
-        from stickslip.workflows import own_questions
-        from stickslip.workflows.progress import Watch, clock
-
-    opened = open_dataset(arguments.directory)
-    place = opened.place
-    again = command("extend", str(place), "--record", *arguments.record)
-
-    def how_to_go_on() -> None:
-        print(f"\ninterrupted; the dataset is as it was, and what is done is kept. Go on with:\n  {again}",
-              file=sys.stderr)  # fmt: skip
-
-    try:
-        if is_there(opened, keys):
-            print("to run  nothing: the dataset has these records", flush=True)
-        elif opened.manifest.scene is None:
-            _say(addition(opened, keys, arguments.accept_version), arguments.workers)
+        opened, out = open_dataset(arguments.directory), place_of(arguments.out)
+        if arguments.scene is None:
+            file, scene, asked = (
+                opened.folder / "scene.toml",
+                with_records(opened, keys),
+                ["--record", *arguments.record],
+            )
+        else:
+            file, asked = find(arguments.scene), ["--scene", arguments.scene]
+            scene = load(file)
+        check_directory(out, file)
         if arguments.dry_run:
-            return DONE
-        with Watch(place) as watch, last_act(how_to_go_on):
-            status = extend(
-                opened, keys, arguments.workers, arguments.scheduler, watch, arguments.accept_version,
-                arguments.dashboard,
-            )  # fmt: skip
-    except Interrupted as interrupt:
-        how_to_go_on()
-        return interrupt.exit_code
-    print(printable(f"data    {place.named(DATA)}: {status.n_done} members, {status.n_bytes / 1e6:.2f} MB"))
-    print(
-        printable(
-            f"scene   {place.named(SCENE)} has the new keys; to add members later, run that or add them to yours"
-        )
-    )
-    own = ["--own"] * bool(own_questions.names(opened.scene))
-    print(f"report  as before; rewrite it with: {command('report', str(place), *own)}")
-    print(f"time    {clock(watch.elapsed)}")
-    return DONE
-
-
-def _give_up(directory: str) -> int:
-    from stickslip.pipeline.dataset.extending import give_up
-    from stickslip.pipeline.dataset.opened import open_dataset
-
-    opened = open_dataset(directory)
-    if opened.manifest.extension is None:
-        print(printable(f"nothing to give up; no extension of {opened.place} is under way"))
-        return DONE
-    give_up(opened)
-    print(printable(f"given up; {opened.place} is as it was before the extension was begun"))
-    return DONE
-
-
-def _say(found: Addition, workers: int) -> None:
-    """What an extension takes."""
-    from stickslip.pipeline.running.estimate import WITHIN
-    from stickslip.workflows.progress import clock
-
-    n_members = sum(len(batch.members) for batch, _ in found.todo)
-    columns = [column.name for record in found.new for column in record.kept]
-    print(f"columns {', '.join(columns)}", flush=True)
-    if found.scene.run.purpose != found.before.scene.run.purpose:
-        print(f"purpose {found.scene.run.purpose}: the runs keep the tolerances that were picked for it", flush=True)
-    if not found.again:
-        seconds = found.seconds_of_records
-        took = f", in about {clock(seconds)} of a core" if seconds >= 1.0 else ""
-        print(f"to run  nothing: computed from what is kept of {n_members} members{took}", flush=True)
-        return
-    print(f"to run  {found.n_again} of {n_members} members, again", flush=True)
-    estimate = found.estimate(workers)
-    for reason, count in estimate.failures.items():
-        print(f"failed  {count} of the pilot: {printable(reason)}", flush=True)
-    at = f"{estimate.workers} worker{'s' * (estimate.workers > 1)}"
-    low, high = clock(estimate.seconds / WITHIN), clock(estimate.seconds * WITHIN)
-    print(f"time    {clock(estimate.seconds)} ({low} to {high}) on {at}, not counting start", flush=True)
+            return say_estimate(arguments, scene, file, out, opened)
+        words = ("extend", arguments.directory, *asked, "--out", str(out))
+        return run(arguments, words, lambda: scene, file, out, opened)
 
 
 def _keys(given: list[str]) -> dict[str, Any]:

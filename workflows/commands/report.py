@@ -90,7 +90,7 @@ def write_report(directory: Where, asking: Asking, watch: Watch | None = None, i
     else:
         if is_own and asking.own is None:
             asking.own = opened.folder
-        problems = _build(opened, asking, watch).problems
+        problems = {**_build(opened, asking, watch).problems}
     for name, problem in problems.items():
         print(printable(f"failed  {name}: {problem}"), file=sys.stderr)
     if not is_own:

@@ -6,7 +6,7 @@ import argparse
 import os
 import sys
 import unicodedata
-from collections.abc import Sized
+from collections.abc import Callable, Sequence, Sized
 from contextlib import nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
@@ -20,6 +20,9 @@ from stickslip.workflows.commands.command import DONE, UNFINISHED, Command, Wron
 from stickslip.workflows.commands.report import check_no_ensemble, publish, write_report
 
 if TYPE_CHECKING:
+    from stickslip.pipeline import Batch, Scene
+    from stickslip.pipeline.dataset.opened import Opened
+    from stickslip.pipeline.ensemble.pack import Task
     from stickslip.pipeline.places.place import Place
     from stickslip.workflows.asking import Asking
 
@@ -46,27 +49,15 @@ class Run(Command):
             "--out", metavar="DIR", help="directory of the dataset, or s3://bucket/dir (default: runs/<scene>)"
         )
         add_places(parser)
-        parser.add_argument(
-            "--no-report", action="store_true", help="write no report; `stickslip report DIR` does so later"
-        )
-        parser.add_argument("--retry-failed", action="store_true", help="run the shards of failed members again")
-        parser.add_argument("--accept-version", action="store_true", help="resume data that another version began")
-        parser.add_argument("--yes", action="store_true", help="run more than 10 million members")
+        add_options(parser)
         parser.add_argument("--only", metavar="MEMBER", help="run one member and show its row; write nothing")
-        parser.add_argument(
-            "--dry-run",
-            action="store_true",
-            help="show what would be run and estimate time and disk; write nothing",
-        )
 
     def __call__(self, arguments: argparse.Namespace) -> int:
-        from stickslip.pipeline.places.directory import Directory
         from stickslip.pipeline.places.locate import place_of
-        from stickslip.workflows.asking import Asking
-        from stickslip.workflows.scenes import chart_of, find, shipped
+        from stickslip.workflows.scenes import chart_of, find, load, shipped
 
-        _check_name("SCENE", arguments.scene)
-        _check_name("--out", arguments.out or "")
+        check_name("SCENE", arguments.scene)
+        check_name("--out", arguments.out or "")
         file = find(arguments.scene)
         if arguments.out is None and not file.stem.strip("."):  # runs/ itself, or what it is in
             raise Wrong(f"SCENE: expected a name that data can have under runs/, got {file.name!r}; rename it, or"
@@ -80,8 +71,7 @@ class Run(Command):
                 + (did_you_mean(arguments.scene, names) or "; `stickslip scenes` says what they are")
             )
         out = place_of(arguments.out if arguments.out is not None else Path("runs") / file.stem)
-        if isinstance(out, Directory):
-            _check_directory(out.path, file)
+        check_directory(out, file)
         is_chart = chart_of(file) is not None
         if arguments.scheduler is not None and (is_chart or arguments.dry_run or arguments.only is not None):
             raise Wrong(
@@ -92,22 +82,64 @@ class Run(Command):
             raise Wrong("--only, --retry-failed: expected none with a chart, which has no members; leave it out")
         if is_chart:
             return _run_chart(arguments, file, out)
+        words = ("run", arguments.scene, "--out", str(out))
         if arguments.dry_run:
-            return _say_estimate(arguments, file, out)
+            return say_estimate(arguments, load(file), file, out)
         if arguments.only is not None:
             return _run_member(file, arguments.only)
-        # the jobs of Slurm are there: whoever started them may be on a machine that is not to compute
-        where = arguments.scheduler if arguments.slurm is not None else None
-        # before all else: what these load, and what is loaded here, takes a second or two each
-        are_forked = arguments.is_program and arguments.workers > 0 and arguments.scheduler is None
-        with (
-            forked_workers() if are_forked else nullcontext(),
-            nullcontext() if arguments.no_report else Asking(file.parent, scheduler=where) as asking,
-        ):
-            return _run_ensemble(arguments, file, out, asking)
+        return run(arguments, words, lambda: load(file), file, out)
 
 
-def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking: Asking | None) -> int:
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """The options of what runs a scene."""
+    for option, words in (
+        ("--no-report", "write no report; `stickslip report DIR` does so later"),
+        ("--retry-failed", "run the shards of failed members again"),
+        ("--accept-version", "resume data that another version began, or take such rows over"),
+        ("--yes", "run more than 10 million members"),
+        ("--dry-run", "show what would be run and estimate time and disk; write nothing"),
+    ):
+        parser.add_argument(option, action="store_true", help=words)
+
+
+def run(
+    arguments: argparse.Namespace, words: Sequence[str], load: Callable[[], Scene], file: Path, out: Place,
+    kept: Opened | None = None,
+) -> int:  # fmt: skip
+    """Run a scene into a place, and write its report; the exit code.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of the command.
+    words : sequence of str
+        With which the command is given again.
+    load : callable
+        Gives the scene; called once workers are loading what they need.
+    file : Path
+        Of the scene; its own questions lie beside it.
+    out : Place
+    kept : Opened, optional
+        As of `run_ensemble`; the questions of the user's own are not asked then.
+    """
+    from stickslip.workflows.asking import Asking
+
+    # the jobs of Slurm are there: whoever started them may be on a machine that is not to compute
+    where = arguments.scheduler if arguments.slurm is not None else None
+    # before all else: what these load, and what is loaded here, takes a second or two each
+    are_forked = arguments.is_program and arguments.workers > 0 and arguments.scheduler is None
+    own = file.parent if kept is None else None
+    with (
+        forked_workers() if are_forked else nullcontext(),
+        nullcontext() if arguments.no_report else Asking(own, scheduler=where) as asking,
+    ):
+        return _run(arguments, words, load, file, out, kept, asking)
+
+
+def _run(
+    arguments: argparse.Namespace, words: Sequence[str], load: Callable[[], Scene], file: Path, out: Place,
+    kept: Opened | None, asking: Asking | None,
+) -> int:  # fmt: skip
     with loading() if arguments.is_program else nullcontext():
         from stickslip.pipeline import run_ensemble
         from stickslip.pipeline.machine.signals import last_act
@@ -115,14 +147,14 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
         from stickslip.pipeline.places.place import DATA, SCENE
         from stickslip.workflows import own_questions
         from stickslip.workflows.progress import Watch, clock
-        from stickslip.workflows.scenes import load
 
-    scene = load(file)
-    if asking is not None:
-        own_questions.check(scene, file.parent, str(file))
+    scene = load()
+    if asking is not None and asking.own is not None:
+        own_questions.check(scene, asking.own, str(file))
 
     def how_to_go_on() -> None:
-        print(f"\ninterrupted; finished work is kept. Resume with:\n  {_again(arguments, out)}", file=sys.stderr)
+        again = _again(arguments, words)
+        print(f"\ninterrupted; finished work is kept. Resume with:\n  {again}", file=sys.stderr)
 
     is_answered = True
     try:
@@ -139,6 +171,7 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
                 accept_version=arguments.accept_version,
                 dashboard=arguments.dashboard,
                 yes=arguments.yes,
+                kept=kept,
             )
             if asking is not None:
                 is_answered = write_report(out, asking, watch)
@@ -152,9 +185,9 @@ def _run_ensemble(arguments: argparse.Namespace, file: Path, out: Place, asking:
         _say_problems(out)
     if status.failures:
         arguments.retry_failed = True
-        copy = out.named(SCENE) if isinstance(out, Directory) else arguments.scene
+        copy = out.named(SCENE) if isinstance(out, Directory) else str(file)
         alone = command("run", copy, "--only", str(status.first_failed))
-        print(f"again   {_again(arguments, out)}\nalone   {alone}", file=sys.stderr)
+        print(f"again   {_again(arguments, words)}\nalone   {alone}", file=sys.stderr)
     if asking is None:
         print(f"report  not written; write it with: {command('report', str(out))}")
     print(f"time    {clock(watch.elapsed)}, not counting the report")
@@ -177,7 +210,10 @@ def _say_problems(out: Place) -> None:
         print(f"own     {reasons[_REASONS:].sum()}: others, in the column own_problem", file=sys.stderr)
 
 
-def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
+def say_estimate(
+    arguments: argparse.Namespace, scene: Scene, file: Path, out: Place, kept: Opened | None = None
+) -> int:
+    """Say what running a scene into a place would take; the exit code. Arguments are those of `run`."""
     from stickslip.pipeline.dataset.writer import Store
     from stickslip.pipeline.running import ends
     from stickslip.pipeline.running.cluster import check_memory
@@ -185,10 +221,9 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline.running.trials import check_functions
     from stickslip.workflows import own_questions
     from stickslip.workflows.progress import clock
-    from stickslip.workflows.scenes import load
 
-    scene = load(file)
-    own_questions.check(scene, file.parent, str(file))
+    if kept is None:
+        own_questions.check(scene, file.parent, str(file))
     scene.check_size(arguments.yes)
     scene.check_engines()
     ends.check(scene)
@@ -202,6 +237,8 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     n_to_go = sum(len(batch.members) for batch in to_go)
     if n_to_go < scene.n_members:
         print(f"to go   {n_to_go} members in {len(to_go)} of the shards; the others are there", flush=True)
+    if kept is not None:
+        to_go = _left(store.todo, kept)
     if not to_go:
         return DONE
     check_functions(scene, store.todo)
@@ -219,6 +256,20 @@ def _say_estimate(arguments: argparse.Namespace, file: Path, out: Place) -> int:
         f"disk    {size:.2g} MB ({size / WITHIN:.2g} to {size * WITHIN:.2g})"
     )
     return DONE
+
+
+def _left(todo: Sequence[Task], kept: Opened) -> list[Batch]:
+    """The members that are run beside rows that are kept, by shard."""
+    from stickslip.pipeline.ensemble.pack import Batch
+    from stickslip.pipeline.running.kept import KeptRows
+
+    rows = KeptRows(kept)
+    left = [Batch(batch.number, rows.left((batch, recording)), batch.scene_hash) for batch, recording in todo]
+    n_run, n_members = (
+        sum(len(batch.members) for batch in batches) for batches in (left, [task[0] for task in todo])
+    )
+    print(f"to run  {n_run} of {n_members} members; what is kept suffices for the others", flush=True)
+    return [batch for batch in left if len(batch.members)]
 
 
 def _run_member(file: Path, member_id: str) -> int:
@@ -259,7 +310,7 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     return DONE
 
 
-def _again(arguments: argparse.Namespace, out: Place) -> str:
+def _again(arguments: argparse.Namespace, words: Sequence[str]) -> str:
     if arguments.slurm is not None:
         where = ["--slurm", str(arguments.slurm), *(["--job", *arguments.job] if arguments.job else [])]
     elif arguments.scheduler is not None:
@@ -268,21 +319,24 @@ def _again(arguments: argparse.Namespace, out: Place) -> str:
         where = ["--workers", str(arguments.workers)]
     known = ("--retry-failed", "--no-report", "--yes")
     flags = [flag for flag in known if getattr(arguments, flag[2:].replace("-", "_"))]
-    return command("run", arguments.scene, "--out", str(out), *where, *flags)
+    return command(*words, *where, *flags)
 
 
-def _check_name(argument: str, name: str) -> None:
+def check_name(argument: str, name: str) -> None:
     """Refuse a name that data cannot be read under."""
     if any(unicodedata.category(c) == "Cs" for c in name):
         raise Wrong(f"{argument}: expected a name in UTF-8, got {name!a}; rename it")
 
 
-def _check_directory(out: Path, file: Path) -> None:
+def check_directory(out: Place, file: Path) -> None:
     """Refuse a directory in which a dataset would be in the way of something else."""
+    from stickslip.pipeline.places.directory import Directory
     from stickslip.pipeline.places.place import MANIFEST
 
+    if not isinstance(out, Directory):
+        return
     # of a loop of links no error comes here, but where it is opened
-    place, here = Path(os.path.realpath(out)), Path(__file__).resolve().parents[2]
+    place, here = Path(os.path.realpath(out.path)), Path(__file__).resolve().parents[2]
     if any(place.is_relative_to(here / floor) for floor in ("sim", "pipeline", "analysis", "workflows", "stickslip")):
         raise Wrong(f"--out: expected a directory for data, got {out}, which is inside the program; choose another")
     if place.exists() and not place.is_dir():

@@ -38,12 +38,14 @@ from stickslip.analysis.findings.finding import (
     Quantity,
     Reason,
 )
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
 from stickslip.analysis.models import pool
 from stickslip.analysis.models.motion import lulls
+from stickslip.analysis.series import nulls
 from stickslip.analysis.series.cascades import EVENTS, Window, sums
-from stickslip.analysis.series.nulls import BlockSteps, rotations
+from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import LN2, Estimate, Statistic, Undefined, gamma, over_matrices, ratio
@@ -117,8 +119,8 @@ def _picture(rows: Sequence[Row], lead: Row) -> Picture:
     )
 
 
-def _where(row: Row, is_swept: bool) -> str:
-    return f"n = {row['n']}" if is_swept else ""
+def _where(row: Row, is_swept: bool) -> Place:
+    return Place.key("n", str(row["n"])) if is_swept else EVERYWHERE
 
 
 def _estimate(row: Row, name: str) -> Estimate:
@@ -226,7 +228,7 @@ def run_sums(win: Window, steps: BlockSteps, draws: int, rng: np.random.Generato
     rng : Generator
     """
     span = win.t_stop - win.t_start
-    observed, rotated = sums(win.step)[EVENTS], rotations(steps, (), draws, rng).sums[EVENTS]
+    observed, rotated = sums(win.step)[EVENTS], nulls.moments(steps, draws, rng)[[1, 0]]
     return np.concatenate([observed, rotated, [win.time_mean() * span, span], slope_sums(win)])
 
 

@@ -20,6 +20,7 @@ from stickslip.analysis.findings.finding import (
     Finding,
     Fit,
     Form,
+    KeyChange,
     Lack,
     Law,
     Level,
@@ -27,6 +28,7 @@ from stickslip.analysis.findings.finding import (
     Reason,
     Verdict,
 )
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.questions.slips.slow_motion import Slow, slow_motion
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import Compared, equivalence_test
@@ -60,7 +62,7 @@ class Along(NamedTuple):
     """Groups that differ in one key only, sorted by it; `at` is what they share of the other swept keys."""
 
     key: str
-    at: str
+    at: Place
     groups: Sequence[Slow]
 
 
@@ -76,14 +78,17 @@ class Changed(NamedTuple):
         key, first, last = self.line.key, self.line.groups[0], self.line.groups[-1]
         values = shown(first.group.key[key]), shown(last.group.key[key])
         estimates = first.estimate(self.number), last.estimate(self.number)
-        return Change(NUMBERS[self.number], key, *values, *estimates, self.difference, self.line.at, basis)
+        return Change(
+            NUMBERS[self.number], (KeyChange(key, *values),), *estimates, self.difference, self.line.at, basis
+        )
 
     def row(self) -> Mapping[str, object]:
         """Row of the table `rhythm_changes`."""
         change, size, family = self.finding(Basis(0)), self.difference.estimate, self.difference.family
+        (along,) = change.keys
         return {
-            "number": self.number, "key": change.key, "at": change.where or None, "first_value": change.first,
-            "last_value": change.second, "first": change.before.value, "last": change.after.value,
+            "number": self.number, "key": along.key, "at": str(change.where) or None, "first_value": along.first,
+            "last_value": along.second, "first": change.before.value, "last": change.after.value,
             "change": size.value, "low": size.low, "high": size.high, "p_value": self.p_value,
             "p_adjusted": None if family is None else family.p_different, "verdict": self.difference.verdict.value,
         }  # fmt: skip
@@ -115,7 +120,7 @@ class Power(NamedTuple):
         return min(self.p_misfit, 1.0 if self.p_apart is None else self.p_apart) >= alpha
 
     def finding(self, alpha: float) -> Law:
-        where = f"|{self.key}| = {shown(self.first_value)} to {shown(self.last_value)}"
+        where = Place.key(f"|{self.key}|", f"{shown(self.first_value)} to {shown(self.last_value)}")
         fit = Fit.HOLDS if self.fits(alpha) else Fit.FAILS
         return Law(
             _PLURAL[self.number], f"follow a power law in |{self.key}|", Level(EXPONENT, self.exponent, where), fit
@@ -149,7 +154,8 @@ def question(study: Study) -> Answer:
     wide = [power for power in powers if power.last_value >= LEAST_FACTOR * power.first_value]
     findings += [power.finding(1 - confidence) for power in wide]
     findings += [
-        Level(NUMBERS["period"], motion.estimate("period"), motion.group.label, basis=basis) for motion in slow
+        Level(NUMBERS["period"], motion.estimate("period"), Place.of(motion.group.name), basis=basis)
+        for motion in slow
     ]
     tables = {
         "rhythm_changes": frame(_CHANGES, (one.row() for one in found)),
@@ -177,7 +183,7 @@ def along(key: str, slow: Sequence[Slow]) -> list[Along]:
     return [
         Along(
             key,
-            ", ".join(f"{name} = {shown(groups[0].group.key[name])}" for name in varied),
+            Place(tuple((name, shown(groups[0].group.key[name])) for name in varied)),
             sorted(groups, key=lambda motion: float(motion.group.key[key])),
         )
         for groups in sets.values()

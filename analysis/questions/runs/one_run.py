@@ -16,6 +16,7 @@ from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Finding, Form, Lack, Level, Quantity, Reason, Share
 from stickslip.analysis.findings.numbers import span
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import plural
 from stickslip.analysis.models.fates import DIVERGED, FAILED
 from stickslip.analysis.stats.estimates import Estimate
@@ -55,7 +56,7 @@ def answer(study: Study) -> Answer | None:
     if run["outcome"] == DIVERGED:
         t_end = float(run["t_stop"])
     t, n_stick = study.runs.points(name)
-    where = f"one run of {plural(n, 'block')} to t = {t_end:g}"
+    where = Place.words(f"one run of {plural(n, 'block')} to t = {t_end:g}")
     findings: list[Finding] = [_sticking(t, n_stick / n, t_end, where)]
     if name in data.events:
         events = EventSeries(*data.events[name], t_start=0.0, t_end=t_end)
@@ -72,13 +73,13 @@ def answer(study: Study) -> Answer | None:
     return Answer(findings=findings, figures=figures, method=method)
 
 
-def _sticking(t: np.ndarray, share: np.ndarray, t_end: float, where: str) -> Finding:
+def _sticking(t: np.ndarray, share: np.ndarray, t_end: float, where: Place) -> Finding:
     if not t_end:
         return Lack(STICKING.name, Reason.SHORT_WINDOW)
     return Level(STICKING, Estimate(float(np.diff(np.append(t, t_end)) @ share / t_end)), where)
 
 
-def _slips(events: EventSeries, where: str) -> list[Finding]:
+def _slips(events: EventSeries, where: Place) -> list[Finding]:
     """How often blocks begin to slip, and how many ever do."""
     slips = events.initial_mode != 0
     slips[events.block[events.mode != 0]] = True

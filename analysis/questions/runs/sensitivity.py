@@ -10,42 +10,29 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
-from stickslip.analysis.answer import Answer, B, F, I, Picture, Question, S, frame, named
+from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.ensemble import Separation, Study
 from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Lifetime, Quantity, Reason
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import listed
 from stickslip.analysis.members import RELATIVE
 from stickslip.analysis.models.fates import median
 from stickslip.analysis.models.growth import Growth, growth
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, Comparison, Followed, Setting, follow, level, settings
 from stickslip.analysis.series import parting
-from stickslip.analysis.stats.compare import UNKNOWN
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import CYCLE, GREY, panel
 from stickslip.pipeline.design.design import Change
 from stickslip.pipeline.design.values import shown
 from stickslip.sim.engines import ENGINES
 
-GROWS, SHRINKS = "grow", "shrink"
 T_FROM, LEAST = 100.0, 100.0  # where the range of a growth rate begins, and the shortest that counts
 CEILING = 3e-2  # of distances that still grow in proportion
 SMALL = 0.1  # largest displacement of a start for a growth rate, as a share of the ceiling
 FLOOR, TOLERANCES = 1e-13, 10.0  # floor of exact engines; that of others is so many times their relative tolerance
 RATE = Quantity("rate", "growth rate of small differences, per unit of time")
 PARTED = Quantity("parted", "median time until copies part from their base")
-_GROWTH: Mapping[str, str] = {
-    "setting": S, "n": I, "engine": S, "size": F, "rate": F, "rate_low": F, "rate_high": F, "e_fold": F,
-    "e_fold_low": F, "e_fold_high": F, "t_from": F, "t_to": F, "n_pairs": I, "n_used": I, "n_floor": I,
-    "n_ceiling": I, "is_selected": B, "verdict": S,
-}  # fmt: skip
-_PARTING: Mapping[str, str] = {
-    "setting": S, "n": I, "engine": S, "change": S, "kind": S, "reading": S, "size": F, "level": F, "n_pairs": I,
-    "n_parted": I, "median": F, "median_low": F, "median_high": F,
-}  # fmt: skip
-_CURVES: Mapping[str, str] = {"setting": S, "change": S, "t": F, "n_pairs": I, "gap": F}
-
-
-_METHOD = (
+METHOD = (
     f"The growth rate is the slope of log distance over time from t = {T_FROM:g} on, while all pairs lie between a"
     f" floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and {CEILING:g}; none is given where more than"
     " a tenth of the pairs leave that range. Copies have parted when |difference of n_stick|, averaged over"
@@ -53,80 +40,73 @@ _METHOD = (
 )
 
 
-def _identity(setting: Setting) -> dict[str, object]:
-    return {"setting": setting.label, "n": setting.key["n"], "engine": setting.key["engine"]}
-
-
-class _Rate(NamedTuple):
-    """The growth rate of starts displaced by one size."""
+class Rate(NamedTuple):
+    """The growth rate of starts displaced by one size, and the distances of the pairs that it is of."""
 
     setting: Setting
     size: float
     n_pairs: int
     law: Growth
+    distances: Sequence[Separation]
 
     @property
-    def is_told(self) -> bool:
+    def is_known(self) -> bool:
         """Whether enough pairs stay in their linear range."""
         return self.law.rate.low is not None and not self.law.is_selected
 
     @property
-    def verdict(self) -> str:
-        """Whether small differences grow or shrink, by the interval of their rate."""
-        if not self.is_told or self.e_fold.value is None:
-            return UNKNOWN
-        return GROWS if (self.law.rate.low or 0.0) > 0 else SHRINKS
-
-    @property
-    def n_used(self) -> int:
-        """How many pairs stay in their linear range."""
-        return self.law.n_pairs - self.law.n_floor - self.law.n_ceiling
-
-    @property
     def e_fold(self) -> Estimate:
-        """The time in which differences change by a factor e; nothing if the rate may be zero."""
-        rate = self.law.rate
-        if not rate.value or rate.low is None or rate.high is None or rate.low <= 0 <= rate.high:
+        """The time in which differences change by a factor e; nothing if the rate may be zero, or is not known."""
+        value, low, high = self.law.rate.value, self.law.rate.low, self.law.rate.high
+        if not self.is_known or not value or low is None or high is None or low <= 0 <= high:
             return Estimate()
-        low, high = sorted((abs(1 / rate.low), abs(1 / rate.high)))
-        return Estimate(abs(1 / rate.value), low, high)
+        least, most = sorted((abs(1 / low), abs(1 / high)))
+        return Estimate(abs(1 / value), least, most)
 
     @property
     def precedence(self) -> tuple[bool, bool, float]:
         """The rate depends on the range that it is taken in: the longest stands for a setting."""
-        return self.is_told, self.verdict != UNKNOWN, self.law.t_to - self.law.t_from
+        return self.is_known, self.e_fold.value is not None, self.law.t_to - self.law.t_from
 
     @property
     def finding(self) -> Finding:
-        where, basis = self.setting.label, Basis(self.n_used, "pair")
+        where, basis = Place.of(self.setting.label), Basis(self.law.n_used, "pair")
         differences = f"start differences of {shown(self.size)}"
+        lacking = f"growth rate of {differences}, {where}"
         if not self.law.n_pairs:
-            return Lack(
-                f"growth rate of {differences}, {where}", Reason.NOT_RECORDED, "add separation under [record]"
-            )
-        if not self.is_told:
-            return Lack(
-                f"growth rate of {differences}, {where}", Reason.OUT_OF_RANGE, f"{self.n_used} of {self.n_pairs}"
-            )
-        if self.verdict == UNKNOWN:
+            return Lack(lacking, Reason.NOT_RECORDED, "add separation under [record]")
+        if not self.is_known:
+            return Lack(lacking, Reason.OUT_OF_RANGE, f"{self.law.n_used} of {self.n_pairs}")
+        if self.e_fold.value is None:
             name = f"growth rate of {differences}, per unit of time"
             return Level(Quantity(RATE.key, name), self.law.rate, where, basis=basis)
-        changes = f"{differences} {self.verdict} e-fold in"
-        name = f"time in which {differences} {self.verdict} e-fold"
-        return Level(Quantity("e_fold", name, clause=f"{changes} {{}} time units"), self.e_fold, where, basis=basis)
+        verb = "grow" if (self.law.rate.value or 0.0) > 0 else "shrink"
+        clause = f"{differences} {verb} e-fold in {{}} time units"
+        quantity = Quantity("e_fold", f"time in which {differences} {verb} e-fold", clause=clause)
+        return Level(quantity, self.e_fold, where, basis=basis)
 
-    def row(self) -> Mapping[str, object]:
-        """Row of the table `growth`."""
-        law = self.law
-        return _identity(self.setting) | named("rate", law.rate) | named("e_fold", self.e_fold) | {
-            "size": self.size, "n_pairs": self.n_pairs, "n_used": self.n_used, "verdict": self.verdict,
-            "t_from": law.t_from, "t_to": law.t_to, "n_floor": law.n_floor, "n_ceiling": law.n_ceiling,
-            "is_selected": law.is_selected,
-        }  # fmt: skip
+    @property
+    def fit(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times at the ends of the range that the rate is taken in, and the fitted distance there, in proportion."""
+        ends = np.array([self.law.t_from, self.law.t_to])
+        logs = [
+            np.mean(np.log(distance[inside]))
+            for t, distance in self.in_proportion
+            if (inside := (t >= ends[0]) & (t <= ends[1])).any()
+        ]
+        return ends, np.exp(np.mean(logs) + (self.law.rate.value or 0.0) * (ends - ends.mean()))
+
+    @property
+    def in_proportion(self) -> Iterator[Separation]:
+        """Times and distances over that at the start, until they leave the range in which they are proportional."""
+        floor = _floor(self.setting.key)
+        for t, distance in self.distances:
+            n = int(np.cumprod((distance > floor) & (distance < CEILING)).sum())
+            yield t[:n], distance[:n] / self.size
 
 
-class _Parting(NamedTuple):
-    """When the copies with one change have parted from their base."""
+class Parting(NamedTuple):
+    """When the copies with one change have parted from their base, by gaps over `level`, that of two systems."""
 
     setting: Setting
     change: Change
@@ -134,44 +114,12 @@ class _Parting(NamedTuple):
     pairs: Followed
     half: Estimate
 
-    def row(self) -> Mapping[str, object]:
-        """Row of the table `parting`."""
-        change = self.change
-        return _identity(self.setting) | named("median", self.half) | {
-            "change": str(change), "kind": change.kind, "reading": change.reading, "size": change.size,
-            "level": self.level, "n_pairs": len(self.pairs), "n_parted": int(self.pairs.has_parted.sum()),
-        }  # fmt: skip
-
-    def curve(self) -> Iterator[tuple[float, int, float]]:
-        """Times, pairs that are still followed, and their mean gap, in units of the level."""
-        for t, means in zip(self.pairs.times.tolist(), self.pairs.means.T, strict=True):
-            known = means[~np.isnan(means)]
-            if 2 * len(known) < len(self.pairs):
-                break
-            yield t, len(known), float(np.mean(known)) / self.level
-
-
-def _alike(partings: Sequence[_Parting]) -> list[list[_Parting]]:
-    """Partings, where those of displaced starts of a setting of which none has parted are together."""
-    groups: dict[object, list[_Parting]] = {}
-    for k, parted in enumerate(partings):
-        is_open = parted.change.kind == START and not parted.pairs.has_parted.any()
-        groups.setdefault(parted.setting.label if is_open else k, []).append(parted)
-    return [*groups.values()]
-
-
-def _lifetime(alike: Sequence[_Parting]) -> Lifetime:
-    """The median time until copies part, of one change or of several that have the same outcome."""
-    first, sizes = alike[0], listed([shown(parted.change.size) for parted in alike], "or")
-    change = {
-        CONSTANTS: f"constants changed by up to {100 * first.change.size:g}%",
-        START: f"starts moved by {sizes}",
-        RATIOS: "other stiffness ratios",
-    }[first.change.kind]
-    share_left = 1 - float(np.mean(np.concatenate([parted.pairs.has_parted for parted in alike])))
-    where, horizon = f"{first.setting.label}, with {change}", float(first.setting.key["t_end"])
-    basis = Basis(len(np.unique(first.pairs.matrix)))
-    return Lifetime(PARTED, "copies", "are still together", first.half, horizon, share_left, where, basis=basis)
+    @property
+    def curve(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times and mean gaps, in units of the level, while half of the pairs are followed."""
+        is_followed = ~np.isnan(self.pairs.means)
+        n = int(np.cumprod(2 * is_followed.sum(axis=0) >= len(self.pairs)).sum())
+        return self.pairs.times[:n], np.nanmean(self.pairs.means[:, :n], axis=0) / self.level
 
 
 def answer(study: Study) -> Answer | None:
@@ -179,58 +127,69 @@ def answer(study: Study) -> Answer | None:
     compared = [setting for setting in settings(study.data.table) if setting.comparisons]
     if not compared:
         return None
-    rates = [
-        _rate(study, setting, comparison)
-        for setting in compared
-        for comparison in setting.comparisons
-        if comparison.change.kind == START and comparison.change.size <= SMALL * CEILING
-    ]
+    rates = [rate for setting in compared if (rate := _rate(study, setting)) is not None]
+    rates.sort(key=lambda rate: (not rate.is_known, -_size(rate.setting)))
     partings = [parted for setting in compared for parted in _partings(study, setting)]
-    tables = {
-        "growth": frame(_GROWTH, (rate.row() for rate in rates)),
-        "parting": frame(_PARTING, (parted.row() for parted in partings)),
-        "parting_curves": frame(_CURVES, (
-            {"setting": parted.setting.label, "change": str(parted.change), "t": t, "n_pairs": n, "gap": gap}
-            for parted in partings for t, n, gap in parted.curve()
-        )),
-    }  # fmt: skip
-    by_setting = {setting.label: [rate for rate in rates if rate.setting is setting] for setting in compared}
-    best = [max(alike, key=lambda rate: rate.precedence) for alike in by_setting.values() if alike]
-    best.sort(key=lambda rate: (not rate.is_told, -_size(rate.setting)))
-    has_lead = bool(best) and best[0].is_told
-    leading = best[0].setting if has_lead else max((one.setting for one in partings), key=_size, default=None)
+    has_lead = bool(rates) and rates[0].is_known
+    leading = rates[0].setting if has_lead else max((row.setting for row in partings), key=_size, default=None)
     partings.sort(key=lambda parted: (parted.setting is not leading, parted.change.kind == START))
-    of_rates: list[Finding] = [rate.finding for rate in best] or [Lack(RATE.name, Reason.NOT_RUN, "add [twins]")]
+    of_rates: list[Finding] = [rate.finding for rate in rates] or [Lack(RATE.name, Reason.NOT_RUN, "add [twins]")]
     of_partings: list[Finding] = [_lifetime(alike) for alike in _alike(partings)] or [
         Lack(PARTED.name, Reason.NO_REFERENCE, "no lasting difference of two systems")
     ]
     first, second = (of_rates, of_partings) if has_lead or not partings else (of_partings, of_rates)
-    findings = [first[0], *second, *first[1:]]
-    told, drawn = [rate for rate in best if rate.is_told], [one for one in partings if one.setting is leading]
-    figures = _figures(study, compared, told, drawn)
-    return Answer(findings=findings, n_lead=2, tables=tables, figures=figures, method=_METHOD)
+    return Answer(
+        findings=[first[0], *second, *first[1:]],
+        n_lead=2,
+        figures=_figures(
+            [rate for rate in rates if rate.is_known], [row for row in partings if row.setting is leading]
+        ),
+        method=METHOD,
+    )
 
 
 def _size(setting: Setting) -> int:
     return int(setting.key["n"])
 
 
-def _rate(study: Study, setting: Setting, comparison: Comparison) -> _Rate:
-    """Growth rate of starts displaced by one size."""
-    size, separations = comparison.change.size, _separations(study, comparison)
-    pairs = [pair for pair in comparison.pairs if len(separations.get(pair.changed, ((),))[0])]
-    if not pairs:
-        return _Rate(setting, size, len(comparison.pairs), Growth(Estimate(), T_FROM, T_FROM, 0, 0, 0))
-    known = [separations[pair.changed] for pair in pairs]
-    times = max((t for t, _ in known), key=len)
-    law = growth(
-        times, [distance for _, distance in known], [pair.matrix for pair in pairs],
-        T_FROM, LEAST, (_floor(setting.key), CEILING), study.settings.confidence,
-    )  # fmt: skip
-    return _Rate(setting, size, len(comparison.pairs), law)
+def _rate(study: Study, setting: Setting) -> Rate | None:
+    """The growth rate of starts displaced by the size that stands for a setting; None if none is small."""
+    small = [
+        comparison
+        for comparison in setting.comparisons
+        if comparison.change.kind == START and comparison.change.size <= SMALL * CEILING
+    ]
+    rates = (_of_size(study, setting, comparison) for comparison in small)
+    return max(rates, key=lambda rate: rate.precedence, default=None)
 
 
-def _partings(study: Study, setting: Setting) -> Iterator[_Parting]:
+def _of_size(study: Study, setting: Setting, comparison: Comparison) -> Rate:
+    """The growth rate of starts displaced by one size."""
+    names, known = study.data.table.own["member_id"].to_numpy(object), study.data.separations
+    pairs = [(pair, known[names[pair.changed]]) for pair in comparison.pairs if names[pair.changed] in known]
+    pairs = [(pair, separation) for pair, separation in pairs if len(separation[0])]
+    distances = [separation for _, separation in pairs]
+    law = Growth(Estimate(), T_FROM, T_FROM, 0, 0, 0)
+    if pairs:
+        law = growth(
+            max((t for t, _ in distances), key=len),
+            [distance for _, distance in distances],
+            [pair.matrix for pair, _ in pairs],
+            T_FROM,
+            LEAST,
+            (_floor(setting.key), CEILING),
+            study.settings.confidence,
+        )
+    return Rate(setting, comparison.change.size, len(comparison.pairs), law, distances)
+
+
+def _floor(key: Mapping[str, Any]) -> float:
+    """The distance of two runs below which the errors of an engine and its settings hide it."""
+    tolerances = [] if ENGINES[key["engine"]].is_exact else [key[name] or 0.0 for name in RELATIVE]
+    return max([FLOOR, *(TOLERANCES * tolerance for tolerance in tolerances)])
+
+
+def _partings(study: Study, setting: Setting) -> Iterator[Parting]:
     """When half of the systems' copies have parted, for each change."""
     apart = level(study, setting)
     if apart is None:
@@ -242,56 +201,44 @@ def _partings(study: Study, setting: Setting) -> Iterator[_Parting]:
         _, first = np.unique(pairs.matrix, return_index=True)  # of several draws: systems are the independent units
         has_parted = pairs.has_parted[first]
         times = np.where(has_parted, pairs.t[first], pairs.t_stop[first])
-        yield _Parting(setting, comparison.change, apart, pairs, median(times, has_parted, study.settings.confidence))
+        yield Parting(setting, comparison.change, apart, pairs, median(times, has_parted, study.settings.confidence))
 
 
-def _floor(key: Mapping[str, Any]) -> float:
-    """The distance of two runs below which the errors of an engine and its settings hide it."""
-    tolerances = [] if ENGINES[key["engine"]].is_exact else [key[name] or 0.0 for name in RELATIVE]
-    return max([FLOOR, *(TOLERANCES * tolerance for tolerance in tolerances)])
+def _alike(partings: Sequence[Parting]) -> list[list[Parting]]:
+    """Partings, where those of displaced starts of a setting of which none has parted are together."""
+    groups: dict[object, list[Parting]] = {}
+    for k, parted in enumerate(partings):
+        is_open = parted.change.kind == START and not parted.pairs.has_parted.any()
+        groups.setdefault(parted.setting.label if is_open else k, []).append(parted)
+    return [*groups.values()]
 
 
-def _separations(study: Study, comparison: Comparison) -> dict[int, Separation]:
-    """What was recorded of the changed members, by their rows."""
-    names = study.data.table.own["member_id"].iloc[comparison.changed]
-    known = study.data.separations
-    return {row: known[name] for row, name in zip(names.index.tolist(), names, strict=True) if name in known}
+def _lifetime(alike: Sequence[Parting]) -> Lifetime:
+    """The median time until copies part, of one change or of several that have the same outcome."""
+    first, sizes = alike[0], listed([shown(parted.change.size) for parted in alike], "or")
+    change = {
+        CONSTANTS: f"constants changed by up to {100 * first.change.size:g}%",
+        START: f"starts moved by {sizes}",
+        RATIOS: "other stiffness ratios",
+    }[first.change.kind]
+    share_left = 1 - float(np.mean(np.concatenate([parted.pairs.has_parted for parted in alike])))
+    where, horizon = Place.of(first.setting.label) + Place.words(f"with {change}"), float(first.setting.key["t_end"])
+    basis = Basis(len(np.unique(first.pairs.matrix)))
+    return Lifetime(PARTED, "copies", "are still together", first.half, horizon, share_left, where, basis=basis)
 
 
-Line = tuple[str, np.ndarray, np.ndarray]  # name, times, values
+# ------------------------------------------------------------------------------------------------- figures
 
 
-class Stretch(NamedTuple):
-    """Distances of the pairs of a setting, over what they were at the start, and the fit of their growth."""
-
-    name: str
-    pairs: Sequence[tuple[np.ndarray, np.ndarray]]  # times and distances, while these grow in proportion
-    law: Growth
-
-    @property
-    def fit(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times at the ends of the range that the rate is taken in, and the fitted distance there."""
-        ends = np.array([self.law.t_from, self.law.t_to])
-        logs = [
-            np.mean(np.log(distance[some])) for t, distance in self.pairs
-            if (some := (t >= ends[0]) & (t <= ends[1])).any()
-        ]  # fmt: skip
-        return ends, np.exp(np.mean(logs) + (self.law.rate.value or 0.0) * (ends - ends.mean()))
-
-
-def _figures(
-    study: Study, compared: Sequence[Setting], told: Sequence[_Rate], partings: Sequence[_Parting]
-) -> dict[str, Picture]:
-    """Distances in all settings, and gaps in the one that leads."""
-    figures = {}
-    if lines := _distance_lines(study, compared, told):
+def _figures(rates: Sequence[Rate], partings: Sequence[Parting]) -> dict[str, Picture]:
+    figures: dict[str, Picture] = {}
+    if rates:
         figures["growth"] = Picture(
-            partial(distances, lines),
+            partial(distances, rates),
             "How differences of starts grow or shrink: distance of each system's copy from its base, over the"
             " difference at the start, while they are proportional. Heavy: the fitted rate, over its range.",
         )
-    points = {str(parted.change): np.array([*parted.curve()]) for parted in partings}
-    if curves := [(name, curve[:, 0], curve[:, 2]) for name, curve in points.items() if len(curve)]:
+    if curves := {str(parted.change): parted.curve for parted in partings if len(parted.curve[0])}:
         figures["parting"] = Picture(
             partial(parting_curves, curves),
             f"When copies part from their base at {partings[0].setting.label}: mean gap in n_stick, in units of what"
@@ -300,37 +247,14 @@ def _figures(
     return figures
 
 
-def _distance_lines(study: Study, compared: Sequence[Setting], told: Sequence[_Rate]) -> list[Stretch]:
-    """Distances of pairs and the fit of their growth, at the size that stands for each setting."""
-    lines: list[Stretch] = []
-    for setting in compared:
-        rate = next((rate for rate in told if rate.setting is setting), None)
-        for comparison in setting.comparisons:
-            if rate is None or comparison.change != Change(START, size=rate.size):
-                continue
-            known = [*_separations(study, comparison).values()]
-            pairs = [_in_proportion(t, distance, rate.size, _floor(setting.key)) for t, distance in known]
-            lines.append(Stretch(f"{setting.label}: {shown(rate.size)}", pairs, rate.law))
-    return lines
-
-
-def _in_proportion(t: np.ndarray, distance: np.ndarray, size: float, floor: float) -> tuple[np.ndarray, np.ndarray]:
-    """Times and distances over that at the start, until they leave the range in which they are proportional."""
-    is_out = (distance <= floor) | (distance >= CEILING)
-    n = int(np.argmax(is_out)) if is_out.any() else len(distance)
-    return t[:n], distance[:n] / size
-
-
 @panel(3.4)
-def parting_curves(ax: Axes, lines: Sequence[Line]) -> None:
+def parting_curves(ax: Axes, curves: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> None:
     """Gap of n_stick between copy and base, over that between two systems, against time."""
-    colours = ("#08306b", "#2171b5", "#6baed6", "#f0a860", "#c4561a", "#8c2d04")
-    for k, (name, t, gaps) in enumerate(lines):
-        ax.plot(t, gaps, color=colours[k % len(colours)], linestyle="-" if k < len(colours) else ":", label=name)
-    ax.axhline(1.0, linestyle="--", color=GREY, linewidth=0.9)
-    ax.text(0.02, 1.03, "two systems", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
-    ax.axhline(parting.SHARE, linestyle=":", color=GREY, linewidth=0.9)
-    ax.text(0.02, parting.SHARE + 0.03, "apart", color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
+    for k, (name, (t, gaps)) in enumerate(curves.items()):
+        ax.plot(t, gaps, color=CYCLE[k % len(CYCLE)], linestyle="-" if k < len(CYCLE) else ":", label=name)
+    for height, words in ((1.0, "two systems"), (parting.SHARE, "apart")):
+        ax.axhline(height, linestyle="--", color=GREY, linewidth=0.9)
+        ax.text(0.02, height + 0.03, words, color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
     ax.set(xscale="log", ylim=(0, None), xlabel="time t", ylabel="gap in $n_{stick}$ (two systems: 1)")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
     ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
@@ -339,13 +263,13 @@ def parting_curves(ax: Axes, lines: Sequence[Line]) -> None:
 
 
 @panel(3.4)
-def distances(ax: Axes, lines: Sequence[Stretch]) -> None:
+def distances(ax: Axes, rates: Sequence[Rate]) -> None:
     """Distances of displaced runs from their base, over that at the start, on a logarithmic axis, with the fits."""
-    for k, line in enumerate(lines):
+    for k, rate in enumerate(rates):
         colour, form = CYCLE[k % len(CYCLE)], ("-", "--", ":")[k // len(CYCLE) % 3]
-        for t, distance in line.pairs:
+        for t, distance in rate.in_proportion:
             ax.plot(t, distance, form, color=colour, linewidth=0.5, alpha=0.5)
-        ax.plot(*line.fit, form, color=colour, linewidth=2.2, label=line.name)
+        ax.plot(*rate.fit, form, color=colour, linewidth=2.2, label=f"{rate.setting.label}: {shown(rate.size)}")
     ax.set(yscale="log", xlabel="time t", ylabel="distance / at the start")
     ax.figure.legend(loc="outside lower center", ncols=1)
 

@@ -18,9 +18,9 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Difference, Family, Outcomes, Verdict
 from stickslip.analysis.findings.words import listed, sentence
 from stickslip.analysis.groups import Group
-from stickslip.analysis.series import cascades
+from stickslip.analysis.series import cascades, nulls
 from stickslip.analysis.series.cascades import SAMPLED, Law
-from stickslip.analysis.series.nulls import DRAWS, rotations
+from stickslip.analysis.series.nulls import DRAWS
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats.effects import Effect, over_null, together
 from stickslip.analysis.stats.estimates import Estimate, gamma, over_matrices
@@ -90,7 +90,7 @@ def _of_run(dts: Sequence[float], draws: int, run: Run) -> np.ndarray:
     observed = cascades.sums(run.win.step)
     for dt in dts:
         observed |= cascades.sums(run.win.sampled(dt), dt)
-    shifted = {} if run.steps is None else rotations(run.steps, dts, draws, run.generator()).sums
+    shifted = {} if run.steps is None else nulls.sums(run.steps, dts, draws, run.generator())
     return np.concatenate([sums.get(law, none) for sums in (observed, shifted) for law in laws])
 
 

@@ -31,12 +31,13 @@ from stickslip.analysis.findings.finding import (
     Verdict,
 )
 from stickslip.analysis.findings.numbers import with_interval
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models import fates, pool
 from stickslip.analysis.questions.slips import cascade_definitions, cascade_figures
+from stickslip.analysis.series import nulls
 from stickslip.analysis.series.cascades import spans
-from stickslip.analysis.series.nulls import rotations
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats import enough, estimates, student
 from stickslip.analysis.stats.compare import mean_within
@@ -218,9 +219,9 @@ def answer(study: Study) -> Answer:
     lead = known[0]
     beside = [one for one in known if _engine(one) == _engine(lead)][:MOST_SETTINGS]
     names = apart([one.group.name for one in beside], 2 * _has_several_engines(study))
-    leading, findings = _findings(study, lead, names[0])
+    leading, findings = _findings(study, lead, Place.of(names[0]))
     for one, name in zip(beside[1:], names[1:], strict=True):
-        findings += _rates(study, one, name)
+        findings += _rates(study, one, Place.of(name))
     drawn = [one for one in known if one.n == lead.n][:MOST_DRAWN]
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
@@ -265,16 +266,15 @@ def _drifting(study: Study, judged: Sequence[Group], sums: Mapping[str, Sums]) -
     if lead is None or (rate := sums[lead.label].estimate(gamma, level)).low is None:
         return None
     (name,) = apart([lead.name], 2 * _has_several_engines(study))
-    return Level(RATE, rate, name, basis=Basis(len(sums[lead.label].rows), systems(study)))
+    return Level(RATE, rate, Place.of(name), basis=Basis(len(sums[lead.label].rows), systems(study)))
 
 
 def _drift(study: Study) -> Alert:
     """That n_stick drifts in some groups."""
     level = study.settings.confidence
     drifting = [group.label for group in study.groups if group.basis(level).code == enough.DRIFTS]
-    where = f"at {drifting[0]}" if len(drifting) == 1 else f"at {len(drifting)} settings"
-    what = f"The number of sticking blocks {where}"
-    return Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn)
+    where = f" at {drifting[0]}" if len(drifting) == 1 else f" at {len(drifting)} settings"
+    return Alert.of(Code.DRIFT, what="The number of sticking blocks", where=where, t_burn=study.settings.t_burn)
 
 
 def _engine(sums: Sums) -> list[object]:
@@ -299,7 +299,7 @@ def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
     """`cascades.moments` of a run's blocks shifted in time, and total size and number of cascades in parts of it."""
     shifted = np.zeros(3)
     if run.steps is not None:
-        shifted = rotations(run.steps, (), draws, run.generator(), least).moments
+        shifted = nulls.moments(run.steps, draws, run.generator(), least)
     found = spans(run.win)
     size = found.size - (least - 1)
     part = (PARTS * (found.start - run.win.t_start) / (run.win.t_stop - run.win.t_start)).astype(np.int64)
@@ -310,7 +310,7 @@ def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
 # ------------------------------------------------------------------------------------------------- findings
 
 
-def _rates(study: Study, sums: Sums, where: str) -> list[Level]:
+def _rates(study: Study, sums: Sums, where: Place) -> list[Level]:
     """The decay rate beside that of a fair coin and, as far as known, those of shifted and of two-state blocks."""
     level, margin = study.settings.confidence, study.margins.get("gamma")
     nulls: dict[str, Statistic] = {COIN: over_coin}
@@ -325,7 +325,7 @@ def _rates(study: Study, sums: Sums, where: str) -> list[Level]:
     ]
 
 
-def _findings(study: Study, sums: Sums, where: str) -> tuple[list[Finding], list[Finding]]:
+def _findings(study: Study, sums: Sums, where: Place) -> tuple[list[Finding], list[Finding]]:
     """The law of a group, what coupling does to it and how far it is from an exponential; and further findings."""
     level = study.settings.confidence
     rate, *others = _rates(study, sums, where)
@@ -336,7 +336,8 @@ def _findings(study: Study, sums: Sums, where: str) -> tuple[list[Finding], list
         if null != SHIFTED or sums.is_shifted
     )
     fit = fit_of(departure, gain(sums, level))
-    law = Law("cascade sizes", "fall off exponentially", rate, fit, departure, "do not quite fall off exponentially")
+    law = Law("cascade sizes", "fall off exponentially", rate, fit, departure, "do not quite fall off exponentially",
+              called="decay rate")  # fmt: skip
     better = _better(sums, where, rate.basis, level) if fit is Fit.CLOSE else []
     left = [] if COUNTING in study.settings.question else _of_shifted(sums, rate, level)
     return [law, departure, *left], [*better, *others, *more]
@@ -365,7 +366,7 @@ def _of_shifted(sums: Sums, rate: Level, confidence: float) -> list[Level]:
     return [Level(replace(LEFT, clause=clause), left, rate.where, basis=rate.basis)]
 
 
-def _better(sums: Sums, where: str, basis: Basis | None, confidence: float) -> list[Level]:
+def _better(sums: Sums, where: Place, basis: Basis | None, confidence: float) -> list[Level]:
     """By how much sizes are likelier as those of two-state blocks than as an exponential, where that is shown."""
     gained = gain_of_pool(sums, confidence)
     if gained.low is None or gained.low <= 0.0:

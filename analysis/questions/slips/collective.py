@@ -14,7 +14,8 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Quantity, Reason, Share
 from stickslip.analysis.findings.numbers import number
-from stickslip.analysis.models.clustering import POWER, VARIANCE
+from stickslip.analysis.findings.place import EVERYWHERE, Place
+from stickslip.analysis.models.clustering import Kind
 from stickslip.analysis.models.common_motion import NONE, SURROGATES
 from stickslip.analysis.questions.slips import slow_motion, triggering
 from stickslip.analysis.questions.slips.slow_motion import CYCLES, Slow
@@ -24,7 +25,7 @@ from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
 WHAT = "collective motion"
 MOST_DRAWN = 3  # groups in the figure
-OF_ALL_BLOCKS = (POWER, VARIANCE)  # what is compared on the page besides exits; tables have all
+OF_ALL_BLOCKS = (Kind.POWER, Kind.VARIANCE)  # what is compared on the page besides exits; tables have all
 Q = Quantity(
     "quality",
     "Q of slow common motion",
@@ -67,7 +68,7 @@ def answer(study: Study) -> Answer:
     lead, *others = exits
     leading, compared = _leading(study, lead, of_group.get(lead.group.label))
     shares = [
-        _share(motion, found.group.label, systems(study))
+        _share(motion, Place.of(found.group.name), systems(study))
         for found in others
         if (motion := of_group.get(found.group.label)) is not None and motion.is_shown
     ]
@@ -100,7 +101,7 @@ def _leading(study: Study, exits: Exits, motion: Slow | None) -> tuple[list[Find
     -------
     leading, compared : list of Finding
     """
-    unit, where = systems(study), exits.group.label if len(study.groups) > 1 else ""
+    unit, where = systems(study), Place.of(exits.group.name) if len(study.groups) > 1 else EVERYWHERE
     share, shown = triggered(exits, where, unit)
     kept = [exits.compared[0], *(one for one in exits.compared[1:] if one is shown or one.part.kind in OF_ALL_BLOCKS)]
     basis = Basis(exits.n_units, unit)
@@ -110,26 +111,26 @@ def _leading(study: Study, exits: Exits, motion: Slow | None) -> tuple[list[Find
     return [_share(motion, where, unit), *share, *_fit(motion, where, unit)], compared
 
 
-def _share(motion: Slow, where: str, unit: str) -> Share:
+def _share(motion: Slow, where: Place, unit: str) -> Share:
     predicate = "is due to slow common motion"
     basis = Basis(len(motion.units), unit)
     return Share("share", "the variance of n_stick", predicate, motion.estimate("share"), where, basis=basis)
 
 
-def _fit(motion: Slow, where: str, unit: str) -> list[Finding]:
+def _fit(motion: Slow, where: Place, unit: str) -> list[Finding]:
     """Q of slow common motion, its natural period, and the goodness of their fit."""
     basis = Basis(len(motion.units), unit)
     fit = motion.goodness
     return [
         Level(Q, motion.estimate("quality"), where, basis=basis),
         Level(PERIOD, motion.estimate("period"), where, basis=basis),
-        Level(DEVIANCE, Estimate(fit.deviance), ", ".join(filter(None, (where, f"{fit.dof} degrees of freedom")))),
+        Level(DEVIANCE, Estimate(fit.deviance), where + Place.words(f"{fit.dof} degrees of freedom")),
     ]
 
 
-def _lacking(study: Study, motion: Slow | None, where: str) -> list[Finding]:
+def _lacking(study: Study, motion: Slow | None, where: Place) -> list[Finding]:
     """Why no slow common motion is shown."""
-    what = ", ".join(filter(None, ("slow common motion", where)))
+    what = f"slow common motion{where.tail}"
     if motion is None:
         return []
     if motion.verdict == NONE and motion.motion is not None:

@@ -30,7 +30,7 @@ from stickslip.analysis.catalogues import (
     summarise,
     systems,
 )
-from stickslip.analysis.contrast import SCHEMA, Contrast, Statistic, contrast
+from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import (
@@ -41,6 +41,7 @@ from stickslip.analysis.findings.finding import (
     Finding,
     Fit,
     Form,
+    KeyChange,
     Lack,
     Law,
     Level,
@@ -50,6 +51,7 @@ from stickslip.analysis.findings.finding import (
     Scale,
 )
 from stickslip.analysis.findings.numbers import number
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
 from stickslip.analysis.members import DRAWN
 from stickslip.analysis.methods import LAWS, PRIMARY, Apart, compare, names, settings_of
@@ -77,6 +79,7 @@ from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrice
 from stickslip.analysis.stats.families import parameter
 from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, Goodness, goodness
 from stickslip.analysis.stats.student import half_width
+from stickslip.analysis.steps import table_of
 from stickslip.analysis.style import GREY, panel
 
 POWER, CUT_OFF, EXPONENTIAL, NONE = "power law", "cut-off power law", "exponential", "none of these"
@@ -104,7 +107,7 @@ PREDICATES: Mapping[str, str] = {
 }  # fmt: skip
 #: What is said of each group, in this order.
 WORDS: Mapping[str, Quantity] = {
-    RATE: Quantity("rate", "rate of episodes"),
+    RATE: Quantity("rate", "rate of episodes", things="episodes"),
     SIZE: Quantity("size", "mean size of episodes"),
     DURATION: Quantity("duration", "mean duration of episodes", more="longer than", less="shorter than"),
     QUIET: Quantity("cv", "coefficient of variation of quiet times"),
@@ -130,7 +133,6 @@ _GROUPS: Mapping[str, str] = {
     "drift": F, "drift_low": F, "drift_high": F, "stuck_below": F, "has_b": B, "b": F, "b_low": F, "b_high": F,
     "atom": F, "b_reason": S, "basis": S,
 }  # fmt: skip
-_CONTRASTS: Mapping[str, str] = {"setting": S, "reference": S, **SCHEMA}
 _METHODS: Mapping[str, str] = {
     "setting": S, "reference": S, "law": S, "size": F, "size_low": F, "size_high": F, "at": F, "below": F,
     "p_floor": F, "p_different": F, "p_different_holm": F, "reason": S,
@@ -178,13 +180,14 @@ def answer(study: Study) -> Answer | None:
     rates = _rates(by_system, _drawn_from(lead, leaders), level)
     fitted = {group.label: _fits(study, group) for group in leaders}
     tables |= {
-        "episode_contrasts": frame(_CONTRASTS, [one.row() for one in apart if one.name not in LAWS]),
+        "episode_contrasts": table_of(one.step for one in apart if one.name not in LAWS),
         "episode_methods": frame(_METHODS, [one.row() for one in apart if one.name in LAWS]),
         "episode_laws": frame(_LAWS, [row for rows, _ in fitted.values() for row in rows]),
         "episode_rates": frame(_RATES, rates),
     }
     basis = answers.systems(study)
-    laws = [_law(study, group, *fitted[group.label], "" if len(leaders) == 1 else group.row["method"])
+    places = {group.label: Place.of(group.row["method"]) if len(leaders) > 1 else EVERYWHERE for group in leaders}
+    laws = [_law(study, group, *fitted[group.label], places[group.label])
             for group in sorted(leaders, key=lambda group: group is not lead)]  # fmt: skip
     outcomes = [
         outcome
@@ -226,7 +229,8 @@ def _level(group: Catalogues, name: str, apart: Sequence[Apart], unit: str) -> L
         low, high = (None if end is None else end - 1.0 for end in (estimate.low, estimate.high))
         off = Estimate((estimate.value or 0.0) - 1.0, low, high)
         beside = Comparison(_POISSON, Difference(off, Scale.ABSOLUTE))
-    return Level(WORDS[name], estimate, str(group.row["method"]), beside, Basis(len(group.sample.of(name)), unit))
+    basis = Basis(len(group.sums[name].counted), unit)
+    return Level(WORDS[name], estimate, Place.of(group.row["method"]), beside, basis)
 
 
 def _levels(groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apart], unit: str) -> list[Finding]:
@@ -251,7 +255,8 @@ def _beside(one: Apart, unit: str) -> Level | None:
     if one.name == RATE:
         return _level(one.setting, RATE, [one], unit)
     if isinstance(one.found, LawDifference):
-        return Level(APART, one.found.size, one.setting.row["method"], basis=Basis(len(one.setting.runs), unit))
+        where = Place.of(one.setting.row["method"])
+        return Level(APART, one.found.size, where, basis=Basis(len(one.setting.runs), unit))
     return None
 
 
@@ -276,11 +281,10 @@ def _outcomes(
             continue
         level, setting = _beside(apart_most, unit), some[id(apart_most.setting)]
         (alone,) = in_words({setting: ""}, "")
-        largest = None if level is None else replace(level, where=alone)
         words, method = in_words(come_out, name), reference.row["method"]
         rest = in_words(come_out | {setting: "-"}, name)
         found = Outcomes(method, different=words, others=rest) if name else Outcomes(method, undecided=words)
-        outcomes.append(replace(found, largest=largest))
+        outcomes.append(replace(found, largest=level, at_largest=alone))
     return outcomes
 
 
@@ -310,7 +314,9 @@ def _changes(leaders: Sequence[Catalogues], level: float, unit: str) -> list[Cha
         found = along(first, last, name, level)
         if found.is_known:
             old, new = (end[keys[0]] for end in ends)
-            changes.append(replace(found.change(keys[0], old, new, "", unit), quantity=quantity))
+            changes.append(
+                replace(found.change((KeyChange(keys[0], old, new),), EVERYWHERE, unit), quantity=quantity)
+            )
     return changes
 
 
@@ -318,7 +324,7 @@ def along(first: Catalogues, last: Catalogues, name: str, level: float) -> Contr
     """How a statistic of two groups differs: paired if both share their random draws."""
     draws = [[group.group.unit, *(group.group.key[key] for key in DRAWN)] for group in (first, last)]
     statistic = Statistic(name, {**QUANTITIES, **SLOW_DRIVE}[name].of)
-    return contrast(statistic, first.sample, last.sample, draws[0] == draws[1], level)
+    return contrast(statistic, first.sums[name], last.sums[name], draws[0] == draws[1], level)
 
 
 def _fits(study: Study, group: Catalogues) -> tuple[list[Row], list[Fitted]]:
@@ -344,9 +350,9 @@ def _fits(study: Study, group: Catalogues) -> tuple[list[Row], list[Fitted]]:
     return rows, fitted
 
 
-def _law(study: Study, group: Catalogues, rows: Sequence[Row], fitted: Sequence[Fitted], where: str) -> Law | Lack:
+def _law(study: Study, group: Catalogues, rows: Sequence[Row], fitted: Sequence[Fitted], where: Place) -> Law | Lack:
     """The law that the moments of a group follow, with its exponent, or how far they are from any."""
-    what = f"the law of moments{f' at {where}' * bool(where)}"
+    what = f"the law of moments{where.tail}"
     if not fitted:
         return Lack(what, Reason.ONE_VALUE if group.row["b_reason"] else Reason.FEW_EPISODES)
     exponent, cut_off, good = fitted[1]
@@ -393,8 +399,8 @@ def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Cat
     alerts = []
     drifting = [group for group in groups if group.row["basis"] == enough.DRIFTS]
     if drifting:
-        what = f"The rate of episodes ({', '.join(str(group.row['method']) for group in drifting[:2])})"
-        alerts.append(Alert.of(Code.DRIFT, what=what, t_burn=study.settings.t_burn))
+        where, t_burn = f" ({', '.join(str(group.row['method']) for group in drifting[:2])})", study.settings.t_burn
+        alerts.append(Alert.of(Code.DRIFT, what="The rate of episodes", where=where, t_burn=t_burn))
     fast = max(references or groups, key=lambda group: group.row[OCCUPANCY] or 0.0).row
     if (fast[OCCUPANCY] or 0.0) > SLOW:
         slower = _slower(fast)

@@ -144,7 +144,7 @@ def _cycle(run: Run) -> np.ndarray | None:
     """Time in which each block that slips does so once, on average; None for a run without exits or events."""
     if run.steps is None or not (run.steps.step < 0).any():
         return None
-    return np.array([len(np.unique(run.steps.exits()[1])) * run.steps.span / np.sum(run.steps.step < 0)])
+    return np.array([len(np.unique(run.steps.exits[1])) * run.steps.span / np.sum(run.steps.step < 0)])
 
 
 def _spectrum(m: int, run: Run) -> np.ndarray | None:

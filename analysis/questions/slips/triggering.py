@@ -18,14 +18,13 @@ from stickslip.analysis.findings.finding import (
     Difference,
     Family,
     Level,
-    Limit,
     Quantity,
     Share,
     Verdict,
 )
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
-from stickslip.analysis.models import clustering
-from stickslip.analysis.models.clustering import FANO, PAIRS, POWER, VARIANCE, Part, measure, periods
+from stickslip.analysis.models.clustering import Kind, Part, measure, periods
 from stickslip.analysis.series.runs import Run
 from stickslip.analysis.stats.effects import Effect, over_null, together
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
@@ -36,7 +35,7 @@ PRIMARY = 40.0  # the window of the primary comparison, about a block's own cycl
 WINDOWS = (0.5, 1.0, 5.0, 20.0, PRIMARY, 80.0)  # of the Fano factors
 LEAST_WINDOWS = 20  # of one length in a run
 CURVE = 20  # bands of the figure
-DEFINITIONS = {FANO: "the variance of the number of slip onsets in a window, over its mean"}
+DEFINITIONS = {Kind.FANO: "the variance of the number of slip onsets in a window, over its mean"}
 SOON = 0.2  # in mean gaps between exits: an exit that another one triggers comes sooner
 TABLE: Mapping[str, str] = {
     "group": S, "kind": S, "above": F, "upto": F, "observed": F, "by_rotation": F, "ratio": F, "low": F, "high": F,
@@ -59,18 +58,18 @@ class Compared(NamedTuple):
         """What is compared."""
         clause = ""
         match self.part.kind:
-            case clustering.POWER:
+            case Kind.POWER:
                 name = f"power of n_stick at periods from {self.part.above:g} to {self.part.upto:g}"
-            case clustering.VARIANCE:
+            case Kind.VARIANCE:
                 name = "variance of n_stick"
-            case clustering.FANO:
+            case Kind.FANO:
                 name = f"Fano factor in windows of {self.part.upto:g}"
                 clause = f"counts of slip onsets in windows of {self.part.upto:g} vary {{}}"
-            case _:
+            case Kind.PAIRS:
                 name = f"number of pairs of slip onsets within {self.part.upto:g}"
         return Quantity(self.part.kind, name, definition=DEFINITIONS.get(self.part.kind, ""), clause=clause)
 
-    def level(self, where: str, basis: Basis) -> Level:
+    def level(self, where: Place, basis: Basis) -> Level:
         """The finding, where it has an interval."""
         return Level(self.quantity, self.observed, where, Comparison("time-shifted blocks", self.difference), basis)
 
@@ -78,7 +77,7 @@ class Compared(NamedTuple):
         """Row of the table `clustering`."""
         part, effect = self.part, self.effect
         return {
-            "group": group, "kind": part.kind, "above": part.above, "upto": part.upto,
+            "group": group, "kind": part.kind, "above": part.above or None, "upto": part.upto or None,
             "observed": self.observed.value, "by_rotation": self.independent, "ratio": effect.ratio.value,
             **_ends(effect.ratio), "p_value": effect.p, "p_adjusted": effect.p_adjusted,
             "verdict": self.difference.verdict.value, "reason": effect.ratio.reason or None,
@@ -120,7 +119,7 @@ def _ends(estimate: Estimate) -> Row:
     return {"low": estimate.low, "high": estimate.high}
 
 
-def triggered(exits: Exits, where: str, unit: str) -> tuple[list[Share | Limit], Compared | None]:
+def triggered(exits: Exits, where: Place, unit: str) -> tuple[list[Share], Compared | None]:
     """The share of exits that trigger another one within a time, or an upper limit, and the pairs that show it.
 
     An exit that another one triggers adds a pair to those of time-shifted blocks. If more pairs are shown, the share
@@ -130,10 +129,10 @@ def triggered(exits: Exits, where: str, unit: str) -> tuple[list[Share | Limit],
     since data with few pairs by luck would exclude too much (Cowan, Cranmer, Gross and Vitells 2011,
     arXiv:1105.3166). There is none if no time is long enough.
     """
-    pairs = sorted((one for one in exits.compared if one.part.kind == PAIRS), key=lambda one: one.part.upto or 0.0)
+    pairs = sorted((one for one in exits.compared if one.part.kind == Kind.PAIRS), key=lambda one: one.part.upto)
     known = [one for one in pairs if one.effect.ratio.low is not None]
     more = next((one for one in known if one.difference.verdict is Verdict.MORE), None)
-    shown = more or next((one for one in known if (one.part.upto or 0.0) >= SOON * exits.gap), None)
+    shown = more or next((one for one in known if one.part.upto >= SOON * exits.gap), None)
     if shown is None:
         return [], None
     per_exit = shown.independent / exits.n_exits
@@ -148,7 +147,8 @@ def triggered(exits: Exits, where: str, unit: str) -> tuple[list[Share | Limit],
         return [Share("triggered", "slip onsets", predicate, share, where, basis=basis)], shown
     most = max(high, (high / low) ** 0.5) - 1
     predicate = f"trigger another within {shown.part.upto:g}"
-    return [Limit("triggered", "slip onsets", predicate, most * per_exit, where, basis)], shown
+    limit = Estimate(high=most * per_exit)
+    return [Share("triggered", "slip onsets", predicate, limit, where, basis=basis)], shown
 
 
 def exits_of(study: Study, group: Group) -> Exits | None:
@@ -158,7 +158,7 @@ def exits_of(study: Study, group: Group) -> Exits | None:
     shortest, longest = periods(span)
     longest = min(longest, SLOW)
     edges = np.geomspace(max(shortest, min(1.0, longest / 2)), longest, CURVE + 1).tolist()
-    bands = [Part(POWER, high, low) for low, high in pairwise([*edges[:-1], longest])]
+    bands = [Part(Kind.POWER, high, low) for low, high in pairwise([*edges[:-1], longest])]
     n_columns = 2 * len([*parts, *bands])
     sums = study.sums(group, partial(_of_run, (*parts, *bands)), n_columns + 1)
     runs = sums[:, :n_columns].reshape(len(sums), -1, 2)
@@ -190,10 +190,10 @@ def compare(rows: np.ndarray, parts: Sequence[Part], confidence: float) -> list[
 def _parts(span: float, taus: Sequence[float]) -> list[Part]:
     """What is compared; first exits in windows of the length closest to `PRIMARY`."""
     shortest, longest = periods(span)
-    beside = [Part(POWER, BELOW_SLOW[1], BELOW_SLOW[0])] if shortest <= BELOW_SLOW[0] and longest >= SLOW else []
+    beside = [Part(Kind.POWER, BELOW_SLOW[1], BELOW_SLOW[0])] if shortest <= BELOW_SLOW[0] and longest >= SLOW else []
     lengths = sorted((one for one in WINDOWS if one * LEAST_WINDOWS <= span), key=lambda one: abs(one - PRIMARY))
-    counts = [Part(FANO, length) for length in lengths]
-    return [*counts, *beside, Part(VARIANCE), *(Part(PAIRS, tau) for tau in taus if 2 * tau <= span)]
+    counts = [Part(Kind.FANO, length) for length in lengths]
+    return [*counts, *beside, Part(Kind.VARIANCE), *(Part(Kind.PAIRS, tau) for tau in taus if 2 * tau <= span)]
 
 
 def _of_run(parts: Sequence[Part], run: Run) -> np.ndarray | None:

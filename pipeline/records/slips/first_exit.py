@@ -32,7 +32,7 @@ class FirstExit(Record):
     needs = frozenset({"events"})
 
     def of(self, made: Made) -> dict[str, Any]:
-        events = made.run.events
+        events = made.events
         exits = np.flatnonzero(events.is_exit)
         if not len(exits):
             return {}

@@ -43,7 +43,8 @@ class StickShare(WindowRecord):
     needs = frozenset({"events", "system"})
 
     def of(self, made: Made) -> dict[str, Any]:
-        events, end = made.contact_events, made.run.t_end
+        events = made.contact_events
+        end = events.t_end
         if end <= self.t_burn or not events.n:
             return {}
         t, n_stick = events.change_points()

@@ -62,7 +62,7 @@ def _headline(page: str) -> list[str]:
 
 
 def _image(figures: dict[str, Drawn], name: str, alt: str) -> Markup:
-    return Markup('<img src="{}" alt="{}">').format(figures[name].address(), alt)
+    return Markup('<img src="{}" alt="{}">').format(figures[name].panel.address, alt)
 
 
 def frame(rows: Sequence[Any], of: type) -> pd.DataFrame:

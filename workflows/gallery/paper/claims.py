@@ -245,10 +245,10 @@ def robust(scene: Asked, measured: Measured) -> Claim:
     found = components.against_redraw(values[:, :2], values[:, 2:], CONFIDENCE)
     theta = found.theta
     return facts | {
-        "verdict": REPRODUCED if found.p_below(BOUND) < 1 - CONFIDENCE
-        else CONTRADICTED if found.p_above(BOUND) < 1 - CONFIDENCE
+        "verdict": REPRODUCED if found.is_below(BOUND)
+        else CONTRADICTED if found.is_above(BOUND)
         else UNTOLD,
-        "value": theta.value if found.kind == components.BOUNDED else None, "low": theta.low, "high": theta.high,
+        "value": theta.value if found.is_bounded else None, "low": theta.low, "high": theta.high,
         "rms": {
             name: float(np.sqrt(of) / values[:, :2].mean())
             for name, of in (("change", found.change), ("start", found.replicate), ("matrix", found.redraw))

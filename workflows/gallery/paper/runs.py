@@ -159,7 +159,7 @@ def run(ask: Ask, seed: int, eps: float) -> Path:
     t, n_stick = events.change_points()
     exits = rate = None
     if ask.keeps_exits:
-        exits = block_steps(events.t, events.block, events.mode, events.initial_mode, 0.0, events.t_end).exits()
+        exits = block_steps(events.t, events.block, events.mode, events.initial_mode, 0.0, events.t_end).exits
     if ask.law == "coulomb" and found.outcome == "finished" and is_all_slip(t[-1], n_stick[-1], ask.t_end):
         rate = float(np.linalg.eigvals(one.slip_matrix()).real.max())
     return Path(ask, found.outcome, t, n_stick, events.t_end, exits, rate)

@@ -1,0 +1,418 @@
+"""What runs do in the end: the outcome of each, by setting, and settings grouped by them. Part of `fates`.
+
+The outcome of a run is its attractor, where one is recorded, else its fate. Starts are no part of a setting here:
+runs that differ in their start alone are of one setting, drawn or swept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import groupby
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.finding import Basis, Regime
+from stickslip.analysis.findings.place import Place
+from stickslip.analysis.findings.words import plural
+from stickslip.analysis.grid import axes_of
+from stickslip.analysis.groups import Group
+from stickslip.analysis.members import DRAWN, ENGINE_KEYS, noun
+from stickslip.analysis.models.attractors import (
+    ESCAPING,
+    IRREGULAR,
+    PERIODIC,
+    REST,
+    SLIDING,
+    TORUS,
+    UNDECIDED,
+    Cycle,
+    alike,
+)
+from stickslip.analysis.models.fates import (
+    COLLAPSED,
+    DIVERGED,
+    FAILED,
+    LULL,
+    QUIET,
+    SUSTAINED,
+    UNMOVED,
+    bounded_share,
+    is_held,
+)
+from stickslip.analysis.stats.compare import wilson
+from stickslip.analysis.stats.estimates import Estimate
+from stickslip.pipeline.design.design import Axis, Row, Unit, in_words
+from stickslip.pipeline.design.labels import Label, apart, labels
+from stickslip.pipeline.design.values import Named, Value, Values, ranks
+
+MOST_STRETCHES = 3  # of values of a key, that findings name
+MOST_CYCLES = 4  # of one system, that are told apart
+LEAST_UNITS = 4  # for a bound on a share that is 1
+_START = ("z", "w")
+#: What runs do, by kind of outcome: verb phrases in the plural, with {} for when, where it may yet change.
+PREDICATES = {
+    REST: "come to rest",
+    SLIDING: "settle into steady sliding",
+    PERIODIC: "settle on a cycle",
+    TORUS: "settle on a torus",
+    IRREGULAR: "stay irregular",
+    ESCAPING: "grow without limit",
+    QUIET: "are sliding{} (not certified)",
+    SUSTAINED: "still stick and slip{}",
+    LULL: "are in unstable sliding{}",
+    UNMOVED: "are stuck{}",
+    UNDECIDED: "are undecided",
+}
+OUTCOMES = (*PREDICATES,)  # in the order of pages
+_PARTLY_CERTIFIED = "are sliding{} (not all certified)"
+
+
+class Outcome(NamedTuple):
+    """What a run does in the end: the kind and, of a cycle, its exits per period; 0 where these tell none apart."""
+
+    kind: str
+    exits: int = 0
+
+
+class Runs(NamedTuple):
+    """Runs whose outcome is known, shape (m,) each: their rows among the members; units are independent.
+
+    `cycles` are numbers of the cycles of a system, 0 for those that are not told apart.
+    """
+
+    rows: np.ndarray
+    units: np.ndarray
+    kinds: np.ndarray
+    exits: np.ndarray
+    cycles: np.ndarray
+
+    @property
+    def said(self) -> np.ndarray:
+        """Kinds, where sliding is one with a certificate and without."""
+        return np.where(self.kinds == QUIET, SLIDING, self.kinds)
+
+    def at(self, chosen: np.ndarray) -> Runs:
+        return Runs(*(column[chosen] for column in self))
+
+    def n_of(self, kind: str) -> int:
+        return int(np.sum(self.kinds == kind))
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """Runs that differ only in their start and in what is drawn.
+
+    Attributes
+    ----------
+    groups : tuple of Group
+        One for each start that is swept.
+    label, method : Label
+        What tells its system, and its engine, from those of other settings.
+    at : tuple of Row
+        Its values along the axes of `Grid`.
+    runs : Runs
+    of_starts : bool
+        Whether its units are starts of one system.
+    is_recorded : bool
+        Whether it is recorded what its runs settle on.
+    """
+
+    groups: tuple[Group, ...]
+    label: Label
+    method: Label
+    at: tuple[Row, ...]
+    runs: Runs
+    of_starts: bool
+    is_recorded: bool
+
+    @property
+    def where(self) -> Place:
+        return Place.of(self.label) + Place.of(self.method)
+
+    @property
+    def is_certified(self) -> bool:
+        """Whether each run that slides is certified."""
+        return not self.runs.n_of(QUIET)
+
+    @property
+    def t_end(self) -> float:
+        return float(self.groups[0].key["t_end"])
+
+    @property
+    def n_units(self) -> int:
+        return len(np.unique(self.runs.units))
+
+    @cached_property
+    def kinds(self) -> tuple[Outcome, ...]:
+        """What its runs settle on or do, each once."""
+        return tuple(Outcome(kind) for kind in OUTCOMES if kind != UNDECIDED and (self.runs.said == kind).any())
+
+    @cached_property
+    def exits(self) -> tuple[Outcome, ...]:
+        """As `kinds`, with cycles told apart by their exits per period."""
+        exits = np.unique(self.runs.exits[self.runs.kinds == PERIODIC]).tolist()
+        by_exits = [Outcome(PERIODIC, n) for n in exits]
+        return tuple(outcome for kind in self.kinds for outcome in (by_exits if kind.kind == PERIODIC else [kind]))
+
+
+class Grid(NamedTuple):
+    """The settings of a study, by value, and the axes along which they differ, the longest first."""
+
+    settings: list[Setting]
+    axes: list[Axis]
+
+    @property
+    def methods(self) -> dict[Label, list[Setting]]:
+        """Settings by method."""
+        names = dict.fromkeys(setting.method for setting in self.settings)
+        return {name: [setting for setting in self.settings if setting.method == name] for name in names}
+
+    def beside(self, setting: Setting) -> Place:
+        """Where the line of a setting lies among those of its method."""
+        others = zip(self.axes[1:], setting.at[1:], strict=True)
+        return Place(tuple((axis.name, in_words(row)) for axis, row in others))
+
+    def lines(self, settings: Sequence[Setting]) -> list[list[Setting]]:
+        """Settings of a method along the first axis, at each row of the others."""
+        if not self.axes:
+            return [[*settings]]
+        in_order = sorted(settings, key=lambda setting: [*map(ranks, setting.at[1:]), ranks(setting.at[0])])
+        return [[*line] for _, line in groupby(in_order, key=lambda setting: setting.at[1:])]
+
+
+def grid_of(study: Study) -> Grid:
+    """The unchanged runs of a study by setting; settings of which all runs failed are left out."""
+    like: dict[tuple[object, ...], list[Group]] = {}
+    for group in study.groups:
+        like.setdefault(tuple(_regardless_of_start(group).values()), []).append(group)
+    firsts = [groups[0] for groups in like.values()]
+    names = apart(labels([_regardless_of_start(first) for first in firsts]))
+    axes = _axes(firsts)
+    settings = [
+        setting
+        for name, groups in zip(names, like.values(), strict=True)
+        if len((setting := _setting(study, name, groups, axes)).runs.rows)
+    ]
+    return Grid(settings, axes)
+
+
+def _regardless_of_start(group: Group) -> dict[str, Any]:
+    """The key of a group, without where its runs begin."""
+    values = Values(pair for pair in group.key["values"] if pair[0] not in _START)
+    return group.key | {"z0": None, "w0": None, "values": values}
+
+
+def _axes(groups: Sequence[Group]) -> list[Axis]:
+    """Along which some groups differ: the number of blocks or the file, and what is swept."""
+    swept = [axis for axis in axes_of(groups) if not {*axis.keys} <= {*_START}]
+    source = "file" if len({group.point.file for group in groups}) > 1 else "n"
+    rows = sorted({(_values(group)[source],) for group in groups}, key=ranks)
+    axes = [Axis((source,), tuple(rows)), *swept] if len(rows) > 1 else swept
+    return sorted(axes, key=lambda axis: (axis.keys == ("file",), -len(axis.rows)))  # files have no order
+
+
+def _values(group: Group) -> dict[str, Value]:
+    """What a group has of each key that an axis may have."""
+    source: dict[str, Value] = {"n": group.point.n, "file": Named(group.point.file or "")}
+    return source | group.table.design.swept(group.point)
+
+
+def _setting(study: Study, name: Label, groups: Sequence[Group], axes: Sequence[Axis]) -> Setting:
+    of_method = {"", *ENGINE_KEYS}
+    method, label = (
+        Label.of([part for part in name.parts if (part[0] in of_method) == is_of_method])
+        for is_of_method in (True, False)
+    )
+    rows = np.concatenate([group.rows for group in groups])
+    kinds = np.concatenate([_fates(group) for group in groups])
+    own = study.data.table.own
+    is_known, is_recorded = kinds != FAILED, False
+    if "attractor" in own and own["attractor"].iloc[rows].notna().any():
+        kinds = own["attractor"].iloc[rows].to_numpy(object)
+        is_known, is_recorded = own["attractor"].iloc[rows].notna().to_numpy(), True
+    rows, kinds = rows[is_known], kinds[is_known]
+    matrices, units = (own[column].to_numpy()[rows] for column in ("matrix", "unit"))
+    is_alone = len(np.unique(matrices)) == 1
+    of_starts = is_alone and (groups[0].unit == Unit.START or len(groups) > 1 or (is_recorded and len(rows) > 1))
+    nothing = np.zeros(len(rows), dtype=np.int64)
+    exits = np.nan_to_num(study.number("exits_per_period")[rows]).astype(np.int64) if is_recorded else nothing
+    runs = Runs(rows, np.arange(len(rows)) if of_starts else units, kinds, exits, nothing)
+    values = _values(groups[0])
+    at = tuple(tuple(values[key] for key in axis.keys) for axis in axes)
+    runs = told_apart(study, runs) if is_alone else runs
+    return Setting(tuple(groups), label, method, at, runs, of_starts, is_recorded)
+
+
+def _fates(group: Group) -> np.ndarray:
+    """The fate of each run of a group as a kind of outcome, or `FAILED`."""
+    kinds = group.fates.copy()
+    t_last, n_last = group.last.T
+    held = is_held(t_last, n_last, int(group.key["n"]), float(group.key["t_end"]))
+    kinds[(kinds == SUSTAINED) & held] = UNMOVED
+    kinds[kinds == COLLAPSED], kinds[kinds == DIVERGED] = SLIDING, ESCAPING
+    return kinds
+
+
+def told_apart(study: Study, runs: Runs) -> Runs:
+    """The runs of one system with the numbers of their cycles."""
+    which = np.flatnonzero(runs.kinds == PERIODIC)
+    if not len(which):
+        return runs
+    section_z, section_w = (study.data.lists[name] for name in ("section_z", "section_w"))
+    names = study.data.table.own["member_id"].to_numpy(object)[runs.rows[which]]
+    events, periods = (study.number(name)[runs.rows[which]] for name in ("events_per_period", "period"))
+    columns = zip(names, events, runs.exits[which], periods, strict=True)
+    cycles = [
+        Cycle(int(n_events), int(n_exits), float(period), section_z[name], section_w[name])
+        for name, n_events, n_exits, period in columns
+    ]
+    numbers = runs.cycles.copy()
+    numbers[which] = [number if number <= MOST_CYCLES else 0 for number in alike(cycles)]
+    return runs._replace(cycles=numbers)
+
+
+# ------------------------------------------------------------------------------------------------- words
+
+
+def predicates(outcomes: Sequence[Outcome], settings: Sequence[Setting]) -> tuple[str, ...]:
+    """What runs at some settings do, a verb phrase each; what may yet change comes last, and the last says when."""
+    words = [_words(outcome, settings) for outcome in outcomes]
+    *others, last = sorted(words, key=lambda word: "{}" in word)
+    ends = {setting.t_end for setting in settings}
+    when = f" at t = {ends.pop():g}" if len(ends) == 1 else " at their end"
+    return (*(word.format("") for word in others), last.format(when))
+
+
+def _words(outcome: Outcome, settings: Sequence[Setting]) -> str:
+    if outcome.kind == SLIDING and any(setting.runs.n_of(QUIET) for setting in settings):
+        is_partly = any(setting.runs.n_of(SLIDING) for setting in settings)
+        return _PARTLY_CERTIFIED if is_partly else PREDICATES[QUIET]
+    exits = f" of {plural(outcome.exits, 'exit')} per period" if outcome.exits else ""
+    return PREDICATES[outcome.kind] + exits
+
+
+def unit(study: Study, settings: Iterable[Setting]) -> str:
+    """What is independent at some settings, in the singular."""
+    return "start" if all(setting.of_starts for setting in settings) else noun(study.unit)
+
+
+def things(basis: Basis) -> str:
+    """What runs are called, in the plural."""
+    return "starts" if basis.unit == "start" else "runs"
+
+
+# ------------------------------------------------------------------------------------------------- shares
+
+
+@dataclass(frozen=True)
+class Portion:
+    """The runs of a setting that have an outcome: how many, and their share.
+
+    Attributes
+    ----------
+    cycle : int, optional
+        Its number among those of its system.
+    period, multiplier : float, optional
+        Of cycles: the median, and the largest.
+    """
+
+    setting: str
+    outcome: str
+    cycle: int | None
+    n_runs: int
+    of: int
+    share: Estimate
+    period: float | None = None
+    multiplier: float | None = None
+
+
+def portions(study: Study, runs: Runs, name: str = "", besides: Iterable[str] = ()) -> list[Portion]:
+    """The outcomes of some runs in the order of pages, and kinds besides, with no runs if no run has them.
+
+    Whether runs that slide so far stick again is not known, which widens the interval of what sticks.
+    """
+    outcomes = {*zip(runs.said.tolist(), runs.cycles.tolist(), strict=True)}
+    outcomes |= {(kind, 0) for kind in {*besides} - {*runs.said.tolist()}}
+    order = sorted(outcomes, key=lambda pair: (OUTCOMES.index(pair[0]), pair[1] or MOST_CYCLES + 1))
+    rows = []
+    for kind, cycle in order:
+        has = (runs.said == kind) & (runs.cycles == cycle)
+        untold = (runs.kinds == QUIET) & (kind == SUSTAINED)
+        share = share_of(has, untold, runs.units, study.settings.confidence)
+        row = Portion(name, kind, cycle or None, int(has.sum()), len(has), share)
+        if kind == PERIODIC and has.any():
+            period, multiplier = (study.number(number)[runs.rows[has]] for number in ("period", "multiplier"))
+            row = replace(row, period=float(np.median(period)), multiplier=float(multiplier.max()))
+        rows.append(row)
+    return rows
+
+
+def share_of(has: np.ndarray, untold: np.ndarray, units: np.ndarray, confidence: float) -> Estimate:
+    """Share of runs that have something, which is unknown of others; runs of one unit are dependent."""
+    place = np.unique(units, return_inverse=True)[1]
+    return bounded_share(
+        np.column_stack([np.bincount(place, has), np.bincount(place, untold), np.bincount(place)]), confidence
+    )
+
+
+def together(settings: Sequence[Setting]) -> Runs:
+    """The runs of some settings; those that share what is drawn are of one unit."""
+    if len(settings) == 1:
+        return settings[0].runs
+    draws = [tuple(setting.groups[0].key[name] for name in DRAWN) for setting in settings]
+    numbers = np.repeat([*map(draws.index, draws)], [len(setting.runs.rows) for setting in settings])
+    columns = map(np.concatenate, zip(*(setting.runs for setting in settings), strict=True))
+    rows, units, kinds, exits, cycles = columns
+    units = np.unique(np.column_stack([numbers, units]), axis=0, return_inverse=True)[1]
+    return Runs(rows, units, kinds, exits, 0 * cycles)
+
+
+# ------------------------------------------------------------------------------------------------- regimes
+
+
+def stretches(outcomes: Sequence[tuple[Outcome, ...]]) -> list[slice]:
+    """Neighbouring settings of the same outcomes; what is not known is in one only if it goes on beyond."""
+    known = [(k, here) for k, here in enumerate(outcomes) if here]
+    numbers = [[k for k, _ in group] for _, group in groupby(known, lambda pair: pair[1])]
+    return [slice(group[0], group[-1] + 1) for group in numbers]
+
+
+def regimes(
+    study: Study, grid: Grid, line: Sequence[Setting], outcomes: Sequence[tuple[Outcome, ...]], method: Place
+) -> list[tuple[Regime, Sequence[Setting]]]:
+    """A line by what its runs do, with the settings: few stretches of values, or else how many values."""
+    axis, parts = grid.axes[0], stretches(outcomes)
+    groups = [(Place.key(axis.name, _span(line[part])), line[part], outcomes[part.start]) for part in parts]
+    if len(parts) > MOST_STRETCHES:
+        like: dict[tuple[Outcome, ...], list[Setting]] = {}
+        for setting, here in zip(line, outcomes, strict=True):
+            like.setdefault(here, []).append(setting)
+        by_number = sorted((pair for pair in like.items() if pair[0]), key=lambda pair: -len(pair[1]))
+        groups = [
+            (Place.words(f"at {len(settings)} of {len(line)} values of {axis.name}"), settings, here)
+            for here, settings in by_number
+        ]
+    beside = grid.beside(line[0]) + method
+    return [(_regime(study, where + beside, settings, here), settings) for where, settings, here in groups]
+
+
+def _span(line: Sequence[Setting]) -> str:
+    """The values of a stretch along the first axis."""
+    first, last = (in_words(setting.at[0]) for setting in (line[0], line[-1]))
+    return first if len(line) == 1 else f"{first} {'and' if len(line) == 2 else 'to'} {last}"
+
+
+def _regime(study: Study, where: Place, settings: Sequence[Setting], outcomes: Sequence[Outcome]) -> Regime:
+    n_units, level = max(setting.n_units for setting in settings), study.settings.confidence
+    of = sum(len(setting.runs.rows) for setting in settings)
+    n = of - sum(setting.runs.n_of(UNDECIDED) for setting in settings)
+    share = Estimate()
+    if len(outcomes) == 1:  # all settings share their draws, which count once
+        is_bounded = n == of and n_units >= LEAST_UNITS
+        share = Estimate(1.0, wilson(n_units, n_units, level)[0], 1.0) if is_bounded else Estimate(1.0)
+    basis = Basis(n_units, unit(study, settings))
+    return Regime(things(basis), predicates(outcomes, settings), n, of, share, where, basis)

@@ -1,0 +1,183 @@
+"""Steps: a statistic of some runs beside that of others, and the table of all of them.
+
+The two are the same systems at another value of a swept key, under another engine, with changed constants, or in
+another dataset. What is compared with one reference is judged together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import NamedTuple, TypeVar
+
+import pandas as pd
+
+from stickslip.analysis.answer import Picture, Table
+from stickslip.analysis.contrast import Contrast, judged
+from stickslip.analysis.findings.alerts import Alert
+from stickslip.analysis.findings.finding import Change, Finding, KeyChange, Lack, Level, Reason
+from stickslip.analysis.findings.place import EVERYWHERE, Place
+from stickslip.analysis.rows import Columns, frame_by
+from stickslip.analysis.stats.estimates import Estimate
+from stickslip.pipeline.design.values import text
+
+
+class Kind(StrEnum):
+    """In what the two differ."""
+
+    KEY = "key"
+    LAW = "law"
+    TOLERANCE = "tolerance"
+    THRESHOLD = "threshold"  #: of sticking
+    COPY = "change"
+    DATASET = "dataset"
+
+
+class Setting(NamedTuple):
+    """What is set beside a reference.
+
+    Attributes
+    ----------
+    name : str
+        A noun phrase; empty if the symbol is one.
+    symbol : str
+        What tells it from others of that name by its value; empty if there are none.
+    value : float, optional
+    suffix : str
+        What follows the value, as a unit.
+    """
+
+    name: str
+    symbol: str = ""
+    value: float | None = None
+    suffix: str = ""
+
+    @property
+    def text(self) -> str:
+        """The value."""
+        return "" if self.value is None else f"{text(self.value)}{self.suffix}"
+
+
+_NO_NAME = Setting("")
+
+
+@dataclass(frozen=True)
+class Step:
+    """A statistic of some runs beside that of others.
+
+    Attributes
+    ----------
+    kind : Kind
+    setting, reference : str
+        Labels of both; along a key, of what all its values share, and empty.
+    contrast : Contrast
+    keys : tuple of KeyChange
+        What both differ in, as far as the settings do not say it.
+    where : Place
+        What tells the second from others.
+    name : Setting
+        What is set beside the reference, in a list of outcomes.
+    """
+
+    kind: Kind
+    setting: str
+    reference: str
+    contrast: Contrast
+    keys: tuple[KeyChange, ...] = ()
+    where: Place = EVERYWHERE
+    name: Setting = _NO_NAME
+
+    @property
+    def statistic(self) -> str:
+        """The name of its statistic."""
+        return self.contrast.statistic.name
+
+    @property
+    def key_names(self) -> tuple[str, ...]:
+        """The keys along which it is."""
+        return tuple(change.key for change in self.keys)
+
+    def change(self, unit: str) -> Change:
+        """As a change along its keys."""
+        return self.contrast.change(self.keys, self.where, unit)
+
+    def level(self, other: str, unit: str) -> Level:
+        """As the second, compared with the first, which is called `other`."""
+        return self.contrast.level(self.where, other, unit)
+
+
+AnyStep = TypeVar("AnyStep", bound=Step)
+
+
+def judged_together(steps: Sequence[AnyStep], alpha: float) -> list[AnyStep]:
+    """Steps in their order, those of one kind with one reference judged together; all of two datasets."""
+    families: dict[tuple[Kind, str], list[int]] = {}
+    for k, step in enumerate(steps):
+        reference = "" if step.kind is Kind.DATASET else step.reference
+        families.setdefault((step.kind, reference), []).append(k)
+    contrasts = [step.contrast for step in steps]
+    for places in families.values():
+        for k, contrast in zip(places, judged([contrasts[k] for k in places], alpha), strict=True):
+            contrasts[k] = contrast
+    return [replace(step, contrast=contrast) for step, contrast in zip(steps, contrasts, strict=True)]
+
+
+@dataclass(frozen=True)
+class Section:
+    """What one kind of change comes to.
+
+    Attributes
+    ----------
+    lack : Lack
+        Why nothing leads, where nothing does.
+    steps : sequence of Step
+    lead, rest : sequence of Finding
+        Those that may lead a page, in order, and the others.
+    alerts : sequence of Alert
+    figures, tables, method
+        As of `Answer`.
+    """
+
+    lack: Lack
+    steps: Sequence[Step]
+    lead: Sequence[Finding]
+    rest: Sequence[Finding] = ()
+    alerts: Sequence[Alert] = ()
+    figures: Mapping[str, Picture] = field(default_factory=dict)
+    tables: Mapping[str, Table] = field(default_factory=dict)
+    method: str = ""
+
+
+def few(what: str, n_units: int) -> Lack:
+    """Why something, a noun phrase, cannot be told of so many units in motion."""
+    return Lack(what, Reason.FEW_UNITS if n_units else Reason.NO_MOTION)
+
+
+_COLUMNS: Columns[Step] = {
+    "kind": (str, lambda step: step.kind.value),
+    "setting": (str, lambda step: step.setting),
+    "reference": (str, lambda step: step.reference),
+    "key": (str, lambda step: " with ".join(step.key_names)),
+    "first_value": (str, lambda step: " with ".join(change.first for change in step.keys)),
+    "second_value": (str, lambda step: " with ".join(change.second for change in step.keys)),
+    "quantity": (str, lambda step: step.statistic),
+    "n_first": (int, lambda step: step.contrast.n_first),
+    "n_second": (int, lambda step: step.contrast.n_second),
+    "first": (Estimate, lambda step: step.contrast.first),
+    "second": (Estimate, lambda step: step.contrast.second),
+    "difference": (Estimate, lambda step: step.contrast.absolute),
+    "relative": (Estimate, lambda step: step.contrast.relative),
+    "margin": (float, lambda step: step.contrast.difference.margin),
+    "p_different": (float, lambda step: step.contrast.p_different),
+    "p_different_holm": (float, lambda step: step.contrast.family and step.contrast.family.p_different),
+    "p_equivalent": (float, lambda step: step.contrast.p_equivalent),
+    "p_equivalent_holm": (float, lambda step: step.contrast.p_equivalent_holm),
+    "verdict": (str, lambda step: step.contrast.verdict.value),
+    "reason": (str, lambda step: step.contrast.reason),
+}
+
+
+def table_of(steps: Iterable[Step]) -> pd.DataFrame:
+    """The table of changes: a row a step, with both values, their difference, its tests and the verdict."""
+    return frame_by(_COLUMNS, steps)
