@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,7 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert
 from stickslip.analysis.findings.finding import Finding, Lack, Reason
 from stickslip.analysis.findings.words import plural
-from stickslip.analysis.members import MATRIX
+from stickslip.analysis.members import noun
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate
 
@@ -22,38 +22,7 @@ from stickslip.analysis.stats.estimates import Estimate
 Recipe = Callable[[], Figure]
 Row = dict[Any, Any]
 
-#: Rows from which on a table is for programs alone, and is made and written in parts of as many.
-LONG = 100_000
-
-
-@dataclass(frozen=True)
-class Long:
-    """A table that is too long to be held whole: iterated over, it gives its parts, one after the other.
-
-    Attributes
-    ----------
-    n_rows : int
-    part : callable
-        Makes the rows of a slice.
-    """
-
-    n_rows: int
-    part: Callable[[slice], pd.DataFrame]
-
-    def __len__(self) -> int:
-        return self.n_rows
-
-    def __iter__(self) -> Iterator[pd.DataFrame]:
-        for k in range(0, self.n_rows, LONG):
-            yield self.part(slice(k, k + LONG))
-
-
-Table = pd.DataFrame | Long
-
-
-def long(n_rows: int, part: Callable[[slice], pd.DataFrame]) -> Table:
-    """A table by what makes some of its rows: whole, unless it is too long."""
-    return part(slice(None)) if n_rows <= LONG else Long(n_rows, part)
+Table = pd.DataFrame
 
 
 @dataclass(frozen=True)
@@ -142,7 +111,7 @@ class Question:
 
 def systems(study: Study) -> str:
     """What the independent units are called, in the singular."""
-    return "system" if study.unit == MATRIX else study.unit
+    return noun(study.unit)
 
 
 _REASONS = {
@@ -172,18 +141,6 @@ def frame(schema: Mapping[str, str], rows: Iterable[Mapping[str, object]]) -> pd
     return pd.DataFrame(
         {column: pd.array([row.get(column) for row in listed], dtype=dtype) for column, dtype in columns.items()}
     )
-
-
-def columns(schema: Mapping[str, str], tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """Tables, one after the other, with the columns and nullable types of a schema; null is what is no number there.
-
-    A column is made after the other: there is no second copy of all of them in between.
-    """
-    found: dict[str, Any] = dict(schema)
-    return pd.DataFrame({
-        name: pd.concat([table[name] for table in tables], ignore_index=True).astype(dtype)
-        for name, dtype in found.items()
-    }, copy=False)  # fmt: skip
 
 
 def named(name: str, estimate: Estimate) -> Row:

@@ -16,22 +16,22 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from stickslip.analysis.pictures import BLUE as BLUE
+from stickslip.analysis.pictures import CYCLE as CYCLE
+from stickslip.analysis.pictures import GREEN as GREEN
+from stickslip.analysis.pictures import GREY as GREY
+from stickslip.analysis.pictures import ORANGE as ORANGE
+from stickslip.analysis.pictures import PURPLE as PURPLE
+from stickslip.analysis.pictures import by_defaults
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.sim.runs.pictures import BLUE as BLUE
-from stickslip.sim.runs.pictures import CYCLE as CYCLE
-from stickslip.sim.runs.pictures import GREEN as GREEN
-from stickslip.sim.runs.pictures import GREY as GREY
-from stickslip.sim.runs.pictures import ORANGE as ORANGE
-from stickslip.sim.runs.pictures import PURPLE as PURPLE
-from stickslip.sim.runs.pictures import by_defaults
 
 STYLE: Any = {
     "font.size": 9,
     "axes.titlesize": 9,
     "axes.labelsize": 9,
-    "legend.fontsize": 8,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
+    "legend.fontsize": 9,
+    "xtick.labelsize": 9,
+    "ytick.labelsize": 9,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.titlelocation": "left",

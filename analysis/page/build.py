@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
@@ -9,40 +10,39 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from stickslip.analysis.answer import LONG, F, I, Long, S, Table, frame
 from stickslip.analysis.ensemble import Data, Study
 from stickslip.analysis.findings.alerts import STOP, Alert, Code
 from stickslip.analysis.findings.words import plural
-from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS
+from stickslip.analysis.groups import Group
+from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
 from stickslip.analysis.page import AS_TEXT, FINDINGS, FORMULA, PAGE
 from stickslip.analysis.page.data import data_table
 from stickslip.analysis.page.layout import Page, Panel, Section
 from stickslip.analysis.page.layout import Table as PageTable
 from stickslip.analysis.page.parts import Answered, Drawn, Part, ask, findings_json, part
 from stickslip.analysis.questions import is_own, package_questions, question, refuse_unknown
+from stickslip.analysis.rows import frame_by
 from stickslip.analysis.settings import AnalysisSettings
-from stickslip.pipeline.design.design import Unit
 from stickslip.pipeline.design.values import text
 from stickslip.sim.engines import SETTINGS
 from stickslip.sim.engines.contract import Number
 
 OF_DATA = 2  # the largest rank of alerts that are shown although their question does not lead
-UNITS: Mapping[str, str] = {Unit.MATRIX: "systems", Unit.START: "starts of one system", Unit.FILE: "files"}
+LONG = 100_000  # rows from which on a table is for programs alone: no CSV
 MOST_SAID = 3  # answers on the first screen
 MOST_ALERTS = 3  # in order of rank
-COUNTS = ("matrices", "starts", "members", "finished", "quiet")  # of a group
 #: What columns of the table of groups are called on a page.
 CALLED = {"group": "setting", "matrices": "systems", "members": "runs", "quiet": "sliding, not certified"}
-_GROUPS: Mapping[str, str] = {
-    "group": S, **dict.fromkeys(("n", *COUNTS), I), "coupling": S,
-    "file": S, **dict.fromkeys(("belt_speed", "kappa", "rho", "t_end", "perturbation_size"), F),
-    **dict.fromkeys((key for key in SYSTEM_KEYS if key not in ("n", "coupling", "file")), F),
-    "back_slip": S, "values": S,
-    **{name: F if isinstance(SETTINGS.get(name), Number) else S for name in ENGINE_KEYS},
-}  # fmt: skip
+#: How many of what a group has.
+COUNTS: Mapping[str, Callable[[Group], int | None]] = {
+    "matrices": lambda group: group.column("matrix").nunique(),
+    "starts": lambda group: group.column("unit").nunique() if group.unit == START else None,
+    "members": len,
+    "finished": lambda group: int(group.is_finished.sum()),
+    "quiet": lambda group: group.n_quiet,
+}
+_TEXTS = ("coupling", "file", "back_slip", "values")  # of systems
 
 
 class Report(NamedTuple):
@@ -52,7 +52,7 @@ class Report(NamedTuple):
     ----------
     html : str
         The whole page, with its images inside.
-    tables : mapping of str to Table
+    tables : mapping of str to DataFrame
         All tables, with nulls where a column does not apply or a number could not be computed.
     headline : sequence of str
         The main statements, for a terminal.
@@ -64,7 +64,7 @@ class Report(NamedTuple):
     """
 
     html: str
-    tables: Mapping[str, Table]
+    tables: Mapping[str, pd.DataFrame]
     headline: Sequence[str]
     figures: Mapping[str, Drawn] = MappingProxyType({})
     findings: Mapping[str, object] = MappingProxyType({})
@@ -78,7 +78,7 @@ class Report(NamedTuple):
         contents: dict[str, Callable[[], bytes]] = {}
         for name, table in self.tables.items():
             contents[f"report/{name}.parquet"] = partial(_parquet, table)
-            if not isinstance(table, Long) and len(table) <= LONG:
+            if len(table) <= LONG:
                 contents[f"report/{name}.csv"] = partial(_csv, table)
         contents[FINDINGS] = partial(_json, self.findings)
         for name, drawn in self.figures.items():
@@ -88,16 +88,10 @@ class Report(NamedTuple):
         return contents | {PAGE: self.html.encode}
 
 
-def _parquet(table: Table) -> bytes:
-    buffer = pa.BufferOutputStream()
-    writer: pq.ParquetWriter | None = None
-    for piece in table if isinstance(table, Long) else [table]:
-        rows = pa.Table.from_pandas(piece, preserve_index=False)
-        writer = writer or pq.ParquetWriter(buffer, rows.schema)
-        writer.write_table(rows)
-    assert writer is not None  # a table that is long has a part
-    writer.close()
-    return buffer.getvalue().to_pybytes()
+def _parquet(table: pd.DataFrame) -> bytes:
+    buffer = io.BytesIO()
+    table.to_parquet(buffer, index=False)
+    return buffer.getvalue()
 
 
 def _csv(table: pd.DataFrame) -> bytes:
@@ -222,10 +216,10 @@ def _provenance(
     origin: Mapping[str, str],
 ) -> Section:
     """How the page was made: settings, what could not be answered, and where the data come from."""
-    settings = study.settings
+    settings, units = study.settings, f"{noun(study.unit)}s" + " of one system" * (study.unit == START)
     texts = [
         f"Statistics use t = {settings.t_burn:g} to the end of each run. Intervals are at "
-        f"{100 * settings.confidence:g}%, over {UNITS[study.unit]}, which are independent; of shares they are "
+        f"{100 * settings.confidence:g}%, over {units}, which are independent; of shares they are "
         "Wilson's, of survival Greenwood's, else from leaving out one of these at a time. Quantities are "
         "dimensionless.",
         *(f"Not answered: {part.title} {text}" for part in lacking for text in part.lead),
@@ -283,19 +277,18 @@ def _primary(study: Study, answered: Sequence[Part]) -> tuple[str, ...]:
 
 def groups_table(study: Study) -> pd.DataFrame:
     """Table of the groups: system, settings of the engine, and numbers of members and matrices."""
-    texts = {column for column, dtype in _GROUPS.items() if dtype == S}
-    rows = []
-    for group in study.groups:
-        key = {name: (str(v) or None) if name in texts and v is not None else v for name, v in group.key.items()}
-        rows.append(
-            key
-            | {
-                "group": group.label,
-                "members": len(group),
-                "matrices": group.column("matrix").nunique(),
-                "starts": group.column("unit").nunique() if group.unit == START else None,
-                "finished": int(group.is_finished.sum()),
-                "quiet": group.n_quiet,
-            }
-        )
-    return frame(_GROUPS, rows)
+    columns: dict[str, tuple[type, Callable[[Group], object]]] = {
+        "group": (str, lambda group: group.label),
+        "n": (int, lambda group: group.key["n"]),
+        **{name: (int, count) for name, count in COUNTS.items()},
+        **{name: _of_key(name, name in _TEXTS) for name in SYSTEM_KEYS if name != "n"},
+        **{name: _of_key(name, not isinstance(SETTINGS.get(name), Number)) for name in ENGINE_KEYS},
+    }
+    return frame_by(columns, study.groups)
+
+
+def _of_key(name: str, is_text: bool) -> tuple[type, Callable[[Group], object]]:
+    """The column of a key of groups."""
+    if not is_text:
+        return float, lambda group: group.key[name]
+    return str, lambda group: "" if group.key[name] is None else str(group.key[name])

@@ -12,7 +12,7 @@ from enum import Enum
 from functools import partial
 from numbers import Integral, Real
 from types import NoneType
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pandas as pd
@@ -20,13 +20,14 @@ from matplotlib.figure import Figure
 
 from stickslip.analysis.answer import Answer, Picture
 from stickslip.analysis.findings.alerts import Alert
-from stickslip.analysis.findings.finding import Finding, Lifetime
+from stickslip.analysis.findings.finding import Finding, Lifetime, Regime
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.page.build import MOST_SAID
 from stickslip.analysis.page.parts import Answered, Drawn, draw
 from stickslip.analysis.questions import of_function
 from stickslip.analysis.stats.estimates import Estimate
 
+T = TypeVar("T")
 _LONGEST_NAME = 40  # of a figure or a table: it is part of a file's
 #: Characters that no XML may hold, for `str.translate`.
 _NO_XML = dict.fromkeys({*range(0x20), *range(0xD800, 0xE000), 0xFFFE, 0xFFFF} - {*b"\t\n\r"})
@@ -66,33 +67,23 @@ def own_answer(
         If it returned no answer, or one that cannot be shown.
     """
     answer = _checked(returned)
-    figures, undrawn = _kept(answer.figures, partial(_drawn, with_pdf=with_pdf), told, "a Picture(recipe, caption)")
-    tables, unreadable = _kept(answer.tables, _plain, told, "a pandas.DataFrame")
-    missing = [f"figures[{name!r}]: {why}" for name, why in undrawn.items()]
-    missing += [f"tables[{name!r}]: {why}" for name, why in unreadable.items()]
-    prefix = key.replace(":", "-").replace(".", "-")  # which no question of ours has
+    prefix, missing = key.replace(":", "-").replace(".", "-"), list[str]()  # a prefix that no question of ours has
+
+    def each(part: str, make: Callable[[Any], T], expected: str) -> dict[str, T]:
+        """What can be made of each figure or table."""
+        made = {}
+        for name, value in getattr(answer, part).items():
+            try:
+                made[f"{prefix}-{name}"] = make(value)
+            except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
+                missing.append(f"{part}[{name!r}]: {told(error, expected)}")
+        return made
+
+    figures = each("figures", partial(_drawn, with_pdf=with_pdf), "a Picture(recipe, caption)")
+    tables = each("tables", _plain, "a pandas.DataFrame")
     question = of_function(function)
-    answer = replace(
-        answer,
-        method=answer.method or _line(question.method),
-        tables={f"{prefix}-{name}": table for name, table in tables.items()},
-        figures={},
-    )
-    named = {f"{prefix}-{name}": drawn for name, drawn in figures.items()}
-    return Answered(key, _line(question.title), answer, named, missing=tuple(missing))
-
-
-def _kept(
-    given: Mapping[str, Any], make: Callable[[Any], Any], told: Callable[[BaseException, str], str], expected: str
-) -> tuple[dict[str, Any], dict[str, str]]:
-    """What can be made of each figure or table, and why nothing can be made of the others."""
-    made, failed = {}, {}
-    for name, value in given.items():
-        try:
-            made[name] = make(value)
-        except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
-            failed[name] = told(error, expected)
-    return made, failed
+    answer = replace(answer, method=answer.method or _line(question.method), tables=tables, figures={})
+    return Answered(key, _line(question.title), answer, figures, missing=tuple(missing))
 
 
 def _line(text: str) -> str:
@@ -115,7 +106,7 @@ def _checked(returned: object) -> Answer:
     if not isinstance(returned, Answer):
         hint = f"; if the data have none, return {_LACKING}" if returned is None else f"; {_EXAMPLE}"
         raise OwnError(f"expected a stickslip.analysis.Answer, got {_kind(returned)}{hint}")
-    findings, alerts = (_sequence(returned, name) for name in ("findings", "alerts"))
+    findings = _valid(returned.findings, Sequence[Finding], "findings")
     if not findings:
         raise OwnError(f"findings: expected the answer first, got none; {_EXAMPLE}, or {_LACKING}")
     if returned.n_lead not in range(1, MOST_SAID + 1):
@@ -124,17 +115,16 @@ def _checked(returned: object) -> Answer:
         _check_names(name, getattr(returned, name))
     return replace(
         returned,
-        findings=[_valid(finding, Finding, f"findings[{k}]") for k, finding in enumerate(findings)],
-        alerts=[_alert(alert, f"alerts[{k}]") for k, alert in enumerate(alerts)],
+        findings=findings,
+        alerts=[_alert(alert, f"alerts[{k}]") for k, alert in enumerate(_listed(returned.alerts, "alerts"))],
         method=_valid(returned.method, str, "method"),
         paragraph=_valid(returned.paragraph, str, "paragraph"),
     )
 
 
-def _sequence(answer: Answer, name: str) -> Sequence[Any]:
-    values = getattr(answer, name)
+def _listed(values: Any, name: str) -> Sequence[Any]:
     if not isinstance(values, list | tuple):
-        raise OwnError(f"{name}: expected a list, got {_kind(values)}; {_EXAMPLE}")
+        raise OwnError(f"{name}: expected a list, got {_kind(values)}; write [...]")
     return values
 
 
@@ -156,11 +146,8 @@ def _alert(alert: object, name: str) -> Alert:
         str(alert)
     except (LookupError, TypeError, ValueError) as error:
         raise OwnError(f"{name}: expected the numbers of {alert.code.words!r}, got {error}; add them") from None
-    return replace(alert, numbers=tuple((key, _text_or_number(value)) for key, value in alert.numbers))
-
-
-def _text_or_number(value: Any) -> Any:
-    return _line(value) if isinstance(value, str) else value
+    cleaned = ((key, _line(value) if isinstance(value, str) else value) for key, value in alert.numbers)
+    return replace(alert, numbers=tuple(cleaned))
 
 
 def _valid(value: Any, hint: Any, name: str) -> Any:
@@ -168,10 +155,8 @@ def _valid(value: Any, hint: Any, name: str) -> Any:
     if hint is Place and isinstance(value, str):
         return Place.words(_line(value))
     kinds = [kind for kind in get_args(hint) or (hint,) if kind is not NoneType]
-    if get_origin(hint) is tuple:
-        if not isinstance(value, list | tuple):
-            raise OwnError(f"{name}: expected a tuple, got {_kind(value)}")
-        return tuple(_valid(item, kinds[0], f"{name}[{k}]") for k, item in enumerate(value))
+    if get_origin(hint) in (tuple, Sequence):
+        return tuple(_valid(item, kinds[0], f"{name}[{k}]") for k, item in enumerate(_listed(value, name)))
     if value is None and len(kinds) < len(get_args(hint)):
         return None
     kind = next((kind for kind in kinds if isinstance(value, _ACCEPTED.get(kind, kind))), None)
@@ -188,9 +173,9 @@ def _valid(value: Any, hint: Any, name: str) -> Any:
         return value
     hints = get_type_hints(kind)
     parts = {part: _valid(getattr(value, part), hints[part], f"{name}.{part}") for part in hints}
-    valueless = [part for part, item in parts.items() if isinstance(item, Estimate) and item.value is None]
-    if valueless and kind is not Lifetime:
-        raise OwnError(f"{name}.{valueless[0]}: expected a value, got {getattr(value, valueless[0])}; return a Lack")
+    for part, item in parts.items():
+        if isinstance(item, Estimate) and item.value is item.high is None and kind not in (Lifetime, Regime):
+            raise OwnError(f"{name}.{part}: expected a value, got {getattr(value, part)}; return a Lack")
     return kind(**parts)
 
 

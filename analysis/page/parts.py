@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-import pandas as pd
 from matplotlib.figure import Figure
 
 from stickslip.analysis.answer import Answer, Question, Recipe
@@ -123,11 +122,7 @@ class Part(NamedTuple):
             [panel for panel in self.panels if panel not in on_first],
             Table() if is_shown and len(table.rows) <= MOST_FIRST else table,
             [f"Tables: {files}."] if files else [],
-            [
-                data_table(name, table)
-                for name, table in tables.items()
-                if is_for_readers and isinstance(table, pd.DataFrame)
-            ],
+            [data_table(name, table) for name, table in tables.items() if is_for_readers],
         )
 
 

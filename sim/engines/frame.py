@@ -80,7 +80,7 @@ def frame(way: Way) -> Any:
     @inner
     def take_all(stack, events, precheck, first, slices):  # type: ignore[no-untyped-def]
         for row in range(len(slices)):
-            run = run_of(stack, first + row)  # type: ignore[call-arg, var-annotated]
+            run = run_of(stack, first + row)
             status, n_recorded = take(run, rest_of(events, slices, row), precheck)
             note_slice(slices, row, status, n_recorded, run.state.counters)
 

@@ -23,6 +23,7 @@ from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.forcing import Drive, times
 from stickslip.sim.engines.loop import Begun, Events, State
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.kernels.emit import IS_COMPILED
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run, Stills
 from stickslip.sim.runs.series import EventSeries
@@ -69,14 +70,16 @@ def _emit_run(context: Any, builder: Any, kind: Any, value: Any, k: Any) -> Any:
     return context.make_tuple(builder, of_run, fields)
 
 
-@intrinsic
-def run_of(typing_context, stack, k):  # type: ignore[no-untyped-def]
+def _run_of(typing_context, stack, k):  # type: ignore[no-untyped-def]
     """Run k of a stack, as tuples of views."""
 
     def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
         return _emit_run(context, builder, stack, *arguments)
 
     return _type_of_run(stack)(stack, types.intp), codegen
+
+
+run_of: Any = intrinsic(_run_of) if IS_COMPILED else loop.of_run
 
 
 @inner

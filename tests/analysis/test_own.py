@@ -213,8 +213,8 @@ A = partial(Answer, findings=[YES])
         (None, r"expected a stickslip.analysis.Answer, got None; if .* return Answer\(findings=\[Lack\("),
         ("It is long.", r"expected a stickslip.analysis.Answer, got a str; return Answer\(findings=\[Level\("),
         (Answer(), r"findings: expected the answer first, got none; return Answer\(findings=\[Level\("),
-        (Answer({"sentence": "Yes."}), r"findings: expected a list, got a dict; return Answer\(findings=\[Level\("),
-        (Answer(findings=YES), r"findings: expected a list, got a Level; return"),
+        (Answer({"sentence": "Yes."}), r"findings: expected a list, got a dict; write"),
+        (Answer(findings=YES), r"findings: expected a list, got a Level; write"),
         (A(n_lead=4), r"n_lead: expected 1 to 3, got 4; correct it"),
         (Answer(findings=["Yes."]), r"findings\[0\]: expected Level or Change or .*, got a str"),
         (
@@ -233,7 +233,7 @@ A = partial(Answer, findings=[YES])
             r"n: expected an integer, got a bool",
         ),
         (Answer(findings=[Level(SIZE, Estimate(3.0), 4)]), r"findings\[0\].where: expected Place, got an int"),
-        (Answer(findings=[Outcomes("it", "h")]), r"findings\[0\].equal: expected a tuple, got a str"),
+        (Answer(findings=[Outcomes("it", "h")]), r"findings\[0\].equal: expected a list, got a str"),
         (A(alerts=["!"]), r"alerts\[0\]: expected an Alert, got a str; write Alert.of\(Code.FEW, n=3"),
         (A(alerts=[Alert.of(Code.FEW, n=3)]), r"alerts\[0\]: expected the numbers of '.*', got 'units'; add them"),
         (A(paragraph=3), r"paragraph: expected a text, got an int"),
@@ -281,7 +281,7 @@ def test_numbers_of_numpy_become_plain():
     assert [(type(number), number) for number in numbers] == [(float, 3.0), (float, 1.0), (int, 5)]
     difference = Difference(Estimate(0.1, 0.05, 0.2), is_same=np.False_, family=Family(3, 0.01))
     level = Level(SIZE, Estimate(3.0), comparison=Comparison("it", difference))
-    assert own(Answer(findings=[level])).answer.findings == [level]
+    assert own(Answer(findings=[level])).answer.findings == (level,)
     assert (
         own(Answer(findings=[Lifetime(SIZE, "runs", "last", Estimate(), 9.0, 0.7)])).answer.findings[0].horizon == 9.0
     )
