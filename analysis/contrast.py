@@ -233,10 +233,8 @@ class Contrast:
 
     def change(self, keys: tuple[KeyChange, ...], where: Place, unit: str) -> Change:
         """The change from the first to the second along keys that are swept together."""
-        return Change(
-            self.statistic.quantity, keys, self.first, self.second, self.difference, where,
-            self.basis(unit),
-        )  # fmt: skip
+        ends = self.first, self.second
+        return Change(self.statistic.quantity, keys, *ends, self.difference, where, self.basis(unit))
 
     def basis(self, unit: str) -> Basis:
         return Basis(min(self.n_first, self.n_second), unit)
@@ -265,17 +263,19 @@ def contrast(
     withheld : str
         Why it is not judged, unless both are the same to the last digit: these are the same, whatever they mean.
     """
-    before, after = first.counted, second.counted
+    reference, changed = first.counted, second.counted
     if paired:
-        before, after = before.within(after), after.within(before)
-    n_units = min(len(before), len(after))
-    bare = Contrast(statistic, len(before), len(after), scale=scale)
-    is_equal = paired and np.array_equal(before.rows, after.rows)
+        reference, changed = reference.within(changed), changed.within(reference)
+    n_units = min(len(reference), len(changed))
+    bare = Contrast(statistic, len(reference), len(changed), scale=scale)
+    is_equal = paired and np.array_equal(reference.rows, changed.rows)
     if withheld and not is_equal:
         return replace(bare, reason=withheld)
     if n_units == 0:
         return replace(bare, reason=FEW_MATRICES)
-    bare = replace(bare, first=statistic.estimate(before, confidence), second=statistic.estimate(after, confidence))
+    bare = replace(
+        bare, first=statistic.estimate(reference, confidence), second=statistic.estimate(changed, confidence)
+    )
     if bare.first.value is None or bare.second.value is None:
         return replace(bare, reason=bare.first.reason or bare.second.reason)
     if n_units < LEAST_MATRICES:
@@ -283,10 +283,10 @@ def contrast(
     if is_equal and not statistic.is_share:
         return replace(bare, absolute=Estimate(0.0, 0.0, 0.0), relative=Estimate(0.0, 0.0, 0.0), is_same=True)
     try:
-        test = statistic.test(before, after, paired, is_relative=False)
+        test = statistic.test(reference, changed, paired, is_relative=False)
     except Undefined as why:
         return replace(bare, reason=str(why))
-    relative, of_ratio = _relative(bare, before, after, paired, confidence)
+    relative, of_ratio = _relative(bare, reference, changed, paired, confidence)
     has_margin = statistic.margin is not None
     is_relative = of_ratio is not None and (has_margin or scale is Scale.RELATIVE)  # as `Contrast.difference`
     return replace(
@@ -299,7 +299,7 @@ def contrast(
 
 
 def _relative(
-    bare: Contrast, before: UnitSums, after: UnitSums, paired: bool, confidence: float
+    bare: Contrast, reference: UnitSums, changed: UnitSums, paired: bool, confidence: float
 ) -> tuple[Estimate, Compared | Inverted | None]:
     """The difference in units of the first, and its tests; without where there is none.
 
@@ -311,7 +311,7 @@ def _relative(
     if bare.statistic.is_share or is_zero:
         return _NO_VALUE, None
     try:
-        test = bare.statistic.test(before, after, paired, is_relative=True)
+        test = bare.statistic.test(reference, changed, paired, is_relative=True)
     except Undefined as why:
         return Estimate(reason=str(why)), None
     relative = _interval(test, confidence)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from stickslip.analysis.answer import F, S
 from stickslip.analysis.contrast import Statistic
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.place import EVERYWHERE, Place
+from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
 from stickslip.analysis.measures import AT_MOST, IN_MOTION, MOTION, PERHAPS, Measure, Values, measures
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
@@ -19,14 +19,13 @@ from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.pipeline.design.design import Axis
 from stickslip.pipeline.design.design import Row as KeyValues
-from stickslip.pipeline.design.labels import Label, labels
+from stickslip.pipeline.design.labels import Label, apart, labels
 from stickslip.pipeline.design.values import Rank, ranks
 
 #: What the name of a setting says, beside its method.
 FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
 #: The order of keys on pages, in which parameters come first.
 _PLACE = {name.removesuffix("0"): k for k, name in enumerate(SYSTEM_KEYS)}
-MOST_SETTINGS = 3  # that have pictures of their own
 
 
 @dataclass
@@ -43,7 +42,9 @@ class Point:
         """The point of a group, with what its runs give, whether they are in motion too."""
         fates = {name: int((group.fates == name).sum()) for name in (*WATCHED, FAILED)}
         values = {measure.name: measure.of(group) for measure in (*asked, MOTION, PERHAPS)}
-        return cls(group, place_of(axes, group), fates, values)
+        swept = group.table.design.swept(group.point)
+        place = {axis: tuple(swept[key] for key in axis.keys) for axis in axes}
+        return cls(group, place, fates, values)
 
     def sums(self, name: str) -> UnitSums:
         """The sums of a measure, without units in which nothing was counted."""
@@ -56,32 +57,21 @@ class Point:
 
 def settings(groups: Iterable[Group]) -> dict[Label, list[Group]]:
     """Groups that differ only in keys that are swept, by the name of what they share."""
-    found: dict[tuple[int, int], list[Group]] = {}
+    by_source: dict[tuple[int, int], list[Group]] = {}
     for group in groups:
-        found.setdefault((group.point.source, group.setting["method"]), []).append(group)
-    keys = [{name: some[0].key[name] for name in (*FIXED, *ENGINE_KEYS)} for some in found.values()]
-    return dict(zip(labels(keys), found.values(), strict=True))
+        by_source.setdefault((group.point.source, group.setting["method"]), []).append(group)
+    keys = [{name: groups[0].key[name] for name in (*FIXED, *ENGINE_KEYS)} for groups in by_source.values()]
+    return dict(zip(labels(keys), by_source.values(), strict=True))
 
 
 def axes_of(groups: Sequence[Group]) -> list[Axis]:
     """The axes of a sweep along which some groups differ, the longest first; rows are in the order of pages."""
-    found = []
+    axes = []
     for k, axis in enumerate(groups[0].table.design.axes):
         rows = {group.point.at[k] for group in groups}
         if len(rows) > 1:
-            found.append(Axis(axis.keys, tuple(sorted(rows, key=ranks))))
-    return sorted(found, key=lambda axis: (-len(axis.rows), _PLACE.get(axis.keys[0], -1)))
-
-
-def place_of(axes: Sequence[Axis], group: Group) -> dict[Axis, KeyValues]:
-    """The row of a group on each axis."""
-    swept = group.table.design.swept(group.point)
-    return {axis: tuple(swept[key] for key in axis.keys) for axis in axes}
-
-
-def dtype(axis: Axis, k: int) -> str:
-    """Type of a column of the values of an axis' k-th key: numbers, or texts where one is something else."""
-    return F if all(isinstance(row[k], float) for row in axis.rows) else S
+            axes.append(Axis(axis.keys, tuple(sorted(rows, key=ranks))))
+    return sorted(axes, key=lambda axis: (-len(axis.rows), _PLACE.get(axis.keys[0], -1)))
 
 
 def estimate(statistic: Statistic, points: Iterable[Point], confidence: float) -> Estimate:
@@ -134,19 +124,23 @@ class Grid:
         """The points of all settings."""
         return [point for points in self.points.values() for point in points]
 
-    @property
+    @cached_property
     def settings(self) -> list[Label]:
         """The settings, the one with the most finished runs first: it leads."""
-        lead = max(self.points, key=lambda name: sum(point.group.is_finished.sum() for point in self.points[name]))
+        lead = max(
+            self.points, key=lambda name: sum(int(point.group.is_finished.sum()) for point in self.points[name])
+        )
         return sorted(self.points, key=lambda name: name != lead)
 
     def along(self, measure: Measure, points: Sequence[Point], axis: Axis) -> list[Estimate]:
         """A measure at each value of an axis, over those of some points that lie there."""
         return [estimate(measure.statistic, points_at(points, axis, row), self.confidence) for row in axis.rows]
 
-    def where(self, setting: Label) -> Place:
-        """What tells a setting from the others."""
-        return Place.of(setting) if len(self.points) > 1 else EVERYWHERE
+    @cached_property
+    def where(self) -> dict[Label, Place]:
+        """What tells each setting from the others."""
+        labels = [*self.points]
+        return dict(zip(labels, map(Place.of, apart(labels)), strict=True))
 
 
 def balanced(sums: Sequence[UnitSums]) -> tuple[list[int], UnitSums]:
@@ -155,15 +149,15 @@ def balanced(sums: Sequence[UnitSums]) -> tuple[list[int], UnitSums]:
     What lacks most is left out first, be it sums or a unit: a unit that lacks some would differ from others by what
     these are like. If too few units are left all count, with their gaps.
     """
-    every = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(one.units for one in sums)]))
-    has = np.array([np.isin(every, one.units) for one in sums]).reshape(len(sums), len(every))
-    rows, columns = np.arange(len(sums)), np.arange(len(every))
-    while not (left := has[np.ix_(rows, columns)]).all():
-        of_row, of_column = left.mean(axis=1), left.mean(axis=0)
+    units = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(one.units for one in sums)]))
+    has = np.array([np.isin(units, one.units) for one in sums]).reshape(len(sums), len(units))
+    rows, columns = np.arange(len(sums)), np.arange(len(units))
+    while not (known := has[np.ix_(rows, columns)]).all():
+        of_row, of_column = known.mean(axis=1), known.mean(axis=0)
         if of_row.min() <= of_column.min():
             rows = np.delete(rows, of_row.argmin())
         else:
             columns = np.delete(columns, of_column.argmin())
-    if len(columns) * bool(len(rows)) < min(len(every), enough.LEAST_MATRICES):
-        rows, columns = np.arange(len(sums)), np.arange(len(every))
-    return rows.tolist(), UnitSums(every[columns], np.zeros((len(columns), 2)))
+    if len(columns) * bool(len(rows)) < min(len(units), enough.LEAST_MATRICES):
+        rows, columns = np.arange(len(sums)), np.arange(len(units))
+    return rows.tolist(), UnitSums(units[columns], np.zeros((len(columns), 2)))

@@ -31,15 +31,6 @@ MEAN, GAMMA = OF_N_STICK["mean"].label, OF_N_STICK["gamma"].label
 MEAN_SIZE, B = "mean size of episodes", "b of episodes"
 #: Names under which margins are declared.
 KEYS = {MEAN: "mean", GAMMA: "gamma"}
-#: What findings call the quantities of n_stick.
-TITLES: Mapping[str, str] = {
-    "mean": "mean number of sticking blocks",
-    "variance": "variance of the number of sticking blocks",
-    "rate": "rate of slip onsets",
-    "gamma": "decay rate of cascade sizes",
-    "correlation_time": "correlation time",
-}
-THINGS: Mapping[str, str] = {"mean": "sticking blocks", "rate": "slip onsets"}  # which some of them count
 #: Reasons, beside the outcomes of runs.
 NO_VALUE, NO_EPISODE, STILL = "its record gives none", "no episode", "not in motion"
 NOT_REACHED = "fewer than half of the runs have it"
@@ -100,13 +91,12 @@ class Measure:
 
 def measures(study: Study, beside: Study | None = None) -> list[Measure]:
     """What is measured of a study, the first of which leads; `beside` is the study that it is compared with."""
-    every = [measure for source in SOURCES for measure in source(study, beside)]
-    if not any(measure.is_recorded for measure in every):
-        return [measure for measure in every if measure.name in KEYS]
+    candidates = [measure for source in SOURCES for measure in source(study, beside)]
+    if not any(measure.is_recorded for measure in candidates):
+        return [measure for measure in candidates if measure.name in KEYS]
     left_out = () if "cascades" in study.settings.question else KEYS
-    return sorted(
-        (measure for measure in every if measure.name not in left_out), key=lambda measure: not measure.is_recorded
-    )
+    chosen = [measure for measure in candidates if measure.name not in left_out]
+    return sorted(chosen, key=lambda measure: not measure.is_recorded)
 
 
 # ------------------------------------------------------------------------------------------------- episodes
@@ -119,15 +109,15 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
     one of them too few, from each group's own. A group has a b only where its law holds for all its episodes, as on
     the page of episodes.
     """
-    studies = [study] if beside is None else [study, beside]
-    by_study = [read(each, each.data.episodes) for each in studies if each.data.episodes is not None]
-    if len(by_study) < len(studies):
+    if study.data.episodes is None or (beside is not None and beside.data.episodes is None):
         return
-    full = [group for groups in by_study for group in groups if group.n_from(group.least) >= enough.LEAST_CASCADES]
+    groups = read(study, study.data.episodes)
+    rivals = [] if beside is None or beside.data.episodes is None else read(beside, beside.data.episodes)
+    full = [group for group in (*groups, *rivals) if group.n_from(group.least) >= enough.LEAST_CASCADES]
     least = max((group.least for group in full), default=None)
     if least is not None and any(group.n_from(least) < enough.LEAST_CASCADES for group in full):
         least = None
-    by_label = {group.label: group for group in by_study[0]}
+    by_label = {group.label: group for group in groups}
     beyond = "from each point's own least magnitude on" if least is None else f"from M = {least:.2f} on"
     for name, quantity, key, title, things, definition in (
         (RATE, RATE, "episode_rate", "", "episodes", "per unit of time"),
@@ -273,7 +263,7 @@ def _of_times(study: Study, beside: Study | None, name: str, column: Recorded) -
 
     The median leads if it is known wherever the time is, with its interval.
     """
-    limit = min(each.limit(name) for each in (study, beside) if each is not None)
+    limit = study.limit(name) if beside is None else min(study.limit(name), beside.limit(name))
     called, words = column.called or name, column.words
     median = Median(f"median {name}", ratio, title=f"median {called}", definition=f"{words}, by Kaplan and Meier")
     mean = Bounded(
@@ -283,13 +273,13 @@ def _of_times(study: Study, beside: Study | None, name: str, column: Recorded) -
         title=f"restricted mean of {'the ' * column.says_it}{called} up to {limit:g}",
         definition=f"{words}; the area up to {limit:g} under the curve of Kaplan and Meier",
     )
-    both = [
+    median_and_mean = [
         Measure(median, f"{name}_median", partial(_median, study, name)),
         Measure(mean, name, partial(_restricted, study, name, limit)),
     ]
     medians = [study.median(group, name) for group in study.groups]
     is_known = all(None not in (median.value, median.low, median.high) for median in medians)
-    yield from both if is_known else both[::-1]
+    yield from median_and_mean if is_known else median_and_mean[::-1]
 
 
 def _median(study: Study, name: str, group: Group) -> Values:
@@ -339,22 +329,13 @@ def _gamma(confidence: float, group: Group) -> Values:
 
 def of_windows(study: Study, keys: Collection[str] = tuple(OF_N_STICK)) -> list[Measure]:
     """The quantities of n_stick, with the margins that the scene declares, over all runs in motion."""
-    return [
-        Measure(
-            Statistic(
-                quantity.label,
-                quantity.of,
-                study.margins.get(key),
-                least=0.0,
-                title=TITLES[key],
-                things=THINGS.get(key, ""),
-            ),
-            key,
-            partial(_window_sums, key),
-        )
-        for key, quantity in OF_N_STICK.items()
-        if key in keys and key in study.compared
-    ]
+    measured = []
+    for key, quantity in OF_N_STICK.items():
+        if key in keys and key in study.compared:
+            statistic = Statistic(quantity.label, quantity.of, study.margins.get(key), least=0.0)
+            statistic = replace(statistic, title=quantity.title, things=quantity.things)
+            measured.append(Measure(statistic, key, partial(_window_sums, key)))
+    return measured
 
 
 def _window_sums(key: str, group: Group) -> Values:
@@ -382,17 +363,11 @@ def _without_late_stick(group: Group) -> Values:
 
 
 #: Shares of runs by how they ended, by which engines and datasets are compared.
+ALL_SLIP = Share("share of runs with no late stick", title="share of runs without a late stick")
+RUN_AWAY = Share("share of runs that run away", title="share of runs whose motion grows without limit")
 ENDS = (
-    Measure(
-        Share("share of runs with no late stick", title="share of runs without a late stick"),
-        "all_slip",
-        _without_late_stick,
-    ),
-    Measure(
-        Share("share of runs that run away", title="share of runs whose motion grows without limit"),
-        "run_away",
-        partial(_with_fate, (DIVERGED,)),
-    ),
+    Measure(ALL_SLIP, "all_slip", _without_late_stick),
+    Measure(RUN_AWAY, "run_away", partial(_with_fate, (DIVERGED,))),
 )
 IN_MOTION, AT_MOST = "share in motion", "share in motion or quiet"
 #: Whether runs are in motion, and whether they may be: of a quiet run that cannot be told.

@@ -41,18 +41,18 @@ def alike(cycles: Sequence[Cycle]) -> list[int]:
     """
     if not cycles:
         return []
-    states = np.array([np.concatenate([[one.period], one.w, one.z - one.z[0]]) for one in cycles])
-    sizes = np.array([max(np.abs(one.w).max(), np.ptp(one.z), np.abs(one.z).max() * 1e-3) for one in cycles])
+    states = np.array([np.concatenate([[cycle.period], cycle.w, cycle.z - cycle.z[0]]) for cycle in cycles])
+    sizes = np.array([max(np.abs(cycle.w).max(), np.ptp(cycle.z), np.abs(cycle.z).max() * 1e-3) for cycle in cycles])
     allowed = ONE_CYCLE * np.column_stack([states[:, 0], np.repeat(sizes[:, None], states.shape[1] - 1, axis=1)])
-    counts = np.array([(one.n_events, one.n_exits) for one in cycles])
+    counts = np.array([(cycle.n_events, cycle.n_exits) for cycle in cycles])
     number = np.zeros(len(cycles), dtype=np.int64)
     for k in range(1, _MOST_CYCLES + 1):
-        left = np.flatnonzero(number == 0)
-        if not len(left):
+        unnumbered = np.flatnonzero(number == 0)
+        if not len(unnumbered):
             break
-        first = left[0]
-        is_same = (np.abs(states[left] - states[first]) <= allowed[first]).all(axis=1)
-        number[left[is_same & (counts[left] == counts[first]).all(axis=1)]] = k
+        example = unnumbered[0]
+        is_same = (np.abs(states[unnumbered] - states[example]) <= allowed[example]).all(axis=1)
+        number[unnumbered[is_same & (counts[unnumbered] == counts[example]).all(axis=1)]] = k
     runs = np.bincount(number, minlength=1)
     order = 1 + np.argsort(-runs[1:], kind="stable")
     rank = np.zeros(len(runs), dtype=np.int64)
@@ -76,28 +76,28 @@ def plane(z: Floats, w: Floats) -> Plane | None:
     Numbers that are the same in every start count once.
     """
     n = z.shape[1]
-    found: dict[bytes, list[tuple[str, int]]] = {}
+    varying: dict[bytes, list[tuple[str, int]]] = {}
     for key, values in (("z", z), ("w", w)):
         for block in range(n):
             if np.ptp(values[:, block]) > 0:
-                found.setdefault(values[:, block].tobytes(), []).append((key, block))
-        if len(found) > 2:
+                varying.setdefault(values[:, block].tobytes(), []).append((key, block))
+        if len(varying) > 2:
             return None
-    if not found:
+    if not varying:
         return None
-    names = tuple(_name(some, n) for some in found.values())
-    return Plane(names, np.column_stack([np.frombuffer(column) for column in found]))
+    names = tuple(_name(numbers, n) for numbers in varying.values())
+    return Plane(names, np.column_stack([np.frombuffer(column) for column in varying]))
 
 
 def _name(numbers: Sequence[tuple[str, int]], n: int) -> str:
     """In words, which numbers of a start these are."""
     words = {"z": "displacement z", "w": "velocity w"}
-    parts = []
+    phrases = []
     for key in sorted({key for key, _ in numbers}, reverse=True):
-        blocks = [block for one, block in numbers if one == key]
+        blocks = [block for name, block in numbers if name == key]
         if len(blocks) == n:
-            of = "" if n == 1 else " of all blocks"
+            suffix = "" if n == 1 else " of all blocks"
         else:
-            of = f" of block{'s' if len(blocks) > 1 else ''} {', '.join(map(str, blocks))}"
-        parts.append(words[key] + of)
-    return " and ".join(parts)
+            suffix = f" of block{'s' if len(blocks) > 1 else ''} {', '.join(map(str, blocks))}"
+        phrases.append(words[key] + suffix)
+    return " and ".join(phrases)

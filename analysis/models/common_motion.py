@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import Enum, StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -35,11 +36,23 @@ SURROGATES = 999
 P_FLOOR = 1 / (1 + SURROGATES)  # the least p-value that so many can give
 MOST_STEPS = 100  # of Fisher scoring
 
-SLOW, NONE, SHORT = "slow", "none shown", "window too short"
-#: What is estimated: the natural period, without damping; the quality Q; the width in frequency, 1 / (period x Q);
-#: the time in which the motion decays to 1 / e; its variance, and its share of the variance of n_stick; the share c
-#: of the blocks' own power; the period of the spectrum's peak, and the power there over that of time-shifted blocks.
-NUMBERS = ("period", "quality", "width", "decay", "variance", "share", "left", "peak", "times")
+
+class Shown(Enum):
+    """Whether slow common motion is shown."""
+
+    SLOW = "slow"
+    NONE = "none shown"
+    SHORT = "window too short"  #: the motion is too slow for it
+
+
+class Number(StrEnum):
+    """What is estimated of it."""
+
+    PERIOD = "period"  #: the natural one, without damping
+    QUALITY = "quality"
+    VARIANCE = "variance"
+    SHARE = "share"  #: of the variance of n_stick
+    LEFT = "left"  #: the share c of the blocks' own power
 
 
 def n_harmonics(span: float, shortest: float) -> int:
@@ -63,12 +76,6 @@ def periodogram(steps: BlockSteps, m: int) -> np.ndarray:
         x = np.add.reduceat(phase, firsts) - net
         found[:, k] = abs(x.sum()) ** 2, np.sum(x.real**2 + x.imag**2)
     return found * (2 / steps.span) * (steps.span / (2 * np.pi * np.arange(1, m + 1))) ** 2
-
-
-def spectrum(frequency: np.ndarray, period: float, quality: float) -> np.ndarray:
-    """One-sided spectrum s(f) of an oscillator of variance 1; `period` is the natural one, 2 pi / w0."""
-    x = (frequency * period) ** 2
-    return (2 / np.pi) * period / quality / ((1 - x) ** 2 + x / quality**2)
 
 
 def expected(frequency: np.ndarray, span: float, period: np.ndarray, quality: np.ndarray) -> np.ndarray:
@@ -141,30 +148,32 @@ def fit(
     frequency = np.arange(1, observed.shape[1] + 1) / span
     low, high = _bounds(frequency, observed)
 
-    def power(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        variance, period, quality, left = np.exp(at).T[:, :, None]
-        return variance * expected(frequency, span, period, quality), left * independent
+    def motion(at: np.ndarray) -> np.ndarray:
+        variance, period, quality, _ = np.moveaxis(np.exp(at), -1, 0)[..., None]
+        return variance * expected(frequency, span, period, quality)
 
     def loss(at: np.ndarray) -> np.ndarray:
-        model = sum(power(at))
+        model = motion(at) + np.exp(at[:, 3:]) * independent
         return np.mean(np.log(model) + observed / model, axis=1)
 
     at, damping = np.clip(start, low, high), np.full(len(start), 1e-2)
-    value, nudge = loss(at), 1e-4 * np.eye(4)
+    value, around = loss(at), np.zeros((5, 1, 4))  # at a point, and beside it in period and in quality
+    around[1:3, 0, 1] = around[3:, 0, 2] = 1e-4, -1e-4
     for _ in range(MOST_STEPS):
-        motion, rest = power(at)
-        model = motion + rest
-        slopes = [(power(at + nudge[k])[0] - power(at - nudge[k])[0]) / 2e-4 for k in (1, 2)]
-        gain = np.stack([motion, *slopes, rest], axis=2) / model[:, :, None]
+        here, *beside = motion(at + around)
+        rest = np.exp(at[:, 3:]) * independent
+        slopes = [(above - below) / 2e-4 for above, below in (beside[:2], beside[2:])]
+        model = here + rest
+        gain = np.stack([here, *slopes, rest], axis=2) / model[:, :, None]
         fisher = np.einsum("bki,bkj->bij", gain, gain)
         ridge = np.einsum("bii->bi", fisher) * damping[:, None] + 1e-9
         score = np.einsum("bki,bk->bi", gain, observed / model - 1)
         step = np.linalg.solve(fisher + ridge[:, :, None] * np.eye(4), score[:, :, None])[:, :, 0]
         tried = np.clip(at + np.clip(step, -0.7, 0.7), low, high)
-        found = loss(tried)
-        is_better = found <= value + 1e-12
-        gained = np.max(value - found, where=is_better, initial=0.0)
-        at, value = np.where(is_better[:, None], tried, at), np.where(is_better, found, value)
+        lost = loss(tried)
+        is_better = lost <= value + 1e-12
+        gained = np.max(value - lost, where=is_better, initial=0.0)
+        at, value = np.where(is_better[:, None], tried, at), np.where(is_better, lost, value)
         damping = np.clip(np.where(is_better, damping / 5, damping * 5), 1e-8, 1e8)
         if gained < 1e-9 and (is_better | (damping > 1e3)).all():
             break
@@ -226,25 +235,24 @@ class CommonMotion:
 
     Attributes
     ----------
-    verdict : str
-        `SLOW`; `NONE`; or `SHORT`, for a motion that is too slow for the windows.
+    shown : Shown
     p : float
         The share of surrogates without coupling whose slow power is as concentrated.
-    estimates : dict of str to Estimate
-        By the names of `NUMBERS`; empty for `NONE` and `SHORT`.
-    values : dict of str to ndarray, shape (1 + G,)
-        The same numbers, from all matrices and with each left out; NaN for the peak if the spectrum has none.
-    period : float or None
-        The natural period that fits best.
-    goodness : Goodness or None
+    period : float, optional
+        The natural period that fits best; None for `Shown.NONE`.
+    estimates : dict of Number to Estimate
+        Empty unless it is shown.
+    values : dict of Number to ndarray, shape (1 + G,)
+        The same numbers, from all matrices and with each left out.
+    goodness : Goodness, optional
         Of the fit to the mean of all matrices.
     """
 
-    verdict: str
+    shown: Shown
     p: float
-    estimates: Mapping[str, Estimate] = field(default_factory=dict)
-    values: Mapping[str, np.ndarray] = field(default_factory=dict)
     period: float | None = None
+    estimates: Mapping[Number, Estimate] = field(default_factory=dict)
+    values: Mapping[Number, np.ndarray] = field(default_factory=dict)
     goodness: Goodness | None = None
 
 
@@ -261,54 +269,40 @@ def common_motion(data: Spectra, confidence: float, rng: np.random.Generator) ->
     """
     p = p_value(data, rng)
     if p > 1 - confidence:
-        return CommonMotion(NONE, p)
+        return CommonMotion(Shown.NONE, p)
     g = len(data.observed)
-    whole = [one.mean(axis=0) for one in (data.observed, data.independent)]
-    start = best(data.span, whole[0], whole[1])
-    natural = float(np.exp(start[1]))
-    if natural > data.span / LEAST_PERIODS:
-        return CommonMotion(SHORT, p, period=natural)
-    observed, own = ((g * mean - rows) / (g - 1)
-                     for mean, rows in zip(whole, (data.observed, data.independent), strict=True))  # fmt: skip
-    left_out, _ = fit(data.span, observed, own, np.tile(start, (g, 1)))
-    variance = np.append(data.variance.mean(), (data.variance.sum() - data.variance) / (g - 1))
-    independent = np.vstack([whole[1], own])
-    numbers = _numbers(np.exp(np.vstack([start, left_out])), data, independent, variance)
-    estimates = {name: _estimate(values, confidence, name == "share") for name, values in numbers.items()}
+    whole, own = data.observed.mean(axis=0), data.independent.mean(axis=0)
+    start = best(data.span, whole, own)
     power, period, quality, left = np.exp(start)
-    model = power * expected(data.frequency, data.span, period, quality) + left * whole[1]
-    n_runs = g**2 / np.sum(1 / data.n_runs)  # of a mean of means
-    return CommonMotion(SLOW, p, estimates, numbers, natural, goodness(whole[0], model, n_runs))
-
-
-def _numbers(at: np.ndarray, data: Spectra, independent: np.ndarray, variance: np.ndarray) -> dict[str, np.ndarray]:
-    """`NUMBERS` from fits of shape (b, 4), each of shape (b,); NaN for the peak if the spectrum has none."""
-    power, natural, quality, left = at.T
-    at_zero = expected(np.zeros(1), data.span, natural[:, None], quality[:, None])[:, 0]
-    total = variance + power * at_zero / (2 * data.span)  # adds the variance that the mean of a window removes
-    with np.errstate(invalid="ignore"):
-        peak = np.sqrt(1 - 0.5 / quality**2) / natural
-    own = np.array(
-        [np.interp(f, data.frequency, one) for f, one in zip(np.nan_to_num(peak), independent, strict=True)]
+    if period > data.span / LEAST_PERIODS:
+        return CommonMotion(Shown.SHORT, p, float(period))
+    observed, independent = (
+        (g * mean - rows) / (g - 1) for mean, rows in ((whole, data.observed), (own, data.independent))
     )
-    return {
-        "period": natural, "quality": quality, "width": 1 / (natural * quality), "decay": quality * natural / np.pi,
-        "variance": power, "share": np.minimum(power / total, 1 - 1e-6), "left": left, "peak": 1 / peak,
-        "times": left + power * spectrum(peak, natural, quality) / own,
-    }  # fmt: skip
+    left_out, _ = fit(data.span, observed, independent, np.tile(start, (g, 1)))
+    variance = np.append(data.variance.mean(), (data.variance.sum() - data.variance) / (g - 1))
+    values = _values(np.exp(np.vstack([start, left_out])), data.span, variance)
+    estimates = {number: _estimate(values[number], confidence, number is Number.SHARE) for number in Number}
+    model = power * expected(data.frequency, data.span, period, quality) + left * own
+    n_runs = g**2 / np.sum(1 / data.n_runs)  # of a mean of means
+    return CommonMotion(Shown.SLOW, p, float(period), estimates, values, goodness(whole, model, n_runs))
+
+
+def _values(fits: np.ndarray, span: float, variance: np.ndarray) -> dict[Number, np.ndarray]:
+    """Numbers from fits, shape (b, 4), and the variances of n_stick within windows, shape (b,)."""
+    power, period, quality, left = fits.T
+    at_zero = expected(np.zeros(1), span, period[:, None], quality[:, None])[:, 0]
+    total = variance + power * at_zero / (2 * span)  # adds the variance that the mean of a window removes
+    share = np.minimum(power / total, 1 - 1e-6)
+    return dict(zip(Number, (period, quality, power, share, left), strict=True))
 
 
 def _estimate(values: np.ndarray, confidence: float, is_share: bool) -> Estimate:
     """A number with its interval on the log or logit scale; values from all matrices, and with each left out."""
-    if not np.isfinite(values[0]):
-        return Estimate(reason="no peak")
-    value = float(values[0])
-    if not np.isfinite(values).all():
-        return Estimate(value, reason="one left out: no peak")
     to, back = (special.logit, special.expit) if is_share else (np.log, np.exp)
     scaled = to(values)
     half = student.half_width(confidence, len(values) - 2) * jackknife_error(scaled[1:])
-    return Estimate(value, float(back(scaled[0] - half)), float(back(scaled[0] + half)))
+    return Estimate(float(values[0]), float(back(scaled[0] - half)), float(back(scaled[0] + half)))
 
 
 def p_value(data: Spectra, rng: np.random.Generator) -> float:

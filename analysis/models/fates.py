@@ -99,18 +99,18 @@ def _scatter(t: np.ndarray, share: np.ndarray, times: np.ndarray, ended: np.ndar
     n_of, in_time = np.bincount(place).astype(np.float64), np.argsort(times[ended], kind="stable")
     of_end = place[ended][in_time]
     order = np.argsort(of_end, kind="stable")
-    first = np.searchsorted(of_end[order], of_end[order])
+    group_start = np.searchsorted(of_end[order], of_end[order])
     n_before = np.empty(len(order))
-    n_before[order] = np.arange(len(order)) - first  # ends of the same unit before each
-    left = n_of[of_end] - n_before
-    by = np.searchsorted(times[ended][in_time], t, side="right")
+    n_before[order] = np.arange(len(order)) - group_start  # ends of the same unit before each
+    n_left = n_of[of_end] - n_before
+    n_ends = np.searchsorted(times[ended][in_time], t, side="right")
 
     def moved(power: int) -> np.ndarray:
         """The sum over units of what each moves the share by, to a power."""
         total = np.zeros(len(t))
         for k in range(power + 1):  # what is left to the power k, from each end on
-            falls = ((left - 1.0) ** k - left**k) * n_of[of_end] ** (power - k)
-            sums = np.append(0.0, np.cumsum(falls))[by] + np.sum(n_of**power)
+            falls = ((n_left - 1.0) ** k - n_left**k) * n_of[of_end] ** (power - k)
+            sums = np.append(0.0, np.cumsum(falls))[n_ends] + np.sum(n_of**power)
             total += special.binom(power, k) * (-share) ** (power - k) * sums
         return np.where(total > ROUNDING * np.sum(n_of**power), total, 0.0) / float(len(times)) ** power
 
@@ -146,11 +146,11 @@ def survival(
     curve = kaplan_meier(earliest, ended | is_quiet, confidence, units)
     if not is_quiet.any():
         return curve
-    most = kaplan_meier(times, ended, confidence, units)
-    t = np.union1d(curve[0], most[0])
+    upper = kaplan_meier(times, ended, confidence, units)
+    t = np.union1d(curve[0], upper[0])
     (share, low), (high,) = (
-        [one[np.searchsorted(of[0], t, side="right") - 1] for one in some]
-        for of, some in ((curve, (curve[1], curve[2])), (most, (most[3],)))
+        [column[np.searchsorted(source[0], t, side="right") - 1] for column in columns]
+        for source, columns in ((curve, (curve[1], curve[2])), (upper, (upper[3],)))
     )
     return t, share, low, high
 
@@ -168,8 +168,8 @@ def half_ended(
     Quiet runs count as ended at their last events; the upper end of the interval takes them as not ended.
     """
     times, ended, earliest = _ends(fates, t_last, t_stop, t_end)
-    found = median(earliest, ended | (fates == QUIET), confidence, units)
-    return replace(found, high=median(times, ended, confidence, units).high)
+    half = median(earliest, ended | (fates == QUIET), confidence, units)
+    return replace(half, high=median(times, ended, confidence, units).high)
 
 
 def _ends(
@@ -205,9 +205,12 @@ def median(times: np.ndarray, ended: np.ndarray, confidence: float, units: np.nd
     if units is not None and _are_shared(units):
         t, _, below, _ = kaplan_meier(times, np.ones(len(times), dtype=bool), confidence, units)
         until, _, _, above = kaplan_meier(never, ended, confidence, units)
-        first, last = np.flatnonzero(below <= 0.5), np.flatnonzero(above > 0.5)
-        after = int(last[-1]) + 1 if len(last) else 0
-        ends = float(t[first[0]]) if len(first) else None, float(until[after]) if after < len(until) else None
+        below_half, above_half = np.flatnonzero(below <= 0.5), np.flatnonzero(above > 0.5)
+        n_above = int(above_half[-1]) + 1 if len(above_half) else 0
+        ends = (
+            float(t[below_half[0]]) if len(below_half) else None,
+            float(until[n_above]) if n_above < len(until) else None,
+        )
         return Estimate(value, *ends, reason)
     k = int(np.sum(special.bdtr(np.arange(len(times)), len(times), 0.5) <= (1 - confidence) / 2))
     low = float(np.sort(times)[k - 1]) if k else None
@@ -242,15 +245,15 @@ def fates(
     n : ndarray, shape (m,)
         Number of blocks; NaN if it is not known.
     """
-    found = np.full(len(outcomes), FAILED, dtype=object)  # a mask is given one word, which is then held once
+    names = np.full(len(outcomes), FAILED, dtype=object)  # a mask is given one word, which is then held once
     for outcome, how in _CERTAIN.items():
-        found[outcomes == outcome] = how
+        names[outcomes == outcome] = how
     is_finished, slips, is_lull = outcomes == "finished", is_all_slip(t_last, n_last, t_end), is_unstable(growth_rate)
-    found[is_finished & ~slips] = SUSTAINED
-    found[is_finished & (n_last == n) & (t_last <= 0)] = UNMOVED
-    found[is_finished & slips & is_lull] = LULL
-    found[is_finished & slips & ~is_lull] = QUIET
-    return found
+    names[is_finished & ~slips] = SUSTAINED
+    names[is_finished & (n_last == n) & (t_last <= 0)] = UNMOVED
+    names[is_finished & slips & is_lull] = LULL
+    names[is_finished & slips & ~is_lull] = QUIET
+    return names
 
 
 def fate(
@@ -267,9 +270,9 @@ def fate(
     if series is None:
         return FAILED
     t, n_stick = series
-    rate, blocks = (np.nan if each is None else each for each in (growth_rate, n))
-    one = (np.array([each]) for each in (outcome, t[-1], n_stick[-1], t_end, rate, blocks))
-    return str(fates(*one)[0])
+    rate, blocks = (np.nan if value is None else value for value in (growth_rate, n))
+    columns = (np.array([value]) for value in (outcome, t[-1], n_stick[-1], t_end, rate, blocks))
+    return str(fates(*columns)[0])
 
 
 def ends_at(

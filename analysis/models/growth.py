@@ -87,19 +87,19 @@ def growth(
         d = np.asarray(distance)[len(times) - len(t) :]
         inside[k, : len(d)] = (d > bounds[0]) & (d < bounds[1])
         log[k, : len(d)] = np.log(np.where(inside[k, : len(d)], d, 1.0))
-        first = int(np.cumprod(inside[k], dtype=np.int64).sum())
-        at_floor[k] = first < len(d) and d[first] <= bounds[0]
+        n_inside = int(np.cumprod(inside[k], dtype=np.int64).sum())
+        at_floor[k] = n_inside < len(d) and d[n_inside] <= bounds[0]
     length = np.cumprod(inside, axis=1, dtype=np.int64).sum(axis=1)  # points up to the first outside
     needed = max(int(np.searchsorted(t, t_from + least, side="right")), LEAST_POINTS)
-    kept = length >= needed
-    n_floor, n_ceiling = int(np.sum(at_floor & ~kept)), int(np.sum(~at_floor & ~kept))
-    if not kept.any():
+    is_long = length >= needed
+    n_floor, n_ceiling = int(np.sum(at_floor & ~is_long)), int(np.sum(~at_floor & ~is_long))
+    if not is_long.any():
         none = Estimate(reason="no pair in range")
-        return Growth(none, t_from, t_from, len(kept), n_floor, n_ceiling)
-    m = int(length[kept].min())
+        return Growth(none, t_from, t_from, len(is_long), n_floor, n_ceiling)
+    m = int(length[is_long].min())
     centred = t[:m] - t[:m].mean()
-    slopes = log[kept, :m] @ centred / (centred @ centred)
-    _, index = np.unique(np.asarray(matrix)[kept], return_inverse=True)
+    slopes = log[is_long, :m] @ centred / (centred @ centred)
+    _, index = np.unique(np.asarray(matrix)[is_long], return_inverse=True)
     rates = np.bincount(index, slopes) / np.bincount(index)
     rate = over_matrices(ratio, np.column_stack([rates, np.ones(len(rates))]), confidence)
-    return Growth(rate, float(t[0]), float(t[m - 1]), len(kept), n_floor, n_ceiling)
+    return Growth(rate, float(t[0]), float(t[m - 1]), len(is_long), n_floor, n_ceiling)

@@ -65,19 +65,19 @@ class Motion:
 
     def part(self, first: int, end: int) -> Motion:
         """Neighbouring runs of which `sizes` is in their order, as `in_order` leaves it."""
-        at, to = np.searchsorted(self.sizes[:, 0], (first, end))
-        sizes = self.sizes[at:to] - np.array([first, 0, 0])
+        begin, stop = np.searchsorted(self.sizes[:, 0], (first, end))
+        sizes = self.sizes[begin:stop] - np.array([first, 0, 0])
         return Motion(self.fates[first:end], self.last[first:end], self.sums[first:end], sizes)
 
 
 def joined(parts: Sequence[Motion]) -> Motion:
     """The runs of several, one after the other."""
-    first = np.cumsum([0, *(len(one.fates) for one in parts)])
-    sizes = [one.sizes + np.array([k, 0, 0]) for k, one in zip(first.tolist(), parts, strict=False)]
+    firsts = np.cumsum([0, *(len(chunk.fates) for chunk in parts)])
+    sizes = [chunk.sizes + np.array([k, 0, 0]) for k, chunk in zip(firsts.tolist(), parts, strict=False)]
     return Motion(
-        np.concatenate([np.zeros(0, object), *(one.fates for one in parts)]),
-        np.concatenate([np.zeros((0, 2)), *(one.last for one in parts)]),
-        np.concatenate([np.zeros((0, len(COLUMNS))), *(one.sums for one in parts)]),
+        np.concatenate([np.zeros(0, object), *(chunk.fates for chunk in parts)]),
+        np.concatenate([np.zeros((0, 2)), *(chunk.last for chunk in parts)]),
+        np.concatenate([np.zeros((0, len(COLUMNS))), *(chunk.sums for chunk in parts)]),
         np.concatenate([np.zeros((0, 3), np.int64), *sizes]),
     )
 
@@ -93,26 +93,28 @@ def motion(runs: Runs, some: Ended, is_brief: bool = False) -> Motion:
     ValueError
         If a member that did not fail has no change points, or they are not a series; the error names the member.
     """
-    last, sums = np.full((len(some), 2), np.nan), np.zeros((len(some), len(COLUMNS)))
+    last_changes, sums = np.full((len(some), 2), np.nan), np.zeros((len(some), len(COLUMNS)))
     fates_of = np.full(len(some), FAILED, dtype=object)
     sizes = [np.zeros((0, 3), dtype=np.int64)]
     ran = np.flatnonzero(some.outcome != FAILED)
-    done = 0
+    n_done = 0
     for stack in in_parts(runs.stacks(some.member_id[ran].tolist()), RUNS, POINTS):
-        places = ran[done : done + len(stack)]
-        own = some.take(places)
-        last[places] = np.column_stack(stack.last)
-        fates_of[places] = fates(own.outcome, *stack.last, own.t_end, own.growth_rate, own.n)
+        places = ran[n_done : n_done + len(stack)]
+        stack_runs = some.take(places)
+        last_changes[places] = np.column_stack(stack.last)
+        fates_of[places] = fates(
+            stack_runs.outcome, *stack.last, stack_runs.t_end, stack_runs.growth_rate, stack_runs.n
+        )
         moves = np.flatnonzero(np.isin(fates_of[places], MOVING))
         if len(moves):
             try:
-                found = windows(stack.take(moves), runs.t_burn, own.t_end[moves])
+                stack_windows = windows(stack.take(moves), runs.t_burn, stack_runs.t_end[moves])
             except NoSeries as error:
-                raise no_series(own.member_id[moves[error.place]], error) from error
-            sums[places[moves]] = _sums(found, is_brief)
-            sizes.append(_sizes(found, places[moves]))
-        done += len(stack)
-    return Motion(fates_of, last, sums, np.concatenate(sizes))
+                raise no_series(stack_runs.member_id[moves[error.place]], error) from error
+            sums[places[moves]] = _sums(stack_windows, is_brief)
+            sizes.append(_sizes(stack_windows, places[moves]))
+        n_done += len(stack)
+    return Motion(fates_of, last_changes, sums, np.concatenate(sizes))
 
 
 def _sizes(runs: Windows, names: np.ndarray) -> np.ndarray:
@@ -120,8 +122,8 @@ def _sizes(runs: Windows, names: np.ndarray) -> np.ndarray:
     run, depth = runs.falls
     width = int(depth.max(initial=0)) + 1
     n_times = np.bincount(run * width + depth, minlength=len(runs) * width)
-    found = np.flatnonzero(n_times)
-    return np.column_stack([names[found // width], found % width, n_times[found]])
+    codes = np.flatnonzero(n_times)
+    return np.column_stack([names[codes // width], codes % width, n_times[codes]])
 
 
 def early_and_late(runs: Windows) -> np.ndarray:
@@ -132,21 +134,21 @@ def early_and_late(runs: Windows) -> np.ndarray:
 
 def _sums(runs: Windows, is_brief: bool) -> np.ndarray:
     """`COLUMNS` of each run, shape (R, C)."""
-    found = np.zeros((len(runs), len(COLUMNS)))
+    sums = np.zeros((len(runs), len(COLUMNS)))
 
     def put(names: Sequence[str], columns: np.ndarray) -> None:
-        found[:, [COLUMNS[name] for name in names]] = columns
+        sums[:, [COLUMNS[name] for name in names]] = columns
 
-    for names, of in SUMS.items():
+    for names, function in SUMS.items():
         if not (is_brief and "tau" in names):
-            put(names, of(runs))
+            put(names, function(runs))
     halves = enough.halves(runs)[:, :2]
     put(("first_half", "second_half"), halves)
     if is_brief:
-        return found
+        return sums
     put(("early", "late"), early_and_late(runs))
-    tau = found[:, COLUMNS["tau"]]
+    tau = sums[:, COLUMNS["tau"]]
     put(("stuck", "active"), np.column_stack([halves.mean(axis=1) * runs.span, runs.span - runs.total(lulls(runs))]))
     put(EFFECTIVE, effective.rows(runs, tau)[:, 1:])
     put(("short",), ((tau == 0) | effective.is_short(runs, tau))[:, None])
-    return found
+    return sums

@@ -36,9 +36,6 @@ from __future__ import annotations
 import numpy as np
 from scipy import special
 
-from stickslip.analysis.stats import estimates
-from stickslip.analysis.stats.estimates import Statistic
-
 
 def _entry_next(n: int, p: float) -> np.ndarray:
     """Probability u(j) that the next event is an entry, if j = 0..n - 1 blocks stick after an exit."""
@@ -95,15 +92,3 @@ def excess(n: int, mean: float) -> float:
     sizes, shares = np.arange(1, n + 1), law(n, mean, n)
     m = sizes @ shares
     return float((sizes**2 @ shares - m**2) / (m * (m - 1)) - 1)
-
-
-def against(n: int) -> Statistic:
-    """Statistic: gamma minus that of the pool with the same mean n_stick.
-
-    Its sums, shape (m, 4): total size and number of cascades by `events`, integral of n_stick (or mean), time (or 1).
-    """
-
-    def difference(sums: np.ndarray) -> np.ndarray:
-        return estimates.gamma(sums[:, :2]) - np.array([gamma(n, mean) for mean in estimates.ratio(sums[:, 2:])])
-
-    return difference

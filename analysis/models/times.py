@@ -54,8 +54,12 @@ class Times(UnitSums):
         )
 
     def within(self, other: UnitSums) -> Self:
-        kept = np.isin(self.of_unit, other.units)
-        return self if kept.all() else self.of_runs(self.of_unit[kept], self.times[kept], self.ended[kept])
+        is_shared = np.isin(self.of_unit, other.units)
+        return (
+            self
+            if is_shared.all()
+            else self.of_runs(self.of_unit[is_shared], self.times[is_shared], self.ended[is_shared])
+        )
 
     @property
     def n_censored(self) -> int:
@@ -81,17 +85,17 @@ class Times(UnitSums):
         at_end = np.append(0.0, np.divide(weights, n_left, out=np.zeros(len(t)), where=n_left > 0))
         due = np.cumsum(at_end * np.append(0.0, n_ends / n_at_risk))
         place = np.searchsorted(t, self.times, side="right")
-        moved = due[place] - np.where(self.ended, at_end[place], 0.0)
-        return np.bincount(np.searchsorted(self.units, self.of_unit), moved, len(self.units))
+        shifts = due[place] - np.where(self.ended, at_end[place], 0.0)
+        return np.bincount(np.searchsorted(self.units, self.of_unit), shifts, len(self.units))
 
     # ------------------------------------------------------------------------------------------------- median
 
     def median(self, confidence: float) -> Estimate:
         """The time by which half of the runs have it, by `models.fates.median`; else why there is none."""
-        found = median(self.times, self.ended, confidence, self.of_unit)
-        if found.value is None:
-            return replace(found, reason=self._not_reached)
-        return replace(found, reason="the runs do not reach an end of it" if None in (found.low, found.high) else "")
+        half = median(self.times, self.ended, confidence, self.of_unit)
+        if half.value is None:
+            return replace(half, reason=self._not_reached)
+        return replace(half, reason="the runs do not reach an end of it" if None in (half.low, half.high) else "")
 
     @property
     def _not_reached(self) -> str:
@@ -101,22 +105,22 @@ class Times(UnitSums):
 
     def _at_half(self) -> tuple[float, float, np.ndarray]:
         """The median, its standard error, and by how much each unit moves the share left there, shape (G,)."""
-        t, _, n_ends, after = self._risks
+        t, _, n_ends, shares = self._risks
         value = median(self.times, self.ended, 0.5).value
         if value is None:
             raise Undefined(self._not_reached)
-        share = float(after[t <= value][-1])
-        moved = self._moved(np.where(t <= value, share, 0.0))
-        variance = len(moved) / (len(moved) - 1) * float(np.sum(moved**2))
+        share = float(shares[t <= value][-1])
+        shifts = self._moved(np.where(t <= value, share, 0.0))
+        variance = len(shifts) / (len(shifts) - 1) * float(np.sum(shifts**2))
         # as many independent runs have this variance, and one half has the error that they give it
-        trials = min(share * (1.0 - share) / variance, len(self.times)) if variance else len(moved)
+        trials = min(share * (1.0 - share) / variance, len(self.times)) if variance else len(shifts)
         error = _QUANTILE * 0.5 / float(np.sqrt(trials))
-        middle = (np.append(1.0, after[:-1]) + after) / 2  # of each step of the curve, between which it is read
-        beyond, falls = np.inf if after[-1] > 0.0 else t[-1], n_ends > 0
+        middle = (np.append(1.0, shares[:-1]) + shares) / 2  # of each step of the curve, between which it is read
+        beyond, falls = np.inf if shares[-1] > 0.0 else t[-1], n_ends > 0
         low, high = np.interp([-0.5 - error, error - 0.5], -middle[falls], t[falls], right=beyond)
         if not np.isfinite(high):
             raise Undefined("an end of the interval lies beyond what the runs were followed to")
-        return value, float(high - low) / (2.0 * _QUANTILE), moved
+        return value, float(high - low) / (2.0 * _QUANTILE), shifts
 
     # ----------------------------------------------------------------------------------------- restricted mean
 

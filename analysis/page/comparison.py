@@ -91,12 +91,12 @@ def compare(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Re
     measured, unit = _both(*studies), noun(studies[0].unit)
     labels = [match.second.name for match in matches]
     names = dict(zip(labels, apart(labels), strict=True))
-    alone = [
+    unjudged = [
         step
         for match in matches
         for step in _steps(match, measured, second.name, names[match.second.name], settings.confidence)
     ]
-    steps = judged_together(alone, 1 - settings.confidence)
+    steps = judged_together(unjudged, 1 - settings.confidence)
     lost = [row for k, ensemble in enumerate((first, second)) for row in _lost(ensemble.name, groups[k], k, matches)]
     tables = {"changes": table_of(steps), "alone": frame_of(Alone, lost)}
     notes = [*_of_matches(matches, unit), *_of_lost(lost), *_of_settings(first, second, settings)]
@@ -124,34 +124,36 @@ def _steps(
     """Each statistic of a setting beside that of its counterpart."""
     setting = Setting(f"{name} ({where})" if where else name)
     for mine, theirs in measured:
-        before, after = mine.of(match.first), theirs.of(match.second)
-        withheld = before.withheld or after.withheld
-        found = contrast(mine.statistic, before.sums, after.sums, match.is_paired, confidence, withheld=withheld)
+        reference, changed = mine.of(match.first), theirs.of(match.second)
+        withheld = reference.withheld or changed.withheld
+        difference = contrast(
+            mine.statistic, reference.sums, changed.sums, match.is_paired, confidence, withheld=withheld
+        )
         labels = match.second.label, match.first.label
-        yield Step(Kind.DATASET, *labels, found, where=Place.of(where), name=setting)
+        yield Step(Kind.DATASET, *labels, difference, where=Place.of(where), name=setting)
 
 
 def _answer(first: str, second: str, steps: Sequence[Step], tables: Mapping[str, Table], unit: str) -> Answer:
     """Whether two ensembles agree, and every statistic of each setting."""
-    known = [step for step in steps if step.contrast.is_known and not step.contrast.reason]
-    if not known:
+    judged = [step for step in steps if step.contrast.is_known and not step.contrast.reason]
+    if not judged:
         lack = few(f"whether {first} and {second} agree", len(steps))
         return Answer(findings=[Decided(Truth.UNDECIDED, lack)], tables=tables)
-    by_setting = {step.name: [other for other in known if other.name == step.name] for step in known}
-    grouped = known
+    by_setting = {step.name: [other for other in judged if other.name == step.name] for step in judged}
+    grouped = judged
     if len({*map(outcome, by_setting.values())}) == 1:  # no setting to tell apart
-        grouped = [replace(step, name=Setting(second)) for step in known]
+        grouped = [replace(step, name=Setting(second)) for step in judged]
     lead, *others = outcomes(first, grouped, unit, "setting")
     is_open = any(finding.undecided for finding in (lead, *others))
     truth = Truth.NO if lead.different else Truth.UNDECIDED if is_open else Truth.YES
     if truth is Truth.UNDECIDED and others:  # what is undecided is why
         others, lead = [lead, *others[:-1]], others[-1]
     return Answer(
-        findings=[Decided(truth, lead), *others, *(step.level(first, unit) for step in known)],
+        findings=[Decided(truth, lead), *others, *(step.level(first, unit) for step in judged)],
         n_lead=1 + len(others),
         tables=tables,
-        figures=forest(known, f"Differences of {second} from {first}"),
-        method=f"Verdicts are adjusted for {len(known)} comparisons (Holm), intervals are not.",
+        figures=forest(judged, f"Differences of {second} from {first}"),
+        method=f"Verdicts are adjusted for {len(judged)} comparisons (Holm), intervals are not.",
     )
 
 
@@ -184,9 +186,9 @@ def _of_lost(lost: Sequence[Alone]) -> Iterator[str]:
     """Members without a partner, the first of each dataset by name."""
     for dataset in dict.fromkeys(row.dataset for row in lost):
         names = [row.member_id for row in lost if row.dataset == dataset]
-        shown = ", ".join(names[:MOST_NAMED]) + (", ..." if len(names) > MOST_NAMED else "")
+        listing = ", ".join(names[:MOST_NAMED]) + (", ..." if len(names) > MOST_NAMED else "")
         has = "has" if len(names) == 1 else "have"
-        yield f"{plural(len(names), 'member')} of {dataset} {has} no partner: {shown}."
+        yield f"{plural(len(names), 'member')} of {dataset} {has} no partner: {listing}."
 
 
 def _of_settings(first: Ensemble, second: Ensemble, settings: AnalysisSettings) -> Iterator[str]:
@@ -202,13 +204,13 @@ def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[s
     title = f"{first.name} beside {second.name}"
     entry = Question(lambda _: answer, title="Do two datasets agree?")
     question = parts.answered("compare", entry, answer, with_pdf=True)
-    part = parts.part(question)
-    inside = part.section((), True, False)
+    answered = parts.part(question)
+    inside = answered.section((), True, False)
     origins = [
         f"{ensemble.name}: " + "".join(f"{name}: {value}. " for name, value in ensemble.provenance.items())
         for ensemble in (first, second)
     ]
-    made = inside._replace(
+    origin = inside._replace(
         key="made",
         title="How was it made?",
         summary=f"{first.name} and {second.name}.",
@@ -217,9 +219,11 @@ def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[s
         table=PageTable(),
     )
     capitals = [*map(capital, notes)]
-    page = Page(title, part.title, part.lead, (), part.panels, inside.table, notes=capitals, sections=[made])
-    findings = parts.findings_json(title, part.lead, [part])
-    return Report(page.html, answer.tables, part.lead, question.figures, findings)
+    page = Page(
+        title, answered.title, answered.lead, (), answered.panels, inside.table, notes=capitals, sections=[origin]
+    )
+    findings = parts.findings_json(title, answered.lead, [answered])
+    return Report(page.html, answer.tables, answered.lead, question.figures, findings)
 
 
 def matched(first: str, mine: Sequence[Group], second: str, theirs: Sequence[Group]) -> list[Match]:
@@ -241,20 +245,20 @@ def matched(first: str, mine: Sequence[Group], second: str, theirs: Sequence[Gro
         If no setting of one can be compared with one of the other.
     """
     shared = [[tuple(group.key[name] for name in SHARED) for group in groups] for groups in (mine, theirs)]
-    near = sorted(
+    candidates = sorted(
         (len(_differ(group, other)), i, j)
         for i, group in enumerate(mine)
         for j, other in enumerate(theirs)
         if shared[0][i] == shared[1][j]
     )
-    if not near:
+    if not candidates:
         has = ["; ".join(f"n = {n}, coupling = {coupling}" for n, coupling in dict.fromkeys(keys)) for keys in shared]
         raise ValueError(
             f"{first} and {second}: expected settings that share {' and '.join(SHARED)}, got {has[0]} in "
             f"{first} and {has[1]} in {second}; run a scene with the same n and coupling to compare them"
         )
     matches: dict[int, int] = {}
-    for _, i, j in near:
+    for _, i, j in candidates:
         if i not in matches and j not in matches.values():
             matches[i] = j
     pairs = [(mine[i], theirs[j]) for i, j in sorted(matches.items())]

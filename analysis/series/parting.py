@@ -85,11 +85,11 @@ def counts(bases: Iterable[ChangePoints], until: Iterable[float], n: int, t_from
     ndarray of int, shape (m, n + 1)
     """
     times = np.arange(t_from + 0.5 * STEP, t_stop, STEP)
-    found = np.zeros((len(times), n + 1), dtype=np.int64)
+    totals = np.zeros((len(times), n + 1), dtype=np.int64)
     for base, t in zip(bases, until, strict=True):
-        known = np.flatnonzero(times < t)
-        found[known, sample(*base, times[known])] += 1
-    return found
+        places = np.flatnonzero(times < t)
+        totals[places, sample(*base, times[places])] += 1
+    return totals
 
 
 def level(runs: np.ndarray) -> float:

@@ -291,8 +291,8 @@ def share_over_matrices(counts: ArrayLike, confidence: float) -> tuple[float, fl
             f" {reprlib.repr(rows.tolist())}; give a row for each matrix"
         )
     z = student.half_width(confidence, np.inf)
-    found = Proportion.of(with_data(rows), is_counted=True)
-    return found.share, *found.ends(z), float(found.scatter.at(z))
+    proportion = Proportion.of(with_data(rows), is_counted=True)
+    return proportion.share, *proportion.ends(z), float(proportion.scatter.at(z))
 
 
 def mean_within(rows: np.ndarray, most: float, confidence: float, is_counted: bool = False) -> Estimate:
@@ -312,9 +312,9 @@ def mean_within(rows: np.ndarray, most: float, confidence: float, is_counted: bo
     rows = with_data(rows)
     if not len(rows):
         return Estimate(reason="no matrix has data")
-    found = Proportion.of(rows / [most, 1.0], is_counted)
-    low, high = found.ends(student.half_width(confidence, np.inf))
-    return Estimate(most * found.share, most * low, most * high)
+    proportion = Proportion.of(rows / [most, 1.0], is_counted)
+    low, high = proportion.ends(student.half_width(confidence, np.inf))
+    return Estimate(most * proportion.share, most * low, most * high)
 
 
 @dataclass(frozen=True)

@@ -42,17 +42,17 @@ def correlation_times(runs: Windows) -> np.ndarray:
     n_stick does not change; `is_short` says where it cannot be known.
     """
     n_changes = np.diff(runs.first) - 1
-    wanted = 2.0 ** (np.floor(np.log2(np.maximum(SAMPLES_A_CHANGE * n_changes, 1))) + 1)
-    wanted = np.clip(wanted, LEAST_SAMPLES, MOST_SAMPLES).astype(int)
-    n_samples = np.minimum(wanted, CORRELATION_SAMPLES)
-    found, todo = np.zeros(len(runs)), np.flatnonzero(n_changes > 0)
+    n_wanted = 2.0 ** (np.floor(np.log2(np.maximum(SAMPLES_A_CHANGE * n_changes, 1))) + 1)
+    n_wanted = np.clip(n_wanted, LEAST_SAMPLES, MOST_SAMPLES).astype(int)
+    n_samples = np.minimum(n_wanted, CORRELATION_SAMPLES)
+    taus, todo = np.zeros(len(runs)), np.flatnonzero(n_changes > 0)
     while len(todo):
-        for some, count in _batches(todo, n_samples):
-            part = runs.take(some)
-            found[some] = _sokal(part.level[part.at(count)].astype(np.float64)) / count
-        todo = todo[(found[todo] * n_samples[todo] < RESOLVED) & (n_samples[todo] < wanted[todo])]
-        n_samples[todo] = np.minimum(FINER * n_samples[todo], wanted[todo])
-    return found * runs.span
+        for batch, count in _batches(todo, n_samples):
+            windows = runs.take(batch)
+            taus[batch] = _sokal(windows.level[windows.at(count)].astype(np.float64)) / count
+        todo = todo[(taus[todo] * n_samples[todo] < RESOLVED) & (n_samples[todo] < n_wanted[todo])]
+        n_samples[todo] = np.minimum(FINER * n_samples[todo], n_wanted[todo])
+    return taus * runs.span
 
 
 def _batches(runs: np.ndarray, n_samples: np.ndarray) -> Iterator[tuple[np.ndarray, int]]:
@@ -93,9 +93,9 @@ def _sokal(samples: np.ndarray) -> np.ndarray:
     taus = np.cumsum(products[moves] / products[moves, :1], axis=1) - 0.5  # the trapezoidal rule halves the first
     wide_enough = np.argmax(np.arange(n) >= SOKAL_WINDOW * taus, axis=1)
     # The sum over an oscillating series can be negative; a window never holds more than its own samples.
-    found = np.zeros(len(samples))
-    found[moves] = np.maximum(np.take_along_axis(taus, wide_enough[:, None], axis=1)[:, 0], 0.5)
-    return found
+    tau_in_samples = np.zeros(len(samples))
+    tau_in_samples[moves] = np.maximum(np.take_along_axis(taus, wide_enough[:, None], axis=1)[:, 0], 0.5)
+    return tau_in_samples
 
 
 def is_short(runs: Windows, taus: np.ndarray) -> np.ndarray:
@@ -111,7 +111,7 @@ def rows(runs: Windows, taus: np.ndarray) -> np.ndarray:
     """
     finest = runs.means(2 * BATCHES)
     tens = finest.reshape(len(runs), BATCHES, 2).mean(axis=2)
-    spread = [runs.span / some.shape[1] * some.var(axis=1, ddof=1) for some in (tens, finest)]
+    spread = [runs.span / means.shape[1] * means.var(axis=1, ddof=1) for means in (tens, finest)]
     return np.column_stack([runs.variance, *spread, 2 * taus * runs.variance])
 
 

@@ -66,13 +66,13 @@ def over_null(
     return Effect(Estimate(value, low, high), test.p_different, test.p_equivalent, margin=test.margin)
 
 
-def together(found: Sequence[Effect], n_primary: int = 0) -> list[Effect]:
+def together(effects: Sequence[Effect], n_primary: int = 0) -> list[Effect]:
     """The effects with adjusted p-values: the first `n_primary` as tested in order, the others by Holm's rule."""
-    known = [k for k, one in enumerate(found) if one.p is not None]
+    known = [k for k, one in enumerate(effects) if one.p is not None]
     n_first = sum(k < n_primary for k in known)
-    each = ([found[k].p or 0.0 for k in known], [found[k].p_equivalent or 0.0 for k in known])
+    each = ([effects[k].p or 0.0 for k in known], [effects[k].p_equivalent or 0.0 for k in known])
     both = (np.concatenate(adjusted(p[:n_first], p[n_first:])) for p in each)
-    out = list(found)
+    out = list(effects)
     for k, p, p_equivalent in zip(known, *both, strict=True):
         out[k] = replace(out[k], p_adjusted=float(p), p_equivalent_adjusted=float(p_equivalent))
     return out

@@ -10,10 +10,8 @@ from stickslip.analysis.series.windows import Windows
 from stickslip.analysis.stats.compare import equivalence_test
 from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, jackknife
 
-ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN = (
-    "enough", "few matrices", "few cascades", "drifts", "drift unknown",
-)  # fmt: skip
-CODES = (ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN)
+CODES = ("enough", "few matrices", "few cascades", "drifts", "drift unknown")
+ENOUGH, FEW_MATRICES, FEW_CASCADES, DRIFTS, DRIFT_UNKNOWN = CODES
 JUDGED = (ENOUGH, DRIFT_UNKNOWN)
 LEAST_MATRICES = 4  # with fewer, a jackknife-t interval has two degrees of freedom or less; from 4 on it covers
 LEAST_CASCADES = 200  # in all runs: gamma is then known to about a tenth

@@ -61,9 +61,11 @@ class Family:
 EXPONENTIAL = Family("exponential", lambda k: k[:, None], lambda p: {"gamma": float(p[0])})
 POWER_LAW = Family("power law", lambda k: np.log(k)[:, None], lambda p: {"alpha": float(p[0])})
 CUT_OFF = Family(
-    "cut-off power law", lambda k: np.column_stack([np.log(k), k]),
-    lambda p: {"alpha": float(p[0]), "lambda": float(p[1])}, bounded=(1,),
-)  # fmt: skip
+    "cut-off power law",
+    lambda k: np.column_stack([np.log(k), k]),
+    lambda p: {"alpha": float(p[0]), "lambda": float(p[1])},
+    bounded=(1,),
+)
 
 
 @dataclass(frozen=True)
@@ -140,10 +142,10 @@ def truncate(histogram: np.ndarray, k_min: int, k_max: int) -> tuple[np.ndarray,
     if counts[..., k_max + 1 :].any():
         largest = int(np.flatnonzero(counts.reshape(-1, counts.shape[-1]).any(axis=0))[-1])
         raise ValueError(f"k_max: expected at least the largest size, {largest}, got {k_max}")
-    kept = np.zeros((*counts.shape[:-1], k_max - k_min + 1))
-    seen = counts[..., k_min : k_max + 1]
-    kept[..., : seen.shape[-1]] = seen
-    return np.arange(k_min, k_max + 1, dtype=np.float64), kept
+    histogram_cut = np.zeros((*counts.shape[:-1], k_max - k_min + 1))
+    sizes_seen = counts[..., k_min : k_max + 1]
+    histogram_cut[..., : sizes_seen.shape[-1]] = sizes_seen
+    return np.arange(k_min, k_max + 1, dtype=np.float64), histogram_cut
 
 
 def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
@@ -190,11 +192,11 @@ def _climb(family: Family, sizes: np.ndarray, shares: np.ndarray, free: list[int
     for _ in range(MOST_STEPS):
         score, step = shares @ fit.scores(), np.zeros(len(fit.theta))
         step[free] = np.linalg.solve(fit.information(), score)
-        gain, moved = score @ step[free], at(fit.theta + step)
-        while moved.log_likelihood < fit.log_likelihood - EPS:
+        gain, next_fit = score @ step[free], at(fit.theta + step)
+        while next_fit.log_likelihood < fit.log_likelihood - EPS:
             step = step / 2
-            moved = at(fit.theta + step)
-        fit = moved
+            next_fit = at(fit.theta + step)
+        fit = next_fit
         if gain < EPS:
             return fit
     raise Undefined("the maximum of the likelihood was not found")
@@ -209,6 +211,6 @@ def parameter(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Es
     if which not in fit.free or n < 2:
         return Estimate(value, reason="one matrix" if n < 2 else "on its bound")
     rest = counts.sum() - counts.sum(axis=1)
-    moved = -np.linalg.solve(fit.information(), fit.scores().T @ counts.T)[fit.free.index(which)] / rest
-    half = student.half_width(confidence, n - 1) * jackknife_error(moved)
+    shifts = -np.linalg.solve(fit.information(), fit.scores().T @ counts.T)[fit.free.index(which)] / rest
+    half = student.half_width(confidence, n - 1) * jackknife_error(shifts)
     return Estimate(value, value - half, value + half)

@@ -106,10 +106,10 @@ def goodness(
         For the signs.
     family : Family
     """
-    seen = counts[counts.sum(axis=1) > 0]
-    n, total = len(seen), seen.sum()
+    histograms = counts[counts.sum(axis=1) > 0]
+    n, total = len(histograms), histograms.sum()
     try:
-        fit = maximise(family, sizes, seen.sum(axis=0))
+        fit = maximise(family, sizes, histograms.sum(axis=0))
     except Undefined as undefined:
         return Goodness(reason=str(undefined))
     above = total * (1.0 - np.cumsum(fit.shares()))
@@ -117,13 +117,13 @@ def goodness(
     if len(judged) < 2:
         return Goodness(reason="few cascades")
     below = (sizes[:, None] <= sizes[judged]).astype(np.float64)
-    parts = effective(seen, below, fit) / total
-    gaps = parts.sum(axis=0)
+    contributions = effective(histograms, below, fit) / total
+    gaps = contributions.sum(axis=0)
     worst = int(np.abs(gaps).argmax())
     gap, at = float(abs(gaps[worst])), int(sizes[judged[worst]])
     if not flips.suffice(n, confidence):
         return Goodness(gap, at, reason="few matrices")
-    flipped = np.abs(flips.patterns(n, rng) @ parts / np.sqrt((parts**2).sum(axis=0)))
+    flipped = np.abs(flips.patterns(n, rng) @ contributions / np.sqrt((contributions**2).sum(axis=0)))
     p_floor = flips.floor(n)
     p_values = []
     for cut in CUTS:

@@ -37,11 +37,13 @@ SUMS: Mapping[tuple[str, ...], Sums] = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity: its name in tables, the names of its two sums, and the statistic of these."""
+    """A quantity: its names in tables and in sentences, its two sums, their statistic, and what it counts, if any."""
 
     label: str
+    title: str
     parts: tuple[str, str]
     of: Statistic = ratio
+    things: str = ""
 
     def sums(self, runs: Windows) -> np.ndarray:
         """Its two sums over each window, shape (R, 2)."""
@@ -54,9 +56,11 @@ class Quantity:
 
 #: By the name under which a scene declares a margin.
 QUANTITIES: Mapping[str, Quantity] = {
-    "mean": Quantity("mean n_stick", ("mean", "runs")),
-    "variance": Quantity("variance of n_stick in time", ("variance", "runs")),
-    "rate": Quantity("exit rate", ("rate", "runs")),
-    "gamma": Quantity("gamma", ("slipped", "cascades"), gamma),
-    "correlation_time": Quantity("correlation time", ("tau", "timed")),
+    "mean": Quantity("mean n_stick", "mean number of sticking blocks", ("mean", "runs"), things="sticking blocks"),
+    "variance": Quantity(
+        "variance of n_stick in time", "variance of the number of sticking blocks", ("variance", "runs")
+    ),
+    "rate": Quantity("exit rate", "rate of slip onsets", ("rate", "runs"), things="slip onsets"),
+    "gamma": Quantity("gamma", "decay rate of cascade sizes", ("slipped", "cascades"), gamma),
+    "correlation_time": Quantity("correlation time", "correlation time", ("tau", "timed")),
 }

@@ -125,12 +125,13 @@ def run_ensemble(
         check_memory(scene, workers)
     rows = None if kept is None else KeptRows(open_dataset(kept))
     store = Store(out, scene, retry_failed, accept_version, () if rows is None else rows.opened.manifest.programs)
-    if scene.own_record is not None:  # before anything is written
+    is_measured = rows is not None and scene.own_record in rows.opened.scene.records
+    if scene.own_record is not None and not is_measured:  # before anything is written
         check_functions(scene, store.look()[1])
     with store:
         runs = [task[0].members if rows is None else rows.left(task) for task in store.todo]
         firsts = [member for members in runs for member in members.firsts()]
-        _look_at_origins(firsts, scene.own_functions if store.todo else ())
+        _look_at_origins(firsts, scene.own_functions if firsts else ())
 
         def order(task: Task) -> Order:
             return (*task, None if rows is None else rows.of(task))

@@ -62,8 +62,9 @@ def with_records(opened: Opened, record: Mapping[str, Any]) -> Scene:
     scene, folder = opened.scene, opened.folder
     tables = parse_toml(scene.source, "scene")
     there = tables.get("record", {})
-    keys = there | plain(record)
-    if names := named_functions(keys.get(OwnRecord.name)):
+    more = plain(record)
+    keys = there | more
+    if names := named_functions(more.get(OwnRecord.name)):
         names = [*dict.fromkeys([*named_functions(there.get(OwnRecord.name)), *names])]
         folder = folder_with(names[0].partition(":")[0], folder)
         keys |= {OwnRecord.name: names, "functions": look_at_functions(names, folder)}

@@ -107,7 +107,7 @@ def test_the_primary_comparison_of_independent_blocks_is_not_adjusted(planted, r
     first, *others = exits.compared
     assert first.part == Part(Kind.FANO, 20.0)  # 580 units hold twenty windows of 20, not of 40
     assert first.difference.family is None
-    assert 0.5 < first.effect.ratio.value < 2
+    assert 0.5 < first.ratio.value < 2
     assert {one.difference.family.n for one in others} == {len(others)}
     (found,), _ = triggering.triggered(exits, EVERYWHERE, "system")
     assert found.estimate.high < 0.1 if is_limit(found) else found.estimate.low < 0.05
@@ -141,7 +141,7 @@ def is_limit(share):
 
 
 def planted_pairs(rows, n_exits, gap, confidence):
-    compared = triggering.compare(rows, [Part(Kind.FANO, 20.0), Part(Kind.PAIRS, 0.2)], confidence)
+    compared = triggering.compare("", rows, [Part(Kind.FANO, 20.0), Part(Kind.PAIRS, 0.2)], confidence)
     return triggering.Exits(None, compared, [], len(rows), n_exits, gap)
 
 
@@ -168,7 +168,7 @@ def test_the_limit_is_not_tight_by_luck(rng):
         (found,), _ = triggering.triggered(exits, EVERYWHERE, "system")
         held += found.estimate.high >= 0.0006
         if is_limit(found):
-            effect = exits.compared[1].effect.ratio
+            effect = exits.compared[1].ratio
             half = np.sqrt(effect.high / effect.low) - 1.0  # of the interval of the logarithm
             assert found.estimate.high >= 0.999 * half * pairs_an_exit
     assert agrees(held, sets, 0.95, 1.0)
@@ -195,7 +195,7 @@ def test_the_answer_leads_with_one_number_and_is_the_same_twice(planted, rng):
         assert len(sentence(one.findings[0]).split()) <= 25
         lead = one.findings[0]
         assert isinstance(lead, Share | Lack)
-        assert set(one.tables) == {"rhythm", "rhythm_spectrum", "clustering", "spectrum"}
+        assert set(one.tables) == {"clustering", "spectrum"}
         for name, table in one.tables.items():
             pd.testing.assert_frame_equal(table, other.tables[name])
             assert all(value == value for row in records(table) for value in row.values())  # null, never NaN

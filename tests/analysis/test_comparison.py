@@ -135,13 +135,8 @@ def test_members_without_a_partner_are_named(planted):
     other = compare(first, ensemble(planted, "second", draw=1, n_matrices=4, seed=1), SETTINGS)
     assert other.tables["alone"].empty
     more = compare(ensemble(planted, "more", n_matrices=4, engines=("coulomb", "sigmoid")), second, SETTINGS)
+    assert "4 members of more have no partner: sigmoid-000, sigmoid-001, sigmoid-002, ..." in text_of(more)
     assert more.tables["alone"]["member_id"].tolist() == [f"sigmoid-{k:03d}" for k in range(4)]
-
-
-def test_settings_without_a_counterpart_are_named(planted):
-    one, both = ensemble(planted, "one"), ensemble(planted, "both", engines=("coulomb", "sigmoid"))
-    report = compare(one, both, SETTINGS)
-    assert "20 members of both have no partner: sigmoid-000, sigmoid-001, sigmoid-002, ..." in text_of(report)
 
 
 def test_margins_and_t_burn_of_the_first_are_used_and_said(planted):

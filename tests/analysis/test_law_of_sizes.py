@@ -89,7 +89,7 @@ def test_the_interval_alone_tells_the_rate_from_that_of_a_coin(planted, settings
     assert level.estimate.low < rate < level.estimate.high
     assert verdict(level) is side
     assert level.basis.n == 20
-    assert answer.tables["law"]["difference"][0] == pytest.approx(level.estimate.value - LN2)
+    assert level.comparison.difference.estimate.value == pytest.approx(level.estimate.value / LN2 - 1)
     assert len(sentence(answer.findings[0]).split()) <= 25
 
 

@@ -244,7 +244,7 @@ def test_two_swept_keys_are_told_apart(recorded, settings):
     axes = {"kappa": [0.01, 0.1, 1.0], "belt_speed": [-0.2, -0.1]}
     data = recorded({"speed": lambda rng, matrix, kappa, v: 100 * kappa + 1e-3 * matrix + 0.02 * v}, axes=axes)
     answer = changes_of(Study(data, settings))
-    assert list(answer.figures) == ["sweep_of_speed", "sweep_map"]
+    assert list(answer.figures) == ["sweep_of_speed"]
     found = {one.keys[0].key: one.difference.verdict for one in answer.findings[: answer.n_lead]}
     assert found == {"kappa": Verdict.MORE, "belt_speed": Verdict.MORE}
     assert answer.findings[0].keys[0].key == "kappa", "the larger one leads"
@@ -356,7 +356,7 @@ def test_what_is_beyond_both_ends_of_a_key_is_told(recorded, settings):
 
 
 def test_averages_are_over_values_that_have_one_throughout(recorded, settings):
-    """Of two friction coefficients one has no period at some starts: a map of averages would jump there."""
+    """Of two friction coefficients one has no period at some starts: averages would jump there."""
     axes = {"z0": [0.0, 1.0, 2.0, 3.0], "w0": [0.0, 1.0, 2.0], "friction": [1.0, 2.0]}
 
     def period(rng, matrix, z, w, friction):
@@ -364,10 +364,8 @@ def test_averages_are_over_values_that_have_one_throughout(recorded, settings):
 
     data = recorded({"period": period}, n_matrices=1, axes=axes)
     figures = changes_of(Study(data, settings)).figures
-    (ax, *_) = figures["sweep_map"].recipe().axes
-    assert np.unique(ax.images[0].get_array()).tolist() == [7.0]
     (ax, *_) = figures["sweep_of_period"].recipe().axes
-    assert {*np.concatenate([line.get_ydata() for line in ax.lines if len(line.get_ydata()) == 4])} == {7.0}
+    assert {*np.concatenate([line.get_ydata() for line in ax.lines if len(line.get_ydata()) > 2])} == {7.0}
 
 
 def test_a_change_at_some_values_of_another_key_says_at_which(recorded, settings):
@@ -588,15 +586,3 @@ def test_each_row_has_a_value_or_a_reason(recorded, settings):
     assert 0 < lacks.sum() < len(table)
     assert table["reason"][lacks].notna().all()
     assert table["reason"][~lacks & table["estimate_low"].isna()].notna().all()
-
-
-def test_measures_whose_names_end_in_numbers_keep_their_figures(recorded, settings):
-    axes = {"belt_speed": SPEEDS, "kappa": [0.1, 0.2, 0.3]}
-    data = recorded({name: lambda _, matrix, v, k: 3 + v + 0.01 * matrix for name in ("q", "q_2")}, axes=axes)
-    members = data.members
-    twice = pd.concat([members, members.assign(member_id=members["member_id"] + "b", n=100)], ignore_index=True)
-    series = {**data.series, **{f"{name}b": one for name, one in data.series.items()}}
-    values = {name: dict(one.values) for name, one in data.recorded.items()}
-    own = {name: Recorded(WORDS, some | {f"{k}b": 2 * x for k, x in some.items()}) for name, some in values.items()}
-    figures = changes_of(Study(Data(twice, series, recorded=own), settings)).figures
-    assert {"sweep_of_q", "sweep_of_q_2", "sweep_of_q-2", "sweep_of_q_2-2", "sweep_map", "sweep_map-2"} <= {*figures}

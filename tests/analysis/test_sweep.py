@@ -116,7 +116,7 @@ def test_a_grid_tells_which_key_it_is(swept, settings):
     assert len(answer.tables["sweep_measures"].query("measure == 'share in motion'")) == 30
     report = build(data, settings, "Grid", "", {})
     assert "as kappa goes from 0.2 to 0.25" in report.headline[1]
-    assert {"sweep_map", "sweep_mean"} <= {*report.figures}
+    assert "sweep_mean" in report.figures
     assert "&lt;" not in report.html
 
 
@@ -129,7 +129,7 @@ def test_rows_of_two_settings_are_told_apart(planted, swept, settings):
         dict(exact.series) | {f"{name}s": one for name, one in exact.series.items()},
     )
     found = [one for one in changes_of(Study(both, settings)).findings if isinstance(one, Changed)]
-    assert {str(one.where) for one in found} == {"n = 500, exact", "n = 500, sigmoid, eps = 0.03, stick = convergent"}
+    assert {str(one.where) for one in found} == {"exact", "sigmoid, eps = 0.03, stick = convergent"}
     alone = [one for one in changes_of(Study(exact, settings)).findings if isinstance(one, Changed)]
     assert {one.where for one in alone} == {EVERYWHERE}
 
@@ -240,15 +240,6 @@ def test_nothing_swept_is_not_asked_and_too_few_is_said(planted, swept, settings
 
 
 @pytest.mark.drawn
-def test_every_figure_is_drawn(swept, settings):
-    axes = {"belt_speed": [-0.1, -0.2, -0.3], "kappa": [0.2, 0.3]}
-    data = swept(axes, lambda at, matrix: 100 * at["kappa"])
-    data = ended(data, data.members["kappa"] == 0.3, "diverged")
-    report = build(data, settings, "Drawn", "", {})
-    assert {"sweep_map", "sweep_fates", "sweep_mean", "sweep_gamma"} <= set(report.figures)
-
-
-@pytest.mark.drawn
 @pytest.mark.parametrize("key", ["belt_speed", "friction"])
 def test_figures_draw_what_the_table_says(swept, settings, key):
     """Where values are numbers they stand to scale, where they are distributions they are named."""
@@ -274,7 +265,9 @@ def test_figures_draw_what_the_table_says(swept, settings, key):
         np.testing.assert_allclose(np.asarray(line.lines[0].get_xdata(), float), places, atol=0.01 * np.ptp(places))
     if key == "friction":
         assert [label.get_text() for label in axes.get_xticklabels()] == [*map(str, laws.values())]
-    np.testing.assert_allclose(answer.figures["sweep_map"].recipe().axes[0].images[0].get_array(), means)
+        return
+    away = ended(data, data.members["kappa"] == 0.3, "diverged")
+    assert {"sweep_fates", "sweep_mean", "sweep_gamma"} <= set(build(away, settings, "Drawn", "", {}).figures)
 
 
 def test_a_change_in_several_settings_is_told_of_all_of_them(swept, settings):
@@ -287,7 +280,7 @@ def test_a_change_in_several_settings_is_told_of_all_of_them(swept, settings):
     answer = changes_of(Study(Data(pd.concat(members, ignore_index=True), series), settings))
     lead = answer.findings[: answer.n_lead]
     assert {str(one.where): one.difference.verdict for one in lead} == {
-        "n = 500, exact": Verdict.EQUAL, "n = 600, exact": Verdict.MORE,
+        "n = 500": Verdict.EQUAL, "n = 600": Verdict.MORE,
     }  # fmt: skip
 
 

@@ -44,21 +44,22 @@ COURSE = "belt_speed = {times = [0.0, 2.0], values = [-0.1, -0.2]}\nback_slip = 
 )
 def test_a_system_is_made_again_from_its_row(coupling, more, tmp_path, monkeypatch):
     plain = parse_scene(SCENE.format(coupling=coupling, more=more, record=""))
-    run_ensemble(plain, tmp_path, workers=0)
+    run_ensemble(plain, tmp_path / "plain", workers=0)
 
     def run(*_):
         raise AssertionError("runs are not made again")
 
     monkeypatch.setattr(worker, "_result", run)
-    extend(tmp_path, {"constants": True}, workers=0)
-    assert verify(tmp_path) == []
-    file = tmp_path.with_suffix(".nc")
-    netcdf.write(tmp_path, file)
+    out = tmp_path / "out"
+    extend(tmp_path / "plain", {"constants": True}, out, workers=0)
+    assert verify(out) == []
+    file = tmp_path / "out.nc"
+    netcdf.write(out, file)
     with netCDF4.Dataset(file) as written:  # of a null list the file has NaN
         belts, sizes = written["constant_belt_speed"][:].filled(np.nan), written["block_row_size"][:]
     assert len(belts) == sizes.sum()
     assert np.isnan(belts).all() == (more == COURSE)
-    rows = {row["member_id"]: row for row in ds.dataset(tmp_path / "data").to_table().to_pylist()}
+    rows = {row["member_id"]: row for row in ds.dataset(out / "data").to_table().to_pylist()}
     for member in expand(plain):
         row, system = rows[member.member_id], member.system()
         lists = {key.removeprefix("constant_"): one for key, one in row.items() if "constant_" in key}

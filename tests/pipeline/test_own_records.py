@@ -532,35 +532,31 @@ def test_it_is_added_to_a_dataset_that_is_finished(text, tmp_path, content, monk
     plain = text.replace('t_burn = 2.0\nown = ["mine:counted", "mine:fastest"]\ndt = 0.5\n', "")
     (tmp_path / "plain.toml").write_text(plain)
     run_ensemble(load_scene(tmp_path / "plain.toml"), tmp_path / "runs" / "out", workers=0)
-    with pytest.raises(StoreError, match=r"extend .* --record mine:counted mine:fastest t_burn=2\.0 dt=0\.5"):
-        run_ensemble(load_scene(file), tmp_path / "runs" / "out", workers=0)
     monkeypatch.chdir(tmp_path)
-    names = ["mine:counted", "mine:fastest"]
-    assert main(["extend", "runs/out", "--dry-run", "--record", *names, "t_burn=2.0", "dt=0.5"]) == 0
-    assert (
-        "events_after, Share, leaves, busiest, fastest, n_samples, own_problem, own_lost" in capsys.readouterr().out
-    )
-    extend(tmp_path / "runs" / "out", {"own": names, "t_burn": 2.0, "dt": 0.5}, workers=0)
-    assert content(tmp_path / "runs" / "out" / "data") == content(tmp_path / "whole" / "data")
-    run_ensemble(load_scene(file), tmp_path / "runs" / "out", workers=0)  # it is the scene's
+    names, out = ["mine:counted", "mine:fastest"], tmp_path / "runs" / "more"
+    words = ["--record", *names, "t_burn=2.0", "dt=0.5", "--out", "runs/more", "--dry-run"]
+    assert main(["extend", "runs/out", *words]) == 0
+    assert "to run  " in capsys.readouterr().out
+    extend(tmp_path / "runs" / "out", {"own": names, "t_burn": 2.0, "dt": 0.5}, out, workers=0)
+    assert content(out / "data") == content(tmp_path / "whole" / "data")
+    run_ensemble(load_scene(file), out, workers=0)  # it is the scene's
     function._module.cache_clear()
     (tmp_path / "mine.py").unlink()
-    extend(tmp_path / "runs" / "out", {"waiting": True}, workers=0)
-    extend(tmp_path / "runs" / "out", {"amplitude": True}, workers=0)
-    more = {"waiting_count", "amplitude"}
-    assert more <= {*query.members(tmp_path / "runs" / "out").columns}
-    assert query.members(tmp_path / "runs" / "out").own_problem.isna().all()
+    extend(out, {"waiting": True}, tmp_path / "last", workers=0)
+    assert {*query.members(out).columns} < {*query.members(tmp_path / "last").columns}
+    assert query.members(tmp_path / "last").own_problem.isna().all()
+    with pytest.raises(SceneError, match=r"record\.own: "):  # of members that run again it measures too
+        extend(out, {"amplitude": True}, tmp_path / "none", workers=0)
 
 
 @pytest.mark.parametrize("line", ["raise KeyError(1)", "return Measured(np.random.default_rng().random())"])
-def test_one_that_goes_wrong_is_not_added(line, text, tmp_path, content):
+def test_one_that_goes_wrong_is_not_added(line, text, tmp_path):
     mine = one(line)
     file = written(tmp_path, short(text).replace('own = "mine:one"', ""), mine)
     file.write_text(file.read_text().replace("t_burn = 2.0\n", "", 1))
     run_ensemble(load_scene(file), tmp_path / "out", workers=0)
-    before = content(tmp_path / "out")
     with pytest.raises(SceneError, match=r"record\.own: mine:one"):
-        extend(tmp_path / "out", {"own": "mine:one"}, workers=0)
+        extend(tmp_path / "out", {"own": "mine:one"}, tmp_path / "more", workers=0)
     with pytest.raises(SceneError, match=r"record\.own: expected the module 'none'"):
-        extend(tmp_path / "out", {"own": ["none:one"]}, workers=0)
-    assert content(tmp_path / "out") == before
+        extend(tmp_path / "out", {"own": ["none:one"]}, tmp_path / "more", workers=0)
+    assert not (tmp_path / "more").exists()

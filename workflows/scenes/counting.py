@@ -16,15 +16,15 @@ Every block slips at both ends of a lull, so its series continue across the cut.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter, NullLocator, PercentFormatter
 
-from stickslip.analysis.answer import Answer, F, I, Picture, Row, S, frame, lack, named, systems
+from stickslip.analysis.answer import Answer, Picture, lack, systems
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import (
     Basis,
@@ -54,6 +54,7 @@ from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, forest, panel
 EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$np(1-p)$", r"$np(1-p)\,(\gamma/\ln 2-1)$"  # on the axes
 #: Largest number of times that a run's blocks are shifted: their rate is known that much better than the run's.
 SHIFTS = 30
+WHAT = "the parts of the decay rate"
 WHOLE = Quantity("excess", "excess over ln 2", Form.SHARE)
 PARTS = (
     Quantity("finite_size", "finite size", Form.SHARE),
@@ -61,17 +62,56 @@ PARTS = (
     Quantity("coupling", "coupling", Form.SHARE),
 )
 RISE = Quantity("rise", "rise of the chance of a slip onset with each sticking block", Form.SHARE)
-_ESTIMATES = ("excess", "finite_size", "own_dynamics", "coupling", "time_shifted", "rise", "rise_over_two_state")
-_TABLE: Mapping[str, str] = {
-    "group": S, "n": I, "n_matrices": I, "n_cascades": I, "mean": F, "variance": F, "share_in_lulls": F,
-    **{f"{name}{end}": F for name in _ESTIMATES for end in ("", "_low", "_high")},
-    "rise_of_two_state": F,
-}  # fmt: skip
 
 #: Columns of `run_sums`, a numerator and a denominator each: total size and number of cascades of the run, the same
 #: of its blocks shifted in time, integral of n_stick and time, and the sums of the slope.
 OBSERVED, ROTATED, MEAN, SLOPE = (slice(k, k + 2) for k in (0, 2, 4, 6))
 N_COLUMNS = 8
+
+
+@dataclass(frozen=True)
+class Counted:
+    """A group without its lulls.
+
+    Attributes
+    ----------
+    group : Group
+    rows : ndarray, shape (G, N_COLUMNS)
+        `run_sums` of the systems that have cascades.
+    is_judged : bool
+        Whether the runs allow a statistic of a steady state.
+    share_in_lulls : float
+    estimates : dict of str to Estimate
+        By the names of `parts`.
+    """
+
+    group: Group
+    rows: np.ndarray
+    is_judged: bool
+    share_in_lulls: float
+    estimates: dict[str, Estimate]
+
+    @property
+    def n(self) -> int:
+        """Number of blocks."""
+        return int(self.group.key["n"])
+
+    @property
+    def variance(self) -> float:
+        """n p (1 - p), where a share p sticks."""
+        mean = float(ratio(self.rows[:, MEAN].sum(axis=0, keepdims=True))[0])
+        return mean * (1 - mean / self.n)
+
+    @property
+    def others(self) -> list[object]:
+        """What a group shares with groups of other n."""
+        return [self.group.key[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name != "n"]
+
+    @property
+    def couplings(self) -> list[Estimate]:
+        """Of each system whose sizes have decay rates: not all of them are 1, nor of its time-shifted blocks."""
+        known = (self.rows[:, [0, 2]] > self.rows[:, [1, 3]]).all(axis=1) & (self.rows[:, [1, 3]] > 0).all(axis=1)
+        return [Estimate(float(value)) for value in parts(self.n)["coupling"](self.rows[known])]
 
 
 def question(study: Study) -> Answer | None:
@@ -82,87 +122,61 @@ def question(study: Study) -> Answer | None:
     coupling that of the runs over shifted blocks. Stretches of more than 20 in which no block sticks are left out.
     """
     if not study.data.events:
-        return Answer(findings=[Lack("the parts of the decay rate", Reason.NOT_RECORDED, "events")])
-    rows = [row for group in study.groups if (row := _row(study, group)) is not None]
-    table = {"counting": frame(_TABLE, rows)}
-    known = [row for row in rows if row["is_judged"] and row["coupling_low"] is not None]
-    if not known:
-        what = "the parts of the decay rate"
-        missing = Lack(what, Reason.NOTHING_COUNTED) if study.judged() else lack(study, what)
-        return Answer(findings=[missing], tables=table)
-    lead = min(known, key=lambda row: (row["n_runs"] > row["n_moving"], -row["n"]))  # no survivors first
-    alike = sorted(
-        (row for row in rows if row["of"] == lead["of"] and row["coupling_low"] is not None), key=lambda row: row["n"]
-    )
-    judged = [lead, *(row for row in reversed(alike) if row is not lead and row in known)]
-    findings: list[Finding] = [_parts(study, row, len(judged) > 1) for row in judged]
-    slope = Difference(_estimate(lead, "rise_over_two_state"))
-    where, basis = _where(lead, len(judged) > 1), Basis(lead["n_matrices"], systems(study))
-    findings.append(
-        Level(RISE, _estimate(lead, "rise"), where, Comparison("independent two-state blocks", slope), basis)
-    )
-    return Answer(findings=findings, tables=table, figures={"counting": _picture(alike, lead)})
+        return Answer(findings=[Lack(WHAT, Reason.NOT_RECORDED, "events")])
+    every = [part for group in study.groups if (part := counted(study, group)) is not None]
+    every = [part for part in every if part.estimates["coupling"].low is not None]
+    judged = [part for part in every if part.is_judged]
+    if not judged:
+        return Answer(findings=[Lack(WHAT, Reason.NOTHING_COUNTED) if study.judged() else lack(study, WHAT)])
+    lead = min(judged, key=lambda part: (len(part.group) > part.group.n_moving, -part.n))  # no survivors first
+    alike = sorted((part for part in every if part.others == lead.others), key=lambda part: part.n)
+    told = [lead, *(part for part in reversed(alike) if part is not lead and part.is_judged)]
+    unit, is_swept = systems(study), len(told) > 1
+    findings: list[Finding] = [_parts(part, is_swept, unit) for part in told]
+    slope = Comparison("independent two-state blocks", Difference(lead.estimates["rise_over_two_state"]))
+    basis = Basis(len(lead.rows), unit)
+    findings.append(Level(RISE, lead.estimates["rise"], _where(lead, is_swept), slope, basis))
+    return Answer(findings=findings, figures={"counting": _picture(alike, lead)})
 
 
-def _picture(rows: Sequence[Row], lead: Row) -> Picture:
+def _picture(every: Sequence[Counted], lead: Counted) -> Picture:
     """The excess of several numbers of blocks, or the coupling of each system of one."""
-    if len(rows) == 1:
-        each = [Estimate(value) for value in lead["each"]]
-        recipe = partial(forest, each, _estimate(lead, "coupling"), "coupling, relative to ln 2", (0.0, "none"))
+    if len(every) == 1:
+        coupling = lead.estimates["coupling"]
+        recipe = partial(forest, lead.couplings, coupling, "coupling, relative to ln 2", (0.0, "none"))
         return Picture(recipe, "Coupling in each system, and in all together with its interval (diamond, band).")
-    faint = "" if all(row["is_judged"] for row in rows) else " Faint: not in a steady state."
+    faint = "" if all(part.is_judged for part in every) else " Faint: not in a steady state."
     return Picture(
-        partial(by_number, rows),
+        partial(by_number, every),
         "Coupling is the distance of the runs from time-shifted blocks; line and diamonds: the same "
         f"number of independent two-state blocks, of which a share p sticks. "
         f"Below, times n p (1 − p): finite size is level.{faint}",
     )
 
 
-def _where(row: Row, is_swept: bool) -> Place:
-    return Place.key("n", str(row["n"])) if is_swept else EVERYWHERE
+def _where(part: Counted, is_swept: bool) -> Place:
+    return Place.key("n", str(part.n)) if is_swept else EVERYWHERE
 
 
-def _estimate(row: Row, name: str) -> Estimate:
-    return Estimate(*(row[f"{name}{end}"] for end in ("", "_low", "_high")))
+def _parts(part: Counted, is_swept: bool, unit: str) -> Parts:
+    where, basis = _where(part, is_swept), Basis(len(part.rows), unit)
+    whole, *each = (Level(one, part.estimates[one.key], where, basis=basis) for one in (WHOLE, *PARTS))
+    return Parts(whole, tuple(each))
 
 
-def _parts(study: Study, row: Row, is_swept: bool) -> Parts:
-    where, basis = _where(row, is_swept), Basis(row["n_matrices"], systems(study))
-    whole, *parts = (Level(one, _estimate(row, one.key), where, basis=basis) for one in (WHOLE, *PARTS))
-    return Parts(whole, tuple(parts))
-
-
-def _row(study: Study, group: Group) -> Row | None:
-    """Row of the table `counting`: the parts of a group without its lulls; None if it has no events."""
-    level, n = study.settings.confidence, int(group.key["n"])
-    found = study.sums(group, partial(_of_run, min(study.settings.resamples, SHIFTS)), N_COLUMNS + 6)
-    sums, halves, spans = np.hsplit(found[:, :-1], (N_COLUMNS, N_COLUMNS + 4))
-    lulls, total = spans.sum(axis=0)
-    cascades = sums[:, OBSERVED][:, 1]
-    sums, halves, of = sums[cascades > 0], halves[cascades > 0], parts(n)
-    if not len(sums):
+def counted(study: Study, group: Group) -> Counted | None:
+    """The parts of a group without its lulls; None if it has no events."""
+    level = study.settings.confidence
+    flat = study.sums(group, partial(_of_run, min(study.settings.resamples, SHIFTS)), N_COLUMNS + 6)
+    rows, halves, spans = np.hsplit(flat[:, :-1], (N_COLUMNS, N_COLUMNS + 4))
+    in_lulls, total = spans.sum(axis=0)
+    n_cascades = rows[:, OBSERVED][:, 1]
+    rows, halves = rows[n_cascades > 0], halves[n_cascades > 0]
+    if not len(rows):
         return None
-    basis = enough.basis(halves[:, :3] / halves[:, 3:], int(cascades.sum()), level)
-    estimates = {name: over_matrices(of[name], sums, level) for name in _ESTIMATES}
-    mean = float(ratio(sums[:, MEAN].sum(axis=0, keepdims=True))[0])
-    row: Row = {
-        "group": group.label, "n": n, "n_matrices": len(sums), "n_cascades": basis.n_cascades,
-        "is_judged": basis.code in enough.JUDGED,
-        "mean": mean, "variance": mean * (1 - mean / n), "share_in_lulls": float(lulls / total),
-        "n_runs": len(group), "n_moving": group.n_moving,
-        "each": [float(of["coupling"](system[None])[0]) for system in sums if _has_rates(system)],
-        "rise_of_two_state": pool.slope(n, mean) if pool.is_one(n, mean) else None,
-        "of": [group.key[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name != "n"],
-    }  # fmt: skip
-    for name, one in estimates.items():
-        row |= named(name, one)
-    return row
-
-
-def _has_rates(system: np.ndarray) -> bool:
-    """Whether the sizes of a system have decay rates: not all of them are 1, nor of its time-shifted blocks."""
-    return all(system[columns][0] > system[columns][1] > 0 for columns in (OBSERVED, ROTATED))
+    basis = enough.basis(halves[:, :3] / halves[:, 3:], int(n_cascades.sum()), level)
+    estimates = {name: over_matrices(of, rows, level) for name, of in parts(int(group.key["n"])).items()}
+    return Counted(group, rows, basis.code in enough.JUDGED, float(in_lulls / total), estimates)
 
 
 def _of_run(draws: int, run: Run) -> np.ndarray | None:
@@ -266,27 +280,27 @@ def parts(n: int) -> dict[str, Statistic]:
 # ---------------------------------------- figures
 
 
-def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
+def _lines(ax: Axes, every: Sequence[Counted], scaled: bool) -> None:
     """The excess of runs and of three nulls against n p (1 - p); times it if `scaled`, which levels finite size.
 
     Groups that are not judged are faint.
     """
-    x, known = (np.array([row[name] for row in rows]) for name in ("variance", "is_judged"))
+    x, is_judged = np.array([part.variance for part in every]), np.array([part.is_judged for part in every])
     fine = np.geomspace(x.min() / 1.5, x.max() * 1.5, 60)
     scale, of_line = (x, np.ones(len(fine))) if scaled else (np.ones(len(x)), 1 / fine)
     ax.axhline(0.0, linestyle="--", color=GREY, linewidth=1, label="fair coin")
     ax.plot(fine, 0.25 / LN2 * of_line, color=GREEN, linewidth=0.8)
-    counted = np.array([row["finite_size"] for row in rows]) * scale
-    ax.plot(x, counted, "D", color=GREEN, markersize=3.5, label="two-state blocks")
-    for name, mark, colour, label in (
-        ("time_shifted", "s", SMOOTHED, "time-shifted"), ("excess", "o", EXACT, "runs"),
-    ):  # fmt: skip
-        value, low, high = (np.array([row[f"{name}{end}"] for row in rows]) * scale for end in ("", "_low", "_high"))
-        for some, alpha, said in ((known, 1.0, label), (~known, 0.35, "")):
+    finite = np.array([part.estimates["finite_size"].value for part in every], dtype=np.float64)
+    ax.plot(x, finite * scale, "D", color=GREEN, markersize=3.5, label="two-state blocks")
+    forms = (("time_shifted", "s", SMOOTHED, "white", "time-shifted"), ("excess", "o", EXACT, EXACT, "runs"))
+    for name, mark, colour, face, label in forms:
+        estimates = [part.estimates[name] for part in every]
+        ends = [(estimate.value, estimate.low, estimate.high) for estimate in estimates]
+        value, low, high = np.array(ends, dtype=np.float64).T * scale
+        for which, alpha, words in ((is_judged, 1.0, label), (~is_judged, 0.35, "")):
             ax.errorbar(
-                x[some], value[some], yerr=[(value - low)[some], (high - value)[some]], fmt=mark,
-                color=colour, markersize=3.8, markerfacecolor="white" if mark == "s" else colour, linewidth=0.9,
-                label=said, alpha=alpha,
+                x[which], value[which], yerr=[(value - low)[which], (high - value)[which]], fmt=mark, color=colour,
+                markersize=3.8, markerfacecolor=face, linewidth=0.9, label=words, alpha=alpha,
             )  # fmt: skip
     ax.set_xscale("log")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -297,15 +311,15 @@ def _lines(ax: Axes, rows: Sequence[Row], scaled: bool) -> None:
 
 
 @panel(nrows=2, height=3.6, sharex=True)
-def by_number(axes: Sequence[Axes], rows: Sequence[Row]) -> None:
+def by_number(axes: Sequence[Axes], every: Sequence[Counted]) -> None:
     """The excess over ln 2 of the runs and of three nulls at several n; below, times n p (1 - p)."""
     top, below = axes
-    _lines(top, rows, scaled=False)
-    _lines(below, rows, scaled=True)
-    for k, row in enumerate(rows):
-        number = f"n = {row['n']}" if k == 0 else str(row["n"])
-        top.annotate(number, (row["variance"], 1.0), xycoords=("data", "axes fraction"), ha="center",
-                     va="top", fontsize=6.5, color=GREY)  # fmt: skip
+    _lines(top, every, scaled=False)
+    _lines(below, every, scaled=True)
+    for k, part in enumerate(every):
+        number = f"n = {part.n}" if k == 0 else str(part.n)
+        at = (part.variance, 1.0)
+        top.annotate(number, at, xycoords=("data", "axes fraction"), ha="center", va="top", fontsize=6.5, color=GREY)
     top.yaxis.set_major_formatter(PercentFormatter(1.0))
     top.set(ylabel=EXCESS)
     below.set(xlabel=VARIANCE, ylabel=SCALED)

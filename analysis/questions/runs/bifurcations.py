@@ -41,11 +41,13 @@ class Points(NamedTuple):
     @classmethod
     def apart(cls, pairs: Sequence[tuple[float, float]]) -> Points:
         """Points of which none lies on another: many runs have one cycle."""
-        both = np.array(pairs, dtype=np.float64).reshape(-1, 2)
-        dot = _ONE_DOT * max(np.ptp(both[:, 1]) if len(both) else 0.0, 1e-9 * np.abs(both[:, 1]).max(initial=1.0))
-        near = np.column_stack([both[:, 0], np.round(both[:, 1] / dot)])
-        first = np.sort(np.unique(near, axis=0, return_index=True)[1])
-        return cls(*both[first].T)
+        points = np.array(pairs, dtype=np.float64).reshape(-1, 2)
+        dot = _ONE_DOT * max(
+            np.ptp(points[:, 1]) if len(points) else 0.0, 1e-9 * np.abs(points[:, 1]).max(initial=1.0)
+        )
+        dots = np.column_stack([points[:, 0], np.round(points[:, 1] / dot)])
+        places = np.sort(np.unique(dots, axis=0, return_index=True)[1])
+        return cls(*points[places].T)
 
     @classmethod
     def known(cls, x: Floats, y: Floats) -> Points:
@@ -70,16 +72,16 @@ def pictures(study: Study, grid: Grid) -> dict[str, Picture]:
     places = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), MOST_DIAGRAMS)).round().astype(int))
     figures: dict[str, Picture] = {}
     for k in places:
-        first = lines[k][0]
-        sections, at = _sections(study, lines[k]), grid.beside(first) + Place.of(first.method)
+        setting = lines[k][0]
+        sections, where = _sections(study, lines[k]), grid.beside(setting) + Place.of(setting.method)
         left_out = f" Left out: {plural(sections.n_left_out, 'run')}, undecided or without limit."
         caption = (
             "Branches split where a cycle gets more exits. z of the block with most exits, at its exits;"
-            f" below, the largest multiplier and the period of each cycle{f' ({at})' if at else ''}."
+            f" below, the largest multiplier and the period of each cycle{f' ({where})' if where else ''}."
             f"{left_out * bool(sections.n_left_out)}"
         )
         name = f"bifurcation_{len(figures) + 1}" if figures else "bifurcation"
-        figures[name] = Picture(partial(bifurcation, grid.axes[0].name, sections, str(at)), caption)
+        figures[name] = Picture(partial(bifurcation, grid.axes[0].name, sections, str(where)), caption)
     return figures
 
 
@@ -94,20 +96,20 @@ def _lines(grid: Grid) -> Iterator[list[Setting]]:
 def _sections(study: Study, line: Sequence[Setting]) -> Sections:
     """z at exits or, of what has none, at the section of the block that has most exits; numbers of cycles."""
     exits_z, section_z = study.data.lists["exits_z"], study.data.lists["section_z"]
-    own = study.data.table.own
+    members = study.data.table.own
     rows = np.concatenate([setting.runs.rows for setting in line])
     kinds = np.concatenate([setting.runs.kinds for setting in line])
     x = np.repeat([_number(setting) for setting in line], [len(setting.runs.rows) for setting in line])
-    names = own["member_id"].to_numpy(object)[rows]
-    blocks = own["exits_block"].iloc[rows][[name in exits_z for name in names]].mode()
+    names = members["member_id"].to_numpy(object)[rows]
+    blocks = members["exits_block"].iloc[rows][[name in exits_z for name in names]].mode()
     block = int(blocks.iloc[0]) if len(blocks) else 0
     pairs: dict[str, list[tuple[float, float]]] = {kind: [] for kind in _MARKS}
     n_left_out = 0
-    for at, name, kind in zip(x.tolist(), names, kinds, strict=True):
+    for value, name, kind in zip(x.tolist(), names, kinds, strict=True):
         if name in exits_z:
-            pairs[kind] += [(at, z) for z in exits_z[name].tolist()]
+            pairs[kind] += [(value, z) for z in exits_z[name].tolist()]
         elif name in section_z:
-            pairs[kind].append((at, float(section_z[name][block])))
+            pairs[kind].append((value, float(section_z[name][block])))
         else:
             n_left_out += 1
     multiplier, period = (Points.known(x, study.number(name)[rows]) for name in ("multiplier", "period"))

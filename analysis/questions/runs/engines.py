@@ -73,27 +73,27 @@ def section(study: Study) -> Section | None:
     ]
     if not compared:
         return None
-    pairs, alone = zip(*compared, strict=True)
-    steps = judged_together(alone, 1 - study.settings.confidence)
-    known = [(pair, step) for pair, step in zip(pairs, steps, strict=True) if step.contrast.is_known]
+    pairs, unjudged = zip(*compared, strict=True)
+    steps = judged_together(unjudged, 1 - study.settings.confidence)
+    judged = [(pair, step) for pair, step in zip(pairs, steps, strict=True) if step.contrast.is_known]
     unit, scope = noun(study.unit), ""
     if study.data.episodes is not None:
         scope = "sticking blocks and slip onsets"
-    lead, levels, drawn = list[Finding](), list[Finding](), list[Step]()
+    lead, levels, in_figure = list[Finding](), list[Finding](), list[Step]()
     for kind in _NOUNS:
         by_other: dict[str, list[Step]] = {}
-        for pair, step in known:
+        for pair, step in judged:
             if pair.kind is kind:
                 by_other.setdefault(_other(pair, study.groups), []).append(step)
-        for other, beside in by_other.items():
-            beside.sort(key=lambda step: (step.name.name, step.name.symbol, step.name.value or 0.0))
-            lead += outcomes(other, beside, unit, _NOUNS[kind], scope)
-            beside.sort(key=lambda step: not step.contrast.is_shown)
-            levels += [step.level(other, unit) for step in beside]
-            drawn = drawn or beside
-    figures = forest(drawn, "Differences from the reference")
+        for other, steps_beside in by_other.items():
+            steps_beside.sort(key=lambda step: (step.name.name, step.name.symbol, step.name.value or 0.0))
+            lead += outcomes(other, steps_beside, unit, _NOUNS[kind], scope)
+            steps_beside.sort(key=lambda step: not step.contrast.is_shown)
+            levels += [step.level(other, unit) for step in steps_beside]
+            in_figure = in_figure or steps_beside
+    figures = forest(in_figure, "Differences from the reference")
     lack = few("how far the engines differ", max(step.contrast.n_first for step in steps))
-    return Section(lack, steps, lead, levels, _suspects(known), figures, method=_METHOD)
+    return Section(lack, steps, lead, levels, _suspects(judged), figures, method=_METHOD)
 
 
 def _steps(study: Study, pair: _Pair, where: Place, thresholds: _Thresholds) -> Iterator[Step]:
@@ -108,8 +108,10 @@ def _steps(study: Study, pair: _Pair, where: Place, thresholds: _Thresholds) -> 
         second, withheld = after.sums, before.withheld or after.withheld
         if pair.threshold is not None:
             second = thresholds[pair.group.label, pair.threshold][measure.key]
-        found = contrast(measure.statistic, before.sums, second, True, study.settings.confidence, withheld=withheld)
-        yield Step(pair.kind, pair.group.label, pair.reference.label, found, keys, where, name)
+        difference = contrast(
+            measure.statistic, before.sums, second, True, study.settings.confidence, withheld=withheld
+        )
+        yield Step(pair.kind, pair.group.label, pair.reference.label, difference, keys, where, name)
 
 
 def _other(pair: _Pair, groups: Sequence[Group]) -> str:
@@ -182,9 +184,11 @@ def _pairs(study: Study, thresholds: _Thresholds) -> Iterator[_Pair]:
             yield from (_Pair(Kind.THRESHOLD, exact, first, threshold) for threshold in values)
 
 
-def _suspects(known: Sequence[tuple[_Pair, Step]]) -> list[Alert]:
+def _suspects(judged: Sequence[tuple[_Pair, Step]]) -> list[Alert]:
     """One alert for each setting that differs from an exact engine by more than smoothing explains."""
-    suspects = [step for pair, step in known if _is_suspect(pair, step) and not _agrees_with_less(pair, step, known)]
+    suspects = [
+        step for pair, step in judged if _is_suspect(pair, step) and not _agrees_with_less(pair, step, judged)
+    ]
     return [
         Alert.of(Code.SUSPECT, what=next(steps).contrast.statistic.quantity.name, where=str(label))
         for label, steps in groupby(suspects, key=lambda step: step.setting)
@@ -204,27 +208,27 @@ def _is_suspect(pair: _Pair, step: Step) -> bool:
     margin. Nor is static friction above the kinetic, where a smoothed block creeps before it slips and may never
     slip, nor a slow belt, of whose speed the width is more than `_OF_BELT`.
     """
-    found, reference, width = step.contrast, pair.reference, _width(pair.group)
-    margin, belt = found.statistic.margin, pair.group.key["belt_speed"]
+    difference, reference, width = step.contrast, pair.reference, _width(pair.group)
+    margin, belt = difference.statistic.margin, pair.group.key["belt_speed"]
     if pair.kind is not Kind.LAW or width is None or _width(reference) is not None or margin is None:
         return False
     is_static = reference.key["static"] is not None or "static" in reference.table.design.values(reference.point)
     if is_static or (belt is not None and width > _OF_BELT * abs(belt)):
         return False
-    if (found.first.value == 0.0) != (found.second.value == 0.0):
-        low = found.second.low if found.first.value == 0.0 else found.first.low
+    if (difference.first.value == 0.0) != (difference.second.value == 0.0):
+        low = difference.second.low if difference.first.value == 0.0 else difference.first.low
         return low is not None and low > 0.0
-    low, high = found.relative.low, found.relative.high
+    low, high = difference.relative.low, difference.relative.high
     allowed = _EXPLAINED * margin * max(1.0, width / _SMOOTH)
-    return found.is_shown and low is not None and high is not None and (low > allowed or high < -allowed)
+    return difference.is_shown and low is not None and high is not None and (low > allowed or high < -allowed)
 
 
-def _agrees_with_less(pair: _Pair, step: Step, known: Sequence[tuple[_Pair, Step]]) -> bool:
+def _agrees_with_less(pair: _Pair, step: Step, judged: Sequence[tuple[_Pair, Step]]) -> bool:
     """Whether the same statistic agrees under the same law with less smoothing."""
     width = _width(pair.group) or 0.0
     return any(
         (other.statistic, other.kind, other.reference) == (step.statistic, step.kind, step.reference)
         and other.contrast.verdict in (Verdict.EQUAL, Verdict.SAME)
         and (_width(less.group) or np.inf) < width
-        for less, other in known
+        for less, other in judged
     )

@@ -120,16 +120,16 @@ def shares(
     looks: Mapping[str, Look] = FATES,
 ) -> None:
     """Shares of runs by outcome, a bar for each value of a key, from above; `counts` are the runs at each value."""
-    total, left = np.maximum(np.sum([*counts.values()], axis=0), 1), np.zeros(len(values))
+    total, edge = np.maximum(np.sum([*counts.values()], axis=0), 1), np.zeros(len(values))
     for outcome, numbers in counts.items():
         if any(numbers):
             look, width = looks[outcome], np.array(numbers) / total
             bars = ax.barh(
-                range(len(values)), width, 0.8, left, color=look.colour, hatch=look.hatch, label=look.words
+                range(len(values)), width, 0.8, edge, color=look.colour, hatch=look.hatch, label=look.words
             )
             for bar in bars:
                 bar.set(edgecolor="white", linewidth=0.3)
-            left += width
+            edge += width
     ax.set(xlim=(0, 1), ylim=(len(values) - 0.4, -0.6), xlabel="share of runs", ylabel=key)
     ax.xaxis.set_major_formatter(PercentFormatter(1.0))
     step = -(-len(values) // _MOST_NAMES)
@@ -148,17 +148,17 @@ def _maps(grid: Grid) -> dict[str, Picture]:
     across, up, *further = grid.axes
     figures: dict[str, Picture] = {}
     for method, settings in [*grid.methods.items()][:MOST_MAPS]:
-        rest = settings[0].at[2:]
-        shown = {setting.at[:2]: setting.runs for setting in settings if setting.at[2:] == rest}
+        further_rows = settings[0].at[2:]
+        runs_at = {setting.at[:2]: setting.runs for setting in settings if setting.at[2:] == further_rows}
         what = np.full((len(up.rows), len(across.rows)), -1)
         is_mixed = np.zeros(what.shape, dtype=np.bool_)
-        for (x, y), runs in shown.items():
+        for (x, y), runs in runs_at.items():
             counts = [runs.n_of(kind) for kind in OUTCOMES]
             place = up.rows.index(y), across.rows.index(x)
             what[place], is_mixed[place] = int(np.argmax(counts)), np.count_nonzero(counts) > 1
-        where = Place(tuple((axis.name, in_words(row)) for axis, row in zip(further, rest, strict=True)))
-        at = where + Place.of(method)
-        caption = f"Dots mark settings where runs differ. What most runs do{f' ({at})' if at else ''}."
+        beside = zip(further, further_rows, strict=True)
+        where = Place(tuple((axis.name, in_words(row)) for axis, row in beside)) + Place.of(method)
+        caption = f"Dots mark settings where runs differ. What most runs do{f' ({where})' if where else ''}."
         name = f"fates_{len(figures) + 1}" if figures else "fates"
         figures[name] = Picture(partial(over_two_keys, across, up, what, is_mixed), caption)
     return figures
@@ -184,8 +184,8 @@ def over_two_keys(ax: Axes, across: Axis, up: Axis, what: np.ndarray, is_mixed: 
         step = -(-len(key.rows) // _MOST_TICKS)
         axis.set_ticks(np.arange(0, len(key.rows), step) + 0.5, key.texts[::step])
     ax.set(xlabel=across.name, ylabel=up.name)
-    shown = [looks[k] for k in np.unique(what[what >= 0])]
-    handles = [Patch(facecolor=look.colour, label=look.words) for look in shown]
+    shown_looks = [looks[k] for k in np.unique(what[what >= 0])]
+    handles = [Patch(facecolor=look.colour, label=look.words) for look in shown_looks]
     ax.figure.legend(handles=handles, loc="outside upper left", ncols=3, handlelength=1.2)
 
 
@@ -231,12 +231,12 @@ def _n_apart(runs: Runs) -> int:
 
 def _starts(study: Study, runs: Runs) -> Plane | None:
     """What varies of the starts of some runs; None if that is nothing, or more than two numbers, or not stored."""
-    lists, own = study.data.lists, study.data.table.own
-    names = own["member_id"].to_numpy(object)[runs.rows]
+    lists, members = study.data.lists, study.data.table.own
+    names = members["member_id"].to_numpy(object)[runs.rows]
     if lists.get("start_z"):
         z, w = (np.array([lists[key][name] for name in names]) for key in ("start_z", "start_w"))
     else:
-        z, w = (own[key].to_numpy(np.float64, na_value=np.nan)[runs.rows, None] for key in ("z_start", "w_start"))
+        z, w = (members[key].to_numpy(np.float64, na_value=np.nan)[runs.rows, None] for key in ("z_start", "w_start"))
     return None if np.isnan(z).any() or np.isnan(w).any() else plane(z, w)
 
 
@@ -278,24 +278,24 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
     """Curves of survival of some settings; those that coincide are one."""
     settings = [setting for setting in grid.settings if setting.where in curves]
     places = np.unique(np.linspace(0, len(settings) - 1, MOST_CURVES).round().astype(int))
-    drawn = [settings[k] for k in places]
-    key, values = _names(grid, drawn)
+    chosen = [settings[k] for k in places]
+    key, values = _names(grid, chosen)
     alike: dict[tuple[bytes, bytes], list[int]] = {}
-    for k, setting in enumerate(drawn):
+    for k, setting in enumerate(chosen):
         t, share, _, _ = curves[setting.where]
         alike.setdefault((t.tobytes(), share.tobytes()), []).append(k)
-    named = {
-        f"{key} = " * bool(key) + listed([values[k] for k in same]): curves[drawn[same[0]].where]
+    named_curves = {
+        f"{key} = " * bool(key) + listed([values[k] for k in same]): curves[chosen[same[0]].where]
         for same in alike.values()
     }
     t_end = max(setting.t_end for setting in settings)
-    has_bands = any(map(_has_band, named.values()))
+    has_bands = any(map(_has_band, named_curves.values()))
     level = f", with {100 * study.settings.confidence:g}% intervals where some end and some do not" * has_bands
-    more = f" {len(drawn)} of {len(settings)} settings are drawn." * (len(drawn) < len(settings))
+    count = f" {len(chosen)} of {len(settings)} settings are drawn." * (len(chosen) < len(settings))
     caption = (
-        f"Curves fall as runs end, and level off where motion lasts. Share of runs that have not ended{level}.{more}"
+        f"Curves fall as runs end, and level off where motion lasts. Share of runs that have not ended{level}.{count}"
     )
-    return Picture(partial(survival_curves, named, t_end), caption)
+    return Picture(partial(survival_curves, named_curves, t_end), caption)
 
 
 def _has_band(curve: Curve) -> bool:

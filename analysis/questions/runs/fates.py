@@ -111,7 +111,7 @@ def answer(study: Study) -> Answer:
     """How the unchanged runs end and when, what they settle on, and whether what lasts is steady."""
     grid = grid_of(study)
     ends = [_ends(study, setting) for setting in grid.settings if not setting.is_recorded]
-    leading, others = _findings(study, grid, ends)
+    leading, secondary = _findings(study, grid, ends)
     shares = [
         portion
         for setting in grid.settings
@@ -127,7 +127,7 @@ def answer(study: Study) -> Answer:
     figures |= bifurcations.pictures(study, grid)
     figures |= _along_t_burn(study, by_t_burn, short, len(figures) > 1)
     return Answer(
-        findings=[*leading, *others] or [Lack("what became of the runs", Reason.ALL_FAILED)],
+        findings=[*leading, *secondary] or [Lack("what became of the runs", Reason.ALL_FAILED)],
         n_lead=min(3, len(leading)),
         alerts=_alerts(study, grid, ends, short),
         method=" ".join([METHOD_OF_ATTRACTORS] * bool(recorded) + [METHOD] * bool(ends)),
@@ -150,30 +150,30 @@ def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Find
     interval, unless all runs there end alike.
     """
     leading: list[Finding] = []
-    others: list[Finding] = []
+    secondary: list[Finding] = []
     methods = grid.methods
     outcomes = [
         {setting.label: (setting.kinds, setting.is_certified) for setting in settings}
         for settings in methods.values()
     ]
-    is_alike = len(methods) > 1 and all(here == outcomes[0] for here in outcomes)
-    first = {setting.label: setting.kinds for setting in next(iter(methods.values()), [])}
+    is_alike = len(methods) > 1 and all(places == outcomes[0] for places in outcomes)
+    reference = {setting.label: setting.kinds for setting in next(iter(methods.values()), [])}
     for k, (method, settings) in enumerate(methods.items()):
         if k == 0 or not is_alike:
             where = Place.words("by every method") if is_alike else Place.of(method)
-            said, details = _outcomes(study, grid, settings, where)
-            for finding, here in said:
-                is_new = k == 0 or any(first.get(setting.label) != setting.kinds for setting in here)
-                (leading if is_new else others).append(finding)
-            others += details
+            statements, details = _outcomes(study, grid, settings, where)
+            for finding, places in statements:
+                is_new = k == 0 or any(reference.get(setting.label) != setting.kinds for setting in places)
+                (leading if is_new else secondary).append(finding)
+            secondary += details
         lifetimes = [row for row in ends if row.setting in settings and row.lifetime.value is not None]
         lifetimes.sort(key=lambda row: -(row.lifetime.value or 0.0))
         mixed = (row for row in lifetimes if len(settings) == 1 or len(row.setting.kinds) > 1)
         lead = next((row for row in mixed if row.lifetime.low is not None), None)
         leading += [_lifetime(study, row) for row in lifetimes if row is lead]
-        others += [_lifetime(study, row) for row in lifetimes if row is not lead]
+        secondary += [_lifetime(study, row) for row in lifetimes if row is not lead]
     spoken = [row.setting for row in ends]
-    return leading, [*others, *_delays(study), *_stability(study, spoken), *_means(study, spoken)]
+    return leading, [*secondary, *_delays(study), *_stability(study, spoken), *_means(study, spoken)]
 
 
 def _outcomes(
@@ -181,20 +181,20 @@ def _outcomes(
 ) -> tuple[list[tuple[Finding, Sequence[Setting]]], list[Finding]]:
     """What the runs of a method do, with the settings: shares where all do the same, else settings by outcome."""
     alike = {setting.kinds for setting in settings}
-    if len(settings) == 1 or not grid.axes or (len(alike) == 1 and len(settings[0].kinds) == 1):
+    if len(settings) == 1 or not grid.axes or (len(alike) == 1 and len(settings[0].kinds) < 2):
         shares = _shares(study, settings, method)
         n_lead = 2 if sum(isinstance(share, Share) for share in shares) > 2 else 1  # of two, one says both
         return [(share, settings) for share in shares[:n_lead]], shares[n_lead:]
-    first, *others = grid.lines(settings)[:MOST_LINES]
-    said: list[tuple[Finding, Sequence[Setting]]] = []
-    for line in [first, *others[-1:], *others[:-1]]:
-        said += regimes(study, grid, line, [setting.kinds for setting in line], method)
-    kinds, exits = [setting.kinds for setting in first], [setting.exits for setting in first]
-    if not others and stretches(kinds) != stretches(exits):
-        known = [finding for finding, _ in said]
-        said += [pair for pair in regimes(study, grid, first, exits, method) if pair[0] not in known]
+    top, *lines = grid.lines(settings)[:MOST_LINES]
+    statements: list[tuple[Finding, Sequence[Setting]]] = []
+    for line in [top, *lines[-1:], *lines[:-1]]:
+        statements += regimes(study, grid, line, [setting.kinds for setting in line], method)
+    kinds, exits = [setting.kinds for setting in top], [setting.exits for setting in top]
+    if not lines and stretches(kinds) != stretches(exits):
+        findings = [finding for finding, _ in statements]
+        statements += [pair for pair in regimes(study, grid, top, exits, method) if pair[0] not in findings]
     mixed = [setting for setting in settings if len(setting.kinds) > 1]
-    return said, [share for setting in mixed[:MOST_LINES] for share in _shares(study, [setting], setting.where)]
+    return statements, [share for setting in mixed[:MOST_LINES] for share in _shares(study, [setting], setting.where)]
 
 
 def _shares(study: Study, settings: Sequence[Setting], where: Place) -> list[Finding]:
@@ -207,11 +207,11 @@ def _shares(study: Study, settings: Sequence[Setting], where: Place) -> list[Fin
     findings: list[Finding] = []
     for row in rows:
         (predicate,) = predicates([Outcome(row.outcome)], settings)
-        beside = _beside(row, published.get(row.outcome))
+        comparison = _beside(row, published.get(row.outcome))
         if row.outcome == PERIODIC and n_cycles > 1:
             name = "other cycles" if row.cycle is None else f"the cycle of period {row.period:.4g}"
-            predicate, beside = f"settle on {name}", None
-        findings.append(Share(row.outcome, things(basis), predicate, row.share, where, beside, basis))
+            predicate, comparison = f"settle on {name}", None
+        findings.append(Share(row.outcome, things(basis), predicate, row.share, where, comparison, basis))
         if row.cycle and n_cycles == 1 and row.period is not None and row.n_runs > 1:
             among = Basis(row.n_runs, things(basis)[:-1])
             findings.append(Alike(PERIOD, row.period, f"from all {based_on(among)}", where, among))
@@ -228,7 +228,7 @@ def _beside(row: Portion, published: float | None) -> Comparison | None:
 
 
 def _lifetime(study: Study, row: Ends) -> Lifetime:
-    setting, left = row.setting, float(row.curve[1][-1])
+    setting, share_left = row.setting, float(row.curve[1][-1])
     basis = Basis(setting.n_units, unit(study, [setting]))
     return Lifetime(
         LIFETIME,
@@ -236,7 +236,7 @@ def _lifetime(study: Study, row: Ends) -> Lifetime:
         "still stick and slip",
         row.lifetime,
         setting.t_end,
-        left,
+        share_left,
         setting.where,
         basis=basis,
         ended=row.verb,
@@ -251,21 +251,21 @@ def _delays(study: Study) -> Iterator[Level]:
     of_system: dict[tuple[object, ...], list[Group]] = {}
     for group in sorted(study.groups, key=fineness):
         of_system.setdefault(tuple(group.key[name] for name in SYSTEM_KEYS), []).append(group)
-    for reference, *others in of_system.values():
-        before = _last_events(reference)
-        for other in others:
-            delays = (_last_events(other) - before).dropna().to_numpy()
+    for reference, *methods in of_system.values():
+        reference_times = _last_events(reference)
+        for method in methods:
+            delays = (_last_events(method) - reference_times).dropna().to_numpy()
             if len(delays):
                 interval = median(delays, np.full(len(delays), True), study.settings.confidence)
                 delay = replace(interval, value=float(np.median(delays)))
-                where = Place.of(other.name) + Place.words(f"after {reference.label}")
+                where = Place.of(method.name) + Place.words(f"after {reference.label}")
                 yield Level(DELAY, delay, where, basis=Basis(len(delays), noun(study.unit)))
 
 
 def _last_events(group: Group) -> pd.Series:
     """The mean time of the last events of each unit's runs; NaN if one of them goes on, or failed."""
     times = pd.Series(np.where(np.isin(group.fates, (*ENDS, QUIET)), group.last[:, 0], np.nan))
-    return times.groupby(group.column("unit").to_numpy()).agg(lambda last: last.mean(skipna=False))
+    return times.groupby(group.column("unit").to_numpy()).agg(lambda ends: ends.mean(skipna=False))
 
 
 def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
@@ -279,10 +279,12 @@ def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
         ("stable", ~np.isnan(rates) & ~is_open, SLIDING),
         ("unstable", is_open, ESCAPING),
     ):
-        part = runs.at(chosen)
-        if len(part.rows) and runs.n_of(kind):
-            share = share_of(part.kinds == kind, np.zeros(len(part.rows)), part.units, study.settings.confidence)
-            basis = Basis(len(np.unique(part.units)), noun(study.unit))
+        subset = runs.at(chosen)
+        if len(subset.rows) and runs.n_of(kind):
+            share = share_of(
+                subset.kinds == kind, np.zeros(len(subset.rows)), subset.units, study.settings.confidence
+            )
+            basis = Basis(len(np.unique(subset.units)), noun(study.unit))
             name = f"runs with a linearly {state} all-slip state"
             yield Share(f"{state}_{kind}", name, PREDICATES[kind], share, EVERYWHERE, None, basis)
 
@@ -307,7 +309,7 @@ def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[str]
     recorded = [setting.runs for setting in grid.settings if setting.is_recorded]
     n_open, n_recorded = sum(runs.n_of(UNDECIDED) for runs in recorded), sum(len(runs.rows) for runs in recorded)
     level = study.settings.confidence
-    few = [
+    n_units = [
         group.column("unit").nunique()
         for group in groups
         if group.basis(level).code == enough.FEW_MATRICES and group.n_moving > 1
@@ -326,8 +328,8 @@ def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[str]
         alerts.append(Alert.of(Code.UNCERTIFIED, n=n_quiet, of=n_runs))
     if n_lull:
         alerts.append(Alert.of(Code.TEMPORARY, n=n_lull, of=n_runs))
-    if few and few[0] > 1:
-        alerts.append(Alert.of(Code.FEW, n=few[0], units=f"{noun(study.unit)}s"))
+    if n_units and n_units[0] > 1:
+        alerts.append(Alert.of(Code.FEW, n=n_units[0], units=f"{noun(study.unit)}s"))
     return alerts[:3]
 
 
@@ -361,8 +363,8 @@ def _along_t_burn(study: Study, rows: Sequence[Row], short: Sequence[str], is_be
     if not name:
         return {}
     t_burn = study.settings.t_burn
-    after = f"after t_burn = {t_burn:g}"
-    says = f"Not all curves are level {after}: it is too short." if name in short else f"No drift is shown {after}."
+    when = f"after t_burn = {t_burn:g}"
+    says = f"Not all curves are level {when}: it is too short." if name in short else f"No drift is shown {when}."
     caption = f"{says} Estimates with other values of t_burn over those with {t_burn:g} ({name})."
     recipe = partial(burn_in.by_t_burn, [row for row in rows if row["group"] == name], t_burn)
     return {"by_t_burn": Picture(recipe, caption)}

@@ -7,7 +7,6 @@ no statistic of them.
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -31,14 +30,6 @@ ONSETS = Quantity("n_exits", "number of slip onsets", Form.COUNT)
 STICKING = Quantity("stick_share", "mean share of time that a block sticks", Form.SHARE)
 _BESIDE = 0.1  # of the duration of an episode, which is drawn before and after it
 _LONG = 0.5  # of the run
-
-
-class _Episode(NamedTuple):
-    """An episode of slip."""
-
-    start: float
-    end: float
-    size: int
 
 
 def answer(study: Study) -> Answer | None:
@@ -94,31 +85,27 @@ def _pictures(study: Study, name: str, events: EventSeries, width: int | None) -
     rows = "; in a grid, the blocks of a row lie side by side" if width else ""
     caption = f"Which block slips when, and which way, in run {name}: each row is a block{rows}."
     figures = {NAME: Picture(partial(space_time, events, None, width), caption)}
-    if (episode := _largest(study, name, events.t_end)) is not None:
-        beside = _BESIDE * (episode.end - episode.start)
-        around = max(episode.start - beside, 0.0), min(episode.end + beside, events.t_end)
-        caption = (
-            f"The largest episode after t = {study.settings.t_burn:g}, in which {episode.size} blocks slip,"
-            f" from t = {span(episode.start, episode.end)}."
-        )
-        figures["one_episode"] = Picture(partial(space_time, events, around, width), caption)
-    return figures
+    return figures | _largest_episode(study, name, events, width)
 
 
-def _largest(study: Study, name: str, t_end: float) -> _Episode | None:
-    """The episode after t_burn with the largest moment; None if there is none to look into.
+def _largest_episode(study: Study, name: str, events: EventSeries, width: int | None) -> dict[str, Picture]:
+    """The episode after t_burn with the largest moment; nothing if there is none to look into.
 
     An episode of one block, or one that takes most of the run, shows nothing that is not seen already.
     """
     if study.data.episodes is None:
-        return None
-    episodes = study.data.episodes[study.data.episodes["member_id"] == name]
-    is_short = episodes["end"] - episodes["start"] < _LONG * t_end
-    episodes = episodes[is_short & (episodes["start"] >= study.settings.t_burn) & (episodes["size"] > 1)]
+        return {}
+    t_burn, table = study.settings.t_burn, study.data.episodes
+    lasts = table["end"] - table["start"]
+    is_short = lasts < _LONG * events.t_end
+    episodes = table[(table["member_id"] == name) & is_short & (table["start"] >= t_burn) & (table["size"] > 1)]
     if episodes.empty:
-        return None
-    row = episodes.iloc[int(episodes["moment"].abs().to_numpy().argmax())]
-    return _Episode(float(row["start"]), float(row["end"]), int(row["size"]))
+        return {}
+    start, end, size = episodes[["start", "end", "size"]].iloc[int(episodes["moment"].abs().to_numpy().argmax())]
+    margin = _BESIDE * (end - start)
+    around = max(start - margin, 0.0), min(end + margin, events.t_end)
+    caption = f"The largest episode after t = {t_burn:g}, in which {size:g} blocks slip, from t = {span(start, end)}."
+    return {"one_episode": Picture(partial(space_time, events, around, width), caption)}
 
 
 @panel()

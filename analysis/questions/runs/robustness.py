@@ -14,8 +14,8 @@ import numpy as np
 from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Finding, Form, KeyChange, Level, Quantity, Share
-from stickslip.analysis.findings.place import EVERYWHERE, Place
-from stickslip.analysis.measures import TITLES, of_windows
+from stickslip.analysis.findings.place import Place
+from stickslip.analysis.measures import of_windows
 from stickslip.analysis.members import noun
 from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, SETTLED, median
 from stickslip.analysis.models.motion import COLUMNS
@@ -29,7 +29,7 @@ from stickslip.analysis.steps import Kind, Section, Step, few, judged_together
 from stickslip.analysis.steps import Setting as Named
 from stickslip.pipeline.design import design
 from stickslip.pipeline.design.design import DEFAULT_READING, Change
-from stickslip.pipeline.design.labels import Label
+from stickslip.pipeline.design.labels import Label, apart
 
 PRIMARY = ("mean", "rate", "gamma")
 _METHOD = (
@@ -40,29 +40,30 @@ _METHOD = (
 
 def section(study: Study) -> Section | None:
     """Effect of each change of constants or of stiffness ratios, by itself and beside that of another system."""
-    every = [copies for setting in settings(study.data.table) if (copies := _Copies.of(study, setting)).changes]
-    if not every:
+    all_copies = [copies for setting in settings(study.data.table) if (copies := _Copies.of(study, setting)).changes]
+    if not all_copies:
         return None
-    every.sort(key=lambda copies: (not copies.sums, -copies.setting.key["n"]))
+    all_copies.sort(key=lambda copies: (not copies.sums, -copies.setting.key["n"]))
     unit, confidence = noun(study.unit), study.settings.confidence
-    where = {copies.label: Place.of(copies.label) if len(every) > 1 else EVERYWHERE for copies in every}
-    alone = [step for copies in every for step in _steps(study, copies, where[copies.label])]
-    steps = judged_together(alone, 1 - confidence)
+    labels = [copies.label for copies in all_copies]
+    where = dict(zip(labels, map(Place.of, apart(labels)), strict=True))
+    unjudged = [step for copies in all_copies for step in _steps(study, copies, where[copies.label])]
+    steps = judged_together(unjudged, 1 - confidence)
     lead, rest = list[Finding](), list[Finding]()
-    for copies in every:
-        known = [step for step in steps if step.setting == copies.label and step.contrast.is_known]
+    for copies in all_copies:
+        judged_steps = [step for step in steps if step.setting == copies.label and step.contrast.is_known]
         effects = list(_effects(study, copies, where[copies.label], unit))
-        if judged := [step for step in known if not step.contrast.reason]:
+        if judged := [step for step in judged_steps if not step.contrast.reason]:
             lead += outcomes("no change", judged, unit, "change")
             lead += [effect for quantity, effect in effects if quantity == PRIMARY[0]][-1:]
-        rest += [step.level("the unchanged system", unit) for step in known]
+        rest += [step.level("the unchanged system", unit) for step in judged_steps]
         rest += [effect for _, effect in effects]
         rest += _between(study, copies, where[copies.label], unit)
-    for copies in every:
+    for copies in all_copies:
         lead += _ends(study, copies, where[copies.label], unit)
-    drawn = [step for step in steps if step.contrast.is_known]
-    figures = forest(drawn, "Differences from the unchanged systems", "robustness")
-    lack = few("the effect of a changed system", len(every[0].sums))
+    in_figure = [step for step in steps if step.contrast.is_known]
+    figures = forest(in_figure, "Differences from the unchanged systems", "robustness")
+    lack = few("the effect of a changed system", len(all_copies[0].sums))
     return Section(lack, steps, lead, rest, figures=figures, method=_METHOD)
 
 
@@ -89,7 +90,7 @@ class _Copies:
             return cls(setting, [], [], {})
         copies = [pair.changed for comparison in setting.comparisons for pair in comparison.pairs]
         moving = [row for row in (*setting.bases.values(), *copies) if study.motion.fates[row] in MOVING]
-        sums = {row: found for row in moving if (found := _sums(study.motion.sums[row])) is not None}
+        sums = {row: of_run for row in moving if (of_run := _sums(study.motion.sums[row])) is not None}
         return cls(setting, changes, _replicates(study, setting), sums)
 
     @property
@@ -101,11 +102,11 @@ class _Copies:
         sets = []
         for unit, base in self.setting.bases.items():
             replicates = [row for comparison in self.replicates for row in comparison.of(unit)]
-            one = _Set([base, *replicates], [] if change is None else change.of(unit))
-            if all(row in self.sums for row in (*one.unchanged, *one.changed)):
-                sets.append(one)
+            rows = _Set([base, *replicates], [] if change is None else change.of(unit))
+            if all(row in self.sums for row in (*rows.unchanged, *rows.changed)):
+                sets.append(rows)
         full = [max((len(rows[side]) for rows in sets), default=0) for side in (0, 1)]
-        return [one for one in sets if [*map(len, one)] == full and (change is None or one.changed)]
+        return [rows for rows in sets if [*map(len, rows)] == full and (change is None or rows.changed)]
 
     def values(self, quantity: str, rows: Sequence[Sequence[int]]) -> np.ndarray:
         """A quantity of some runs, in the shape of `rows`."""
@@ -122,16 +123,16 @@ class _Copies:
 def _replicates(study: Study, setting: Setting) -> list[Comparison]:
     """The displaced starts for which every run has parted from its base by t_burn."""
     starts = [comparison for comparison in setting.comparisons if comparison.change.kind == START]
-    apart = level(study, setting) if starts else None
-    if apart is None:
+    far = level(study, setting) if starts else None
+    if far is None:
         return []
-    followed = follow(study, starts, apart, study.settings.t_burn)
+    followed = follow(study, starts, far, study.settings.t_burn)
     return [comparison for comparison, pairs in zip(starts, followed, strict=True) if pairs.has_parted.all()]
 
 
 def _sums(motion: np.ndarray) -> np.ndarray | None:
     """Sums of each of `PRIMARY`, shape (3, 2), from a row of `Motion.sums`; None where one of them has no value."""
-    rows = np.array([motion[[COLUMNS[section] for section in QUANTITIES[name].parts]] for name in PRIMARY])
+    rows = np.array([motion[[COLUMNS[column] for column in QUANTITIES[name].parts]] for name in PRIMARY])
     try:
         for name, row in zip(PRIMARY, rows, strict=True):
             QUANTITIES[name].of(row[None])
@@ -146,11 +147,11 @@ def _steps(study: Study, copies: _Copies, where: Place) -> Iterator[Step]:
         return
     for comparison in sorted(copies.changes, key=lambda comparison: comparison.change):
         change, sets = comparison.change, copies.complete(comparison)
-        at, keys = where + Place.words(str(change)), (KeyChange("", "", str(change)),)
+        place, keys = where + Place.words(str(change)), (KeyChange("", "", str(change)),)
         for measure in of_windows(study, PRIMARY):
-            before, after = (copies.of_units(measure.key, [one[side] for one in sets]) for side in (0, 1))
-            found = contrast(measure.statistic, before, after, True, study.settings.confidence)
-            yield Step(Kind.COPY, copies.label, copies.label, found, keys, at, _named(change))
+            before, after = (copies.of_units(measure.key, [rows[side] for rows in sets]) for side in (0, 1))
+            difference = contrast(measure.statistic, before, after, True, study.settings.confidence)
+            yield Step(Kind.COPY, copies.label, copies.label, difference, keys, place, _named(change))
 
 
 def _named(change: Change) -> Named:
@@ -175,23 +176,23 @@ def _effects(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator
             sets = copies.complete(comparison)
             if len(sets) < enough.LEAST_MATRICES:
                 continue
-            before, after = (copies.values(quantity, [one[side] for one in sets]) for side in (0, 1))
+            before, after = (copies.values(quantity, [rows[side] for rows in sets]) for side in (0, 1))
             effect = components.against_redraw(before, after, confidence)
             if effect.is_bounded and effect.theta.value is not None:
-                name = f"effect of {comparison.change} on the {TITLES[quantity]} of one system"
+                name = f"effect of {comparison.change} on the {QUANTITIES[quantity].title} of one system"
                 theta = Quantity("theta", f"{name}, as a share of another system's", Form.SHARE)
                 yield quantity, Level(theta, effect.theta, where, None, Basis(len(sets), unit))
 
 
 def _between(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Level]:
     """How much of the variance of each quantity is between systems."""
-    sets = [one.unchanged for one in copies.complete()]
+    sets = [rows.unchanged for rows in copies.complete()]
     if not copies.replicates or len(sets) < enough.LEAST_MATRICES:
         return
     for quantity in PRIMARY:
         share = components.intraclass(copies.values(quantity, sets), study.settings.confidence)
         if share.value is not None:
-            name = f"share of the variance of the {TITLES[quantity]} between systems"
+            name = f"share of the variance of the {QUANTITIES[quantity].title} between systems"
             correlation = Quantity("correlation", name, Form.SHARE)
             yield Level(correlation, share, where, None, Basis(len(sets), unit))
 
@@ -229,13 +230,15 @@ def _ends(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Fi
                 of_unit = counts.setdefault(pair.matrix, [0, 0])
                 of_unit[0] += not is_alike
                 of_unit[1] += 1
-        at = where + Place.words(str(comparison.change))
+        place = where + Place.words(str(comparison.change))
         if counts:
             share = Estimate(*share_over_matrices([*counts.values()], confidence)[:3])
             ends = "end differently from their original"
-            yield Share("otherwise", "changed copies", ends, share, at, basis=Basis(len(counts), unit))
+            yield Share("otherwise", "changed copies", ends, share, place, basis=Basis(len(counts), unit))
         if shifts:
             means = np.array([np.mean(of_unit) for of_unit in shifts.values()])
             shift = median(means, np.full(len(means), True), confidence)
             shift = replace(shift, value=float(np.median(means)))  # the mean of the two middle ones
-            yield Level(Quantity("shift", "median shift of the last event"), shift, at, None, Basis(len(means), unit))
+            yield Level(
+                Quantity("shift", "median shift of the last event"), shift, place, None, Basis(len(means), unit)
+            )

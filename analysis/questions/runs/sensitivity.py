@@ -60,8 +60,8 @@ class Rate(NamedTuple):
         value, low, high = self.law.rate.value, self.law.rate.low, self.law.rate.high
         if not self.is_known or not value or low is None or high is None or low <= 0 <= high:
             return Estimate()
-        least, most = sorted((abs(1 / low), abs(1 / high)))
-        return Estimate(abs(1 / value), least, most)
+        shortest, longest = sorted((abs(1 / low), abs(1 / high)))
+        return Estimate(abs(1 / value), shortest, longest)
 
     @property
     def precedence(self) -> tuple[bool, bool, float]:
@@ -137,9 +137,9 @@ def answer(study: Study) -> Answer | None:
     of_partings: list[Finding] = [_lifetime(alike) for alike in _alike(partings)] or [
         Lack(PARTED.name, Reason.NO_REFERENCE, "no lasting difference of two systems")
     ]
-    first, second = (of_rates, of_partings) if has_lead or not partings else (of_partings, of_rates)
+    lead, support = (of_rates, of_partings) if has_lead or not partings else (of_partings, of_rates)
     return Answer(
-        findings=[first[0], *second, *first[1:]],
+        findings=[lead[0], *support, *lead[1:]],
         n_lead=2,
         figures=_figures(
             [rate for rate in rates if rate.is_known], [row for row in partings if row.setting is leading]
@@ -165,8 +165,10 @@ def _rate(study: Study, setting: Setting) -> Rate | None:
 
 def _of_size(study: Study, setting: Setting, comparison: Comparison) -> Rate:
     """The growth rate of starts displaced by one size."""
-    names, known = study.data.table.own["member_id"].to_numpy(object), study.data.separations
-    pairs = [(pair, known[names[pair.changed]]) for pair in comparison.pairs if names[pair.changed] in known]
+    names, separations = study.data.table.own["member_id"].to_numpy(object), study.data.separations
+    pairs = [
+        (pair, separations[names[pair.changed]]) for pair in comparison.pairs if names[pair.changed] in separations
+    ]
     pairs = [(pair, separation) for pair, separation in pairs if len(separation[0])]
     distances = [separation for _, separation in pairs]
     law = Growth(Estimate(), T_FROM, T_FROM, 0, 0, 0)
@@ -191,17 +193,19 @@ def _floor(key: Mapping[str, Any]) -> float:
 
 def _partings(study: Study, setting: Setting) -> Iterator[Parting]:
     """When half of the systems' copies have parted, for each change."""
-    apart = level(study, setting)
-    if apart is None:
+    typical_gap = level(study, setting)
+    if typical_gap is None:
         return
-    every = follow(study, setting.comparisons, apart, float(setting.key["t_end"]))
-    for comparison, pairs in zip(setting.comparisons, every, strict=True):
+    followed = follow(study, setting.comparisons, typical_gap, float(setting.key["t_end"]))
+    for comparison, pairs in zip(setting.comparisons, followed, strict=True):
         if not len(pairs):
             continue
-        _, first = np.unique(pairs.matrix, return_index=True)  # of several draws: systems are the independent units
-        has_parted = pairs.has_parted[first]
-        times = np.where(has_parted, pairs.t[first], pairs.t_stop[first])
-        yield Parting(setting, comparison.change, apart, pairs, median(times, has_parted, study.settings.confidence))
+        _, firsts = np.unique(pairs.matrix, return_index=True)  # of several draws: systems are the independent units
+        has_parted = pairs.has_parted[firsts]
+        times = np.where(has_parted, pairs.t[firsts], pairs.t_stop[firsts])
+        yield Parting(
+            setting, comparison.change, typical_gap, pairs, median(times, has_parted, study.settings.confidence)
+        )
 
 
 def _alike(partings: Sequence[Parting]) -> list[list[Parting]]:
@@ -215,16 +219,19 @@ def _alike(partings: Sequence[Parting]) -> list[list[Parting]]:
 
 def _lifetime(alike: Sequence[Parting]) -> Lifetime:
     """The median time until copies part, of one change or of several that have the same outcome."""
-    first, sizes = alike[0], listed([shown(parted.change.size) for parted in alike], "or")
+    example, sizes = alike[0], listed([shown(parted.change.size) for parted in alike], "or")
     change = {
-        CONSTANTS: f"constants changed by up to {100 * first.change.size:g}%",
+        CONSTANTS: f"constants changed by up to {100 * example.change.size:g}%",
         START: f"starts moved by {sizes}",
         RATIOS: "other stiffness ratios",
-    }[first.change.kind]
+    }[example.change.kind]
     share_left = 1 - float(np.mean(np.concatenate([parted.pairs.has_parted for parted in alike])))
-    where, horizon = Place.of(first.setting.label) + Place.words(f"with {change}"), float(first.setting.key["t_end"])
-    basis = Basis(len(np.unique(first.pairs.matrix)))
-    return Lifetime(PARTED, "copies", "are still together", first.half, horizon, share_left, where, basis=basis)
+    where, horizon = (
+        Place.of(example.setting.label) + Place.words(f"with {change}"),
+        float(example.setting.key["t_end"]),
+    )
+    basis = Basis(len(np.unique(example.pairs.matrix)))
+    return Lifetime(PARTED, "copies", "are still together", example.half, horizon, share_left, where, basis=basis)
 
 
 # ------------------------------------------------------------------------------------------------- figures

@@ -173,8 +173,8 @@ class Grid(NamedTuple):
 
     def beside(self, setting: Setting) -> Place:
         """Where the line of a setting lies among those of its method."""
-        others = zip(self.axes[1:], setting.at[1:], strict=True)
-        return Place(tuple((axis.name, in_words(row)) for axis, row in others))
+        axes = zip(self.axes[1:], setting.at[1:], strict=True)
+        return Place(tuple((axis.name, in_words(row)) for axis, row in axes))
 
     def lines(self, settings: Sequence[Setting]) -> list[list[Setting]]:
         """Settings of a method along the first axis, at each row of the others."""
@@ -190,7 +190,7 @@ def grid_of(study: Study) -> Grid:
     for group in study.groups:
         like.setdefault(tuple(_regardless_of_start(group).values()), []).append(group)
     firsts = [groups[0] for groups in like.values()]
-    names = apart(labels([_regardless_of_start(first) for first in firsts]))
+    names = apart(labels([_regardless_of_start(group) for group in firsts]))
     axes = _axes(firsts)
     settings = [
         setting
@@ -217,7 +217,7 @@ def _axes(groups: Sequence[Group]) -> list[Axis]:
 
 def _values(group: Group) -> dict[str, Value]:
     """What a group has of each key that an axis may have."""
-    source: dict[str, Value] = {"n": group.point.n, "file": Named(group.point.file or "")}
+    source: dict[str, Value] = {"n": group.point.n, "file": Named(group.key["file"] or "")}
     return source | group.table.design.swept(group.point)
 
 
@@ -229,30 +229,30 @@ def _setting(study: Study, name: Label, groups: Sequence[Group], axes: Sequence[
     )
     rows = np.concatenate([group.rows for group in groups])
     kinds = np.concatenate([_fates(group) for group in groups])
-    own = study.data.table.own
+    members = study.data.table.own
     is_known, is_recorded = kinds != FAILED, False
-    if "attractor" in own and own["attractor"].iloc[rows].notna().any():
-        kinds = own["attractor"].iloc[rows].to_numpy(object)
-        is_known, is_recorded = own["attractor"].iloc[rows].notna().to_numpy(), True
+    if "attractor" in members and members["attractor"].iloc[rows].notna().any():
+        kinds = members["attractor"].iloc[rows].to_numpy(object)
+        is_known, is_recorded = members["attractor"].iloc[rows].notna().to_numpy(), True
     rows, kinds = rows[is_known], kinds[is_known]
-    matrices, units = (own[column].to_numpy()[rows] for column in ("matrix", "unit"))
+    matrices, units = (members[column].to_numpy()[rows] for column in ("matrix", "unit"))
     is_alone = len(np.unique(matrices)) == 1
     of_starts = is_alone and (groups[0].unit == Unit.START or len(groups) > 1 or (is_recorded and len(rows) > 1))
     nothing = np.zeros(len(rows), dtype=np.int64)
     exits = np.nan_to_num(study.number("exits_per_period")[rows]).astype(np.int64) if is_recorded else nothing
     runs = Runs(rows, np.arange(len(rows)) if of_starts else units, kinds, exits, nothing)
     values = _values(groups[0])
-    at = tuple(tuple(values[key] for key in axis.keys) for axis in axes)
+    position = tuple(tuple(values[key] for key in axis.keys) for axis in axes)
     runs = told_apart(study, runs) if is_alone else runs
-    return Setting(tuple(groups), label, method, at, runs, of_starts, is_recorded)
+    return Setting(tuple(groups), label, method, position, runs, of_starts, is_recorded)
 
 
 def _fates(group: Group) -> np.ndarray:
     """The fate of each run of a group as a kind of outcome, or `FAILED`."""
     kinds = group.fates.copy()
     t_last, n_last = group.last.T
-    held = is_held(t_last, n_last, int(group.key["n"]), float(group.key["t_end"]))
-    kinds[(kinds == SUSTAINED) & held] = UNMOVED
+    is_stuck = is_held(t_last, n_last, int(group.key["n"]), float(group.key["t_end"]))
+    kinds[(kinds == SUSTAINED) & is_stuck] = UNMOVED
     kinds[kinds == COLLAPSED], kinds[kinds == DIVERGED] = SLIDING, ESCAPING
     return kinds
 
@@ -281,10 +281,10 @@ def told_apart(study: Study, runs: Runs) -> Runs:
 def predicates(outcomes: Sequence[Outcome], settings: Sequence[Setting]) -> tuple[str, ...]:
     """What runs at some settings do, a verb phrase each; what may yet change comes last, and the last says when."""
     words = [_words(outcome, settings) for outcome in outcomes]
-    *others, last = sorted(words, key=lambda word: "{}" in word)
+    *words_before, last_word = sorted(words, key=lambda word: "{}" in word)
     ends = {setting.t_end for setting in settings}
     when = f" at t = {ends.pop():g}" if len(ends) == 1 else " at their end"
-    return (*(word.format("") for word in others), last.format(when))
+    return (*(word.format("") for word in words_before), last_word.format(when))
 
 
 def _words(outcome: Outcome, settings: Sequence[Setting]) -> str:
@@ -376,8 +376,8 @@ def together(settings: Sequence[Setting]) -> Runs:
 
 def stretches(outcomes: Sequence[tuple[Outcome, ...]]) -> list[slice]:
     """Neighbouring settings of the same outcomes; what is not known is in one only if it goes on beyond."""
-    known = [(k, here) for k, here in enumerate(outcomes) if here]
-    numbers = [[k for k, _ in group] for _, group in groupby(known, lambda pair: pair[1])]
+    decided = [(k, outcome) for k, outcome in enumerate(outcomes) if outcome]
+    numbers = [[k for k, _ in group] for _, group in groupby(decided, lambda pair: pair[1])]
     return [slice(group[0], group[-1] + 1) for group in numbers]
 
 
@@ -385,34 +385,36 @@ def regimes(
     study: Study, grid: Grid, line: Sequence[Setting], outcomes: Sequence[tuple[Outcome, ...]], method: Place
 ) -> list[tuple[Regime, Sequence[Setting]]]:
     """A line by what its runs do, with the settings: few stretches of values, or else how many values."""
-    axis, parts = grid.axes[0], stretches(outcomes)
-    groups = [(Place.key(axis.name, _span(line[part])), line[part], outcomes[part.start]) for part in parts]
-    if len(parts) > MOST_STRETCHES:
+    axis, slices = grid.axes[0], stretches(outcomes)
+    groups = [
+        (Place.key(axis.name, _span(line[stretch])), line[stretch], outcomes[stretch.start]) for stretch in slices
+    ]
+    if len(slices) > MOST_STRETCHES:
         like: dict[tuple[Outcome, ...], list[Setting]] = {}
-        for setting, here in zip(line, outcomes, strict=True):
-            like.setdefault(here, []).append(setting)
+        for setting, outcome in zip(line, outcomes, strict=True):
+            like.setdefault(outcome, []).append(setting)
         by_number = sorted((pair for pair in like.items() if pair[0]), key=lambda pair: -len(pair[1]))
         groups = [
-            (Place.words(f"at {len(settings)} of {len(line)} values of {axis.name}"), settings, here)
-            for here, settings in by_number
+            (Place.words(f"at {len(settings)} of {len(line)} values of {axis.name}"), settings, outcome)
+            for outcome, settings in by_number
         ]
-    beside = grid.beside(line[0]) + method
-    return [(_regime(study, where + beside, settings, here), settings) for where, settings, here in groups]
+    line_place = grid.beside(line[0]) + method
+    return [(_regime(study, where + line_place, settings, outcome), settings) for where, settings, outcome in groups]
 
 
 def _span(line: Sequence[Setting]) -> str:
     """The values of a stretch along the first axis."""
-    first, last = (in_words(setting.at[0]) for setting in (line[0], line[-1]))
-    return first if len(line) == 1 else f"{first} {'and' if len(line) == 2 else 'to'} {last}"
+    lowest, highest = (in_words(setting.at[0]) for setting in (line[0], line[-1]))
+    return lowest if len(line) == 1 else f"{lowest} {'and' if len(line) == 2 else 'to'} {highest}"
 
 
 def _regime(study: Study, where: Place, settings: Sequence[Setting], outcomes: Sequence[Outcome]) -> Regime:
     n_units, level = max(setting.n_units for setting in settings), study.settings.confidence
-    of = sum(len(setting.runs.rows) for setting in settings)
-    n = of - sum(setting.runs.n_of(UNDECIDED) for setting in settings)
+    n_runs = sum(len(setting.runs.rows) for setting in settings)
+    n = n_runs - sum(setting.runs.n_of(UNDECIDED) for setting in settings)
     share = Estimate()
     if len(outcomes) == 1:  # all settings share their draws, which count once
-        is_bounded = n == of and n_units >= LEAST_UNITS
+        is_bounded = n == n_runs and n_units >= LEAST_UNITS
         share = Estimate(1.0, wilson(n_units, n_units, level)[0], 1.0) if is_bounded else Estimate(1.0)
     basis = Basis(n_units, unit(study, settings))
-    return Regime(things(basis), predicates(outcomes, settings), n, of, share, where, basis)
+    return Regime(things(basis), predicates(outcomes, settings), n, n_runs, share, where, basis)

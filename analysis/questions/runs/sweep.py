@@ -15,14 +15,13 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.answer import F
 from stickslip.analysis.contrast import Contrast, contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, KeyChange, Lack, Level, Reason, Scale, Threshold
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
-from stickslip.analysis.grid import Grid, Point, axes_of, balanced, dtype, estimate, points_at
+from stickslip.analysis.grid import Grid, Point, axes_of, balanced, estimate, points_at
 from stickslip.analysis.measures import AT_MOST, IN_MOTION, MOTION, Measure
 from stickslip.analysis.members import RELATIVE, noun
 from stickslip.analysis.models.fates import MOVING, QUIET, WATCHED
@@ -121,7 +120,7 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
                 # no test: what is the same in each of a few units may differ in others
                 difference = replace(difference, is_same=True, p_different=None, p_equivalent=None)
             keys = tuple(map(KeyChange, axis.keys, _values(base), _values(value)))
-            where = grid.where(setting) + _places(axis, pairs, common.counted)
+            where = grid.where[setting] + _places(axis, pairs, common.counted)
             is_last = value == others[-1]
             yield KeyStep(Kind.KEY, setting, "", difference, keys, where, axis=axis, base=base, is_last=is_last)
 
@@ -278,7 +277,7 @@ def _rest(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str)
                 points = points_at(grid.points[setting], axis, step.base)
                 value = estimate(step.contrast.statistic, points, grid.confidence)
                 if value.value is not None:
-                    where = Place.key(axis.name, in_words(step.base)) + grid.where(setting)
+                    where = Place.key(axis.name, in_words(step.base)) + grid.where[setting]
                     yield Level(step.contrast.statistic.quantity, value, where, basis=step.contrast.basis(unit))
         for step in of_name:
             if step.is_last or name in order[:2]:
@@ -300,7 +299,7 @@ def _thresholds(grid: Grid, setting: Label, unit: str) -> Iterator[Threshold]:
         if last > first:
             continue  # more than once
         keys = tuple((other.name, in_words(value)) for other, value in zip(others, place, strict=True))
-        where = grid.where(setting) + Place(keys)
+        where = grid.where[setting] + Place(keys)
         n_units = min(point.group.column("unit").nunique() for point in points)
         ends = [in_words(points[k].place[axis]) for k in (last, first)]
         yield Threshold("stick-slip", bool(moves[0]), axis.name, ends[0], ends[1], where, Basis(n_units, unit))
@@ -376,7 +375,7 @@ def _table(grid: Grid) -> pd.DataFrame:
     columns = dict(_COLUMNS)
     for axis in grid.axes:
         for k, key in enumerate(axis.keys):
-            kind = float if dtype(axis, k) == F else str
+            kind = float if all(isinstance(row[k], float) for row in axis.rows) else str
             columns[key] = kind, partial(_key_of, axis, k, kind)
     return frame_by(columns, cells)
 

@@ -8,16 +8,16 @@ from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from stickslip.analysis.answer import F, I, Picture, Row, S, frame, named
+from stickslip.analysis.answer import Answer, Picture
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Difference, Family, Outcomes, Verdict
 from stickslip.analysis.findings.words import listed, sentence
 from stickslip.analysis.groups import Group
+from stickslip.analysis.rows import frame_of
 from stickslip.analysis.series import cascades, nulls
 from stickslip.analysis.series.cascades import SAMPLED, Law
 from stickslip.analysis.series.nulls import DRAWS
@@ -31,57 +31,56 @@ _WORDS = (
     "drop: blocks that let go over samples that all fall; length: number of such samples; descent and decreases: the "
     "same, with pauses allowed; events: without samples"
 )
-_DEFINITIONS: Mapping[str, str] = {
-    "group": S, "definition": S, "dt": F, "n_cascades": I, "n_matrices": I, "gamma": F, "gamma_low": F,
-    "gamma_high": F, "reason": S, "chance": F, "over": F, "over_low": F, "over_high": F, "p_value": F,
-    "p_adjusted": F, "verdict": S,
-}  # fmt: skip
 
 
-class Compared(NamedTuple):
-    """What is said of the definitions."""
+class Defined(NamedTuple):
+    """The decay rate by a definition, and over that of blocks shifted in time: a row of the table `definitions`."""
 
-    findings: list[Outcomes]
-    tables: dict[str, pd.DataFrame]
-    figures: dict[str, Picture]
+    group: str
+    definition: str
+    dt: float | None
+    n_cascades: int
+    n_matrices: int
+    gamma: Estimate
+    over: Estimate
+    verdict: Verdict | None
+
+    def estimate(self, is_over: bool) -> Estimate:
+        """One of the two."""
+        return self.over if is_over else self.gamma
 
 
-def compared(study: Study, group: Group) -> Compared:
+def compared(study: Study, group: Group) -> Answer:
     """The decay rate of a group by every definition and sampling step, beside that of blocks shifted in time."""
-    rows, verdicts = _rows(study, group)
-    table = {"definitions": frame(_DEFINITIONS, rows)}
-    steps = {row["dt"] for row in rows if row["dt"] is not None and row["gamma_low"] is not None}
-    if len(steps) < 2:
-        return Compared([], table, {})
+    rows = _rows(study, group)
+    table = {"definitions": frame_of(Defined, rows)}
+    if len({row.dt for row in rows if row.dt is not None and row.gamma.low is not None}) < 2:
+        return Answer(tables=table)
+    verdicts = {Law(row.definition, row.dt): row.verdict for row in rows if row.verdict is not None}
     outcomes = [_outcomes(verdicts)] if verdicts else []
     said = " ".join(sentence(outcome) for outcome in outcomes)
     caption = f"By other definitions of a cascade the decay rate depends on the sampling step. {said} {_WORDS}."
-    return Compared(outcomes, table, {"definitions": Picture(partial(by_step, rows), caption)})
+    return Answer(outcomes, tables=table, figures={"definitions": Picture(partial(by_step, rows), caption)})
 
 
-def _rows(study: Study, group: Group) -> tuple[list[Row], dict[Law, Verdict]]:
-    """Rows of the table `definitions`, and the verdict on each law that can be compared; all are judged together."""
+def _rows(study: Study, group: Group) -> list[Defined]:
+    """A row for each law; those that can be compared are judged together."""
     level, margin = study.settings.confidence, study.margins.get("gamma")
     dts = sorted({*study.settings.dt, *study.settings.map_dt})
     laws = cascades.laws(dts)
-    found = study.sums(group, partial(_of_run, dts, min(study.settings.resamples, DRAWS)), 4 * len(laws))
-    sums = found[:, :-1].reshape(-1, 2, len(laws), 2)
-    known = [sums[sums[:, 0, k, 1] > 0, :, k] for k in range(len(laws))]  # (G, 2, 2): observed, shifted
-    effects = together([over_null(gamma, one[:, 0], one[:, 1], level, margin or 0.0) for one in known])
-    rows, verdicts = [], dict[Law, Verdict]()
+    flat = study.sums(group, partial(_of_run, dts, min(study.settings.resamples, DRAWS)), 4 * len(laws))
+    sums = flat[:, :-1].reshape(-1, 2, len(laws), 2)
+    of_law = [sums[sums[:, 0, k, 1] > 0, :, k] for k in range(len(laws))]  # (G, 2, 2): observed, shifted
+    effects = together([over_null(gamma, part[:, 0], part[:, 1], level, margin or 0.0) for part in of_law])
     n_tests = sum(effect.p is not None for effect in effects)
-    for law, one, effect in zip(laws, known, effects, strict=True):
-        rate = over_matrices(gamma, one[:, 0], level)
-        if effect.p is not None:
-            verdicts[law] = _difference(effect, margin, n_tests, 1 - level).verdict
-        rows.append({
-            "group": group.label, "definition": law.definition, "dt": law.dt,
-            "n_cascades": int(one[:, 0, 1].sum()), "n_matrices": len(one), **named("gamma", rate),
-            "reason": rate.reason or None, "chance": over_matrices(gamma, one[:, 1], level).value,
-            **named("over", effect.ratio), "p_value": effect.p, "p_adjusted": effect.p_adjusted,
-            "verdict": verdicts.get(law),
-        })  # fmt: skip
-    return rows, verdicts
+    return [
+        Defined(
+            group.label, law.definition, law.dt, int(part[:, 0, 1].sum()), len(part),
+            over_matrices(gamma, part[:, 0], level), effect.ratio,
+            None if effect.p is None else _difference(effect, margin, n_tests, 1 - level).verdict,
+        )
+        for law, part, effect in zip(laws, of_law, effects, strict=True)
+    ]  # fmt: skip
 
 
 def _of_run(dts: Sequence[float], draws: int, run: Run) -> np.ndarray:
@@ -125,38 +124,34 @@ def _outcome(verdict: Verdict) -> str:
     return "different" if verdict in (Verdict.MORE, Verdict.LESS) else "undecided"
 
 
-def by_step(rows: Sequence[Row]) -> Figure:
+def by_step(rows: Sequence[Defined]) -> Figure:
     """The decay rate against the sampling step, one line a definition, and below over that of blocks shifted in time.
 
-    The rows are those of the table `definitions`; the band is `events`. What is not known is not drawn.
+    The band is `events`. What is not known is not drawn.
     """
-    ratios = {"gamma": "decay rate", "over": "over time-shifted"}
-    known = {name: what for name, what in ratios.items() if any(row[f"{name}_low"] is not None for row in rows)}
-    return panel(nrows=len(known), sharex=True, squeeze=False)(_by_step)(known, rows)
+    drawn = [is_over for is_over in (False, True) if any(row.estimate(is_over).low is not None for row in rows)]
+    return panel(nrows=len(drawn), sharex=True, squeeze=False)(_by_step)(drawn, rows)
 
 
-def _by_step(grid: np.ndarray, drawn: Mapping[str, str], rows: Sequence[Row]) -> None:
+def _by_step(grid: np.ndarray, drawn: Sequence[bool], rows: Sequence[Defined]) -> None:
     axes: Sequence[Axes] = grid.ravel().tolist()
-    for ax, (name, what) in zip(axes, drawn.items(), strict=True):
-        known = [row for row in rows if row[f"{name}_low"] is not None]
-        for row in known:
-            if row["dt"] is None:
-                ax.axhspan(
-                    row[f"{name}_low"], row[f"{name}_high"], color=GREY, alpha=0.3, linewidth=0, label="events"
-                )
+    for ax, is_over in zip(axes, drawn, strict=True):
+        known = [(row, row.estimate(is_over)) for row in rows if row.estimate(is_over).low is not None]
+        for row, rate in known:
+            if row.dt is None and rate.low is not None and rate.high is not None:
+                ax.axhspan(rate.low, rate.high, color=GREY, alpha=0.3, linewidth=0, label="events")
         for k, definition in enumerate(SAMPLED):
-            line = sorted((row for row in known if row["definition"] == definition), key=lambda row: row["dt"])
+            line = [(row.dt, rate.value, rate.low, rate.high) for row, rate in known if row.definition == definition]
             if line:
-                columns = ("dt", name, f"{name}_low", f"{name}_high")
-                dt, value, low, high = (np.array([row[column] for row in line]) for column in columns)
+                dt, value, low, high = np.array(line).T
                 ax.errorbar(
                     dt, value, yerr=[value - low, high - value], label=definition, color=CYCLE[k],
                     fmt="oDs^"[k], linestyle=("-", "-", "--", "--")[k], markersize=3, linewidth=0.9,
                 )  # fmt: skip
-        ax.set(xscale="log", ylabel=what)
-    if "over" in drawn:
+        ax.set(xscale="log", ylabel="over time-shifted" if is_over else "decay rate")
+    if drawn[-1]:
         axes[-1].axhline(1.0, linestyle="--", color=GREY, linewidth=1)
-    steps = sorted({row["dt"] for row in rows if row["dt"] is not None})
+    steps = sorted({row.dt for row in rows if row.dt is not None})
     axes[-1].set_xticks(steps[:: max(1, -(-len(steps) // 5))])
     axes[-1].xaxis.set_major_formatter(lambda x, _: f"{x:g}")
     axes[-1].xaxis.set_minor_formatter(NullFormatter())

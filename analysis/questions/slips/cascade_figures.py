@@ -10,12 +10,34 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from stickslip.analysis.answer import Row
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
 
 SHOWN = 0.06  # largest relative error of a share that is drawn over the coin's
 FEWEST = 5  # cascades of a size that is drawn
+
+
+class Size(NamedTuple):
+    """The share of cascades of a size, observed, by the fit and of two-state blocks: a row of the table `sizes`."""
+
+    group: str
+    size: int
+    n_cascades: int
+    share: Estimate
+    fit: float | None
+    pool: float | None
+
+    @property
+    def is_seen(self) -> bool:
+        return self.n_cascades >= FEWEST and bool(self.share.low)
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the share is known well enough to be drawn over the coin's."""
+        value, low, high = self.share.value, self.share.low, self.share.high
+        if not self.is_seen or value is None or low is None or high is None:
+            return False
+        return high - low < 2 * SHOWN * value
 
 
 class Largest(NamedTuple):
@@ -53,40 +75,30 @@ def one_run(
     inset.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
 
 
-def size_law(laws: Mapping[str, Sequence[Row]], rate: Estimate) -> Figure:
+def size_law(laws: Mapping[str, Sequence[Size]], rate: Estimate) -> Figure:
     """Share of cascades of each size for some groups, on a log axis with the fit; below, the same over the coin's.
 
     Both axes show only sizes whose shares are known to within `SHOWN`, so that the difference of the decay rate is
-    visible; where not even two are, there is the upper one alone, with all sizes. `laws` are rows of the table
-    `sizes` by group, and `rate` is the first group's.
+    visible; where not even two are, there is the upper one alone, with all sizes. `rate` is the first group's.
     """
-    seen = {label: [*filter(_is_seen, rows)] for label, rows in laws.items()}
-    known = {label: [*filter(_is_known, rows)] for label, rows in seen.items()}
+    seen = {label: [size for size in sizes if size.is_seen] for label, sizes in laws.items()}
+    known = {label: [size for size in sizes if size.is_known] for label, sizes in laws.items()}
     if is_split(laws):
         return panel(nrows=2, height_ratios=(1.0, 1.3), sharex=True)(_size_law)(laws, known, rate)
     return panel(squeeze=False)(_size_law)(laws, seen, rate)
 
 
-def is_split(laws: Mapping[str, Sequence[Row]]) -> bool:
+def is_split(laws: Mapping[str, Sequence[Size]]) -> bool:
     """Whether two sizes or more can be drawn over the coin's."""
-    return any(sum(map(_is_known, rows)) > 1 for rows in laws.values())
-
-
-def _is_seen(row: Row) -> bool:
-    return bool(row["n_cascades"] >= FEWEST and row["share_low"])
-
-
-def _is_known(row: Row) -> bool:
-    """Whether the share of a size is known well enough to be drawn over the coin's."""
-    return _is_seen(row) and bool(row["share_high"] - row["share_low"] < 2 * SHOWN * row["share"])
+    return any(sum(size.is_known for size in sizes) > 1 for sizes in laws.values())
 
 
 def _size_law(
-    axes: np.ndarray, laws: Mapping[str, Sequence[Row]], drawn: Mapping[str, Sequence[Row]], rate: Estimate
+    axes: np.ndarray, laws: Mapping[str, Sequence[Size]], drawn: Mapping[str, Sequence[Size]], rate: Estimate
 ) -> None:
     top, *others = axes.ravel()
-    smallest = next(iter(laws.values()))[0]["size"]
-    largest = max((row["size"] for rows in drawn.values() for row in rows), default=smallest)
+    smallest = next(iter(laws.values()))[0].size
+    largest = max((law.size for sizes in drawn.values() for law in sizes), default=smallest)
     grid = np.arange(largest - smallest + 1)
     sizes, coin = grid + smallest, 2.0 ** -(grid + 1)
 
@@ -96,12 +108,10 @@ def _size_law(
     for ax in (top, *others):
         over = coin if ax is not top else np.ones(len(grid))
         ends = [1.0]
-        for k, (label, rows) in enumerate(drawn.items()):
-            at = np.array([row["size"] for row in rows], dtype=int)
-            share, low, high = (
-                np.array([row[name] for row in rows], dtype=float) / over[at - smallest]
-                for name in ("share", "share_low", "share_high")
-            )
+        for k, (label, known) in enumerate(drawn.items()):
+            at = np.array([law.size for law in known], dtype=int)
+            ends_of = [(law.share.value, law.share.low, law.share.high) for law in known]
+            share, low, high = np.array(ends_of, dtype=float).reshape(-1, 3).T / over[at - smallest]
             form: Any = {"fmt": "os"[k % 2], "color": (EXACT, SMOOTHED)[k % 2], "markersize": 3, "linewidth": 0.8}
             form["markerfacecolor"] = form["color"] if k % 2 == 0 else "white"
             ax.errorbar(at + 0.12 * k, share, yerr=[share - low, high - share], label=label, **form)
@@ -111,9 +121,9 @@ def _size_law(
         if rate.low is not None and rate.high is not None:
             first, last = (fitted(end) / over for end in (rate.low, rate.high))
             ax.fill_between(sizes, first, last, color=EXACT, alpha=0.2, linewidth=0)
-        two_state = [row for row in next(iter(laws.values()))[: len(grid)] if row["pool"] is not None]
+        two_state = [law.pool for law in next(iter(laws.values()))[: len(grid)] if law.pool is not None]
         if two_state:
-            pooled = np.array([row["pool"] for row in two_state]) / over[: len(two_state)]
+            pooled = np.array(two_state) / over[: len(two_state)]
             ax.plot(sizes[: len(two_state)], pooled, ":", color=GREEN, linewidth=1.4, label="two-state blocks")
         ax.plot(sizes, coin / over, "--", color=GREY, linewidth=1, label="fair coin")
         if ax is not top:

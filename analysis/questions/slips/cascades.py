@@ -10,10 +10,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from stickslip.analysis.answer import Answer, F, I, Picture, Question, Recipe, Row, S, frame, lack, named, systems
+from stickslip.analysis.answer import Answer, Picture, Question, Recipe, lack, systems
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import (
@@ -36,6 +37,8 @@ from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS
 from stickslip.analysis.models import fates, pool
 from stickslip.analysis.questions.slips import cascade_definitions, cascade_figures
+from stickslip.analysis.questions.slips.cascade_figures import Size
+from stickslip.analysis.rows import frame_of
 from stickslip.analysis.series import nulls
 from stickslip.analysis.series.cascades import spans
 from stickslip.analysis.series.runs import Run
@@ -60,18 +63,22 @@ RATE = Quantity(
 VARIANCE = Quantity("variance", "variance of cascade sizes")
 LEFT = Quantity("excess_shifted", "excess over ln 2 of time-shifted blocks", Form.SHARE)
 COUNTING = "stickslip.workflows.scenes.counting:question"  # gives the parts of the excess
-_LAW: Mapping[str, str] = {
-    "group": S, "n": I, "engine": S, "n_matrices": I, "n_cascades": I, "smallest": I,
-    "gamma": F, "gamma_low": F, "gamma_high": F, "chance": F, "difference": F, "difference_low": F,
-    "difference_high": F, "verdict": S, "gamma_pool": F, "over_pool": F, "over_pool_low": F, "over_pool_high": F,
-    "gamma_shifted": F, "over_shifted": F, "over_shifted_low": F, "over_shifted_high": F,
-    "variance": F, "variance_low": F, "variance_high": F, "variance_shifted": F,
-    "gain": F, "gain_low": F, "gain_high": F, "basis": S,
-}  # fmt: skip
-_SIZES: Mapping[str, str] = {
-    "group": S, "size": I, "n_cascades": I, "share": F, "share_low": F, "share_high": F, "fit": F, "chance": F,
-    "pool": F,
-}  # fmt: skip
+
+
+class LawRow(NamedTuple):
+    """A row of the table `law`: variances are over an exponential's, the least size counts as 1."""
+
+    group: str
+    n: int
+    n_matrices: int
+    n_cascades: int
+    smallest: int
+    gamma: Estimate
+    gamma_pool: float | None
+    gamma_shifted: float | None
+    over_shifted: Estimate
+    variance: Estimate
+    basis: str
 
 
 @dataclass(frozen=True)
@@ -201,11 +208,11 @@ def answer(study: Study) -> Answer:
     judged = study.judged()
     labels = {group.label for group in judged}
     every = [_sums(study, group, group.label in labels) for group in study.groups]
-    sums = {one.group.label: one for one in every}
-    sizes = [row for one in every for row in _size_rows(one, level)]
+    sums = {each.group.label: each for each in every}
+    sizes = {each.group.label: _sizes(each, level) for each in every}
     tables = {
-        "law": frame(_LAW, [_law_row(one, level, study.margins.get("gamma")) for one in every]),
-        "sizes": frame(_SIZES, sizes),
+        "law": frame_of(LawRow, [_law_row(each, level) for each in every]),
+        "sizes": frame_of(Size, [size for of_group in sizes.values() for size in of_group]),
     }
     drifting = _drifting(study, judged, sums)
     if not judged:
@@ -228,8 +235,8 @@ def answer(study: Study) -> Answer:
         findings=[*([] if drifting is None else [drifting]), *leading, *findings, *definitions.findings],
         n_lead=min(3, len(leading) + (drifting is not None)),
         alerts=_alerts(study, lead),
-        tables=tables | definitions.tables,
-        figures=_figures(study, lead, drawn, sizes) | definitions.figures,
+        tables={**tables, **definitions.tables},
+        figures={**_figures(study, lead, drawn, sizes), **definitions.figures},
         method=_method(study),
     )
 
@@ -417,50 +424,41 @@ def _alerts(study: Study, lead: Sums) -> list[Alert]:
 # ------------------------------------------------------------------------------------------------- tables and figures
 
 
-def _law_row(sums: Sums, confidence: float, margin: float | None) -> Row:
-    """Row of the table `law`; its verdict is that of the first comparison of `_rates`."""
-    group, mean = sums.group, sums.pool_mean
-    row: Row = {
-        "group": group.label, "n": sums.n, "engine": group.key["engine"], "n_matrices": len(sums.rows),
-        "n_cascades": int(sums.rows[:, 0].sum()), "smallest": sums.smallest,
-        **named("gamma", sums.estimate(gamma, confidence)), "chance": LN2,
-        **named("difference", sums.estimate(lambda rows: gamma(rows) - LN2, confidence)),
-        "verdict": Difference(sums.estimate(over_coin, confidence), margin=margin).verdict,
-        **named("gain", gain(sums, confidence)),
-        "basis": group.basis(confidence).code,
-    }  # fmt: skip
-    ratios = sums.estimate(lambda rows: 1 + over_exponential(rows), confidence)
-    row |= named("variance", ratios)
-    if mean is not None:
-        row["gamma_pool"] = pool.gamma(sums.n, mean)
-        by_pool = pool.against(sums.n)
-        row |= named("over_pool", sums.estimate(lambda rows: by_pool(rows[:, [1, 0, 6, 7]]), confidence))
-    if sums.is_shifted:
-        row["gamma_shifted"] = sums.estimate(gamma_shifted, confidence).value
-        row |= named("over_shifted", sums.estimate(lambda rows: gamma(rows) - gamma_shifted(rows), confidence))
-        row["variance_shifted"] = sums.estimate(lambda rows: 1 + excess(rows[:, 3:6]), confidence).value
-    return row
+def _law_row(sums: Sums, confidence: float) -> LawRow:
+    mean, shifted = sums.pool_mean, sums.is_shifted
+    return LawRow(
+        sums.group.label,
+        sums.n,
+        len(sums.rows),
+        int(sums.rows[:, 0].sum()),
+        sums.smallest,
+        sums.estimate(gamma, confidence),
+        None if mean is None else pool.gamma(sums.n, mean),
+        sums.estimate(gamma_shifted, confidence).value if shifted else None,
+        sums.estimate(over_shifted, confidence) if shifted else Estimate(),
+        sums.estimate(lambda rows: 1 + over_exponential(rows), confidence),
+        sums.group.basis(confidence).code,
+    )
 
 
-def _size_rows(sums: Sums, confidence: float) -> list[Row]:
-    """Share of each size with its interval over systems, fitted, by a coin and of two-state blocks."""
+def _sizes(sums: Sums, confidence: float) -> list[Size]:
+    """Share of each size with its interval over systems, fitted, and of two-state blocks."""
     totals, rate, mean = sums.counts.sum(axis=1), sums.estimate(gamma, confidence).value, sums.pool_mean
     two_state = None if mean is None else pool.law(sums.n, mean, sums.counts.shape[1])
     return [
-        {
-            "group": sums.group.label,
-            "size": k + sums.smallest,
-            "n_cascades": int(column.sum()),
-            **named("share", mean_within(np.column_stack([column, totals]).astype(float), 1.0, confidence)),
-            "fit": None if rate is None else float(-np.expm1(-rate) * np.exp(-rate * k)),
-            "chance": 0.5 ** (k + 1),
-            "pool": None if two_state is None else float(two_state[k]),
-        }
+        Size(
+            sums.group.label,
+            k + sums.smallest,
+            int(column.sum()),
+            mean_within(np.column_stack([column, totals]).astype(float), 1.0, confidence),
+            None if rate is None else float(-np.expm1(-rate) * np.exp(-rate * k)),
+            None if two_state is None else float(two_state[k]),
+        )
         for k, column in enumerate(sums.counts.T if len(totals) else [])
     ]
 
 
-def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Sequence[Row]) -> dict[str, Picture]:
+def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str, list[Size]]) -> dict[str, Picture]:
     level, burn = study.settings.confidence, f"t = {study.settings.t_burn:g}"
     rate, system = lead.estimate(gamma, level), systems(study)
     values, errors = of_systems(lead.parts)
@@ -478,8 +476,7 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Sequence[Ro
         share = with_interval(lasting, Form.SHARE)
         scatter = f" Share of the scatter between systems that is real, not sampling noise: {share}."
     laws = {
-        str(label or lead.group.label): [row for row in sizes if row["group"] == one.group.label]
-        for label, one in zip(labels, drawn, strict=True)
+        str(label or lead.group.label): sizes[each.group.label] for label, each in zip(labels, drawn, strict=True)
     }
     unit, draw_run = _first_run(study, lead.group)
     below = " Below, over a fair coin's 2⁻ˢ, the slope is minus the difference of the decay rate from ln 2."

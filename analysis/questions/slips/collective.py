@@ -9,23 +9,23 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
-from stickslip.analysis.answer import Answer, Picture, Question, Row, frame, lack, systems
+from stickslip.analysis.answer import Answer, Picture, Question, lack, systems
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Quantity, Reason, Share
 from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.models.clustering import Kind
-from stickslip.analysis.models.common_motion import NONE, SURROGATES
-from stickslip.analysis.questions.slips import slow_motion, triggering
-from stickslip.analysis.questions.slips.slow_motion import CYCLES, Slow
-from stickslip.analysis.questions.slips.triggering import Exits, exits_of, triggered
+from stickslip.analysis.models.common_motion import SURROGATES, Number, Shown
+from stickslip.analysis.questions.slips.slow_motion import CYCLES, Band, Slow, slow_motion
+from stickslip.analysis.questions.slips.triggering import CLUSTERING, Exits, exits_of, triggered
+from stickslip.analysis.rows import frame_by, frame_of
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
 WHAT = "collective motion"
-MOST_DRAWN = 3  # groups in the figure
-OF_ALL_BLOCKS = (Kind.POWER, Kind.VARIANCE)  # what is compared on the page besides exits; tables have all
+MOST_GROUPS = 3  # whose exits are compared with time-shifted blocks, and which are drawn
+OF_ALL_BLOCKS = (Kind.POWER, Kind.VARIANCE)  # what is compared on the page besides exits; the table has all
 Q = Quantity(
     "quality",
     "Q of slow common motion",
@@ -49,161 +49,152 @@ def answer(study: Study) -> Answer:
     judged = study.judged()
     if not judged:
         return Answer(findings=[lack(study, WHAT)])
-    slow = [motion for group in judged if (motion := slow_motion.slow_motion(study, group)) is not None]
-    exits = [found for group in judged if (found := exits_of(study, group)) is not None]
+    motions = [motion for group in judged if (motion := slow_motion(study, group)) is not None]
+    motions.sort(key=lambda motion: not motion.is_shown)  # of like ones the first leads
+    exits = [found for motion in motions[:MOST_GROUPS] if (found := exits_of(study, motion.group)) is not None]
     if not exits:
         return Answer(findings=[Lack(WHAT, Reason.FEW_EVENTS)])
-    level, t_burn = study.settings.confidence, study.settings.t_burn
-    bands = {one.group.label: one.bands(level) for one in slow}
-    tables = {
-        "rhythm": frame(slow_motion.TABLE, (one.row(t_burn) for one in slow)),
-        "rhythm_spectrum": frame(slow_motion.SPECTRUM, (row for rows in bands.values() for row in rows)),
-        "clustering": frame(
-            triggering.TABLE, (one.row(found.group.label) for found in exits for one in found.compared)
-        ),
-        "spectrum": frame(triggering.SPECTRUM, (row for found in exits for row in found.spectrum())),
-    }
-    of_group = {one.group.label: one for one in slow}
-    exits.sort(key=lambda found: not _is_shown(of_group.get(found.group.label)))  # of like ones the first leads
-    lead, *others = exits
-    leading, compared = _leading(study, lead, of_group.get(lead.group.label))
-    shares = [
-        _share(motion, Place.of(found.group.name), systems(study))
-        for found in others
-        if (motion := of_group.get(found.group.label)) is not None and motion.is_shown
-    ]
-    drawn = {found.group.label: (found.spectrum(), bands.get(found.group.label, [])) for found in exits[:MOST_DRAWN]}
-    picture = _picture(drawn, of_group.get(lead.group.label))
-    alerts = _alerts(lead, of_group.get(lead.group.label), 1 - level)
-    findings = [*leading, *shares, *compared]
-    figures = {"collective": picture}
-    return Answer(findings=findings, n_lead=3, alerts=alerts, method=_METHOD, tables=tables, figures=figures)
+    level, lead, others = study.settings.confidence, motions[0], motions[1:]
+    leading, compared = _leading(study, exits[0], lead)
+    shares = [_share(motion, Place.of(motion.group.name), systems(study)) for motion in others if motion.is_shown]
+    bands = [(group.bands, motion.bands(level)) for group, motion in zip(exits, motions, strict=False)]
+    drawn = {group.group.label: pair for group, pair in zip(exits, bands, strict=True)}
+    return Answer(
+        findings=[*leading, *shares, *compared],
+        n_lead=3,
+        alerts=_alerts(lead, 1 - level),
+        method=_METHOD,
+        tables={
+            "clustering": frame_by(CLUSTERING, (each for group in exits for each in group.compared)),
+            "spectrum": frame_of(Band, (band for fast, slow in bands for band in (*fast, *slow))),
+        },
+        figures={"collective": _picture(drawn, lead)},
+    )
 
 
-def _is_shown(motion: Slow | None) -> bool:
-    return motion is not None and motion.is_shown
-
-
-def _alerts(exits: Exits, motion: Slow | None, alpha: float) -> list[Alert]:
+def _alerts(motion: Slow, alpha: float) -> list[Alert]:
     """That runs are left out, and that the fit is no more than a summary."""
-    group, alerts = exits.group, []
+    group, alerts = motion.group, []
     if group.n_moving < len(group):
         alerts.append(Alert.of(Code.NOT_MOVING, n=len(group) - group.n_moving, of=len(group), what=WHAT))
-    if motion is not None and motion.is_shown and motion.goodness.p_value < alpha:
+    if motion.is_shown and motion.goodness.p_value < alpha:
         alerts.append(Alert.of(Code.MISFIT, deviance=round(motion.goodness.deviance), dof=motion.goodness.dof))
     return alerts
 
 
-def _leading(study: Study, exits: Exits, motion: Slow | None) -> tuple[list[Finding], list[Finding]]:
-    """What one group shows: first the share of slow common motion or, if none is shown, why.
-
-    Returns
-    -------
-    leading, compared : list of Finding
-    """
+def _leading(study: Study, exits: Exits, motion: Slow) -> tuple[list[Finding], list[Finding]]:
+    """What one group shows: first the share of slow common motion or, if none is shown, why; and comparisons."""
     unit, where = systems(study), Place.of(exits.group.name) if len(study.groups) > 1 else EVERYWHERE
     share, shown = triggered(exits, where, unit)
-    kept = [exits.compared[0], *(one for one in exits.compared[1:] if one is shown or one.part.kind in OF_ALL_BLOCKS)]
-    basis = Basis(exits.n_units, unit)
-    compared: list[Finding] = [one.level(where, basis) for one in kept if one.observed.low is not None]
-    if motion is None or not motion.is_shown:
-        return [*_lacking(study, motion, where), *compared[:1], *share], compared[1:]
-    return [_share(motion, where, unit), *share, *_fit(motion, where, unit)], compared
+    first, *others = exits.compared
+    told = [first, *(each for each in others if each is shown or each.part.kind in OF_ALL_BLOCKS)]
+    levels: list[Finding] = [
+        each.level(where, Basis(exits.n_units, unit)) for each in told if each.observed.low is not None
+    ]
+    if not motion.is_shown:
+        return [_lacking(motion, where, study.settings.t_burn), *levels[:1], *share], levels[1:]
+    return [_share(motion, where, unit), *share, *_fit(motion, where, unit)], levels
 
 
 def _share(motion: Slow, where: Place, unit: str) -> Share:
-    predicate = "is due to slow common motion"
-    basis = Basis(len(motion.units), unit)
-    return Share("share", "the variance of n_stick", predicate, motion.estimate("share"), where, basis=basis)
+    share, basis = motion.fit.estimates[Number.SHARE], Basis(len(motion.units), unit)
+    return Share("share", "the variance of n_stick", "is due to slow common motion", share, where, basis=basis)
 
 
 def _fit(motion: Slow, where: Place, unit: str) -> list[Finding]:
     """Q of slow common motion, its natural period, and the goodness of their fit."""
-    basis = Basis(len(motion.units), unit)
-    fit = motion.goodness
+    basis, estimates, goodness = Basis(len(motion.units), unit), motion.fit.estimates, motion.goodness
     return [
-        Level(Q, motion.estimate("quality"), where, basis=basis),
-        Level(PERIOD, motion.estimate("period"), where, basis=basis),
-        Level(DEVIANCE, Estimate(fit.deviance), where + Place.words(f"{fit.dof} degrees of freedom")),
+        Level(Q, estimates[Number.QUALITY], where, basis=basis),
+        Level(PERIOD, estimates[Number.PERIOD], where, basis=basis),
+        Level(DEVIANCE, Estimate(goodness.deviance), where + Place.words(f"{goodness.dof} degrees of freedom")),
     ]
 
 
-def _lacking(study: Study, motion: Slow | None, where: Place) -> list[Finding]:
+def _lacking(motion: Slow, where: Place, t_burn: float) -> Lack:
     """Why no slow common motion is shown."""
     what = f"slow common motion{where.tail}"
-    if motion is None:
-        return []
-    if motion.verdict == NONE and motion.motion is not None:
-        return [Lack(what, Reason.NOT_SHOWN, f"p = {motion.motion.p:.2g}")]
-    needed = motion.needed(study.settings.t_burn)
-    return [Lack(what, Reason.SHORT_WINDOW, f"runs to t = {needed:,.0f} may suffice")]
+    if motion.shown is Shown.NONE:
+        return Lack(what, Reason.NOT_SHOWN, f"p = {motion.fit.p:.2g}")
+    return Lack(what, Reason.SHORT_WINDOW, f"runs to t = {motion.needed(t_burn):,.0f} may suffice")
 
 
 # ---------------------------------------------------------------------------------------------- the figure
 
 
-def _picture(drawn: Mapping[str, tuple[list[Row], list[Row]]], motion: Slow | None) -> Picture:
+def _picture(drawn: Mapping[str, tuple[list[Band], list[Band]]], motion: Slow) -> Picture:
     """Power at all periods, with the fit of slow common motion and, of the group that leads, its goodness."""
     power = "the power of n_stick, the number of sticking blocks,"
-    if motion is None or not motion.is_shown:
-        caption = f"How far {power} is from that of time-shifted blocks (dashed). Bars and bands: intervals."
-        if motion is None:
-            return Picture(partial(spectrum, drawn), caption)
-        caption += f" Shaded: periods over {CYCLES:g} of a block's own cycles, "
-        caption += (
-            "where no slow common motion is shown."
-            if motion.verdict == NONE
-            else "which take longer runs to tell slow common motion."
+    if not motion.is_shown:
+        shaded = (
+            "where no slow common motion is shown"
+            if motion.shown is Shown.NONE
+            else "which take longer runs to tell slow common motion"
         )
-        return Picture(partial(spectrum, drawn, CYCLES * motion.cycle), caption)
-    fit = motion.goodness
-    quality = number(motion.estimate("quality").value or 0.0, digits=2)
-    where = motion.group.label
-    caption = (
+        return Picture(
+            partial(spectrum, drawn, CYCLES * motion.cycle),
+            f"How far {power} is from that of time-shifted blocks (dashed). Bars and bands: intervals."
+            f" Shaded: periods over {CYCLES:g} of a block's own cycles, {shaded}.",
+        )
+    quality, fit = number(motion.fit.values[Number.QUALITY][0], digits=2), motion.goodness
+    return Picture(
+        partial(spectrum, drawn),
         f"At long periods slow common motion lifts {power} above that of time-shifted blocks (dashed). Bars and"
-        f" bands: intervals; lines through marks: a damped oscillator, which at {where} has Q = {quality} and a"
-        f" deviance of {fit.deviance:.0f} on {fit.dof} degrees of freedom (p = {fit.p_value:.2g})."
+        f" bands: intervals; lines through marks: a damped oscillator, which at {motion.group.label} has"
+        f" Q = {quality} and a deviance of {fit.deviance:.0f} on {fit.dof} degrees of freedom"
+        f" (p = {fit.p_value:.2g}).",
     )
-    return Picture(partial(spectrum, drawn), caption)
 
 
 @panel(3.4)
-def spectrum(ax: Axes, groups: Mapping[str, tuple[list[Row], list[Row]]], slow_from: float | None = None) -> None:
+def spectrum(ax: Axes, groups: Mapping[str, tuple[list[Band], list[Band]]], slow_from: float | None = None) -> None:
     """Power of n_stick over that of time-shifted blocks against the period, fast and slow, with the fit.
 
     Periods from `slow_from` on are shaded.
     """
     ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
     for k, (label, (fast, slow)) in enumerate(groups.items()):
-        colour, mark, face = (EXACT, SMOOTHED, GREEN)[k], "os^"[k], ((EXACT, "white", "white")[k])
+        colour = (EXACT, SMOOTHED, GREEN)[k]
         period, ratio, low, high = _points(fast)
         ax.fill_between(period, low, high, color=colour, alpha=0.18, linewidth=0)
         ax.plot(period, ratio, color=colour, linewidth=0.9)
         period, ratio, low, high = _points(slow)
-        ax.errorbar(period, ratio, yerr=[ratio - low, high - ratio], color=colour, fmt=mark, markersize=3,
-                    linewidth=0.9, label=label, markerfacecolor=face)  # fmt: skip
-        if slow and all(row["model"] is not None for row in slow):
-            ax.plot([_middle(row) for row in slow], [row["model"] for row in slow], color=colour)
+        face, ends = (EXACT, "white", "white")[k], [ratio - low, high - ratio]
+        ax.errorbar(
+            period,
+            ratio,
+            ends,
+            fmt="os^"[k],
+            color=colour,
+            markerfacecolor=face,
+            markersize=3,
+            linewidth=0.9,
+            label=label,
+        )
+        models = [band.model for band in slow if band.model is not None]
+        if models:
+            ax.plot([band.middle for band in slow], models, color=colour)
     if slow_from is not None:
         longest = max(3 * slow_from, ax.get_xlim()[1])
         ax.axvspan(slow_from, longest, color=GREY, alpha=0.18, linewidth=0)
         ax.text(slow_from * 1.05, 0.96, "slow", color=GREY, va="top", transform=ax.get_xaxis_transform())
     ax.set(xscale="log", yscale="log", xlabel="period", ylabel="power / time-shifted blocks")
     for axis in (ax.xaxis, ax.yaxis):
-        ends = axis.get_view_interval()
-        axis.set_major_locator(LogLocator(subs=(1.0, 3.0) if ends[1] > 20 * ends[0] else (1.0, 2.0, 3.0, 5.0)))
+        ends_of_axis = axis.get_view_interval()
+        steps = (1.0, 3.0) if ends_of_axis[1] > 20 * ends_of_axis[0] else (1.0, 2.0, 3.0, 5.0)
+        axis.set_major_locator(LogLocator(subs=steps))
         axis.set_major_formatter(lambda x, _: f"{x:g}")
         axis.set_minor_locator(NullLocator())
     ax.figure.legend(loc="outside upper center", ncols=2 if max(map(len, groups)) < 24 else 1)
 
 
-def _middle(row: Row) -> float:
-    return float(np.sqrt(row["above"] * row["upto"]))
-
-
-def _points(rows: Sequence[Row]) -> np.ndarray:
+def _points(bands: Sequence[Band]) -> np.ndarray:
     """Period, ratio and the ends of its interval, shape (4, m), of the bands that have one."""
-    known = [(_middle(row), row["ratio"], row["low"], row["high"]) for row in rows if row["low"] is not None]
+    known = [
+        (band.middle, band.ratio.value, band.ratio.low, band.ratio.high)
+        for band in bands
+        if band.ratio.low is not None
+    ]
     return np.array(known, dtype=np.float64).reshape(-1, 4).T
 
 
