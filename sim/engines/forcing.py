@@ -54,13 +54,6 @@ class Forcing(NamedTuple):
 
 
 @inner
-def forcing_of(forcings, k):  # type: ignore[no-untyped-def]
-    """That of run k of a stack."""
-    one = forcings
-    return Forcing(one.poly[k], one.amplitude[k], one.frequency[k], one.phase[k], one.waves[k], one.noise[k])
-
-
-@inner
 def acts(forcing):  # type: ignore[no-untyped-def]
     """Whether there is a force."""
     return len(forcing.poly) > 0

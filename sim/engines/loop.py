@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import largest
 from stickslip.sim.runs.run import IntegrationError, Outcome, Run, StalledError, Stats, Stills
 from stickslip.sim.runs.series import EventSeries, without_returns
+
+Kind = TypeVar("Kind", bound=tuple[Any, ...])
 
 #: Why a kernel returned.
 DONE, BUFFER_FULL, PAUSED, ALL_SLIP, DIVERGED, STALLED = range(6)
@@ -125,24 +127,38 @@ def stack(parts: Sequence[Any]) -> Any:
     return first
 
 
+_BY_RUN: dict[type, tuple[str, ...]] = {}
+
+
+def by_run(*fields: str) -> Callable[[type[Kind]], type[Kind]]:
+    """Mark a class of tuples: of a stack, only these fields have a place for each run; the others are shared."""
+
+    def mark(kind: type[Kind]) -> type[Kind]:
+        _BY_RUN[kind] = fields
+        return kind
+
+    return mark
+
+
+def is_by_run(kind: Any, field: str) -> bool:
+    """Whether a field of such a class has a place for each run."""
+    return field in _BY_RUN.get(kind, kind._fields)
+
+
 def of_run(part: Any, k: int | None) -> Any:
     """Run k of a stack, or a run as the only one of a stack; arrays are views."""
-    return type(part)(
-        *[
-            one[k] if isinstance(one, np.ndarray) else of_run(one, k) if isinstance(one, tuple) else one
-            for one in part
-        ]
-    )
+    if isinstance(part, np.ndarray):
+        return part[k]
+    if not isinstance(part, tuple):
+        return part
+    fields = zip(part._fields, part, strict=True)  # type: ignore[attr-defined]
+    return type(part)(*[of_run(field, k) if is_by_run(type(part), name) else field for name, field in fields])
 
 
 @inner
-def state_of(states, k):  # type: ignore[no-untyped-def]
-    """The state of run k of a stack."""
-    samples = states.samples
-    return State(
-        states.z[k], states.w[k], states.mode[k], states.clock[k], states.counters[k],
-        Buffers(samples.t[k], samples.z[k], samples.w[k]),
-    )  # fmt: skip
+def n_tried(counters):  # type: ignore[no-untyped-def]
+    """How many steps there were, those that failed among them."""
+    return counters[N_STEPS] + counters[N_REJECTED]
 
 
 @inner
@@ -204,11 +220,11 @@ def is_check_due(state, mode, precheck, left):  # type: ignore[no-untyped-def]
 
 
 @inner
-def may_collapse(state, mode, precheck):  # type: ignore[no-untyped-def]
+def may_collapse(state, slip, precheck):  # type: ignore[no-untyped-def]
     """Whether Python is to certify a collapse; if not, the time of the next pre-check is noted."""
-    later = too_far(precheck, state.z, state.w, mode[0])
+    later = too_far(precheck, state.z, state.w) if state.mode[0] == slip else np.inf
     if later != 0.0:
-        state.clock[CHECK + (mode[0] > 0)] = state.clock[TIME] + later
+        state.clock[CHECK + (state.mode[0] > 0)] = state.clock[TIME] + later
     return later == 0.0
 
 

@@ -43,19 +43,8 @@ _NO_INVERSE, _NO_SIZES, _NO_ROW = np.empty((2, 0, 0)), np.empty((0, 0)), np.empt
 
 
 @inner
-def precheck_of(precheck, slip):  # type: ignore[no-untyped-def]
-    """With the direction of one run of a stack."""
-    return Precheck(
-        precheck.inverse, precheck.sizes, precheck.rest, slip, precheck.limit, precheck.growth, precheck.cost,
-        precheck.room,
-    )  # fmt: skip
-
-
-@inner
-def too_far(precheck, z, w, slip):  # type: ignore[no-untyped-def]
+def too_far(precheck, z, w):  # type: ignore[no-untyped-def]
     """The time after which to ask again if no collapse can be certified of this state, else 0; see `Collapse`."""
-    if slip != precheck.slip:
-        return np.inf
     if precheck.limit == 0.0:
         return 0.0
     inverse, rest, sizes, n = precheck.inverse, precheck.rest, precheck.room, len(z)

@@ -6,19 +6,24 @@ the others go on alone, as stacks of one. An engine has a subclass of `Several`,
 
 from __future__ import annotations
 
+import operator
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import groupby
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from stickslip.sim.engines import certificates, loop
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.forcing import times
+from stickslip.sim.engines.forcing import Drive, times
 from stickslip.sim.engines.loop import Begun, Events, State
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.kernels.emit import IS_COMPILED
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run, Stills
 from stickslip.sim.runs.series import EventSeries
@@ -27,23 +32,73 @@ from stickslip.sim.runs.series import EventSeries
 _ANEW = -1
 
 
+class Stack(NamedTuple):
+    """Runs that one call advances, as `frame` takes them. Arrays have a place for each run; see `loop.by_run`."""
+
+    model: Any
+    work: Any
+    goal: Any
+    state: State
+    slip: NDArray[np.int64]  #: of the pre-check
+    events_a_step: int  #: the most that one step can record
+
+
+def _type_of_run(kind: Any) -> Any:
+    """The type of one run's part, from that of a stack's."""
+    if isinstance(kind, types.Array):
+        return kind.copy(ndim=kind.ndim - 1) if kind.ndim > 1 else kind.dtype
+    if not hasattr(kind, "instance_class"):
+        return kind
+    fields = [
+        _type_of_run(part) if loop.is_by_run(kind.instance_class, name) else part
+        for name, part in zip(kind.fields, kind.types, strict=True)
+    ]
+    return types.BaseTuple.from_types(fields, kind.instance_class)
+
+
+def _emit_run(context: Any, builder: Any, kind: Any, value: Any, k: Any) -> Any:
+    of_run = _type_of_run(kind)
+    if of_run == kind:
+        return value
+    if isinstance(kind, types.Array):
+        return context.get_function(operator.getitem, of_run(kind, types.intp))(builder, (value, k))
+    fields = [builder.extract_value(value, place) for place in range(len(kind.fields))]
+    fields = [
+        _emit_run(context, builder, part, field, k) if loop.is_by_run(kind.instance_class, name) else field
+        for name, part, field in zip(kind.fields, kind.types, fields, strict=True)
+    ]
+    return context.make_tuple(builder, of_run, fields)
+
+
+def _run_of(typing_context, stack, k):  # type: ignore[no-untyped-def]
+    """Run k of a stack, as tuples of views."""
+
+    def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
+        return _emit_run(context, builder, stack, *arguments)
+
+    return _type_of_run(stack)(stack, types.intp), codegen
+
+
+run_of: Any = intrinsic(_run_of) if IS_COMPILED else loop.of_run
+
+
 @inner
-def rest_of(events, found, k):  # type: ignore[no-untyped-def]
+def rest_of(events, slices, k):  # type: ignore[no-untyped-def]
     """What is left of the buffers of a stack for the events of run k."""
     n_recorded, n_all_stuck = 0, 0
     for j in range(k):
-        n_recorded += found[j, 1]
-        n_all_stuck += found[j, 2]
-    t, block, mode, error, all_stuck = events
+        n_recorded += slices[j, 1]
+        n_all_stuck += slices[j, 2]
+    t, block, mode, touch, all_stuck = events
     return Events(
-        t[n_recorded:], block[n_recorded:], mode[n_recorded:], error[n_recorded:], all_stuck[:, n_all_stuck:]
+        t[n_recorded:], block[n_recorded:], mode[n_recorded:], touch[n_recorded:], all_stuck[:, n_all_stuck:]
     )
 
 
 @inner
-def note_found(found, k, status, n_recorded, counters):  # type: ignore[no-untyped-def]
+def note_slice(slices, k, status, n_recorded, counters):  # type: ignore[no-untyped-def]
     """Note why run k of a stack ended its slice, and how many events and all-stuck intervals it recorded."""
-    found[k, 0], found[k, 1], found[k, 2] = status, n_recorded, counters[loop.N_ALL_STUCK]
+    slices[k, 0], slices[k, 1], slices[k, 2] = status, n_recorded, counters[loop.N_ALL_STUCK]
 
 
 def alike(tasks: Sequence[Task]) -> Iterator[tuple[bool, list[Task]]]:
@@ -65,14 +120,14 @@ def runs(
 
     `together` is given tasks that may begin as a stack, and may know why they do not: None. `alone` runs the others.
     """
-    found: list[Callable[[], Run]] = []
+    calls: list[Callable[[], Run]] = []
     for may_begin, some in alike(tasks):
         several = together(some) if may_begin else None
         if several is None:
-            found += [partial(alone, task) for task in some]
+            calls += [partial(alone, task) for task in some]
         else:
-            found += [partial(several.run, k, begun) for k, begun in enumerate(several.begin())]
-    return found
+            calls += [partial(several.run, k, begun) for k, begun in enumerate(several.begin())]
+    return calls
 
 
 class Several(ABC):
@@ -81,43 +136,80 @@ class Several(ABC):
     Attributes
     ----------
     tasks : sequence of Task
-    states : State
+    drives : sequence of Drive
+    collapse : sequence of Collapse
+    models, work, states
+        As of `Stack`.
+    lengths : float64, shape (runs,)
+        From the start of the present piece to the end.
+    kernel : callable
+        Advances some runs of a `Stack`, as `frame` does.
     bounds : float64, shape (runs,)
         Of |z| and |w|; beyond them a slice ends.
     initial_modes : int8, shape (runs, definitions of sticking, n)
-    events_a_step, tells_touches, method
+    stalled, events_a_step, tells_touches, method
         As of `loop.Plan`.
     """
 
     tasks: Sequence[Task]
+    drives: Sequence[Drive]
+    collapse: Sequence[certificates.Collapse]
+    models: Any
+    work: Any
     states: State
+    lengths: Floats
+    kernel: Callable[..., None]
     bounds: Floats
+    stalled: str
     initial_modes: NDArray[np.int8]
     events_a_step: int
     tells_touches: bool = False
     method: str = ""
 
     @abstractmethod
-    def advance(self, first: int, events: Events, found: NDArray[np.int64]) -> None:
-        """Advance some of the runs, from the first on, by a slice.
-
-        What they record is written into the buffers, one behind the other, and for each the status, and how many
-        events and ends of all-stuck intervals there are, into a row of `found`.
-        """
-
-    @abstractmethod
-    def go_on(self, k: int, begun: Begun | None) -> Run:
-        """Run the task k to its end, from its start or from where its first slice ended."""
+    def goal(self, drive: Drive) -> Any:
+        """What the runs are taken to, of which the present piece of the first is that of a drive."""
 
     @abstractmethod
     def alone(self, k: int) -> Run:
         """Run the task k apart from the others."""
 
+    def advance(self, first: int, events: Events, slices: NDArray[np.int64]) -> None:
+        """Advance some of the runs, from the first on, by a slice.
+
+        What they record is written into the buffers, one behind the other, and for each the status, and how many
+        events and ends of all-stuck intervals there are, into a row of `slices`.
+        """
+        drive, slips = self.drives[first], np.array([each.precheck.slip for each in self.collapse])
+        self.lengths[first] = drive.length
+        stack = Stack(self.models, self.work, self.goal(drive), self.states, slips, self.events_a_step)
+        type(self).kernel(stack, events, self.collapse[first].precheck, first, slices)
+
     def slice(self, k: int, events: Events, bound: float) -> tuple[int, int]:
         """Advance run k by a slice: the status, and how many events it recorded."""
-        self.bounds[k], found = bound, np.zeros((1, 3), dtype=np.int64)
-        self.advance(k, events, found)
-        return int(found[0, 0]), int(found[0, 1])
+        self.bounds[k], slices = bound, np.zeros((1, 3), dtype=np.int64)
+        self.advance(k, events, slices)
+        return int(slices[0, 0]), int(slices[0, 1])
+
+    def plan(self, k: int) -> loop.Plan:
+        """What `loop.complete` needs to run the task k."""
+        return loop.Plan(
+            partial(self.slice, k),
+            stalled=self.stalled,
+            events_a_step=self.events_a_step,
+            initial_modes=self.initial_modes[k],
+            tells_touches=self.tells_touches,
+            method=self.method,
+        )
+
+    def state(self, k: int) -> State:
+        """The state of run k, which kernels change."""
+        run: State = loop.of_run(self.states, k)
+        return run
+
+    def go_on(self, k: int, begun: Begun | None = None) -> Run:
+        """Run the task k to its end, from its start or from where its first slice ended."""
+        return loop.complete(self.tasks[k], self.state(k), self.drives[k], self.collapse[k], self.plan(k), begun)
 
     def run(self, k: int, begun: Begun) -> Run:
         """The run of the task k, whose first slice has been run."""
@@ -132,13 +224,13 @@ class Several(ABC):
         several, n_definitions, n = self.initial_modes.shape
         of_one = loop.capacity(self.events_a_step)
         buffers = Events.blank(max(of_one, 64 * several), several)
-        found = np.zeros((several, 3), dtype=np.int64)
-        self.advance(0, buffers, found)
+        slices = np.zeros((several, 3), dtype=np.int64)
+        self.advance(0, buffers, slices)
         if several > 1:  # where a slice ends may not depend on the others
-            is_crowded = (found[:, 0] == loop.BUFFER_FULL) | (found[:, 1] + self.events_a_step > of_one)
-            found[is_crowded, 0] = _ANEW
-        whole = (found[:, 0] == loop.DONE) & (n_definitions == 1)
-        ends, stuck_ends = found[:, 1:].cumsum(axis=0).T.tolist()
+            is_crowded = (slices[:, 0] == loop.BUFFER_FULL) | (slices[:, 1] + self.events_a_step > of_one)
+            slices[is_crowded, 0] = _ANEW
+        whole = (slices[:, 0] == loop.DONE) & (n_definitions == 1)
+        ends, stuck_ends = slices[:, 1:].cumsum(axis=0).T.tolist()
         s, block, mode, touch, (stuck_s, total) = buffers.first(ends[-1], stuck_ends[-1])
         starts, stops = np.array([(task.t_start, task.t_end) for task in self.tasks]).T
 
@@ -148,7 +240,7 @@ class Several(ABC):
             return of, times(starts[of], stops[of], s)
 
         if len(s):
-            of_event, t = on_clock(s, found[:, 1])
+            of_event, t = on_clock(s, slices[:, 1])
             order = np.lexsort((block, t, of_event))  # as in `loop.complete`
             of_event, t, s, block = of_event[order], t[order], s[order], block[order]
             mode, touch = mode[order], touch[order]
@@ -158,7 +250,7 @@ class Several(ABC):
         else:  # no view, which would keep the buffers
             s, block, mode, touch = s.copy(), block.copy(), mode.copy(), touch.copy()
         if len(stuck_s):
-            of_stuck, stuck_t = on_clock(stuck_s, found[:, 2])
+            of_stuck, stuck_t = on_clock(stuck_s, slices[:, 2])
             stuck_s = np.where(whole[of_stuck], stuck_t, stuck_s)
         all_stuck = np.array([stuck_s, total])
         events = Events(s, block, mode, touch, all_stuck)
@@ -169,7 +261,7 @@ class Several(ABC):
                 is_whole,
             )
             for (status, n_events, n_stuck), end, stuck, is_whole in zip(
-                found.tolist(), ends, stuck_ends, whole.tolist(), strict=True
+                slices.tolist(), ends, stuck_ends, whole.tolist(), strict=True
             )
         ]
 

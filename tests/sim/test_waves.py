@@ -210,11 +210,11 @@ def test_a_run_that_stalls_is_begun_anew_and_counted(monkeypatch, rng):
         series = simulate(system, z, w, 1.0, tol=1e-5)
     assert (series.stats.method, series.stats.n_restarts) == (SERIES, 0)
 
-    def stalls(model, work, control, state, events, bound, precheck):
-        state.counters[loop.N_PRODUCTS] = 1000
-        return loop.STALLED, 0
+    def stalls(stack, events, precheck, first, slices):
+        stack.state.counters[0, loop.N_PRODUCTS] = 1000
+        slices[0, 0] = loop.STALLED
 
-    monkeypatch.setattr(waves, "advance", stalls)
+    monkeypatch.setattr(waves._Waves, "kernel", stalls)
     run = simulate(system, z, w, 1.0, tol=1e-5)
     assert (run.stats.method, run.stats.n_restarts) == (SERIES, 1)
     assert run.stats.n_products == series.stats.n_products + 1000
@@ -222,11 +222,11 @@ def test_a_run_that_stalls_is_begun_anew_and_counted(monkeypatch, rng):
 
 
 def test_what_ends_a_run_otherwise_is_said(monkeypatch, rng):
-    def leaves_float64(model, work, control, state, events, bound, precheck):
-        state.z[:] = np.nan
-        return loop.DIVERGED, 0
+    def leaves_float64(stack, events, precheck, first, slices):
+        stack.state.z[:] = np.nan
+        slices[0, 0] = loop.DIVERGED
 
-    monkeypatch.setattr(waves, "advance", leaves_float64)
+    monkeypatch.setattr(waves._Waves, "kernel", leaves_float64)
     system, z, w = large(rng, 66)
     with pytest.raises(IntegrationError, match="the state is not finite"):
         simulate(system, z, w, 1.0, tol=1e-5)

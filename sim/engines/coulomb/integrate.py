@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import loop, stacks
 from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.coulomb import control, sparse, step, waves
+from stickslip.sim.engines.coulomb import control, waves
+from stickslip.sim.engines.coulomb.kernel import Work, advance
 from stickslip.sim.engines.coulomb.model import Model
 from stickslip.sim.engines.coulomb.overdamped import Slow, is_heavy
+from stickslip.sim.engines.coulomb.sparse import Local
 from stickslip.sim.engines.coulomb.taylor import Expansion
 from stickslip.sim.engines.coulomb.windows import Goal, Search
 from stickslip.sim.engines.forcing import Drive
@@ -81,7 +83,7 @@ def _alone(engine: Coulomb, task: Task) -> Run:
 
 
 def _by_series(task: Task, engine: Coulomb) -> Run:
-    return _Runs([task], engine, may_be_heavy=True).go_on(0, None)
+    return _Runs([task], engine, may_be_heavy=True).go_on(0)
 
 
 def _followed(system: System, tol: float) -> float:
@@ -92,8 +94,11 @@ def _followed(system: System, tol: float) -> float:
 class _Runs(Several):
     """By series; `may_be_heavy` only of one task, as is a sparse K."""
 
-    tells_touches = True
-    method = "Taylor series"
+    kernel, tells_touches, method = advance, True, "Taylor series"
+    stalled = (
+        f"more than {control.STALL} instants that rounding cannot tell apart; this start is degenerate: perturb it,"
+        " or use engine='sigmoid'"
+    )
 
     def __init__(self, tasks: Sequence[Task], engine: Coulomb, may_be_heavy: bool = False) -> None:
         self.tasks, self.engine = tasks, engine
@@ -123,71 +128,36 @@ class _Runs(Several):
         ]
         self.states, self.searches = State.at_start(tasks, mode, exposures), Search.of(mode)
         self.initial_modes, self.events_a_step = self.searches.initial_mode[:, np.newaxis], systems[0].n
-        self.expansions = Expansion.blank(mode, n_shapes)
-        if tasks[0].modes is not None:
-            self.expansions.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
         self.decays = np.array([0.5 * max(0.0, one.least_damping) if weakening is None else 0.0 for one in systems])
         self.bounds, self.lengths = np.empty(len(tasks)), np.array([drive.length for drive in self.drives])
         self.collapse = [
             Collapse(task.system, _followed(task.system, tol), cost=control.certificate(task))
             for task, tol in zip(tasks, self.tols.tolist(), strict=True)
         ]
-        self.slips = np.array([one.precheck.slip for one in self.collapse])
         self.slow = Slow.of(systems[0], self.drives[0].fastest) if may_be_heavy and weakening is None else None
         is_dense = isinstance(systems[0].stiffness, np.ndarray) or self.drives[0].is_forced or weakening is not None
-        self.locally = None if is_dense or self.slow is not None else self._locally()
+        is_local = not is_dense and self.slow is None
+        local = Local.of(systems[0].n, float(row_sums[0].max())) if is_local else None
+        self.work = Work(Expansion.blank(mode, n_shapes), self.searches, self.slow, local)
+        if tasks[0].modes is not None:
+            self.work.expansion.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
 
-    def advance(self, first: int, events: Events, found: NDArray[np.int64]) -> None:
-        drive = self.drives[first]
-        self.lengths[first] = drive.length
-        if self.locally is not None:
-            found[0, :2] = self.locally(events)
-            return
-        goals = Goal(self.lengths, drive.is_last, self.tols, self.rates, self.decays, self.bounds)
-        stack = step.Stack(self.models, goals, self.states, self.expansions, self.searches, self.slips)
-        step.advance(stack, self.slow, events, self.collapse[first].precheck, first, found)
-
-    def _locally(self) -> Callable[[Events], tuple[int, int]]:
-        """Advances the run of a stack of one by a slice, where K is sparse and nothing ties the blocks together."""
-        model, state, drive = loop.of_run(self.models, 0), loop.of_run(self.states, 0), self.drives[0]
-        expansion = Expansion.blank(state.mode, 0)._replace(leaves=self.expansions.leaves[0])
-        search = Search.of(state.mode)._replace(initial_mode=self.searches.initial_mode[0])
-        room = sparse.Local.of(self.systems[0].n, float(self.systems[0].row_sums.max()))
-
-        def advance(events: Events) -> tuple[int, int]:
-            tol, rate, decay, bound = (float(each[0]) for each in (self.tols, self.rates, self.decays, self.bounds))
-            goal = Goal(drive.length, drive.is_last, tol, rate, decay, bound)
-            found: tuple[int, int] = sparse.advance(
-                model, goal, state, expansion, search, room, events, self.collapse[0].precheck
-            )
-            return found
-
-        return advance
+    def goal(self, drive: Drive) -> Goal:
+        return Goal(self.lengths, drive.is_last, -1.0, self.tols, self.rates, self.decays, self.bounds)
 
     def alone(self, k: int) -> Run:
         return _by_series(self.tasks[k], self.engine)
 
-    def go_on(self, k: int, begun: Begun | None) -> Run:
+    def slice(self, k: int, events: Events, bound: float) -> tuple[int, int]:
+        ended, task = super().slice(k, events, bound), self.tasks[k]
+        if task.modes is not None:
+            _require_modes(task, task.modes, self.searches.initial_mode[k], float(self.tols[k]))
+        return ended
+
+    def go_on(self, k: int, begun: Begun | None = None) -> Run:
         # `expand` itself limits a step to where the series of a force holds
-        task, initial_mode = self.tasks[k], self.searches.initial_mode[k]
-        _warn_of_short_steps(task, float(self.rates[k]) if self.slow is None else self.slow.rate)
-
-        def advance(events: Events, bound: float) -> tuple[int, int]:
-            found = self.slice(k, events, bound)
-            if task.modes is not None:
-                _require_modes(task, task.modes, initial_mode, float(self.tols[k]))
-            return found
-
-        plan = loop.Plan(
-            advance,
-            stalled=f"more than {control.STALL} instants that rounding cannot tell apart; this start is degenerate:"
-            " perturb it, or use engine='sigmoid'",
-            events_a_step=self.events_a_step,
-            initial_modes=self.initial_modes[k],
-            tells_touches=self.tells_touches,
-            method=self.method,
-        )
-        return loop.complete(task, loop.of_run(self.states, k), self.drives[k], self.collapse[k], plan, begun)
+        _warn_of_short_steps(self.tasks[k], float(self.rates[k]) if self.slow is None else self.slow.rate)
+        return super().go_on(k, begun)
 
 
 def _beyond_float64(task: Task, by_series: bool) -> str:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines.forcing import Drive, Forcing, forcing_of
+from stickslip.sim.engines.forcing import Drive, Forcing
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Pairs
@@ -77,32 +77,3 @@ def fastest_belt(model):  # type: ignore[no-untyped-def]
         if static[i] > 0.0:
             found = max(found, abs(v[i]))
     return found if found >= 0.0 else of_all
-
-
-@inner
-def _weakening_of(weakening, k):  # type: ignore[no-untyped-def]
-    if weakening is None:
-        return None
-    else:
-        return SpeedWeakening(weakening.far[k], weakening.steepness, weakening.law, weakening.is_entire)
-
-
-@inner
-def model_of(models, k):  # type: ignore[no-untyped-def]
-    """The model of run k of a stack."""
-    columns, pairs = models.columns, models.pairs
-    return Model(
-        Columns(columns.dense[k], columns.indptr[k], columns.indices[k], columns.data[k]),
-        Pairs(
-            pairs.panels[k], pairs.product[k], pairs.single_panels[k], pairs.single[k], pairs.single_product[k],
-            pairs.columns[k],
-        ),
-        models.row_sums[k],
-        models.damping[k],
-        models.friction[k],
-        models.static[k],
-        models.closed[k],
-        _weakening_of(models.weakening, k),
-        models.belt_speed[k],
-        forcing_of(models.forcing, k),
-    )  # fmt: skip

@@ -20,10 +20,11 @@ from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
 from stickslip.sim.engines.coulomb.sticking import force_rounding, push
 from stickslip.sim.engines.coulomb.taylor import UNDECIDED, Window, curvature, decide, error_after, expand, pull_of
-from stickslip.sim.engines.coulomb.windows import evaluate, instant, record, sample, stalls, touch
-from stickslip.sim.kernels.compile import inner, kernel
+from stickslip.sim.engines.coulomb.windows import evaluate, instant, note, record, sample, stalls
+from stickslip.sim.engines.frame import Way, frame
+from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
+from stickslip.sim.numerics.arithmetic import ROUNDING, largest
 from stickslip.sim.numerics.horner import shift_rows
 
 _NEVER = math.inf
@@ -90,21 +91,24 @@ def _winner(due):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _open(model, expansion, search, local, order, h):  # type: ignore[no-untyped-def]
-    """Begin a window: all series are about its start; find every block's next event within h."""
-    series, mode, due = expansion.series, expansion.mode, local.due
-    zeros, side, reach, room = expansion.zeros, expansion.side, search.reach, (search.poly, search.found)
-    damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
-    n, size = len(mode), len(due) // 2
+def _next_event(model, search, i, face, series, column, reach, horizon):  # type: ignore[no-untyped-def]
+    """The time to the next event of block i; its series, of which `reach` is known, is that column."""
+    first, v = (series[0, column], series[1, column], series[2, column]), model.belt_speed[i]
+    bounds = v, model.damping[i] * v, model.static[i], model.closed[i]
+    if excluded(face, first, bounds, horizon[1], reach):
+        return _NEVER
+    time, is_found = root(face, series, column, bounds, horizon, (search.poly, search.found))
+    return time if is_found else _NEVER
+
+
+@inner
+def _schedule_all(model, expansion, search, due, order, h):  # type: ignore[no-untyped-def]
+    """Find every block's next event within h; all series are about the start of a window."""
+    series, mode, reach, n, size = expansion.series, expansion.mode, search.reach, len(expansion.mode), len(due) // 2
     enclose(series, expansion.slips, order, h, reach, n)
     for i in range(n):
-        due[size + i] = _NEVER
-        face, first = (mode[i], zeros[i], side[i]), (series[0, i], series[1, i], series[2, i])
-        bounds = v[i], damping[i] * v[i], static[i], closed[i]
-        if excluded(face, first, bounds, h, reach[i]):
-            continue
-        time, is_found = root(face, series, i, bounds, (order, h), room)
-        due[size + i] = time if is_found else _NEVER
+        face = mode[i], expansion.zeros[i], expansion.side[i]
+        due[size + i] = _next_event(model, search, i, face, series, i, reach[i], (order, h))
     for k in range(size - 1, 0, -1):
         due[k] = min(due[2 * k], due[2 * k + 1])
 
@@ -211,27 +215,20 @@ def _is_alone(model, local, h, count, z_max):  # type: ignore[no-untyped-def]
 def _put_back(model, expansion, search, local, order, span, count, n_zeros):  # type: ignore[no-untyped-def]
     """Copy the series of the members back, and find the next event of each in a span from s, of length h."""
     s, h = span
-    series, mode, reach = local.series, local.mode, local.reach
-    room = search.poly, search.found
-    damping, static, closed, v = model.damping, model.static, model.closed, model.belt_speed
+    series, mode = local.series, local.mode
     for a in range(count):
         i = local.members[a]
         zeros = n_zeros if a == 0 and mode[a] != 0 else 0
         for k in range(order + 1):
             expansion.series[k, i] = series[k, a]
-        expansion.held[i] += v[i] * (s - local.origin[i])
+        expansion.held[i] += model.belt_speed[i] * (s - local.origin[i])
         local.origin[i] = s
-        due = _NEVER
-        face, first = (mode[a], zeros, 0), (series[0, a], series[1, a], series[2, a])
-        bounds = v[i], damping[i] * v[i], static[i], closed[i]
-        if not excluded(face, first, bounds, h, reach[a]):
-            time, is_found = root(face, series, a, bounds, (order, h), room)
-            due = s + time if is_found else _NEVER
-        _schedule(local.due, i, due)
+        time = _next_event(model, search, i, (mode[a], zeros, 0), series, a, local.reach[a], (order, h))
+        _schedule(local.due, i, s + time)
 
 
 @inner
-def _carry(model, goal, expansion, search, local, window, block, span):  # type: ignore[no-untyped-def]
+def _pass_on_from(model, goal, expansion, search, local, window, block, span):  # type: ignore[no-untyped-def]
     """Carry the series over an event of one block at the start of a span, if no other event is near it then.
 
     Returns the end of the window, at most that of the span; less than its start if a new expansion is to decide (then
@@ -287,19 +284,17 @@ def _carry(model, goal, expansion, search, local, window, block, span):  # type:
 
 
 @inner
-def _close(model, state, expansion, search, origin, window, s, block):  # type: ignore[no-untyped-def]
+def _close(model, work, state, window, s, block):  # type: ignore[no-untyped-def]
     """The state at the end of a window, and which blocks are to be decided there."""
-    z, w, order, h = state.z, state.w, window.order, window.span
-    series, near, v = expansion.series, search.near, model.belt_speed
-    n = len(z)
+    expansion, near, v, order = work.expansion, work.search.near, model.belt_speed, window.order
+    z, w, n, power = state.z, state.w, len(state.z), window.span
     for i in range(n):
-        near[i] = abs(series[1, i] - v[i])
-    power = h
+        near[i] = abs(expansion.series[1, i] - v[i])
     for k in range(2, order + 1):
         for i in range(n):
-            near[i] += power * abs(k * series[k, i])
-        power *= h
-    evaluate(expansion, v, origin, order, s, z, w)
+            near[i] += power * abs(k * expansion.series[k, i])
+        power *= window.span
+    evaluate(expansion, v, work.local.origin, order, s, z, w)
     for i in range(n):
         mode = expansion.mode[i]
         expansion.touching[i] = mode != 0 and mode * (w[i] - v[i]) <= ROUNDING * near[i]
@@ -307,91 +302,76 @@ def _close(model, state, expansion, search, origin, window, s, block):  # type: 
         expansion.touching[block] = expansion.mode[block] != 0
 
 
-@kernel
-def advance(model, goal, state, expansion, search, local, events, precheck):  # type: ignore[no-untyped-def]
-    """Take windows until the end, or until Python has something to do; a second call goes on from there."""
-    t_end, rate = goal.t_end, goal.rate
-    z, mode, clock, counters = state.z, state.mode, state.clock, state.counters
-    due = local.due
-    n = len(z)
-    n_recorded = 0
-    n_last = counters[loop.N_STEPS] + loop.STEPS_A_SLICE
-    while counters[loop.N_STEPS] < n_last:
-        if n_recorded + n > len(events.t):
-            return loop.BUFFER_FULL, n_recorded
-        t, lacked = clock[loop.TIME], clock[loop.LACKING]
-        remaining = t_end - t
-        if remaining <= 0.0 and not goal.is_last:
-            return loop.DONE, n_recorded  # the next piece decides which blocks stick from here on
-        target = control.next_window(clock, remaining)
-        target = min(target, control.SPARSE_SPAN / rate) if rate > 0.0 else target
-        order, h, allowed, n_products = expand(model, expansion, goal, state, target)
-        counters[loop.N_PRODUCTS] += n_products
-        local.origin[:] = 0.0
-        if counters[loop.N_STEPS] == 0:
-            copy(mode, search.initial_mode)
-            copy(mode, search.known_mode)
-        before = n_recorded
-        n_recorded, same = record(model, expansion, clock, search.known_mode, events, n_recorded)
-        if n_recorded > before:
-            loop.note_event(clock, counters)
-        loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)
-        if remaining <= 0.0:
-            sample(expansion, model.belt_speed, local.origin, order, t, t, state)  # a run of no length
-            return loop.DONE, n_recorded
-        is_asked = same and loop.is_check_due(state, mode, precheck, remaining)
-        if is_asked and loop.may_collapse(state, mode, precheck):
-            return loop.ALL_SLIP, n_recorded
+@inner
+def _blank():  # type: ignore[no-untyped-def]
+    return Window(0, 0.0, 0.0, 0.0), 0.0
 
-        _open(model, expansion, search, local, order, h)
-        n_slip = 0
-        for i in range(n):
-            n_slip += abs(mode[i])
-        window = Window(order, h, allowed, largest(z) + h * allowed / goal.tol)
-        error = error_after(model, expansion, goal, window, h, clock[loop.ERROR])
-        s, end, block = 0.0, h, -1
-        while True:
-            counters[loop.N_STEPS] += 1
-            is_event = due[1] <= end
-            moved = min(due[1], end) - s
-            s = min(due[1], end)
-            now, lacking = loop.later(t, lacked, s, t_end)
-            sample(expansion, model.belt_speed, local.origin, order, t, now, state)
-            clock[loop.TIME], clock[loop.LACKING] = now, lacking
-            is_stalled = stalls(goal, counters, moved, now, n_recorded == before)
-            before = n_recorded
-            if is_stalled:
-                return loop.STALLED, n_recorded
-            if not is_event:
-                block = -1
-                break
-            block = _winner(due)
+
+@inner
+def _open(model, work, goal, state, window, remaining):  # type: ignore[no-untyped-def]
+    """Expand all series, and decide the modes of blocks at their belt's speed; `carry` leaves no window open."""
+    target = control.next_window(state.clock, remaining)
+    target = min(target, control.SPARSE_SPAN / goal.rate) if goal.rate > 0.0 else target
+    order, h, allowed, n_products = expand(model, work.expansion, goal, state, target)
+    state.counters[loop.N_PRODUCTS] += n_products
+    work.local.origin[:] = 0.0
+    return Window(order, h, allowed, largest(state.z) + h * allowed / goal.tol), target
+
+
+@inner
+def _at(model, work, goal, state, window, t):  # type: ignore[no-untyped-def]
+    sample(work.expansion, model.belt_speed, work.local.origin, window[0].order, t, t, state)
+
+
+@inner
+def _pass_event(model, work, goal, state, window, block, span):  # type: ignore[no-untyped-def]
+    """Carry the series over an event at the start of a span, if no other is due then; returns as `_pass_on_from`."""
+    due, s = work.local.due, span[0]
+    _schedule(due, block, _NEVER)
+    if due[1] <= s + instant(goal, state.clock[loop.TIME]):
+        return -1.0
+    return _pass_on_from(model, goal, work.expansion, work.search, work.local, window, block, span)
+
+
+@inner
+def _carry(model, work, goal, state, opened, is_after_event, precheck, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Go on to the end of the window, from event to event; see `frame.Way`."""
+    expansion, local, clock, counters, mode = work.expansion, work.local, state.clock, state.counters, state.mode
+    (window, target), n, n_slip = opened, len(mode), 0
+    t, lacked, error_before = clock[loop.TIME], clock[loop.LACKING], clock[loop.ERROR]
+    _schedule_all(model, expansion, work.search, local.due, window.order, window.span)
+    for i in range(n):
+        n_slip += abs(mode[i])
+    error = error_after(model, expansion, goal, window, window.span, error_before)
+    s, end, block, goes_on = 0.0, window.span, -1, True
+    while goes_on:
+        counters[loop.N_STEPS] += 1
+        is_event, goes_on = local.due[1] <= end, False
+        moved = min(local.due[1], end) - s
+        s = min(local.due[1], end)
+        clock[loop.TIME], clock[loop.LACKING] = loop.later(t, lacked, s, goal.t_end)
+        sample(expansion, model.belt_speed, local.origin, window.order, t, clock[loop.TIME], state)
+        if stalls(goal, counters, moved, clock[loop.TIME], not is_after_event):
+            return opened, n_recorded, True
+        block = -1
+        if is_event:
+            block = _winner(local.due)
             counters[loop.LAST_BLOCK] = block
             was = mode[block]
-            _schedule(due, block, _NEVER)
-            if n_slip == 0 or due[1] <= s + instant(
-                goal, now
-            ):  # nothing is expanded yet, or other events are due too
-                break
-            held = _carry(model, goal, expansion, search, local, window, block, (s, end))
-            if held < s:
-                break
-            end = min(end, held)
-            events.t[n_recorded] = now
-            events.block[n_recorded] = block
-            events.mode[n_recorded] = mode[block]
-            events.touch[n_recorded] = touch(model, expansion.series, block, was, mode[block], error)
-            search.known_mode[block] = mode[block]
-            n_recorded += 1
-            loop.note_event(clock, counters)
-            n_slip += abs(mode[block]) - abs(was)
-            is_asked = n_slip == n and loop.is_check_due(state, mode, precheck, remaining - s)
-            if n_slip == 0 or is_asked or n_recorded + n > len(events.t) or counters[loop.N_STEPS] >= n_last:
-                break
-        clock[loop.ERROR] = error_after(model, expansion, goal, window, s, clock[loop.ERROR])
-        _close(model, state, expansion, search, local.origin, window, s, block)
-        clock[control.EXPOSURE] += min(s, target)
-        control.note_window(clock, s < target)
-        if not loop.is_within(state, goal.bound):
-            return loop.DIVERGED, n_recorded
-    return loop.PAUSED, n_recorded
+            # while none slips, nothing is expanded yet
+            held = _pass_event(model, work, goal, state, window, block, (s, end)) if n_slip > 0 else -1.0
+            if held >= s:
+                end, is_after_event = min(end, held), True
+                n_recorded = record(model, work, clock, (block, was), error, events, n_recorded)
+                loop.note_event(clock, counters)
+                n_slip += abs(mode[block]) - abs(was)
+                is_asked = n_slip == n and loop.is_check_due(state, mode, precheck, goal.t_end - t - s)
+                goes_on = n_slip > 0 and not is_asked and n_recorded + n <= len(events.t)
+    clock[loop.ERROR] = error_after(model, expansion, goal, window, s, error_before)
+    _close(model, work, state, window, s, block)
+    clock[control.EXPOSURE] += min(s, target)
+    control.note_window(clock, s < target)
+    return opened, n_recorded, False
+
+
+take = frame(Way(_blank, _open, note, _at, _carry))

@@ -25,30 +25,30 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
 from stickslip.sim.engines import loop
-from stickslip.sim.engines.coulomb import control
+from stickslip.sim.engines.coulomb import control, taylor
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
-from stickslip.sim.engines.coulomb.model import Model, model_of
 from stickslip.sim.engines.coulomb.overdamped import follow
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
-from stickslip.sim.engines.coulomb.taylor import Expansion, Window, correct, error_after, expand, expansion_of, shift
-from stickslip.sim.engines.coulomb.windows import (
-    Goal,
-    Search,
-    evaluate,
-    goal_of,
-    record,
-    sample,
-    search_of,
-    stalls,
-)
-from stickslip.sim.engines.precheck import precheck_of
-from stickslip.sim.engines.stacks import note_found, rest_of
-from stickslip.sim.kernels.compile import inner, kernel
-from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
+from stickslip.sim.engines.coulomb.taylor import correct, error_after, expand, shift
+from stickslip.sim.engines.coulomb.windows import evaluate, note, sample, stalls
+from stickslip.sim.engines.frame import Way, frame
+from stickslip.sim.kernels.compile import inner
+from stickslip.sim.numerics.arithmetic import ROUNDING, largest
+
+
+class Window(NamedTuple):
+    """The time over which one expansion holds. An event in it is carried over if that is possible, else it ends."""
+
+    is_open: bool
+    is_cut: bool  #: whether it ends before it was to end
+    is_slow: bool  #: whether its series are those of `overdamped`
+    order: int  #: of the series
+    left: float  #: how far they hold from here on
+    span: float  #: and held at the start
+    age: float  #: the time since then
+    allowed: float  #: the error of w allowed
+    error: float  #: that of w at the start
 
 
 @inner
@@ -100,124 +100,83 @@ def _on_the_edge(model, expansion, near, z_max, w, block, order, step, has_force
 
 
 @inner
-def _advance(model, goal, state, expansion, search, slow, events, precheck):  # type: ignore[no-untyped-def]
-    """Take steps until the end, or until Python has something to do; a second call goes on from there.
-
-    A window is the time over which one expansion holds. An event in it is carried over by `correct` where that is
-    possible, else it ends the window.
-    """
-    t_end, rate, v = goal.t_end, goal.rate, model.belt_speed
-    z, w, mode, clock, counters = state.z, state.w, state.mode, state.clock, state.counters
-    series, touching, near = expansion.series, expansion.touching, search.near
-    n = len(z)
-    n_recorded = 0
-    is_open, is_cut, is_slow = False, False, False
-    order, h, span, allowed, age, error = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-    n_left = loop.STEPS_A_SLICE
-    while n_left > 0:
-        n_left -= 1
-        if n_recorded + n > len(events.t):
-            return loop.BUFFER_FULL, n_recorded
-        t = clock[loop.TIME]
-        remaining = t_end - t
-        if remaining <= 0.0 and not goal.is_last:
-            return loop.DONE, n_recorded  # the next piece decides which blocks stick from here on
-        if not is_open:
-            target = control.next_window(clock, remaining)
-            order, h, allowed, n_products = follow(slow, model, expansion, goal, state, target)
-            counters[loop.N_PRODUCTS] += n_products
-            is_slow = order > 0
-            if not is_slow:
-                target = min(target, control.SPAN / rate) if rate > 0.0 else target
-                order, h, allowed, n_products = expand(model, expansion, goal, state, target)
-                counters[loop.N_PRODUCTS] += n_products
-            span, age, error = h, 0.0, clock[loop.ERROR]
-            is_open, is_cut = True, model.weakening is not None and h < target
-        if counters[loop.N_STEPS] == 0:
-            copy(mode, search.initial_mode)
-            copy(mode, search.known_mode)
-        before = n_recorded
-        n_recorded, same = record(model, expansion, clock, search.known_mode, events, n_recorded)
-        if n_recorded > before:
-            loop.note_event(clock, counters)
-        loop.note_all_stuck_at(same and mode[0] == 0, t, z, events, counters)
-        if remaining <= 0.0:
-            sample(expansion, v, None, order, t, t, state)  # a run of no length
-            return loop.DONE, n_recorded
-        if same and loop.is_check_due(state, mode, precheck, remaining):
-            if loop.may_collapse(state, mode, precheck):
-                return loop.ALL_SLIP, n_recorded
-            if n_recorded > 0:
-                return loop.PAUSED, n_recorded
-            # as at the start of a slice: the result does not depend on the slicing
-            n_left, is_open = loop.STEPS_A_SLICE, False
-            continue
-
-        step, block = _first_event(model, expansion, search, order, h)
-        if not goal.is_last and remaining - step <= ROUNDING * t_end:
-            step = remaining  # an event that rounding cannot tell from the end belongs to the next piece
-        counters[loop.N_STEPS] += 1
-        if block >= 0:
-            counters[loop.LAST_BLOCK] = block
-        for i in range(n):
-            near[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * h) + search.reach[i])
-        t_next, lacking = loop.later(t, clock[loop.LACKING], step, t_end)
-        sample(expansion, v, None, order, t, t_next, state)
-        age += step
-        clock[loop.ERROR] = error_after(model, expansion, goal, Window(order, span, allowed, 0.0), age, error)
-        left = h - step
-        # else the event ends the window
-        is_inside = block >= 0 and left > 0.0 and model.weakening is None and not is_slow
-        if is_inside:
-            shift(expansion, order, step, v)
-            for i in range(n):
-                sticks = mode[i] == 0
-                z[i], w[i] = (expansion.held[i], v[i]) if sticks else (series[0, i], series[1, i])
-            h, z_max = 0.0, largest(z)
-            if _on_the_edge(model, expansion, near, z_max, w, block, order, 0.0, True) == 1:
-                window = Window(order, span, allowed, z_max)
-                h, n_products = correct(model, expansion, block, window, left, rate, clock)
-                counters[loop.N_PRODUCTS] += n_products
-                touching[block] = mode[block] != 0  # so that a new expansion, if it comes first, decides the same
-            is_cut = is_cut or h < left
-            is_open = control.is_worth_using(clock, h)
-            clock[control.CARRIED] += 1.0 if is_open else 0.0
-        else:
-            evaluate(expansion, v, None, order, step, z, w)
-            _on_the_edge(model, expansion, near, 0.0, w, block, order, step, False)
-            is_open = False
-            is_cut = is_cut or block >= 0
-        clock[loop.TIME], clock[loop.LACKING] = t_next, lacking
-        clock[control.EXPOSURE] += step
-        if not is_open:
-            control.note_window(clock, is_cut)
-        if stalls(goal, counters, clock[loop.TIME] - t, t, n_recorded == before):
-            return loop.STALLED, n_recorded
-        if not loop.is_within(state, goal.bound):
-            return loop.DIVERGED, n_recorded
-    return loop.PAUSED, n_recorded
+def _blank():  # type: ignore[no-untyped-def]
+    return Window(False, False, False, 0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-class Stack(NamedTuple):
-    """Runs that are advanced by one call: by run, what `_advance` takes."""
+@inner
+def _open(model, work, goal, state, window, remaining):  # type: ignore[no-untyped-def]
+    """Expand all series, and decide the modes of blocks at their belt's speed, unless the last window goes on."""
+    if window.is_open:
+        return window
+    target = control.next_window(state.clock, remaining)
+    order, h, allowed, n_products = follow(work.slow, model, work.expansion, goal, state, target)
+    state.counters[loop.N_PRODUCTS] += n_products
+    is_slow = order > 0
+    if not is_slow:
+        target = min(target, control.SPAN / goal.rate) if goal.rate > 0.0 else target
+        order, h, allowed, n_products = expand(model, work.expansion, goal, state, target)
+        state.counters[loop.N_PRODUCTS] += n_products
+    is_cut = model.weakening is not None and h < target
+    return Window(True, is_cut, is_slow, order, h, h, 0.0, allowed, state.clock[loop.ERROR])
 
-    model: Model
-    goal: Goal
-    state: loop.State
-    expansion: Expansion
-    search: Search
-    slip: NDArray[np.int64]  #: of the pre-check
+
+@inner
+def _at(model, work, goal, state, window, t):  # type: ignore[no-untyped-def]
+    sample(work.expansion, model.belt_speed, None, window.order, t, t, state)
 
 
-@kernel
-def advance(stack, slow, events, precheck, first, found):  # type: ignore[no-untyped-def]
-    """Advance runs of a stack, from the first on, by a slice; see `stacks`."""
-    for row in range(len(found)):
-        k = first + row
-        state = loop.state_of(stack.state, k)
-        expansion, search = expansion_of(stack.expansion, k), search_of(stack.search, k)
-        status, n_recorded = _advance(
-            model_of(stack.model, k), goal_of(stack.goal, k), state, expansion, search, slow,
-            rest_of(events, found, row), precheck_of(precheck, stack.slip[k]),
-        )  # fmt: skip
-        note_found(found, row, status, n_recorded, state.counters)
+@inner
+def _pass_event(model, work, goal, state, window, block, step, left):  # type: ignore[no-untyped-def]
+    """Go to an event, and carry the series over it; returns how far they hold from there on, 0 if not at all."""
+    expansion, v, mode, z, w, order = work.expansion, model.belt_speed, state.mode, state.z, state.w, window.order
+    shift(expansion, order, step, v)
+    for i in range(len(z)):
+        sticks = mode[i] == 0
+        z[i], w[i] = (expansion.held[i], v[i]) if sticks else (expansion.series[0, i], expansion.series[1, i])
+    z_max = largest(z)
+    if _on_the_edge(model, expansion, work.search.near, z_max, w, block, order, 0.0, True) > 1:
+        return 0.0
+    of_series = taylor.Window(order, window.span, window.allowed, z_max)
+    h, n_products = correct(model, expansion, block, of_series, left, goal.rate, state.clock)
+    state.counters[loop.N_PRODUCTS] += n_products
+    expansion.touching[block] = mode[block] != 0  # so that a new expansion, if it comes first, decides the same
+    return h
+
+
+@inner
+def _carry(model, work, goal, state, window, is_after_event, precheck, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Go on to the next event, or to the end of the window; see `frame.Way`."""
+    expansion, near, v, order = work.expansion, work.search.near, model.belt_speed, window.order
+    z, w, clock, counters, series = state.z, state.w, state.clock, state.counters, work.expansion.series
+    t, remaining = clock[loop.TIME], goal.t_end - clock[loop.TIME]
+    step, block = _first_event(model, expansion, work.search, order, window.left)
+    if not goal.is_last and remaining - step <= ROUNDING * goal.t_end:
+        step = remaining  # an event that rounding cannot tell from the end belongs to the next piece
+    counters[loop.N_STEPS] += 1
+    if block >= 0:
+        counters[loop.LAST_BLOCK] = block
+    for i in range(len(z)):
+        near[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * window.left) + work.search.reach[i])
+    t_next, lacking = loop.later(t, clock[loop.LACKING], step, goal.t_end)
+    sample(expansion, v, None, order, t, t_next, state)
+    age, left = window.age + step, window.left - step
+    of_series = taylor.Window(order, window.span, window.allowed, 0.0)
+    clock[loop.ERROR] = error_after(model, expansion, goal, of_series, age, window.error)
+    if block >= 0 and left > 0.0 and model.weakening is None and not window.is_slow:
+        h = _pass_event(model, work, goal, state, window, block, step, left)
+        is_cut, is_open = window.is_cut or h < left, control.is_worth_using(clock, h)
+        clock[control.CARRIED] += 1.0 if is_open else 0.0
+    else:
+        evaluate(expansion, v, None, order, step, z, w)
+        _on_the_edge(model, expansion, near, 0.0, w, block, order, step, False)
+        h, is_cut, is_open = 0.0, window.is_cut or block >= 0, False
+    clock[loop.TIME], clock[loop.LACKING] = t_next, lacking
+    clock[control.EXPOSURE] += step
+    if not is_open:
+        control.note_window(clock, is_cut)
+    window = Window(is_open, is_cut, window.is_slow, order, h, window.span, age, window.allowed, window.error)
+    return window, n_recorded, stalls(goal, counters, t_next - t, t, not is_after_event)
+
+
+take = frame(Way(_blank, _open, note, _at, _carry))

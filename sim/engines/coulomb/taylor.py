@@ -55,8 +55,12 @@ class Shape(NamedTuple):
     x0: Floats
 
 
+@loop.by_run("mode", "touching", "leaves")
 class Expansion(NamedTuple):
-    """The series of n blocks about the present instant, which of them stick from then on, and workspace."""
+    """The series of n blocks about the present instant, which of them stick from then on, and workspace.
+
+    Of a stack, series and workspace are shared: no run's series outlives a slice.
+    """
 
     series: Floats  #: by rows: c_k of a block that slips, and, once all are expanded, F - R v of one that sticks
     forces: Floats  #: while they are expanded: K c_k, less the coefficients of external forces
@@ -113,17 +117,6 @@ class Expansion(NamedTuple):
             values=np.zeros((2, n)),
             shape=Shape(np.full((n_shapes, orders, n), np.nan), *np.zeros((2, n))) if n_shapes else None,
         )
-
-
-@inner
-def expansion_of(expansions, k):  # type: ignore[no-untyped-def]
-    """The expansion of run k of a stack, before it has a series."""
-    one = expansions
-    return Expansion(
-        one.series, one.forces, one.held, one.mode[k], one.slips, one.touching[k], one.leaves[k], one.zeros, one.side,
-        one.column, one.last, one.more, one.pull, one.change, one.passed, one.sizes, one.steps,
-        one.values, one.shape,
-    )  # fmt: skip
 
 
 def _of_laws(form: str) -> Any:

@@ -1,4 +1,4 @@
-"""What the dense and the sparse loop share: evaluating series, samples, recorded events, stalls."""
+"""What both ways by series share: their workspace, evaluating series, samples, recorded events, stalls."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.numerics.arithmetic import ROUNDING
+from stickslip.sim.numerics.arithmetic import ROUNDING, copy
 from stickslip.sim.numerics.horner import values_and_slopes
 
 
@@ -20,12 +20,14 @@ class Goal(NamedTuple):
 
     t_end: float | Floats  #: from the start of the piece
     is_last: bool
+    instant: float  #: none: -1
     tol: float | Floats
     rate: float | Floats  #: bounds |eigenvalues|
     decay: float | Floats  #: the rate at which errors fade, at least
     bound: float | Floats  #: of |z_i| and |w_i|; beyond it Python decides whether the run diverges
 
 
+@loop.by_run("known_mode", "initial_mode")
 class Search(NamedTuple):
     """The modes recorded so far, and the workspace of the search for events, for n blocks."""
 
@@ -41,20 +43,6 @@ class Search(NamedTuple):
         """Of a run, or of a stack, whose workspace is shared; `mode` has shape (n,) or (m, n)."""
         reach, near = np.zeros((2, mode.shape[-1]))
         return cls(mode.copy(), mode.copy(), reach, near, np.zeros(control.ORDER_MAX + 1), np.zeros(1))
-
-
-@inner
-def goal_of(goals, k):  # type: ignore[no-untyped-def]
-    """The goal of run k of a stack."""
-    return Goal(goals.t_end[k], goals.is_last, goals.tol[k], goals.rate[k], goals.decay[k], goals.bound[k])
-
-
-@inner
-def search_of(searches, k):  # type: ignore[no-untyped-def]
-    """Those of run k of a stack."""
-    return Search(
-        searches.known_mode[k], searches.initial_mode[k], searches.reach, searches.near, searches.poly, searches.found
-    )
 
 
 @inner
@@ -99,19 +87,33 @@ def touch(model, series, i, before, mode, error):  # type: ignore[no-untyped-def
 
 
 @inner
-def record(model, expansion, clock, known_mode, events, n_recorded):  # type: ignore[no-untyped-def]
+def note(model, work, goal, state, events, n_recorded):  # type: ignore[no-untyped-def]
     """Record the modes that have changed; returns how many events are recorded, and whether all modes agree."""
-    t, mode, same = clock[loop.TIME], expansion.mode, True
+    clock, counters, mode, known_mode = state.clock, state.counters, state.mode, work.search.known_mode
+    if counters[loop.N_STEPS] == 0:
+        copy(mode, work.search.initial_mode)
+        copy(mode, known_mode)
+    before, same = n_recorded, True
     for i in range(len(mode)):
         if mode[i] != known_mode[i]:
-            events.t[n_recorded] = t
-            events.block[n_recorded] = i
-            events.mode[n_recorded] = mode[i]
-            events.touch[n_recorded] = touch(model, expansion.series, i, known_mode[i], mode[i], clock[loop.ERROR])
-            known_mode[i] = mode[i]
-            n_recorded += 1
+            n_recorded = record(model, work, clock, (i, known_mode[i]), clock[loop.ERROR], events, n_recorded)
         same = same and mode[i] == mode[0]
+    if n_recorded > before:
+        loop.note_event(clock, counters)
+    loop.note_all_stuck_at(same and mode[0] == 0, clock[loop.TIME], state.z, events, counters)
     return n_recorded, same
+
+
+@inner
+def record(model, work, clock, change, error, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Record an event now: a block, and its mode before. Returns how many events are recorded."""
+    (block, before), mode = change, work.expansion.mode
+    events.t[n_recorded] = clock[loop.TIME]
+    events.block[n_recorded] = block
+    events.mode[n_recorded] = mode[block]
+    events.touch[n_recorded] = touch(model, work.expansion.series, block, before, mode[block], error)
+    work.search.known_mode[block] = mode[block]
+    return n_recorded + 1
 
 
 @inner

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import certificates, loop, stacks
 from stickslip.sim.engines.contract import Ratios, Task
 from stickslip.sim.engines.forcing import Drive
-from stickslip.sim.engines.sigmoid.kernel import Stack, advance
-from stickslip.sim.engines.stacks import Several
 from stickslip.sim.engines.waveform import control as limits
-from stickslip.sim.engines.waveform.control import Control, first_step
+from stickslip.sim.engines.waveform.control import first_step
 from stickslip.sim.engines.waveform.events import PASSES
 from stickslip.sim.engines.waveform.friction import Peaked, Plain, Steady
-from stickslip.sim.engines.waveform.layout import Blocks, Model, Shared, Workspace, blank_tables
+from stickslip.sim.engines.waveform.layout import Blocks, Model, Shared, Workspace
 from stickslip.sim.engines.waveform.matrices import NONE, Matrix, matrices_of, matrix_of
+from stickslip.sim.engines.waveform.runs import WaveformRuns, forces_of
+from stickslip.sim.engines.waveform.step import take
+from stickslip.sim.kernels.compile import kernel
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.friction import hidden_term, over_kinetic, turning_point
@@ -49,7 +50,7 @@ def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
 
 
 def _alone(engine: Sigmoid, task: Task) -> Run:
-    return _Runs(engine, [task]).go_on(0, None)
+    return _Runs(engine, [task]).go_on(0)
 
 
 class _Layer(NamedTuple):
@@ -110,72 +111,61 @@ class _Inside(NamedTuple):
         return cls(atol, rtol, limits.safety_factor(atol + rtol))
 
 
-class _Runs(Several):
-    """Arrays are by task and block, or by task, definition and block."""
+@kernel
+def advance(stack, events, precheck, first, slices):  # type: ignore[no-untyped-def]
+    """See `frame`."""
+    take(stack, events, precheck, first, slices)
+
+
+class _Runs(WaveformRuns):
+    kernel = advance
 
     def __init__(self, engine: Sigmoid, tasks: Sequence[Task]) -> None:
-        self.tasks, self.engine = tasks, engine
+        super().__init__(tasks)
+        self.engine, block = engine, self.block
         systems = self.systems = [task.system for task in tasks]
         system = systems[0]  # if it is not plain, it is the only one
         layer = self.layer = _Layer.of(system, engine)
-        self.inside = _Inside.of(engine)
-        self.longest = self.inside.atol / (limits.CREEP * float(layer.delta.max()))
-        allowed_of_all = engine.atol + engine.rtol * np.array([one.fastest_belt for one in systems])
+        atol, _rtol, self.safety = self.inside = _Inside.of(engine)
+        self.stalled = (
+            f"the step fell to the rounding of time (rtol = {engine.rtol:g}, atol = {engine.atol:g}); use"
+            " engine='coulomb', or raise rtol and atol by tens, which helps unless a belt or a force jumps"
+        )
+        self.longest = atol / (limits.CREEP * float(layer.delta.max()))
         by_force = np.array([layer.is_manifold, *(False for _ in engine.thresholds)])
-        self.drives = [Drive(task.system, task.t_start, task.t_end, 0) for task in tasks]
-        z, w = np.array([task.z0 for task in tasks]), np.array([task.w0 for task in tasks])
-        v = np.array([drive.belt_speed for drive in self.drives])
-        near, far = (np.array(rows) for rows in zip(*(one.slip_friction for one in systems), strict=True))
         bands = np.array([layer.band, *(c * layer.delta for c in engine.thresholds)])
-        bands = bands * (near > 0.0)[:, np.newaxis]  # without friction no block sticks
+        bands = bands * (block.friction > 0.0)[:, np.newaxis]  # without friction no block sticks
         borne = np.empty_like(bands)
         for k, one in enumerate(systems):
             borne[k] = one.kinetic(bands[k])
-        self.tables = blank_tables(len(tasks), system.n)
-        block = Blocks(self.tables[..., : system.n])
-        block.u0, block.z0, block.speed_before, block.belt = w - v, z, np.abs(w), v
-        for name in ("damping", "static", "closed"):
-            setattr(block, name, [getattr(one, name) for one in systems])
-        drag, pull = (np.array(rows) for rows in zip(*map(_forces, systems, self.drives, z, w), strict=True))
-        block.friction, block.drag, block.force0 = near, drag, pull
-        block.row_sum = [one.row_sums for one in systems]
-        block.kept_f, block.kept_u = pull[:, np.newaxis], (w - v)[:, np.newaxis]
-        self._fill_in_the_law(layer, block, near, far)
+        self._fill_in_the_law(layer, block)
         self.modes = _modes(block, bands, layer.is_manifold)
-        changes = np.abs(np.array([w, block.damping * (w - v) + pull, [one.friction for one in systems]]))
-        fastest, widest = changes.max(axis=(0, 2)).tolist(), bands.max(axis=(1, 2)).tolist()
-        atol, rtol, safety = self.inside
-        lengths = [drive.length for drive in self.drives]
-        steps = np.array(
-            [
-                min(length, limits.LONGEST_FIRST, first_step(atol, one))
-                for length, one in zip(lengths, fastest, strict=True)
-            ]
-        )
-        self.states = loop.State.at_start(tasks, self.modes[:, 0].copy(), [(step, 1.0, 0.0, 0.0) for step in steps])
+        self.initial_modes = self.modes.copy()
+        allowed = (engine.atol + engine.rtol * np.array([one.fastest_belt for one in systems])).tolist()
+        of_law = [
+            (one.fastest_belt, wide) for one, wide in zip(systems, bands.max(axis=(1, 2)).tolist(), strict=True)
+        ]
+        smoothed = {key: _smoothed(layer, *key) for key in set(of_law)}
+        self.collapse = [
+            certificates.Collapse(task.system, error, smoothed[key], limits.certificate(task))
+            for task, error, key in zip(tasks, allowed, of_law, strict=True)
+        ]
+        steps = self.begin_clocks(self.modes, atol)
         self.states.counters[:, loop.N_PRODUCTS] = 1 if system.cross_damping is None else 2
         n_substeps = 16 * system.n + 256
         self.events_a_step = PASSES * (system.n + n_substeps) * len(by_force)
         self.work = Workspace.of(self.tables, self.modes, self.drives[0].is_forced, n_substeps)
         self.work.next_h[:], common = limits.FIRST_SUBSTEP * steps[:, np.newaxis], Shared(self.work.shared)
-        common.atol, common.rtol, common.safety = atol, rtol, safety
+        common.atol, common.rtol, common.safety = self.inside
         _jumped(self.states.clock, self.work.next_h, block)
-        self.initial_modes = self.modes.copy()
         forcing = loop.stack([drive.forcing for drive in self.drives])
-        self.models = Model(layer.law, None, *_matrices(systems), forcing, bands, borne, by_force)
-        self.bounds = np.empty(len(tasks))
-        self.ends, self.single_rates = np.array(lengths), limits.single_rate(1.0) * block.row_sum.max(axis=1)
-        of_law = [(task.system.fastest_belt, wide) for task, wide in zip(tasks, widest, strict=True)]
-        smoothed = {one: _smoothed(layer, *one) for one in set(of_law)}
-        self.collapse = [
-            certificates.Collapse(task.system, allowed, smoothed[one], limits.certificate(task))
-            for task, allowed, one in zip(tasks, allowed_of_all.tolist(), of_law, strict=True)
-        ]
-        self.slips = np.array([one.precheck.slip for one in self.collapse])
+        self.models = Model(
+            layer.law, None, *_matrices(systems), forcing, bands, borne, np.tile(by_force, (len(tasks), 1))
+        )
 
-    def _fill_in_the_law(self, layer: _Layer, block: Blocks, near: Floats, far: Floats) -> None:
+    def _fill_in_the_law(self, layer: _Layer, block: Blocks) -> None:
         """Fill in the rows of the smoothed friction law."""
-        system, (atol, _, safety) = self.systems[0], self.inside
+        system, near, (atol, _, safety) = self.systems[0], block.friction, self.inside
         block.steep, block.hidden, block.peak = 1.0 / layer.delta, layer.hidden, layer.peak
         block.passed = limits.PASSED * safety
         block.of_tail = max(1.0, limits.OF_TAIL / safety)
@@ -184,36 +174,18 @@ class _Runs(Several):
         block.fine = np.where(layer.peak < np.inf, fine, 1.0)
         if system.weakening is not None:
             block.weakening = system.weakening.steepness * layer.delta
-            block.far = np.divide(far, near, out=np.ones_like(near), where=near > 0)
+            block.far = np.divide(system.slip_friction[1], near, out=np.ones_like(near), where=near > 0)
         # beyond this friction is kinetic, to the tolerance
         block.reach = 1.0 + 0.5 * np.log1p(2.0 * near * (1.0 + 2.0 * layer.hidden) / (safety * atol))
-
-    def advance(self, first: int, events: loop.Events, found: NDArray[np.int64]) -> None:
-        drive = self.drives[first]
-        self.ends[first], instant = (drive.ahead, drive.instant) if drive.is_instant else (drive.length, -1.0)
-        longest = min(self.longest, np.pi / drive.fastest) if drive.fastest > 0 else self.longest
-        control = Control(self.ends, instant, longest, self.inside.safety, self.single_rates)
-        stack = Stack(self.models, self.work, control, self.states, self.bounds, self.slips)
-        advance(stack, events, self.collapse[first].precheck, first, found)
 
     def alone(self, k: int) -> Run:
         return _alone(self.engine, self.tasks[k])
 
-    def go_on(self, k: int, begun: loop.Begun | None) -> Run:
-        system, drive, engine, atol = self.systems[k], self.drives[k], self.engine, self.inside.atol
-        state = loop.of_run(self.states, k)._replace(mode=self.modes[k, 0])
-        table, next_h = self.tables[k], self.work.next_h[k]
-        plan = loop.Plan(
-            partial(self.slice, k),
-            stalled=f"the step fell to the rounding of time (rtol = {engine.rtol:g}, atol = {engine.atol:g}); use"
-            " engine='coulomb', or raise rtol and atol by tens, which helps unless a belt or a force jumps",
-            events_a_step=self.events_a_step,
-            initial_modes=self.initial_modes[k],
-            thresholds=engine.thresholds,
-            settles=_Rest(self, k, state).flow,
-            go_on=lambda: _go_on(system, drive, state, table, next_h, atol),
-        )
-        return loop.complete(self.tasks[k], state, drive, self.collapse[k], plan, begun)
+    def plan(self, k: int) -> loop.Plan:
+        state, drive, next_h = self.state(k), self.drives[k], self.work.next_h[k]
+        begin_piece = partial(_go_on, self.systems[k], drive, state, self.tables[k], next_h, self.inside.atol)
+        rest = _Rest(self, k, state)
+        return super().plan(k)._replace(thresholds=self.engine.thresholds, settles=rest.flow, go_on=begin_piece)
 
 
 class _Rest:
@@ -276,25 +248,13 @@ def _go_on(system: System, drive: Drive, state: loop.State, table: Floats, next_
     block = Blocks(table[:, : len(state.z)])
     before = block.force0.copy()
     block.z0, block.belt = state.z, drive.belt_speed
-    block.drag, block.force0 = _forces(system, drive, state.z, state.w)
+    block.drag, block.force0 = forces_of(system, drive, state.z, state.w)
     jump = np.abs(block.force0 - before)
     step = first_step(atol, float(jump.max()))
     state.clock[limits.STEP] = min(state.clock[limits.STEP], step)
     next_h[:] = np.minimum(next_h, limits.FIRST_SUBSTEP * step)
     if (jump > limits.JUMP * block.friction).any():
         _jumped(state.clock, next_h, block)
-
-
-def _forces(system: System, drive: Drive, z: Floats, w: Floats) -> tuple[Floats, Floats]:
-    """The part of F from damping at the belts' speeds, and F, at the start of a piece."""
-    v, cross = drive.belt_speed, system.cross_damping
-    drag, pull = system.damping * v, system.damping * v + system.stiffness @ z
-    if cross is not None:
-        drag += cross.sum(axis=1) * v[0] if system.has_one_belt else cross @ v
-        pull += cross @ w
-    if drive.is_forced:
-        pull -= drive.value()
-    return drag, pull
 
 
 def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:

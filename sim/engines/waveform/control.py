@@ -7,8 +7,9 @@ prints the errors).
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
+
+import numpy as np
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.contract import Task
@@ -145,23 +146,18 @@ STEP, KEPT_STEP, CONTRACTION, JUMPED = range(loop.N_CLOCKS, loop.N_CLOCKS + 4)
 
 
 class Control(NamedTuple):
-    """The end of a piece, and the tolerances. Of a stack: arrays of what is each run's own."""
+    """The end of a piece, and the tolerances: a goal of `frame`. Of a stack: arrays of what is each run's own."""
 
     t_end: float | Floats  #: from the start of the piece
+    is_last: bool  #: whether the run ends there
     instant: float  #: if not negative: take one step to record the events by then, and keep the state
+    bound: float | Floats  #: of |z_i| and |w_i|
     longest: float  #: the longest step, by the frequencies of forces
     safety: float  #: the safety factor, tolerance of a substep over that of the run
     single_rate: float | Floats  #: the error of K z in single precision, over the change of z
 
 
-@inner
-def control_of(controls, k):  # type: ignore[no-untyped-def]
-    """That of run k of a stack."""
-    one = controls
-    return Control(one.t_end[k], one.instant, one.longest, one.safety, one.single_rate[k])
-
-
-class Found(NamedTuple):
+class Solution(NamedTuple):
     """The result of a macro step."""
 
     converged: bool
@@ -211,20 +207,20 @@ def shrink(clock, h, tail):  # type: ignore[no-untyped-def]
 
 
 @inner
-def grow(clock, h, found, may_grow):  # type: ignore[no-untyped-def]
+def grow(clock, h, solution, may_grow):  # type: ignore[no-untyped-def]
     """Set the step to try after one that was accepted; after a failure it does not grow at once."""
-    factor = SAFETY * (TAIL / max(found.tail, 1e-300)) ** (1.0 / STAGES)
-    most = GROW_FAST if found.tail < FAR_BELOW * TAIL else GROW
-    clock[KEPT_STEP], clock[CONTRACTION], clock[JUMPED] = h, found.contraction, 0.0
+    factor = SAFETY * (TAIL / max(solution.tail, 1e-300)) ** (1.0 / STAGES)
+    most = GROW_FAST if solution.tail < FAR_BELOW * TAIL else GROW
+    clock[KEPT_STEP], clock[CONTRACTION], clock[JUMPED] = h, solution.contraction, 0.0
     clock[STEP] = h * min(max(factor, SHRINK), most if may_grow else 1.0)
 
 
-def single_rate(pull: float) -> float:
-    """The error of K z in single precision, over the change of z, from the largest row sum of |K|.
+def single_rate(pull: Floats) -> Floats:
+    """The error of K z in single precision, over the change of z, from the largest row sum of each |K|.
 
     It is infinite if K leaves the range of single precision.
     """
-    return SINGLE_ERROR * pull if SINGLE_LEAST < pull < SINGLE_MOST else math.inf
+    return np.where((pull > SINGLE_LEAST) & (pull < SINGLE_MOST), SINGLE_ERROR * pull, np.inf)
 
 
 def certificate(task: Task) -> float:

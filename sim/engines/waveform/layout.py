@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines.forcing import Forcing, forcing_of
-from stickslip.sim.engines.loop import Buffers
+from stickslip.sim.engines.forcing import Forcing
+from stickslip.sim.engines.loop import Buffers, by_run
 from stickslip.sim.engines.waveform.matrices import Matrix
-from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.lanes import WIDTH
 from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT
@@ -135,7 +134,7 @@ class Model(NamedTuple):
     forcing: Forcing
     bands: Floats  #: shape (m, n): by each definition, the |u| below which a block sticks
     borne: Floats  #: shape (m, n): kinetic friction there
-    by_force: NDArray[np.bool_]  #: shape (m,): whether |F| must also be below static friction
+    by_force: NDArray[np.bool_]  #: shape (m,): by each definition, whether |F| must also be below static friction
 
 
 class Substeps(NamedTuple):
@@ -187,6 +186,7 @@ class Lanes(NamedTuple):
     last: NDArray[np.int64]  #: the last substep; -1: none
 
 
+@by_run("table", "modes", "next_h")
 class Workspace(NamedTuple):
     """What changes in a run, beside its state, and scratch arrays."""
 
@@ -273,30 +273,3 @@ def blank_tables(several: int, n: int) -> Floats:
     block = Blocks(tables)
     block.steep = block.h = block.done = block.tolerance = 1.0
     return tables
-
-
-@inner
-def workspace_of(works, k):  # type: ignore[no-untyped-def]
-    """The workspace of run k of a stack."""
-    one = works
-    return Workspace(
-        one.table[k], one.shared, one.lanes, one.product, one.single, one.single_product, one.forcing,
-        one.modes[k], one.modes_before, one.is_split, one.split, one.next_h[k], one.next_h_before, one.end_u,
-        one.end_z, one.end_mode, one.begins, one.substeps, one.repeated, one.changes, one.there,
-    )  # fmt: skip
-
-
-@inner
-def _matrix_of(matrices, k):  # type: ignore[no-untyped-def]
-    one = matrices
-    return Matrix(one.panels[k], one.single_panels[k], one.indptr[k], one.indices[k], one.data[k])
-
-
-@inner
-def model_of(models, k):  # type: ignore[no-untyped-def]
-    """The model of run k of a stack."""
-    one, forcing = models, forcing_of(models.forcing, k)
-    stiffness, cross = _matrix_of(one.stiffness, k), _matrix_of(one.cross, k)
-    return Model(
-        one.law, one.exact, stiffness, cross, one.has_cross, forcing, one.bands[k], one.borne[k], one.by_force
-    )

@@ -10,15 +10,17 @@ multi-adaptive; the iteration is waveform relaxation.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.forcing import value_at
+from stickslip.sim.engines.frame import Way, frame
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.collocation import force, force_changed, predict
-from stickslip.sim.engines.waveform.control import Found, grow, is_in_single_range, next_step, shrink, single_limit
-from stickslip.sim.engines.waveform.events import PASSES, Span, note_all_stuck, sample, step_events, until
+from stickslip.sim.engines.waveform.control import Solution, grow, is_in_single_range, next_step, shrink, single_limit
+from stickslip.sim.engines.waveform.events import Span, note_all_stuck, sample, step_events, until
 from stickslip.sim.engines.waveform.layout import blocks, shared
 from stickslip.sim.engines.waveform.pieces import record_changes, solve_exactly
 from stickslip.sim.engines.waveform.substeps import keep_substeps, probe_blocks, solve_blocks
@@ -164,24 +166,15 @@ def _probe_blocks(model, exact, work, n_split):  # type: ignore[no-untyped-def]
 
 
 @inner
-def _step_events(model, exact, work, clock, found, span, events, n_recorded):  # type: ignore[no-untyped-def]
+def _step_events(model, exact, work, clock, solution, span, events, n_recorded):  # type: ignore[no-untyped-def]
     """By the law: see `events.step_events`. Under the set-valued law the error of w goes on."""
     if exact is None:
-        return step_events(model, work, found.n_substeps, span, events, n_recorded)
+        return step_events(model, work, solution.n_substeps, span, events, n_recorded)
     else:
-        error = limits.AT_END * (1.0 + found.tail) * shared(work.shared).atol[0]
+        error = limits.AT_END * (1.0 + solution.tail) * shared(work.shared).atol[0]
         # they have no common sign
         clock[loop.ERROR] = math.hypot(clock[loop.ERROR] / (1.0 + exact.decay * span.length), error)
         return record_changes(work, span, clock[loop.ERROR], events, n_recorded)
-
-
-@inner
-def _most_events(model, exact, work):  # type: ignore[no-untyped-def]
-    """The most events of a macro step."""
-    if exact is None:
-        return PASSES * (len(work.modes_before) + len(work.substeps.block)) * len(model.bands)
-    else:
-        return len(work.changes.x)
 
 
 @inner
@@ -215,15 +208,15 @@ def _solve_waveform(model, work, control, clock, counters, h):  # type: ignore[n
             break
         is_last = iteration > 0 and moved * now < enough
         last, contraction = moved, now
-    return Found(converged, tail, contraction, n_substeps)  # type: ignore[arg-type]
+    return Solution(converged, tail, contraction, n_substeps)  # type: ignore[arg-type]
 
 
 @inner
-def _reject(work, clock, counters, found, h):  # type: ignore[no-untyped-def]
+def _reject(work, clock, counters, solution, h):  # type: ignore[no-untyped-def]
     """Shorten the step, note which block caused its failure, and undo its changes."""
     counters[loop.N_REJECTED] += 1
-    counters[loop.LAST_BLOCK] = _worst(work) if found.n_substeps >= 0 else -1 - found.n_substeps
-    shrink(clock, h, found.tail)
+    counters[loop.LAST_BLOCK] = _worst(work) if solution.n_substeps >= 0 else -1 - solution.n_substeps
+    shrink(clock, h, solution.tail)
     copy(work.next_h_before, work.next_h)
 
 
@@ -257,66 +250,67 @@ def _accept(work, state, h):  # type: ignore[no-untyped-def]
         copy(block.u[k], block.kept_u[k])
 
 
+class Window(NamedTuple):
+    """A macro step."""
+
+    h: float  #: its length
+    may_grow: bool  #: whether the next may be longer; not after a failure
+
+
 @inner
-def _all_slip(mode):  # type: ignore[no-untyped-def]
-    """Whether all blocks slip in one direction."""
+def _blank():  # type: ignore[no-untyped-def]
+    return Window(0.0, True)
+
+
+@inner
+def _open(model, work, goal, state, window, remaining):  # type: ignore[no-untyped-def]
+    return Window(next_step(goal, state.clock), window.may_grow)
+
+
+@inner
+def _note(model, work, goal, state, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Whether all blocks slip in one direction; a macro step records its events itself."""
+    mode = state.mode
     same = mode[0] != 0
     for i in range(len(mode)):
         same = same and mode[i] == mode[0]
-    return same
+    return n_recorded, same
 
 
 @inner
-def take_steps(model, work, control, state, events, bound, precheck):  # type: ignore[no-untyped-def]
-    """Take steps until the end, or until Python has something to do; a second call goes on from there."""
-    clock, counters, mode = state.clock, state.counters, work.modes[0]
-    most_events = _most_events(model, model.exact, work)
-    n_recorded, n_left, may_grow = np.int64(0), loop.STEPS_A_SLICE, True
-    while n_left > 0:
-        n_left -= 1
-        t = clock[loop.TIME]
-        if control.t_end - t <= 0.0:  # a run of no length may have samples
-            n_sampled = sample(model, work, 0, Span(t, 1.0, t), state.samples, counters[loop.N_SAMPLED])
-            counters[loop.N_SAMPLED] = n_sampled
-            return loop.DONE, n_recorded
-        if n_recorded + most_events > len(events.t):
-            return loop.BUFFER_FULL, n_recorded
-        if loop.is_check_due(state, mode, precheck, control.t_end - t) and _all_slip(mode):
-            if loop.may_collapse(state, mode, precheck):
-                return loop.ALL_SLIP, n_recorded
-            if n_recorded > 0:
-                return loop.PAUSED, n_recorded
-            # as at the start of a slice: the result does not depend on the slicing
-            n_left, may_grow = loop.STEPS_A_SLICE, True
-        h = next_step(control, clock)
-        _predict_step(model, work, clock, h)
-        found = _solve_waveform(model, work, control, clock, counters, h)
-        if not found.converged:
-            _reject(work, clock, counters, found, h)
-            may_grow = False
-            if clock[limits.STEP] <= limits.SHORTEST * max(min(1.0, control.t_end), t):
-                return loop.STALLED, n_recorded
-            continue
-        counters[loop.N_STEPS] += 1
-        end, lacking = loop.later(t, clock[loop.LACKING], h, control.t_end)
-        span = Span(t, h, end)
-        first_event, n_recorded = (
-            n_recorded,
-            _step_events(model, model.exact, work, clock, found, span, events, n_recorded),
-        )
-        if control.instant >= 0.0:
-            n_recorded = until(control.instant, first_event, n_recorded, events)
-        note_all_stuck(model, work, found.n_substeps, span, first_event, n_recorded, events, counters)
-        if control.instant >= 0.0:
-            return loop.DONE, n_recorded
-        n_sampled = sample(model, work, found.n_substeps, span, state.samples, counters[loop.N_SAMPLED])
-        counters[loop.N_SAMPLED] = n_sampled
+def _at(model, work, goal, state, window, t):  # type: ignore[no-untyped-def]
+    counters = state.counters
+    counters[loop.N_SAMPLED] = sample(model, work, 0, Span(t, 1.0, t), state.samples, counters[loop.N_SAMPLED])
+
+
+@inner
+def _carry(model, work, goal, state, window, is_after_event, precheck, events, n_recorded):  # type: ignore[no-untyped-def]
+    """Take a macro step, if it can be solved; see `frame.Way`."""
+    clock, counters, t, h = state.clock, state.counters, state.clock[loop.TIME], window.h
+    _predict_step(model, work, clock, h)
+    solution = _solve_waveform(model, work, goal, clock, counters, h)
+    if not solution.converged:
+        _reject(work, clock, counters, solution, h)
+        is_shortest = clock[limits.STEP] <= limits.SHORTEST * max(min(1.0, goal.t_end), t)
+        return Window(h, False), n_recorded, is_shortest
+    counters[loop.N_STEPS] += 1
+    end, lacking = loop.later(t, clock[loop.LACKING], h, goal.t_end)
+    span, first_event, n_substeps = Span(t, h, end), n_recorded, solution.n_substeps
+    n_recorded = _step_events(model, model.exact, work, clock, solution, span, events, n_recorded)
+    if goal.instant >= 0.0:
+        n_recorded = until(goal.instant, first_event, n_recorded, events)
+    note_all_stuck(model, work, n_substeps, span, first_event, n_recorded, events, counters)
+    if goal.instant < 0.0:
+        n_sampled = counters[loop.N_SAMPLED]
+        counters[loop.N_SAMPLED] = sample(model, work, n_substeps, span, state.samples, n_sampled)
         _accept(work, state, h)
-        grow(clock, h, found, may_grow)
-        clock[loop.TIME], clock[loop.LACKING], may_grow = end, lacking, True
+        grow(clock, h, solution, window.may_grow)
+        copy(work.modes[0], state.mode)
+        clock[loop.TIME], clock[loop.LACKING] = end, lacking
         for k in range(first_event, n_recorded):
-            if events.block[k] < len(mode):  # by the first definition of sticking
+            if events.block[k] < len(state.mode):  # by the first definition of sticking
                 loop.note_event(clock, counters)
-        if not loop.is_within(state, bound):
-            return loop.DIVERGED, n_recorded
-    return loop.PAUSED, n_recorded
+    return Window(h, True), n_recorded, False
+
+
+take = frame(Way(_blank, _open, _note, _at, _carry))

@@ -1,0 +1,87 @@
+"""The one loop that takes a run forward, in slices between which Python can handle signals.
+
+How a motion is followed is a `Way`. Its *window* is the time that one expansion or one macro step covers; it may hold
+several events. A slice ends where the run does, where the buffers may not hold what comes next, where all blocks slip
+so that a collapse may be certified, where the state passes a bound, and after so many steps.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stickslip.sim.engines import loop
+from stickslip.sim.engines.stacks import note_slice, rest_of, run_of
+from stickslip.sim.kernels.compile import inner
+
+
+class Way(NamedTuple):
+    """A way to follow a motion: functions that kernels call.
+
+    All take (model, work, goal, state) first: what is constant, workspace, what the run is taken to, and its state. A
+    goal has t_end, `is_last`, `bound`, and `instant`: if that is not negative, one window is for the events by then,
+    and the state stays.
+    """
+
+    blank: Any  #: (): no window
+    open: Any  #: (window, remaining): that window, or, if it is over, the next one
+    note: Any  #: (events, n_recorded): record the modes that have changed; the number, and whether all are the same
+    at: Any  #: (window, t): keep the samples at the time t, where a run of no length ends
+    carry: Any
+    """(window, is_after_event, precheck, events, n_recorded): go on to the next event, or to the end of the window,
+    with the samples on the way. Returns the window, how many events are recorded, and if there is no progress."""
+
+
+def frame(way: Way) -> Any:
+    """For kernels, ``f(stack, events, precheck, first, slices)``: advance runs of a `Stack`, from the first on.
+
+    Why each ended, and what it recorded, is put into a row of `slices`: see `Several.advance`. A second call goes on
+    from there.
+    """
+    blank, open_next, note, at, carry = way
+
+    @inner
+    def take(run, events, precheck):  # type: ignore[no-untyped-def]
+        model, work, goal, state = run.model, run.work, run.goal, run.state
+        clock, counters = state.clock, state.counters
+        n_recorded, n_last, window = np.int64(0), loop.n_tried(counters) + loop.STEPS_A_SLICE, blank()
+        while loop.n_tried(counters) < n_last:
+            remaining = goal.t_end - clock[loop.TIME]
+            if remaining <= 0.0 and not goal.is_last:
+                return loop.DONE, n_recorded  # the next piece decides which blocks stick from here on
+            if n_recorded + run.events_a_step > len(events.t):
+                return loop.BUFFER_FULL, n_recorded
+            window = open_next(model, work, goal, state, window, remaining)
+            before = n_recorded
+            n_recorded, same = note(model, work, goal, state, events, n_recorded)
+            if remaining <= 0.0:
+                at(model, work, goal, state, window, clock[loop.TIME])
+                return loop.DONE, n_recorded
+            if same and loop.is_check_due(state, state.mode, precheck, remaining):
+                if loop.may_collapse(state, run.slip, precheck):
+                    return loop.ALL_SLIP, n_recorded
+                if n_recorded > 0:
+                    return loop.PAUSED, n_recorded
+                # as at the start of a slice: the result does not depend on the slicing
+                n_last, window = loop.n_tried(counters) + loop.STEPS_A_SLICE, blank()
+                continue
+            window, n_recorded, stalls = carry(
+                model, work, goal, state, window, n_recorded > before, precheck, events, n_recorded
+            )
+            if stalls:
+                return loop.STALLED, n_recorded
+            if goal.instant >= 0.0:
+                return loop.DONE, n_recorded
+            if not loop.is_within(state, goal.bound):
+                return loop.DIVERGED, n_recorded
+        return loop.PAUSED, n_recorded
+
+    @inner
+    def take_all(stack, events, precheck, first, slices):  # type: ignore[no-untyped-def]
+        for row in range(len(slices)):
+            run = run_of(stack, first + row)
+            status, n_recorded = take(run, rest_of(events, slices, row), precheck)
+            note_slice(slices, row, status, n_recorded, run.state.counters)
+
+    return take_all

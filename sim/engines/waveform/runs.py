@@ -1,0 +1,90 @@
+"""Runs by macro steps as stacks: their tables of blocks, whatever the law."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stickslip.sim.engines import loop
+from stickslip.sim.engines.contract import Task
+from stickslip.sim.engines.forcing import Drive
+from stickslip.sim.engines.stacks import Several
+from stickslip.sim.engines.waveform import control
+from stickslip.sim.engines.waveform.control import Control
+from stickslip.sim.engines.waveform.layout import Blocks, Model, Workspace, blank_tables
+from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.systems.system import System
+
+
+class WaveformRuns(Several):
+    """Runs by macro steps; a subclass fills in its law. Arrays are by task and block, or task, definition and block.
+
+    Attributes
+    ----------
+    block : Blocks
+        All rows but those of a smooth law alone, at the start; u and F are kept as if they had been constant before.
+    models : Model
+    work : Workspace
+    safety, longest : float
+        As of `Control`.
+    """
+
+    models: Model
+    work: Workspace
+    safety: float
+    longest: float
+
+    def __init__(self, tasks: Sequence[Task]) -> None:
+        self.tasks, systems = tasks, [task.system for task in tasks]
+        self.drives = [Drive(task.system, task.t_start, task.t_end, 0) for task in tasks]
+        self.tables = blank_tables(len(tasks), systems[0].n)
+        block = self.block = Blocks(self.tables[..., : systems[0].n])
+        z, w = np.array([task.z0 for task in tasks]), np.array([task.w0 for task in tasks])
+        v = np.array([drive.belt_speed for drive in self.drives])
+        block.u0, block.z0, block.speed_before, block.belt = w - v, z, np.abs(w), v
+        block.damping, block.static, block.closed, block.friction, block.row_sum = np.array(
+            [[one.damping, one.static, one.closed, one.slip_friction[0], one.row_sums] for one in systems]
+        ).swapaxes(0, 1)
+        forces = [forces_of(*start) for start in zip(systems, self.drives, z, w, strict=True)]
+        block.drag, block.force0 = np.array(forces).swapaxes(0, 1)
+        block.kept_f, block.kept_u = block.force0[:, np.newaxis], block.u0[:, np.newaxis]
+        self.bounds, self.lengths = np.empty(len(tasks)), np.array([drive.length for drive in self.drives])
+
+    def begin_clocks(self, modes: NDArray[np.int8], tol: float, scale: float = 1.0) -> Floats:
+        """Set the state at the start, in these modes, and the bounds of products in single precision.
+
+        Returns the first step of each run, by the error of w allowed in it over its scale.
+        """
+        block = self.block
+        friction = [task.system.friction for task in self.tasks]
+        changes = np.abs(np.array([block.speed_before, block.damping * block.u0 + block.force0, friction]))
+        steps = np.array(
+            [
+                min(length, control.LONGEST_FIRST, scale * control.first_step(tol, fastest))
+                for length, fastest in zip(self.lengths.tolist(), changes.max(axis=(0, 2)).tolist(), strict=True)
+            ]
+        )
+        self.states = loop.State.at_start(self.tasks, modes[:, 0].copy(), [(step, 1.0, 0.0, 0.0) for step in steps])
+        self.single_rates = control.single_rate(block.row_sum.max(axis=1))
+        return steps
+
+    def goal(self, drive: Drive) -> Control:
+        longest = min(self.longest, np.pi / drive.fastest) if drive.fastest > 0 else self.longest
+        instant = -1.0
+        if drive.is_instant:
+            self.lengths[0], instant = drive.ahead, drive.instant
+        return Control(self.lengths, drive.is_last, instant, self.bounds, longest, self.safety, self.single_rates)
+
+
+def forces_of(system: System, drive: Drive, z: Floats, w: Floats) -> tuple[Floats, Floats]:
+    """The part of F from damping at the belts' speeds, and F, at the start of a piece."""
+    v, cross = drive.belt_speed, system.cross_damping
+    drag, pull = system.damping * v, system.damping * v + system.stiffness @ z
+    if cross is not None:
+        drag += cross.sum(axis=1) * v[0] if system.has_one_belt else cross @ v
+        pull += cross @ w
+    if drive.is_forced:
+        pull -= drive.value()
+    return drag, pull
