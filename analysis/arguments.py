@@ -1,4 +1,4 @@
-"""Arguments of public statistics, checked: whatever has no meaning is refused, by its name."""
+"""Arguments of public statistics, checked: whatever has no meaning is refused by a ValueError with its name."""
 
 from __future__ import annotations
 
@@ -16,26 +16,14 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 def number(name: str, value: object, expected: str = "a number") -> float:
-    """A number, of Python or NumPy: no truth and no text.
-
-    Raises
-    ------
-    ValueError
-        If it is none.
-    """
+    """A number, of Python or NumPy: no truth and no text."""
     if isinstance(value, bool | np.bool_) or not isinstance(value, Real):
         raise ValueError(f"{name}: expected {expected}, got {reprlib.repr(value)}; give one")
     return float(value)
 
 
 def numbers(name: str, values: ArrayLike, expected: str) -> np.ndarray:
-    """An array of numbers, float64.
-
-    Raises
-    ------
-    ValueError
-        If it holds anything else.
-    """
+    """An array of numbers, float64."""
     found = np.asarray(values)
     if found.dtype.kind not in "iuf":
         raise ValueError(f"{name}: expected {expected}, got {reprlib.repr(values)}; give numbers")
@@ -43,13 +31,7 @@ def numbers(name: str, values: ArrayLike, expected: str) -> np.ndarray:
 
 
 def instance(name: str, value: object, kind: type[_Kind]) -> _Kind:
-    """An object of a type.
-
-    Raises
-    ------
-    ValueError
-        If it is another.
-    """
+    """An object of a type."""
     if not isinstance(value, kind):
         article = "an" if kind.__name__[0] in "AEIOU" else "a"
         raise ValueError(f"{name}: expected {article} {kind.__name__}, got {reprlib.repr(value)}; give one")
@@ -57,26 +39,14 @@ def instance(name: str, value: object, kind: type[_Kind]) -> _Kind:
 
 
 def called(name: str, value: _Function, example: str) -> _Function:
-    """What can be called.
-
-    Raises
-    ------
-    ValueError
-        If it cannot.
-    """
+    """What can be called."""
     if not callable(value):
         raise ValueError(f"{name}: expected a function, got {reprlib.repr(value)}; give one, such as {example}")
     return value
 
 
 def level(confidence: float) -> float:
-    """A level of confidence, between 0 and 1.
-
-    Raises
-    ------
-    ValueError
-        If it is none, as 95 in place of 0.95.
-    """
+    """A level of confidence, between 0 and 1."""
     is_number = isinstance(confidence, Real)
     if not is_number or not 0.0 < confidence < 1.0:
         in_percent = is_number and 1.0 < confidence < 100.0
@@ -88,21 +58,7 @@ def level(confidence: float) -> float:
 
 
 def sums(values: ArrayLike, n_columns: int | None = None, name: str = "sums") -> np.ndarray:
-    """Rows of sums, one a matrix, float64, shape (m, c).
-
-    Parameters
-    ----------
-    values : array_like
-    n_columns : int, optional
-        c, where it is known: with 2, the second is a count.
-    name : str
-        Of the argument.
-
-    Raises
-    ------
-    ValueError
-        If they are no such rows, a number is not finite, or a count is negative.
-    """
+    """Rows of sums, one a matrix, finite float64 of shape (m, c); of two columns the second holds counts >= 0."""
     try:
         rows = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -128,13 +84,7 @@ def sums(values: ArrayLike, n_columns: int | None = None, name: str = "sums") ->
 
 
 def counts(name: str, values: ArrayLike) -> np.ndarray:
-    """Numbers of things, an array of any shape.
-
-    Raises
-    ------
-    ValueError
-        If one is negative or not finite.
-    """
+    """Numbers of things, an array of any shape."""
     numbers = np.asarray(values)
     is_wrong = ~np.isfinite(numbers) | (numbers < 0)
     if is_wrong.any():

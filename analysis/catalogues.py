@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.answer import Row, named
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS
@@ -32,6 +32,7 @@ from stickslip.analysis.models.episodes import (
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, over_matrices
 from stickslip.analysis.stats.families import Fit, maximise, parameter
+from stickslip.pipeline.design.labels import Label
 from stickslip.sim.engines import place
 
 ONE_MOMENT = "most episodes have one moment"  # why there is no b
@@ -47,20 +48,30 @@ class Catalogues:
     group : Group
     runs : dict of int to list of Catalogue
         By unit.
+    confidence : float
+        Of intervals.
     least : float
         Magnitude from which laws are fitted: the least of the first group of the same systems that has episodes, so
         that they compare. A model's catalogue is complete, so none is left out. Filled by `read`.
     sums : dict of str to UnitSums
         Sums of each quantity by unit, for contrasts; filled by `summarise`.
-    row : dict
-        The statistics as columns and, under `of`, as estimates; filled by `summarise`.
+    method : Label
+        What tells it from the other groups.
+    estimates : dict of str to Estimate
+        Of each quantity; filled by `summarise`.
+    b : Estimate
+        Of the power law up to the largest moment, if the group may be judged; filled by `summarise`.
     """
 
     group: Group
     runs: dict[int, list[Catalogue]]
+    confidence: float
     least: float = 0.0
     sums: dict[str, UnitSums] = field(default_factory=dict)
-    row: Row = field(default_factory=dict)
+    method: Label = field(default_factory=Label)
+    estimates: dict[str, Estimate] = field(default_factory=dict)
+    b: Estimate = field(default_factory=Estimate)
+    has_b: bool = False
 
     @property
     def label(self) -> str:
@@ -68,7 +79,36 @@ class Catalogues:
 
     @property
     def is_judged(self) -> bool:
-        return self.row["basis"] in enough.JUDGED
+        return self.basis.code in enough.JUDGED
+
+    @property
+    def n_episodes(self) -> int:
+        return sum(len(run.start) for run in self.each())
+
+    @property
+    def largest(self) -> float | None:
+        """The largest magnitude."""
+        return float(self.magnitudes().max()) if self.n_episodes else None
+
+    @property
+    def whole(self) -> float | None:
+        """The share of episodes in which all blocks slip."""
+        n = self.group.key["n"]
+        is_whole = [size == n for run in self.each() for size in run.size.tolist()]
+        return float(np.mean(is_whole)) if is_whole else None
+
+    @property
+    def stuck_below(self) -> float | None:
+        """Speed on the belt, over the belt's, below which a smoothed block may count as stuck; None: none may."""
+        key = self.group.key
+        if key["stick"] != "manifold" or key["ratio"] != "one" or not key["belt_speed"]:
+            return None
+        return float(-key["eps"] * np.log(key["eps"]) / abs(key["belt_speed"]))
+
+    @property
+    def b_reason(self) -> str:
+        """Why its magnitudes have no b."""
+        return ONE_MOMENT if self.atom(self.least) > ATOM else ""
 
     def each(self) -> Iterator[Catalogue]:
         """The catalogues of all runs."""
@@ -88,10 +128,11 @@ class Catalogues:
         """Number of episodes of at least that magnitude."""
         return int(np.count_nonzero(self.magnitudes() >= magnitude))
 
-    def basis(self, confidence: float) -> enough.Basis:
+    @cached_property
+    def basis(self) -> enough.Basis:
         """Whether the law of these episodes may be judged: there are enough, and their rate does not drift."""
         halves = np.array([sum(run.halves() for run in runs) for runs in self.runs.values()])
-        return enough.basis(halves, int(halves.sum()), confidence, drift)
+        return enough.basis(halves, int(halves.sum()), self.confidence, drift)
 
     def at_least(self, magnitude: float) -> dict[int, np.ndarray]:
         """Number of episodes of at least that magnitude and the time in which they were counted, by unit."""
@@ -108,7 +149,7 @@ def read(study: Study, episodes: pd.DataFrame) -> list[Catalogues]:
     """The catalogues of each group with a run that reached t_end, in the order of `fineness`."""
     of_member = {str(name): some for name, some in episodes.groupby("member_id", sort=False)}
     groups = sorted(study.groups, key=fineness)
-    found = [Catalogues(group, _by_unit(study, group, of_member)) for group in groups]
+    found = [Catalogues(group, _by_unit(study, group, of_member), study.settings.confidence) for group in groups]
     found = [one for one in found if one.runs]
     for some in systems(found):
         least = next((float(one.magnitudes().min()) for one in some if len(one.magnitudes())), 0.0)
@@ -158,38 +199,16 @@ def systems(found: Sequence[Catalogues]) -> list[list[Catalogues]]:
     return list(by_key.values())
 
 
-def summarise(one: Catalogues, level: float) -> None:
+def summarise(group: Catalogues) -> None:
     """Fill in the statistics of a group, each with its interval over units."""
-    quantities = {**QUANTITIES, **REST, **SLOW_DRIVE}
-    units, share = [unit for unit, runs in one.runs.items() for _ in runs], one.atom(one.least)
-    for name, quantity in quantities.items():
-        rows = np.array([quantity.sums(run, one.least) for run in one.each()], dtype=np.float64)
-        known = np.isfinite(rows).all(axis=1) & (name != B_VALUE or share <= ATOM)
-        one.sums[name] = UnitSums.of(np.array(units)[known], rows[known])
-    basis = one.basis(level)
-    n_episodes = basis.n_cascades
-    sizes = np.concatenate([run.size for run in one.each()])
-    one.row = {
-        "group": one.label, "is_exact": one.group.is_exact, "least": one.least,
-        "stuck_below": _stuck_below(one.group), "n_systems": len(one.runs), "n_episodes": n_episodes,
-        "basis": basis.code, "n_matrices": len(one.runs), "n_cascades": n_episodes, **named("drift", basis.drift),
-        "largest": float(one.magnitudes().max()) if n_episodes else None,
-        "whole": float(np.mean(sizes == one.group.key["n"])) if n_episodes else None,
-        "atom": share, "b_reason": ONE_MOMENT if share > ATOM else None,
-    }  # fmt: skip
-    one.row["of"] = {
-        name: over_matrices(quantity.of, one.sums[name].counted.rows, level) for name, quantity in quantities.items()
-    }
-    for name, estimate in one.row["of"].items():
-        one.row |= named(name, estimate)
-
-
-def _stuck_below(group: Group) -> float | None:
-    """Speed on the belt below which a smoothed block may count as stuck, in units of the belt's; None if none may."""
-    key = group.key
-    if key["stick"] != "manifold" or key["ratio"] != "one" or not key["belt_speed"]:
-        return None
-    return float(-key["eps"] * np.log(key["eps"]) / abs(key["belt_speed"]))
+    units = np.array([unit for unit, runs in group.runs.items() for _ in runs])
+    for name, quantity in {**QUANTITIES, **REST, **SLOW_DRIVE}.items():
+        rows = np.array([quantity.sums(run, group.least) for run in group.each()], dtype=np.float64)
+        known = np.isfinite(rows).all(axis=1) & (name != B_VALUE or not group.b_reason)
+        group.sums[name] = UnitSums.of(units[known], rows[known])
+        group.estimates[name] = over_matrices(quantity.of, group.sums[name].counted.rows, group.confidence)
+    if group.is_judged:
+        group.b, group.has_b = b_of_law(group, group.confidence), has_b(group, group.confidence)
 
 
 # ------------------------------------------------------------------------------------------- the law of moments

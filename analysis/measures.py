@@ -163,7 +163,7 @@ def _why_no_b(catalogues: Catalogues, least: float, beyond: str, level: float) -
         return f"fewer than {enough.LEAST_CASCADES} episodes {beyond}"
     if catalogues.atom(least) > ATOM:
         return ONE_MOMENT
-    if catalogues.basis(level).code == enough.DRIFTS:
+    if catalogues.basis.code == enough.DRIFTS:
         return "the rate of episodes drifts"
     return "" if has_b(catalogues, level) else "no single b is shown to hold"
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stickslip.analysis.answer import Row, named
 from stickslip.analysis.catalogues import Catalogues
 from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
@@ -83,9 +82,14 @@ class Apart:
         return None if isinstance(self.found, str) else self.found.p_different
 
     @property
+    def law(self) -> Difference | None:
+        """How far two laws lie apart, if they were compared."""
+        return self.found if isinstance(self.found, Difference) else None
+
+    @property
     def p_floor(self) -> float:
         """The least p-value that it can have."""
-        return self.found.p_floor if isinstance(self.found, Difference) else 0.0
+        return 0.0 if self.law is None else self.law.p_floor
 
     @property
     def is_shown(self) -> bool:
@@ -100,17 +104,7 @@ class Apart:
 
     def comparison(self) -> Comparison:
         """A statistic beside that of the reference, for a finding."""
-        return Comparison(self.reference.row["method"], self.step.contrast.difference)
-
-    def row(self) -> Row:
-        """A law as columns."""
-        assert not isinstance(self.found, Contrast)
-        row: Row = {"setting": self.setting.label, "reference": self.reference.label}
-        row |= {"law": self.name, "p_different_holm": self.family and self.family.p_different}
-        if isinstance(self.found, str):
-            return row | {"reason": self.found}
-        of = {name: getattr(self.found, name) for name in ("at", "below", "p_floor", "p_different")}
-        return row | named("size", self.found.size) | of
+        return Comparison(self.reference.method, self.step.contrast.difference)
 
 
 def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apart]:
@@ -154,8 +148,8 @@ def _law(study: Study, first: Catalogues, second: Catalogues, name: str) -> Diff
 
 def settings_of(groups: Sequence[Catalogues]) -> list[Setting]:
     """Methods by engine and the number that it is set by, so that ranges of it can be named."""
-    shared = set.intersection(*(set(group.row["method"].parts) for group in groups))
-    return [_setting(group.row["method"], shared) for group in groups]
+    shared = set.intersection(*(set(group.method.parts) for group in groups))
+    return [_setting(group.method, shared) for group in groups]
 
 
 def _setting(method: Label, shared: Collection[Part]) -> Setting:

@@ -16,14 +16,14 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from stickslip.analysis.pictures import BLUE as BLUE
+from stickslip.analysis.pictures import CYCLE as CYCLE
+from stickslip.analysis.pictures import GREEN as GREEN
+from stickslip.analysis.pictures import GREY as GREY
+from stickslip.analysis.pictures import ORANGE as ORANGE
+from stickslip.analysis.pictures import PURPLE as PURPLE
+from stickslip.analysis.pictures import by_defaults
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.sim.runs.pictures import BLUE as BLUE
-from stickslip.sim.runs.pictures import CYCLE as CYCLE
-from stickslip.sim.runs.pictures import GREEN as GREEN
-from stickslip.sim.runs.pictures import GREY as GREY
-from stickslip.sim.runs.pictures import ORANGE as ORANGE
-from stickslip.sim.runs.pictures import PURPLE as PURPLE
-from stickslip.sim.runs.pictures import by_defaults
 
 STYLE: Any = {
     "font.size": 9,

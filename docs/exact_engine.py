@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from stickslip.analysis.style import BLUE, GREEN, GREY, ORANGE, PURPLE, blank, styled, svg
 from stickslip.sim import System, simulate
-from stickslip.sim.theory.folds import sticking_lambda, two_blocks
+from stickslip.workflows.gallery.theory.folds import sticking_lambda, two_blocks
 
 _T_END = 8.0
 #: About here block 1 slips, and block 2 too.

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from functools import cache
-from pathlib import Path
 
-from stickslip.analysis import page
 from stickslip.analysis.page import OF_OWN, PAGE
 from stickslip.pipeline.dataset.opened import Opened
+from stickslip.pipeline.dataset.program import version_of
 from stickslip.pipeline.errors import StoreError
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import Where
-from stickslip.version import __version__
-from stickslip.workflows import scenes
 
 #: The files of a report, one a line, with their sha256; while it is written, the first line says so, and those of
 #: the one before follow.
@@ -32,15 +28,9 @@ def made_from(opened: Opened) -> str:
     return hashlib.sha256(words.encode()).hexdigest()
 
 
-@cache
 def program() -> str:
     """The version of the program and a digest of all code that makes a report."""
-    digest = hashlib.sha256()
-    folders = Path(page.__file__).parents[1], Path(scenes.__file__).parent
-    files = [file for folder in folders for file in folder.rglob("*") if file.suffix in (".py", ".html", ".css")]
-    for file in sorted(files):
-        digest.update(file.read_bytes())
-    return f"{__version__}-{digest.hexdigest()[:12]}"
+    return version_of(("analysis", "workflows/scenes"))
 
 
 def is_current(opened: Opened) -> bool:

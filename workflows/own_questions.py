@@ -142,7 +142,7 @@ def _place(task: Task) -> Path:
 def _asked(task: Task, function: own.OwnFunction) -> Answered:
     from stickslip.analysis.page.own import own_answer
     from stickslip.analysis.page.parts import Answered
-    from stickslip.sim.runs.pictures import by_defaults
+    from stickslip.analysis.pictures import by_defaults
     from stickslip.workflows.reporting import study_of
 
     if task.opened is None:

@@ -45,7 +45,7 @@ from stickslip.workflows.fresh import LIST, UNFINISHED, made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
 
 #: A line of `LIST`, whoever wrote it: a sha256 and a name, as `sha256sum` writes them.
-_LISTED = re.compile(r"([0-9a-f]{64})  (report/(?:figures/)?[\w-]+\.(?:parquet|csv|svg|pdf))")
+_LISTED = re.compile(r"([0-9a-f]{64})  (report/(?:tables\.json|(?:figures/)?[\w-]+\.(?:parquet|csv|svg|pdf)))")
 
 #: Columns of members that no question of this package looks at.
 _UNASKED = (

@@ -22,7 +22,7 @@ from stickslip.pipeline.dataset.schema import schema_of
 from stickslip.pipeline.dataset.sound import Sound, fault_of_design, fault_of_file, fault_of_members
 from stickslip.pipeline.design.design import Coordinates, Design
 from stickslip.pipeline.ensemble.numbering import Numbering
-from stickslip.pipeline.ensemble.pack import PlanError, Task, tasks
+from stickslip.pipeline.ensemble.pack import PlanError, Task, number_of, tasks
 from stickslip.pipeline.errors import QueryError, SceneError, StoreError, command, printable, shortened
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
@@ -67,10 +67,9 @@ class Opened:
 
     def coordinates(self, shards: Sequence[str]) -> Coordinates:
         """Where the members of some shards stand in the design, in order."""
-        batches, last = {batch.name: batch for batch, _ in self.tasks}, numbering_of(self.tasks)
-        parts = []
+        last, parts = numbering_of(self.tasks), []
         for name in shards:
-            batch = batches[name]
+            batch, _ = self.tasks[number_of(name)]
             assert batch.numbering is not None
             parts.append(last.of(last.places_of(batch.numbering)[batch.members.places]))
         return Coordinates.joined(parts)
@@ -108,11 +107,12 @@ class Opened:
         Raises
         ------
         StoreError
-            If a shard is not what was written.
+            If a shard is not what was written, or the manifest's packing or design is not that of its scene.
         """
         import pyarrow.dataset as ds  # it loads pandas
 
         names = sorted(self.manifest.shards) if names is None else list(names)
+        self.tasks  # noqa: B018  refuses a manifest that says something else than its scene
         self.check(names)
         checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
         with reading(self.place):
@@ -195,10 +195,9 @@ class Opened:
         StoreError
             If they are not.
         """
-        batches = {batch.name: batch for batch, _ in self.tasks}
         first = 0
         for name in shards:
-            batch = batches[name]
+            batch, _ = self.tasks[number_of(name)]
             n_rows = len(batch.members)
             problem = fault_of_members(table.slice(first, n_rows), batch.members, batch.coordinates)
             first += n_rows

@@ -7,7 +7,7 @@ import hashlib
 import io
 import sys
 import tokenize
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
 
@@ -32,19 +32,24 @@ _DETERMINING = (
     "pipeline/scene",
 )
 
-#: Parts of these that no run needs: they explain, or draw.
-_OUTSIDE = ("sim/theory/", "sim/runs/pictures.py", "sim/runs/show.py")
+#: What no run needs of these.
+_OUTSIDE = ("sim/runs/show.py",)
+
+
+def program() -> str:
+    """What numbers come from: the version of stickslip, and a digest of its code, as this process loaded it."""
+    return version_of(_DETERMINING)
 
 
 @cache
-def program() -> str:
-    """What numbers come from: the version of stickslip, and a digest of its code, as this process loaded it.
+def version_of(places: tuple[str, ...]) -> str:
+    """The version of stickslip, and a digest of the code in packages and modules, as this process loaded it.
 
     The digest is of the code's tokens: a comment, a docstring, an empty or a broken line leaves it as it is. Reading
     these takes a third of a second, so it is kept, by the digest of the files.
     """
     root = Path(stickslip.__file__).parent
-    sources = [(name, file.read_bytes()) for name, file in sorted(_sources(root))]
+    sources = [(name, file.read_bytes()) for name, file in sorted(_sources(root, places))]
     makes = __version__, sys.version, Path(__file__).read_bytes(), sources
     files, key = CacheFiles(cache_directory(), "program"), hashlib.sha256(repr(makes).encode()).hexdigest()
     with contextlib.suppress(CacheError):  # where it could be another's it is found anew
@@ -52,19 +57,20 @@ def program() -> str:
             return kept
     digest = hashlib.sha256()
     for name, source in sources:
-        digest.update("\0".join((name, *_words(source), "")).encode())
+        words = _words(source) if name.endswith(".py") else [source.decode()]
+        digest.update("\0".join((name, *words, "")).encode())
     found = f"{__version__}-{digest.hexdigest()[:16]}"
     with contextlib.suppress(CacheError, OSError):
         files.save(key, found)
     return found
 
 
-def _sources(root: Path) -> Iterator[tuple[str, Path]]:
-    """The files that determine numbers, with their names below `root`."""
-    for place in _DETERMINING:
-        for file in [root / place] if place.endswith(".py") else (root / place).rglob("*.py"):
+def _sources(root: Path, places: Iterable[str]) -> Iterator[tuple[str, Path]]:
+    """The files of packages and modules, with their names below `root`."""
+    for place in places:
+        for file in [root / place] if place.endswith(".py") else (root / place).rglob("*.*"):
             name = file.relative_to(root).as_posix()
-            if not name.startswith(_OUTSIDE):
+            if file.suffix in (".py", ".html", ".css") and not name.startswith(_OUTSIDE):
                 yield name, file
 
 

@@ -205,8 +205,8 @@ class Store:
                 again = command("extend", str(self.place), "--scene", "SCENE", "--out", "DIR")
                 raise StoreError(
                     f"{self.place}: expected runs with the columns of the data on disk, got a scene that adds some "
-                    f"with {', '.join(columns)}, which these data lack; `{again}` runs it into another "
-                    f"directory, and no more than it must"
+                    f"with {', '.join(columns)}, which these data lack; run it into another directory: "
+                    f"`{again}` takes over what is here"
                 )
             raise StoreError(
                 f"{self.place}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of "

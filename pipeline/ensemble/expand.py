@@ -381,6 +381,14 @@ class Ensemble(_Numbered):
             places - variant + base[variant],
         )
 
+    @property
+    def firsts(self) -> np.ndarray:
+        """The place of one member of each source, point of the scene's grid and variant."""
+        sources, variants = np.arange(len(self.sources)), np.arange(self.n_variants)
+        points = np.array([0, *self.ends[:-1]])
+        systems = sources[:, None, None] * self.n_matrices
+        return ((systems * self.n_places + points[:, None]) * self.n_variants + variants).ravel()
+
     def places_of(self, other: Ensemble) -> np.ndarray:
         """The places here of the members of another scene, in the order of theirs.
 

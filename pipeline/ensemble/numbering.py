@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from stickslip.pipeline.design.design import Coordinates, Design
 from stickslip.pipeline.ensemble.expand import Ensemble
 
 _Listed = TypeVar("_Listed")
+#: Numbers that are known, ascending, and what each becomes.
+_Table: TypeAlias = tuple[np.ndarray, np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,34 +54,45 @@ class Numbering:
         return self.kept[self.before.places_of(earlier)]
 
     @cached_property
-    def _tables(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """By coordinate, if its numbers are not those of the scene alone: these, ascending, and what they become."""
+    def _of_design(self) -> Mapping[str, _Table]:
+        """The tables of what the design lists, read off one member of each source, point and variant."""
+        design = self.ensemble.design
+        sizes = {"point": design.n_points, "method": len(design.methods), "change": len(design.changes)}
+        firsts = np.zeros(0, np.int64) if self.before is None else self.before.ensemble.firsts
+        return self._tables({name: np.arange(size) for name, size in sizes.items()}, firsts)
+
+    @cached_property
+    def _of_members(self) -> Mapping[str, _Table]:
+        """The tables of what the members themselves differ in."""
         if self.before is None:
             return {}
-        design, places = self.ensemble.design, np.arange(len(self.ensemble))
-        every, old = self.ensemble.coordinates(places), self.before.of(np.arange(len(self.kept)))
-        known = every._replace(
-            point=np.arange(design.n_points),
-            unit=np.unique(every.unit),
-            method=np.arange(len(design.methods)),
-            change=np.arange(len(design.changes)),
-            base=places,
-        )
-        before = old._replace(base=self.before.renumbered("base", np.arange(len(self.kept))))
-        now = every._replace(base=places).at(self.kept)
-        found = {}
-        for name, numbers, mine, theirs in zip(Coordinates._fields, known, now, before, strict=True):
-            # the starts of one system are no units any more once there are more systems
-            is_other = name == "unit" and self.ensemble.unit != self.before.ensemble.unit
-            if not is_other and not np.array_equal(mine, theirs):
-                found[name] = numbers, _continued(numbers, mine, theirs)
-        return found
+        places = np.arange(len(self.ensemble))
+        known = {"unit": np.unique(self.ensemble.coordinates(places).unit), "base": places}
+        # the starts of one system are no units any more once there are more systems
+        if self.ensemble.unit != self.before.ensemble.unit:
+            del known["unit"]
+        return self._tables(known, np.arange(len(self.kept)))
+
+    def _tables(self, known: Mapping[str, np.ndarray], places: np.ndarray) -> Mapping[str, _Table]:
+        """Of coordinates whose numbers are not those of the scene alone: these, ascending, and what they become."""
+        if self.before is None:
+            return {}
+        now, then = self.ensemble.coordinates(self.kept[places]), self.before.ensemble.coordinates(places)
+        tables = {}
+        for name, numbers in known.items():
+            mine, theirs = getattr(now, name), self.before.renumbered(name, getattr(then, name))
+            if name == "base":  # a copy may have lost its base, but each has its own number
+                mine, theirs = self.kept, self.before.renumbered(name, places)
+            if not np.array_equal(mine, theirs):
+                tables[name] = numbers, _continued(numbers, mine, theirs)
+        return tables
 
     def renumbered(self, name: str, numbers: np.ndarray) -> np.ndarray:
         """What numbers of a coordinate of the scene alone become in the dataset."""
-        if name not in self._tables:
+        tables = self._of_members if name in ("unit", "base") else self._of_design
+        if name not in tables:
             return numbers
-        known, become = self._tables[name]
+        known, become = tables[name]
         return become[np.searchsorted(known, numbers)]
 
     def of(self, places: np.ndarray) -> Coordinates:
@@ -94,7 +108,7 @@ class Numbering:
             own,
             methods=self._in_order("method", own.methods),
             changes=self._in_order("change", own.changes),
-            numbers=tuple(self._tables["point"][1].tolist()) if "point" in self._tables else (),
+            numbers=tuple(self._of_design["point"][1].tolist()) if "point" in self._of_design else (),
         )
 
     def _in_order(self, name: str, listed: tuple[_Listed, ...]) -> tuple[_Listed, ...]:

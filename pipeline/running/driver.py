@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -34,7 +33,6 @@ from stickslip.pipeline.running.trials import check_functions
 from stickslip.pipeline.running.worker import Order, cold_engines, compute, compute_there, load_kernels, row
 from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.scene import Scene
-from stickslip.sim.kernels.cache import check_compiler
 from stickslip.sim.numerics.session import numpy_defaults
 
 log = logging.getLogger(__name__)
@@ -64,6 +62,7 @@ def run_ensemble(
     on_progress: Callable[[Progress], None] | None = None,
     retry_failed: bool = False,
     accept_version: bool = False,
+    *,
     dashboard: bool = False,
     yes: bool = False,
     kept: Where | Opened | None = None,
@@ -102,8 +101,8 @@ def run_ensemble(
     ------
     ValueError
         If `workers` is negative.
-    KernelError
-        If no kernel can be run on this machine.
+    CacheError
+        If others could write the kernel cache.
     StoreError
         If the directory cannot be used or written.
     SceneError
@@ -154,11 +153,11 @@ def _look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction])
 
 
 def _check_caller(workers: int, scheduler: Scheduling) -> None:
-    """Refuse a number of workers that is none, a worker that loads the caller's script, and kernels not compiled.
+    """Refuse a number of workers that is none, and a worker that loads the caller's script.
 
     Raises
     ------
-    ValueError, KernelError, ScheduleError
+    ValueError, ScheduleError
         As `run_ensemble`.
     """
     if workers < 0:
@@ -168,8 +167,6 @@ def _check_caller(workers: int, scheduler: Scheduling) -> None:
             'expected a scene to be run under if __name__ == "__main__":, got a script that runs it wherever it is '
             "loaded, and every worker loads it; write that line above the call"
         )
-    if scheduler is None:
-        check_compiler(os.environ.get("NUMBA_DISABLE_JIT"))
 
 
 class Workers(NamedTuple):

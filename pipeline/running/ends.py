@@ -77,7 +77,7 @@ class _WithEnds:
         """The id of the one at whose end a member starts."""
         candidates = self.like.get(_same(member), ())
         for of in _ALIKE:
-            candidates = [one for one in candidates if of(one) == of(member)] or candidates
+            candidates = [candidate for candidate in candidates if of(candidate) == of(member)] or candidates
         draw = member.begin.draw
         if not candidates or (draw is not None and candidates[0].begin.draw != draw):
             raise SceneError(

@@ -70,7 +70,7 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
         is_coupled = first.change.reading == "damping matrix"
         kinds.setdefault((first.n, first.engine, first.settings, is_coupled), _Kind()).add(some)
     # what is shared between members is known by its formula; the pilot runs them alone
-    recording = replace(scene.recording, records=tuple(one for one in scene.records if not one.is_shared))
+    recording = replace(scene.recording, records=tuple(record for record in scene.records if not record.is_shared))
     core_seconds = n_bytes = head = 0.0
     failures: Counter[str] = Counter()
     for members in kinds.values():
@@ -92,7 +92,7 @@ def _pilot(members: _Kind, seconds: float, recording: Recording) -> tuple[float,
     some = [replace(members[k], shared_cost=0.0) for k in places]
     # each point of a sweep may need kernels of its own, and to compile or load them is no part of the work
     points = {_point(one): one for one in some}
-    run_members([replace(one, t_end=1e-6) for one in points.values()], recording)
+    run_members([replace(point, t_end=1e-6) for point in points.values()], recording)
     tried, rows, factor = _run(some[:1], min(0.2 * seconds / some[0].cost, 1.0), recording)
     # as many as there is time for, run together as in a batch
     expected = factor * some[0].cost
@@ -104,7 +104,7 @@ def _pilot(members: _Kind, seconds: float, recording: Recording) -> tuple[float,
     # the first row of a shard takes more than the next ones, which are like it
     first, whole = (_size(of, recording) for of in (rows[:1], rows))
     a_row = (whole - first) / (tried * (1.0 - 1.0 / len(rows))) if len(rows) > 1 else first / tried
-    return factor, first, a_row, [one["reason"] for one in rows if one["outcome"] == "failed"]
+    return factor, first, a_row, [row["reason"] for row in rows if row["outcome"] == "failed"]
 
 
 def _point(member: Member) -> Member:
@@ -115,7 +115,7 @@ def _point(member: Member) -> Member:
 
 def _run(members: Sequence[Member], share: float, recording: Recording) -> tuple[float, list[dict[str, Any]], float]:
     """Run a share of each member: how many whole ones that makes, their rows, core-seconds for a unit of cost."""
-    parts = [replace(one, t_end=max(share * one.t_end, min(10.0, one.t_end))) for one in members]
+    parts = [replace(member, t_end=max(share * member.t_end, min(10.0, member.t_end))) for member in members]
     begun = time.process_time()
     found = columns(parts, run_members(parts, recording), recording)
     took = max(time.process_time() - begun, 1e-6)
@@ -128,4 +128,4 @@ def _run(members: Sequence[Member], share: float, recording: Recording) -> tuple
 
 def _size(rows: Sequence[dict[str, Any]], recording: Recording) -> int:
     schema = schema_of(recording)
-    return len(encode({name: [one[name] for one in rows] for name in schema.names}, schema))
+    return len(encode({name: [row[name] for row in rows] for name in schema.names}, schema))

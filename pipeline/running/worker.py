@@ -29,7 +29,7 @@ from stickslip.pipeline.running.kept import Kept, Runs
 from stickslip.pipeline.scene.columns import DESIGN, Recording
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine, Task
-from stickslip.sim.kernels.cache import KernelError, has_kernel
+from stickslip.sim.kernels.cache import CacheError, has_kernel
 from stickslip.sim.runs.series import summaries
 from stickslip.sim.systems.system import work_out
 
@@ -159,7 +159,7 @@ def _result(one: _Prepared, recording: Recording) -> tuple[sim.EventSeries | Non
     """A member's events and what else came of it."""
     try:
         return _kept(_made(one), recording)
-    except KernelError:  # no member of this machine can be run
+    except CacheError:  # no member of this machine can be run
         raise
     except Exception as error:  # noqa: BLE001  whatever went wrong is this member's outcome, not its neighbours'
         return None, failed(one.member, foreign(error))

@@ -56,9 +56,9 @@ class Key:
     def _value(self, given: object, whole: object) -> Value:
         if isinstance(given, Distribution | Course | Named | Ratio):
             given = as_written(given)
-        for one in self.words:
-            if given == one.word and given is whole:
-                return one
+        for word in self.words:
+            if given == word.word and given is whole:
+                return word
         number = _number(given)
         if number is not None and self._allows(number):
             return number
@@ -97,7 +97,7 @@ class Key:
                 + meant
             )
         numbers = given[name]
-        match [_number(one) for one in numbers] if isinstance(numbers, list | tuple) else []:
+        match [_number(number) for number in numbers] if isinstance(numbers, list | tuple) else []:
             case [float(first), float(second)] if math.isfinite(second - first):
                 if second > 0 if name == "normal" else self._allows(first) and first < second:
                     return Distribution(name, first, second)
@@ -150,7 +150,7 @@ class Key:
                 }
             )
         items = {"anyOf": [one, *drawn]} if drawn else one
-        named = [{"const": one.word} for one in self.words]
+        named = [{"const": word.word} for word in self.words]
         row = {"type": "array", "items": {"type": "number"}, "minItems": 1}
         course = {"type": "object", "properties": {"times": row, "values": row}, "required": ["times", "values"]}
         timed = [course | {"additionalProperties": False}] if self.in_time else []

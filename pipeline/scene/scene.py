@@ -208,14 +208,14 @@ class Scene(StrictTable):
         """Which of `pipeline.scene.columns.PARTS` its datasets have."""
         system, known = self.system, self.system.quantities
         several = isinstance(system.force, tuple) or any(force.blocks for force in system.forces)
-        drawn = (one for quantity in self.quantities.values() for one in values(quantity) if one != BELT)
+        drawn = (value for quantity in self.quantities.values() for value in values(quantity) if value != BELT)
         in_files = any(file.arrays for file in system.known_files.values())
         asked = {
             "file": system.coupling == OF_FILE,
             "long_matrix": any(file.version > 1 for file in system.known_files.values()),
             "function": system.is_own,
             "damping": in_files,
-            "belts": any(not isinstance(one, float) for one in values(system.belt_speed)) or in_files,
+            "belts": any(not isinstance(value, float) for value in values(system.belt_speed)) or in_files,
             "force": system.force is not None,
             "back_slip": not system.back_slip,
             "drawn": any(not isinstance(one, float) for one in drawn) or in_files or several,
@@ -317,9 +317,9 @@ class Scene(StrictTable):
         system, known = self.system, self.system.quantities
         pushes = [one for force in system.forces for one in (force.amplitude, force.course) if one is not None]
         belts = [
-            one
-            for one in values(known["belt_speed"])
-            if isinstance(one, Distribution) or (isinstance(one, Course) and len(set(one.values)) > 1)
+            value
+            for value in values(known["belt_speed"])
+            if isinstance(value, Distribution) or (isinstance(value, Course) and len(set(value.values)) > 1)
         ]
         forces = [force.model_dump(exclude_none=True) for force in system.forces] if any(map(size, pushes)) else None
         asked = (
@@ -351,7 +351,7 @@ class Scene(StrictTable):
     @property
     def extent(self) -> str:
         """How many values there are of what is swept, and of starts that are drawn; "" if nothing is."""
-        drawn = any(isinstance(one, Distribution) for key in ("z", "w") for one in values(self.quantities[key]))
+        drawn = any(isinstance(value, Distribution) for key in ("z", "w") for value in values(self.quantities[key]))
         draws = self.start.draws or 1
         starts = [f"{draws} draw{'s' * (draws > 1)} of the start"] if drawn else []
         tables = [f"{len(self.engines)} engines"] if len(self.engines) > 1 else []
@@ -482,7 +482,7 @@ class Scene(StrictTable):
         """All functions of the user's own that it names."""
         own = self.own_record
         made = [] if self._function is None else [self._function]
-        return made + ([] if own is None else [one.function for one in own.functions])
+        return made + ([] if own is None else [function.function for function in own.functions])
 
     @property
     def ends(self) -> Ends | None:

@@ -101,7 +101,11 @@ class StartTable(StrictTable):
             raise ValueError('dataset: expected with z or w = "end", and only with these; write both, or none')
         if self.dataset is not None and self.ends is None:
             raise ValueError("ends: expected what `load_scene` and the command write, found nothing; use these")
-        if self.draws is not None and END not in starts and not any(isinstance(one, Distribution) for one in starts):
+        if (
+            self.draws is not None
+            and END not in starts
+            and not any(isinstance(start, Distribution) for start in starts)
+        ):
             raise ValueError(
                 "draws: expected only with z or w a distribution, e.g. `z = {uniform = [-1, 1]}`; remove it"
             )

@@ -18,7 +18,7 @@ import stat
 import sys
 import time
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,31 +33,8 @@ MOST_LINKS = 40  # as Linux follows them
 PASS = os.O_DIRECTORY | os.O_NOFOLLOW | (os.O_PATH if sys.platform == "linux" else os.O_RDONLY)
 
 
-class KernelError(Exception):
-    """No kernel can be run on this machine as it is set up. The message says why, and what to do."""
-
-
-class CacheError(KernelError):
+class CacheError(Exception):
     """Others could write the kernel cache. The message says which directory or file it is, and what to do."""
-
-
-class CompilerError(KernelError):
-    """numba is told not to compile."""
-
-
-def check_compiler(disabled: object) -> None:
-    """Refuse numba's switch for debugging: Python cannot run what is written for its compiler.
-
-    Raises
-    ------
-    CompilerError
-        If `disabled`, as numba takes it, is not 0 or empty.
-    """
-    if disabled and disabled != "0":
-        raise CompilerError(
-            f"kernels: expected numba to compile them, got NUMBA_DISABLE_JIT={disabled}; unset it in the environment,"
-            " and remove disable_jit from a .numba_config.yaml in the working directory"
-        )
 
 
 def cache_directory() -> Path:
@@ -82,7 +59,7 @@ def has_kernel(package: str) -> bool:
 
 
 class CacheFiles:
-    """Things on disk, each in a file named by its key, with the interface of numba's cache files.
+    """Things on disk, each in a file named by its key.
 
     Parameters
     ----------
@@ -90,12 +67,10 @@ class CacheFiles:
         `cache_directory()`.
     name : str
         What files begin with.
-    dumps : callable, optional
-        Pickles a thing; for kernels, numba's.
     """
 
-    def __init__(self, directory: Path, name: str, dumps: Callable[[Any], bytes] = pickle.dumps) -> None:
-        self._directory, self._name, self._dumps = directory, name, dumps
+    def __init__(self, directory: Path, name: str) -> None:
+        self._directory, self._name = directory, name
         self._locks: dict[str, contextlib.ExitStack] = {}
 
     def _file(self, key: object, ending: str = _ENDING) -> str:
@@ -153,7 +128,7 @@ class CacheFiles:
             return None
 
     def save(self, key: object, thing: object) -> None:
-        data = self._dumps(thing)
+        data = pickle.dumps(thing)
         temporary = f"{self._name}.{uuid.uuid4().hex}.tmp"
         try:
             with _opened(self._directory) as directory:

@@ -6,9 +6,9 @@ Decisions, and why:
 - ``fastmath`` off, ``parallel`` off: reordered sums would make the order of events depend on the machine's
   vector width; an ensemble is parallel over members, never inside one.
 - ``error_model="numpy"``: a division needs no branch; kernels check their own denominators.
-- ``_nrt=False``: kernels count no references to arrays, an atomic operation for each array of each tuple that is
-  passed on, a third of the exact engine's time. Python holds all arrays. A function that makes an array, or takes one
-  from a tuple by its number, must count: ``counts=True`` (or, for small arrays, `arithmetic.room`).
+- kernels count no references to arrays, an atomic operation for each array of each tuple that is passed on, a third
+  of the exact engine's time. Python holds all arrays. A function that makes an array, or takes one from a tuple by
+  its number, must count: ``counts=True`` (or, for small arrays, `arithmetic.room`).
 - only a kernel is optimised and compiled to machine code, with all that is linked into it: numba would do both for
   every function that it calls, which is half of the time of a cold start. What is linked into it is called from
   there alone, and LLVM is told so.
@@ -25,92 +25,71 @@ Decisions, and why:
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 from typing import Any
 
 import numba
-from llvmlite.binding import Linkage
-from numba._dynfunc import make_function
-from numba.core import config
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
+import numpy as np
+from numba import types
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
+from numba.core.compiler import Compiler, CompileResult
 from numba.core.runtime import rtsys
-from numba.core.serialize import dumps
-from numba.core.targetconfig import ConfigStack
-from numba.core.types import Integer, Type, unliteral
-from numba.core.types.functions import BaseFunction
 
-from stickslip.sim.kernels.cache import CacheFiles, cache_directory, check_compiler
-
-check_compiler(vars(config)["DISABLE_JIT"])
-
-_jit: Any = numba.njit
-_POLICY: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+from stickslip.sim.kernels.cache import CacheFiles, cache_directory
+from stickslip.sim.kernels.emit import IS_COMPILED
 
 
-class _Locator(_CacheLocator):
-    """Names the files of a kernel; `CacheFiles` alone decides where they are."""
-
-    def __init__(self, function: Callable[..., Any], file: str) -> None:
-        self._py_file, self._lineno = file, function.__code__.co_firstlineno
-
-    @classmethod
-    def from_function(cls, function: Callable[..., Any], file: str) -> _Locator:
-        return cls(function, file)
-
-    def ensure_cache_path(self) -> None:
-        pass
-
-    def get_cache_path(self) -> str:
-        return str(cache_directory())
-
-    def get_source_stamp(self) -> str:
-        return ""  # the directory is named by the sources
-
-    def get_disambiguator(self) -> str:
-        return str(self._lineno)
+def _jit(function: Callable[..., Any], counts: bool, **options: Any) -> Any:
+    policy: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": counts}
+    return numba.njit(**policy, **options)(function)
 
 
-class _Kept(CompileResultCacheImpl):
-    _locator_classes = [_Locator]  # noqa: RUF012  as numba has it
+class _KernelCache:
+    """What numba asks of the cache of a kernel; `CacheFiles` decides where and how it is kept."""
 
-
-class _KernelCache(FunctionCache):
-    _impl_class = _Kept
+    cache_path = property(lambda self: str(cache_directory()))
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        self._cache_file: Any = CacheFiles(cache_directory(), f"{function.__module__}.{function.__qualname__}", dumps)
+        self._code = hashlib.sha256(function.__code__.co_code).hexdigest(), function.__code__.co_firstlineno
+        self._files = CacheFiles(cache_directory(), f"{function.__module__}.{function.__qualname__}")
+
+    def _key(self, signature: Any, target: Any) -> Any:
+        return signature, target.codegen().magic_tuple(), self._code
 
     def load_overload(self, signature: Any, target: Any) -> Any:
         """The kept kernel. numba would first load all that it needs to compile, which takes half a second."""
         rtsys.initialize(target)  # compiled code may call it
-        return self._load_overload(signature, target)
+        kept = self._files.load(self._key(signature, target))
+        return None if kept is None else CompileResult._rebuild(target, *kept)
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         try:
-            super().save_overload(signature, compiled)
+            self._files.save(self._key(signature, compiled.target_context), compiled._reduce())
         except OSError as error:
             _warn_uncached(error)
+
+
+#: Whether what is being compiled counts references, within what else is.
+_counting: list[bool] = []
 
 
 @contextlib.contextmanager
 def _types_once() -> Iterator[None]:
     """Within this, numba resolves an operation on given types once; its lock keeps other threads out."""
-    functions: Any = BaseFunction
+    functions: Any = types.BaseFunction
     find = functions.get_call_type
-    found: dict[Any, Any] = {}
+    known: dict[Any, Any] = {}
 
     def find_once(function: Any, context: Any, args: Any, kws: Any) -> Any:
-        if kws or not all(isinstance(arg, Type) for arg in args):  # a literal number: 1 would equal True
+        if kws or not all(isinstance(arg, types.Type) for arg in args):  # a literal number: 1 would equal True
             return find(function, context, args, kws)
-        key = function, context, tuple(args), ConfigStack().top().nrt
-        if key not in found:
-            found[key] = find(function, context, args, kws)
-        return found[key]
+        key = function, context, tuple(args), _counting[-1]
+        if key not in known:
+            known[key] = find(function, context, args, kws)
+        return known[key]
 
     functions.get_call_type = find_once
     try:
@@ -129,21 +108,15 @@ class _Whole(JITCodeLibrary):
     parts of its tuples, some 460 words: the sigmoid's kernel took half as long again.
     """
 
+    def __init__(self, codegen: Any, name: str) -> None:
+        super().__init__(codegen, name)
+        self.enable_object_caching()  # as machine code, to be kept
+
     def _optimize_final_module(self) -> None:
         for function in self._final_module.functions:
-            if function.linkage == Linkage.linkonce_odr:  # it was linked in
-                function.linkage = Linkage.private
+            if function.linkage.name == "linkonce_odr":  # it was linked in
+                function.linkage = "private"
         super()._optimize_final_module()
-
-
-class _KernelCompiler(Compiler):
-    """Compiles a kernel with all that it calls."""
-
-    def _compile_core(self) -> Any:
-        self.state.library = _Whole(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
-        self.state.library.enable_object_caching()
-        with _types_once():
-            return super()._compile_core()
 
 
 class _Part(JITCodeLibrary):
@@ -156,16 +129,40 @@ class _Part(JITCodeLibrary):
         self._finalized = True
 
 
-class _PartCompiler(Compiler):
-    """Compiles to a `_Part`; the entry point that numba needs for it cannot be called."""
+class _Compiler(Compiler):
+    """Compiles into a library of its own."""
+
+    library: type[JITCodeLibrary]
 
     def _compile_core(self) -> Any:
-        target = self.state.targetctx
+        self.state.library = self.library(self.state.targetctx.codegen(), self.state.func_id.func_qualname)
+        _counting.append(self.state.flags.nrt)
+        try:
+            return super()._compile_core()
+        finally:
+            _counting.pop()
+
+
+class _KernelCompiler(_Compiler):
+    """Compiles a kernel with all that it calls."""
+
+    library = _Whole
+
+    def _compile_core(self) -> Any:
+        with _types_once():
+            return super()._compile_core()
+
+
+class _PartCompiler(_Compiler):
+    """Compiles to a `_Part`, whose entry point nobody calls: any built-in function that equals no other."""
+
+    library = _Part
+
+    def _compile_core(self) -> Any:
         self.state.flags.no_compile = True
-        self.state.library = _Part(target.codegen(), self.state.func_id.func_qualname)
         result = super()._compile_core()
-        entry = make_function(numba, "", "", 0, result.environment, ())
-        target.insert_user_function(entry, result.fndesc, [result.library])
+        entry = [].clear
+        self.state.targetctx.insert_user_function(entry, result.fndesc, [result.library])
         return result._replace(entry_point=entry)
 
 
@@ -185,11 +182,12 @@ def inner(function: Callable[..., Any] | None = None, *, counts: bool = False) -
     """
     if function is None:
         return partial(inner, counts=counts)
-    no_wrappers = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-    compiled = _jit(**_POLICY, **no_wrappers, _nrt=counts, pipeline_class=_PartCompiler)(function)
+    if not IS_COMPILED:
+        return function
+    compiled = _jit(function, counts, no_cpython_wrapper=True, pipeline_class=_PartCompiler)
     template = compiled.get_call_template
     # numba would compile it for each literal number in a call
-    compiled.get_call_template = lambda args, kws: template([unliteral(kind) for kind in args], kws)
+    compiled.get_call_template = lambda args, kws: template([types.unliteral(kind) for kind in args], kws)
     return compiled
 
 
@@ -198,12 +196,14 @@ def one_of(functions: Sequence[Callable[..., Any]], others: Callable[[type[Any]]
 
     All take and return the same types. `others` gives the function of a class, for which kernels are compiled.
     """
+    if not IS_COMPILED:
+        return lambda which, *arguments: (others(type(which)) if which == () else functions[which])(*arguments)
     numbered = _numbered(functions)
     of_class = cache(lambda kind: _numbered([others(kind)]))
     template, overload = numbered.get_call_template, numbered.get_overload
 
     def is_numbered(kinds: Sequence[Any]) -> bool:
-        return isinstance(kinds[0], Integer)
+        return isinstance(kinds[0], types.Integer)
 
     numbered.get_call_template = lambda args, kws: (
         template if is_numbered(args) else of_class(args[0].instance_class).get_call_template
@@ -239,6 +239,8 @@ def kernel(function: Callable[..., Any] | None = None, *, counts: bool = False) 
     """Compile a function of numbers and arrays that Python calls, with all that it calls, and keep it on disk."""
     if function is None:
         return partial(kernel, counts=counts)
-    compiled = _jit(**_POLICY, _nrt=counts, no_cfunc_wrapper=True, pipeline_class=_KernelCompiler)(function)
+    if not IS_COMPILED:
+        return np.errstate(all="ignore")(function)  # numbers as machine code has them
+    compiled = _jit(function, counts, pipeline_class=_KernelCompiler)
     compiled._cache = _KernelCache(function)
     return compiled

@@ -78,9 +78,9 @@ def _parts(value: Any, seen: list[Any]) -> Iterator[str]:
         case BuiltinFunctionType():
             yield repr(value)
         case _:
-            from numba.core.dispatcher import Dispatcher  # who asks for a digest has loaded it, to compile
+            from numba.extending import is_jitted  # who asks for a digest has loaded it, to compile
 
-            if not isinstance(value, Dispatcher):
+            if not is_jitted(value):
                 raise TypeError(f"expected functions that use numbers, arrays, functions or modules, got {value!r}")
             yield from _parts(value.py_func, seen)
 

@@ -9,11 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from llvmlite import ir
-from numba.core import cgutils, types
-from numba.extending import intrinsic
-
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.kernels.emit import Array, Cell, Code, Index, emitted
 
 #: How many levels share a pass, and how many blocks; what is left of these goes by the next width.
 _LEVELS, _WIDTHS = 4, (16, 4, 1)
@@ -26,60 +23,27 @@ def _pass(n_levels: int, width: int, in_place: bool) -> Any:
     adds step c_{m + 1} to c_m, from the highest m on down to k. If not `in_place`, only c_k, c_{k + 1}, ... are kept,
     in the first rows of `target`.
     """
-    number, index = ir.DoubleType(), ir.IntType(64)
-    vector = ir.VectorType(number, width)
 
-    @intrinsic
-    def apply(typing_context, rows, target, i, k, order, steps):  # type: ignore[no-untyped-def]
-        def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-            source, result, lengths = (
-                context.make_array(signature.args[k])(context, builder, arguments[k]) for k in (0, 1, 5)
-            )
-            first, low, top = arguments[2:5]
-            fused = cgutils.get_or_insert_function(
-                builder.module, ir.FunctionType(vector, [vector] * 3), f"llvm.fmuladd.v{width}f64"
-            )
+    def piece(code: Code, rows: Array, target: Array, i: Index, k: Index, order: Index, steps: Array) -> None:
+        step = steps.load(i, width)
+        highest = rows.load(order * rows.shape[1] + i, width)
+        sums = [code.cell(highest) for _ in range(n_levels)]
 
-            def place(array: Any, m: Any) -> Any:
-                stride = cgutils.unpack_tuple(builder, array.shape)[-1]
-                at = builder.gep(array.data, [builder.add(builder.mul(m, stride), first)])
-                return builder.bitcast(at, vector.as_pointer())
+        def add(m: Index, levels: list[Cell]) -> None:
+            value = rows.load(m * rows.shape[1] + i, width)
+            for level in levels:
+                value = level.value = code.fused(step, level.value, value)
+            if in_place:
+                target.store(m * target.shape[1] + i, value)
 
-            def load(array: Any, m: Any) -> Any:
-                value = builder.load(place(array, m))
-                value.align = 8
-                return value
+        code.loop(order - k - (n_levels - 1), lambda n: add(order - 1 - n, sums))
+        for n in range(n_levels - 1, 0, -1):
+            add(k + (n - 1), sums[:n])
+        if not in_place:
+            for m, level in enumerate(sums):
+                target.store(target.shape[1] * m + i, level.value)
 
-            def store(value: Any, array: Any, m: Any) -> None:
-                builder.store(value, place(array, m)).align = 8
-
-            step = load(lengths, index(0))
-
-            def row(m: Any, levels: int) -> None:
-                value = load(source, m)
-                for level in sums[:levels]:
-                    value = builder.call(fused, [step, builder.load(level), value])
-                    builder.store(value, level)
-                if in_place:
-                    store(value, result, m)
-
-            sums = [cgutils.alloca_once(builder, vector) for _ in range(n_levels)]
-            highest = load(source, top)
-            for level in sums:
-                builder.store(highest, level)
-            shared = builder.sub(top, builder.add(low, index(n_levels - 1)))
-            with cgutils.for_range(builder, shared) as loop:
-                row(builder.sub(builder.sub(top, index(1)), loop.index), n_levels)
-            for levels in range(n_levels - 1, 0, -1):
-                row(builder.add(low, index(levels - 1)), levels)
-            if not in_place:
-                for m, level in enumerate(sums):
-                    store(builder.load(level), result, index(m))
-            return context.get_dummy_value()
-
-        return types.void(rows, target, types.intp, types.intp, types.intp, steps), codegen
-
-    return apply
+    return emitted(piece)
 
 
 def _all_levels(width: int) -> Any:

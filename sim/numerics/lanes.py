@@ -3,7 +3,7 @@
 A formula is a function of numbers. It is called while a kernel is compiled, with `Lane` objects as its numbers, and
 emits SIMD code for `WIDTH` numbers side by side; its loops are unrolled. LLVM splits the vectors where a processor
 has shorter ones or none, and fuses products and sums where it can. No operation goes across lanes, so the result of a
-block does not depend on its neighbours.
+block does not depend on its neighbours. Where nothing is compiled its numbers are arrays of NumPy (see `emit`).
 """
 
 from __future__ import annotations
@@ -12,111 +12,27 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from llvmlite import ir
-from numba.core import cgutils, types
-from numba.extending import intrinsic
+from numba import types
 
-from stickslip.sim.numerics.tables import Named
+from stickslip.sim.kernels.emit import Code, Index, View, emitted, times_power_of_two
+from stickslip.sim.kernels.emit import Lane as Lane
+from stickslip.sim.kernels.emit import absolute as absolute
+from stickslip.sim.kernels.emit import copysign as copysign
+from stickslip.sim.kernels.emit import where as where
 
 #: Numbers side by side: four float64 fill a register of AVX2.
 WIDTH = 4
 ALL = 2**WIDTH - 1
 
-_DOUBLE, _INTEGER = ir.DoubleType(), ir.IntType(64)
-_FUSED = ("contract",)
-
-
-class Lane:
-    """A number, or `WIDTH` of them, in the code being emitted; or the result of a comparison."""
-
-    def __init__(self, builder: Any, value: Any) -> None:
-        self.builder, self.value = builder, value
-
-    def _new(self, value: Any) -> Lane:
-        return Lane(self.builder, value)
-
-    def _of(self, other: Lane | float) -> Any:
-        if isinstance(other, Lane):
-            return other.value
-        kind = self.value.type
-        number = float(other)
-        return ir.Constant(kind, [number] * kind.count if isinstance(kind, ir.VectorType) else number)
-
-    def __add__(self, other: Lane | float) -> Lane:
-        return self._new(self.builder.fadd(self.value, self._of(other), flags=_FUSED))
-
-    def __sub__(self, other: Lane | float) -> Lane:
-        return self._new(self.builder.fsub(self.value, self._of(other), flags=_FUSED))
-
-    def __rsub__(self, other: float) -> Lane:
-        return self._new(self.builder.fsub(self._of(other), self.value, flags=_FUSED))
-
-    def __mul__(self, other: Lane | float) -> Lane:
-        return self._new(self.builder.fmul(self.value, self._of(other), flags=_FUSED))
-
-    def __truediv__(self, other: Lane | float) -> Lane:
-        return self._new(self.builder.fdiv(self.value, self._of(other), flags=_FUSED))
-
-    def __rtruediv__(self, other: float) -> Lane:
-        return self._new(self.builder.fdiv(self._of(other), self.value, flags=_FUSED))
-
-    __radd__, __rmul__ = __add__, __mul__
-
-    def __neg__(self) -> Lane:
-        return self * -1.0
-
-    def __lt__(self, other: Lane | float) -> Lane:
-        return self._new(self.builder.fcmp_ordered("<", self.value, self._of(other)))
-
-    def __gt__(self, other: Lane | float) -> Lane:
-        return self._new(self.builder.fcmp_ordered(">", self.value, self._of(other)))
-
-    def __and__(self, other: Lane) -> Lane:
-        return self._new(self.builder.and_(self.value, other.value))
-
-    def __or__(self, other: Lane) -> Lane:
-        return self._new(self.builder.or_(self.value, other.value))
-
-    def call(self, name: str, *others: Lane | float) -> Lane:
-        """An intrinsic of LLVM, e.g. fabs."""
-        kind = self.value.type
-        suffix = f"v{kind.count}f64" if isinstance(kind, ir.VectorType) else "f64"
-        function = cgutils.get_or_insert_function(
-            self.builder.module, ir.FunctionType(kind, [kind] * (1 + len(others))), f"llvm.{name}.{suffix}"
-        )
-        return self._new(self.builder.call(function, [self.value, *(self._of(other) for other in others)]))
-
-    def times_power_of_two(self, shifted: Lane) -> Lane:
-        """self 2^k for the integer k that stands in the lowest bits of `shifted` (a number near 1.5 2^52)."""
-        kind = self.value.type
-        vector = isinstance(kind, ir.VectorType)
-        bits = ir.VectorType(_INTEGER, kind.count) if vector else _INTEGER
-        places = ir.Constant(bits, [52] * kind.count if vector else 52)
-        exponent = self.builder.shl(self.builder.bitcast(shifted.value, bits), places)
-        return self._new(
-            self.builder.bitcast(self.builder.add(self.builder.bitcast(self.value, bits), exponent), kind)
-        )
-
-
-def where(condition: Lane, yes: Lane, no: Lane | float) -> Lane:
-    """`yes` where the condition holds, else `no`."""
-    return yes._new(yes.builder.select(condition.value, yes.value, yes._of(no)))
-
-
-def absolute(x: Lane) -> Lane:
-    return x.call("fabs")
-
 
 def greater(x: Lane, y: Lane | float) -> Lane:
     """The greater of two; the second if one is NaN."""
-    other = y if isinstance(y, Lane) else x._new(x._of(y))
-    return where(x > other, x, other)
+    return where(x > y, x, y)
 
 
 def less(x: Lane, y: Lane | float) -> Lane:
     """The less of two; the second if one is NaN."""
-    other = y if isinstance(y, Lane) else x._new(x._of(y))
-    return where(x < other, x, other)
+    return where(x < y, x, y)
 
 
 def total(terms: list[Lane]) -> Lane:
@@ -153,62 +69,41 @@ def exponential(x: Lane) -> Lane:
         pairs = [powers[-1] * b + a for a, b in zip(terms[::2], terms[1::2], strict=False)]
         terms = pairs + terms[len(pairs) * 2 :]
         powers.append(powers[-1] * powers[-1])
-    return terms[0].times_power_of_two(shifted)
+    return times_power_of_two(terms[0], shifted)
 
 
 class Rows:
     """The rows of a table at some columns, by name, as a formula reads and writes them: a list, if one a node."""
 
-    def __init__(self, context: Any, builder: Any, kind: Named, table: Any, column: Any) -> None:
-        array = context.make_array(kind.array)(context, builder, builder.extract_value(table, 0))
-        vars(self).update(
-            _places=kind.table.places,
-            _builder=builder,
-            _data=array.data,
-            _stride=cgutils.unpack_tuple(builder, array.shape)[1],
-            _column=column,
-        )
+    def __init__(self, table: View, column: Index) -> None:
+        vars(self).update(_places=table.places, _array=table.array, _column=column)
 
-    def _at(self, row: int) -> Any:
-        index = self._builder.add(self._builder.mul(self._stride, _INTEGER(row)), self._column)
-        return self._builder.bitcast(
-            self._builder.gep(self._data, [index]), ir.VectorType(_DOUBLE, WIDTH).as_pointer()
-        )
-
-    def _load(self, row: int) -> Lane:
-        value = self._builder.load(self._at(row))
-        value.align = 8
-        return Lane(self._builder, value)
+    def _place(self, row: int) -> Index:
+        return self._array.shape[1] * row + self._column
 
     def __getattr__(self, name: str) -> Any:
         first, count = self._places[name]
-        return [self._load(first + k) for k in range(count)] if count else self._load(first)
+        rows = [self._array.load(self._place(first + k), WIDTH) for k in range(max(count, 1))]
+        return rows if count else rows[0]
 
     def __setattr__(self, name: str, value: Lane | list[Lane]) -> None:
         first, _ = self._places[name]
-        for k, lane in enumerate([value] if isinstance(value, Lane) else value):
-            self._builder.store(lane.value, self._at(first + k)).align = 8
+        for k, lane in enumerate(value if isinstance(value, list) else [value]):
+            self._array.store(self._place(first + k), lane)
 
 
 class Numbers:
     """Numbers that are the same in every lane, by name: the first of a row, or all, where there is one row a node."""
 
-    def __init__(self, context: Any, builder: Any, kind: Named, table: Any) -> None:
-        made = context.make_array(kind.array)(context, builder, builder.extract_value(table, 0))
-        self._places, self._builder, self._data = kind.table.places, builder, made.data
-        self._stride = cgutils.unpack_tuple(builder, made.shape)[1]
+    def __init__(self, code: Code, table: View) -> None:
+        self._code, self._places, self._array = code, table.places, table.array
 
     def __getattr__(self, name: str) -> Any:
         first, count = self._places[name]
         return [[self._load(first + k, j) for j in range(count)] for k in range(count)] or self._load(first, 0)
 
     def _load(self, row: int, column: int) -> Lane:
-        builder, kind = self._builder, ir.VectorType(_DOUBLE, WIDTH)
-        index = builder.add(builder.mul(self._stride, _INTEGER(row)), _INTEGER(column))
-        undefined = ir.Constant(kind, ir.Undefined)
-        one = builder.insert_element(undefined, builder.load(builder.gep(self._data, [index])), ir.IntType(32)(0))
-        zeros = ir.Constant(ir.VectorType(ir.IntType(32), WIDTH), [0] * WIDTH)
-        return Lane(builder, builder.shuffle_vector(one, undefined, zeros))
+        return self._code.spread(self._array[self._array.shape[1] * row + column], WIDTH)
 
 
 def on_rows(formula: Callable[[Any, Any], Lane | None]) -> Any:
@@ -219,32 +114,18 @@ def on_rows(formula: Callable[[Any, Any], Lane | None]) -> Any:
     condition, f returns a number whose bit k says whether it holds in column k: `ALL` if it does in all.
     """
 
-    @intrinsic
-    def apply(typing_context, table, column, given):  # type: ignore[no-untyped-def]
-        def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-            kind = signature.args[2]
-            condition = formula(
-                Rows(context, builder, signature.args[0], *arguments[:2]),
-                Numbers(context, builder, kind, arguments[2]) if isinstance(kind, Named) else kind.instance_class,
-            )
-            if condition is None:
-                return _INTEGER(0)
-            return builder.zext(builder.bitcast(condition.value, ir.IntType(WIDTH)), _INTEGER)
+    def piece(code: Code, table: View, column: Index, given: Any) -> Index | None:
+        shared = Numbers(code, given) if isinstance(given, View) else given
+        condition = formula(Rows(table, column), shared)
+        return None if condition is None else code.bits(condition)
 
-        return types.int64(table, types.intp, given), codegen
-
-    return apply
+    return emitted(piece, types.int64)
 
 
 def on_number(formula: Callable[[Lane], tuple[Lane, Lane]]) -> Any:
     """A formula from a number to two numbers, for kernels."""
 
-    @intrinsic
-    def apply(typing_context, x):  # type: ignore[no-untyped-def]
-        def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-            results = formula(Lane(builder, arguments[0]))
-            return context.make_tuple(builder, signature.return_type, [result.value for result in results])
+    def piece(code: Code, x: Lane) -> tuple[Lane, Lane]:
+        return formula(x)
 
-        return types.UniTuple(types.float64, 2)(types.float64), codegen
-
-    return apply
+    return emitted(piece, types.UniTuple(types.float64, 2))

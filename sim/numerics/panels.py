@@ -6,15 +6,14 @@ kept in panels of rows; the sums of a panel, for every vector, stay in registers
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba.core import cgutils, types
-from numba.extending import intrinsic
 from numpy.typing import DTypeLike, NDArray
 
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.kernels.emit import Array, Code, Index, emitted
 from stickslip.sim.numerics.arithmetic import aligned_zeros
 
 #: Rows of a panel: sums of 8 float64 or 16 float32 fill two registers of AVX2 a vector.
@@ -50,53 +49,31 @@ def _panel(n_vectors: int, height: int, single: bool, listed: bool = False) -> A
 
     If `listed`, it is ``f(panels, p, x, y, columns, m)``: only the first m of these columns are read.
     """
-    number = ir.FloatType() if single else ir.DoubleType()
-    vector, index = ir.VectorType(number, height), ir.IntType(64)
-    ones = ir.Constant(ir.VectorType(ir.IntType(32), height), [0] * height)
 
-    def codegen(context, builder, signature, arguments):  # type: ignore[no-untyped-def]
-        arrays = {a: context.make_array(signature.args[a])(context, builder, arguments[a])
-                  for a in (0, 2, 3, *([4] if listed else []))}  # fmt: skip
-        k, xs, ys = arrays[0], arrays[2], arrays[3]
-        n = cgutils.unpack_tuple(builder, k.shape)[1]
-        x_stride, y_stride = (cgutils.unpack_tuple(builder, array.shape)[1] for array in (xs, ys))
-        name = f"llvm.fmuladd.v{height}f{32 if single else 64}"
-        fused = cgutils.get_or_insert_function(builder.module, ir.FunctionType(vector, [vector] * 3), name)
-        sums = [cgutils.alloca_once(builder, vector) for _ in range(n_vectors)]
-        for place in sums:
-            builder.store(ir.Constant(vector, [0.0] * height), place)
-        first = builder.mul(arguments[1], builder.mul(n, index(height)))
-        with cgutils.for_range(builder, arguments[5] if listed else n) as loop:
-            j = builder.load(builder.gep(arrays[4].data, [loop.index])) if listed else loop.index
-            at = builder.gep(k.data, [builder.add(first, builder.mul(j, index(height)))])
-            column = builder.load(builder.bitcast(at, vector.as_pointer()))
-            column.align = 4 if single else 8
-            for v, place in enumerate(sums):
-                one = builder.load(builder.gep(xs.data, [builder.add(builder.mul(x_stride, index(v)), j)]))
-                undefined = ir.Constant(vector, ir.Undefined)
-                spread = builder.insert_element(undefined, one, ir.IntType(32)(0))
-                spread = builder.shuffle_vector(spread, undefined, ones)
-                builder.store(builder.call(fused, [column, spread, builder.load(place)]), place)
-        row = builder.mul(arguments[1], index(height))
-        for v, place in enumerate(sums):
-            at = builder.gep(ys.data, [builder.add(builder.mul(y_stride, index(v)), row)])
-            store = builder.store(builder.load(place), builder.bitcast(at, vector.as_pointer()))
-            store.align = 4 if single else 8
-        return context.get_dummy_value()
+    def multiply(
+        code: Code, panels: Array, p: Index, x: Array, y: Array, m: Index, column: Callable[[Index], Index]
+    ) -> None:
+        sums = [code.cell(code.zeros(height, np.float32 if single else np.float64)) for _ in range(n_vectors)]
+        first = p * (panels.shape[1] * height)
 
-    if listed:
+        def add(k: Index) -> None:
+            j = column(k)
+            entries = panels.load(first + j * height, height)
+            for v, partial in enumerate(sums):
+                factor = code.spread(x[x.shape[1] * v + j], height)
+                partial.value = code.fused(entries, factor, partial.value)
 
-        @intrinsic
-        def apply(typing_context, panels, p, x, y, columns, m):  # type: ignore[no-untyped-def]
-            return types.void(panels, types.intp, x, y, columns, types.intp), codegen
+        code.loop(m, add)
+        for v, partial in enumerate(sums):
+            y.store(y.shape[1] * v + p * height, partial.value)
 
-    else:
+    def of_all(code: Code, panels: Array, p: Index, x: Array, y: Array) -> None:
+        multiply(code, panels, p, x, y, panels.shape[1], lambda j: j)
 
-        @intrinsic
-        def apply(typing_context, panels, p, x, y):  # type: ignore[no-untyped-def]
-            return types.void(panels, types.intp, x, y), codegen
+    def of_listed(code: Code, panels: Array, p: Index, x: Array, y: Array, columns: Array, m: Index) -> None:
+        multiply(code, panels, p, x, y, m, columns.__getitem__)
 
-    return apply
+    return emitted(of_listed if listed else of_all)
 
 
 def products(n_vectors: int, single: bool = False) -> Any:

@@ -1,1 +1,1 @@
-"""What a run gives: its state, series of events and samples, and pictures of them."""
+"""What a run gives: its state, series of events and samples."""

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.runs import pictures, show
+from stickslip.sim.runs import show
 from stickslip.sim.runs.series import EventSeries
 
 if TYPE_CHECKING:
-    from stickslip.sim.runs.pictures import Axes
+    from stickslip.sim.runs.show import Axes
 
 Outcome = Literal["finished", "collapsed", "diverged"]
 
@@ -180,7 +180,7 @@ class Run:
         TypeError
             If an option is unknown to the kind, or of the wrong type.
         """
-        return pictures.plot(self.events, self.samples, kind, ax, options)
+        return show.plot(self.events, self.samples, kind, ax, options)
 
     def __repr__(self) -> str:
         return f"Run({self._ended()}, n = {self.events.n}, {self.stats.n_events} events)"
@@ -196,4 +196,4 @@ class Run:
         rows |= {name.removeprefix("n_"): count for name, count in self.events.counts().items()}
         rows["steps"] = f"{self.stats.n_steps}, {self.stats.n_rejected} rejected"
         rows["products"] = self.stats.n_products
-        return f"<div>{show.table('run', rows)}{pictures.html(self.events)}</div>"
+        return f"<div>{show.table('run', rows)}{show.html(self.events)}</div>"

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.runs import pictures, show
+from stickslip.sim.runs import show
 
 if TYPE_CHECKING:
-    from stickslip.sim.runs.pictures import Axes
+    from stickslip.sim.runs.show import Axes
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ class EventSeries:
 
     def plot(self, kind: str = "space_time", ax: Axes | None = None, **options: Any) -> Axes:
         """Draw "space_time", "n_stick" or the "spectrum" of n_stick; arguments and errors as of `Run.plot`."""
-        return pictures.plot(self, None, kind, ax, options)
+        return show.plot(self, None, kind, ax, options)
 
     def __repr__(self) -> str:
         return f"EventSeries(n={self.n}, {len(self)} events on [{self.t_start:g}, {self.t_end:g}])"

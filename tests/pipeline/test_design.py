@@ -175,7 +175,7 @@ DETERMINING = (
 
 #: What explains, draws, stores or reads.
 OUTSIDE = (
-    "sim/theory/laws.py", "sim/runs/pictures.py", "sim/runs/show.py", "pipeline/dataset/status.py",
+    "sim/runs/show.py", "pipeline/dataset/status.py",
     "pipeline/dataset/verify.py", "pipeline/places/place.py", "pipeline/query/frames.py",
     "pipeline/running/driver.py",
 )  # fmt: skip

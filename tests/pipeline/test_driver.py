@@ -419,19 +419,6 @@ def test_the_first_signal_ends_a_command_whose_workers_never_start(number, no_st
     until(lambda: not is_running(int(file.read_text())))
 
 
-@pytest.mark.parametrize("to", ["environment", "file"])
-def test_kernels_that_numba_is_told_not_to_compile_are_refused_in_a_line(to, source, tmp_path, monkeypatch):
-    if to == "environment":
-        monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
-    else:
-        (tmp_path / ".numba_config.yaml").write_text("disable_jit: 1\n")
-    _, err = (process := run_command(tmp_path / "out", source)).communicate(timeout=500)
-    assert process.returncode == (2 if to == "environment" else 1)
-    assert "kernels: expected numba to compile them, got NUMBA_DISABLE_JIT=1; unset it" in err
-    assert "Traceback" not in err
-    assert to == "file" or not (tmp_path / "out").exists()
-
-
 def test_little_memory_is_refused_in_a_line(source, tmp_path):
     (tmp_path / "small.toml").write_bytes(source)
     words = f'ulimit -v 700000; exec "{sys.executable}" -m stickslip run small.toml --out out --workers 2'

@@ -263,7 +263,8 @@ def test_a_damaged_dataset_is_refused_and_one_is_not_extended_in_place(plain, tm
     scene = parse_scene(source("waiting = true"))
     before = content(plain)
     with pytest.raises(
-        StoreError, match=rf"waiting_cv, n_contacts, which these data lack; `stickslip extend {plain}"
+        StoreError,
+        match=rf"n_contacts, which these data lack; run it into another directory: `stickslip extend {plain}",
     ):
         run_ensemble(scene, plain, workers=0, kept=plain)
     assert content(plain) == before
@@ -278,7 +279,7 @@ def test_a_damaged_dataset_is_refused_and_one_is_not_extended_in_place(plain, tm
 
 
 def test_another_version_of_the_program_is_refused_unless_told(plain, tmp_path, monkeypatch):
-    for room in ("dataset.writer", "running.worker", "running.driver"):
+    for room in ("dataset.writer", "running.worker"):
         monkeypatch.setattr(f"stickslip.pipeline.{room}.program", lambda: "9.9.9-0123")
     with pytest.raises(StoreError, match=r"this version of the program \(9\.9\.9-0123\), got.*--accept-version"):
         extend(plain, KEYS, tmp_path / "out", workers=0)

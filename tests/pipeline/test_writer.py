@@ -530,7 +530,7 @@ def test_another_version_of_the_schema_is_refused_and_left_alone(copy, scene, so
 
 
 def test_another_version_of_the_program_is_refused_unless_told(copy, scene, source, content, finished, monkeypatch):
-    for room in ("dataset.writer", "running.worker", "running.driver"):
+    for room in ("dataset.writer", "running.worker"):
         monkeypatch.setattr(f"stickslip.pipeline.{room}.program", lambda: "9.9.9-0123")
     complete = content(copy)
     assert run_ensemble(scene, copy, workers=0).is_complete  # nothing to compute: nothing to mix
@@ -548,7 +548,7 @@ def test_another_version_of_the_program_is_refused_unless_told(copy, scene, sour
 
 
 def test_data_that_are_all_gone_are_none_to_mix_with(copy, scene, monkeypatch):
-    for room in ("dataset.writer", "running.worker", "running.driver"):
+    for room in ("dataset.writer", "running.worker"):
         monkeypatch.setattr(f"stickslip.pipeline.{room}.program", lambda: "9.9.9-0123")
     for shard in shards(copy):
         shard.unlink()

@@ -10,8 +10,8 @@ from stickslip.sim import Harmonic, Piecewise, Rational, Stribeck, System, draw_
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.episodes import episodes
 from stickslip.sim.systems.weakening import Weakening
-from stickslip.sim.theory import blowup, folds, slow_time, strata
-from stickslip.sim.theory.laws import Coulomb, Modified, StaticAboveKinetic
+from stickslip.workflows.gallery.theory import blowup, folds, slow_time, strata
+from stickslip.workflows.gallery.theory.laws import Coulomb, Modified, StaticAboveKinetic
 
 ONE, TWO = System([[1.0]], 0.1), System(np.eye(2), 0.1)
 DRAWN = draw_system("antisymmetric", 4, 0)

@@ -7,8 +7,8 @@ import matplotlib.pyplot as plt
 import pytest
 
 from stickslip import Dataset
+from stickslip.analysis import pictures
 from stickslip.pipeline import parse_scene, run_ensemble
-from stickslip.sim.runs import pictures
 from stickslip.workflows.commands import main
 from stickslip.workflows.commands.plot import Plot
 from tests.scenes import ENDING

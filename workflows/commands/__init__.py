@@ -131,6 +131,6 @@ def _done(argv: list[str] | None) -> int:
         print(f"stickslip: expected memory for what is computed, got none left ({why}); raise `ulimit -v`, close"
               " other programs, or take a larger machine", file=sys.stderr)  # fmt: skip
         return UNFINISHED
-    except import_module("stickslip.sim.kernels.cache").KernelError as error:  # loaded if it is none of the above
+    except import_module("stickslip.sim.kernels.cache").CacheError as error:  # loaded if it is none of the above
         print(f"stickslip: {error}", file=sys.stderr)
         return WRONG

@@ -290,7 +290,7 @@ def _run_member(file: Path, member_id: str) -> int:
 
 def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
     from stickslip.pipeline.places.directory import Directory
-    from stickslip.workflows.gallery import load_chart
+    from stickslip.workflows.gallery import load_chart, report
 
     scene = load_chart(file)
     if arguments.dry_run:
@@ -301,8 +301,6 @@ def _run_chart(arguments: argparse.Namespace, file: Path, out: Place) -> int:
         if isinstance(out, Directory):
             out.make()  # before the minutes of measuring
         measured = scene.measure(lambda line: print(line, file=sys.stderr, flush=True))
-        from stickslip.workflows.gallery.charts.runner import report
-
         publish(report(scene, measured), out)
     except Interrupted as interrupt:
         print("\ninterrupted; nothing was written", file=sys.stderr)

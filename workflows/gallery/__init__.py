@@ -1,4 +1,4 @@
-"""The gallery: scenes that are measured in one process, in a room each for charts, the paper and the field.
+"""The gallery: scenes that are measured in one process, in a room each for charts, the paper and the field; theory.
 
 A chart is named here, in `CHARTS`; what all of them have is in `stickslip.workflows.gallery.charts`.
 """
@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from stickslip.pipeline.errors import SceneError
 from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.toml import as_scene
 
 if TYPE_CHECKING:
+    from stickslip.analysis import Report
     from stickslip.workflows.gallery.charts import ChartScene
 
 #: Where the scene of each chart is, loaded when it is asked for. A line here, and the command knows a chart.
@@ -49,3 +50,10 @@ def load_chart(file: Path) -> ChartScene:
             " `chart` it is an ensemble"
         )
     return as_scene(chart(table["chart"]), table, str(file))
+
+
+def report(scene: ChartScene, measured: Any) -> Report:
+    """The page of a chart, from the result of its `measure`."""
+    from stickslip.workflows.gallery.charts import runner
+
+    return runner.report(scene, measured)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 
+from stickslip.analysis import pictures
 from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Finding, Form, Lack, Level, Quantity, Reason, Share
@@ -21,7 +22,6 @@ from stickslip.analysis.findings.words import plural
 from stickslip.analysis.models.fates import DIVERGED, FAILED
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import EXACT, panel
-from stickslip.sim.runs import pictures
 from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.systems.graphs import grid_width
 

@@ -7,9 +7,10 @@ is compared with the finest on the same systems, by whole laws too, since a mean
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import matplotlib as mpl
@@ -18,14 +19,12 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis import answer as answers
-from stickslip.analysis.answer import Answer, B, F, I, Picture, Question, Row, S, frame, named
+from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.catalogues import (
     Catalogues,
-    b_of_law,
     classes,
     fineness,
     fits_of,
-    has_b,
     read,
     summarise,
     systems,
@@ -73,11 +72,12 @@ from stickslip.analysis.models.episodes import (
 )
 from stickslip.analysis.models.laws import Difference as LawDifference
 from stickslip.analysis.outcomes import DIFFERENT, UNDECIDED, in_words
+from stickslip.analysis.rows import Columns, frame_by, frame_of
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.compare import UNKNOWN, relative_difference
-from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio
+from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio, within
 from stickslip.analysis.stats.families import parameter
-from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, Goodness, goodness
+from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, goodness
 from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.steps import table_of
 from stickslip.analysis.style import GREY, panel
@@ -127,32 +127,66 @@ _POISSON = "a Poisson process's 1"
 _REASONS: Mapping[str, Reason] = {
     enough.FEW_MATRICES: Reason.FEW_UNITS, enough.FEW_CASCADES: Reason.FEW_EPISODES, enough.DRIFTS: Reason.DRIFT,
 }  # fmt: skip
-_GROUPS: Mapping[str, str] = {
-    "group": S, "method": S, "n_systems": I, "n_episodes": I, "least": F, "largest": F, "whole": F,
-    **{f"{name}{end}": F for name in (*QUANTITIES, *REST, *SLOW_DRIVE) for end in ("", "_low", "_high")},
-    "drift": F, "drift_low": F, "drift_high": F, "stuck_below": F, "has_b": B, "b": F, "b_low": F, "b_high": F,
-    "atom": F, "b_reason": S, "basis": S,
-}  # fmt: skip
-_METHODS: Mapping[str, str] = {
-    "setting": S, "reference": S, "law": S, "size": F, "size_low": F, "size_high": F, "at": F, "below": F,
-    "p_floor": F, "p_different": F, "p_different_holm": F, "reason": S,
-}  # fmt: skip
-_LAWS: Mapping[str, str] = {
-    "group": S, "law": S, "least": F, "n_episodes": I, "b": F, "b_low": F, "b_high": F, "parameters": S, "gain": F,
-    "gap": F, "p_value": F, "p_floor": F, "fit": S, "reason": S,
-}  # fmt: skip
-_RATES: Mapping[str, str] = {
-    "group": S, "magnitude": F, "n_episodes": I, "rate": F, "rate_low": F, "rate_high": F, "over": F, "over_low": F,
-    "over_high": F,
-}  # fmt: skip
+
+
+def _estimate(name: str, group: Catalogues) -> Estimate:
+    """A quantity of a group."""
+    return group.estimates[name]
+
+
+_GROUPS: Columns[Catalogues] = {
+    "group": (str, lambda group: group.label),
+    "method": (str, lambda group: group.method),
+    "n_systems": (int, lambda group: len(group.runs)),
+    "n_episodes": (int, lambda group: group.n_episodes),
+    "least": (float, lambda group: group.least),
+    "largest": (float, lambda group: group.largest),
+    "whole": (float, lambda group: group.whole),
+    **{name: (Estimate, partial(_estimate, name)) for name in (*QUANTITIES, *REST, *SLOW_DRIVE)},
+    "drift": (Estimate, lambda group: group.basis.drift),
+    "stuck_below": (float, lambda group: group.stuck_below),
+    "has_b": (bool, lambda group: group.has_b),
+    "b": (Estimate, lambda group: group.b),
+    "atom": (float, lambda group: group.atom(group.least)),
+    "b_reason": (str, lambda group: group.b_reason),
+    "basis": (str, lambda group: group.basis.code),
+}
+_METHODS: Columns[Apart] = {
+    "setting": (str, lambda apart: apart.setting.label),
+    "reference": (str, lambda apart: apart.reference.label),
+    "law": (str, lambda apart: apart.name),
+    "size": (Estimate, lambda apart: Estimate() if apart.law is None else apart.law.size),
+    "p_floor": (float, lambda apart: apart.p_floor),
+    "p_different": (float, lambda apart: apart.p),
+    "p_different_holm": (float, lambda apart: apart.family and apart.family.p_different),
+    "reason": (str, lambda apart: apart.found if isinstance(apart.found, str) else ""),
+}
 
 
 class Fitted(NamedTuple):
-    """A law as it was fitted: its exponent, its cut-off, and how good it is."""
+    """A law as it was fitted to the moments of a group: its exponent, its cut-off, and how good it is."""
 
+    group: str
+    law: str
+    least: float
+    n_episodes: int
     b: Estimate
     cut_off: Estimate
-    good: Goodness
+    gap: float | None
+    p_value: float | None
+    p_floor: float | None
+    fit: str
+    reason: str
+
+
+class Frequency(NamedTuple):
+    """Episodes per unit time from a magnitude on, and their rate over the reference's on the same systems."""
+
+    group: str
+    magnitude: float
+    n_episodes: int
+    rate: Estimate
+    over: Estimate
 
 
 def answer(study: Study) -> Answer | None:
@@ -164,13 +198,11 @@ def answer(study: Study) -> Answer | None:
         why = "at least one block slips all the time, or none ever does" if groups else ""
         return Answer(findings=[Lack("episodes", Reason.NOTHING_COUNTED, why)])
     for group, method in zip(groups, names(groups), strict=True):
-        summarise(group, level)
-        group.row["method"] = method
-        group.row["has_b"] = group.is_judged and has_b(group, level)
-        group.row |= named("b", b_of_law(group, level) if group.is_judged else Estimate())
+        group.method = method
+        summarise(group)
     counted = [group for group in groups if not _is_blurred(group)]
     by_system, judged = systems(counted), [group for group in counted if group.is_judged]
-    tables = {"episodes": frame(_GROUPS, [group.row for group in groups])}
+    tables = {"episodes": frame_by(_GROUPS, groups)}
     alerts = _alerts(study, groups, [first for first, *_ in by_system])
     if not judged:
         return Answer(findings=[_lack(study, counted)], alerts=alerts, tables=tables)
@@ -181,13 +213,13 @@ def answer(study: Study) -> Answer | None:
     fitted = {group.label: _fits(study, group) for group in leaders}
     tables |= {
         "episode_contrasts": table_of(one.step for one in apart if one.name not in LAWS),
-        "episode_methods": frame(_METHODS, [one.row() for one in apart if one.name in LAWS]),
-        "episode_laws": frame(_LAWS, [row for rows, _ in fitted.values() for row in rows]),
-        "episode_rates": frame(_RATES, rates),
+        "episode_methods": frame_by(_METHODS, [one for one in apart if one.name in LAWS]),
+        "episode_laws": frame_of(Fitted, [fit for fits in fitted.values() for fit in fits]),
+        "episode_rates": frame_of(Frequency, rates),
     }
     basis = answers.systems(study)
-    places = {group.label: Place.of(group.row["method"]) if len(leaders) > 1 else EVERYWHERE for group in leaders}
-    laws = [_law(study, group, *fitted[group.label], places[group.label])
+    places = {group.label: Place.of(group.method) if len(leaders) > 1 else EVERYWHERE for group in leaders}
+    laws = [_law(study, group, fitted[group.label], places[group.label])
             for group in sorted(leaders, key=lambda group: group is not lead)]  # fmt: skip
     outcomes = [
         outcome
@@ -197,7 +229,7 @@ def answer(study: Study) -> Answer | None:
     first: list[Finding] = [_level(lead, RATE, apart, basis), laws[0]]
     findings = [*outcomes, *first, *_changes(leaders, level, basis), *laws[1:]]
     findings += _levels(counted, lead, apart, basis)
-    findings += [_level(group, CREEP, apart, basis) for group in groups if group.row["of"][CREEP].value is not None
+    findings += [_level(group, CREEP, apart, basis) for group in groups if group.estimates[CREEP].value is not None
                  and not group.group.is_exact]  # fmt: skip
     return Answer(
         findings=findings,
@@ -216,21 +248,21 @@ def _lack(study: Study, groups: Sequence[Catalogues]) -> Lack:
     """Why no group can be judged: that with the most episodes."""
     if not groups:
         return Lack("the statistics of episodes", Reason.CREEP)
-    row = max(groups, key=lambda group: group.row["n_episodes"]).row
-    detail = f"{row['n_systems']} {answers.systems(study)}s, {row['n_episodes']} episodes"
-    return Lack("the statistics of episodes", _REASONS[row["basis"]], detail)
+    most = max(groups, key=lambda group: group.n_episodes)
+    detail = f"{len(most.runs)} {answers.systems(study)}s, {most.n_episodes} episodes"
+    return Lack("the statistics of episodes", _REASONS[most.basis.code], detail)
 
 
 def _level(group: Catalogues, name: str, apart: Sequence[Apart], unit: str) -> Level:
     """A statistic of a group, beside that of its reference, or of a Poisson process."""
-    estimate: Estimate = group.row["of"][name]
+    estimate = group.estimates[name]
     beside = next((one.comparison() for one in apart if one.setting is group and one.name == name), None)
     if name == QUIET:
         low, high = (None if end is None else end - 1.0 for end in (estimate.low, estimate.high))
         off = Estimate((estimate.value or 0.0) - 1.0, low, high)
         beside = Comparison(_POISSON, Difference(off, Scale.ABSOLUTE))
     basis = Basis(len(group.sums[name].counted), unit)
-    return Level(WORDS[name], estimate, Place.of(group.row["method"]), beside, basis)
+    return Level(WORDS[name], estimate, Place.of(group.method), beside, basis)
 
 
 def _levels(groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apart], unit: str) -> list[Finding]:
@@ -245,7 +277,7 @@ def _levels(groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apar
         _level(group, name, apart, unit)
         for name, group in (*rates, *several, *alone)
         # without the strain, which may fall, slip in episodes is no share of the travel
-        if group.row["of"][name].value is not None and (name != SLIP or group.row["of"][STORED].value is not None)
+        if group.estimates[name].value is not None and (name != SLIP or group.estimates[STORED].value is not None)
     ]
     return findings
 
@@ -255,7 +287,7 @@ def _beside(one: Apart, unit: str) -> Level | None:
     if one.name == RATE:
         return _level(one.setting, RATE, [one], unit)
     if isinstance(one.found, LawDifference):
-        where = Place.of(one.setting.row["method"])
+        where = Place.of(one.setting.method)
         return Level(APART, one.found.size, where, basis=Basis(len(one.setting.runs), unit))
     return None
 
@@ -281,7 +313,7 @@ def _outcomes(
             continue
         level, setting = _beside(apart_most, unit), some[id(apart_most.setting)]
         (alone,) = in_words({setting: ""}, "")
-        words, method = in_words(come_out, name), reference.row["method"]
+        words, method = in_words(come_out, name), reference.method
         rest = in_words(come_out | {setting: "-"}, name)
         found = Outcomes(method, different=words, others=rest) if name else Outcomes(method, undecided=words)
         outcomes.append(replace(found, largest=level, at_largest=alone))
@@ -299,7 +331,7 @@ def _reach(one: Apart) -> float:
 
 def _is_blurred(group: Catalogues) -> bool:
     """Whether blocks that creep slower than the belt may count as stuck, so that episodes cannot be counted."""
-    return (group.row["stuck_below"] or 0.0) > 1.0
+    return (group.stuck_below or 0.0) > 1.0
 
 
 def _changes(leaders: Sequence[Catalogues], level: float, unit: str) -> list[Change]:
@@ -327,46 +359,39 @@ def along(first: Catalogues, last: Catalogues, name: str, level: float) -> Contr
     return contrast(statistic, first.sums[name], last.sums[name], draws[0] == draws[1], level)
 
 
-def _fits(study: Study, group: Catalogues) -> tuple[list[Row], list[Fitted]]:
-    """The laws of moments of a group: rows of the table `episode_laws`; b, a cut-off and the goodness of each."""
+def _fits(study: Study, group: Catalogues) -> list[Fitted]:
+    """The laws of moments of a group: b, a cut-off and the goodness of each."""
     level, counts, fits = study.settings.confidence, classes(group), fits_of(group)
-    rows: list[Row] = []
     fitted: list[Fitted] = []
     for fit in fits:
-        is_exponential = fit is fits[-1]
-        b = Estimate() if is_exponential else parameter(fit, 0, counts, level)
+        b = Estimate() if fit is fits[-1] else parameter(fit, 0, counts, level)
         cut_off = parameter(fit, 1, counts, level) if fit is fits[1] else Estimate()
         name = fit.family.name
         good = goodness(fit.sizes, counts, level, study.generator(f"moment {name}"), fit.family)
-        fitted.append(Fitted(b, cut_off, good))
-        others = {key: value for key, value in fit.parameters.items() if key != "b"}
-        rows.append({
-            "group": group.label, "law": name, "least": group.least, "n_episodes": int(counts.sum()), **named("b", b),
-            "parameters": ", ".join(f"{key} = {value:.3g}" for key, value in others.items()) or None,
-            "gain": None if fit is fits[0] else (fit.log_likelihood - fits[0].log_likelihood) / counts.sum(),
-            "gap": good.gap, "p_value": good.p_value, "p_floor": good.p_floor,
-            "fit": good.verdict(1 - level), "reason": good.reason or None,
-        })  # fmt: skip
-    return rows, fitted
+        fitted.append(Fitted(
+            group.label, name, group.least, int(counts.sum()), b, cut_off, good.gap, good.p_value, good.p_floor,
+            good.verdict(1 - level), good.reason,
+        ))  # fmt: skip
+    return fitted
 
 
-def _law(study: Study, group: Catalogues, rows: Sequence[Row], fitted: Sequence[Fitted], where: Place) -> Law | Lack:
+def _law(study: Study, group: Catalogues, fitted: Sequence[Fitted], where: Place) -> Law | Lack:
     """The law that the moments of a group follow, with its exponent, or how far they are from any."""
     what = f"the law of moments{where.tail}"
     if not fitted:
-        return Lack(what, Reason.ONE_VALUE if group.row["b_reason"] else Reason.FEW_EPISODES)
-    exponent, cut_off, good = fitted[1]
+        return Lack(what, Reason.ONE_VALUE if group.b_reason else Reason.FEW_EPISODES)
+    fit = fitted[1]
     basis, moments = Basis(len(group.runs), answers.systems(study)), "moments of episodes"
-    if good.reason:
+    if fit.reason:
         return Lack(what, Reason.FEW_UNITS, f"{basis.n} {basis.unit}s")
-    if exponent.value is None or exponent.low is None:
+    if fit.b.value is None or fit.b.low is None:
         return Lack(what, Reason.NOT_SHOWN)
-    b, law = Level(B_VALUE, exponent, where, basis=basis), law_of(rows[1]["fit"], exponent, cut_off)
+    b, law = Level(B_VALUE, fit.b, where, basis=basis), law_of(fit.fit, fit.b, fit.cut_off)
     if law == EXPONENTIAL:
         return Law(moments, PREDICATES[law], Level(MOMENT, _mean_moment(study, group), where, basis=basis))
     if law == NONE:
-        far = Level(GAP, Estimate(good.gap), where, basis=basis)
-        return Law(moments, PREDICATES[law], far, Fit.FAILS, far, p_value=good.p_value)
+        far = Level(GAP, Estimate(fit.gap), where, basis=basis)
+        return Law(moments, PREDICATES[law], far, Fit.FAILS, far, p_value=fit.p_value)
     return Law(moments, PREDICATES[law], b, Fit.OPEN if law == UNKNOWN else Fit.HOLDS)
 
 
@@ -397,23 +422,23 @@ def law_of(fit: str, exponent: Estimate, cut_off: Estimate) -> str:
 def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Catalogues]) -> list[Alert]:
     """What numbers of episodes are wrong, and what they refer to: those of the worst group each."""
     alerts = []
-    drifting = [group for group in groups if group.row["basis"] == enough.DRIFTS]
+    drifting = [group for group in groups if group.basis.code == enough.DRIFTS]
     if drifting:
-        where, t_burn = f" ({', '.join(str(group.row['method']) for group in drifting[:2])})", study.settings.t_burn
+        where, t_burn = f" ({', '.join(str(group.method) for group in drifting[:2])})", study.settings.t_burn
         alerts.append(Alert.of(Code.DRIFT, what="The rate of episodes", where=where, t_burn=t_burn))
-    fast = max(references or groups, key=lambda group: group.row[OCCUPANCY] or 0.0).row
-    if (fast[OCCUPANCY] or 0.0) > SLOW:
-        slower = _slower(fast)
+    fast = max(references or groups, key=_occupancy)
+    if _occupancy(fast) > SLOW:
+        slower = _slower(_occupancy(fast), fast.estimates[BY_WAY].value)
         remedy = "a much slower belt" if slower is None else f"a belt about {slower:g} times slower"
-        share = number(fast[OCCUPANCY], Form.SHARE, 0)
-        alerts.append(Alert.of(Code.OVERLAP, share=share, where=str(fast["method"]), remedy=remedy))
+        share = number(_occupancy(fast), Form.SHARE, 0)
+        alerts.append(Alert.of(Code.OVERLAP, share=share, where=str(fast.method), remedy=remedy))
     if any(map(_is_blurred, groups)):
         come_out = [DIFFERENT if _is_blurred(group) else UNDECIDED for group in groups]
         methods = in_words(dict(zip(settings_of(groups), come_out, strict=True)), DIFFERENT)
         alerts.append(Alert.of(Code.BLURRED, what=capital(" and ".join(methods))))
-    whole = [group for group in groups if (group.row["whole"] or 0.0) > 0.5 and group in references]
+    whole = [group for group in groups if (group.whole or 0.0) > 0.5 and group in references]
     if whole:
-        share = number(whole[0].row["whole"], Form.SHARE, 0)
+        share = number(whole[0].whole or 0.0, Form.SHARE, 0)
         alerts.append(Alert.of(Code.SPANNING, share=share, n=int(whole[0].group.key["n"])))
     return alerts
 
@@ -430,45 +455,45 @@ def _drawn_from(lead: Catalogues, leaders: Sequence[Catalogues]) -> float:
     return lead.least - CLASS * max(int(np.ceil((lead.least - first) / CLASS)), 0)
 
 
-def _slower(row: Row) -> float | None:
+def _occupancy(group: Catalogues) -> float:
+    return group.estimates[OCCUPANCY].value or 0.0
+
+
+def _slower(share: float, by_way: float | None) -> float | None:
     """How many times slower a belt has to be for a share of time in episodes of `SLOW`, to one digit; None: unknown.
 
     On a slow belt the time in episodes grows with the belt's travel, and the quiet time with the time itself: the
     ratio of the two is proportional to the belt's speed.
     """
-    share = row[OCCUPANCY]
-    if share > TELLING or not row[BY_WAY]:
+    if share > TELLING or not by_way:
         return None
     factor = share / (1 - share) * (1 - SLOW) / SLOW
     digit = 10.0 ** np.floor(np.log10(factor))
     return float(np.ceil(factor / digit) * digit)
 
 
-def _rates(systems: Sequence[Sequence[Catalogues]], first_edge: float, level: float) -> list[Row]:
+def _rates(systems: Sequence[Sequence[Catalogues]], first_edge: float, level: float) -> list[Frequency]:
     """Episodes per unit time from each magnitude on, and their ratio to those of the reference."""
-    rows: list[Row] = []
-    largest = max(group.row["largest"] or first_edge for groups in systems for group in groups)
+    rates: list[Frequency] = []
+    largest = max(group.largest or first_edge for groups in systems for group in groups)
     edges = first_edge + CLASS * np.arange(0, int((largest - first_edge) / CLASS) + _STEP, _STEP)
     for first, *others in systems:
         reference = {edge: first.at_least(edge) for edge in edges}
-        for one, edge in itertools.product((first, *others), edges):
+        for group, edge in itertools.product((first, *others), edges):
             before = reference[edge]
-            sums = before if one is first else one.at_least(edge)
+            sums = before if group is first else group.at_least(edge)
             n_episodes = int(sum(row[0] for row in sums.values()))
             if n_episodes < FEWEST:
                 continue
             rate = over_matrices(ratio, np.array([*sums.values()]), level)
             over = Estimate()
             both = sorted(sums.keys() & before.keys())
-            if one is not first and len(both) > 1 and sum(row[0] for row in before.values()) >= FEWEST:
-                known, found = (np.array([of[unit] for unit in both]) for of in (before, sums))
-                over = _over(known, found, level)
-            rows.append({
-                "group": one.label, "magnitude": float(edge), "n_episodes": n_episodes, "rate": rate.value,
-                "rate_low": None if rate.low is None else max(rate.low, 0.0), "rate_high": rate.high,
-                **named("over", over),
-            })  # fmt: skip
-    return rows
+            if group is not first and len(both) > 1 and sum(row[0] for row in before.values()) >= FEWEST:
+                over = _over(
+                    np.array([before[unit] for unit in both]), np.array([sums[unit] for unit in both]), level
+                )
+            rates.append(Frequency(group.label, float(edge), n_episodes, within(rate, 0.0), over))
+    return rates
 
 
 def _over(first: np.ndarray, second: np.ndarray, level: float) -> Estimate:
@@ -484,19 +509,19 @@ def _over(first: np.ndarray, second: np.ndarray, level: float) -> Estimate:
 
 
 def _figures(
-    groups: Sequence[Catalogues], leaders: Sequence[Catalogues], rates: Sequence[Row], has_pairs: bool
+    groups: Sequence[Catalogues], leaders: Sequence[Catalogues], rates: Sequence[Frequency], has_pairs: bool
 ) -> dict[str, Picture]:
     """Rates by magnitude of the settings that lead, after those of all methods over the reference's."""
-    lines = {group.label: Line(group.row["method"], group.group.key["engine"]) for group in groups}
+    lines = {group.label: Line(group.method, group.group.key["engine"]) for group in groups}
     shown = {group.label: lines[group.label] for group in leaders} if has_pairs else lines
     every = Picture(
         partial(frequencies, rates, shown),
         "Episodes become rarer with magnitude: episodes per unit time of at least each magnitude, M = log10 moment,"
         " with bands of their intervals.",
     )
-    reference = str(leaders[0].row["method"]) if len(leaders) == 1 else "the reference"
-    beside = {row["group"] for row in rates if row["over"] is not None}
-    are_few = any(row["over"] is None and row["group"] in beside for row in rates)
+    reference = str(leaders[0].method) if len(leaders) == 1 else "the reference"
+    beside = {rate.group for rate in rates if rate.over.value is not None}
+    are_few = any(rate.over.value is None and rate.group in beside for rate in rates)
     alone = f" Triangles at the top: {reference} has fewer than {FEWEST}, and the method has more."
     over = Picture(
         partial(over_reference, rates, lines),
@@ -526,19 +551,26 @@ def _looks(lines: Mapping[str, Line]) -> dict[str, dict[str, Any]]:
     return looks
 
 
-def _lines(ax: Axes, rows: Sequence[Row], lines: Mapping[str, Line], key: str) -> None:
+def _lines(
+    ax: Axes, rates: Sequence[Frequency], lines: Mapping[str, Line], of: Callable[[Frequency], Estimate]
+) -> None:
     """A line a group with the band of its intervals, on a log axis."""
     for label, look in _looks(lines).items():
-        shown = [row for row in rows if row["group"] == label and row[key] is not None]
+        estimates = {rate.magnitude: of(rate) for rate in rates if rate.group == label}
+        shown = {at: estimate for at, estimate in estimates.items() if estimate.value is not None}
         if not shown:
             continue
-        ax.plot([row["magnitude"] for row in shown], [row[key] for row in shown], label=lines[label].name, **look)
-        known = [row for row in shown if row[f"{key}_low"] is not None]
-        low, high = (np.array([row[f"{key}{end}"] for row in known]) for end in ("_low", "_high"))
-        least = [0.01 * row[key] for row in known]  # a log axis has no zero
-        ax.fill_between([row["magnitude"] for row in known], np.maximum(low, least), high, color=look["color"],
-                        alpha=0.15, linewidth=0)  # fmt: skip
-    values = [row[key] for row in rows if row[key] and row["group"] in lines]
+        ax.plot(
+            [*shown],
+            np.array([one.value for one in shown.values()], dtype=np.float64),
+            label=lines[label].name,
+            **look,
+        )
+        known = {at: (one.value, one.low, one.high) for at, one in shown.items() if one.low is not None}
+        middle, low, high = np.array([*known.values()], dtype=np.float64).reshape(-1, 3).T
+        low = np.maximum(low, 0.01 * middle)  # a log axis has no zero
+        ax.fill_between([*known], low, high, color=look["color"], alpha=0.15, linewidth=0)
+    values = [value for rate in rates if rate.group in lines and (value := of(rate).value)]
     ax.set(xlabel=r"magnitude, M = $\log_{10}$ moment", yscale="log")
     if values:
         ax.set_ylim(0.5 * min(values), 2 * max(values))
@@ -548,23 +580,23 @@ def _lines(ax: Axes, rows: Sequence[Row], lines: Mapping[str, Line], key: str) -
 
 
 @panel(3.8)
-def frequencies(ax: Axes, rows: Sequence[Row], lines: Mapping[str, Line]) -> None:
+def frequencies(ax: Axes, rates: Sequence[Frequency], lines: Mapping[str, Line]) -> None:
     """Episodes per unit time from each magnitude on, one line a group, with bands of their intervals.
 
-    Rows are those of the table `episode_rates`; lines are by group.
+    Lines are by group.
     """
-    _lines(ax, rows, lines, "rate")
+    _lines(ax, rates, lines, attrgetter("rate"))
     ax.set_ylabel(r"episodes per unit time, $\geq$ M")
 
 
 @panel(3.8)
-def over_reference(ax: Axes, rows: Sequence[Row], lines: Mapping[str, Line]) -> None:
+def over_reference(ax: Axes, rates: Sequence[Frequency], lines: Mapping[str, Line]) -> None:
     """Rate over the reference's on the same systems; triangles where the reference has too few to compare with."""
     ax.axhline(1.0, color=GREY, linestyle="--", linewidth=1)
-    _lines(ax, rows, lines, "over")
-    beside = {row["group"] for row in rows if row["over"] is not None}
+    _lines(ax, rates, lines, attrgetter("over"))
+    beside = {rate.group for rate in rates if rate.over.value is not None}
     for label, look in _looks(lines).items():
-        alone = [row["magnitude"] for row in rows if row["group"] == label in beside and row["over"] is None]
+        alone = [rate.magnitude for rate in rates if rate.group == label in beside and rate.over.value is None]
         ax.plot(alone, np.ones(len(alone)), transform=ax.get_xaxis_transform(), clip_on=False,
                 **look | {"marker": "^", "linestyle": ""})  # fmt: skip
     ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -71,7 +71,7 @@ def advance(model, state, grid, samples, events, counters):  # type: ignore[no-u
         counters[DONE] = step + 1
         n_stick = 0
         for i in range(n):
-            new = (w[i] > v) - (w[i] < v)
+            new = int(w[i] > v) - int(w[i] < v)
             n_stick += new == 0
             if new != mode[i]:
                 at[recorded], block[recorded], to[recorded] = step + (mode[i] != 0), i, new

@@ -18,7 +18,7 @@ class Sigmoid(Engine):
     """The sign smoothed to tanh((w - v) / (ratio eps)).
 
     With static friction above the kinetic it is s(lambda) = lambda + c lambda (1 - lambda^2) of that lambda, where c
-    makes the largest s static over kinetic: see `stickslip.sim.theory.laws.StaticAboveKinetic`. With weakening, mu is
+    makes the largest s static over kinetic: see `StaticAboveKinetic` in `gallery/theory/laws`. With weakening, mu is
     mu(|w - v|); on a closed side the law is its tangent at w = v.
 
     Parameters

@@ -293,7 +293,7 @@ def note_all_stuck(model, work, n_substeps, span, first, n_recorded, events, cou
     while k >= 0:
         i, t = events.block[k], events.t[k]
         if i < n:
-            count += (events.mode[k] == 0) - (mode[i] == 0)
+            count += int(events.mode[k] == 0) - int(mode[i] == 0)
             mode[i] = events.mode[k]
         k = _next(events, first, n_recorded, k)
         is_last = k < 0 or events.t[k] > t

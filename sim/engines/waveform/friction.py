@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple, TypeAlias
 
 from stickslip.sim.kernels.compile import inner
-from stickslip.sim.numerics.lanes import Lane, absolute, exponential, less, on_number, where
+from stickslip.sim.numerics.lanes import Lane, absolute, copysign, exponential, less, on_number, where
 from stickslip.sim.systems.weakening import LAW_OF
 
 
@@ -38,7 +38,7 @@ def smooth_sign(x: Lane) -> tuple[Lane, Lane]:
     """tanh x, to 2 units in the last place of 1, and its derivative."""
     e = exponential(less(absolute(x), 20.0) * -2.0)
     size = (1.0 - e) / (1.0 + e)
-    return size.call("copysign", x), 1.0 - size * size
+    return copysign(size, x), 1.0 - size * size
 
 
 def peaked_sign(x: Lane, c: Lane) -> tuple[Lane, Lane]:

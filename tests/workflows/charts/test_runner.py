@@ -1,6 +1,5 @@
 """What all charts share: a page of what was measured, with tables and figures, and scenes that are refused."""
 
-import json
 import os
 import subprocess
 import sys
@@ -8,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from pydantic import Field
@@ -59,7 +59,7 @@ TEMPLATE = """{% extends "chart.html" %}
 {% endblock %}
 {% block chart %}
 {% call figure("drawn", "nothing") %}Nothing.{% endcall %}
-{{ table(measured.rows, [("n", "n", "%d"), ("value", "value", "%.1e")]) }}
+{{ table(cells(measured.rows, [("n", "n", "%d"), ("value", "value", "%.1e")])) }}
 {% endblock %}
 """
 
@@ -87,11 +87,11 @@ def test_the_page_its_headline_and_its_tables(planted, capsys):
     assert "measuring 5" in printed.err
     page = (planted[1] / "report.html").read_text()
     assert "A planted &lt;chart&gt;" in page
-    assert '<td data-h="value">5.0e-01</td>' in page  # an exponent keeps its sign as it is written
-    assert '<td data-h="value">–</td>' in page
+    assert '<td data-head="value">5.0e-01</td>' in page  # an exponent keeps its sign as it is written
+    assert '<td data-head="value">–</td>' in page
     assert {file.name for file in (planted[1] / "report" / "figures").iterdir()} == {"drawn.svg", "drawn.pdf"}
-    rows = json.loads((planted[1] / "report" / "tables.json").read_text())["rows"]
-    assert [(row["value"], row["count"]) for row in rows] == [(0.5, None), (None, 3)]
+    rows = pd.read_parquet(planted[1] / "report" / "rows.parquet", dtype_backend="pyarrow")
+    assert [*zip(rows["value"].fillna(0.0), rows["count"].fillna(0), strict=True)] == [(0.5, 0), (0.0, 3)]
 
 
 ONE_THREADED = """
@@ -164,7 +164,7 @@ def test_dry_run_measures_and_writes_nothing(name, extent, tmp_path, monkeypatch
     ("value", "words"), [(1234.0, "1,200"), (99.6, "100"), (12.4, "12"), (5.44, "5.4"), (0.0123, "0.012")]
 )
 def test_a_count_has_two_digits(value, words):
-    assert runner.count(value) == words
+    assert formats.count(value) == words
 
 
 def test_minus_signs():

@@ -389,15 +389,15 @@ def methods_of(
     model: Model, tolerances: tuple[float, ...], steps: tuple[float, ...]
 ) -> Iterator[tuple[Method, tuple[float, ...]]]:
     """The methods of a law, each with its tolerances or steps. A method without any is left out."""
-    for one in METHODS:
-        settings = steps if one.control == "step" else tolerances
-        if one.model == model and settings:
-            yield one, settings
+    for method in METHODS:
+        settings = steps if method.control == "step" else tolerances
+        if method.model == model and settings:
+            yield method, settings
 
 
 def method(name: str) -> Method:
     """The method of that name."""
-    return next(one for one in METHODS if one.name == name)
+    return next(method for method in METHODS if method.name == name)
 
 
 def solved(name: str, setting: float, problem: Problem) -> Solution:

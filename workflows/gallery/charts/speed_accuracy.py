@@ -20,8 +20,9 @@ from stickslip.analysis.style import CYCLE, GREEN, GREY, PURPLE, legend, styled,
 from stickslip.pipeline.scene.toml import BlockNumbers, Count, Positive
 from stickslip.workflows.gallery.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.gallery.charts.cost import Product
+from stickslip.workflows.gallery.charts.formats import power
 from stickslip.workflows.gallery.charts.peers import METHODS, Model, Problem, Ratio, methods_of, random_problem
-from stickslip.workflows.gallery.charts.runner import frame, power
+from stickslip.workflows.gallery.charts.runner import frame
 from stickslip.workflows.gallery.charts.trials import Reference, Setting, Trial, referenced, trials
 
 #: A run that can be stopped is given up after so many times `seconds_a_run`.

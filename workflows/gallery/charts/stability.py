@@ -129,7 +129,7 @@ class StabilityScene(ChartScene):
     def show(self, measured: Measured) -> Shown:
         """Tables: `cells`, `references`, `creep`."""
         groups = {axis: maps for axis in LAWS if (maps := _maps(measured.cells, axis))}
-        maps = [one for some in groups.values() for one in some]
+        maps = [one for group in groups.values() for one in group]
         cells: dict[str, list[Cell]] = {}
         for one in maps:
             cells.setdefault(one.method, []).extend(one.cells)

@@ -304,15 +304,15 @@ def basin(rng: np.random.Generator, starts: int) -> Basin:
 
 
 def free_period(measured: Measured) -> Claim:
-    return _periods([one for one in measured.periods if one.damping == 0])
+    return _periods([period for period in measured.periods if period.damping == 0])
 
 
 def damped_period(measured: Measured) -> Claim:
-    return _periods([one for one in measured.periods if one.damping > 0])
+    return _periods([period for period in measured.periods if period.damping > 0])
 
 
 def _periods(rows: list[Period]) -> Claim:
-    off = max(abs(one.found / one.closed - 1) for one in rows)
+    off = max(abs(row.found / row.closed - 1) for row in rows)
     return {"verdict": verdict_of(off < EXACT), "tried": len(rows), "value": off}
 
 
@@ -324,25 +324,25 @@ def amplitude(measured: Measured) -> Claim:
 def boundary(measured: Measured) -> Claim:
     """Just below no stop, just above some, at every frequency."""
     rows = measured.sliding
-    found = share(sum(one.stops_below == 0 and one.stops_above > 0 for one in rows), len(rows))
+    found = share(sum(row.stops_below == 0 and row.stops_above > 0 for row in rows), len(rows))
     return found | {"verdict": verdict_of(found["found"] == len(rows))}
 
 
 def stable(measured: Measured) -> Claim:
     rows = [one.multiplier for one in measured.stability if one.multiplier is not None]
-    found = share(sum(one < 1 for one in rows), len(rows))
+    found = share(sum(row < 1 for row in rows), len(rows))
     return found | {"verdict": told(found["low"], found["high"], ALMOST_ALWAYS), "most": max(rows, default=None)}
 
 
 def continuum(measured: Measured) -> Claim:
     rows = measured.shifted
-    moved, apart = max(one.moved for one in rows), max(abs(one.multiplier - 1) for one in rows)
+    moved, apart = max(row.moved for row in rows), max(abs(row.multiplier - 1) for row in rows)
     verdicts = [verdict_of(moved < _SAME), verdict_of(apart < 10 * _BESIDE)]
     return {"verdict": every(verdicts), "tried": len(rows), "value": moved, "apart": apart}
 
 
 def stops(measured: Measured) -> Claim:
-    counts = Counter(one.stops for one in measured.stops)
+    counts = Counter(stop.stops for stop in measured.stops)
     found = share(sum(counts[n] for n in PUBLISHED_STOPS), len(measured.stops))
     seen = sorted(n for n in counts if n is not None)
     return found | {"verdict": told(found["low"], found["high"], ALMOST_ALWAYS), "seen": seen}
@@ -374,10 +374,11 @@ def draw(scene: OneBlockScene, measured: Measured) -> Figure:
 
 def _draw_stops(ax: Axes, scene: OneBlockScene, measured: Measured) -> None:
     frequencies = np.geomspace(scene.slowest, 2.0, 400)
-    ax.plot(frequencies, [most_friction(float(one)) for one in frequencies], color="black", linewidth=0.8)
-    counts = sorted({one.stops for one in measured.stops if one.stops is not None})
+    bound = [most_friction(float(frequency)) for frequency in frequencies]
+    ax.plot(frequencies, bound, color="black", linewidth=0.8)
+    counts = sorted({stop.stops for stop in measured.stops if stop.stops is not None})
     for k, n in enumerate(counts):
-        some = [one for one in measured.stops if one.stops == n]
+        some = [stop for stop in measured.stops if stop.stops == n]
         ax.plot([one.frequency for one in some], [one.friction for one in some], "o", markersize=2.5,
                 color=CYCLE[k % len(CYCLE)], label=str(n))  # fmt: skip
     ax.set(xscale="log", title="(a) stops a cycle of the force", xlabel="frequency Ω", ylabel="friction S")

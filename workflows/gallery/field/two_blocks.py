@@ -273,7 +273,7 @@ def chaos(pair: Pair, start: float) -> Unequal:
     slopes = [
         cycles.slope(lambda x: pair.next(x).after, quake.before, _WIDTH * pair.drop) for quake in orbit[_SETTLE:]
     ]
-    sums = np.array([[np.log(max(abs(one), 1e-12)), 1.0] for one in slopes])
+    sums = np.array([[np.log(max(abs(slope), 1e-12)), 1.0] for slope in slopes])
     mean = over_matrices(ratio, sums.reshape(-1, 8, 2).sum(axis=1), CONFIDENCE)
     return Unequal(pair.coupling, None, mean.value, mean.low, mean.high)
 
@@ -289,13 +289,13 @@ def unstable(measured: Measured) -> Claim:
 
 
 def no_smoothing(measured: Measured) -> Claim:
-    found = share(sum(one.kind not in ("together", "none found") for one in measured.ends), len(measured.ends))
+    found = share(sum(end.kind not in ("together", "none found") for end in measured.ends), len(measured.ends))
     return found | {"verdict": told(found["low"], found["high"], IN_GENERAL)}
 
 
 def two_cycles(measured: Measured) -> Claim:
     """One episode again and again, or two in turns, and both are there."""
-    counted = Counter(one.n_cycle for one in measured.ends if one.kind != "together")
+    counted = Counter(end.n_cycle for end in measured.ends if end.kind != "together")
     found = share(counted[1] + counted[2], len(measured.ends))
     each = [share(counted[n], len(measured.ends)) for n in (2, 1)]
     verdicts = [told(found["low"], found["high"], ALMOST_ALWAYS)]
@@ -305,11 +305,11 @@ def two_cycles(measured: Measured) -> Claim:
 
 def structurally_unstable(measured: Measured) -> Claim:
     """One kind of cycle is gone with the symmetry; the others mostly stay."""
-    tried = [one for one in measured.ends if one.survives is not None]
+    tried = [end for end in measured.ends if end.survives is not None]
     alone, others = ([one for one in tried if (one.kind == "alone in turns") == is_so] for is_so in (True, False))
     gone, stay = (share(sum(bool(one.survives) == is_so for one in some), len(some))
                   for is_so, some in ((False, alone), (True, others)))  # fmt: skip
-    apart = [abs(one.multiplier - 1) for one in measured.ends if one.kind == "alone in turns" and one.multiplier]
+    apart = [abs(end.multiplier - 1) for end in measured.ends if end.kind == "alone in turns" and end.multiplier]
     return gone | {
         "verdict": every([told(gone["low"], gone["high"], IN_GENERAL), told(stay["low"], stay["high"], IN_GENERAL)]),
         "stay": stay, "apart": max(apart, default=None),
@@ -317,7 +317,7 @@ def structurally_unstable(measured: Measured) -> Claim:
 
 
 def only_cycles(measured: Measured) -> Claim:
-    found = share(sum(one.n_cycle is not None for one in measured.ends), len(measured.ends))
+    found = share(sum(end.n_cycle is not None for end in measured.ends), len(measured.ends))
     return found | {"verdict": told(found["low"], found["high"], ALMOST_ALWAYS)}
 
 
@@ -339,8 +339,8 @@ _CLAIMS = (unstable, no_smoothing, two_cycles, structurally_unstable, only_cycle
 def kinds(measured: Measured) -> list[dict[str, Any]]:
     """For each kind of cycle: the number of starts that end in it, their multipliers and couplings."""
     rows = []
-    for kind, _ in Counter(one.kind for one in measured.ends).most_common():
-        some = [one for one in measured.ends if one.kind == kind]
+    for kind, _ in Counter(end.kind for end in measured.ends).most_common():
+        some = [end for end in measured.ends if end.kind == kind]
         slopes = [one.multiplier for one in some if one.multiplier is not None]
         rows.append({
             "kind": kind, **share(len(some), len(measured.ends)),
@@ -365,7 +365,7 @@ def draw(scene: TwoBlocksScene, measured: Measured) -> Figure:
         left.set(title="(a) both blocks together: |dD′/dD|", xlabel="coupling k", ylim=(0.3, None))
         left.legend(loc="lower left", fontsize=7)
         for colour, row in zip(CYCLE, kinds(measured), strict=False):
-            some = [one for one in measured.ends if one.kind == row["kind"]]
+            some = [end for end in measured.ends if end.kind == row["kind"]]
             right.semilogx([one.coupling for one in some], [one.share for one in some], "o", color=colour,
                            markersize=3, label=row["kind"])  # fmt: skip
         right.set(title="(b) where each start ends", xlabel="coupling k", ylabel="|D| at the start, over the largest")

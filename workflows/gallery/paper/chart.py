@@ -54,7 +54,7 @@ class PaperScene(Asked):
     def show(self, measured: Measured) -> Shown:
         """Tables: `claims`; and of the figures asked for `corners`, `runs`, `cascades`, `paths`, `hidden`."""
         judged = claims.judge(self, measured)
-        corners = [corner for one in measured.parallelograms for corner in one.corners]
+        corners = [corner for parallelogram in measured.parallelograms for corner in parallelogram.corners]
         slow = [event for run in measured.slow_runs for event in run.events]
         tables: dict[str, pd.DataFrame] = {"claims": table(judged)}
         tables |= {
@@ -66,10 +66,10 @@ class PaperScene(Asked):
             if rows
         }  # fmt: skip
         drawn: dict[int, list[Recipe]] = {
-            1: [partial(figures_1_2.phase_portrait, one) for one in measured.portraits],
+            1: [partial(figures_1_2.phase_portrait, portrait) for portrait in measured.portraits],
             2: [
-                *(partial(figures_1_2.region, one) for one in measured.parallelograms),
-                *(partial(figures_1_2.velocities, one) for one in measured.parallelograms[:1]),
+                *(partial(figures_1_2.region, parallelogram) for parallelogram in measured.parallelograms),
+                *(partial(figures_1_2.velocities, parallelogram) for parallelogram in measured.parallelograms[:1]),
             ],
             3: figures_3_to_5.panels(measured.traces, 3),
             4: figures_3_to_5.panels(measured.traces, 4),
@@ -87,5 +87,5 @@ class PaperScene(Asked):
             for number in self.figures
             for k, recipe in enumerate(drawn[number], start=1)
         }
-        facts = {"claims": judged, "pair": figures_1_2, "force": figure_6.FORCE, "figures": list(figures)}
+        facts = {"claims": judged, "pair": figures_1_2, "force": figure_6.FORCE, "panels": list(figures)}
         return Shown(facts, tables, figures)

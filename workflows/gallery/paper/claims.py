@@ -85,17 +85,17 @@ def _of(measured: Measured, study: str, n: int | None = None) -> list[Row]:
 
 
 def one_block(scene: Asked, measured: Measured) -> Claim:
-    leaves = all(one.exit in one.stick for one in measured.portraits)
+    leaves = all(portrait.exit in portrait.stick for portrait in measured.portraits)
     return {"verdict": verdict_of(leaves), "portraits": measured.portraits}
 
 
 def corners(scene: Asked, measured: Measured) -> Claim:
-    off = [corner.misprint for one in measured.parallelograms for corner in one.corners]
+    off = [corner.misprint for parallelogram in measured.parallelograms for corner in parallelogram.corners]
     return {"verdict": verdict_of(max(off) < 1e-9, CORRECTED), "low": min(off), "high": max(off)}
 
 
 def double_exit(scene: Asked, measured: Measured) -> Claim:
-    corners = [corner for one in measured.parallelograms for corner in one.corners]
+    corners = [corner for parallelogram in measured.parallelograms for corner in parallelogram.corners]
     exits = {corner.label for corner in corners if corner.kind == "double exit"}
     return {"verdict": verdict_of(exits == {"+-"}, CORRECTED if exits == {"++"} else UNTOLD)}
 
@@ -153,7 +153,10 @@ def _changed(scene: Asked, measured: Measured, study: str) -> list[Claim]:
     bases = {row.matrix: row for row in _of(measured, "long", scene.n[-1])}
     rows = _of(measured, study)
     settings = dict.fromkeys(row.setting for row in rows)
-    return [{"setting": one, **_against([row for row in rows if row.setting == one], bases)} for one in settings]
+    return [
+        {"setting": setting, **_against([row for row in rows if row.setting == setting], bases)}
+        for setting in settings
+    ]
 
 
 def _against(rows: Sequence[Row], bases: Mapping[int, Row]) -> Claim:
@@ -345,7 +348,7 @@ def form(scene: Asked, measured: Measured) -> Claim:
     return {
         "verdict": told(low, high, -FORM, FORM), "margin": FORM,
         "value": events and events.excess, "low": events and events.excess_low, "high": events and events.excess_high,
-        "readings": {one: [row.excess for row in rows if row.definition == one] for one in READINGS},
+        "readings": {reading: [row.excess for row in rows if row.definition == reading] for reading in READINGS},
     }  # fmt: skip
 
 
@@ -374,7 +377,7 @@ def gamma(scene: Asked, measured: Measured) -> Claim:
     return {
         "verdict": told(*_ends(rows, "low", "high"), *ends), "paper": PAPER_GAMMA, "around": around,
         "value": events and events.gamma, "low": events and events.low, "high": events and events.high,
-        "readings": {one: [row.gamma for row in rows if row.definition == one] for one in READINGS},
+        "readings": {reading: [row.gamma for row in rows if row.definition == reading] for reading in READINGS},
         "rows": [asdict(row) for row in rows],
     }  # fmt: skip
 

@@ -12,11 +12,11 @@ from scipy.linalg import expm
 
 from stickslip import sim
 from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, panel
-from stickslip.sim.theory.blowup import Blowup
-from stickslip.sim.theory.laws import Coulomb, Modified, SwitchingLaw
-from stickslip.sim.theory.slow_time import Segment, run_with_law
 from stickslip.workflows.gallery.charts.peers import Floats
 from stickslip.workflows.gallery.paper.figures_1_2 import V, pair
+from stickslip.workflows.gallery.theory.blowup import Blowup
+from stickslip.workflows.gallery.theory.laws import Coulomb, Modified, SwitchingLaw
+from stickslip.workflows.gallery.theory.slow_time import Segment, run_with_law
 
 #: Figure 6: F_1 = -F_2.
 FORCE = 0.5

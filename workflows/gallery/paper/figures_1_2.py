@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 
 from stickslip import sim
 from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, PURPLE, panel
-from stickslip.sim.theory import folds, strata
-from stickslip.sim.theory.blowup import continuations
-from stickslip.sim.theory.laws import Coulomb, StaticAboveKinetic
 from stickslip.workflows.gallery.charts.peers import Floats
+from stickslip.workflows.gallery.theory import folds, strata
+from stickslip.workflows.gallery.theory.blowup import continuations
+from stickslip.workflows.gallery.theory.laws import Coulomb, StaticAboveKinetic
 
 #: Figure 1, of which the paper gives no constants: rho, kappa, mu, |v|.
 ONE = (0.1, 1.0, 1.0, 0.5)
@@ -134,7 +134,7 @@ def pair(sign: Literal[1, -1]) -> sim.System:
 
 def corner(system: sim.System, sides: tuple[int, int]) -> Floats:
     """Where both blocks are at the edge of sticking, lambda = `sides`; shape (2,)."""
-    (found,) = (one for one in strata.corners(system) if one.sides == sides)
+    (found,) = (corner for corner in strata.corners(system) if corner.sides == sides)
     return found.point
 
 

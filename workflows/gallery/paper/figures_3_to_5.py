@@ -247,7 +247,7 @@ def _pairing(exact: Path, exits: Exits, smoothed: Path, exits_smoothed: Exits, t
 def escapes(runs: Sequence[Row], t_end: float) -> list[Claim]:
     """By size of the noise on all dampings: runs, how many left, and the median time of escape with its interval."""
     found: list[Claim] = []
-    some = [one for one in runs if one.study == "dampings"]
+    some = [run for run in runs if run.study == "dampings"]
     for size in sorted({one.size for one in some}):
         own = [one for one in some if one.size == size]
         left = np.array([one.fate == fates.DIVERGED for one in own])
@@ -304,8 +304,8 @@ def _curves(ax: Axes, curves: Sequence[Trace]) -> None:
             label=one.label, color=GREY if is_base else (EXACT, SMOOTHED, *CYCLE[2:])[k - with_base],
             linewidth=1.8 if is_base else 0.7, alpha=0.55 if is_base else 1.0,
         )  # fmt: skip
-    ax.set_xlim(0, max(one.t_stop for one in curves))
-    ax.set_ylim(0, max(1.0, 1.35 * max(max(one.n_stick) for one in curves)))
+    ax.set_xlim(0, max(curve.t_stop for curve in curves))
+    ax.set_ylim(0, max(1.0, 1.35 * max(max(curve.n_stick) for curve in curves)))
     ax.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=4))
 
 
@@ -315,7 +315,7 @@ def escape_times(ax: Axes, runs: Sequence[Row], t_end: float) -> None:
 
     Runs that are still there at the end are hollow, at t_end.
     """
-    some = [one for one in runs if one.study == "dampings"]
+    some = [run for run in runs if run.study == "dampings"]
     for has_left, label in ((True, "escapes"), (False, "still there at the end")):
         seen = [one for one in some if (one.fate == fates.DIVERGED) == has_left]
         ax.plot([100 * one.size for one in seen], [one.t_stop for one in seen], "o", color=EXACT, markersize=4,
@@ -336,7 +336,7 @@ def escape_times(ax: Axes, runs: Sequence[Row], t_end: float) -> None:
 
 def by_definition(rows: Sequence[Cascades], definition: str) -> Cascades | None:
     """The row of a definition, at its longest step."""
-    return next((one for one in reversed(rows) if one.definition == definition), None)
+    return next((row for row in reversed(rows) if row.definition == definition), None)
 
 
 @panel(ncols=2, sharey=True)

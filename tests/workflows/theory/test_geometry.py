@@ -8,7 +8,7 @@ import pytest
 import scipy.sparse
 
 from stickslip.sim import System, draw_system, simulate
-from stickslip.sim.theory.folds import (
+from stickslip.workflows.gallery.theory.folds import (
     can_stick,
     drift_exit,
     folds,
@@ -17,7 +17,7 @@ from stickslip.sim.theory.folds import (
     two_blocks,
     visibility,
 )
-from stickslip.sim.theory.strata import corners, n_strata, parallelogram, strata
+from stickslip.workflows.gallery.theory.strata import corners, n_strata, parallelogram, strata
 from tests.systems import draw_run
 
 EXACT = {"tol": 1e-15, "stop_early": False}

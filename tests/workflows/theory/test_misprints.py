@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from stickslip.sim import draw_system, simulate
-from stickslip.sim.theory.blowup import Blowup
-from stickslip.sim.theory.folds import can_stick, two_blocks
-from stickslip.sim.theory.laws import Modified
+from stickslip.workflows.gallery.theory.blowup import Blowup
+from stickslip.workflows.gallery.theory.folds import can_stick, two_blocks
+from stickslip.workflows.gallery.theory.laws import Modified
 
 K1, K2, K12, RHO, MU, V = 1.1, 1.6, 0.5, 0.1, 1.0, -1.0
 START = (-0.7, -0.4)

@@ -1,6 +1,6 @@
 """Pictures of a run on matplotlib axes: `KINDS` names them, and `plot` draws one.
 
-Only this module of `sim` uses matplotlib, and it loads it only when something is drawn.
+matplotlib is loaded when something is drawn.
 """
 
 from __future__ import annotations
@@ -493,9 +493,9 @@ def _block(name: str, block: Any, n: int) -> int:
 def _check_names(draw: Callable[..., Axes], kind: str, options: Mapping[str, Any]) -> None:
     """Refuse what is neither an option of a kind nor, where it draws lines, a property of a line."""
     parameters = inspect.signature(draw).parameters.values()
-    takes = [one.name for one in parameters if one.kind is one.KEYWORD_ONLY]
+    takes = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
     known, more = set(takes), ""
-    if any(one.kind is one.VAR_KEYWORD for one in parameters):
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
         from matplotlib.artist import ArtistInspector
         from matplotlib.lines import Line2D
 

@@ -1,7 +1,7 @@
 """Strata: where the folds of several sticking blocks meet, how many there are, and which are exits.
 
 With r of n blocks stuck, folds of k of them meet in C(r, k) 2^k strata of dimension 2n - r - k (section 4, counts
-corrected); they are points, corners of the sticking region, only for r = k = n. See `sim.theory.folds` for one fold.
+corrected); they are points, corners of the sticking region, only for r = k = n. See `folds` for one.
 
 The damping must be diagonal; a full one is refused (ValueError). Blocks are numbered from 0. Everything is
 dimensionless.
@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from stickslip.sim.numerics.arguments import Floats, integer, per_block
 from stickslip.sim.numerics.arithmetic import ROUNDING
 from stickslip.sim.systems.system import System, require_plain
-from stickslip.sim.theory.folds import Visibility, require_blocks, stiffness_rows, visibility_of
+from stickslip.workflows.gallery.theory.folds import Visibility, require_blocks, stiffness_rows, visibility_of
 
 #: Of a stratum: all its folds are visible, all invisible, some of each; or one is degenerate.
 Kind: TypeAlias = Literal["exit", "entry", "mixed", "degenerate"]
@@ -57,7 +57,7 @@ class Stratum:
     sides: tuple[int, ...]
 
     def __post_init__(self) -> None:
-        require_plain(self.system, "`stickslip.sim.theory.strata`")
+        require_plain(self.system, "`stickslip.workflows.gallery.theory.strata`")
 
     @cached_property
     def normals(self) -> Floats:
@@ -269,7 +269,7 @@ def _rank(sizes: NDArray[np.floating[Any]], n: int) -> int:
 
 
 def _stuck(system: System, stuck: Sequence[int] | None) -> tuple[int, ...]:
-    require_plain(system, "`stickslip.sim.theory.strata`")
+    require_plain(system, "`stickslip.workflows.gallery.theory.strata`")
     if stuck is None:
         return tuple(range(system.n))
     held = sorted(integer("stuck", i, 0, system.n - 1) for i in stuck)

@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq, fsolve
 
 from stickslip.sim import IntegrationError, System, simulate
-from stickslip.sim.theory.blowup import RAMP, Blowup, continuations
-from stickslip.sim.theory.laws import Coulomb, Modified, SmoothLaw, StaticAboveKinetic, canopy
-from stickslip.sim.theory.slow_time import follow, run_with_law
+from stickslip.workflows.gallery.theory.blowup import RAMP, Blowup, continuations
+from stickslip.workflows.gallery.theory.laws import Coulomb, Modified, SmoothLaw, StaticAboveKinetic, canopy
+from stickslip.workflows.gallery.theory.slow_time import follow, run_with_law
 
 PAIR = System([[1.6, -0.5], [-0.5, 2.1]], damping=0.1, belt_speed=-1.0)
 ONE = System([[1.0]], damping=0.1, belt_speed=-0.2)

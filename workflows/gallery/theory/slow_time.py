@@ -1,7 +1,7 @@
 """Hidden dynamics in slow time: modes followed to jumps and exits; runs of one or two blocks by any switching law.
 
 Between events z and w move while lambda stays on its mode, f(F; lambda) = 0, eq. (14); at an event the fast system of
-`stickslip.sim.theory.blowup` decides which mode comes next. Dimensionless.
+`stickslip.workflows.gallery.theory.blowup` decides which mode comes next. Dimensionless.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from stickslip.sim.numerics.arguments import Floats, number, per_block
 from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs.run import IntegrationError
 from stickslip.sim.systems.system import System, require_plain
-from stickslip.sim.theory.blowup import TANH, Blowup, Sigmoid, total_force
-from stickslip.sim.theory.laws import Slips, SwitchingLaw
+from stickslip.workflows.gallery.theory.blowup import TANH, Blowup, Sigmoid, total_force
+from stickslip.workflows.gallery.theory.laws import Slips, SwitchingLaw
 
 EventKind = Literal["exit", "entry", "crossing", "jump"]
 #: the end of a phase: a slipping block reached the belt, a mode met a face, a saddle, or a Hopf point, or `t_end`
@@ -127,7 +127,7 @@ def run_with_law(
         lambda from which blocks with w0_i = v settle. Blocks that come from slip enter at their face; if two
         come at one instant, at equal depth.
     eps, sigmoid
-        See `stickslip.sim.theory.blowup.Blowup`.
+        See `stickslip.workflows.gallery.theory.blowup.Blowup`.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def run_with_law(
     IntegrationError
         If the fast system cannot decide: it cycles, or ends in an unstable mode.
     """
-    require_plain(system, "`stickslip.sim.theory.slow_time`")
+    require_plain(system, "`stickslip.workflows.gallery.theory.slow_time`")
     if system.n > 2:
         raise ValueError(
             f"system: expected one or two blocks, got {system.n}; `stickslip.sim.simulate` runs more, by Coulomb"
@@ -184,7 +184,7 @@ def follow(
     ValueError, IntegrationError
         As `run_with_law`.
     """
-    require_plain(system, "`stickslip.sim.theory.slow_time`")
+    require_plain(system, "`stickslip.workflows.gallery.theory.slow_time`")
     start, belt = per_block("z", z, system.n), np.full(system.n, system.belt_speed)
     blowup = Blowup(law, system.friction, eps, sigmoid)
     marching = _march(system, blowup, start, belt, per_block("lam", lam, system.n), number("t_end", t_end, 0.0))

@@ -9,8 +9,8 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from stickslip.analysis import pictures
 from stickslip.sim import EventSeries, System, draw_system, simulate
-from stickslip.sim.runs import pictures
 
 T = np.linspace(0.0, 40.0, 2001)
 SYSTEM = System(np.array([[2.0, -1.0], [-1.0, 2.0]]), 0.1, static=1.5, belt_speed=0.3)

@@ -124,7 +124,7 @@ def fold(system: System, block: int, side: int) -> Fold:
     TypeError, ValueError
         If there is no such block, or `side` is neither +1 nor -1.
     """
-    require_plain(system, "`stickslip.sim.theory.folds`")
+    require_plain(system, "`stickslip.workflows.gallery.theory.folds`")
     i, sigma = integer("block", block, 0, system.n - 1), sign("side", side)
     offset = -sigma * system.friction[i] - system.damping[i] * system.belt_speed
     return Fold(i, sigma, stiffness_rows(system, [i])[0], float(offset))
@@ -179,7 +179,7 @@ def drift_exit(system: System, z: ArrayLike) -> DriftExit | None:
     TypeError, ValueError
         If z has the wrong type or shape, is not finite, or a block cannot stick there.
     """
-    require_plain(system, "`stickslip.sim.theory.folds`")
+    require_plain(system, "`stickslip.workflows.gallery.theory.folds`")
     start = per_block("z", z, system.n)
     force, slack = system.holding_force(start), _slack(system, start)
     _require_hold(system, "z", force, slack, np.ones(system.n, dtype=bool))
@@ -276,7 +276,7 @@ def visibility(system: System, z: ArrayLike, w: ArrayLike, mode: ArrayLike) -> t
         If an argument has the wrong type or shape, or a mode cannot hold: no friction is large enough to stick, or
         w_i - v contradicts the direction of slip.
     """
-    require_plain(system, "`stickslip.sim.theory.folds`")
+    require_plain(system, "`stickslip.workflows.gallery.theory.folds`")
     z, mode = per_block("z", z, system.n), _modes(system, mode)
     v, mu, damping = system.belt_speed, system.friction, system.damping
     now, then = (
@@ -327,7 +327,7 @@ def stiffness_rows(system: System, blocks: Sequence[int]) -> Floats:
 
 def _forces(system: System, z: ArrayLike) -> Floats:
     """F_i = R_i v + (K z)_i of one state or of many."""
-    require_plain(system, "`stickslip.sim.theory.folds`")
+    require_plain(system, "`stickslip.workflows.gallery.theory.folds`")
     n = system.n
     states = floats("z", z, f"numbers of shape ({n},) or (m, {n})")
     if states.ndim not in (1, 2) or states.shape[-1] != n:

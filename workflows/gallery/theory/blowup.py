@@ -1,8 +1,8 @@
-"""Hidden dynamics of a discontinuity: the blow-up and its sticking modes (`sim.theory.slow_time`: slow time).
+"""Hidden dynamics of a discontinuity: the blow-up and its sticking modes (slow time: `slow_time` beside this).
 
 Inside the layer lambda_j = phi((w_j - v) / eps_j), and on the fast time of eq. (13), positive factors kept,
 
-    lambda_j' = (phi' / eps_j) f_j(F; lambda),    f = -F - mu s(lambda)     (laws: `stickslip.sim.theory.laws`)
+    lambda_j' = (phi' / eps_j) f_j(F; lambda),    f = -F - mu s(lambda)     (s by the laws of `laws`)
 
 Sticking modes are its equilibria, eq. (14). The factors move neither modes nor saddles, but they change basins and,
 where eigenvalues are complex or there are more than two switches, can change stability. Dimensionless.
@@ -22,7 +22,7 @@ from scipy.integrate import solve_ivp
 from stickslip.sim.numerics.arguments import Floats, per_block
 from stickslip.sim.runs.run import IntegrationError
 from stickslip.sim.systems.system import System, require_plain
-from stickslip.sim.theory.laws import Slips, SwitchingLaw
+from stickslip.workflows.gallery.theory.laws import Slips, SwitchingLaw
 
 ModeKind = Literal["node", "focus", "saddle", "degenerate", "slip"]
 
@@ -319,5 +319,5 @@ def continuations(
 
 def total_force(system: System, z: Floats, w: Floats) -> Floats:
     """F_i = R_i w_i + (K z)_i; ValueError if the damping is not diagonal, or static friction above."""
-    require_plain(system, "`stickslip.sim.theory.blowup`")
+    require_plain(system, "`stickslip.workflows.gallery.theory.blowup`")
     return np.asarray(system.damping * w + system.stiffness @ z, dtype=np.float64)

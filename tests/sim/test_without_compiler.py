@@ -1,0 +1,70 @@
+"""Kernels that are run as Python, as a debugger and coverage see them, find what compiled ones find."""
+
+import os
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from stickslip.sim import Harmonic, Rational, draw_system, simulate
+from tests.scenes import ensemble
+
+SIGMOID = {"engine": "sigmoid", "eps": 0.03, "rtol": 1e-5, "atol": 1e-7}
+DRAWN = draw_system("antisymmetric", n=6, seed=0)
+#: What is run: a system, its last time and the settings of an engine; each takes kernels of its own.
+RUNS = {
+    "series": (DRAWN, 10.0, {"tol": 1e-10}),
+    "sparse series": (draw_system("chain", n=40, seed=0), 5.0, {"tol": 1e-5}),
+    "waves": (draw_system("antisymmetric", n=66, seed=0), 1.0, {"tol": 1e-5}),
+    "weakening": (DRAWN.changed(static=1.4, weakening=Rational(2.0)), 10.0, {"tol": 1e-5}),
+    "sigmoid": (DRAWN.changed(force=Harmonic(amplitude=0.3, frequency=1.0)), 10.0, SIGMOID),
+    "sigmoid with a peak": (DRAWN.changed(static=1.4), 5.0, SIGMOID),
+    "full damping": (DRAWN.changed(damping=0.3 * np.eye(6) + 0.05 * np.eye(6, k=1)), 5.0, SIGMOID),
+    "moreau": (DRAWN, 5.0, {"engine": "moreau", "step": 1e-2}),
+}
+
+
+def result(name):
+    system, t_end, settings = RUNS[name]
+    run = simulate(system, -0.7, -0.4, t_end, **settings)
+    return run.stats, run.events.block, run.events.mode, run.events.t, run.z, run.w
+
+
+@pytest.fixture(scope="module")
+def as_python():
+    """The same by kernels that are not compiled, in a process of their own."""
+    code = (
+        "import pickle, sys; from tests.sim.test_without_compiler import RUNS, result;"
+        "sys.stdout.buffer.write(pickle.dumps({name: result(name) for name in RUNS}))"
+    )
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr.decode()
+    return pickle.loads(done.stdout)
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_run_is_the_same_without_a_compiler(name, as_python):
+    """Steps and events to the last; times and state but for rounding, as machine code fuses products and sums."""
+    stats, block, mode, *numbers = result(name)
+    assert as_python[name][0] == stats
+    np.testing.assert_array_equal(as_python[name][1], block)
+    np.testing.assert_array_equal(as_python[name][2], mode)
+    for found, expected in zip(as_python[name][3:], numbers, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
+def test_a_scene_is_run_without_a_compiler(tmp_path):
+    """By the command, whose worker inherits the environment."""
+    (tmp_path / "small.toml").write_text(ensemble(2, 2.0, 1))
+    done = subprocess.run(
+        [sys.executable, "-m", "stickslip", "run", "small.toml", "--workers", "1", "--no-report"],
+        cwd=tmp_path,
+        env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
