@@ -52,6 +52,7 @@ from stickslip.analysis.models.fates import (
 )
 from stickslip.analysis.questions.runs import bifurcations, fate_figures
 from stickslip.analysis.questions.runs.settled import (
+    MOST_LEADING,
     PREDICATES,
     Grid,
     Outcome,
@@ -128,7 +129,7 @@ def answer(study: Study) -> Answer:
     figures |= _along_t_burn(study, by_t_burn, short, len(figures) > 1)
     return Answer(
         findings=[*leading, *secondary] or [Lack("what became of the runs", Reason.ALL_FAILED)],
-        n_lead=min(3, len(leading)),
+        n_lead=min(MOST_LEADING, len(leading)),
         alerts=_alerts(study, grid, ends, short),
         method=" ".join([METHOD_OF_ATTRACTORS] * bool(recorded) + [METHOD] * bool(ends)),
         tables={

@@ -17,7 +17,7 @@ import numpy as np
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Regime
 from stickslip.analysis.findings.place import Place
-from stickslip.analysis.findings.words import plural
+from stickslip.analysis.findings.words import listed, plural
 from stickslip.analysis.grid import axes_of
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import DRAWN, ENGINE_KEYS, noun
@@ -49,7 +49,8 @@ from stickslip.pipeline.design.design import Axis, Row, Unit, in_words
 from stickslip.pipeline.design.labels import Label, apart, labels
 from stickslip.pipeline.design.values import Named, Value, Values, ranks
 
-MOST_STRETCHES = 3  # of values of a key, that findings name
+MOST_STRETCHES = 3  # of values of a key, that a finding names
+MOST_LEADING = 3  # findings
 MOST_CYCLES = 4  # of one system, that are told apart
 LEAST_UNITS = 4  # for a bound on a share that is 1
 _START = ("z", "w")
@@ -384,28 +385,33 @@ def stretches(outcomes: Sequence[tuple[Outcome, ...]]) -> list[slice]:
 def regimes(
     study: Study, grid: Grid, line: Sequence[Setting], outcomes: Sequence[tuple[Outcome, ...]], method: Place
 ) -> list[tuple[Regime, Sequence[Setting]]]:
-    """A line by what its runs do, with the settings: few stretches of values, or else how many values."""
-    axis, slices = grid.axes[0], stretches(outcomes)
-    groups = [
-        (Place.key(axis.name, _span(line[stretch])), line[stretch], outcomes[stretch.start]) for stretch in slices
-    ]
-    if len(slices) > MOST_STRETCHES:
-        like: dict[tuple[Outcome, ...], list[Setting]] = {}
-        for setting, outcome in zip(line, outcomes, strict=True):
-            like.setdefault(outcome, []).append(setting)
-        by_number = sorted((pair for pair in like.items() if pair[0]), key=lambda pair: -len(pair[1]))
-        groups = [
-            (Place.words(f"at {len(settings)} of {len(line)} values of {axis.name}"), settings, outcome)
-            for outcome, settings in by_number
-        ]
+    """A line by what its runs do, with the settings: at which values, or of many stretches at how many.
+
+    Of more outcomes than lead a page, those come first that all runs of a setting share.
+    """
+    axis = grid.axes[0]
+    by_outcome: dict[tuple[Outcome, ...], list[slice]] = {}
+    for stretch in stretches(outcomes):
+        by_outcome.setdefault(outcomes[stretch.start], []).append(stretch)
     line_place = grid.beside(line[0]) + method
-    return [(_regime(study, where + line_place, settings, outcome), settings) for where, settings, outcome in groups]
+    in_order = [*by_outcome]
+    if len(in_order) > MOST_LEADING:
+        in_order.sort(key=lambda outcome: len(outcome) > 1)
+    rows: list[tuple[Regime, Sequence[Setting]]] = []
+    for outcome in in_order:
+        parts = by_outcome[outcome]
+        settings = [setting for stretch in parts for setting in line[stretch]]
+        where = Place.key(axis.name, listed([text for stretch in parts for text in _span(line[stretch])]))
+        if len(parts) > MOST_STRETCHES:
+            where = Place.words(f"at {len(settings)} of {len(line)} values of {axis.name}")
+        rows.append((_regime(study, where + line_place, settings, outcome), settings))
+    return rows
 
 
-def _span(line: Sequence[Setting]) -> str:
-    """The values of a stretch along the first axis."""
-    lowest, highest = (in_words(setting.at[0]) for setting in (line[0], line[-1]))
-    return lowest if len(line) == 1 else f"{lowest} {'and' if len(line) == 2 else 'to'} {highest}"
+def _span(line: Sequence[Setting]) -> list[str]:
+    """The values of a stretch along the first axis, from three on by its ends."""
+    values = [in_words(setting.at[0]) for setting in line]
+    return values if len(values) < 3 else [f"{values[0]} to {values[-1]}"]
 
 
 def _regime(study: Study, where: Place, settings: Sequence[Setting], outcomes: Sequence[Outcome]) -> Regime:
