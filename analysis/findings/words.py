@@ -119,10 +119,12 @@ def _level(level: Level) -> str:
 
 
 def _in_clause(level: Level) -> str:
-    """What stands in the clause of a quantity; empty where its level is compared and no difference is shown."""
+    """What stands in the clause of a quantity; empty where a comparison is undecided."""
     if level.comparison is None:
         return with_interval(level.estimate, level.quantity.form)
     other, difference = level.comparison.other, level.comparison.difference
+    if difference.verdict is Verdict.EQUAL:
+        return f"the same as for {other} within {margin(difference, level.quantity.form)}"
     if difference.verdict not in (Verdict.MORE, Verdict.LESS):
         return ""
     if (times := ratio(difference)) is not None:
@@ -323,13 +325,13 @@ def _law(law: Law) -> str:
     level = law.parameter
     quantity = level.quantity
     name, value = law.called or quantity.name, with_interval(level.estimate, quantity.form)
-    parameter = f"a {name} of {value}{_compared(level.comparison, quantity)}"
+    parameter = f"{name} {value}{_compared(level.comparison, quantity)}"
     match law.fit:
         case Fit.HOLDS:
-            return f"{level.where.head}{law.subject} {law.predicate}, with {parameter}"
+            return f"{level.where.head}{law.subject} {law.predicate}: {parameter}"
         case Fit.CLOSE:
             predicate = law.nearly or f"nearly {law.predicate}"
-            return f"{level.where.head}{law.subject} {predicate}, with {parameter}"
+            return f"{level.where.head}{law.subject} {predicate}: {parameter}"
         case Fit.FAILS:
             p = "" if law.p_value is None else f"p \u2264 {limit(law.p_value)}"
             far = "" if law.departure is None else _level(law.departure)

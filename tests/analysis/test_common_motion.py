@@ -227,7 +227,7 @@ def test_a_power_is_said_where_it_is_one(rng):
     assert apart.p_apart < 0.01
     assert apart.finding(0.05).fit is Fit.FAILS
     said = sentence(dataclasses.replace(apart.finding(0.05), fit=Fit.HOLDS))
-    assert said.startswith("At |n| = 50 to 200, natural periods follow a power law in |n|, with a power of ")
+    assert said.startswith("At |n| = 50 to 200, natural periods follow a power law in |n|: power ")
 
 
 def test_changes_are_those_planted(rng):
