@@ -97,7 +97,7 @@ def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
                 if start == 0 and end < len(settings):
                     value = f"up to {high.text}"
                 elif start > 0 and end == len(settings):
-                    value = f"from {low.text} on"
+                    value = f"≥ {low.text}"
             yield f"{low.name} with {low.symbol} {value}" if low.name else f"{low.symbol} {value}"
         start = end
 
