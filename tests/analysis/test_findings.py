@@ -137,8 +137,8 @@ def test_sentences():
     assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts settle into steady sliding."
     published = Comparison("the published 30.71%", Difference(Estimate(-0.006, -0.019, 0.007), Scale.ABSOLUTE))
     assert sentence(replace(basin, comparison=published)) == (
-        f"{sentence(basin)[:-1]}, consistent with the published 30.71%"
-        " (difference \u22120.6, \u22121.9 to +0.7 percentage points)."
+        f"{sentence(basin)[:-1]}, consistent with the published 30.71%:"
+        " difference \u22120.6 (\u22121.9 to +0.7) percentage points."
     )
     excess = Quantity("excess", "excess", Form.SHARE)
     parts = [
@@ -185,7 +185,6 @@ def _findings(rng):
     yield Change(quantity, KAPPA, Estimate(0.3), estimate, difference, where, basis)
     yield (share := Share("sliding", "starts", "settle into steady sliding", estimate, where, comparison, basis))
     yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis)
-    yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis, "have ended")
     yield Lifetime(LATE, "runs", "still stick", Estimate(), 100.0, 0.7, where, comparison, basis)
     yield Law("sizes", "fall off exponentially", level, _pick(rng, Fit), level)
     yield Parts(level, (level, level))

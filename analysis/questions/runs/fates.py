@@ -81,8 +81,8 @@ DELAY = Quantity("last_event", "median delay of the last event")
 MEAN = Quantity("mean", "mean number of sticking blocks in runs not ended")
 PERIOD = Quantity("period", "period of the cycle")
 METHOD = (
-    "A run ends at its last event, if it is certified that no block sticks again, or when its motion has grown without"
-    " limit; survival and medians are Kaplan-Meier estimates. Runs that are sliding, not certified, count as"
+    "A run ends at its last event, if it is certified that no block sticks again, or when its motion has grown"
+    " without limit; survival and medians are Kaplan-Meier estimates. Runs that are sliding, not certified, count as"
     " ended at their last events, and the upper ends of intervals take them as not ended."
 )
 METHOD_OF_ATTRACTORS = (
@@ -161,9 +161,10 @@ def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Find
     for k, (method, settings) in enumerate(methods.items()):
         if k == 0 or not is_alike:
             where = Place.words("with every engine") if is_alike else Place.of(method)
+            spoken = settings
             if is_alike and is_one:
-                settings, where = grid.settings, EVERYWHERE
-            statements, details = _outcomes(study, grid, settings, where)
+                spoken, where = grid.settings, EVERYWHERE
+            statements, details = _outcomes(study, grid, spoken, where)
             for finding, places in statements:
                 is_new = k == 0 or any(reference.get(setting.label) != setting.kinds for setting in places)
                 (leading if is_new else secondary).append(finding)
@@ -174,8 +175,8 @@ def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Find
         lead = next((row for row in mixed if row.lifetime.low is not None), None)
         leading += [_lifetime(study, row) for row in lifetimes if row is lead]
         secondary += [_lifetime(study, row) for row in lifetimes if row is not lead]
-    spoken = [row.setting for row in ends]
-    return leading, [*secondary, *_delays(study), *_stability(study, spoken), *_means(study, spoken)]
+    with_ends = [row.setting for row in ends]
+    return leading, [*secondary, *_delays(study), *_stability(study, with_ends), *_means(study, with_ends)]
 
 
 def _outcomes(
