@@ -118,7 +118,7 @@ def test_sentences():
     law = Level(GAMMA, Estimate(0.6998, 0.697, 0.7022), comparison=Comparison("a fair coin's ln 2", ratio))
     assert sentence(law) == "Decay rate: 0.6998 (0.6970 to 0.7022), 0.95% (0.61 to 1.31%) above a fair coin's ln 2."
     assert sentence(Law("cascade sizes", "fall off exponentially", law)) == (
-        "Cascade sizes fall off exponentially, with a decay rate of 0.6998 (0.6970 to 0.7022), "
+        "Cascade sizes fall off exponentially: decay rate 0.6998 (0.6970 to 0.7022), "
         "0.95% (0.61 to 1.31%) above a fair coin's ln 2."
     )
     often = Comparison("shifted blocks", Difference(Estimate(10.4, 4.84, 21.3)))
@@ -137,8 +137,8 @@ def test_sentences():
     assert sentence(basin) == "30.1% (28.8 to 31.4%) of starts settle into steady sliding."
     published = Comparison("the published 30.71%", Difference(Estimate(-0.006, -0.019, 0.007), Scale.ABSOLUTE))
     assert sentence(replace(basin, comparison=published)) == (
-        f"{sentence(basin)[:-1]}, consistent with the published 30.71%"
-        " (difference \u22120.6, \u22121.9 to +0.7 percentage points)."
+        f"{sentence(basin)[:-1]}, consistent with the published 30.71%:"
+        " difference \u22120.6 (\u22121.9 to +0.7) percentage points."
     )
     excess = Quantity("excess", "excess", Form.SHARE)
     parts = [
