@@ -27,31 +27,28 @@ MOST_ROWS = 36  # in one figure
 
 
 def outcomes(other: str, steps: Sequence[Step], unit: str, noun: str, scope: str = "") -> list[Outcomes]:
-    """How settings come out beside a reference: those that differ, those that agree and the others, as far as any do.
+    """How settings come out beside a reference: those that differ; and those that agree, with those undecided.
 
     A setting differs if one of its statistics is shown to; else it is equal if all that have a margin, which the
-    scene declares, are within. Each finding has the largest difference of its settings. Where all are undecided they
-    are named by their noun: "any change".
+    scene declares, are within. Each finding has the largest difference of its settings, or of those undecided.
+    Where all are undecided they are named by their noun: "any change".
     """
     settings: dict[Setting, list[Step]] = {}
     for step in steps:
         settings.setdefault(step.name, []).append(step)
     by_setting = {setting: outcome(of_setting) for setting, of_setting in settings.items()}
     findings = []
-    for name in (DIFFERENT, EQUAL, UNDECIDED):
-        alike = [step for step in steps if by_setting[step.name] == name]
-        if alike:
-            best = max(alike, key=_size)
+    for names in ((DIFFERENT,), (UNDECIDED, EQUAL)):
+        alike = [[step for step in steps if by_setting[step.name] == name] for name in names]
+        if any(alike):
+            best = max(next(filter(None, alike)), key=_size)
             (where,) = in_words({best.name: ""}, "")
-            others = in_words(by_setting | {best.name: ""}, DIFFERENT) if name == DIFFERENT else ()
+            others = in_words(by_setting | {best.name: ""}, DIFFERENT) if DIFFERENT in names else ()
             level = replace(best, where=EVERYWHERE).level(other, unit)
-            words = in_words(by_setting, name)
-            if name == UNDECIDED and len(alike) == len(steps) and len(words) > 1:
-                words = (f"any {noun}",)
-            alike_in_words = {name: words}
-            findings.append(
-                Outcomes(other, **alike_in_words, largest=level, at_largest=where, others=others, scope=scope)
-            )
+            words = {name: in_words(by_setting, name) for name in names}
+            if len(alike[0]) == len(steps) and len(words.get(UNDECIDED, ())) > 1:
+                words[UNDECIDED] = (f"any {noun}",)
+            findings.append(Outcomes(other, **words, largest=level, at_largest=where, others=others, scope=scope))
     return findings
 
 

@@ -294,10 +294,14 @@ class Law:
 
 @dataclass(frozen=True)
 class Parts:
-    """A value as the sum of its parts, the last of which is the one that is asked about."""
+    """A value as the sum of its parts, the last of which is the one that is asked about.
+
+    `subject` is what the parts raise or lower, where the whole is an excess of it; by default the whole.
+    """
 
     whole: Level
     parts: tuple[Level, ...]
+    subject: str = ""
 
 
 @dataclass(frozen=True)

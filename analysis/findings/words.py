@@ -182,11 +182,15 @@ def difference_in_words(difference: Difference, form: Form = Form.NUMBER) -> tup
 
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:
     """How large a difference is, without its sign, with its interval: "0.9% (0.6 to 1.3%)"."""
-    value, low, high = difference.estimate.value, difference.estimate.low, difference.estimate.high
-    if value is not None and value < 0:
-        value, low, high = -value, None if high is None else -high, None if low is None else -low
     unit = form_of(difference, form)
-    return with_interval(Estimate(value, low, high), unit) + _AFTER[unit]
+    return with_interval(_without_sign(difference.estimate), unit) + _AFTER[unit]
+
+
+def _without_sign(estimate: Estimate) -> Estimate:
+    value, low, high = estimate.value, estimate.low, estimate.high
+    if value is None or value >= 0.0:
+        return estimate
+    return Estimate(-value, None if high is None else -high, None if low is None else -low)
 
 
 def interval(difference: Difference, form: Form = Form.NUMBER) -> str:
@@ -336,18 +340,26 @@ def _law(law: Law) -> str:
 
 
 def _parts(sum_of: Parts) -> str:
+    """What the last part does; the others cancel if their sum is less than each and than the error of the last."""
     whole, *others, last = sum_of.whole, *sum_of.parts
     form, places = whole.quantity.form, decimals(whole.estimate, whole.quantity.form)
-    said = [
-        f"{part.quantity.name} {number(part.estimate.value, form, places, sign=True)}"
-        for part in others
-        if part.estimate.value is not None
-    ]
-    said.append(f"{last.quantity.name} {with_interval(last.estimate, form, sign=True)}")
-    assert whole.estimate.value is not None
-    return (
-        f"{whole.quantity.name}{whole.where.tail}: {number(whole.estimate.value, form, places)}, from {listed(said)}"
-    )
+    name, subject = last.quantity.name, f"{sum_of.subject or whole.quantity.name}{whole.where.tail}"
+    value, low, high = last.estimate.value, last.estimate.low, last.estimate.high
+    assert value is not None
+    error = 0.0 if low is None or high is None else (high - low) / 2
+    if low is not None and high is not None and low <= 0.0 <= high:
+        said = f"no effect of {name} on the {subject} is shown ({span(low, high, form, sign=True)})"
+    else:
+        by = with_interval(_without_sign(last.estimate), form)
+        said = f"{name} {'raises' if value > 0.0 else 'lowers'} the {subject} by {by}"
+    values = {part.quantity.name: part.estimate.value for part in others if part.estimate.value is not None}
+    if not values:
+        return said
+    texts = [(other, number(part, form, places, sign=True)) for other, part in values.items()]
+    if abs(sum(values.values())) < min(error, *map(abs, values.values())):
+        return f"{said}; {listed([f'{other} ({text})' for other, text in texts])} cancel"
+    (first, text), *more = texts
+    return f"{said}; {listed([f'{first} contributes {text}', *(f'{other} {text}' for other, text in more)])}"
 
 
 def _outcomes(outcomes: Outcomes) -> str:
@@ -369,7 +381,11 @@ def _outcomes(outcomes: Outcomes) -> str:
             said.append(f"{undecided} cannot be told from {other}{scope}")
         else:
             few = f"{plural(largest.basis.n, largest.basis.unit)} {'is' if largest.basis.n == 1 else 'are'} too few"
-            said.append(f"{few} to tell {undecided} from {other}{scope}")
+            said.append(
+                f"{few} to {f'decide on {undecided}' if outcomes.equal else f'tell {undecided} from {other}{scope}'}"
+            )
+        if outcomes.equal:
+            return "; ".join(said)
     is_distance = largest is not None and largest.comparison is None
     apart = "" if largest is None or (outcomes.different and not is_distance) else _most_apart(largest)
     if apart and outcomes.undecided and outcomes.at_largest not in ("", *outcomes.undecided):

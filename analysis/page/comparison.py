@@ -146,8 +146,6 @@ def _answer(first: str, second: str, steps: Sequence[Step], tables: Mapping[str,
     lead, *others = outcomes(first, grouped, unit, "setting")
     is_open = any(finding.undecided for finding in (lead, *others))
     truth = Truth.NO if lead.different else Truth.UNDECIDED if is_open else Truth.YES
-    if truth is Truth.UNDECIDED and others:  # what is undecided is why
-        others, lead = [lead, *others[:-1]], others[-1]
     return Answer(
         findings=[Decided(truth, lead), *others, *(step.level(first, unit) for step in judged)],
         n_lead=1 + len(others),

@@ -123,14 +123,14 @@ def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
             sum(each[name].value for name in ("finite_size", "own_dynamics", "coupling"))
         )
     assert re.fullmatch(
-        r"Excess over ln 2 at n = 40: [0-9.]+%, from finite size \+[0-9.]+%, "
-        r"each block's own dynamics [+\u2212][0-9.]+% and coupling \+[0-9.]+% \(\+[0-9.]+ to \+[0-9.]+%\)\.",
+        r"Coupling raises the decay rate of cascade sizes at n = 40 by [0-9.]+% \([0-9.]+ to [0-9.]+%\); finite size "
+        r"contributes \+[0-9.]+% and each block's own dynamics [+\u2212][0-9.]+%\.",
         sentence(sums[0]),
     )
     figure = answer.figures["counting"].recipe()
     assert [ax.get_ylabel() for ax in figure.axes] == [counting.EXCESS, counting.SCALED]
     labels = {text.get_text() for text in figure.legends[0].texts}
-    assert labels == {"p = 1/2", "two-state blocks", "time-shifted", "runs"}
+    assert labels == {"p = 1/2", "two-state: finite size", "time-shifted: own dynamics too", "runs: coupling too"}
     one = counting.question(coupled_blocks(planted, (40,), 0.1, rng))
     (axes,) = one.figures["counting"].recipe().axes
     assert len(axes.lines[0].get_xdata()) == 8

@@ -146,7 +146,11 @@ def test_sentences():
         for name, of in (("noise", (-0.012,)), ("pull", (0.021, 0.018, 0.024)))
     ]
     assert sentence(Parts(Level(excess, Estimate(0.009, 0.006, 0.012), Place.key("n", "5")), (*parts,))) == (
-        "Excess at n = 5: 0.90%, from noise \u22121.20% and pull +2.10% (+1.80 to +2.40%)."
+        "Pull raises the excess at n = 5 by 2.10% (1.80 to 2.40%); noise contributes \u22121.20%."
+    )
+    parts[:1] = [Level(Quantity(name, name), Estimate(value)) for name, value in (("noise", -0.012), ("size", 0.013))]
+    assert sentence(Parts(Level(excess, Estimate(0.022, 0.019, 0.025)), (*parts,), "rate")) == (
+        "Pull raises the rate by 2.10% (1.80 to 2.40%); noise (\u22121.20%) and size (+1.30%) cancel."
     )
     alike = Regime("starts", ("slide",), 5, 5, where=Place.key("v", "1"))
     assert sentence(alike) == "At v = 1, all 5 starts slide."

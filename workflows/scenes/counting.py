@@ -55,13 +55,13 @@ EXCESS, VARIANCE, SCALED = r"$\gamma/\ln 2-1$", "$np(1-p)$", r"$np(1-p)\,(\gamma
 #: Largest number of times that a run's blocks are shifted: their rate is known that much better than the run's.
 SHIFTS = 30
 WHAT = "the parts of the decay rate"
-WHOLE = Quantity("excess", "excess over ln 2", Form.SHARE)
+WHOLE = Quantity("excess", "excess of the decay rate over ln 2", Form.SHARE)
 PARTS = (
     Quantity("finite_size", "finite size", Form.SHARE),
     Quantity("own_dynamics", "each block's own dynamics", Form.SHARE),
     Quantity("coupling", "coupling", Form.SHARE),
 )
-RISE = Quantity("rise", "rise of the chance of a slip onset with each sticking block", Form.SHARE)
+RISE = Quantity("rise", "increase of the probability of a slip onset per sticking block", Form.SHARE)
 
 #: Columns of `run_sums`, a numerator and a denominator each: total size and number of cascades of the run, the same
 #: of its blocks shifted in time, integral of n_stick and time, and the sums of the slope.
@@ -117,9 +117,10 @@ class Counted:
 def question(study: Study) -> Answer | None:
     """Why is the decay rate not ln 2?
 
-    Finite size is the excess over ln 2 of the same number of independent two-state blocks with the same mean number
-    sticking; own dynamics is that of the runs' own blocks, each shifted by a random time, over two-state blocks; and
-    coupling that of the runs over shifted blocks. Stretches of more than 20 in which no block sticks are left out.
+    Differences of decay rates are relative to ln 2, that of p = 1/2. Finite size sets independent two-state blocks, as
+    many and with the same mean number sticking, apart from ln 2. Each block's own dynamics sets time-shifted
+    blocks apart from two-state blocks, and coupling sets the runs apart from time-shifted blocks. Stretches longer
+    than 20 in which no block sticks are left out.
     """
     if not study.data.events:
         return Answer(findings=[Lack(WHAT, Reason.NOT_RECORDED, "events")])
@@ -164,7 +165,7 @@ def _where(part: Counted, is_swept: bool) -> Place:
 def _parts(part: Counted, is_swept: bool, unit: str) -> Parts:
     where, basis = _where(part, is_swept), Basis(len(part.rows), unit)
     whole, *each = (Level(one, part.estimates[one.key], where, basis=basis) for one in (WHOLE, *PARTS))
-    return Parts(whole, tuple(each))
+    return Parts(whole, tuple(each), "decay rate of cascade sizes")
 
 
 def counted(study: Study, group: Group) -> Counted | None:
@@ -294,8 +295,11 @@ def _lines(ax: Axes, every: Sequence[Counted], scaled: bool) -> None:
     ax.axhline(0.0, linestyle="--", color=GREY, linewidth=1, label="p = 1/2")
     ax.plot(fine, 0.25 / LN2 * of_line, color=GREEN, linewidth=0.8)
     finite = np.array([part.estimates["finite_size"].value for part in every], dtype=np.float64)
-    ax.plot(x, finite * scale, "D", color=GREEN, markersize=3.5, label="two-state blocks")
-    forms = (("time_shifted", "s", SMOOTHED, "white", "time-shifted"), ("excess", "o", EXACT, EXACT, "runs"))
+    ax.plot(x, finite * scale, "D", color=GREEN, markersize=3.5, label="two-state: finite size")
+    forms = (
+        ("time_shifted", "s", SMOOTHED, "white", "time-shifted: own dynamics too"),
+        ("excess", "o", EXACT, EXACT, "runs: coupling too"),
+    )
     for name, mark, colour, face, label in forms:
         estimates = [part.estimates[name] for part in every]
         ends = [(estimate.value, estimate.low, estimate.high) for estimate in estimates]
@@ -327,4 +331,4 @@ def by_number(axes: Sequence[Axes], every: Sequence[Counted]) -> None:
     top.set(ylabel=EXCESS)
     below.set(xlabel=VARIANCE, ylabel=SCALED)
     handles, names = below.get_legend_handles_labels()
-    below.figure.legend(handles, names, loc="outside upper center", ncols=4, columnspacing=1.0)
+    below.figure.legend(handles, names, loc="outside upper center", ncols=2, columnspacing=1.0)

@@ -234,7 +234,7 @@ def answer(study: Study) -> Answer:
     return Answer(
         findings=[*([] if drifting is None else [drifting]), *leading, *findings, *definitions.findings],
         n_lead=min(3, len(leading) + (drifting is not None)),
-        alerts=_alerts(study, lead),
+        alerts=_alerts(study, lead, [one.group for one in known]),
         tables={**tables, **definitions.tables},
         figures={**_figures(study, lead, drawn, sizes), **definitions.figures},
         method=_method(study),
@@ -396,13 +396,18 @@ def of_systems(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rate(whole)[:, 0], np.sqrt((PARTS - 1) / PARTS * np.sum(off**2, axis=1))
 
 
-def _alerts(study: Study, lead: Sums) -> list[Alert]:
-    """How runs of the lead ended that have no cascades, and where n_stick drifts."""
+def _alerts(study: Study, lead: Sums, known: Sequence[Group]) -> list[Alert]:
+    """How runs of the lead ended that have no cascades, of which groups survivors are known, where n_stick drifts."""
     level, ends, of = study.settings.confidence, lead.group.fates, len(lead.group)
-    n = {fate: int(np.count_nonzero(ends == fate)) for fate in (fates.COLLAPSED, fates.DIVERGED, fates.QUIET)}
+    n = {fate: int(np.count_nonzero(ends == fate)) for fate in (fates.COLLAPSED, fates.QUIET)}
+    grown = [group for group in known if fates.DIVERGED in group.fates]
+    n_grown = sum(int(np.count_nonzero(group.fates == fates.DIVERGED)) for group in grown)
+    where = ""
+    if grown and len(study.groups) > 1:
+        where = f" at {grown[0].label}" if len(grown) == 1 else f" at {len(grown)} settings"
     alerts = [
         Alert.of(Code.SETTLED, n=n[fates.COLLAPSED], of=of, what="the law of cascade sizes"),
-        Alert.of(Code.DIVERGED, n=n[fates.DIVERGED], of=of),
+        Alert.of(Code.DIVERGED, n=n_grown, of=sum(map(len, grown)), where=where),
         Alert.of(Code.UNCERTIFIED, n=n[fates.QUIET], of=of),
     ]
     found = [alert for alert in alerts if dict(alert.numbers)["n"]]
