@@ -7,7 +7,8 @@ from nothing else: `findings.words` says each kind, `levels` lays each out as ro
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import re
+from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from typing import NamedTuple, TypeAlias
 
@@ -168,6 +169,13 @@ class KeyChange(NamedTuple):
     first: str
     second: str
 
+    @property
+    def of_size(self) -> KeyChange:
+        """The same of absolute values, where both values are negative: |belt_speed| from 0.2 to 0.1."""
+        if not all(re.fullmatch(r"-[\d.]+(e[-+]?\d+)?", value) for value in (self.first, self.second)):
+            return self
+        return KeyChange(f"|{self.key}|", self.first[1:], self.second[1:])
+
 
 @dataclass(frozen=True)
 class Change:
@@ -202,6 +210,8 @@ class Share:
         In the plural: "starts", "runs".
     predicate : str
         A verb phrase in the plural: "settle into steady sliding".
+    n : int, optional
+        How many things there are.
     """
 
     key: str
@@ -211,6 +221,7 @@ class Share:
     where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
+    n: int | None = None
 
 
 @dataclass(frozen=True)
@@ -227,8 +238,6 @@ class Lifetime:
         The time to which runs were followed.
     share_left : float
         The share of runs that were cut off.
-    ended : str
-        What the others have done: "have grown without limit"; empty where the quantity says it.
     """
 
     quantity: Quantity
@@ -240,7 +249,6 @@ class Lifetime:
     where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
-    ended: str = ""
 
 
 class Fit(StrEnum):
@@ -439,9 +447,7 @@ def levels(finding: Finding) -> list[Level]:
     match finding:
         case Level():
             return [finding]
-        case Lifetime(quantity, things, ended=ended, estimate=estimate):
-            name = f"time by which half of the {things} {ended}" if ended else quantity.name
-            quantity = replace(quantity, name=name)
+        case Lifetime(quantity, estimate=estimate):
             return [Level(quantity, estimate, finding.where, finding.comparison, finding.basis)]
         case Share(key, things, predicate, estimate, where, comparison, basis):
             return [Level(_share(key, things, predicate), estimate, where, comparison, basis)]

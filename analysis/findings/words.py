@@ -93,12 +93,12 @@ def based_on(basis: Basis | None) -> str:
 
 
 def _share(share: Share) -> str:
-    if share.basis is not None and share.basis.n == 1 and share.estimate.value in (0.0, 1.0):
+    is_alone = share.basis is not None and share.basis.n == 1
+    if share.estimate.value in (0.0, 1.0) and (is_alone or (share.n is not None and share.comparison is None)):
         which = "all" if share.estimate.value else "none of the"
-        alone = (
-            f"{which} {share.things} {share.predicate}{share.where.tail} ({plural(1, share.basis.unit)}, no interval)"
-        )
-        return alone + _compared(share.comparison)
+        n = f" {share.n:,}" if share.n is not None and share.n > 1 else ""
+        alone = f" ({plural(1, share.basis.unit)}, no interval)" if is_alone and share.basis is not None else ""
+        return f"{which}{n} {share.things} {share.predicate}{share.where.tail}{alone}{_compared(share.comparison)}"
     said = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{share.where.tail}"
     if share.comparison is None or share.comparison.difference.verdict is not Verdict.OPEN:
         return said + _compared(share.comparison)
@@ -117,10 +117,12 @@ def _level(level: Level) -> str:
 
 
 def _in_clause(level: Level) -> str:
-    """What stands in the clause of a quantity; empty where its level is compared and no difference is shown."""
+    """What stands in the clause of a quantity; empty where a comparison is undecided."""
     if level.comparison is None:
         return with_interval(level.estimate, level.quantity.form)
     other, difference = level.comparison.other, level.comparison.difference
+    if difference.verdict is Verdict.EQUAL:
+        return f"the same as for {other} within {margin(difference, level.quantity.form)}"
     if difference.verdict not in (Verdict.MORE, Verdict.LESS):
         return ""
     if (times := ratio(difference)) is not None:
@@ -248,7 +250,7 @@ def _change(change: Change) -> str:
 
 def _along(change: Change) -> str:
     """What goes from where to where; of keys that are swept together, each."""
-    first, *others = change.keys
+    first, *others = (key.of_size for key in change.keys)
     return listed([
         f"{first.key} goes from {first.first} to {first.second}",
         *(f"{key.key} from {key.first} to {key.second}" for key in others),
@@ -309,11 +311,6 @@ def _lifetime(lifetime: Lifetime) -> str:
         left = "all" if lifetime.share_left == 1.0 else f"{number(lifetime.share_left, Form.SHARE)} of"
         at = Place.key("t", f"{lifetime.horizon:g}") + lifetime.where
         return f"{left} {lifetime.things} {lifetime.predicate}{at.tail}"
-    if lifetime.ended:
-        where, half = lifetime.where, f"half of the {lifetime.things}"
-        begin = half + where.tail if where.has_key else where.head + half
-        compared = _compared(lifetime.comparison, lifetime.quantity)
-        return f"{begin} {lifetime.ended} by t = {with_interval(lifetime.estimate)}{compared}"
     name = lifetime.quantity.name + lifetime.where.tail
     return f"{name}: {with_interval(lifetime.estimate)}{_compared(lifetime.comparison, lifetime.quantity)}"
 
@@ -322,13 +319,13 @@ def _law(law: Law) -> str:
     level = law.parameter
     quantity = level.quantity
     name, value = law.called or quantity.name, with_interval(level.estimate, quantity.form)
-    parameter = f"a {name} of {value}{_compared(level.comparison, quantity)}"
+    parameter = f"{name} {value}{_compared(level.comparison, quantity)}"
     match law.fit:
         case Fit.HOLDS:
-            return f"{level.where.head}{law.subject} {law.predicate}, with {parameter}"
+            return f"{level.where.head}{law.subject} {law.predicate}: {parameter}"
         case Fit.CLOSE:
             predicate = law.nearly or f"nearly {law.predicate}"
-            return f"{level.where.head}{law.subject} {predicate}, with {parameter}"
+            return f"{level.where.head}{law.subject} {predicate}: {parameter}"
         case Fit.FAILS:
             p = "" if law.p_value is None else f"p \u2264 {limit(law.p_value)}"
             far = "" if law.departure is None else _level(replace(law.departure, where=EVERYWHERE))
