@@ -18,7 +18,7 @@ from stickslip.analysis.ensemble import Numbers, Recorded, Until
 from stickslip.analysis.members import READ, Members
 from stickslip.analysis.page import FINDINGS, PAGE
 from stickslip.analysis.page.comparison import Ensemble, compare
-from stickslip.analysis.page.parts import Answered, Row, Said
+from stickslip.analysis.page.parts import NO_VALUE, Answered, Row, Said
 from stickslip.analysis.questions import renamed
 from stickslip.analysis.rows import frame_of
 from stickslip.analysis.session import defaults
@@ -232,9 +232,9 @@ def findings(where: Where) -> pd.DataFrame:
         raise StoreError(f"{opened.place}: expected {FINDINGS}, got no such file; `stickslip report DIR` writes it")
     try:
         rows = [
-            (Said(finding["question"], finding["leads"], finding["sentence"]), Row(**row))
+            (Said(finding["question"], finding["leads"], finding["sentence"]), row)
             for finding in json.loads(written)["findings"]
-            for row in finding["rows"]
+            for row in [Row(**values) for values in finding["rows"]] or [NO_VALUE]
         ]
         tables = frame_of(Said, (said for said, _ in rows)), frame_of(Row, (row for _, row in rows))
         return pd.concat(tables, axis="columns").drop(columns="form")

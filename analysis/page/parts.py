@@ -167,6 +167,10 @@ class Row(NamedTuple):
     form: str
 
 
+#: The row of a finding that states no value, as that something is lacking.
+NO_VALUE = Row("", "", None, None, None, "", None, None, None, "", None, "", None, "", "")
+
+
 def row(level: Level) -> Row:
     """The value of a quantity as a row."""
     estimate, comparison, basis = level.estimate, level.comparison, level.basis or Basis(0, "")
