@@ -97,7 +97,7 @@ def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
                 if start == 0 and end < len(settings):
                     value = f"up to {high.text}"
                 elif start > 0 and end == len(settings):
-                    value = f"from {low.text} on"
+                    value = f"≥ {low.text}"
             yield f"{low.name} with {low.symbol} {value}" if low.name else f"{low.symbol} {value}"
         start = end
 
@@ -105,9 +105,23 @@ def _ranges(settings: Sequence[tuple[Setting, bool]]) -> Iterator[str]:
 def forest(steps: Sequence[Step], what: str, name: str = "contrasts") -> dict[str, Picture]:
     """The figure of differences in per cent with their intervals, by its name; none of fewer than two."""
     rows = [step for step in steps if _in_per_cent(step) and step.contrast.difference.estimate.low is not None]
-    bands = "; bands are declared margins" * any(step.contrast.has_margin for step in rows)
-    picture = Picture(partial(differences, rows[:MOST_ROWS]), f"{what}, filled where one is shown{bands}.")
-    return {name: picture} if len(rows) > 1 else {}
+    if len(rows) < 2:
+        return {}
+    drawn = rows[:MOST_ROWS]
+    n_shown = sum(step.contrast.is_shown for step in drawn)
+    ends, widest = _axis(drawn)
+    bands = " Bands: declared margins." * any(step.contrast.has_margin for step in drawn)
+    cut = " Arrowheads: beyond the axis." * bool((np.abs(ends) > widest).any())
+    caption = f"{what}: {n_shown} of {len(drawn)} are significant (filled marks).{bands}{cut}"
+    return {name: Picture(partial(differences, drawn), caption)}
+
+
+def _axis(steps: Sequence[Step]) -> tuple[np.ndarray, float]:
+    """Differences with the ends of their intervals in per cent, shape (k, 3), and where the axis ends."""
+    estimates = [step.contrast.difference.estimate for step in steps]
+    ends = 100.0 * np.array([(one.value, one.low, one.high) for one in estimates], dtype=float)
+    reach = np.abs(ends).max(axis=1)
+    return ends, 1.08 * min(reach.max(), 4.0 * float(np.median(reach))) or 1.0
 
 
 def _in_per_cent(step: Step) -> bool:
@@ -119,7 +133,7 @@ def _in_per_cent(step: Step) -> bool:
 def differences(steps: Sequence[Step]) -> Figure:
     """Differences with their intervals: a line a statistic, a hue a setting, and declared margins as bands.
 
-    Marks are filled where a difference is shown. An arrowhead marks one beyond the axis.
+    Marks of significant differences are filled. An arrowhead marks one beyond the axis.
     """
     height = 1.2 + 0.14 * len(steps) + 0.16 * len({step.statistic for step in steps})
     return panel(height)(_differences)(steps)
@@ -128,10 +142,7 @@ def differences(steps: Sequence[Step]) -> Figure:
 def _differences(ax: Axes, steps: Sequence[Step]) -> None:
     names = list(dict.fromkeys(step.contrast.statistic.quantity.name for step in steps))
     settings = list(dict.fromkeys(str(step.where) for step in steps))
-    estimates = [step.contrast.difference.estimate for step in steps]
-    ends = 100.0 * np.array([(one.value, one.low, one.high) for one in estimates], dtype=float)
-    reach = np.abs(ends).max(axis=1)
-    widest = 1.08 * min(reach.max(), 4.0 * float(np.median(reach))) or 1.0
+    ends, widest = _axis(steps)
     ax.axvline(0, color=GREY, linewidth=0.8)
     for step, (value, low, high) in zip(steps, ends, strict=True):
         k, line = settings.index(str(step.where)), names.index(step.contrast.statistic.quantity.name)

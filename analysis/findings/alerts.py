@@ -30,12 +30,12 @@ class Code(Enum):
     TEMPORARY = 2, "In {n} of {of} runs no block sticks at the end, but sliding is unstable there."
     UNDECIDED = 2, "{n} of {of} runs are undecided; the column attractor_reason says why."
     SHORT = 3, "The runs are short: {what} rests on {n} {things} per run."
-    FEW = 3, "{n} {units} give a wide interval: more {units} would narrow it."
+    FEW = 3, "Only {n} {units}: intervals are wide."
     OVERLAP = (
         1,
-        "At least one block slips {share} of the time ({where}): episodes that overlap count as one; use {remedy}.",
+        "Some block is slipping {share} of the time ({where}), so overlapping episodes count as one: use {remedy}.",
     )
-    BLURRED = 1, "{what}: blocks that creep may count as stuck, so episodes cannot be counted and are left out."
+    BLURRED = 1, "{what}: creeping blocks may count as stuck, so episodes are not counted."
     SPANNING = 2, "{share} of the episodes take all {n} blocks: their sizes are those of the chain."
     ONE_SYSTEM = 2, "One system, many starts: intervals are over starts of this system."
 

@@ -7,6 +7,7 @@ from nothing else: `findings.words` says each kind, `levels` lays each out as ro
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from typing import NamedTuple, TypeAlias
@@ -167,6 +168,13 @@ class KeyChange(NamedTuple):
     key: str
     first: str
     second: str
+
+    @property
+    def of_size(self) -> KeyChange:
+        """The same of absolute values, where both values are negative: |belt_speed| from 0.2 to 0.1."""
+        if not all(re.fullmatch(r"-[\d.]+(e[-+]?\d+)?", value) for value in (self.first, self.second)):
+            return self
+        return KeyChange(f"|{self.key}|", self.first[1:], self.second[1:])
 
 
 @dataclass(frozen=True)

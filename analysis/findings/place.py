@@ -31,7 +31,7 @@ class Place:
 
     @classmethod
     def words(cls, text: str) -> Place:
-        """A place that has no key, as a method or "by every method"; everywhere, if the text is empty."""
+        """A place that has no key, as a method or "with every engine"; everywhere, if the text is empty."""
         return cls((("", text),)) if text else cls()
 
     def __add__(self, other: Place) -> Place:

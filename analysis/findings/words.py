@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from stickslip.analysis.findings.finding import (
     Alike,
@@ -28,7 +29,7 @@ from stickslip.analysis.findings.finding import (
     Verdict,
 )
 from stickslip.analysis.findings.numbers import bare, decimals, is_exact, limit, number, signs, span, with_interval
-from stickslip.analysis.findings.place import Place
+from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.stats.estimates import Estimate
 
 
@@ -116,10 +117,12 @@ def _level(level: Level) -> str:
 
 
 def _in_clause(level: Level) -> str:
-    """What stands in the clause of a quantity; empty where its level is compared and no difference is shown."""
+    """What stands in the clause of a quantity; empty where a comparison is undecided."""
     if level.comparison is None:
         return with_interval(level.estimate, level.quantity.form)
     other, difference = level.comparison.other, level.comparison.difference
+    if difference.verdict is Verdict.EQUAL:
+        return f"the same as for {other} within {margin(difference, level.quantity.form)}"
     if difference.verdict not in (Verdict.MORE, Verdict.LESS):
         return ""
     if (times := ratio(difference)) is not None:
@@ -150,9 +153,9 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
             return f"; no difference from {other} is shown ({interval(difference, form)})"
         case Verdict.OPEN_AMONG_MANY:
             apart = interval(difference, form)
-            return f"; difference from {other}: {apart}, not significant among {_n_tests(difference)}"
+            return f"; difference from {other}: {apart}, not significant after adjustment for {_n_tests(difference)}"
         case Verdict.UNJUDGED:
-            return f", beside {other}, without an interval"
+            return f", compared with {other}, without an interval"
 
 
 def ratio(difference: Difference) -> str | None:
@@ -174,7 +177,7 @@ def difference_in_words(difference: Difference, form: Form = Form.NUMBER) -> tup
     text = _signed(difference, form)
     if verdict is Verdict.EQUAL:
         return text, f"equal within {margin(difference, form)}"
-    return text, "not significant among all comparisons" * (verdict is Verdict.OPEN_AMONG_MANY)
+    return text, "not significant after adjustment" * (verdict is Verdict.OPEN_AMONG_MANY)
 
 
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:
@@ -238,7 +241,8 @@ def _change(change: Change) -> str:
         case Verdict.OPEN:
             return f"{quantity.name} {_open(change)}) {along}"
         case Verdict.OPEN_AMONG_MANY:
-            return f"{quantity.name} {_open(change)}, not significant among {_n_tests(difference)}) {along}"
+            tests = _n_tests(difference)
+            return f"{quantity.name} {_open(change)}, not significant after adjustment for {tests}) {along}"
         case Verdict.UNJUDGED:
             few = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)}, no interval"
             return f"{quantity.name} goes {_from_to(change)} {along}{few}"
@@ -246,7 +250,7 @@ def _change(change: Change) -> str:
 
 def _along(change: Change) -> str:
     """What goes from where to where; of keys that are swept together, each."""
-    first, *others = change.keys
+    first, *others = (key.of_size for key in change.keys)
     return listed([
         f"{first.key} goes from {first.first} to {first.second}",
         *(f"{key.key} from {key.first} to {key.second}" for key in others),
@@ -315,16 +319,16 @@ def _law(law: Law) -> str:
     level = law.parameter
     quantity = level.quantity
     name, value = law.called or quantity.name, with_interval(level.estimate, quantity.form)
-    parameter = f"a {name} of {value}{_compared(level.comparison, quantity)}"
+    parameter = f"{name} {value}{_compared(level.comparison, quantity)}"
     match law.fit:
         case Fit.HOLDS:
-            return f"{level.where.head}{law.subject} {law.predicate}, with {parameter}"
+            return f"{level.where.head}{law.subject} {law.predicate}: {parameter}"
         case Fit.CLOSE:
             predicate = law.nearly or f"nearly {law.predicate}"
-            return f"{level.where.head}{law.subject} {predicate}, with {parameter}"
+            return f"{level.where.head}{law.subject} {predicate}: {parameter}"
         case Fit.FAILS:
             p = "" if law.p_value is None else f"p \u2264 {limit(law.p_value)}"
-            far = "" if law.departure is None else _level(law.departure)
+            far = "" if law.departure is None else _level(replace(law.departure, where=EVERYWHERE))
             apart = "; ".join(filter(None, (far, p)))
             return f"{level.where.head}{law.subject} do not {law.predicate}" + f" ({apart})" * bool(apart)
         case Fit.OPEN:
@@ -368,6 +372,8 @@ def _outcomes(outcomes: Outcomes) -> str:
             said.append(f"{few} to tell {undecided} from {other}{scope}")
     is_distance = largest is not None and largest.comparison is None
     apart = "" if largest is None or (outcomes.different and not is_distance) else _most_apart(largest)
+    if apart and outcomes.undecided and outcomes.at_largest not in ("", *outcomes.undecided):
+        apart += f", for {outcomes.at_largest}"
     return "; ".join(said) + apart
 
 
@@ -396,11 +402,11 @@ def _most_apart(level: Level) -> str:
     if value is None or after is None:
         return ""
     if difference.verdict is Verdict.EQUAL:
-        return f"; largest difference {_signed(difference, form)}"
+        return f"; largest difference {_signed(difference, form)}, in the {name}"
     is_one_of_many = difference.verdict is Verdict.OPEN_AMONG_MANY
-    n = f", not significant among {_n_tests(difference)}" if is_one_of_many else ""
+    n = f", not significant after adjustment for {_n_tests(difference)}" if is_one_of_many else ""
     if difference.scale is Scale.RELATIVE:
-        return f": {level.quantity.things or name} {_signed(difference, form)}{n}"
+        return f"; largest difference {_signed(difference, form)}, in the {name}{n}"
     places = 0 if form is Form.SHARE else decimals(Estimate(max(abs(after), abs(after - value))), form)
     ends = f"{name} {number(after, form, places)} against {number(after - value, form, places)}"
     if difference.verdict is Verdict.UNJUDGED:

@@ -33,7 +33,13 @@ LONG = 100_000  # rows from which on a table is for programs alone: no CSV
 MOST_SAID = 3  # answers on the first screen
 MOST_ALERTS = 3  # in order of rank
 #: What columns of the table of groups are called on a page.
-CALLED = {"group": "setting", "matrices": "systems", "members": "runs", "quiet": "sliding, not certified"}
+CALLED = {
+    "group": "setting",
+    "matrices": "systems",
+    "members": "runs",
+    "finished": "reached t_end",
+    "quiet": "sliding, not certified",
+}
 #: How many of what a group has.
 COUNTS: Mapping[str, Callable[[Group], int | None]] = {
     "matrices": lambda group: group.column("matrix").nunique(),
@@ -218,10 +224,9 @@ def _provenance(
     """How the page was made: settings, what could not be answered, and where the data come from."""
     settings, units = study.settings, f"{noun(study.unit)}s" + " of one system" * (study.unit == START)
     texts = [
-        f"Statistics use t = {settings.t_burn:g} to the end of each run. Intervals are at "
-        f"{100 * settings.confidence:g}%, over {units}, which are independent; of shares they are "
-        "Wilson's, of survival Greenwood's, else from leaving out one of these at a time. Quantities are "
-        "dimensionless.",
+        f"Statistics use t = {settings.t_burn:g} to the end of each run. Intervals are {100 * settings.confidence:g}%"
+        f" intervals over independent {units}: Wilson for shares, Greenwood for survival, jackknife otherwise."
+        " Quantities are dimensionless.",
         *(f"Not answered: {part.title} {text}" for part in lacking for text in part.lead),
     ]
     notes = [

@@ -39,11 +39,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Opened:
-    """A dataset at one moment: where it lies, its scene, and its manifest with what the record adds to it."""
+    """A dataset at one moment: where it lies, its scene, and its manifest with what the record adds to it.
+
+    With `is_part` the manifest lists some shards of a dataset whose packing and design were checked as a whole.
+    """
 
     place: Place
     scene: Scene
     manifest: Manifest
+    is_part: bool = False
 
     def __getstate__(self) -> dict[str, Any]:
         """What goes to another process: its tasks, that a worker gets without their numbering, are planned there."""
@@ -112,7 +116,8 @@ class Opened:
         import pyarrow.dataset as ds  # it loads pandas
 
         names = sorted(self.manifest.shards) if names is None else list(names)
-        self.tasks  # noqa: B018  refuses a manifest that says something else than its scene
+        if not self.is_part:
+            self.tasks  # noqa: B018  refuses a manifest that says something else than its scene
         self.check(names)
         checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
         with reading(self.place):

@@ -1,6 +1,7 @@
 """Slow common motion: closed forms against integrals; what was planted comes back, and nothing else."""
 
 import dataclasses
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -226,7 +227,7 @@ def test_a_power_is_said_where_it_is_one(rng):
     assert apart.p_apart < 0.01
     assert apart.finding(0.05).fit is Fit.FAILS
     said = sentence(dataclasses.replace(apart.finding(0.05), fit=Fit.HOLDS))
-    assert said.startswith("At |n| = 50 to 200, natural periods follow a power law in |n|, with a power of ")
+    assert said.startswith("At |n| = 50 to 200, natural periods follow a power law in |n|: power ")
 
 
 def test_changes_are_those_planted(rng):
@@ -281,9 +282,11 @@ def study_of(planted, runs, t_burn=20.0):
 def test_a_common_mode_of_blocks_is_said_with_its_share_and_the_goodness_of_its_fit(planted, rng):
     study = study_of(planted, [studies.blocks_run(rng, depth=0.6, period=80.0) for _ in range(12)])
     found = collective.answer(study)
-    share = found.findings[0]
-    assert isinstance(share, Share)
-    assert "of the variance of n_stick is due to slow common motion" in sentence(share)
+    assert re.match(
+        r"Slow common motion with a natural period of .* accounts for \d+% of", sentence(found.findings[0])
+    )
+    share = next(finding for finding in found.findings if isinstance(finding, Share) and finding.key == "share")
+    assert "of the variance of the number of sticking blocks is due to slow common motion" in sentence(share)
     motion = slow_motion(study, study.groups[0])
     levels = [finding for finding in found.findings if isinstance(finding, Level)]
     value_of = {level.quantity.key: level.estimate.value for level in levels}

@@ -130,7 +130,7 @@ def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
     figure = answer.figures["counting"].recipe()
     assert [ax.get_ylabel() for ax in figure.axes] == [counting.EXCESS, counting.SCALED]
     labels = {text.get_text() for text in figure.legends[0].texts}
-    assert labels == {"fair coin", "two-state blocks", "time-shifted", "runs"}
+    assert labels == {"p = 1/2", "two-state blocks", "time-shifted", "runs"}
     one = counting.question(coupled_blocks(planted, (40,), 0.1, rng))
     (axes,) = one.figures["counting"].recipe().axes
     assert len(axes.lines[0].get_xdata()) == 8

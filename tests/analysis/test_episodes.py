@@ -612,7 +612,7 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
     answer = asked(data, settings)
     different, undecided = of_kind(answer, Outcomes)
     assert answer.findings[:2] == [different, undecided]
-    assert (different.other, different.different) == ("exact", ("sigmoid with eps from 1e-3 on",))
+    assert (different.other, different.different) == ("exact", ("sigmoid with eps ≥ 1e-3",))
     assert (different.at_largest, different.largest.comparison.difference.estimate.value) == (
         "sigmoid with eps = 0.01", -1.0
     )  # fmt: skip

@@ -118,7 +118,7 @@ def test_sentences():
     law = Level(GAMMA, Estimate(0.6998, 0.697, 0.7022), comparison=Comparison("a fair coin's ln 2", ratio))
     assert sentence(law) == "Decay rate: 0.6998 (0.6970 to 0.7022), 0.95% (0.61 to 1.31%) above a fair coin's ln 2."
     assert sentence(Law("cascade sizes", "fall off exponentially", law)) == (
-        "Cascade sizes fall off exponentially, with a decay rate of 0.6998 (0.6970 to 0.7022), "
+        "Cascade sizes fall off exponentially: decay rate 0.6998 (0.6970 to 0.7022), "
         "0.95% (0.61 to 1.31%) above a fair coin's ln 2."
     )
     often = Comparison("shifted blocks", Difference(Estimate(10.4, 4.84, 21.3)))

@@ -1,6 +1,7 @@
 """The law of cascade sizes: planted laws and couplings, and the findings that come of them."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pandas as pd
@@ -52,7 +53,7 @@ def verdict(level):
     return level.comparison.difference.verdict
 
 
-def test_an_exponential_is_told_to_be_one_in_most_cases(planted, settings, rng):
+def test_a_geometric_law_is_told_to_be_one_in_most_cases(planted, settings, rng):
     studies_of = [study_of(planted, settings, studies.geometric(0.7, 100), rng) for _ in range(8)]
     fits = [law_of(cascades.answer(study)).fit for study in studies_of]
     assert agrees(fits.count(Fit.HOLDS), len(fits), 0.95)
@@ -68,16 +69,16 @@ def test_an_exponential_is_told_to_be_one_in_most_cases(planted, settings, rng):
         pytest.param(np.arange(1.0, 101) ** -2.5, Fit.FAILS, Verdict.MORE, 1.0, id="power law"),
     ],
 )
-def test_the_variance_tells_other_laws_from_an_exponential(planted, settings, rng, law, fit, side, error):
+def test_the_variance_tells_other_laws_from_a_geometric_one(planted, settings, rng, law, fit, side, error):
     law = law[:100] / law[:100].sum()
     answer = cascades.answer(study_of(planted, settings, law, rng))
     assert law_of(answer).fit is fit
-    departure = found(answer, "variance", "an exponential's")
+    departure = found(answer, "variance", cascades.GEOMETRIC)
     assert departure == law_of(answer).departure
     assert verdict(departure) is side
     assert departure.comparison.difference.estimate.value == pytest.approx(studies.excess_of(law), abs=ERRORS * error)
     said = sentence(answer.findings[0])
-    assert ("do not fall off" if fit is Fit.FAILS else "do not quite fall off exponentially") in said
+    assert ("do not fall off" if fit is Fit.FAILS else "fall off nearly geometrically: decay rate ") in said
 
 
 @pytest.mark.parametrize(
@@ -103,11 +104,11 @@ def test_rates_are_equal_only_within_a_margin_that_the_scene_declares(planted, s
     assert verdicts[0] is verdicts[2] is not Verdict.EQUAL
 
 
-def test_a_smallest_size_leaves_smaller_cascades_out_and_an_exponential_one(planted, settings, rng):
+def test_a_smallest_size_leaves_smaller_cascades_out_and_a_geometric_law(planted, settings, rng):
     law = studies.geometric(0.7, 100)
     law[0] *= 3
     study = study_of(planted, settings, law, rng)
-    assert verdict(found(cascades.answer(study), "variance", "an exponential's")) is Verdict.MORE
+    assert verdict(found(cascades.answer(study), "variance", cascades.GEOMETRIC)) is Verdict.MORE
     cut = cascades.answer(Study(study.data, dataclasses.replace(settings, smallest=2)))
     row = cut.tables["law"].iloc[0]
     assert row["gamma"] == pytest.approx(0.7, abs=0.06)
@@ -122,9 +123,11 @@ def test_coupling_makes_the_planted_part_of_the_excess(planted, rng):
     coupled, alone = (
         cascades.answer(coupled_blocks(planted, (20,), pull, rng, matrices=20, changes=9000)) for pull in (0.1, 0.0)
     )
-    row, left = coupled.tables["law"].iloc[0], found(coupled, "excess_shifted")
-    assert left.estimate.value == pytest.approx(row["gamma_shifted"] / LN2 - 1)
-    assert verdict(found(coupled, "gamma", cascades.SHIFTED)) is Verdict.MORE
+    row, shifted = coupled.tables["law"].iloc[0], found(coupled, "gamma", cascades.SHIFTED)
+    assert verdict(shifted) is Verdict.MORE
+    assert re.fullmatch(r"The decay rate is .*% \(.*%\) more than for time-shifted blocks\.", sentence(shifted))
+    others = [level.comparison.other for level in coupled.findings[1 : coupled.n_lead]]
+    assert others == [cascades.TWO_STATE, cascades.SHIFTED]
     assert row["gamma_pool"] == pytest.approx(pool.gamma(20, 6.0), abs=0.01)
     assert alone.tables["law"]["over_shifted"][0] == pytest.approx(0.0, abs=0.02)
 

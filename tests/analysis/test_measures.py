@@ -88,7 +88,7 @@ def test_a_recorded_number_leads_in_its_words(recorded, settings):
     steep = recorded({"never_left": lambda rng, matrix, v: 10 + matrix + 50 * v})
     text = said(changes_of(Study(steep, settings)))
     assert re.match(r"Mean never_left rises from \S+ to \S+, by ", text)
-    assert text.endswith(" as belt_speed goes from \u22120.3 to \u22120.1.")
+    assert text.endswith(" as |belt_speed| goes from 0.3 to 0.1.")
     page = build(steep, settings, "Own", "", {})
     assert next(iter(page.figures)) == "sweep_of_never_left"
     assert page.headline[1].startswith("Mean never_left")
@@ -376,7 +376,7 @@ def test_a_change_at_some_values_of_another_key_says_at_which(recorded, settings
     )
     data = replace(data, recorded={"period": data.recorded["period"]._replace(absent="not on a cycle")})
     answer = changes_of(Study(data, settings))
-    assert said(answer).endswith("as belt_speed goes from \u22120.3 to \u22120.1 at kappa = 0.1.")
+    assert said(answer).endswith("as |belt_speed| goes from 0.3 to 0.1 at kappa = 0.1.")
     places = {one.keys[0].key: str(one.where) for one in answer.findings[: answer.n_lead]}
     assert places == {"belt_speed": "kappa = 0.1", "kappa": "belt_speed = -0.3"}
     whole = recorded({"amplitude": lambda _, matrix, v, k: 3 + v + 0.01 * matrix}, axes=axes)

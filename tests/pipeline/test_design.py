@@ -206,7 +206,7 @@ import json, sys
 from functools import cache
 from pathlib import Path
 from stickslip.pipeline.dataset import program as module
-from stickslip.pipeline.dataset.program import program
+from stickslip.pipeline.dataset.program import program, version_of
 words = module._words
 module._words = cache(lambda source: tuple(words(source)))  # of 150 files, each change is of one
 print(program())
@@ -216,7 +216,7 @@ for name, old, new in json.loads(sys.argv[1]):
     source = file.read_text() if file.exists() else ""
     assert old is None or old in source, (name, old)
     file.write_text(source + new if old is None else source.replace(old, new, 1))
-    program.cache_clear()
+    version_of.cache_clear()
     print(program())
 """
     found = subprocess.run(

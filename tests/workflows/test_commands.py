@@ -47,8 +47,8 @@ def test_run_leaves_data_and_a_report(dataset, capsys):
     assert "<scene>" not in page
     assert "http://" not in page.replace("http://www.w3.org", "")  # self-contained: nothing is fetched
     assert "https://" not in page
-    law = pd.read_parquet(dataset / "report" / "law.parquet")
-    assert {"coulomb", "sigmoid"} <= set(law["engine"])
+    groups = pd.read_parquet(dataset / "report" / "groups.parquet")
+    assert {"coulomb", "sigmoid"} <= set(groups["engine"])
 
 
 def test_a_report_of_blocks_that_are_driven_and_barred(here, tmp_path, capsys):

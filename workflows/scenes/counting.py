@@ -1,8 +1,8 @@
-"""Why the decay rate of cascade sizes is not that of a fair coin: finite size, blocks' own dynamics, coupling.
+"""Why the decay rate of cascade sizes is not ln 2: finite size, blocks' own dynamics, coupling.
 
     gamma / ln 2 - 1 = finite size + own dynamics + coupling
 
-    finite size     pool - coin       as many two-state blocks, of which finitely many can let go (`models.pool`)
+    finite size     pool - ln 2       as many two-state blocks, of which finitely many can let go (`models.pool`)
     own dynamics    shifted - pool    the runs' own blocks, which have dynamics of their own, but ignore each other
     coupling        runs - shifted    what shifting each block's series in time breaks (`nulls.rotated`)
 
@@ -136,21 +136,24 @@ def question(study: Study) -> Answer | None:
     slope = Comparison("independent two-state blocks", Difference(lead.estimates["rise_over_two_state"]))
     basis = Basis(len(lead.rows), unit)
     findings.append(Level(RISE, lead.estimates["rise"], _where(lead, is_swept), slope, basis))
-    return Answer(findings=findings, figures={"counting": _picture(alike, lead)})
+    return Answer(findings=findings, figures={"counting": _picture(alike, lead, unit)})
 
 
-def _picture(every: Sequence[Counted], lead: Counted) -> Picture:
+def _picture(every: Sequence[Counted], lead: Counted, unit: str) -> Picture:
     """The excess of several numbers of blocks, or the coupling of each system of one."""
     if len(every) == 1:
         coupling = lead.estimates["coupling"]
+        n_above = sum((one.value or 0.0) > 0.0 for one in lead.couplings)
         recipe = partial(forest, lead.couplings, coupling, "coupling, relative to ln 2", (0.0, "none"))
-        return Picture(recipe, "Coupling in each system, and in all together with its interval (diamond, band).")
+        return Picture(
+            recipe,
+            f"Coupling is positive in {n_above} of {len(lead.couplings)} {unit}s; diamond and band: all together.",
+        )
     faint = "" if all(part.is_judged for part in every) else " Faint: not in a steady state."
     return Picture(
         partial(by_number, every),
-        "Coupling is the distance of the runs from time-shifted blocks; line and diamonds: the same "
-        f"number of independent two-state blocks, of which a share p sticks. "
-        f"Below, times n p (1 − p): finite size is level.{faint}",
+        "Coupling sets runs apart from time-shifted blocks, and each block's own dynamics time-shifted from "
+        f"two-state blocks. Below: times n p (1 − p), which levels finite size; a share p sticks.{faint}",
     )
 
 
@@ -288,7 +291,7 @@ def _lines(ax: Axes, every: Sequence[Counted], scaled: bool) -> None:
     x, is_judged = np.array([part.variance for part in every]), np.array([part.is_judged for part in every])
     fine = np.geomspace(x.min() / 1.5, x.max() * 1.5, 60)
     scale, of_line = (x, np.ones(len(fine))) if scaled else (np.ones(len(x)), 1 / fine)
-    ax.axhline(0.0, linestyle="--", color=GREY, linewidth=1, label="fair coin")
+    ax.axhline(0.0, linestyle="--", color=GREY, linewidth=1, label="p = 1/2")
     ax.plot(fine, 0.25 / LN2 * of_line, color=GREEN, linewidth=0.8)
     finite = np.array([part.estimates["finite_size"].value for part in every], dtype=np.float64)
     ax.plot(x, finite * scale, "D", color=GREEN, markersize=3.5, label="two-state blocks")

@@ -42,12 +42,15 @@ KEYS = ("n", "kappa", "rho", "belt_speed")
 NUMBERS = {
     Number.PERIOD: Quantity("period", "natural period of slow common motion", more="longer", less="shorter"),
     Number.QUALITY: Quantity("quality", "Q of slow common motion"),
-    Number.SHARE: Quantity("share", "share of the variance of n_stick that is due to slow common motion", Form.SHARE),
+    Number.SHARE: Quantity(
+        "share",
+        "share of the variance of the number of sticking blocks that is due to slow common motion",
+        Form.SHARE,
+    ),
 }
 _PLURAL = {
     Number.PERIOD: "natural periods", Number.QUALITY: "values of Q", Number.SHARE: "shares of the variance",
 }  # fmt: skip
-EXPONENT = Quantity("exponent", "power")
 LEAST_POINTS = 3  # to fit a power
 LEAST_FACTOR = 2.0  # least ratio of the largest to the smallest value of a key, to speak of a power of it
 WHAT = "changes of slow common motion"
@@ -84,11 +87,13 @@ class Power(NamedTuple):
         where = Place.key(f"|{self.key}|", f"{shown(self.first_value)} to {shown(self.last_value)}")
         fit = Fit.HOLDS if min(self.p_misfit, self.p_apart) >= alpha else Fit.FAILS
         law = f"follow a power law in |{self.key}|"
-        return Law(_PLURAL[self.number], law, Level(EXPONENT, self.exponent, where), fit)
+        name = f"exponent of the {NUMBERS[self.number].name} in |{self.key}|"
+        exponent = Level(Quantity("exponent", name), self.exponent, where)
+        return Law(_PLURAL[self.number], law, exponent, fit, called="power")
 
 
 def question(study: Study) -> Answer:
-    """How does slow common motion depend on what is swept?
+    """How does slow common motion depend on the number of blocks and the speed of the belt?
 
     The last value of a key is compared with the first, all else equal, with intervals from leaving out one system
     everywhere at once, and adjusted for the number of comparisons. A power is fitted by weighted least squares of
@@ -105,16 +110,36 @@ def question(study: Study) -> Answer:
         return Answer(findings=[Lack(WHAT, Reason.ONE_VALUE if slow else Reason.NOT_SHOWN)])
     confidence, basis = study.settings.confidence, Basis(max(len(motion.units) for motion in slow), systems(study))
     changed = changes(lines, basis, confidence)
-    changed.sort(key=lambda change: change.difference.verdict not in (Verdict.MORE, Verdict.LESS))
+    changed.sort(key=_rank)
     powers = [power for key in KEYS for name in NUMBERS if (power := power_law(name, key, lines, confidence))]
     wide = [power for power in powers if power.last_value >= LEAST_FACTOR * power.first_value]
-    findings: list[Finding] = [*changed, *(power.finding(1 - confidence) for power in wide)]
+    laws = [power.finding(1 - confidence) for power in wide]
+    findings: list[Finding] = [*changed, *(law for law in laws if law.fit is Fit.HOLDS)]
     for motion in slow:
         period = motion.fit.estimates[Number.PERIOD]
         findings.append(Level(NUMBERS[Number.PERIOD], period, Place.of(motion.group.name), basis=basis))
     drawn = [line for line in lines if line.key == lines[0].key]
-    caption = f"How the natural period of slow common motion changes along {drawn[0].key}, with intervals."
+    caption = f"{_trend(changed, drawn[0].key)}. Bars are {100 * confidence:g}% intervals."
     return Answer(findings=findings, n_lead=2, figures={"rhythm_period": Picture(partial(periods, drawn), caption)})
+
+
+def _rank(change: Change) -> tuple[bool, int, float]:
+    """Sorts changes: those that are shown come first, then natural periods, then the largest."""
+    is_shown = change.difference.verdict in (Verdict.MORE, Verdict.LESS)
+    number = [*NUMBERS.values()].index(change.quantity)
+    return not is_shown, number, -abs(change.difference.estimate.value or 0.0)
+
+
+def _trend(changed: Sequence[Change], key: str) -> str:
+    """What the figure of natural periods along a key shows."""
+    period = NUMBERS[Number.PERIOD]
+    along = [change for change in changed if (change.quantity, change.keys[0].key) == (period, key)]
+    verdicts = {change.difference.verdict for change in along} & {Verdict.MORE, Verdict.LESS}
+    size = along[0].keys[0].of_size.key  # of negative values
+    if len(verdicts) != 1:
+        return f"The {period.name} shows no one trend with {size}"
+    rises = (verdicts == {Verdict.MORE}) == (size == key)
+    return f"The {period.name} {'rises' if rises else 'falls'} with {size}"
 
 
 # --------------------------------------------------------------------------------------------------- changes
@@ -217,13 +242,15 @@ def _p_apart(slopes: np.ndarray) -> float:
 @panel()
 def periods(ax: Axes, lines: Sequence[Along]) -> None:
     """Natural period along one key, one line for each setting of the others."""
+    is_negative = all(float(motion.group.key[line.key]) < 0 for line in lines for motion in line.groups)
+    sign = -1.0 if is_negative else 1.0
     for k, line in enumerate(lines):
-        x = [float(motion.group.key[line.key]) for motion in line.groups]
+        x = [sign * float(motion.group.key[line.key]) for motion in line.groups]
         estimates = [motion.fit.estimates[Number.PERIOD] for motion in line.groups]
         known = np.array([(period.value, period.low, period.high) for period in estimates], dtype=np.float64)
         y, off = known[:, 0], np.abs(known[:, 1:] - known[:, :1]).T
         colour, form = (EXACT, SMOOTHED, GREEN, PURPLE, ORANGE)[k % 5], f"{'os^Dv'[k % 5]}-"
         ax.errorbar(x, y, off, fmt=form, color=colour, markersize=3.5, linewidth=0.9, label=str(line.at))
-    ax.set(xlabel=lines[0].key, ylabel="natural period")
+    ax.set(xlabel=f"|{lines[0].key}|" if is_negative else lines[0].key, ylabel="natural period")
     if len(lines) > 1:
         ax.figure.legend(loc="outside lower center", ncols=2)

@@ -44,9 +44,16 @@ _NOUNS: Mapping[Kind, str] = {
 }
 _BY_THRESHOLD = ("mean", "rate", "gamma")
 _METHOD = (
-    "Each system is compared with itself. A setting agrees if each statistic with a margin that the scene declares is"
-    " within, and no difference is shown; verdicts are adjusted for the comparisons with one reference (Holm)."
+    "Each system is compared with itself. Two settings agree if every statistic with a declared margin differs by"
+    " less than its margin and no difference is significant; verdicts are adjusted for the comparisons with one"
+    " reference (Holm)."
 )
+#: What counts as sticking under a smoothed law, where further thresholds are compared.
+_CRITERIA = {
+    "manifold": " Smoothed blocks stick while they are on the slow manifold; with a threshold, while |w - v| <"
+    " threshold eps.",
+    "threshold": " Smoothed blocks stick while |w - v| < threshold eps.",
+}
 #: Sums of each statistic of the runs of a group, by its label, under a further threshold of sticking.
 _Thresholds: TypeAlias = Mapping[tuple[str, float], Mapping[str, UnitSums]]
 
@@ -93,12 +100,16 @@ def section(study: Study) -> Section | None:
             in_figure = in_figure or steps_beside
     figures = forest(in_figure, "Differences from the reference")
     lack = few("how far the engines differ", max(step.contrast.n_first for step in steps))
-    return Section(lack, steps, lead, levels, _suspects(judged), figures, method=_METHOD)
+    criteria = {str(pair.group.key["stick"]) for pair in pairs if pair.threshold is not None}
+    method = _METHOD + "".join(_CRITERIA.get(stick, "") for stick in sorted(criteria)[:1])
+    return Section(lack, steps, lead, levels, _suspects(judged), figures, method=method)
 
 
 def _steps(study: Study, pair: _Pair, where: Place, thresholds: _Thresholds) -> Iterator[Step]:
     """Each statistic of a pair; one by one, as sums of all take more memory than all that is known of the runs."""
     name, keys, measures = _setting(pair, study.groups), tuple[KeyChange, ...](), [*of_windows(study), *ENDS]
+    if pair.kind is Kind.LAW and thresholds and pair.group.key["stick"] == "manifold":
+        name = name._replace(name=f"{name.name} (sticking on the slow manifold)")
     if pair.threshold is not None:
         threshold, measures = f"{pair.threshold:g}", of_windows(study, _BY_THRESHOLD)
         keys = (KeyChange(Kind.THRESHOLD.value, "", threshold),)

@@ -14,7 +14,7 @@ from matplotlib.ticker import FixedLocator, MaxNLocator
 from stickslip.analysis.answer import Picture
 from stickslip.analysis.findings.finding import Verdict
 from stickslip.analysis.findings.numbers import signs
-from stickslip.analysis.findings.words import capital
+from stickslip.analysis.findings.words import capital, listed
 from stickslip.analysis.grid import Grid, points_at
 from stickslip.analysis.measures import IN_MOTION, KEYS, Measure
 from stickslip.analysis.models.fates import MOVING
@@ -40,7 +40,11 @@ def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step]) -> dict[str
     if len(axes) > 1 and len(axes[1].rows) > max(MOST_LINES, len(axes[0].rows)):
         axes[:2] = axes[1::-1]  # a line for each of the few values, not of the many
     axis, points = axes[0], grid.points[lead]
-    along = f"{axis.name}{grid.where[lead].tail if len(axes) > 1 else ''}"
+    tail = grid.where[lead].tail if len(axes) > 1 else ""
+    x, is_negative = axis.x, len(axis.keys) == 1 and axis.x is not None and max(axis.x) < 0.0
+    if x is not None and is_negative:  # a belt's speed is how fast it is
+        x = [-value for value in x]
+    key = f"|{axis.name}|" if is_negative else axis.name
     by_name = {measure.name: measure for measure in grid.asked}
     pictures: dict[str, Picture] = {}
     for name in order[:MOST_FIGURES]:
@@ -49,24 +53,36 @@ def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step]) -> dict[str
             counts = {end: [sum(point.fates[end] for point in at_value) for at_value in at_values] for end in FATES}
             if any(any(numbers) for end, numbers in counts.items() if end not in MOVING):
                 recipe = partial(shares, axis.name, axis.texts, counts)
-                pictures["sweep_fates"] = Picture(recipe, f"How runs end, along {along}: shares of all runs.")
+                pictures["sweep_fates"] = Picture(
+                    recipe, f"How runs end, along {axis.name}{tail}: shares of all runs."
+                )
             continue
         lines = _lines(grid, axes, by_name[name])
         if sum(estimate.value is not None for _, line in lines for estimate in line) > 1:
-            title, key = by_name[name].statistic.quantity.name, by_name[name].key
-            trend = _trend([step for step in steps if (step.statistic, step.setting) == (name, lead)], axis)
-            caption = f"{capital(title)} {trend} {along}. Bars are {100 * grid.confidence:g}% intervals."
-            recipe = partial(curves, title, axis.name, axis.x, axis.texts, lines)
-            pictures[f"sweep_{key}" if name in KEYS else f"sweep_of_{key}"] = Picture(recipe, caption)
+            title, file = by_name[name].statistic.quantity.name, by_name[name].key
+            drawn = grid.settings[:1] if len(axes) > 1 else grid.settings[:MOST_LINES]
+            along = [step for step in steps if (step.statistic, step.key_names) == (name, axis.keys)]
+            trend = _trend(grid, [step for step in along if step.setting in drawn], key, is_negative)
+            caption = f"{capital(title)} {trend}{tail}. Bars are {100 * grid.confidence:g}% intervals."
+            recipe = partial(curves, title, key, x, axis.texts, lines)
+            pictures[f"sweep_{file}" if name in KEYS else f"sweep_of_{file}"] = Picture(recipe, caption)
     return pictures
 
 
-def _trend(steps: Sequence[Step], axis: Axis) -> str:
-    """What a figure of a statistic along an axis shows: a verb and a preposition."""
-    shown = {step.contrast.verdict for step in steps if step.key_names == axis.keys and step.contrast.is_shown}
-    if len(shown) != 1:
-        return "against"
-    return "rises with" if shown == {Verdict.MORE} else "falls with"
+def _trend(grid: Grid, steps: Sequence[Step], key: str, is_negative: bool) -> str:
+    """What a figure of a statistic along a key shows; of negative values, with their size."""
+    shown = [step for step in steps if step.contrast.is_shown]
+    verdicts = {step.contrast.verdict for step in shown}
+    if not steps:
+        return f"against {key}"
+    if not verdicts:
+        return f"shows no significant change with {key}"
+    if len(verdicts) > 1:
+        return f"changes in both directions along {key}"
+    settings = [*dict.fromkeys(step.setting for step in steps)]
+    at = [grid.where[setting].noun for setting in settings if any(step.setting == setting for step in shown)]
+    only = f" {listed(at)} only" if len(at) < len(settings) else ""
+    return f"{'rises' if (verdicts == {Verdict.MORE}) != is_negative else 'falls'} with {key}{only}"
 
 
 def _lines(grid: Grid, axes: Sequence[Axis], measure: Measure) -> list[Line]:

@@ -28,8 +28,8 @@ from stickslip.analysis.style import CYCLE, GREY, panel
 
 SHIFTED, EVERY = "time-shifted blocks", "every definition"
 _WORDS = (
-    "drop: blocks that let go over samples that all fall; length: number of such samples; descent and decreases: the "
-    "same, with pauses allowed; events: without samples"
+    "Size by drop: the fall of n_stick over successive samples that fall; by length: the number of these samples; by "
+    "descent and decreases: the same where samples may also stay level; by events: slip onsets, without sampling"
 )
 
 

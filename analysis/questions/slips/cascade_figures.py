@@ -10,10 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
+from stickslip.analysis.findings.words import listed
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
 
-SHOWN = 0.06  # largest relative error of a share that is drawn over the coin's
+SHOWN = 0.06  # largest relative error of a share that is drawn relative to p = 1/2
 FEWEST = 5  # cascades of a size that is drawn
 
 
@@ -33,7 +34,7 @@ class Size(NamedTuple):
 
     @property
     def is_known(self) -> bool:
-        """Whether the share is known well enough to be drawn over the coin's."""
+        """Whether the share is known well enough to be drawn relative to p = 1/2."""
         value, low, high = self.share.value, self.share.low, self.share.high
         if not self.is_seen or value is None or low is None or high is None:
             return False
@@ -70,27 +71,46 @@ def one_run(
     start = np.flatnonzero(falls)[0]
     at, level = np.append(first, t[falls]), np.append(n_stick[start - 1], n_stick[falls])
     inset.step(at, level, where="post", color=SMOOTHED, linewidth=1.8)
-    inset.set_title(f"one cascade, size {size}", color=SMOOTHED, fontsize=8, loc="right")
+    inset.set_title(f"one cascade, size {size}", color=SMOOTHED, loc="right")
     inset.xaxis.set_major_locator(MaxNLocator(nbins=3))
     inset.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
 
 
 def size_law(laws: Mapping[str, Sequence[Size]], rate: Estimate) -> Figure:
-    """Share of cascades of each size for some groups, on a log axis with the fit; below, the same over the coin's.
+    """Share of cascades of each size for some groups, on a log axis with the fit; below, relative to p = 1/2.
 
     Both axes show only sizes whose shares are known to within `SHOWN`, so that the difference of the decay rate is
     visible; where not even two are, there is the upper one alone, with all sizes. `rate` is the first group's.
     """
-    seen = {label: [size for size in sizes if size.is_seen] for label, sizes in laws.items()}
-    known = {label: [size for size in sizes if size.is_known] for label, sizes in laws.items()}
     if is_split(laws):
-        return panel(nrows=2, height_ratios=(1.0, 1.3), sharex=True)(_size_law)(laws, known, rate)
-    return panel(squeeze=False)(_size_law)(laws, seen, rate)
+        return panel(nrows=2, height_ratios=(1.0, 1.3), sharex=True)(_size_law)(laws, shown(laws), rate)
+    return panel(squeeze=False)(_size_law)(laws, shown(laws), rate)
 
 
 def is_split(laws: Mapping[str, Sequence[Size]]) -> bool:
-    """Whether two sizes or more can be drawn over the coin's."""
+    """Whether two sizes or more can be drawn relative to p = 1/2."""
     return any(sum(size.is_known for size in sizes) > 1 for sizes in laws.values())
+
+
+def shown(laws: Mapping[str, Sequence[Size]]) -> dict[str, list[Size]]:
+    """The sizes that are drawn."""
+    split = is_split(laws)
+    return {
+        label: [size for size in sizes if (size.is_known if split else size.is_seen)] for label, sizes in laws.items()
+    }
+
+
+def misfit(laws: Mapping[str, Sequence[Size]]) -> str:
+    """Which sizes of the first group have intervals above the fit, and below."""
+    drawn = next(iter(shown(laws).values()))
+    sizes = [(size.size, size.share.low, size.share.high, size.fit) for size in drawn]
+    above = [str(size) for size, low, _, fit in sizes if low is not None and fit is not None and low > fit]
+    below = [str(size) for size, _, high, fit in sizes if high is not None and fit is not None and high < fit]
+    if not above and not below:
+        return "Sizes follow the fitted geometric distribution within their intervals."
+    sides = (("more", above), ("less", below))
+    told = [f"{side} frequent at s = {listed(sizes_of)}" for side, sizes_of in sides if sizes_of]
+    return f"Cascades are {' and '.join(told)} than in the fitted geometric distribution."
 
 
 def _size_law(
@@ -117,7 +137,7 @@ def _size_law(
             ax.errorbar(at + 0.12 * k, share, yerr=[share - low, high - share], label=label, **form)
             ends += [*low, *high]
         if rate.value is not None:
-            ax.plot(sizes, fitted(rate.value) / over, color=EXACT, linewidth=1, label="exponential")
+            ax.plot(sizes, fitted(rate.value) / over, color=EXACT, linewidth=1, label="geometric, fit")
         if rate.low is not None and rate.high is not None:
             first, last = (fitted(end) / over for end in (rate.low, rate.high))
             ax.fill_between(sizes, first, last, color=EXACT, alpha=0.2, linewidth=0)
@@ -125,10 +145,10 @@ def _size_law(
         if two_state:
             pooled = np.array(two_state) / over[: len(two_state)]
             ax.plot(sizes[: len(two_state)], pooled, ":", color=GREEN, linewidth=1.4, label="two-state blocks")
-        ax.plot(sizes, coin / over, "--", color=GREY, linewidth=1, label="fair coin")
+        ax.plot(sizes, coin / over, "--", color=GREY, linewidth=1, label="geometric, p = 1/2")
         if ax is not top:
             margin = 0.08 * (max(ends) - min(ends)) + 0.002
-            ax.set(ylabel="f / fair coin", ylim=(min(ends) - margin, max(ends) + margin))
+            ax.set(ylabel="f / (p = 1/2)", ylim=(min(ends) - margin, max(ends) + margin))
     top.set_yscale("log")
     top.yaxis.set_minor_locator(NullLocator())
     if others:  # of few sizes, which may lie within a decade or two
@@ -138,4 +158,4 @@ def _size_law(
     last_axes = (top, *others)[-1]
     last_axes.set(xlabel="blocks in a cascade, s")
     size_axis(last_axes, largest)
-    last_axes.figure.legend(*last_axes.get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    last_axes.figure.legend(*last_axes.get_legend_handles_labels(), loc="outside upper center", ncols=2)

@@ -1,8 +1,8 @@
-"""The law of cascade sizes: its decay rate beside those of three nulls, and whether it is exponential.
+"""The law of cascade sizes: its decay rate beside those of three nulls, and whether it is geometric.
 
-The nulls are a fair coin, whose rate is ln 2, independent two-state blocks (`models.pool`) and the runs' own blocks,
-shifted in time (`series.nulls`). The variance of the sizes decides whether they are exponential (`stats.dispersion`),
-and the likelihood whether they are nearer to that than to a power law.
+The nulls are the geometric distribution with p = 1/2, whose rate is ln 2, independent two-state blocks
+(`models.pool`) and the runs' own blocks, shifted in time (`series.nulls`). The variance of the sizes decides whether
+they are geometric (`stats.dispersion`), and the likelihood whether they are nearer to that than to a power law.
 """
 
 from __future__ import annotations
@@ -57,16 +57,16 @@ PARTS = 10  # of a run, whose scatter gives the interval of its system
 MOST_SETTINGS = 8  # beside each other on the page; the table `law` has all
 MOST_DRAWN = 2  # groups in a figure
 COIN, TWO_STATE, SHIFTED = "ln 2", "independent two-state blocks", "time-shifted blocks"
+GEOMETRIC = "a geometric distribution"
 RATE = Quantity(
     "gamma", "decay rate of cascade sizes", definition="γ of f ∝ exp(−γ s), the share of cascades of s blocks"
 )
+BESIDE = replace(RATE, clause="the decay rate is {}")  # said after the law, which has its value
 VARIANCE = Quantity("variance", "variance of cascade sizes")
-LEFT = Quantity("excess_shifted", "excess over ln 2 of time-shifted blocks", Form.SHARE)
-COUNTING = "stickslip.workflows.scenes.counting:question"  # gives the parts of the excess
 
 
 class LawRow(NamedTuple):
-    """A row of the table `law`: variances are over an exponential's, the least size counts as 1."""
+    """A row of the table `law`: variances are over a geometric distribution's, the least size counts as 1."""
 
     group: str
     n: int
@@ -140,7 +140,7 @@ def gamma_shifted(rows: np.ndarray) -> np.ndarray:
 
 
 def over_coin(rows: np.ndarray) -> np.ndarray:
-    """Decay rate relative to that of a fair coin, less 1."""
+    """Decay rate relative to ln 2, less 1."""
     return gamma(rows) / LN2 - 1
 
 
@@ -160,8 +160,8 @@ def variance(rows: np.ndarray) -> np.ndarray:
     return (squares / n - (total / n) ** 2) * (n + 1) / (n - 1)
 
 
-def over_exponential(rows: np.ndarray) -> np.ndarray:
-    """Variance of the sizes relative to an exponential's with their mean, less 1."""
+def over_geometric(rows: np.ndarray) -> np.ndarray:
+    """Variance of the sizes relative to a geometric distribution's with their mean, less 1."""
     return excess(rows[:, :3])
 
 
@@ -171,7 +171,7 @@ def variance_over_shifted(rows: np.ndarray) -> np.ndarray:
 
 
 def gain(sums: Sums, confidence: float) -> Estimate:
-    """By how much an exponential up to n blocks is likelier than a power law, in nats per cascade (Vuong 1989)."""
+    """By how much a geometric law up to n blocks is likelier than a power law, in nats per cascade (Vuong 1989)."""
     sizes = np.arange(sums.smallest, max(sums.n, sums.smallest + 1) + 1, dtype=np.float64)
     pooled = np.zeros(len(sizes))
     n_seen = min(sums.counts.shape[1], len(sizes))
@@ -186,7 +186,7 @@ def gain(sums: Sums, confidence: float) -> Estimate:
 
 
 def gain_of_pool(sums: Sums, confidence: float) -> Estimate:
-    """By how much two-state blocks are likelier than an exponential, in nats in all; otherwise as `gain`."""
+    """By how much two-state blocks are likelier than a geometric law, in nats in all; otherwise as `gain`."""
     rate, mean, n_sizes = sums.estimate(gamma, confidence).value, sums.pool_mean, sums.counts.shape[1]
     if rate is None or mean is None or n_sizes > sums.n:
         return Estimate()
@@ -194,8 +194,8 @@ def gain_of_pool(sums: Sums, confidence: float) -> Estimate:
     seen = sums.counts.sum(axis=0) > 0
     if not (two_state[seen] > 0.0).all():
         return Estimate()
-    exponential = np.log(-np.expm1(-rate)) - rate * np.flatnonzero(seen)
-    total = sums.counts.sum() * (sums.counts[:, seen] @ (np.log(two_state[seen]) - exponential))
+    geometric = np.log(-np.expm1(-rate)) - rate * np.flatnonzero(seen)
+    total = sums.counts.sum() * (sums.counts[:, seen] @ (np.log(two_state[seen]) - geometric))
     return over_matrices(ratio, np.column_stack([total, sums.counts.sum(axis=1)]), confidence)
 
 
@@ -244,11 +244,11 @@ def answer(study: Study) -> Answer:
 def _method(study: Study) -> str:
     least = study.settings.smallest
     return (
-        "A cascade is a run of blocks that let go with no block sticking in between; its size, their number, has the "
-        f"law f ∝ exp(−γ s){f' from {least} on' * (least > 1)}, fitted by maximum likelihood with intervals over "
-        f"{systems(study)}s. Time-shifted blocks are each run's own, moved by a random time each "
-        f"({min(study.settings.resamples, SHIFTS)} draws per run); independent two-state blocks are "
-        "the same number of independent blocks with the same mean number sticking."
+        "A cascade is a run of slip onsets with no arrest in between, and s is their number. The geometric "
+        f"distribution f ∝ exp(−γ s){f' from {least} on' * (least > 1)} is fitted by maximum likelihood, with "
+        f"intervals over {systems(study)}s; with p = 1/2, γ is ln 2. Independent two-state blocks are as many blocks "
+        "without memory, with the same mean number sticking. Time-shifted blocks keep each block's own dynamics: "
+        f"each is shifted by a random time ({min(study.settings.resamples, SHIFTS)} draws per run)."
     )
 
 
@@ -318,40 +318,42 @@ def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
 
 
 def _rates(study: Study, sums: Sums, where: Place) -> list[Level]:
-    """The decay rate beside that of a fair coin and, as far as known, those of shifted and of two-state blocks."""
+    """The decay rate beside ln 2 and, as far as known, those of two-state and of shifted blocks."""
     level, margin = study.settings.confidence, study.margins.get("gamma")
     nulls: dict[str, Statistic] = {COIN: over_coin}
-    if sums.is_shifted:
-        nulls[SHIFTED] = over_shifted
     if sums.pool_mean is not None:
         nulls[TWO_STATE] = lambda rows: gamma(rows) / of_pool(sums.n, rows) - 1
+    if sums.is_shifted:
+        nulls[SHIFTED] = over_shifted
     rate, basis = sums.estimate(gamma, level), Basis(len(sums.rows), systems(study))
     return [
-        Level(RATE, rate, where, Comparison(null, Difference(sums.estimate(of, level), margin=margin)), basis)
+        Level(
+            RATE if null == COIN else BESIDE, rate, where,
+            Comparison(null, Difference(sums.estimate(of, level), margin=margin)), basis,
+        )
         for null, of in nulls.items()
-    ]
+    ]  # fmt: skip
 
 
 def _findings(study: Study, sums: Sums, where: Place) -> tuple[list[Finding], list[Finding]]:
-    """The law of a group, what coupling does to it and how far it is from an exponential; and further findings."""
+    """The law of a group and its decay rate beside other blocks'; and further findings."""
     level = study.settings.confidence
     rate, *others = _rates(study, sums, where)
     spread = sums.estimate(variance, level)
     departure, *more = (
         Level(VARIANCE, spread, where, Comparison(null, Difference(sums.estimate(of, level))), rate.basis)
-        for null, of in (("an exponential's", over_exponential), (SHIFTED, variance_over_shifted))
+        for null, of in ((GEOMETRIC, over_geometric), (SHIFTED, variance_over_shifted))
         if null != SHIFTED or sums.is_shifted
     )
     fit = fit_of(departure, gain(sums, level))
-    law = Law("cascade sizes", "fall off exponentially", rate, fit, departure, "do not quite fall off exponentially",
+    law = Law("cascade sizes", "fall off geometrically", rate, fit, departure, "fall off nearly geometrically",
               called="decay rate")  # fmt: skip
     better = _better(sums, where, rate.basis, level) if fit is Fit.CLOSE else []
-    left = [] if COUNTING in study.settings.question else _of_shifted(sums, rate, level)
-    return [law, departure, *left], [*better, *others, *more]
+    return [law, *others, departure], [*better, *more]
 
 
 def fit_of(departure: Level, gain: Estimate) -> Fit:
-    """Whether sizes are exponential: by their variance and, against a power law, by their likelihood."""
+    """Whether sizes are geometric: by their variance and, against a power law, by their likelihood."""
     if gain.low is None or gain.high is None or gain.low <= 0.0 <= gain.high:
         return Fit.OPEN
     if gain.high < 0.0:
@@ -361,28 +363,16 @@ def fit_of(departure: Level, gain: Estimate) -> Fit:
     return Fit.CLOSE if is_shown else Fit.HOLDS
 
 
-def _of_shifted(sums: Sums, rate: Level, confidence: float) -> list[Level]:
-    """The difference from ln 2 of time-shifted blocks; empty where the runs show none."""
-    assert rate.comparison is not None
-    if not sums.is_shifted or rate.comparison.difference.verdict not in (Verdict.MORE, Verdict.LESS):
-        return []
-    left = sums.estimate(lambda rows: gamma_shifted(rows) / LN2 - 1, confidence)
-    if left.low is None or left.high is None:
-        return []
-    clause = "time-shifted blocks show no excess over ln 2: {}" if left.low <= 0.0 <= left.high else ""
-    return [Level(replace(LEFT, clause=clause), left, rate.where, basis=rate.basis)]
-
-
 def _better(sums: Sums, where: Place, basis: Basis | None, confidence: float) -> list[Level]:
-    """By how much sizes are likelier as those of two-state blocks than as an exponential, where that is shown."""
+    """By how much sizes are likelier as those of two-state blocks than as geometric, where that is shown."""
     gained = gain_of_pool(sums, confidence)
     if gained.low is None or gained.low <= 0.0:
         return []
     n_cascades = int(sums.counts.sum())
     better = Quantity(
         "gain_pool",
-        "log likelihood of two-state blocks over an exponential, in nats",
-        clause="sizes are nearer to independent two-state blocks than to an exponential,"
+        "log likelihood of two-state blocks over a geometric distribution, in nats",
+        clause="sizes are nearer to independent two-state blocks than to a geometric distribution,"
         f" by {{}} nats in {n_cascades:,} cascades",
     )
     return [Level(better, gained, where, basis=basis)]
@@ -436,7 +426,7 @@ def _law_row(sums: Sums, confidence: float) -> LawRow:
         None if mean is None else pool.gamma(sums.n, mean),
         sums.estimate(gamma_shifted, confidence).value if shifted else None,
         sums.estimate(over_shifted, confidence) if shifted else Estimate(),
-        sums.estimate(lambda rows: 1 + over_exponential(rows), confidence),
+        sums.estimate(lambda rows: 1 + over_geometric(rows), confidence),
         sums.group.basis(confidence).code,
     )
 
@@ -466,42 +456,40 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str
     each = [Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])[np.isfinite(errors)]]
     labels: Sequence[Label] = apart([one.group.name for one in drawn])
     of_which = f" ({labels[0]})" if labels[0] else ""
-    assert rate.value is not None
-    ends = [None if end is None else float(np.exp(-end)) for end in (rate.high, rate.low)]
-    times = with_interval(Estimate(float(np.exp(-rate.value)), ends[0], ends[1]))
     known = np.isfinite(errors)
     lasting = between(values[known], errors[known], PARTS - 1, level)
     scatter = ""
     if lasting.value is not None:
         share = with_interval(lasting, Form.SHARE)
-        scatter = f" Share of the scatter between systems that is real, not sampling noise: {share}."
+        scatter = f" Fraction of the variance between systems not explained by sampling error: {share}."
     laws = {
         str(label or lead.group.label): sizes[each.group.label] for label, each in zip(labels, drawn, strict=True)
     }
-    unit, draw_run = _first_run(study, lead.group)
-    below = " Below, over a fair coin's 2⁻ˢ, the slope is minus the difference of the decay rate from ln 2."
-    below *= cascade_figures.is_split(laws)
+    first, largest, draw_run = _first_run(study, lead.group)
+    below = " Below: the same relative to p = 1/2." * cascade_figures.is_split(laws)
+    n_above = int(np.count_nonzero(values[known] > LN2))
+    cascade = (
+        ""
+        if largest is None
+        else f"{largest.size} slip onsets with no arrest in between: the largest cascade after {burn}, enlarged. "
+    )
     return {
         "size_law": Picture(
             partial(cascade_figures.size_law, laws, rate),
-            f"Each size is {times} times as common as the one before.{below} Line and band: the exponential "
-            f"law, {level:.0%}.",
+            f"{cascade_figures.misfit(laws)} Line and band: that fit, {level:.0%}.{below}",
         ),
         "decay_rates": Picture(
             partial(forest, each, rate, "decay rate", (LN2, COIN)),
-            f"The decay rate of each {system}{of_which}, its interval from {PARTS} parts of its run, and that of all "
-            f"together (diamond, band). Dashed: {COIN}, which tossing a coin between letting go and sticking gives."
-            f"{scatter}",
+            f"{n_above} of {len(each)} {system}s{of_which} lie above {COIN} (dashed), expected if slip onset and "
+            f"arrest were equally likely at each event. Decay rate of each, its interval from {PARTS} parts of its "
+            f"run, and of all together (diamond, band).{scatter}",
         ),
-        "one_run": Picture(
-            draw_run,
-            f"A run of {system} {unit}, with its largest cascade after {burn} enlarged.",
-        ),
+        "one_run": Picture(draw_run, f"{cascade}Line: the run of {system} {first}."),
     }
 
 
-def _first_run(study: Study, group: Group) -> tuple[int, Recipe]:
-    """Unit of the first run of a group, and what draws it."""
+def _first_run(study: Study, group: Group) -> tuple[int, cascade_figures.Largest | None, Recipe]:
+    """Unit of the first run of a group, its largest cascade, and what draws it."""
     row, member_id, win = next(iter(study.windows(group)))
     found = spans(win)
     largest = None
@@ -510,7 +498,7 @@ def _first_run(study: Study, group: Group) -> tuple[int, Recipe]:
         largest = cascade_figures.Largest(int(found.size[k]), float(found.start[k]), float(found.stop[k]))
     t, n_stick = study.runs.points(member_id)
     draw = partial(cascade_figures.one_run, t, n_stick, win.t_stop, study.settings.t_burn, largest)
-    return group.units[row], draw
+    return group.units[row], largest, draw
 
 
 QUESTION = Question(

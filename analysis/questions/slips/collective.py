@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -12,7 +13,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from stickslip.analysis.answer import Answer, Picture, Question, lack, systems
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
-from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Quantity, Reason, Share
+from stickslip.analysis.findings.finding import Basis, Finding, Form, Lack, Level, Quantity, Reason, Share
 from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.models.clustering import Kind
@@ -24,6 +25,7 @@ from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel
 
 WHAT = "collective motion"
+N_STICK = "the number of sticking blocks"
 MOST_GROUPS = 3  # whose exits are compared with time-shifted blocks, and which are drawn
 OF_ALL_BLOCKS = (Kind.POWER, Kind.VARIANCE)  # what is compared on the page besides exits; the table has all
 Q = Quantity(
@@ -37,8 +39,8 @@ _METHOD = (
     "Time-shifted blocks are each block's own history, shifted by a random time; slow common motion, with"
     f" periods over {CYCLES:g} of a block's own cycles, is shown if its power is more concentrated than in 95% of"
     f" {SURROGATES} such surrogates, and is fitted as a damped oscillator beside a share of the blocks' own power."
-    " Up to Q = 1/2 it is overdamped, and Q = 1 is a broad hump of the spectrum and no oscillation; comparisons"
-    " behind the first are adjusted for their number."
+    " Up to Q = 1/2 it is overdamped; with Q near 1 the spectrum has a broad peak, and the motion loses phase within"
+    " a period. Comparisons behind the first are adjusted for their number."
 )
 
 
@@ -61,7 +63,7 @@ def answer(study: Study) -> Answer:
     drawn = {group.group.label: pair for group, pair in zip(exits, bands, strict=True)}
     return Answer(
         findings=[*leading, *shares, *compared],
-        n_lead=3,
+        n_lead=1 if lead.is_shown else 3,
         alerts=_alerts(lead, 1 - level),
         method=_METHOD,
         tables={
@@ -93,20 +95,23 @@ def _leading(study: Study, exits: Exits, motion: Slow) -> tuple[list[Finding], l
     ]
     if not motion.is_shown:
         return [_lacking(motion, where, study.settings.t_burn), *levels[:1], *share], levels[1:]
-    return [_share(motion, where, unit), *share, *_fit(motion, where, unit)], levels
+    period, *fit = _fit(motion, where, unit)
+    return [period, *share, _share(motion, where, unit), *fit], levels
 
 
 def _share(motion: Slow, where: Place, unit: str) -> Share:
     share, basis = motion.fit.estimates[Number.SHARE], Basis(len(motion.units), unit)
-    return Share("share", "the variance of n_stick", "is due to slow common motion", share, where, basis=basis)
+    return Share("share", f"the variance of {N_STICK}", "is due to slow common motion", share, where, basis=basis)
 
 
 def _fit(motion: Slow, where: Place, unit: str) -> list[Finding]:
-    """Q of slow common motion, its natural period, and the goodness of their fit."""
+    """The natural period of slow common motion, with its share of the variance, Q, and the goodness of their fit."""
     basis, estimates, goodness = Basis(len(motion.units), unit), motion.fit.estimates, motion.goodness
+    share = number(estimates[Number.SHARE].value or 0.0, Form.SHARE, 0)
+    clause = f"slow common motion with a natural period of {{}} accounts for {share} of the variance of {N_STICK}"
     return [
+        Level(replace(PERIOD, clause=clause), estimates[Number.PERIOD], where, basis=basis),
         Level(Q, estimates[Number.QUALITY], where, basis=basis),
-        Level(PERIOD, estimates[Number.PERIOD], where, basis=basis),
         Level(DEVIANCE, Estimate(goodness.deviance), where + Place.words(f"{goodness.dof} degrees of freedom")),
     ]
 
@@ -124,7 +129,7 @@ def _lacking(motion: Slow, where: Place, t_burn: float) -> Lack:
 
 def _picture(drawn: Mapping[str, tuple[list[Band], list[Band]]], motion: Slow) -> Picture:
     """Power at all periods, with the fit of slow common motion and, of the group that leads, its goodness."""
-    power = "the power of n_stick, the number of sticking blocks,"
+    power = f"the power spectrum of {N_STICK}"
     if not motion.is_shown:
         shaded = (
             "where no slow common motion is shown"
@@ -137,12 +142,21 @@ def _picture(drawn: Mapping[str, tuple[list[Band], list[Band]]], motion: Slow) -
             f" Shaded: periods over {CYCLES:g} of a block's own cycles, {shaded}.",
         )
     quality, fit = number(motion.fit.values[Number.QUALITY][0], digits=2), motion.goodness
+    fast, slow = drawn[motion.group.label]
+    bands = sorted((*fast, *slow), key=lambda band: band.middle)
+    ratios = [band.ratio.value or 1.0 for band in bands]
+    most, least = max(ratios), min(ratios)
+    peak = ratios.index(most)
+    edge = max((band.middle for band in bands[:peak] if (band.ratio.value or 1.0) <= 1.0), default=bands[0].above)
+    below = (
+        f", and is down to {least:.2g} times as large at shorter ones" if min(ratios[:peak], default=1.0) < 1 else ""
+    )
     return Picture(
         partial(spectrum, drawn),
-        f"At long periods slow common motion lifts {power} above that of time-shifted blocks (dashed). Bars and"
-        f" bands: intervals; lines through marks: a damped oscillator, which at {motion.group.label} has"
-        f" Q = {quality} and a deviance of {fit.deviance:.0f} on {fit.dof} degrees of freedom"
-        f" (p = {fit.p_value:.2g}).",
+        f"At periods over about {edge:.2g} {power} is up to {most:.2g} times as large as for time-shifted blocks"
+        f" (dashed){below}. Bars and bands: intervals; lines through marks: a damped oscillator, which at"
+        f" {motion.group.label} has Q = {quality} and a deviance of {fit.deviance:.0f} on {fit.dof} degrees of"
+        f" freedom (p = {fit.p_value:.2g}).",
     )
 
 

@@ -96,30 +96,31 @@ _STEP = 2  # classes between points of the figures
 _METHOD = (
     "An episode lasts from all blocks stuck to all stuck again; its size is the number of blocks that slip, its"
     " moment the sum of their slips, its magnitude log10 of that; rates are of the whole chain. Methods are compared"
-    " on the same systems: a method differs if its rate of episodes (t test) or its distribution of magnitudes (runs"
-    " swapped between methods) does, with p-values adjusted for the number of methods (Holm)."
+    " on the same systems: a method differs if its rate of episodes (t test) or its distribution of magnitudes"
+    " (permutation test) does, with p-values adjusted for the number of methods (Holm)."
 )
 #: A law that is not rejected is no law that is shown.
 PREDICATES: Mapping[str, str] = {
-    POWER: "are compatible with a power law", CUT_OFF: "are compatible with a power law with a cut-off",
-    EXPONENTIAL: "are compatible with an exponential law", NONE: "follow a power law, even with a cut-off",
-    UNKNOWN: "follow a power law with a cut-off",
+    POWER: "are compatible with a power law", CUT_OFF: "are compatible with a truncated power law",
+    EXPONENTIAL: "are compatible with an exponential law", NONE: "follow a power law, even a truncated one",
+    UNKNOWN: "follow a truncated power law",
 }  # fmt: skip
 #: What is said of each group, in this order.
 WORDS: Mapping[str, Quantity] = {
     RATE: Quantity("rate", "rate of episodes", things="episodes"),
     SIZE: Quantity("size", "mean size of episodes"),
     DURATION: Quantity("duration", "mean duration of episodes", more="longer than", less="shorter than"),
-    QUIET: Quantity("cv", "coefficient of variation of quiet times"),
+    QUIET: Quantity("cv", "coefficient of variation of inter-event times"),
     SLIP: Quantity("slip", "share of the belt's travel that is slip in episodes", Form.SHARE),
     STORED: Quantity("stored", "share of the belt's travel that is stored as strain", Form.SHARE),
     CREEP: Quantity("creep", "share of the belt's travel that is creep of stuck blocks", Form.SHARE),
     OCCUPANCY: Quantity("occupancy", "share of the time in which at least one block slips", Form.SHARE),
-    FANO: Quantity("fano", "variance over mean of the number of episodes in windows of quiet time"),
+    FANO: Quantity("fano", "Fano factor of the number of episodes in windows of time between episodes"),
 }
+_SCOPE = "the rate and magnitudes of episodes"
 _COMPARED = (RATE, SIZE, DURATION, SLIP)
-GAP = Quantity("gap", "Kolmogorov-Smirnov distance from the cut-off power law")
-APART = Quantity("apart", "distribution of magnitudes (Kolmogorov-Smirnov distance)")
+GAP = Quantity("gap", "Kolmogorov-Smirnov distance from the truncated power law")
+APART = Quantity("apart", "Kolmogorov-Smirnov distance between magnitudes")
 B_VALUE = Quantity("b", "b-value")
 MOMENT = Quantity("moment", "mean moment")
 BY_TRAVEL = Quantity("by_travel", "number of episodes per block and unit of belt travel")
@@ -226,8 +227,9 @@ def answer(study: Study) -> Answer | None:
         for first, *others in by_system if others and first.is_judged
         for outcome in _outcomes(first, others, apart, basis)
     ]  # fmt: skip
-    first: list[Finding] = [_level(lead, RATE, apart, basis), laws[0]]
-    findings = [*outcomes, *first, *_changes(leaders, level, basis), *laws[1:]]
+    changes, rate = _changes(leaders, level, basis), _level(lead, RATE, apart, basis)
+    first: list[Finding] = [*changes, laws[0], rate] if changes else [rate, laws[0]]
+    findings = [*outcomes, *first, *laws[1:]]
     findings += _levels(counted, lead, apart, basis)
     findings += [_level(group, CREEP, apart, basis) for group in groups if group.estimates[CREEP].value is not None
                  and not group.group.is_exact]  # fmt: skip
@@ -315,7 +317,9 @@ def _outcomes(
         (alone,) = in_words({setting: ""}, "")
         words, method = in_words(come_out, name), reference.method
         rest = in_words(come_out | {setting: "-"}, name)
-        found = Outcomes(method, different=words, others=rest) if name else Outcomes(method, undecided=words)
+        found = Outcomes(method, undecided=words, scope=_SCOPE)
+        if name:
+            found = Outcomes(method, different=words, others=rest)
         outcomes.append(replace(found, largest=level, at_largest=alone))
     return outcomes
 
@@ -516,8 +520,8 @@ def _figures(
     shown = {group.label: lines[group.label] for group in leaders} if has_pairs else lines
     every = Picture(
         partial(frequencies, rates, shown),
-        "Episodes become rarer with magnitude: episodes per unit time of at least each magnitude, M = log10 moment,"
-        " with bands of their intervals.",
+        "Episodes per unit time of at least each magnitude, M = log10 moment; a power law would be a straight line."
+        " Bands: intervals.",
     )
     reference = str(leaders[0].method) if len(leaders) == 1 else "the reference"
     beside = {rate.group for rate in rates if rate.over.value is not None}

@@ -54,9 +54,11 @@ class Compared(NamedTuple):
         kind, upto = self.part.kind, f"{self.part.upto:g}"
         match kind:
             case Kind.POWER:
-                return Quantity(kind, f"power of n_stick at periods from {self.part.above:g} to {upto}")
+                return Quantity(
+                    kind, f"power of the number of sticking blocks at periods from {self.part.above:g} to {upto}"
+                )
             case Kind.VARIANCE:
-                return Quantity(kind, "variance of n_stick")
+                return Quantity(kind, "variance of the number of sticking blocks")
             case Kind.FANO:
                 return Quantity(
                     kind,
