@@ -103,7 +103,7 @@ def _of_group(study: Study, group: Group) -> list[Row]:
     for k, t_burn in enumerate(times):
         test = _early(_by_unit(units, *found[:, k, 4:].T, ones), level)
         for name, sums in sums_of[t_burn].items():
-            of = QUANTITIES["gamma"].of if name == "gamma" else ratio
+            of: Statistic = QUANTITIES["gamma"].of if name == "gamma" else ratio
             both = np.hstack([sums, sums_of[study.settings.t_burn][name]])
             paired = over_matrices(partial(_quotient, of), both, level)
             rows.append({
