@@ -117,7 +117,7 @@ class Counted:
 def question(study: Study) -> Answer | None:
     """Why is the decay rate not ln 2?
 
-    Differences of decay rates are relative to ln 2, that of p = 1/2. Finite size sets independent two-state blocks, as
+    Differences of decay rates are relative to ln 2 (p = 1/2). Finite size sets independent two-state blocks, as
     many and with the same mean number sticking, apart from ln 2. Each block's own dynamics sets time-shifted
     blocks apart from two-state blocks, and coupling sets the runs apart from time-shifted blocks. Stretches longer
     than 20 in which no block sticks are left out.
