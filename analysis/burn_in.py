@@ -39,7 +39,7 @@ TESTS: Mapping[str, str] = {
 }  # fmt: skip
 ESTIMATES: Mapping[str, str] = {
     "group": S, "t_burn": F, "is_chosen": B, "quantity": S, "n_systems": I, "value": F, "value_low": F,
-    "value_high": F, "p_value": F,
+    "value_high": F, "ratio": F, "ratio_low": F, "ratio_high": F, "p_value": F,
 }  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def estimates(study: Study, groups: Sequence[Group]) -> list[Row]:
     """Rows of the table `by_t_burn`: estimates of the first runs of the first groups with several t_burn.
 
     The quantities are those of n_stick, or the rate of episodes where these are recorded. p_value is that of `geweke`
-    for n_stick with each t_burn.
+    for n_stick with each t_burn; ratios are to the estimate with the chosen one, paired by unit.
     """
     return [row for group in groups[:MOST_GROUPS] for row in _of_group(study, group)]
 
@@ -87,32 +87,45 @@ def _of_group(study: Study, group: Group) -> list[Row]:
     members = averaged(study, group)[:MOST_RUNS]
     times = _times(study.settings.t_burn, t_end)
     found = study.each(partial(_of_runs, times), members).reshape(len(members), len(times), -1)
-    units = _units(study, members)
-    rows: list[Row] = []
+    units, ones = _units(study, members), np.ones(len(members))
+    # every unit has the same weight, however many of its runs are averaged
+    sums_of: dict[float, dict[str, np.ndarray]] = {}
     for k, t_burn in enumerate(times):
-        mean, rate, slipped, cascades, early, late = found[:, k].T
-        ones = np.ones(len(members))
-        # every unit has the same weight, however many of its runs are averaged
-        quantities: dict[str, tuple[np.ndarray, Statistic]] = {
-            "mean": (_by_unit(units, mean, ones), ratio), "rate": (_by_unit(units, rate, ones), ratio),
-            "gamma": (UnitSums.of(units, np.column_stack([slipped, cascades])).rows, QUANTITIES["gamma"].of),
+        mean, rate, slipped, cascades, *_ = found[:, k].T
+        sums_of[t_burn] = {
+            "mean": _by_unit(units, mean, ones), "rate": _by_unit(units, rate, ones),
+            "gamma": UnitSums.of(units, np.column_stack([slipped, cascades])).rows,
         }  # fmt: skip
         if study.data.episodes is not None:
             n_episodes = _episodes(study, members, t_burn)
-            quantities = {EPISODES: (_by_unit(units, n_episodes, ones * (t_end - t_burn)), ratio)}
-        test = _early(_by_unit(units, early, late, ones), level)
-        for name, (sums, of) in quantities.items():
+            sums_of[t_burn] = {EPISODES: _by_unit(units, n_episodes, ones * (t_end - t_burn))}
+    rows: list[Row] = []
+    for k, t_burn in enumerate(times):
+        test = _early(_by_unit(units, *found[:, k, 4:].T, ones), level)
+        for name, sums in sums_of[t_burn].items():
+            of = QUANTITIES["gamma"].of if name == "gamma" else ratio
+            both = np.hstack([sums, sums_of[study.settings.t_burn][name]])
+            paired = over_matrices(partial(_quotient, of), both, level)
             rows.append({
                 "group": group.label, "t_burn": t_burn, "is_chosen": t_burn == study.settings.t_burn,
                 "quantity": name, "n_systems": len(sums),
-                **named("value", within(over_matrices(of, sums, level), 0.0)), "p_value": test["p_value"],
+                **named("value", within(over_matrices(of, sums, level), 0.0)),
+                **named("ratio", within(paired, 0.0)), "p_value": test["p_value"],
             })  # fmt: skip
     return rows
 
 
+def _quotient(of: Statistic, both: np.ndarray) -> np.ndarray:
+    """A statistic of the first two columns over that of the last two, paired by unit."""
+    chosen = of(both[:, 2:])
+    if (chosen == 0).any():
+        raise Undefined("the estimate with the chosen t_burn is zero")
+    return of(both[:, :2]) / chosen
+
+
 def drawable(rows: Sequence[Row]) -> list[str]:
-    """Groups of which a quantity has an interval with the chosen t_burn, over which the others are drawn."""
-    return [row["group"] for row in rows if row["is_chosen"] and row["value"] and row["value_low"] is not None]
+    """Groups of which a quantity has ratios with intervals, which are drawn."""
+    return [row["group"] for row in rows if row["is_chosen"] and row["ratio_low"] is not None]
 
 
 def with_enough(rows: Sequence[Row], by_t_burn: Sequence[Row], alpha: float) -> list[Row]:
@@ -192,19 +205,18 @@ def _episodes(study: Study, members: np.ndarray, t_burn: float) -> np.ndarray:
 
 @panel()
 def by_t_burn(ax: Axes, rows: Sequence[Row], t_burn: float) -> None:
-    """Estimates of one group against t_burn, over those with the chosen one, with their intervals."""
+    """Ratios of the estimates of one group to those with the chosen t_burn, with their intervals."""
     ax.axhline(1.0, color=GREY, linewidth=0.8)
     ax.axvline(t_burn, color=GREY, linewidth=0.8, linestyle="--")
     for k, name in enumerate(dict.fromkeys(row["quantity"] for row in rows)):
-        own = [row for row in rows if row["quantity"] == name and row["value_low"] is not None]
-        chosen = next((row["value"] for row in own if row["is_chosen"]), None)
-        if not chosen:
+        own = [row for row in rows if row["quantity"] == name and row["ratio_low"] is not None]
+        if not own:
             continue
-        t, value, low, high = np.array(
-            [[row[key] for key in ("t_burn", "value", "value_low", "value_high")] for row in own]
-        ).T
-        ends = np.array([value - low, high - value]) / chosen
+        columns = ("t_burn", "ratio", "ratio_low", "ratio_high")
+        t, value, low, high = np.array([[row[key] for key in columns] for row in own]).T
+        bars = np.where(t == t_burn, np.nan, [value - low, high - value])  # the chosen one has ratio 1 to itself
+        label = name if name == EPISODES else QUANTITIES[name].title
         t = t + 0.01 * k * np.ptp(t)  # beside each other
-        ax.errorbar(t, value / chosen, yerr=ends, fmt="o-", color=CYCLE[k], markersize=3, linewidth=0.8, label=name)
-    ax.set(xlabel="$t_{burn}$", ylabel="estimate / that with the chosen $t_{burn}$")
-    ax.figure.legend(loc="outside upper center", ncols=3, fontsize=7)
+        ax.errorbar(t, value, yerr=bars, fmt="o-", color=CYCLE[k], markersize=3, linewidth=0.8, label=label)
+    ax.set(xlabel="$t_{burn}$", ylabel="ratio to the estimate\nwith the chosen $t_{burn}$")
+    ax.figure.legend(loc="outside upper left", ncols=1)

@@ -8,7 +8,7 @@ from nothing else: `findings.words` says each kind, `levels` lays each out as ro
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from typing import NamedTuple, TypeAlias
 
@@ -210,6 +210,8 @@ class Share:
         In the plural: "starts", "runs".
     predicate : str
         A verb phrase in the plural: "settle into steady sliding".
+    n : int, optional
+        How many things there are.
     """
 
     key: str
@@ -219,6 +221,7 @@ class Share:
     where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
+    n: int | None = None
 
 
 @dataclass(frozen=True)
@@ -235,8 +238,6 @@ class Lifetime:
         The time to which runs were followed.
     share_left : float
         The share of runs that were cut off.
-    ended : str
-        What the others have done: "have grown without limit"; empty where the quantity says it.
     """
 
     quantity: Quantity
@@ -248,7 +249,6 @@ class Lifetime:
     where: Place = EVERYWHERE
     comparison: Comparison | None = None
     basis: Basis | None = None
-    ended: str = ""
 
 
 class Fit(StrEnum):
@@ -451,9 +451,7 @@ def levels(finding: Finding) -> list[Level]:
     match finding:
         case Level():
             return [finding]
-        case Lifetime(quantity, things, ended=ended, estimate=estimate):
-            name = f"time by which half of the {things} {ended}" if ended else quantity.name
-            quantity = replace(quantity, name=name)
+        case Lifetime(quantity, estimate=estimate):
             return [Level(quantity, estimate, finding.where, finding.comparison, finding.basis)]
         case Share(key, things, predicate, estimate, where, comparison, basis):
             return [Level(_share(key, things, predicate), estimate, where, comparison, basis)]

@@ -93,12 +93,12 @@ def based_on(basis: Basis | None) -> str:
 
 
 def _share(share: Share) -> str:
-    if share.basis is not None and share.basis.n == 1 and share.estimate.value in (0.0, 1.0):
+    is_alone = share.basis is not None and share.basis.n == 1
+    if share.estimate.value in (0.0, 1.0) and (is_alone or (share.n is not None and share.comparison is None)):
         which = "all" if share.estimate.value else "none of the"
-        alone = (
-            f"{which} {share.things} {share.predicate}{share.where.tail} ({plural(1, share.basis.unit)}, no interval)"
-        )
-        return alone + _compared(share.comparison)
+        n = f" {share.n:,}" if share.n is not None and share.n > 1 else ""
+        alone = f" ({plural(1, share.basis.unit)}, no interval)" if is_alone and share.basis is not None else ""
+        return f"{which}{n} {share.things} {share.predicate}{share.where.tail}{alone}{_compared(share.comparison)}"
     said = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{share.where.tail}"
     if share.comparison is None or share.comparison.difference.verdict is not Verdict.OPEN:
         return said + _compared(share.comparison)
@@ -315,11 +315,6 @@ def _lifetime(lifetime: Lifetime) -> str:
         left = "all" if lifetime.share_left == 1.0 else f"{number(lifetime.share_left, Form.SHARE)} of"
         at = Place.key("t", f"{lifetime.horizon:g}") + lifetime.where
         return f"{left} {lifetime.things} {lifetime.predicate}{at.tail}"
-    if lifetime.ended:
-        where, half = lifetime.where, f"half of the {lifetime.things}"
-        begin = half + where.tail if where.has_key else where.head + half
-        compared = _compared(lifetime.comparison, lifetime.quantity)
-        return f"{begin} {lifetime.ended} by t = {with_interval(lifetime.estimate)}{compared}"
     name = lifetime.quantity.name + lifetime.where.tail
     return f"{name}: {with_interval(lifetime.estimate)}{_compared(lifetime.comparison, lifetime.quantity)}"
 

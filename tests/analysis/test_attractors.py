@@ -88,7 +88,7 @@ def test_shares_and_periods(data, settings):
     assert table["n_runs"].to_dict() == n_of
     assert table["period"].dropna().to_dict() == {"periodic": 6.0}
     assert said(answered) == [
-        "50% (24 to 76%) of runs settle on a cycle.",
+        "50% (24 to 76%) of runs settle onto a limit cycle.",
         "30% (11 to 60%) of runs settle into steady sliding.",
     ]
 
@@ -153,7 +153,7 @@ def test_cycles_of_one_system_are_told_apart_with_their_shares(basin, settings):
     (share,) = [
         share
         for share in answered.findings
-        if isinstance(share, Share) and share.predicate == "settle on the cycle of period 7"
+        if isinstance(share, Share) and share.predicate == "settle onto the cycle of period 7"
     ]
     np.testing.assert_allclose([share.estimate.low, share.estimate.high], wilson(slow, 400), rtol=1e-9)
     assert (share.things, share.basis.n, share.basis.unit) == ("starts", 400, "start")
@@ -262,12 +262,15 @@ def swept(planted_runs):
 def test_where_along_a_key_attractors_change(swept, settings):
     answered = fates.answer(Study(swept, settings))
     assert said(answered) == [
-        "At belt_speed = 1 to 7, all 35 starts settle on a cycle.",
+        "At belt_speed = 1 to 7, all 35 starts settle onto a limit cycle.",
         "At belt_speed = 9 to 12, all 20 starts settle into steady sliding.",
-        "At belt_speed = 1 to 4, all 20 starts settle on a cycle of 1 exit per period.",
+        "At belt_speed = 1 to 4, all 20 starts settle onto a limit cycle of 1 exit per period.",
     ]
     regimes = [finding for finding in answered.findings if isinstance(finding, Regime)]
-    assert sentence(regimes[3]) == "At belt_speed = 5 to 7, all 15 starts settle on a cycle of 2 exits per period."
+    assert (
+        sentence(regimes[3])
+        == "At belt_speed = 5 to 7, all 15 starts settle onto a limit cycle of 2 exits per period."
+    )
     for regime in regimes:
         assert regime.share.low == pytest.approx(wilson(5, 5)[0])  # of five starts
     table = answered.tables["fates"].set_index(["setting", "outcome"])
@@ -282,8 +285,8 @@ def test_where_both_attract(planted_runs, settings):
         | (cycle(3.0, 0.1) if v <= 2 or (v <= 4 and k < 2) else SLIDES) for v in range(1, 7) for k in range(5)
     ])  # fmt: skip
     assert said(fates.answer(Study(data, settings))) == [
-        "At belt_speed = 1 and 2, all 10 starts settle on a cycle.",
-        "At belt_speed = 3 and 4, some starts settle into steady sliding and others settle on a cycle.",
+        "At belt_speed = 1 and 2, all 10 starts settle onto a limit cycle.",
+        "At belt_speed = 3 and 4, some starts settle into steady sliding and others settle onto a limit cycle.",
         "At belt_speed = 5 and 6, all 10 starts settle into steady sliding.",
     ]
 
@@ -326,9 +329,9 @@ def over_two(planted_runs):
 def test_each_value_of_a_second_key_has_its_regimes_and_the_ends_lead(over_two, settings):
     answered = fates.answer(Study(over_two, settings))
     assert said(answered) == [
-        "At belt_speed = 1, static = 1.2, all 5 starts settle on a cycle.",
+        "At belt_speed = 1, static = 1.2, all 5 starts settle onto a limit cycle.",
         "At belt_speed = 2 to 5, static = 1.2, all 20 starts settle into steady sliding.",
-        "At belt_speed = 1 to 3, static = 1.6, all 15 starts settle on a cycle.",
+        "At belt_speed = 1 to 3, static = 1.6, all 15 starts settle onto a limit cycle.",
     ]
     regimes = [finding for finding in answered.findings if isinstance(finding, Regime)]
     assert [dict(regime.where.parts)["static"] for regime in regimes] == ["1.2", "1.2", "1.6", "1.6", "1.4", "1.4"]
@@ -362,7 +365,7 @@ def test_values_that_differ_in_their_seventh_digit_are_told_apart(planted_runs, 
     ])  # fmt: skip
     answered = fates.answer(Study(data, settings))
     assert said(answered) == [
-        "At belt_speed = 3.210571 and 3.210572, all 10 starts settle on a cycle.",
+        "At belt_speed = 3.210571 and 3.210572, all 10 starts settle onto a limit cycle.",
         "At belt_speed = 3.210573, all 5 starts settle into steady sliding.",
     ]
     assert answered.tables["fates"]["of"].tolist() == [5, 5, 5]
@@ -375,4 +378,4 @@ def test_runs_that_are_undecided_are_not_among_all(planted_runs, settings):
         for v in (1, 2) for s in range(5)
     ])  # fmt: skip
     answered = fates.answer(Study(data, settings))
-    assert said(answered) == ["40% (12 to 77%) of starts settle on a cycle."]
+    assert said(answered) == ["40% (12 to 77%) of starts settle onto a limit cycle."]

@@ -86,6 +86,11 @@ def test_estimates_for_other_values_of_t_burn_and_the_first_that_is_enough(plant
         assert row["is_chosen"] == (t_burn == T_BURN)
     (group,) = study.groups
     assert mean[T_BURN]["value"] == pytest.approx(group.mean(SURE).value)
+    chosen = mean[T_BURN]
+    assert (chosen["ratio"], chosen["ratio_low"], chosen["ratio_high"]) == (1.0, 1.0, 1.0)
+    last = mean[550.0]  # levels of systems scatter, and cancel in the paired ratio
+    assert last["ratio"] == pytest.approx(last["value"] / chosen["value"])
+    assert last["ratio_high"] - last["ratio_low"] < (last["value_high"] - last["value_low"]) / chosen["value"]
     gammas = {row["t_burn"]: row["value"] for row in rows if row["quantity"] == "gamma"}
     assert gammas[T_BURN] == pytest.approx(gamma_of(group))
     (row,) = with_enough(geweke(study, study.groups), rows, 1 - SURE)

@@ -249,7 +249,7 @@ def test_fates_are_kept_apart(planted):
     assert found["sliding", ""].estimate.value == pytest.approx(6 / 20)
     assert found["escaping", ""].estimate.value == pytest.approx(3 / 20)
     assert sentence(answered.findings[0]) == "45% (26 to 74%) of runs still stick and slip at t = 1000."
-    assert found["sliding", ""].predicate == "are sliding at t = 1000 (not all certified)"
+    assert found["sliding", ""].predicate == "are sliding at t = 1000 (2 not certified to last)"
     assert codes(answered)[Code.FAILED] == {"n": 1, "of": 21}
     assert codes(answered)[Code.UNCERTIFIED] == {"n": 2, "of": 20}
 
@@ -279,7 +279,7 @@ def test_a_certificate_that_is_late_is_no_other_fate(planted):
     exact, smooth = of_kind(answered, Lifetime)
     assert (exact.estimate.value, exact.estimate.low, exact.estimate.high) == (59.0, 55.0, 64.0)
     assert (smooth.estimate.value, smooth.estimate.low, smooth.estimate.high) == (59.0, 55.0, None)
-    predicates = ["settle into steady sliding", "are sliding at t = 1000 (not all certified)"]
+    predicates = ["settle into steady sliding", "are sliding at t = 1000 (11 not certified to last)"]
     assert [share.predicate for share in of_kind(answered, Share)][:2] == predicates
     assert codes(answered)[Code.UNCERTIFIED] == {"n": 11, "of": 40}
 
@@ -306,7 +306,7 @@ def test_a_run_that_has_not_moved_is_not_in_motion(planted):
         for k, name in enumerate(data.series)
     }
     answered = asked(Data(data.members, series))
-    assert sentence(answered.findings[0]) == "100.0% (83.9 to 100.0%) of runs are stuck at t = 1000."
+    assert sentence(answered.findings[0]) == "All 20 runs are stuck at t = 1000."
     assert fate("finished", series["200-0"], 1000.0, n=200) == UNMOVED
     assert fate("finished", series["200-0"], 1000.0, n=201) == SUSTAINED
 
@@ -348,11 +348,9 @@ def test_when_half_have_ended_is_said_with_the_end(planted):
     answered = asked(of_sizes(planted, plan))
     assert answered.n_lead == 3
     lifetimes = of_kind(answered, Lifetime)
-    assert sentence(lifetimes[0]).startswith("Half of the runs at n = 250 have grown without limit by t = 400")
+    assert sentence(lifetimes[0]).startswith("Median time to unbounded growth at n = 250: 400")
     alone = of_kind(asked(data_of(planted, [COLLAPSED] * 20)), Lifetime)
-    assert [sentence(found) for found in alone] == [
-        "Half of the runs have settled into steady sliding by t = 59.0 (55.0 to 64.0)."
-    ]
+    assert [sentence(found) for found in alone] == ["Median time to sliding: 59.0 (55.0 to 64.0)."]
 
 
 def test_curves_that_coincide_are_one_and_bands_do_not_cover_each_other(planted):
@@ -381,7 +379,7 @@ def test_methods_that_agree_are_said_once_and_are_one_system(planted):
     answered = asked(beside(data, data, **planted.sigmoid))
     assert answered.n_lead == 1
     (share,) = of_kind(answered, Share)
-    assert (share.basis.n, str(share.where)) == (20, "by every method")
+    assert (share.basis.n, share.n, str(share.where)) == (20, 40, "")
 
 
 def test_points_of_a_sweep_share_their_matrices(planted):

@@ -189,7 +189,6 @@ def _findings(rng):
     yield Change(quantity, KAPPA, Estimate(0.3), estimate, difference, where, basis)
     yield (share := Share("sliding", "starts", "settle into steady sliding", estimate, where, comparison, basis))
     yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis)
-    yield Lifetime(LATE, "runs", "still stick", estimate, 100.0, 0.2, where, comparison, basis, "have ended")
     yield Lifetime(LATE, "runs", "still stick", Estimate(), 100.0, 0.7, where, comparison, basis)
     yield Law("sizes", "fall off exponentially", level, _pick(rng, Fit), level)
     yield Parts(level, (level, level))

@@ -116,7 +116,7 @@ def test_a_planted_answer_leads_the_page(study, rng):
             f"Length of &lt;it&gt;, x = \u22121 &lt;long&gt;: {said}.",
             "It is not &lt;wide&gt;.",
             "<figcaption>A &lt;line&gt;.",
-            "5\u00a0systems", "5 &lt;runs&gt; give a wide interval", '<details id="own:question">',
+            "5\u00a0systems", "5 &lt;runs&gt;: intervals are wide", '<details id="own:question">',
             "A length is measured. It is not a time.", "a&lt;b",
         )
     ]  # fmt: skip

@@ -211,7 +211,7 @@ def _basin(study: Study, grid: Grid) -> dict[str, Picture]:
     )
     which = str(setting.where) if len(grid.settings) > 1 else ""
     which = which or ("the system whose starts differ most" if len(systems) > 1 else "")
-    caption = f"Each colour is a basin. What a run does at the end, by its start{f' ({which})' if which else ''}."
+    caption = f"Each colour is a basin. Final state by initial condition{f' ({which})' if which else ''}."
     return {"basin": Picture(partial(scatter, starts, numbers, [*map(_entry, rows)]), caption)}
 
 
@@ -292,9 +292,17 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
     has_bands = any(map(_has_band, named_curves.values()))
     level = f", with {100 * study.settings.confidence:g}% intervals where some end and some do not" * has_bands
     count = f" {len(chosen)} of {len(settings)} settings are drawn." * (len(chosen) < len(settings))
-    caption = (
-        f"Curves fall as runs end, and level off where motion lasts. Share of runs that have not ended{level}.{count}"
+    kinds = {kind for setting in chosen for kind in setting.runs.said}
+    ends = [words for kind, words in ((SLIDING, "settle"), (ESCAPING, "grow without limit")) if kind in kinds]
+    see = f"Curves fall as runs {listed(ends, 'or')}. " if ends else ""
+    with_lulls = [setting for setting in chosen if (setting.runs.kinds == LULL).any()]
+    lulls = (
+        listed([f"{np.mean(setting.runs.kinds == LULL):.0%}{setting.where.tail}" for setting in with_lulls])
+        if with_lulls
+        else ""
     )
+    last = f" Those that have not ended include runs in unstable sliding: {lulls}." * bool(lulls)
+    caption = f"{see}Share of runs that have not ended{level}.{last}{count}"
     return Picture(partial(survival_curves, named_curves, t_end), caption)
 
 

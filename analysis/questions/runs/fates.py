@@ -75,18 +75,20 @@ from stickslip.analysis.stats.estimates import Estimate
 MOST_LINES = 12  # along a key, and settings with shares of their own
 MOST_OPEN = 0.1  # of runs that may be undecided without an alert
 LIFETIME = Quantity("lifetime", "median lifetime", more="longer", less="shorter")
+TO_GROWTH = replace(LIFETIME, name="median time to unbounded growth")
+TO_SLIDING = replace(LIFETIME, name="median time to sliding")
 DELAY = Quantity("last_event", "median delay of the last event")
-MEAN = Quantity("mean", "mean number of sticking blocks in runs that last")
+MEAN = Quantity("mean", "mean number of sticking blocks in runs not ended")
 PERIOD = Quantity("period", "period of the cycle")
 METHOD = (
-    "A run ends at its last event, if it is certified that no block sticks again, or when its motion has left every"
-    " bound; survival and medians are by Kaplan and Meier. Runs that are sliding, not certified, count as"
+    "A run ends at its last event, if it is certified that no block sticks again, or when its motion has grown"
+    " without limit; survival and medians are Kaplan-Meier estimates. Runs that are sliding, not certified, count as"
     " ended at their last events, and the upper ends of intervals take them as not ended."
 )
 METHOD_OF_ATTRACTORS = (
     "Each run is followed on from its end: a cycle repeats its events and comes back to its state, steady sliding and"
-    " rest are certified, and small deviations grow at a steady rate in irregular motion. Shares have Wilson's"
-    " interval, for as many independent runs as the scatter between systems allows."
+    " rest are certified, and small deviations grow at a steady rate in irregular motion. Shares have Wilson"
+    " intervals with the effective number of independent runs."
 )
 
 
@@ -98,14 +100,10 @@ class Ends(NamedTuple):
     lifetime: Estimate
 
     @property
-    def verb(self) -> str:
-        """What runs have done that ended, or may have."""
-        has_settled, slides, has_grown = (self.setting.runs.n_of(kind) for kind in (SLIDING, QUIET, ESCAPING))
-        if has_grown:
-            return "have ended" if has_settled or slides else "have grown without limit"
-        if slides:
-            return f"are sliding ({'not all' if has_settled else 'not'} certified)"
-        return "have settled into steady sliding"
+    def quantity(self) -> Quantity:
+        """The median time to the end that its runs come to, or may have."""
+        slides, grows = ((self.setting.runs.said == kind).any() for kind in (SLIDING, ESCAPING))
+        return LIFETIME if slides and grows else TO_GROWTH if grows else TO_SLIDING
 
 
 def answer(study: Study) -> Answer:
@@ -158,11 +156,15 @@ def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Find
         for settings in methods.values()
     ]
     is_alike = len(methods) > 1 and all(places == outcomes[0] for places in outcomes)
+    is_one = len({setting.kinds for setting in grid.settings}) == 1 and len(grid.settings[0].kinds) == 1
     reference = {setting.label: setting.kinds for setting in next(iter(methods.values()), [])}
     for k, (method, settings) in enumerate(methods.items()):
         if k == 0 or not is_alike:
-            where = Place.words("by every method") if is_alike else Place.of(method)
-            statements, details = _outcomes(study, grid, settings, where)
+            where = Place.words("with every engine") if is_alike else Place.of(method)
+            spoken = settings
+            if is_alike and is_one:
+                spoken, where = grid.settings, EVERYWHERE
+            statements, details = _outcomes(study, grid, spoken, where)
             for finding, places in statements:
                 is_new = k == 0 or any(reference.get(setting.label) != setting.kinds for setting in places)
                 (leading if is_new else secondary).append(finding)
@@ -173,8 +175,8 @@ def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Find
         lead = next((row for row in mixed if row.lifetime.low is not None), None)
         leading += [_lifetime(study, row) for row in lifetimes if row is lead]
         secondary += [_lifetime(study, row) for row in lifetimes if row is not lead]
-    spoken = [row.setting for row in ends]
-    return leading, [*secondary, *_delays(study), *_stability(study, spoken), *_means(study, spoken)]
+    with_ends = [row.setting for row in ends]
+    return leading, [*secondary, *_delays(study), *_stability(study, with_ends), *_means(study, with_ends)]
 
 
 def _outcomes(
@@ -211,8 +213,8 @@ def _shares(study: Study, settings: Sequence[Setting], where: Place) -> list[Fin
         comparison = _beside(row, published.get(row.outcome))
         if row.outcome == PERIODIC and n_cycles > 1:
             name = "other cycles" if row.cycle is None else f"the cycle of period {row.period:.4g}"
-            predicate, comparison = f"settle on {name}", None
-        findings.append(Share(row.outcome, things(basis), predicate, row.share, where, comparison, basis))
+            predicate, comparison = f"settle onto {name}", None
+        findings.append(Share(row.outcome, things(basis), predicate, row.share, where, comparison, basis, row.of))
         if row.cycle and n_cycles == 1 and row.period is not None and row.n_runs > 1:
             among = Basis(row.n_runs, things(basis)[:-1])
             findings.append(Alike(PERIOD, row.period, f"from all {based_on(among)}", where, among))
@@ -232,7 +234,7 @@ def _lifetime(study: Study, row: Ends) -> Lifetime:
     setting, share_left = row.setting, float(row.curve[1][-1])
     basis = Basis(setting.n_units, unit(study, [setting]))
     return Lifetime(
-        LIFETIME,
+        row.quantity,
         "runs",
         "still stick and slip",
         row.lifetime,
@@ -240,7 +242,6 @@ def _lifetime(study: Study, row: Ends) -> Lifetime:
         share_left,
         setting.where,
         basis=basis,
-        ended=row.verb,
     )
 
 
@@ -287,19 +288,26 @@ def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
             )
             basis = Basis(len(np.unique(subset.units)), noun(study.unit))
             name = f"runs with a linearly {state} all-slip state"
-            yield Share(f"{state}_{kind}", name, PREDICATES[kind], share, EVERYWHERE, None, basis)
+            yield Share(f"{state}_{kind}", name, PREDICATES[kind], share, EVERYWHERE, None, basis, len(subset.rows))
 
 
 def _means(study: Study, settings: Sequence[Setting]) -> list[Level]:
-    """Mean n_stick of the runs that stick and slip."""
+    """Mean n_stick of the runs not ended, which include those in unstable sliding."""
     groups = [group for setting in settings for group in setting.groups if study.unit != "start"]
     groups.sort(key=lambda group: -int(group.key["n"]))
     means = [(group, group.mean(study.settings.confidence)) for group in groups]
     return [
-        Level(MEAN, mean, Place.of(group.name), None, Basis(len(group.units), noun(study.unit)))
+        Level(MEAN, mean, _with_lulls(group), None, Basis(len(group.units), noun(study.unit)))
         for group, mean in means
         if mean.value is not None
     ]
+
+
+def _with_lulls(group: Group) -> Place:
+    """A group, with how many of its runs not ended are in unstable sliding, where no block sticks."""
+    n_lull = int(np.sum(group.fates == LULL))
+    lulls = Place.words(f"{n_lull} of {group.n_moving} runs in unstable sliding" * bool(n_lull))
+    return Place.of(group.name) + lulls
 
 
 def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[str]) -> list[Alert]:
@@ -366,7 +374,8 @@ def _along_t_burn(study: Study, rows: Sequence[Row], short: Sequence[str], is_be
     t_burn = study.settings.t_burn
     when = f"after t_burn = {t_burn:g}"
     says = f"Not all curves are level {when}: it is too short." if name in short else f"No drift is shown {when}."
-    caption = f"{says} Estimates with other values of t_burn over those with {t_burn:g} ({name})."
+    level = f"{100 * study.settings.confidence:g}%"
+    caption = f"{says} Ratios of estimates to those with t_burn = {t_burn:g}, with paired {level} intervals ({name})."
     recipe = partial(burn_in.by_t_burn, [row for row in rows if row["group"] == name], t_burn)
     return {"by_t_burn": Picture(recipe, caption)}
 

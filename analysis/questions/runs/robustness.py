@@ -32,9 +32,11 @@ from stickslip.pipeline.design.design import DEFAULT_READING, Change
 from stickslip.pipeline.design.labels import Label, apart
 
 PRIMARY = ("mean", "rate", "gamma")
-_METHOD = (
-    "Each system is compared with its changed copy. The effect of a change on single systems is a mean square"
-    " difference, as a share of that between two systems, beyond the scatter between starts of one."
+SHIFT = Quantity("shift", "median shift of the last event", clause="the last event shifts by a median of {}")
+_METHOD = "Each system is compared with its changed copy."
+_METHOD_OF_EFFECTS = (
+    " The effect of a change on a system is the mean square difference between it and its changed copy, without the"
+    " scatter between starts, over that between two systems."
 )
 
 
@@ -49,22 +51,24 @@ def section(study: Study) -> Section | None:
     where = dict(zip(labels, map(Place.of, apart(labels)), strict=True))
     unjudged = [step for copies in all_copies for step in _steps(study, copies, where[copies.label])]
     steps = judged_together(unjudged, 1 - confidence)
-    lead, rest = list[Finding](), list[Finding]()
+    lead, rest, has_effects = list[Finding](), list[Finding](), False
     for copies in all_copies:
         judged_steps = [step for step in steps if step.setting == copies.label and step.contrast.is_known]
         effects = list(_effects(study, copies, where[copies.label], unit))
+        has_effects |= bool(effects)
         if judged := [step for step in judged_steps if not step.contrast.reason]:
             lead += outcomes("no change", judged, unit, "change")
             lead += [effect for quantity, effect in effects if quantity == PRIMARY[0]][-1:]
         rest += [step.level("the unchanged system", unit) for step in judged_steps]
         rest += [effect for _, effect in effects]
         rest += _between(study, copies, where[copies.label], unit)
-    for copies in all_copies:
-        lead += _ends(study, copies, where[copies.label], unit)
+    for finding in (end for copies in all_copies for end in _ends(study, copies, where[copies.label], unit)):
+        is_empty = isinstance(finding, Share) and finding.estimate.value == 0.0  # all end alike
+        (rest if is_empty else lead).append(finding)
     in_figure = [step for step in steps if step.contrast.is_known]
     figures = forest(in_figure, "Differences from the unchanged systems", "robustness")
     lack = few("the effect of a changed system", len(all_copies[0].sums))
-    return Section(lack, steps, lead, rest, figures=figures, method=_METHOD)
+    return Section(lack, steps, lead, rest, figures=figures, method=_METHOD + _METHOD_OF_EFFECTS * has_effects)
 
 
 class _Set(NamedTuple):
@@ -234,11 +238,17 @@ def _ends(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Fi
         if counts:
             share = Estimate(*share_over_matrices([*counts.values()], confidence)[:3])
             ends = "end differently from their original"
-            yield Share("otherwise", "changed copies", ends, share, place, basis=Basis(len(counts), unit))
+            yield Share(
+                "otherwise",
+                "changed copies",
+                ends,
+                share,
+                place,
+                basis=Basis(len(counts), unit),
+                n=sum(of for _, of in counts.values()),
+            )
         if shifts:
             means = np.array([np.mean(of_unit) for of_unit in shifts.values()])
             shift = median(means, np.full(len(means), True), confidence)
             shift = replace(shift, value=float(np.median(means)))  # the mean of the two middle ones
-            yield Level(
-                Quantity("shift", "median shift of the last event"), shift, place, None, Basis(len(means), unit)
-            )
+            yield Level(SHIFT, shift, place, None, Basis(len(means), unit))

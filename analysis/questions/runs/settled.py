@@ -58,8 +58,8 @@ _START = ("z", "w")
 PREDICATES = {
     REST: "come to rest",
     SLIDING: "settle into steady sliding",
-    PERIODIC: "settle on a cycle",
-    TORUS: "settle on a torus",
+    PERIODIC: "settle onto a limit cycle",
+    TORUS: "settle onto a torus",
     IRREGULAR: "stay irregular",
     ESCAPING: "grow without limit",
     QUIET: "are sliding{} (not certified)",
@@ -69,7 +69,6 @@ PREDICATES = {
     UNDECIDED: "are undecided",
 }
 OUTCOMES = (*PREDICATES,)  # in the order of pages
-_PARTLY_CERTIFIED = "are sliding{} (not all certified)"
 
 
 class Outcome(NamedTuple):
@@ -289,9 +288,9 @@ def predicates(outcomes: Sequence[Outcome], settings: Sequence[Setting]) -> tupl
 
 
 def _words(outcome: Outcome, settings: Sequence[Setting]) -> str:
-    if outcome.kind == SLIDING and any(setting.runs.n_of(QUIET) for setting in settings):
+    if outcome.kind == SLIDING and (n_quiet := sum(setting.runs.n_of(QUIET) for setting in settings)):
         is_partly = any(setting.runs.n_of(SLIDING) for setting in settings)
-        return _PARTLY_CERTIFIED if is_partly else PREDICATES[QUIET]
+        return f"are sliding{{}} ({n_quiet:,} not certified to last)" if is_partly else PREDICATES[QUIET]
     exits = f" of {plural(outcome.exits, 'exit')} per period" if outcome.exits else ""
     return PREDICATES[outcome.kind] + exits
 
