@@ -151,8 +151,19 @@ def of_run(part: Any, k: int | None) -> Any:
         return part[k]
     if not isinstance(part, tuple):
         return part
-    fields = zip(part._fields, part, strict=True)  # type: ignore[attr-defined]
-    return type(part)(*[of_run(field, k) if is_by_run(type(part), name) else field for name, field in fields])
+    kind: Any = type(part)
+    own = _BY_RUN.get(kind)
+    return kind(
+        *[
+            # a small run takes less time than a call for each array
+            field
+            if own is not None and name not in own
+            else field[k]
+            if isinstance(field, np.ndarray)
+            else of_run(field, k)
+            for name, field in zip(kind._fields, part, strict=True)
+        ]
+    )
 
 
 @inner

@@ -13,6 +13,7 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from numba.core.compiler_lock import global_compiler_lock
 from numpy.typing import NDArray
 from scipy.integrate import ODEintWarning, odeint
 from scipy.linalg import eig
@@ -59,10 +60,15 @@ class Verdict:
 
 @contextmanager
 def patience(seconds: float) -> Iterator[None]:
-    """Raise `Endless` after so much time of this process."""
+    """Raise `Endless` after so much time of this process, counted anew if a kernel was being compiled by then.
+
+    That may take longer than a run, and what is raised in a callback of LLVM is lost, with the machine code.
+    """
 
     def stop(*_: object) -> None:
-        raise Endless
+        if not global_compiler_lock.is_locked():
+            raise Endless
+        signal.setitimer(signal.ITIMER_PROF, seconds)
 
     before = signal.signal(signal.SIGPROF, stop)
     signal.setitimer(signal.ITIMER_PROF, seconds)

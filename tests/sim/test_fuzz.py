@@ -8,12 +8,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numba.core.compiler_lock import global_compiler_lock
 
 from stickslip.sim import EventSeries, Run, System, draw_system, simulate
 from stickslip.sim.runs.run import Samples
 from tests.fuzz import judge as judging
 from tests.fuzz.draw import Trial, draw
-from tests.fuzz.judge import exact_truth, judge
+from tests.fuzz.judge import Endless, exact_truth, judge, patience
 from tests.fuzz.series import Stretches, compare
 from tests.fuzz.workers import judge_case, verdicts, within_limits
 from tests.independent import Case
@@ -185,3 +186,18 @@ def test_the_exact_engine_on_every_family(random_seed):
     wrong = {k: verdict.failures for (_, k, _), verdict in found if verdict.failures}
     assert len(found) == len(cases)
     assert wrong == {}, f"python -m tests.fuzz --seed {random_seed} --case {next(iter(wrong))}"
+
+
+def test_patience_waits_for_a_kernel_that_is_compiled():
+    """What is raised in a callback of LLVM is lost, and numba then has no machine code to keep."""
+    with patience(0.05):
+        with global_compiler_lock:
+            work(0.2)
+        with pytest.raises(Endless):
+            work(10.0)
+
+
+def work(seconds: float) -> None:
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        pass
