@@ -79,7 +79,7 @@ def _trend(grid: Grid, steps: Sequence[Step], key: str, is_negative: bool) -> st
         return f"shows no significant change with {key}"
     if len(verdicts) > 1:
         return f"changes in both directions along {key}"
-    settings = [*dict.fromkeys(step.setting for step in steps)]
+    settings = [label for label in grid.settings if any(step.setting == label for step in steps)]
     at = [grid.where[setting].noun for setting in settings if any(step.setting == setting for step in shown)]
     only = f" {listed(at)} only" if len(at) < len(settings) else ""
     return f"{'rises' if (verdicts == {Verdict.MORE}) != is_negative else 'falls'} with {key}{only}"
