@@ -147,14 +147,13 @@ def _picture(drawn: Mapping[str, tuple[list[Band], list[Band]]], motion: Slow) -
     ratios = [band.ratio.value or 1.0 for band in bands]
     most, least = max(ratios), min(ratios)
     peak = ratios.index(most)
-    edge = max((band.middle for band in bands[:peak] if (band.ratio.value or 1.0) <= 1.0), default=bands[0].above)
-    below = (
-        f", and is down to {least:.2g} times as large at shorter ones" if min(ratios[:peak], default=1.0) < 1 else ""
-    )
+    crossed = max((band.middle for band in bands[:peak] if (band.ratio.value or 1.0) <= 1.0), default=bands[0].above)
+    edge = float(f"{crossed:.1g}")
+    below = f", and down to {number(least)} times at shorter ones" if min(ratios[:peak], default=1.0) < 1 else ""
     return Picture(
         partial(spectrum, drawn),
-        f"At periods over about {edge:.2g} {power} is up to {most:.2g} times as large as for time-shifted blocks"
-        f" (dashed){below}. Bars and bands: intervals; lines through marks: a damped oscillator, which at"
+        f"At periods over about {edge:g} {power} is up to {number(most)} times as large as for time-shifted"
+        f" blocks (dashed){below}. Bars and bands: intervals; lines through marks: a damped oscillator, which at"
         f" {motion.group.label} has Q = {quality} and a deviance of {fit.deviance:.0f} on {fit.dof} degrees of"
         f" freedom (p = {fit.p_value:.2g}).",
     )
