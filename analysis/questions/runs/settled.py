@@ -386,8 +386,7 @@ def regimes(
 ) -> list[tuple[Regime, Sequence[Setting]]]:
     """A line by what its runs do, with the settings: at which values, or of many stretches at how many.
 
-    Settings some of whose runs grow without limit come first: what else is estimated there is of survivors. Of more
-    outcomes than lead a page, those follow that all runs of a setting share.
+    Of more outcomes than lead a page, those come first that all runs of a setting share.
     """
     axis = grid.axes[0]
     by_outcome: dict[tuple[Outcome, ...], list[slice]] = {}
@@ -396,8 +395,7 @@ def regimes(
     line_place = grid.beside(line[0]) + method
     in_order = [*by_outcome]
     if len(in_order) > MOST_LEADING:
-        in_order.sort(key=lambda outcomes: len(outcomes) > 1)
-    in_order.sort(key=lambda outcomes: len(outcomes) < 2 or ESCAPING not in {outcome.kind for outcome in outcomes})
+        in_order.sort(key=lambda outcome: len(outcome) > 1)
     rows: list[tuple[Regime, Sequence[Setting]]] = []
     for outcome in in_order:
         parts = by_outcome[outcome]
