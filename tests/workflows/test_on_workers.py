@@ -214,7 +214,7 @@ def test_a_report_by_workers_of_this_machine_is_that_of_one_process(tmp_path):
         found.append({file.name: pd.read_parquet(file) for file in (out / "report").glob("*.parquet")})
         (out / "report.html").unlink()
     plain, spread = found
-    asked = {"law", "definitions", "clustering", "rhythm"}
+    asked = {"law", "definitions", "clustering", "spectrum"}
     assert plain.keys() == spread.keys() >= {f"{name}.parquet" for name in asked}
     for name, table in plain.items():
         pd.testing.assert_frame_equal(spread[name], table, rtol=1e-10)
