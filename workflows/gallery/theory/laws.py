@@ -83,7 +83,7 @@ class StaticAboveKinetic(SwitchingLaw):
     4 (1 + c)^3 = 27 r^2 c, whose root with c > 1/2 is 1 + c = 3 r cos(arccos(-1 / r) / 3). r = 1 is Coulomb, c = 0.
 
     For 1 < |F| / mu < r a stable sticking mode and the slip in the direction of -F both exist, with a saddle between
-    them: the state no longer determines an exit (see `blowup.continuations`).
+    them: the state no longer determines an exit (see ``blowup.continuations``).
 
     Raises
     ------
