@@ -33,7 +33,6 @@ QUALITIES = (0.2, 20.0)  # range of the fit
 LEAST_HARMONICS = 10  # in the band
 LEAST_PERIODS = 2.0  # of the oscillator in a window
 SURROGATES = 999
-P_FLOOR = 1 / (1 + SURROGATES)  # the least p-value that so many can give
 MOST_STEPS = 100  # of Fisher scoring
 
 

@@ -79,8 +79,8 @@ def _trend(grid: Grid, steps: Sequence[Step], key: str, is_negative: bool) -> st
         return f"shows no significant change with {key}"
     if len(verdicts) > 1:
         return f"changes in both directions along {key}"
-    settings = {step.setting for step in steps}
-    names = [place.noun for label, place in grid.where.items() if str(label) in {step.setting for step in shown}]
+    settings, changing = ({step.setting for step in some} for some in (steps, shown))
+    names = [place.noun for label, place in grid.where.items() if str(label) in changing]
     only = f" {listed(names)} only" if len(names) < len(settings) else ""
     return f"{'rises' if (verdicts == {Verdict.MORE}) != is_negative else 'falls'} with {key}{only}"
 
