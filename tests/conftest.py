@@ -2,8 +2,10 @@
 
 import hashlib
 import os
+import random
 import secrets
 import signal
+import time
 
 from stickslip.pipeline.machine.processes import ONE_THREAD
 
@@ -16,19 +18,23 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
 
+_DEADLINE = pytest.StashKey[float]()
+_TIME_IS_UP = "left out: the time of this sample was up"
+
 
 def pytest_addoption(parser):
     parser.addoption("--fresh", action="store_true", help="only the tests that draw at random, on a new seed")
     parser.addoption("--repeat", type=int, help="as --fresh, and each test so many times, each on a seed of its own")
-    parser.addoption("--seed", type=int, help="as --fresh, on the seed that such a run has printed")
+    parser.addoption("--seed", type=int, help="as --fresh or `-m long`, on the seed that such a run has printed")
+    parser.addoption("--minutes", type=float, help="a random sample of the tests, of this duration")
 
 
 def pytest_configure(config):
-    """One number decides what a run draws; pytest-xdist hands it to its workers with the other options."""
+    """One number decides what a run draws, and what its workers draw."""
     option = config.option
-    option.fresh |= option.seed is not None or option.repeat is not None
+    option.fresh |= option.repeat is not None or (option.seed is not None and option.markexpr != "long")
     if option.seed is None:
-        option.seed = secrets.randbits(32)
+        option.seed = getattr(config, "workerinput", {}).get("seed") or secrets.randbits(32)
     # none looks at the clock
     settings.register_profile(
         "any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True, database=None
@@ -51,18 +57,38 @@ def pytest_collection_modifyitems(config, items):
     if config.option.fresh:
         config.hook.pytest_deselected(items=[item for item in items if not _draws(item)])
         items[:] = [item for item in items if _draws(item)]
+    if config.option.minutes is not None:
+        random.Random(config.option.seed).shuffle(items)
+
+
+def pytest_collection_finish(session):
+    minutes = session.config.option.minutes
+    session.stash[_DEADLINE] = float("inf") if minutes is None else time.monotonic() + 60 * minutes
 
 
 def pytest_runtest_setup(item):
+    if time.monotonic() > item.session.stash[_DEADLINE]:
+        pytest.skip(_TIME_IS_UP)
     if hypothesis.is_hypothesis_test(item.obj):
         hypothesis.seed(_seed(item))(item.obj)
 
 
 def pytest_terminal_summary(terminalreporter, config):
-    """The summary names what failed, with its repetition."""
-    if config.option.fresh:
-        repeat = f" --repeat {config.option.repeat}" if config.option.repeat else ""
-        terminalreporter.write_line(f"to draw the same again: --seed {config.option.seed}{repeat}")
+    """How much of a sample ran, and how to draw the same again."""
+    option, stats = config.option, terminalreporter.stats
+    if option.minutes is not None:
+        ends = [report for kind in ("passed", "failed", "error", "skipped") for report in stats.get(kind, [])]
+        tests = {report.nodeid for report in ends}
+        left = {report.nodeid for report in stats.get("skipped", []) if _TIME_IS_UP in str(report.longrepr)}
+        terminalreporter.write_line(f"{len(tests) - len(left)} of {len(tests)} tests ran in {option.minutes:g} min")
+    if option.fresh or option.markexpr == "long":
+        repeat = f" --repeat {option.repeat}" if option.repeat else ""
+        terminalreporter.write_line(f"to draw the same again: --seed {option.seed}{repeat}")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_configure_node(node):
+    node.workerinput["seed"] = node.config.option.seed
 
 
 @pytest.hookimpl(optionalhook=True)
