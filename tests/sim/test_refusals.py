@@ -10,7 +10,7 @@ from stickslip.sim import Harmonic, Piecewise, Rational, Stribeck, System, draw_
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.episodes import episodes
 from stickslip.sim.systems.weakening import Weakening
-from stickslip.workflows.gallery.theory import blowup, folds, slow_time, strata
+from stickslip.workflows.gallery.theory import blowup, folds, slow_time
 from stickslip.workflows.gallery.theory.laws import Coulomb, Modified, StaticAboveKinetic
 
 ONE, TWO = System([[1.0]], 0.1), System(np.eye(2), 0.1)
@@ -271,25 +271,9 @@ THEORY = [
             ("z", lambda: folds.sticking_lambda(PAIR, 0.0)),
             ("z", lambda: folds.sticking_lambda(PAIR, np.zeros((2, 3)))),
             ("z", lambda: folds.can_stick(PAIR, [0.0, np.inf])),
-            ("z", lambda: folds.drift_exit(PAIR, [0.0, 5.0])),
-            ("block", lambda: folds.fold(PAIR, 2, 1)),
-            ("block", lambda: folds.fold(PAIR, 0.0, 1)),
-            ("side", lambda: folds.fold(PAIR, 0, 0)),
             ("system", lambda: folds.stick_interval(PAIR)),
             ("system", lambda: folds.stick_interval(System([[0.0]], 0.1))),
-            ("system", lambda: strata.parallelogram(System(np.eye(3), 0.1))),
-            ("n_folds", lambda: strata.n_strata(2, 3)),
-            ("n_stuck", lambda: strata.n_strata(True, 1)),
-            ("n_folds", lambda: strata.strata(PAIR, 0)),
-            ("n_folds", lambda: strata.strata(PAIR, 2, stuck=[1])),
-            ("stuck", lambda: strata.strata(PAIR, 1, stuck=[1, 1])),
-            ("stuck", lambda: strata.strata(PAIR, 1, stuck=[2])),
-            ("velocity", lambda: next(strata.strata(PAIR, 1, stuck=[1])).kind()),
-            ("blocks", lambda: next(strata.strata(PAIR, 1)).two_fold()),
-            ("mode", lambda: folds.visibility(PAIR, 0.0, -1.0, [0, 2])),
-            ("mode", lambda: folds.visibility(PAIR, [0.0, 5.0], -1.0, [0, 0])),  # too far to stick
-            ("mode", lambda: folds.visibility(PAIR, 0.0, [-1.0, 0.0], [0, -1])),  # slips the other way
-            ("mode", lambda: folds.visibility(PAIR, 0.0, -1.0, [0, 1])),  # on the belt, and held
+            ("system", lambda: folds.parallelogram(System(np.eye(3), 0.1))),
         )
     ),
     ("ratio", VALUE, "expected static over kinetic friction >= 1, got 0.9", lambda: StaticAboveKinetic(0.9)),
@@ -306,19 +290,12 @@ THEORY = [
 #: What is written for plain systems, of a diagonal, one friction and one belt.
 PLAIN = {
     "simulate": lambda s: simulate(s, 0.0, 0.0, 1.0),
-    "fold": lambda s: folds.fold(s, 0, 1),
-    "folds": lambda s: list(folds.folds(s)),
     "sticking_lambda": lambda s: folds.sticking_lambda(s, [0.0, 0.0]),
     "can_stick": lambda s: folds.can_stick(s, [0.0, 0.0]),
-    "drift_exit": lambda s: folds.drift_exit(s, 0.0),
-    "visibility": lambda s: folds.visibility(s, 0.0, 0.0, 0),
-    "strata": lambda s: strata.strata(s, 1),
-    "corners": strata.corners,
-    "parallelogram": strata.parallelogram,
-    "Stratum": lambda s: strata.Stratum(s, (0, 1), (0,), (1,)),
+    "corners": folds.corners,
+    "parallelogram": folds.parallelogram,
     "continuations": lambda s: blowup.continuations(s, Coulomb(), 0.0, 0.0),
     "run_with_law": lambda s: slow_time.run_with_law(s, Coulomb(), 0.0, 0.0, 1.0),
-    "follow": lambda s: slow_time.follow(s, Coulomb(), 0.0, 0.0, 1.0),
 }
 COUPLED = System([[1.0, 0.2], [-0.2, 1.0]], 0.1)
 TOO_MUCH = {
@@ -353,7 +330,7 @@ def test_what_is_written_for_a_diagonal_says_so(call):
         PLAIN[call](COUPLED.changed(damping=given))
 
 
-@pytest.mark.parametrize("call", ["folds", "can_stick", "corners", "continuations", "follow"])
+@pytest.mark.parametrize("call", ["can_stick", "corners", "continuations", "run_with_law"])
 def test_what_is_written_for_one_friction_says_so(call):
     given, words = TOO_MUCH["static"]
     with pytest.raises(ValueError, match=f"^{words}"):
@@ -364,7 +341,7 @@ def test_what_is_written_for_one_friction_says_so(call):
 def test_what_is_written_for_the_plain_law_says_so(term):
     given, words = TOO_MUCH[term]
     with pytest.raises(ValueError, match=f"^{words}"):
-        PLAIN["folds"](COUPLED.changed(**{term: given}))
+        PLAIN["can_stick"](COUPLED.changed(**{term: given}))
 
 
 @pytest.mark.parametrize(

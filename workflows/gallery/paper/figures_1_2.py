@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from stickslip import sim
 from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, PURPLE, panel
 from stickslip.workflows.gallery.charts.peers import Floats
-from stickslip.workflows.gallery.theory import folds, strata
+from stickslip.workflows.gallery.theory import folds
 from stickslip.workflows.gallery.theory.blowup import continuations
 from stickslip.workflows.gallery.theory.laws import Coulomb, StaticAboveKinetic
 
@@ -134,7 +134,7 @@ def pair(sign: Literal[1, -1]) -> sim.System:
 
 def corner(system: sim.System, sides: tuple[int, int]) -> Floats:
     """Where both blocks are at the edge of sticking, lambda = `sides`; shape (2,)."""
-    (found,) = (corner for corner in strata.corners(system) if corner.sides == sides)
+    (found,) = (corner for corner in folds.corners(system) if corner.sides == sides)
     return found.point
 
 
@@ -142,8 +142,8 @@ def parallelogram(sign: Literal[1, -1]) -> Parallelogram:
     """Corners and the paths (a), (b), (c) under one sign of the coupling."""
     system = pair(sign)
     corners: list[Corner] = []
-    for one in strata.parallelogram(system):
-        (a, b), (x, y), (first, second) = one.sides, one.point, one.visibility()
+    for one in folds.parallelogram(system):
+        (a, b), (x, y), (first, second) = one.sides, one.point, one.visibility
         corners.append(Corner(sign, a, b, float(x), float(y), str(first), str(second)))
     lead = 0.5  # time on the belt before the corner
     belt = np.full(2, V)

@@ -16,9 +16,9 @@ from fractions import Fraction
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from stickslip.sim.numerics.arguments import Floats, floats, number
+from stickslip.sim.numerics.arguments import Floats, number
 from stickslip.sim.runs.run import IntegrationError
 from stickslip.sim.systems.friction import hidden_term, over_kinetic, turning_point
 
@@ -223,26 +223,6 @@ class SmoothLaw(SwitchingLaw):
 
     def zeros(self, target: Floats, slip: Slips) -> Floats:
         return _subdivide(self, target, slip, self.curvature, self.resolution)
-
-
-def canopy(corners: ArrayLike, lam: ArrayLike) -> Floats:
-    """Convex canopy, eq. (12): sum over corners of the product of (1 +- lambda_j) / 2 times f^(+-...+-).
-
-    Parameters
-    ----------
-    corners : array_like, shape (2,) * m + trailing
-        corners[i_1, ..., i_m] is the vector field at lambda_j = 2 i_j - 1; any trailing shape.
-    lam : array_like, shape (m,)
-
-    Returns
-    -------
-    float64, of the trailing shape
-        Multilinear in lambda, so it misses every term that vanishes at the corners, as those of section 5 do.
-    """
-    value = floats("corners", corners, "vector fields at the corners of the box")
-    for weight in floats("lam", lam, "a number for each switch"):
-        value = value[0] * (1 - weight) / 2 + value[1] * (1 + weight) / 2
-    return value
 
 
 def _combine(roots: list[Floats], slip: Slips) -> Floats:
