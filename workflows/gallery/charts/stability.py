@@ -28,10 +28,9 @@ from pydantic import Field
 from stickslip import sim
 from stickslip.analysis.style import GREY, styled, subplots
 from stickslip.pipeline.scene.toml import Blocks, Positive
-from stickslip.workflows.gallery.charts import ChartScene, Say, Several, Shown, slope
+from stickslip.workflows.gallery.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.gallery.charts.peers import METHODS, Model, Problem, methods_of, random_problem
 from stickslip.workflows.gallery.charts.runner import frame
-from stickslip.workflows.gallery.charts.slope import Creep, creep
 from stickslip.workflows.gallery.charts.trials import Outcome, Reference, Setting, Trial, referenced, trials
 
 Axis = Literal["layer", "bond", "damping"]
@@ -59,7 +58,7 @@ WRONG_ABOVE = 1e-2
 class StabilityScene(ChartScene):
     """A scene with ``chart = "stability"``; dimensionless but for `patience`."""
 
-    libraries = ("scipy", "CyRK", "scikit-sundae", "diffrax", "mujoco")
+    libraries = ("scipy", "CyRK", "scikit-sundae", "diffrax")
 
     chart: Literal["stability"] = Field(description="kind of the chart", examples=["stability"])
     title: str = Field(default="Where methods stop working", description="one line for the report's head")
@@ -105,7 +104,7 @@ class StabilityScene(ChartScene):
             for axis, columns in self.axes.items()
             for _, settings in methods_of(LAWS[axis], self.tolerances, self.steps)
         )
-        return f"{found} cells and a block on a slope"
+        return f"{found} cells"
 
     def measure(self, say: Say) -> Measured:
         """Fill every map, column by column."""
@@ -124,10 +123,10 @@ class StabilityScene(ChartScene):
                         found = trials(row, method, problem, column, known, settings, self.patience)
                         cells += [judged(cell, column.floor) for cell in found]
                     say(f"{axis}, {stiffness:g}: {len(cells)} cells")
-        return Measured(cells, references, creep(say))
+        return Measured(cells, references)
 
     def show(self, measured: Measured) -> Shown:
-        """Tables: `cells`, `references`, `creep`."""
+        """Tables: `cells`, `references`."""
         groups = {axis: maps for axis in LAWS if (maps := _maps(measured.cells, axis))}
         maps = [one for group in groups.values() for one in group]
         cells: dict[str, list[Cell]] = {}
@@ -141,13 +140,8 @@ class StabilityScene(ChartScene):
             "others": {name: told[name] for name in told if name not in ours},
             "events": {name: [cell for cell in cells[name] if cell.apart is not None] for name in ours},
             "rule": {"factor": FACTOR, "right_below": RIGHT_BELOW, "wrong_above": WRONG_ABOVE},
-            "slope": slope,
         }
-        tables = {
-            "cells": frame(measured.cells, Cell),
-            "references": frame(measured.references, Column),
-            "creep": frame(measured.creep, Creep),
-        }
+        tables = {"cells": frame(measured.cells, Cell), "references": frame(measured.references, Column)}
         return Shown(facts, tables, {f"{axis}_maps": partial(maps_of, some) for axis, some in groups.items()})
 
 
@@ -180,7 +174,6 @@ class Measured:
 
     cells: list[Cell]
     references: list[Column]
-    creep: list[Creep]
 
 
 def judged(cell: Cell, floor: float | None) -> Cell:
