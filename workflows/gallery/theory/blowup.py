@@ -160,8 +160,8 @@ class Blowup:
         """
         slips = self._slips(slip)
         target = -per_block("force", force, len(slips)) / self.friction
-        found = self.law.zeros(target, slips)
-        return tuple(self.mode(lam, slips) for lam in found[np.lexsort(found.T[::-1])])
+        zeros = self.law.zeros(target, slips)
+        return tuple(self.mode(lam, slips) for lam in zeros[np.lexsort(zeros.T[::-1])])
 
     def continuations(self, force: ArrayLike, slip: ArrayLike = 0) -> tuple[Mode, ...]:
         """All forward continuations of blocks that are on the belt (slip_i = 0): stable modes and possible slips.
@@ -171,15 +171,15 @@ class Blowup:
         """
         slips, m = self._slips(slip), len(self.friction)
         load = per_block("force", force, m)
-        found = []
+        modes = []
         for choice in product(*([0, 1, -1] if s == 0 else [s] for s in slips.tolist())):
             trial = np.array(choice, dtype=np.int8)
             starts = (trial != 0) & (slips == 0)
             for mode in self.sticking_modes(load, trial):
                 away = self.law.accelerations(load, self.friction, mode.lam) * trial > 0
                 if mode.is_stable and away[starts].all():
-                    found.append(mode)
-        return tuple(found)
+                    modes.append(mode)
+        return tuple(modes)
 
     def settle(self, force: ArrayLike, entry: ArrayLike, slip: ArrayLike = 0) -> Settled:
         """Run the fast system from an entry point to where it settles.
@@ -217,9 +217,9 @@ class Blowup:
         unit = float(self.eps.max() / self.friction.min())
         times, path, t, n_evaluations = [np.zeros(1)], [box(u)[None]], 0.0, 0
         for span in (*2.0 ** np.arange(2, 14), 0.0):
-            rest = self._at_rest(load, box(u), slips, 1e-9 if span else 1e-4)
-            if rest is not None:
-                lam, slipping, is_stable = rest
+            end = self._at_rest(load, box(u), slips, 1e-9 if span else 1e-4)
+            if end is not None:
+                lam, slipping, is_stable = end
                 return Settled(lam, slipping, is_stable, np.concatenate(times), np.concatenate(path))
             if not span or n_evaluations > MAX_EVALUATIONS:
                 break
@@ -246,24 +246,24 @@ class Blowup:
         free = np.flatnonzero(slipping == 0)
         if (np.abs(f[free]) > tol * scale).any():
             return None
-        at = np.where(slipping != 0, slipping, lam).astype(np.float64)
+        point = np.where(slipping != 0, slipping, lam).astype(np.float64)
         for _ in range(8 if len(free) else 0):
-            jacobian = self.law.jacobian(self.friction, at)[np.ix_(free, free)]
-            step = np.linalg.lstsq(jacobian, -self.law.accelerations(load, self.friction, at)[free])[0]
-            at[free] = np.clip(at[free] + step, -1.0, 1.0)
-        f = self.law.accelerations(load, self.friction, at)
-        near = np.abs(at - lam).max() < 1e-2 and (np.abs(f[free]) < 1e-9 * scale).all()
-        if not near or not (f * slipping > 0)[leaving].all():
+            jacobian = self.law.jacobian(self.friction, point)[np.ix_(free, free)]
+            step = np.linalg.lstsq(jacobian, -self.law.accelerations(load, self.friction, point)[free])[0]
+            point[free] = np.clip(point[free] + step, -1.0, 1.0)
+        f = self.law.accelerations(load, self.friction, point)
+        is_near = np.abs(point - lam).max() < 1e-2 and (np.abs(f[free]) < 1e-9 * scale).all()
+        if not is_near or not (f * slipping > 0)[leaving].all():
             return None
         if not len(free):
-            return at, slipping, True
+            return point, slipping, True
         # the factors vanish on a face: a floor keeps the sign that they give just inside it
-        factor = np.maximum(1 - at[free] ** 2, 1e-6) / self.eps[free]
-        jacobian = self.law.jacobian(self.friction, at)[np.ix_(free, free)]
+        factor = np.maximum(1 - point[free] ** 2, 1e-6) / self.eps[free]
+        jacobian = self.law.jacobian(self.friction, point)[np.ix_(free, free)]
         is_stable = bool(np.linalg.eigvals(factor[:, None] * jacobian).real.max() < 0)
         if not is_stable and np.abs(f_before[free]).max() > ON_BORDER * scale:
             return None  # it may be passing the equilibrium
-        return at, slipping, is_stable
+        return point, slipping, is_stable
 
     def _slips(self, slip: ArrayLike) -> Slips:
         array = per_block("slip", slip, len(self.friction))

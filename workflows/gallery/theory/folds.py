@@ -176,10 +176,10 @@ def parallelogram(system: System) -> tuple[Corner, Corner, Corner, Corner]:
         If K is singular: the region is then an unbounded strip, or empty.
     """
     _require_blocks(system, 2)
-    first, clockwise, counter, last = corners(system)  # ++, +-, -+, --
+    start, clockwise, counter, opposite = corners(system)  # ++, +-, -+, --
     if np.linalg.det(_dense(system)) < 0.0:  # lambda runs the other way round than z
         clockwise, counter = counter, clockwise
-    return first, counter, last, clockwise
+    return start, counter, opposite, clockwise
 
 
 def _visibility(outward: float) -> Visibility:

@@ -157,12 +157,12 @@ def _march(system: System, blowup: Blowup, z: Floats, w: Floats, entry: Floats, 
         if cause == "end":
             yield segment, [], end
             return
-        after = _decide(system, blowup, _at_event(system, blowup, end, cause))
-        yield segment, _events(end, after, cause), after
+        next_state = _decide(system, blowup, _at_event(system, blowup, end, cause))
+        yield segment, _events(end, next_state, cause), next_state
         n_still = n_still + 1 if end.t - state.t < TOGETHER else 0
         if n_still > 10 * system.n:
             raise IntegrationError(f"t = {end.t:.12g}: events pile up; the modes chatter under this law")
-        state = after
+        state = next_state
 
 
 def _decide(system: System, blowup: Blowup, state: _State) -> _State:
@@ -198,8 +198,8 @@ def _at_event(system: System, blowup: Blowup, state: _State, cause: Cause) -> _S
         along = right[:, np.argmax(values.real)].real
         along, depth = along / np.abs(along).max(), FOLD_DEPTH
         if cause == "fold":  # no mode exists beyond, so lambda leaves to the side to which the drift of F pushes it
-            values, left = np.linalg.eig(jacobian.T)
-            across = left[:, np.argmax(values.real)].real
+            values, left_vectors = np.linalg.eig(jacobian.T)
+            across = left_vectors[:, np.argmax(values.real)].real
             along *= -np.sign((across @ (factor * (system.stiffness @ w)[free])) * (across @ along))
             depth = _fold_depth(blowup, total_force(system, state.z, w), lam, free, along, across / (across @ along))
         lam[free] = np.clip(lam[free] + depth * along, -1.0, 1.0)
@@ -220,16 +220,15 @@ def _fold_depth(
     return depth
 
 
-def _events(before: _State, after: _State, cause: Cause) -> list[LawEvent]:
+def _events(old: _State, new: _State, cause: Cause) -> list[LawEvent]:
     def event(kind: EventKind, block: int) -> LawEvent:
-        return LawEvent(after.t, kind, cause, block, after.slip, before.lam, after.lam)
+        return LawEvent(new.t, kind, cause, block, new.slip, old.lam, new.lam)
 
-    changed = np.flatnonzero(before.slip != after.slip)
+    changed = np.flatnonzero(old.slip != new.slip)
     if not len(changed):  # a block that grazes the belt speed goes on slipping: no event
         return [event("jump", -1)] if cause in ("fold", "focus") else []
     return [
-        event("exit" if before.slip[j] == 0 else "entry" if after.slip[j] == 0 else "crossing", int(j))
-        for j in changed
+        event("exit" if old.slip[j] == 0 else "entry" if new.slip[j] == 0 else "crossing", int(j)) for j in changed
     ]
 
 
