@@ -3,7 +3,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import sparse
 
 from stickslip.sim import System, simulate
 from stickslip.sim.attractors import attractor
@@ -24,49 +23,23 @@ def layouts(k):
 
 
 def test_sums_do_not_depend_on_the_layout(rng):
-    for n in rng.integers(20, 200, 10):
+    for n in rng.integers(20, 200, 3):
         k = rng.normal(size=(n, n))
         first = System(k, 1.0).row_sums
         for other in layouts(k):
             assert System(other, 1.0).row_sums.tobytes() == first.tobytes()
 
 
-@pytest.mark.parametrize("engine", ["coulomb", "sigmoid"])
-def test_the_layout_of_arrays_does_not_show(engine, rng):
-    for n in (3, 8, 30):
-        k = np.diag(rng.uniform(0, 0.2, n)) + 0.1 * (np.tri(n) - np.tri(n).T) * rng.uniform(-1, 1, (n, n))
-        damping, z0 = rng.uniform(3.5, 7, n), rng.uniform(-1, 1, n)
-        first = simulate(System(k, damping), z0, -0.2, 20.0, engine=engine)
-        for other in layouts(k):
-            run = simulate(System(other, damping), z0, -0.2, 20.0, engine=engine)
-            assert run.z.tobytes() == first.z.tobytes()
-            assert run.events.t.tobytes() == first.events.t.tobytes()
-
-
-def test_a_sparse_matrix_stays_as_it_was_given(rng):
-    k = sparse.csc_array(rng.uniform(1, 2, (4, 4)))
-    k.indices[:2], k.data[:2] = k.indices[1::-1].copy(), k.data[1::-1].copy()  # out of order
-    indices, data = k.indices.copy(), k.data.copy()
-    given = System(k, 3.5).stiffness.toarray()
-    np.testing.assert_array_equal(k.indices, indices)
-    np.testing.assert_array_equal(k.data, data)
-    np.testing.assert_array_equal(k.toarray(), given)
-
-
 NULLABLE = ("Float64", "float64[pyarrow]", "Int64", "int64[pyarrow]", object)
 
 
 @pytest.mark.parametrize("kind", NULLABLE)
-def test_tables_of_nullable_types_are_taken(kind):
+def test_tables_of_nullable_types_are_taken_and_a_gap_is_refused_where_it_is(kind):
     k = np.array([[2.0, -1.0], [-1.0, 2.0]])
-    system = System(pd.DataFrame(k).astype(kind), pd.Series([1, 2]).astype(kind))
+    frame = pd.DataFrame(k).astype(kind)
+    system = System(frame, pd.Series([1, 2]).astype(kind))
     np.testing.assert_array_equal(system.stiffness, k)
     np.testing.assert_array_equal(system.damping, [1.0, 2.0])
-
-
-@pytest.mark.parametrize("kind", NULLABLE)
-def test_a_gap_is_refused_where_it_is(kind):
-    frame = pd.DataFrame([[2.0, -1.0], [-1.0, 2.0]]).astype(kind)
     frame.iloc[1, 0] = pd.NA
     with pytest.raises((TypeError, ValueError), match=r"stiffness: expected .*(<NA> at \(1, 0\)|NaN)"):
         System(frame, 0.1)
@@ -78,13 +51,13 @@ def test_objects_that_are_no_numbers_are_refused(entry):
         System(np.eye(2), np.array([1.0, entry], dtype=object))
 
 
-@pytest.mark.parametrize("low", [0.0, 0.3, 1e-300, 1e300, -0.3, 123456.0])
-@pytest.mark.parametrize("n_ulps", [1, 3, 10**6, 10**12])
-def test_numbers_that_differ_look_different(low, n_ulps):
-    high = low + n_ulps * np.spacing(low)
-    texts = apart(low, high, low)
-    assert texts[0] == texts[2] != texts[1]
-    np.testing.assert_allclose([float(text) for text in texts], [low, high, low], rtol=1e-5)
+@pytest.mark.parametrize("low", [0.0, 0.3, 1e-300, -1e300, 123456.0])
+def test_numbers_that_differ_look_different(low):
+    for n_ulps in (1, 10**6, 10**12):
+        high = low + n_ulps * np.spacing(low)
+        texts = apart(low, high, low)
+        assert texts[0] == texts[2] != texts[1]
+        np.testing.assert_allclose([float(text) for text in texts], [low, high, low], rtol=1e-5)
 
 
 def test_round_numbers_stay_short():

@@ -123,50 +123,14 @@ def smoothed(rng, law, of_belt, low, high):
     return errors(run, x[:N], x[N:], 1e-8)
 
 
-def worst(found):
-    print(*(np.array2string(np.asarray(one), precision=2) for one in found))
-    return np.max(found)
-
-
 @pytest.mark.parametrize("case", [passed, pushed])
 def test_exact_events_on_ramps_of_any_length_at_any_time(rng, case):
-    assert worst([case(rng, low, low + 1) for low in range(-11, -1, 3)]) < 100
+    assert np.max([case(rng, low, low + 1) for low in range(-11, -1, 3)]) < 100
 
 
-@pytest.mark.parametrize("of_belt", [True, False])
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(("law", "of_belt"), [("plain", True), ("static", False), ("weakening", True)])
 def test_smoothed_runs_across_ramps_of_any_length_at_any_time(rng, law, of_belt):
-    assert worst([smoothed(rng, law, of_belt, low, low + 2) for low in (-11, -5)]) < 100
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("case", [passed, pushed])
-def test_exact_events_on_many_ramps(rng, case):
-    assert worst([case(rng, -11, -1) for _ in range(100)]) < 100
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("of_belt", [True, False])
-@pytest.mark.parametrize("law", LAWS)
-def test_smoothed_runs_across_many_ramps(rng, law, of_belt):
-    assert worst([smoothed(rng, law, of_belt, -11, -1) for _ in range(40)]) < 100
-
-
-@pytest.mark.parametrize("settings", [{}, SMOOTHED, {"engine": "moreau"}])
-@pytest.mark.parametrize("kind", ["antisymmetric", "chain"])
-def test_the_time_of_a_start_does_not_matter(rng, settings, kind):
-    late, n = 1e9, 20
-    system = draw_system(kind, n, int(rng.integers(2**32)))
-    z, w = rng.normal(size=n), rng.normal(size=n)
-    t = np.linspace(0.0, 15.0, 16)
-    early, other = (simulate(system, z, w, at + 15.0, t_start=at, t_eval=at + t, **settings) for at in (0.0, late))
-    assert len(early.events) > 0
-    assert np.array_equal(early.events.block, other.events.block)
-    assert np.array_equal(early.events.mode, other.events.mode)
-    np.testing.assert_allclose(other.events.t - late, early.events.t, atol=np.spacing(late))
-    for one, same in ((early, other), (early.samples, other.samples)):
-        np.testing.assert_allclose(same.z, one.z, atol=1e-8)
-        np.testing.assert_allclose(same.w, one.w, atol=1e-8)
+    assert np.max([smoothed(rng, law, of_belt, low, low + 2) for low in (-11, -5)]) < 100
 
 
 @pytest.mark.parametrize("settings", [EXACT, SMOOTHED])
@@ -187,34 +151,12 @@ def test_the_phase_of_a_force_is_known_at_late_times(rng, settings):
     np.testing.assert_allclose(runs[0].events.t - late, runs[1].events.t, atol=2 * np.spacing(late))
 
 
-# a constant force
-
-
-@pytest.mark.parametrize("tol", [1e-6, 1e-8, 1e-10])
-def test_a_constant_force_is_a_shift(rng, tol):
-    """z by K^-1 f: also where blocks without damping only touch the belt's speed, again and again."""
-    for n, damping in ((1, 0.0), (1, 0.05), (8, 0.1)):
-        system = System(np.eye(n) if n == 1 else draw_system("chain", n, int(rng.integers(2**32))).stiffness, damping)
-        system = system.changed(friction=0.5, belt_speed=-0.3)
-        force = rng.uniform(-0.5, 0.5, n)
-        z = np.zeros(n) if n == 1 else rng.normal(size=n)
-        dense = system.stiffness if isinstance(system.stiffness, np.ndarray) else system.stiffness.toarray()
-        shift = np.linalg.solve(dense, force)
-        plain = simulate(system, z, 0.0, 30.0, tol=tol)
-        pulled = simulate(system.changed(force=force), z + shift, 0.0, 30.0, tol=tol)
-        assert np.array_equal(pulled.events.block, plain.events.block)
-        assert np.array_equal(pulled.events.mode, plain.events.mode)
-        # where a block leaves or enters by a tangency the instant is known to the root of the tolerance
-        np.testing.assert_allclose(pulled.events.t, plain.events.t, atol=10 * np.sqrt(tol))
-        np.testing.assert_allclose(pulled.z - shift, plain.z, atol=1e3 * tol)
-
-
 # ends at bends
 
 
-def carried(rng, n=6, start=0.0):
+def carried(rng, start):
     """Blocks on belts that brake and speed up by jerks, some of which throw them off; their start; the bends."""
-    knots = start + np.array([-1.0, 1.0, 1.5, 3.0, 3.2, 4.0, 6.0])
+    n, knots = 6, start + np.array([-1.0, 1.0, 1.5, 3.0, 3.2, 4.0, 6.0])
     belt = Piecewise(knots, np.cumsum(rng.choice([-0.6, 0.0, 0.6], (7, n)) * rng.uniform(0.2, 1.0, (7, n)), axis=0))
     force = Piecewise(knots[[0, 2, 4]], rng.uniform(-0.5, 0.5, (3, n)))
     system = draw_system("chain", n, int(rng.integers(2**32)), kappa=0.5, leaf=0.5, rho=0.1)
@@ -242,26 +184,9 @@ def test_a_run_to_a_bend_has_all_that_one_through_it_has(rng, settings):
     assert n_there > 0
 
 
-def test_a_run_to_a_bend_goes_on_from_there(rng):
-    for start in (0.0, rng.uniform(0.0, 1e5)):
-        system, z, w, knots = carried(rng, start=start)
-        end = start + 7.0
-        whole = simulate(system, z, w, end, t_start=start, tol=1e-12)
-        for knot in knots:
-            part = simulate(system, z, w, knot, t_start=start, tol=1e-12)
-            for modes in (None, part.events.mode_at(knot)):
-                rest = simulate(system, part.z, part.w, end, t_start=knot, modes=modes, tol=1e-12)
-                after = whole.events.t > knot
-                assert np.array_equal(rest.events.initial_mode, whole.events.mode_at(knot))
-                assert np.array_equal(rest.events.mode, whole.events.mode[after])
-                np.testing.assert_allclose(rest.events.t, whole.events.t[after], atol=1e-8 + 4 * np.spacing(end))
-                np.testing.assert_allclose(rest.z, whole.z, atol=1e-8)
-                np.testing.assert_allclose(rest.w, whole.w, atol=1e-8)
-
-
 def test_modes_at_an_exit_are_taken_on_belts_that_speed_up(rng):
     """What holds a block is m v' too: where that is at static friction to the tolerance, either mode may be asked."""
-    for _ in range(10):
+    for _ in range(3):
         mass, start = rng.uniform(0.5, 2.0), rng.uniform(0.0, 100.0)
         gain = rng.choice([-1, 1]) * rng.uniform(0.1, 2.0)
         belt = Piecewise([start - 1.0, start + 2.0], [0.1, 0.1 + 3.0 * gain])
@@ -276,9 +201,8 @@ def test_modes_at_an_exit_are_taken_on_belts_that_speed_up(rng):
             simulate(system, z - 0.1, v, start + 1.0, t_start=start, modes=[-1], tol=1e-6)
 
 
-@pytest.mark.parametrize("settings", [{}, {"tol": 1e-6}])
 @pytest.mark.parametrize("v", [0.0, -0.3])
-def test_a_force_that_turns_at_static_friction_moves_nothing(rng, settings, v):
+def test_a_force_that_turns_at_static_friction_moves_nothing(rng, v):
     """F touches -mu at a bend, up to rounding: a belt at rest, or one without springs. To the bend and through it."""
     for start in (0.0, rng.uniform(0.0, 1e4)):
         mu, damping, bend = rng.uniform(0.5, 1.5), rng.uniform(0.0, 1.0), start + rng.uniform(0.5, 8.0)
@@ -286,14 +210,14 @@ def test_a_force_that_turns_at_static_friction_moves_nothing(rng, settings, v):
         force = Piecewise([start, bend, 2 * bend - start], [0.0, top, -top])
         system = System([[0.0]], damping, mu, v, force=force)
         for t_end in (bend, end):
-            run = simulate(system, 0.0, v, t_end, t_start=start, **settings)
+            run = simulate(system, 0.0, v, t_end, t_start=start)
             assert len(run.events) == 0
             assert run.n_stick(t_end) == 1
 
 
 def test_a_run_on_a_ramp_goes_on_from_any_event_with_the_modes_there(rng):
     """Where it is cut, |F| with the ramp's part m v' is at static friction to the tolerance, above it or below."""
-    for start in (0.0, *rng.uniform(0.0, 1e3, 4)):
+    for start in (0.0, rng.uniform(0.0, 1e3)):
         belt = Piecewise([start, start + 50.0], [-0.2, -0.2 - 50.0 * rng.uniform(0.002, 0.01)])
         stiffness = np.diag(rng.uniform(1.1, 2.6, 3)) - 0.3 * (np.eye(3, k=1) + np.eye(3, k=-1))
         system = System(stiffness, 0.0, 1.0, belt, static=rng.uniform(1.2, 2.0), weakening=Stribeck(0.5))

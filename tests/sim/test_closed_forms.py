@@ -29,21 +29,18 @@ def two_blocks(s):
     ],
 )
 def test_one_block(rho, kappa, v, z0, w0, times, modes):
-    """AUDIT, table of one block: crossing, stick and exit."""
+    """AUDIT, table of one block: crossing, stick and exit; by time stepping each within a few steps."""
     system = System([[kappa]], rho, belt_speed=v)
-    run = simulate(system, z0, w0, 20.0, tol=TOL)
-    np.testing.assert_allclose(run.events.t, times, rtol=0, atol=1e-12)
-    assert run.events.mode.tolist() == modes
+    laws = [({"tol": TOL}, 1e-12), *(({"engine": "moreau", "step": step}, 3 * step) for step in (1e-2, 1e-4))]
+    for law, atol in laws:
+        run = simulate(system, z0, w0, 20.0, **law)
+        assert run.events.initial_mode.tolist() == [np.sign(w0 - v)]
+        assert run.events.mode.tolist() == modes
+        np.testing.assert_allclose(run.events.t, times, rtol=0, atol=atol)
     # where it sticks it moves with the belt, and it leaves at the end of the stick interval
-    stick, leave = run.events.t[-2:]
+    stick, leave = times[-2:]
     at_stick = simulate(system, z0, w0, stick, tol=TOL).z[0]
     assert at_stick + v * (leave - stick) == pytest.approx((np.sign(v) - rho * v) / kappa, abs=1e-11)
-
-
-def test_one_block_sticks_where_it_should():
-    """AUDIT, table of one block, first row."""
-    run = simulate(System([[0.2]], 3.5), -0.7, -0.4, 0.09197880284020456, tol=TOL)
-    assert run.z[0] == pytest.approx(-0.727104772970094, abs=1e-12)
 
 
 def test_one_block_never_sticks_again():
@@ -107,8 +104,7 @@ def test_two_blocks_one_beyond_its_stick_region():
     assert run.events.mode.tolist() == [1, 0, 1]
 
 
-@pytest.mark.parametrize("tol", [1e-4, 1e-7, 1e-10, 1e-13])
-@pytest.mark.parametrize("damping", [0.0, 1e-8])
+@pytest.mark.parametrize(("tol", "damping"), [(1e-4, 0.0), (1e-7, 1e-8), (1e-10, 0.0), (1e-13, 1e-8)])
 def test_a_block_without_damping_swings_for_ever(tol, damping):
     """On the belt to z = -1 at t = 5, then z = -1 - 0.2 sin(t - 5), which touches the belt's speed once a period."""
     times = np.linspace(5.0, 1000.0, 997)
@@ -122,7 +118,7 @@ def test_a_block_without_damping_swings_for_ever(tol, damping):
 @pytest.mark.parametrize("z0", [-3.0, -2.0, 2.0, 6.0])
 def test_a_block_that_leaves_the_belt_at_once(engine, z0, rng):
     """Whether it collapsed is asked where |w| is all that is allowed: asked again at the same time, it never ends."""
-    for kappa, rho in [(0.2, 3.5), *rng.uniform(0.1, 4.0, (10, 2))]:
+    for kappa, rho in [(0.2, 3.5), *rng.uniform(0.1, 4.0, (3, 2))]:
         run = simulate(System([[kappa]], rho), z0, -0.2, 50.0, engine=engine)
         full = simulate(System([[kappa]], rho), z0, -0.2, 50.0, engine=engine, stop_early=False)
         np.testing.assert_allclose(run.z, full.z, rtol=0, atol=1e-10 if engine == "coulomb" else 1e-3)
@@ -130,7 +126,7 @@ def test_a_block_that_leaves_the_belt_at_once(engine, z0, rng):
 
 def test_a_run_ends_at_the_time_asked_for(rng):
     """Not an ulp later, in any of its times; seen once as 3.0000000000000004."""
-    for _ in range(300):
+    for _ in range(40):
         t_start, (system, z, _) = float(rng.choice([0.0, 0.1, -3.3])), draw_run(rng, (1, 3), "integers")
         t_end = t_start + float(rng.choice([0.3, 1.0, 3.0, np.pi]))
         for engine in ("coulomb", "sigmoid"):

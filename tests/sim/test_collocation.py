@@ -1,12 +1,10 @@
 """The parts of the sigmoid engine by their definitions, and what its steps of a block's own must not miss."""
 
-from functools import cache
-
 import numba
 import numpy as np
 import pytest
 
-from stickslip.sim import System, draw_system, simulate
+from stickslip.sim import System, simulate
 from stickslip.sim.engines.waveform import friction
 from stickslip.sim.numerics import panels, radau
 from stickslip.sim.numerics.lanes import on_number
@@ -14,7 +12,6 @@ from stickslip.sim.systems.friction import hidden_term
 from tests.fuzz.draw import draw
 from tests.fuzz.judge import judge
 from tests.sim import radau as reference
-from tests.systems import draw_run
 
 
 def test_the_method_by_its_definition(rng):
@@ -39,30 +36,24 @@ def test_the_method_by_its_definition(rng):
     np.testing.assert_allclose(radau.ALL_AT_PLACES @ q(radau.ALL_NODES), q(radau.PLACES), atol=1e-12)
 
 
-@cache
-def in_panels(n_vectors, single):
-    """Products, compiled."""
-    multiply = panels.products(n_vectors, single)
-    return numba.njit(lambda k, x, y: multiply(k, x, y))
-
-
-@cache
-def of_pairs(single):
-    """Those of pairs of vectors over some columns, compiled."""
-    multiply = panels.pair_products(single)
-    return numba.njit(lambda k, x, y, columns, m: multiply(k, x, y, columns, m))
-
-
-@pytest.mark.parametrize("n", [1, 7, 8, 33, 200])
 @pytest.mark.parametrize("single", [False, True])
-def test_products_in_panels_are_plain_products(n, single, rng):
-    dtype = np.float32 if single else np.float64
-    matrix, width = rng.normal(size=(n, n)), -(-n // 16) * 16
-    packed = panels.panels(matrix, panels.SINGLE_HEIGHT if single else panels.HEIGHT, dtype)
-    x, y = np.zeros((5, width), dtype), np.zeros((5, width), dtype)
-    x[:, :n] = rng.normal(size=(5, n))
-    in_panels(5, single)(packed, x, y)
-    np.testing.assert_allclose(y[:, :n], x[:, :n] @ matrix.T, atol=n * (1e-5 if single else 1e-14))
+def test_products_in_panels_are_plain_products(single, rng):
+    """Of five vectors, and of a pair over the columns listed."""
+    multiply, of_pair = panels.products(5, single), panels.pair_products(single)
+    all_of = numba.njit(lambda k, x, y: multiply(k, x, y))
+    listed_of = numba.njit(lambda k, x, y, columns, m: of_pair(k, x, y, columns, m))
+    dtype, height = (np.float32, panels.SINGLE_HEIGHT) if single else (np.float64, panels.HEIGHT)
+    of_pairs = panels.SINGLE_PAIR_HEIGHT if single else panels.PAIR_HEIGHT
+    for n in (1, 7, 33, 200):
+        matrix, width, atol = rng.normal(size=(n, n)), -(-n // 16) * 16, n * (1e-5 if single else 1e-14)
+        x, y = np.zeros((5, width), dtype), np.zeros((5, width), dtype)
+        x[:, :n] = rng.normal(size=(5, n))
+        all_of(panels.panels(matrix, height, dtype), x, y)
+        np.testing.assert_allclose(y[:, :n], x[:, :n] @ matrix.T, atol=atol)
+        listed = rng.permutation(n)[: (n + 1) // 2]
+        x, y = rng.normal(size=(2, n)).astype(dtype), np.zeros((2, -(-n // of_pairs) * of_pairs), dtype)
+        listed_of(panels.panels(matrix, of_pairs, dtype), x, y, listed, len(listed))
+        np.testing.assert_allclose(y[:, :n], x[:, listed] @ matrix[:, listed].T, atol=atol)
 
 
 def test_the_error_of_products_in_single_precision_is_as_large_as_told(rng):
@@ -70,44 +61,34 @@ def test_the_error_of_products_in_single_precision_is_as_large_as_told(rng):
     matrix, x = rng.uniform(0.5, 1.0, size=(200, 200)), np.zeros((1, 208), np.float32)
     x[:, :200] = rng.uniform(0.5, 1.0, 200)
     y = np.zeros((1, 208), np.float32)
-    in_panels(1, True)(panels.panels(matrix, panels.SINGLE_HEIGHT, np.float32), x, y)
+    multiply = panels.products(1, True)
+    numba.njit(lambda k, x, y: multiply(k, x, y))(panels.panels(matrix, panels.SINGLE_HEIGHT, np.float32), x, y)
     error = np.abs(y[0, :200] - matrix @ x[0, :200].astype(np.float64))
     bound = panels.SINGLE_ERROR * matrix.sum(axis=1) * x.max()
     assert 0.02 < (error / bound).max() < 1.0
 
 
-@pytest.mark.parametrize("n", [1, 7, 33, 200])
-@pytest.mark.parametrize("single", [False, True])
-def test_products_of_pairs_are_plain_products_over_the_columns_listed(n, single, rng):
-    dtype = np.float32 if single else np.float64
-    matrix, height = rng.normal(size=(n, n)), panels.SINGLE_PAIR_HEIGHT if single else panels.PAIR_HEIGHT
-    listed = rng.permutation(n)[: (n + 1) // 2]
-    x, y = rng.normal(size=(2, n)).astype(dtype), np.zeros((2, -(-n // height) * height), dtype)
-    of_pairs(single)(panels.panels(matrix, height, dtype), x, y, listed, len(listed))
-    np.testing.assert_allclose(y[:, :n], x[:, listed] @ matrix[:, listed].T, atol=n * (1e-5 if single else 1e-14))
-
-
-@pytest.mark.parametrize("ratio", [1.0, 1.001, 1.3, 3.0])
-def test_the_law_and_its_slope(ratio):
-    c = float(hidden_term(ratio))
-    apply = on_number(lambda x: friction.peaked_sign(x, x * 0.0 + c))
-    apply_both = numba.njit(lambda x: apply(x))
+def test_the_law_and_its_slope():
     of_number = numba.njit(lambda x, c: friction.sign_of_number(x, c))
-    x = np.concatenate(([0.0], np.geomspace(1e-12, 400.0, 1000), -np.geomspace(1e-12, 400.0, 1000)))
-    values = np.array([apply_both(one) for one in x])
+    x = np.concatenate(([0.0], np.geomspace(1e-12, 400.0, 300), -np.geomspace(1e-12, 400.0, 300)))
     lam, rise = np.tanh(x), 1 / np.cosh(np.clip(x, -300, 300)) ** 2
-    s = lam + c * lam * rise
-    assert np.abs(values[:, 0] - s).max() <= (2 + 8 * c) * np.finfo(float).eps
-    assert np.abs(values[:, 1] - rise * (1 + c * (3 * rise - 2))).max() < (1 + 8 * c) * 1e-15
-    assert np.abs([of_number(one, c) for one in x] - s).max() <= (2 + 8 * c) * np.finfo(float).eps
-    assert np.abs(s).max() == pytest.approx(ratio, abs=1e-3)
+    for ratio in (1.0, 1.3, 3.0):
+        c = float(hidden_term(ratio))
+        apply = on_number(lambda x, c=c: friction.peaked_sign(x, x * 0.0 + c))
+        of_both = numba.njit(lambda x, apply=apply: apply(x))
+        values = np.array([of_both(each) for each in x])
+        s = lam + c * lam * rise
+        assert np.abs(values[:, 0] - s).max() <= (2 + 8 * c) * np.finfo(float).eps
+        assert np.abs(values[:, 1] - rise * (1 + c * (3 * rise - 2))).max() < (1 + 8 * c) * 1e-15
+        assert np.abs([of_number(each, c) for each in x] - s).max() <= (2 + 8 * c) * np.finfo(float).eps
+        assert np.abs(s).max() == pytest.approx(ratio, abs=3e-3)
 
 
 def test_a_layer_just_after_the_start_of_a_step_is_seen():
     """Nodes and the places between them then lie on one side: it cost 40,000 tolerances."""
     system, delta = System([[487.2]], 0.0, 1.0, 0.0), 0.00108
     times = np.linspace(0.0, 0.02, 9)[1:]
-    for w in 2.79 + 0.002 * np.arange(30):
+    for w in 2.79 + 0.012 * np.arange(5):
         exact = reference.states(system, 1.036, w, delta, times, 1e-12, 0.01)
         got = simulate(
             system, 1.036, w, 0.02, t_eval=times, engine="sigmoid", eps=delta, rtol=1e-9, atol=1e-9
@@ -115,40 +96,11 @@ def test_a_layer_just_after_the_start_of_a_step_is_seen():
         assert np.abs(np.stack([got.z, got.w], axis=1) - exact).max() < 1e-9 * 20 * 10
 
 
-@pytest.mark.parametrize(
-    ("seed", "number"),
-    [
-        (3864865147, 1311),
-        *(pytest.param(*one, marks=pytest.mark.long) for one in [(2340751905, 1071), (4198940115, 830)]),
-    ],
-)
-def test_errors_that_add_up_undamped_stay_small(seed, number):
-    """Cases of the fuzz that cost a method of order four 115 to 276 tolerances."""
-    verdict = judge(draw(seed, number, terms=()))
+def test_errors_that_add_up_undamped_stay_small():
+    """A case of the fuzz that cost a method of order four 115 tolerances."""
+    verdict = judge(draw(3864865147, 1311, terms=()))
     assert verdict.failures == []
     assert verdict.worst < 6
-
-
-@pytest.mark.long
-def test_cross_damping(rng):
-    while True:  # one that does not grow: such a run may end before its last time
-        system, z, w = draw_run(rng, 6, "antisymmetric", damping=(0.5, 1.5), friction=(1.0, 1.0), cross=0.2)
-        if np.linalg.eigvals(system.slip_matrix()).real.max() < 0:
-            break
-    times = np.linspace(0.0, 8.0, 9)[1:]
-    exact = reference.states(system, z, w, 0.02, times, 1e-11, 0.02)
-    got = simulate(system, z, w, 8.0, t_eval=times, engine="sigmoid", eps=0.02, rtol=1e-7, atol=1e-7).samples
-    assert np.abs(np.stack([got.z, got.w], axis=1) - exact).max() < 1e-5
-
-
-def test_the_same_run_again_is_the_same_to_the_last_bit():
-    system = draw_system("antisymmetric", 12, 1)
-    a, b = (
-        simulate(system, -0.7, -0.4, 15.0, t_eval=times, engine="sigmoid")
-        for times in ((), np.linspace(0.0, 15.0, 40))
-    )
-    assert a.z.tobytes() == b.z.tobytes()
-    assert a.events.t.tobytes() == b.events.t.tobytes()
 
 
 def test_a_collapse_is_certified_and_followed():

@@ -3,8 +3,6 @@
 z'' + C z' + K z + mu tanh((z' - v) / delta) = 0
 """
 
-from functools import lru_cache
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -61,6 +59,10 @@ def test_the_diagonal_and_the_rest_of_a_damping_matrix():
     assert "C full" in repr(system)
     assert System(np.eye(2), np.diag([1.0, 2.0])).cross_damping is None
     assert System([[1.0]], [[0.5]]).damping.tolist() == [0.5]
+    drawn = draw_system("antisymmetric", 30, 4)
+    same = System(drawn.stiffness, np.diag(drawn.damping))
+    one, other = (simulate(s, -0.7, -0.4, 20.0, engine="sigmoid") for s in (drawn, same))
+    assert (one.z.tobytes(), one.stats) == (other.z.tobytes(), other.stats)
 
 
 def test_force_and_all_slip_motion():
@@ -78,41 +80,6 @@ def test_force_and_all_slip_motion():
 # the engine
 
 
-@pytest.mark.long
-def test_the_error_follows_the_tolerance(random_seed):
-    """Against Radau IIA at 1e-11, over new systems: N weaker than R, as strong, and stronger; r_i equal or not.
-
-    One error over its tolerance says little: it ranges from 0.003 to 100, as terms cancel or an event is near. Over
-    twelve systems and five tolerances errors are in the geometric mean as small as asked for, but a factor, and fall
-    at least as fast as the tolerance. That they may fall faster is no fault.
-    """
-    tolerances = np.array([1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
-    seed, logs = random_seed, []
-    while len(logs) < 12:
-        seed, k = seed + 1, len(logs)
-        cross, eps = [0.1, 1.0, 5.0][k % 3], [0.1, 0.01, 1e-3][k // 3 % 3]
-        system, z0, w0, rng = draw(seed, cross)
-        ratio = 1.0 - rng.random(system.n) * (k % 2)
-        t_end = 3.0 if cross == 5.0 else 5.0
-        y = by_scipy(system, z0, w0, eps * ratio, t_end, "Radau", 1e-11)(t_end)
-        scale = max(1.0, np.abs(y).max())
-        if scale > 1e4:
-            continue  # it grows without bound: a run may end as diverged
-        errors = []
-        for tol in tolerances:
-            run = simulate(
-                system, z0, w0, t_end, engine="sigmoid", eps=eps, ratio=ratio, rtol=tol, atol=tol, stop_early=False
-            )
-            assert run.t_end == t_end
-            errors.append(np.abs(np.concatenate((run.z, run.w)) - y).max() / scale)
-        logs.append(np.log10(errors))
-        print("N", cross, "eps", eps, "n", system.n, "error / tol", np.array(errors) / tolerances)
-    x = np.log10(tolerances)
-    assert 10.0 ** np.mean(logs - x) < 20
-    slope = np.polyfit(x, np.mean(logs, axis=0), 1)[0]
-    assert slope > 0.75
-
-
 def test_twenty_blocks_against_an_explicit_method():
     """The reading "damping matrix" at 10%: DOP853 at 1e-11, and the state on the way."""
     base = draw_system("antisymmetric", 20, 3)
@@ -125,36 +92,13 @@ def test_twenty_blocks_against_an_explicit_method():
     np.testing.assert_allclose(run.z, y[:20, -1], rtol=0, atol=1e-8)
 
 
-@lru_cache
-def smooth():
-    """Two blocks whose layer is as wide as their motion, by DOP853 at 1e-13; N of the size of K and above R."""
-    system = System([[4.0, 1.0], [-1.0, 9.0]], [[0.1, 1.0], [-0.7, 0.1]], [0.5, 0.3], -0.3)
-    z0, w0 = np.array([1.0, -1.0]), np.array([0.5, 0.2])
-    return system, z0, w0, by_scipy(system, z0, w0, 2.0, 10.0, "DOP853", 1e-13, max_step=0.02)
-
-
-def test_order_five():
-    system, z0, w0, reference = smooth()
-    steps, errors = [], []
-    for tol in (1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10):
-        run = simulate(
-            system, z0, w0, 10.0, engine="sigmoid", eps=2.0, rtol=tol, atol=tol, stick="threshold", threshold=0.05,
-            stop_early=False,
-        )  # fmt: skip
-        steps.append(run.stats.n_steps)
-        errors.append(np.abs(np.concatenate((run.z, run.w)) - reference(10.0)).max())
-    order = -np.polyfit(np.log(steps), np.log(errors), 1)[0]
-    print("steps", steps, "errors", errors, "order", order)
-    assert order > 4.5
-
-
 def test_entries_and_exits_see_the_force_with_its_cross_damping():
     """F = R v + K z + N w and |w - v| on a fine grid of the reference: what sticks there is what the run says."""
     eps = 0.03
     n_events = 0
-    for seed in range(6):
+    for seed in range(3):
         system, z0, w0, _ = draw(seed, 0.3)
-        sol = by_scipy(system, z0, w0, eps, 6.0, "Radau", 1e-11)
+        sol = by_scipy(system, z0, w0, eps, 6.0, "DOP853", 1e-9)
         run = simulate(system, z0, w0, 6.0, eps=eps, **FINE)
         times = np.linspace(0.0, 6.0, 2001)
         z, w = sol(times)[: system.n], sol(times)[system.n :]
@@ -168,49 +112,7 @@ def test_entries_and_exits_see_the_force_with_its_cross_damping():
             away = np.abs(run.events.t - t).min(initial=1.0) > 1e-5
             late += away and not np.array_equal(run.events.mode_at(t) == 0, held[:, k])
         assert late == 0
-    assert n_events > 20
-
-
-def test_a_diagonal_matrix_is_the_vector():
-    """To the bit, statistics included."""
-    system = draw_system("antisymmetric", 30, 4)
-    same = System(system.stiffness, np.diag(system.damping))
-    runs = [simulate(s, -0.7, -0.4, 60.0, engine="sigmoid", t_eval=[1.0, 30.0]) for s in (system, same)]
-    for name in ("z", "w", "stats", "outcome"):
-        np.testing.assert_array_equal(*(getattr(run, name) for run in runs))
-    for name in ("t", "block", "mode"):
-        np.testing.assert_array_equal(*(getattr(run.events, name) for run in runs))
-    np.testing.assert_array_equal(runs[0].samples.w, runs[1].samples.w)
-
-
-def test_a_vanishing_cross_damping_is_none():
-    system, z0, w0, _ = draw(2)
-    diagonal = System(system.stiffness, system.damping, system.friction, system.belt_speed)
-    tiny = System(system.stiffness, np.diag(system.damping) + 1e-13 * system.cross_damping, system.friction, -0.3)
-    a, b = (simulate(s, z0, w0, 6.0, eps=0.01, **FINE) for s in (diagonal, tiny))
-    assert tiny.cross_damping is not None
-    np.testing.assert_allclose(a.z, b.z, rtol=0, atol=1e-8)  # |z| to 20; either is off by 3e-8, and steps may differ
-    np.testing.assert_allclose(a.events.t, b.events.t, rtol=0, atol=1e-6)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_energy_balance(seed):
-    """w^2 / 2 + z K z / 2 changes by -w C w - mu w tanh(...); only the symmetric part of N works. K symmetric."""
-    system, z0, w0, _ = draw(seed, 0.7)
-    k, c = (system.stiffness + system.stiffness.T) / 2, full(system)
-    nodes, weights = np.polynomial.legendre.leggauss(6)
-    starts, width = np.linspace(0.0, 4.0, 400, endpoint=False), 4.0 / 400
-    times = (starts[:, None] + 0.5 * width * (1 + nodes)).ravel()
-    for matrix in (c, c - c.T + np.diag(system.damping)):
-        run = simulate(
-            System(k, matrix, system.friction, system.belt_speed), z0, w0, 4.0, t_eval=times, eps=0.3, **FINE
-        )
-        w = run.samples.w
-        loss = np.einsum("ti,ij,tj->t", w, c if matrix is c else np.diag(system.damping), w)
-        loss += (system.friction * w * np.tanh((w - system.belt_speed) / 0.3)).sum(axis=1)
-        work = -0.5 * width * float(loss @ np.tile(weights, 400))
-        change = 0.5 * (run.w @ run.w + run.z @ k @ run.z) - 0.5 * (w0 @ w0 + z0 @ k @ z0)
-        assert change == pytest.approx(work, rel=1e-6, abs=1e-6)
+    assert n_events > 8
 
 
 def test_growth_by_cross_damping_alone_is_seen():

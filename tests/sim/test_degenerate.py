@@ -1,16 +1,13 @@
 """Starts and systems on the edge: folds, cusps, tangencies, twins, no friction, no stiffness, no belt."""
 
-import contextlib
-
 import numpy as np
 import pytest
 import scipy.sparse
 from scipy.linalg import expm
 
-from stickslip.sim import IntegrationError, Rational, Stribeck, System, draw_system, simulate
+from stickslip.sim import Stribeck, System, draw_system, simulate
 from stickslip.sim.engines import certificates
 from tests.independent import Case, follow
-from tests.systems import draw_run
 
 EXACT = {"tol": 1e-15, "stop_early": False}
 
@@ -108,139 +105,14 @@ def test_two_blocks_that_reach_their_bounds_at_one_instant_both_leave(coupling):
     assert run.events.change_points()[1].tolist() == [2, 0]
 
 
-# No friction: a free oscillator z = cos t, w = -sin t.
-
-
-@pytest.mark.parametrize("v", [-0.25, 0.25])
-def test_a_free_block_on_the_belt_leaves_to_the_side_it_is_pulled_to(v):
-    """z = v sin t, w = v cos t: slower than the belt until 2 pi."""
-    run = simulate(free(v), 0.0, v, 6.0, **EXACT)
-    assert (run.events.initial_mode.tolist(), len(run.events)) == ([-np.sign(v)], 0)
-
-
-def free(v, n=1):
-    return System(np.eye(n), 0.0, 0.0, v)
-
-
-def test_free_oscillator_crosses_where_it_should():
-    run = simulate(free(-0.5), 1.0, 0.0, 20.0, **EXACT)
-    first = np.arcsin(0.5) + 2 * np.pi * np.arange(4)
-    times = np.sort(np.concatenate((first, np.pi - np.arcsin(0.5) + 2 * np.pi * np.arange(3))))
-    np.testing.assert_allclose(run.events.t, times[times < 20], rtol=0, atol=1e-12)
-    assert run.events.mode.tolist() == [-1, 1] * 3 + [-1]
-    assert run.z[0] == pytest.approx(np.cos(20.0), abs=1e-12)
-
-
-@pytest.mark.parametrize("gap", [1e-2, 1e-6, 1e-10])
-def test_two_crossings_close_together_are_both_found(gap):
-    """w dips below v = -(1 - gap) for 2 sqrt(2 gap) only, far shorter than a step."""
-    run = simulate(free(gap - 1), 1.0, 0.0, 3.0, **EXACT)
-    half = np.arccos(1 - gap)
-    assert run.events.mode.tolist() == [-1, 1]
-    middle = run.events.t.mean()
-    assert middle == pytest.approx(np.pi / 2, abs=1e-14 / half + 1e-13)
-    assert run.events.t[1] - middle == pytest.approx(half, rel=1e-13 / gap + 1e-12, abs=1e-9)
-    assert len(simulate(free(-1 - gap), 1.0, 0.0, 3.0, **EXACT).events) == 0
-
-
-def test_a_graze_changes_nothing_for_longer_than_rounding():
-    run = simulate(free(-1.0), 1.0, 0.0, 7.0, **EXACT)
-    assert all(abs(t - np.pi / 2) < 1e-6 for t in run.events.t)
-    assert run.events.mode_at(7.0).tolist() == [1]
-    assert run.z[0] == pytest.approx(np.cos(7.0), abs=1e-12)
-
-
-def test_friction_on_one_block_only():
-    system = System([[1.0, -0.5], [0.5, 2.0]], [0.25, 0.0], [1.0, 0.0], -0.5)
-    expected = assert_follows_reference(system, [1.0, -1.0], [0.0, -0.5], 12.0)
-    assert 0 not in [m for m, i in zip(expected.mode, expected.block, strict=True) if i == 1]
-
-
-def test_free_blocks_obey_the_matrix_exponential(rng):
-    system, z0, w0 = draw_run(rng, 3, "antisymmetric", damping=(0.0, 0.5), friction=(0.0, 0.0), belt_speed=[0.1])
-    run = simulate(system, z0, w0, 5.0, **EXACT)
-    expected = expm(5.0 * system.slip_matrix()) @ np.concatenate((z0, w0))
-    np.testing.assert_allclose(
-        np.concatenate((run.z, run.w)), expected, rtol=0, atol=1e-12 * np.abs(expected).max() + 1e-11
-    )
-
-
-# No stiffness, no damping, no belt speed.
-
-
-def test_no_stiffness_no_damping_is_a_parabola():
-    run = simulate(System([[0.0]], 0.0, 2.0, -1.0), 5.0, 3.0, 10.0, **EXACT)
-    assert listed(run) == [(pytest.approx(2.0, abs=1e-14), 0, 0)]  # w = 3 - 2 t
-    assert run.z[0] == pytest.approx(5 + 3 * 2 - 4 - 8, abs=1e-12)
-
-
-def test_no_stiffness_with_damping_is_an_exponential():
-    """w' = -R w - mu from w0: w = (w0 + mu/R) exp(-R t) - mu/R reaches v."""
-    r, mu, v, w0 = 0.5, 0.25, -0.125, 2.0
-    run = simulate(System([[0.0]], r, mu, v), 0.0, w0, 30.0, **EXACT)
-    assert listed(run) == [(pytest.approx(np.log((w0 + mu / r) / (v + mu / r)) / r, abs=1e-12), 0, 0)]
-
-
-def test_singular_stiffness():
-    assert_follows_reference(
-        System([[1.0, -1.0], [-1.0, 1.0]], 0.25, [1.0, 0.5], -0.5), [2.0, -1.0], [0.5, 1.0], 12.0
-    )
-
-
-def test_negative_damping():
-    assert_follows_reference(System([[1.0, 0.5], [-0.5, 2.0]], [-0.25, 0.125], 1.0, -0.5), [1.0, -1.0], 0.25, 8.0)
-
-
-def test_a_belt_at_rest_holds_what_comes_to_rest():
-    run = simulate(System(np.eye(2), 0.0, 1.0, 0.0), [4.5, 0.5], 0.0, 100.0, **EXACT)
-    # each half swing loses 2 mu: 4.5 -> -2.5 -> 0.5, then it is held; block 2 is held from the start
-    assert run.events.initial_mode.tolist() == [-1, 0]
-    np.testing.assert_allclose(run.events.t, [np.pi, 2 * np.pi], rtol=0, atol=1e-12)
-    assert run.events.mode.tolist() == [1, 0]
-    np.testing.assert_allclose(run.z, [0.5, 0.5], atol=1e-12)
-    assert run.w.tolist() == [0.0, 0.0]
-
-
-def test_a_belt_that_hardly_moves_is_a_belt_at_rest_until_it_carries_the_blocks_off():
-    system = System([[1.0]], 0.0, 1.0, -1e-12)
-    run = simulate(system, 4.5, 0.0, 100.0, **EXACT)
-    # w = 0 is above the belt: w = -5.5 t crosses it at once
-    np.testing.assert_allclose(run.events.t, [1e-12 / 5.5, np.pi, 2 * np.pi], rtol=1e-12, atol=1e-12)
-    assert run.events.mode.tolist() == [-1, 1, 0]
-
-
-# Twins and mirror images
-
-
-def test_twins_do_everything_at_the_same_instant():
-    n = 4
-    coupling = 0.3 * (np.ones((n, n)) - np.eye(n))
-    system = System(np.eye(n) * 1.7 + coupling, 0.1, 1.0, -0.2)
-    run = simulate(system, 3.0, 1.0, 20.0, **EXACT)
-    one = simulate(System([[1.7 + 0.3 * (n - 1)]], 0.1, 1.0, -0.2), 3.0, 1.0, 20.0, **EXACT)
-    assert len(one.events) >= 3
-    assert run.events.block.tolist() == list(range(n)) * len(one.events)
-    np.testing.assert_array_equal(run.events.mode, np.repeat(one.events.mode, n))
-    np.testing.assert_array_equal(run.events.t, np.repeat(run.events.t[::n], n))
-    np.testing.assert_allclose(run.events.t[::n], one.events.t, rtol=0, atol=1e-12)
-    assert np.ptp(run.z) < 1e-12
-
-
-def test_mirror_images_on_a_belt_at_rest():
-    system = System([[2.0, 0.7], [0.7, 2.0]], 0.1, 1.0, 0.0)
-    run = simulate(system, [3.0, -3.0], [1.0, -1.0], 30.0, **EXACT)
-    assert len(run.events) > 2
-    np.testing.assert_array_equal(run.events.t[::2], run.events.t[1::2])
-    assert run.events.block.tolist() == [0, 1] * (len(run.events) // 2)
-    np.testing.assert_array_equal(run.events.mode[::2], -run.events.mode[1::2])
-    assert run.z[0] == pytest.approx(-run.z[1], abs=1e-12)
+# Mirror images
 
 
 @pytest.mark.parametrize("store", [np.asarray, scipy.sparse.csr_array])
 def test_a_mirror_image_has_the_same_bytes_where_either_edge_of_friction_may_come_first(rng, store):
     """Without damping, and with K of a few entries, both edges have a root within a step."""
     n_events = 0
-    for _ in range(300):
+    for _ in range(60):
         n = int(rng.integers(2, 6))
         stiffness = np.triu(rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.5), 1)
         system = System(store(stiffness), 0.0, rng.random(n), 0.0)
@@ -250,7 +122,7 @@ def test_a_mirror_image_has_the_same_bytes_where_either_edge_of_friction_may_com
         assert run.events.block.tolist() == mirror.events.block.tolist()
         np.testing.assert_array_equal(run.z, -mirror.z)
         n_events += len(run.events)
-    assert n_events > 300
+    assert n_events > 60
 
 
 # Where a run begins and ends
@@ -275,13 +147,6 @@ def test_an_event_at_the_end_belongs_to_the_run():
     resumed = simulate(system, run.z, run.w, 4.0, t_start=2.0, **EXACT)
     assert resumed.events.initial_mode.tolist() == [0]  # what happened at t_start is not told twice
     assert len(resumed.events) == 0
-
-
-def test_all_stuck_for_ever():
-    run = simulate(System(np.zeros((3, 3)), 0.0, 1.0, -0.25), 0.0, -0.25, 4096.0, **EXACT)
-    assert (run.outcome, len(run.events), run.n_stick(4096.0)) == ("finished", 0, 3)
-    np.testing.assert_array_equal(run.z, np.full(3, -1024.0))
-    assert run.stats.n_steps == 1
 
 
 @pytest.mark.parametrize("engine", ["coulomb", "sigmoid"])
@@ -311,7 +176,7 @@ def test_a_run_that_is_to_go_on_ends_only_where_numbers_do(engine):
     assert 110 < far.t_end < 120
 
 
-@pytest.mark.parametrize("weakening", [None, Rational(0.5), Stribeck(0.3)])
+@pytest.mark.parametrize("weakening", [None, Stribeck(0.3)])
 @pytest.mark.parametrize(("engine", "tol"), [("coulomb", 1e-8), ("sigmoid", 1e-5)])
 def test_blocks_that_swing_for_ever_wider_are_followed_to_where_numbers_end(rng, engine, tol, weakening):
     """With |w| they pass their belts in no time, and are linear to rounding: friction is no part of 1e20."""
@@ -346,7 +211,7 @@ def test_the_escape_of_one_block_is_certified_where_friction_can_no_longer_hold_
     assert "1.02 times" in certificates.escape(system, np.array([20.0]), np.array([11.0]))  # c = 51
 
 
-@pytest.mark.parametrize(("n", "damping"), [(20, 0.1), (40, 0.3), (12, 0.01)])
+@pytest.mark.parametrize(("n", "damping"), [(20, 0.1), (12, 0.01)])
 def test_modes_that_are_almost_one_are_no_proof_of_escape(n, damping):
     """A chain coupled one way: all eigenvalues have the real part -R / 2; as n are one, rounding makes some > 0."""
     system = System(np.eye(n) - np.eye(n, k=-1), damping, 1.0, -0.2)
@@ -357,7 +222,7 @@ def test_modes_that_are_almost_one_are_no_proof_of_escape(n, damping):
     assert (run.outcome, run.t_end) == ("finished", 300.0)
 
 
-@pytest.mark.parametrize("n", [2, 3, 4, 5, 6, 8])
+@pytest.mark.parametrize("n", [2, 5])
 def test_free_blocks_that_drift_do_not_escape(n):
     """A chain tied to nothing, without friction or damping: its centre moves on at its speed."""
     stiffness = 2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)
@@ -368,21 +233,9 @@ def test_free_blocks_that_drift_do_not_escape(n):
     assert run.z.mean() == pytest.approx(z0.mean() + 200.0)
 
 
-def test_steps_that_lead_nowhere_are_an_error():
-    """Of a chain coupled one way the far end grows to 1e14, and small blocks feel the rounding of its force.
-
-    Whether they touch the belt for ever, at t = 1072, is a matter of the last digit; that the run ends is not.
-    """
-    n = 40
-    system = System(np.eye(n) - np.eye(n, k=-1), 0.3, 1.0, -0.2)
-    with contextlib.suppress(IntegrationError):
-        assert simulate(system, 3 * np.cos(np.arange(n)), 0.0, 1200.0, stop_early=False).t_end == 1200.0
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_what_is_certain_to_escape_never_comes_back(seed):
+def test_what_is_certain_to_escape_never_comes_back():
     """`full` diverges at n = 20 (AUDIT, section 4): followed on, the certified mode grows all the way."""
-    system = draw_system("full", 20, seed)
+    system = draw_system("full", 20, 0)
     certain = simulate(system, -0.7, -0.4, 2000.0)
     assert (certain.outcome, "grows at the rate" in certain.reason) == ("diverged", True)
     t_far = certain.t_end + 10.0 / np.linalg.eigvals(system.slip_matrix()).real.max()
@@ -396,82 +249,10 @@ def test_what_is_certain_to_escape_never_comes_back(seed):
     assert all((np.diff(size[j]) > 0).all() for j in growing)
 
 
-def test_what_rounding_does_to_a_force_goes_by_the_row_of_its_block():
-    for stiffness in ([[1.0, -2.0], [0.0, 4.0]], scipy.sparse.csc_array([[1.0, -2.0], [0.0, 4.0]])):
-        assert System(stiffness, 0.0).row_sums.tolist() == [3.0, 4.0]
-
-
-def test_sparse_equals_dense():
-    rng = np.random.default_rng(8)
-    dense = np.where(rng.random((12, 12)) < 0.3, rng.normal(size=(12, 12)), 0.0) + 2 * np.eye(12)
-    z0, w0 = rng.normal(size=12), rng.normal(size=12)
-    for engine, settings in (("coulomb", EXACT), ("sigmoid", {"rtol": 1e-8, "atol": 1e-8})):
-        a, b = (
-            simulate(System(k, 0.5), z0, w0, 10.0, engine=engine, **settings)
-            for k in (dense, scipy.sparse.csr_array(dense))
-        )
-        assert len(a.events) > 12
-        np.testing.assert_array_equal(a.events.block, b.events.block)
-        np.testing.assert_array_equal(a.events.mode, b.events.mode)
-        np.testing.assert_allclose(a.events.t, b.events.t, rtol=0, atol=1e-8)
-        np.testing.assert_allclose(a.z, b.z, rtol=0, atol=1e-8)
-
-
-@pytest.mark.parametrize("delta", [0.3, 1e-5])
-def test_frictionless_blocks_of_the_smoothed_law_are_free(delta):
-    run = simulate(free(-0.5), 1.0, 0.0, 20.0, engine="sigmoid", eps=delta, rtol=1e-9, atol=1e-9)
-    assert run.z[0] == pytest.approx(np.cos(20.0), abs=1e-7)
-    exact = simulate(free(-0.5), 1.0, 0.0, 20.0, **EXACT)
-    np.testing.assert_allclose(run.events.t, exact.events.t, rtol=0, atol=1e-6)
-    np.testing.assert_array_equal(run.events.mode, exact.events.mode)
-
-
-# Scales, sizes and thin layers
-
-
-def test_growth_from_next_to_nothing():
-    """z'' = z from z = w = a: z = a exp(t). The last step covers 70 time constants with a polynomial of order 4."""
-    run = simulate(System([[-1.0]], 0.0, 0.0, -5.0), 1e-25, 1e-25, 100.0, tol=1e-10)
-    assert run.outcome == "diverged"  # z = 3e18
-
-
-@pytest.mark.parametrize("scale", [1e-12, 1e8])
-def test_scale_of_one_block(scale):
-    """z, w, v and mu scaled together: the same events."""
-    unit = simulate(System([[1.0]], 0.1, 1.0, -0.2), 3.0, 1.0, 10.0, tol=1e-12)
-    run = simulate(System([[1.0]], 0.1, scale, -0.2 * scale), 3 * scale, scale, 10.0, tol=1e-12)
-    assert run.events.mode.tolist() == unit.events.mode.tolist()
-    np.testing.assert_allclose(run.events.t, unit.events.t, rtol=0, atol=1e-9)
-
-
-def test_a_strong_belt_takes_a_block_from_rest():
-    """mu = 1e8, v = 1e7 from rest at z = 0: it reaches the belt and is held, z stays below (mu - R v) / K."""
-    unit = simulate(System([[1.0]], 0.1, 1.0, 0.1), 0.0, 0.0, 5.0)
-    run = simulate(System([[1.0]], 0.1, 1e8, 1e7), 0.0, 0.0, 5.0)
-    assert (unit.outcome, unit.events.mode.tolist()) == ("finished", [0])
-    assert run.outcome == "finished"
-
-
 def test_a_distant_end_hides_no_event():
     """Block 1 is free and at rest; block 2 has w = 1 - t."""
     run = simulate(System(np.zeros((2, 2)), 0.0, [0.0, 1.0], 0.0), 0.0, [0.0, 1.0], 1e12)
     assert listed(run) == [(pytest.approx(1.0), 1, 0)]
-
-
-@pytest.mark.parametrize(
-    "stiffness",
-    [1e14, 1e26],
-    ids=["stiff", "beyond float64"],
-)
-def test_a_stiff_spring_is_bounded(stiffness):
-    """z = cos(omega t), |w| <= omega, for sixteen periods; where float64 ends, an error and never a NaN."""
-    omega = np.sqrt(stiffness)
-    try:
-        run = simulate(System([[stiffness]], 0.0, 0.0, 0.0), 1.0, -0.5, 100 / omega)
-    except IntegrationError:
-        return
-    assert run.outcome == "finished"
-    assert run.z[0] == pytest.approx(np.cos(100.0), abs=1e-5)
 
 
 def test_events_of_one_time_are_in_order_of_the_blocks():
@@ -481,41 +262,7 @@ def test_events_of_one_time_are_in_order_of_the_blocks():
     assert run.events.block.tolist() == [0, 1]
 
 
-def test_smoothed_law_finds_the_return_of_a_block_that_starts_on_the_belt():
-    """z = -a cos t + v sin t, w - v = a sin t - v (1 - cos t): back on the belt at tan(t / 2) = a / v."""
-    a, v = 1e-4, 0.2
-    run = simulate(free(v), -a, v, 1.0, engine="sigmoid", stick="threshold")
-    exact = simulate(free(v), -a, v, 1.0)
-    back = 2 * np.arctan(a / v)
-    assert exact.events.initial_mode.tolist() == [1]
-    assert exact.events.t.tolist() == [pytest.approx(back, abs=1e-12)]
-    assert run.events.t[-1] == pytest.approx(back, abs=1e-6)
-
-
-def test_smoothed_initial_mode_holds_right_after_the_start():
-    run = simulate(free(0.2), -0.5, 0.2, 0.5, engine="sigmoid")
-    assert run.events.initial_mode.tolist() == [1]
-
-
-@pytest.mark.parametrize("eps", [1e-6, 1e-8])
-def test_a_very_thin_layer_has_the_events_of_coulomb(eps):
-    system = System([[1.0]], 0.1, 1.0, -0.2)
-    run = simulate(system, 3.0, 1.0, 20.0, engine="sigmoid", eps=eps, stop_early=False)
-    assert run.events.mode.tolist() == [-1, 0, 1]
-
-
-def test_arguments_are_left_alone():
-    z0, w0 = np.array([0.5]), np.array([0.1])
-    stiffness = np.array([[1.0]])
-    system = System(stiffness, 0.1)
-    for engine in ("coulomb", "sigmoid"):
-        simulate(system, z0, w0, 5.0, engine=engine)
-    assert (z0[0], w0[0]) == (0.5, 0.1)
-    stiffness[0, 0] = 7.0
-    assert system.stiffness[0, 0] == 1.0
-
-
-@pytest.mark.parametrize("form", ["csr", "csc", "bsr", "coo"])
+@pytest.mark.parametrize("form", ["csr", "csc", "coo"])
 def test_a_sparse_matrix_whose_entries_are_in_any_order_is_left_alone(form, rng):
     entries, (rows, columns) = rng.uniform(1.0, 2.0, 6), np.array([[3, 0, 2, 0, 1, 3], [0, 0, 0, 0, 1, 1]])
     dense = np.zeros((4, 4))
@@ -547,7 +294,7 @@ def test_crossings_are_found_however_far_the_motion_has_decayed():
 
 def test_a_motion_that_has_decayed_to_nothing_goes_on(rng):
     """Two blocks that nothing holds or drives, one at rest: exp(-R t) falls below the smallest number."""
-    for _ in range(20):
+    for _ in range(3):
         damping, t_end = rng.uniform(1, 3, 2), rng.uniform(690, 760)
         run = simulate(System(np.zeros((2, 2)), damping, 0.0, 0.0), 0.0, [1.0, 0.0], t_end, stop_early=False)
         assert run.outcome == "finished"

@@ -28,35 +28,34 @@ def run_with_energy(system, z, w, t_end, **settings):
 
 def test_a_block_that_slides_to_rest_turns_its_energy_into_heat():
     """K = 0, R = 0, mu = 0.5, v = 0: from w = 2 it slides 4 far in a time of 4, and stays."""
-    run, found = run_with_energy(System([[0.0]], 0.0, 0.5, 0.0), 0.0, 2.0, 10.0)
+    run, balance = run_with_energy(System([[0.0]], 0.0, 0.5, 0.0), 0.0, 2.0, 10.0)
     assert run.events.t == pytest.approx([4.0])
-    assert found.kinetic == pytest.approx([2.0, 0.0, 0.0])
-    assert found.heat == pytest.approx([0.0, 2.0, 2.0])
-    assert np.abs(found.imbalance).max() < 1e-14
+    assert balance.kinetic == pytest.approx([2.0, 0.0, 0.0])
+    assert balance.heat == pytest.approx([0.0, 2.0, 2.0])
+    assert np.abs(balance.imbalance).max() < 1e-14
 
 
 def test_a_block_that_rides_the_belt_takes_its_work():
     """K = 1, R = 0.5, mu = 1, v = -0.2, from z = 0: stuck up to z = -0.9, the belt does z^2 / 2 and R v^2 t."""
-    _, found = run_with_energy(System([[1.0]], 0.5), 0.0, -0.2, 4.0)
-    np.testing.assert_allclose(found.elastic, 0.02 * found.t**2, atol=1e-14)
-    np.testing.assert_allclose(found.belt, 0.02 * found.t**2 + 0.02 * found.t, atol=1e-14)
-    np.testing.assert_allclose(found.damping, 0.02 * found.t, atol=1e-14)
-    assert found.heat[-1] == 0.0
+    _, balance = run_with_energy(System([[1.0]], 0.5), 0.0, -0.2, 4.0)
+    np.testing.assert_allclose(balance.elastic, 0.02 * balance.t**2, atol=1e-14)
+    np.testing.assert_allclose(balance.belt, 0.02 * balance.t**2 + 0.02 * balance.t, atol=1e-14)
+    np.testing.assert_allclose(balance.damping, 0.02 * balance.t, atol=1e-14)
+    assert balance.heat[-1] == 0.0
 
 
 @pytest.mark.parametrize("coupling", ["antisymmetric", "chain"])
 def test_the_balance_closes_over_thousands_of_events(coupling, rng):
     seed = int(rng.integers(2**32))
     if coupling == "chain":
-        system, t_end = draw_system("chain", 30, seed, kappa=2.0, leaf=1.0, rho=0.0, static=1.5), 400.0
+        system, t_end = draw_system("chain", 30, seed, kappa=2.0, leaf=1.0, rho=0.0, static=1.5), 100.0
         start = rng.normal(size=30), np.full(30, -0.2)
     else:
-        system, t_end, start = draw_system("antisymmetric", 150, seed, kappa=0.25), 800.0, (-0.7, -0.4)
-    run, found = run_with_energy(system, *start, t_end, tol=1e-14, stop_early=False)
-    turnover = np.abs(found.belt).max() + found.damping[-1] + found.heat[-1] + np.abs(found.coupling).max()
-    print(len(run.events), turnover, np.abs(found.imbalance).max() / turnover)
-    assert np.abs(found.imbalance).max() < 1e-12 * turnover
-    assert (np.diff(found.heat) >= 0).all()
+        system, t_end, start = draw_system("antisymmetric", 60, seed, kappa=0.4), 200.0, (-0.7, -0.4)
+    _, balance = run_with_energy(system, *start, t_end, tol=1e-14, stop_early=False)
+    turnover = np.abs(balance.belt).max() + balance.damping[-1] + balance.heat[-1] + np.abs(balance.coupling).max()
+    assert np.abs(balance.imbalance).max() < 1e-12 * turnover
+    assert (np.diff(balance.heat) >= 0).all()
 
 
 @pytest.mark.parametrize("terms", ["dry", "driven", "weakening", "massive"])
@@ -77,16 +76,14 @@ def test_parts_of_a_chaotic_run_give_what_the_whole_does(terms, rng, monkeypatch
         **more
     )
     start = rng.normal(0.0, 0.3, n), system.belt_speed_at(0.0)
-    run, whole = run_with_energy(system, *start, 250.0, tol=1e-12)
+    run, whole = run_with_energy(system, *start, 120.0, tol=1e-12)
     monkeypatch.setattr("stickslip.sim.energy._ROOM", 9 * n * (len(whole.t) // 100))
     monkeypatch.setattr("stickslip.sim.energy._AT_A_TIME", 9 * n * 7)
-    found = energy(system, run, *start, tol=1e-12)
+    balance = energy(system, run, *start, tol=1e-12)
     turnover = np.abs(whole.belt).max() + np.abs(whole.outside).max() + whole.damping[-1] + whole.heat[-1]
-    beside = simulate(system, start[0] + 1e-12, start[1], 250.0, tol=1e-12)
-    print(len(run.events), turnover, np.abs(whole.imbalance).max(), np.abs(beside.z - run.z).max())
-    assert np.abs(found.imbalance).max() < 1e-10 * turnover
+    assert np.abs(balance.imbalance).max() < 1e-10 * turnover
     for name in ("t", "kinetic", "elastic", "belt", "outside", "damping", "heat", "coupling"):
-        assert np.abs(getattr(found, name) - getattr(whole, name)).max() < 1e-12 * turnover, name
+        assert np.abs(getattr(balance, name) - getattr(whole, name)).max() < 1e-12 * turnover, name
 
 
 @pytest.mark.parametrize("law", [Rational(1.0), Stribeck(0.05)])
@@ -95,10 +92,9 @@ def test_the_balance_closes_where_springs_pull_by_far_more_than_friction(law, rn
     n = int(rng.integers(1, 4))
     system = System(np.diag(rng.uniform(0.5, 2.0, n)), 0.0, 1.0, -0.1, static=1.2, weakening=law)
     start = rng.choice([-1.0, 1.0], n) * rng.uniform(30.0, 200.0, n), -0.1
-    run, found = run_with_energy(system, *start, 3.0, tol=1e-13)
-    came_in = found.elastic[0] + np.abs(found.belt).max()
-    print(law, start[0], len(run.events), len(found.t), found.heat[-1], np.abs(found.imbalance).max() / came_in)
-    assert np.abs(found.imbalance).max() < 1e-12 * came_in
+    _, balance = run_with_energy(system, *start, 3.0, tol=1e-13)
+    came_in = balance.elastic[0] + np.abs(balance.belt).max()
+    assert np.abs(balance.imbalance).max() < 1e-12 * came_in
 
 
 @pytest.mark.parametrize("damping", [5.0, 1e3, 1e8])
@@ -106,7 +102,7 @@ def test_a_heavily_damped_block_loses_what_its_two_modes_do(damping, rng):
     """It slips for ever, R |v| being above friction: w = a exp(p t) + b exp(q t), p from R and q from K / R."""
     v, z, t_end, pull = -1.0, rng.uniform(-1.0, 1.0), rng.uniform(20.0, 50.0), rng.uniform(0.2, 1.0)
     system = System([[pull]], damping, 1.0, v)
-    run, found = run_with_energy(system, z, v, t_end, tol=1e-13)
+    run, balance = run_with_energy(system, z, v, t_end, tol=1e-13)
     assert len(run.events) <= 1  # the start is one
     p = -(damping + np.sqrt(damping**2 - 4.0 * pull)) / 2
     q = pull / p
@@ -119,41 +115,9 @@ def test_a_heavily_damped_block_loses_what_its_two_modes_do(damping, rng):
         for other, y in ((a, p), (b, q))
     )
     slip = a / p * np.expm1(p * t_end) + b / q * np.expm1(q * t_end) - v * t_end
-    print(z, t_end, pull, len(found.t), found.damping[-1] / lost - 1, found.heat[-1] / slip - 1)
-    assert found.damping[-1] == pytest.approx(lost, rel=1e-11)
-    assert found.heat[-1] == pytest.approx(slip, rel=1e-11)
-    assert np.abs(found.imbalance).max() < 1e-12 * (lost + slip)
-
-
-@pytest.mark.parametrize("terms", ["dry", "driven", "weakening", "massive"])
-def test_the_balance_closes_where_damping_has_all_scales(terms, rng):
-    """Transients of all rates after each event; segments as short as the fastest would be 1e8 and more."""
-    n, t_end = 8, 60.0
-    scales = [1e3] if terms == "weakening" else [20.0, 1e4, 1e7]  # with weakening the run itself takes short steps
-    damping = rng.permutation([*scales, *np.full(n - len(scales), 0.05)])
-    more = {
-        "dry": {},
-        "driven": {"force": [Harmonic(0.3, 0.7), Piecewise([0.0, 30.0, 31.0], [0.0, 0.2, 0.1])]},
-        "weakening": {"weakening": Rational(2.0)},
-        "massive": {"mass": rng.uniform(0.5, 2.0, n)},
-    }[terms]
-    seed = int(rng.integers(2**32))
-    system = draw_system("chain", n, seed, kappa=10.0, leaf=1.0, rho=0.0, static=1.3, belt_speed=-0.05)
-    system = system.changed(damping=damping, **more)
-    run, found = run_with_energy(system, rng.normal(0.0, 0.3, n), -0.05, t_end, tol=1e-13)
-    turnover = np.abs(found.belt).max() + np.abs(found.outside).max() + found.damping[-1] + found.heat[-1]
-    print(damping, len(run.events), len(found.t), np.abs(found.imbalance).max() / turnover)
-    assert np.abs(found.imbalance).max() < 1e-11 * turnover
-    assert len(found.t) < 100 * len(run.events) + system.changed(damping=0.05).rates.max() * t_end + 1000
-
-
-def test_heavy_is_damping_beside_the_root_of_a_springs_stiffness(rng):
-    """Not beside the stiffness itself: segments are as many as the spring alone asks for, two for each 1 / rate."""
-    pull, t_end = 1e4, 10.0
-    system = System([[pull]], rng.uniform(2e3, 8e3), 1.0, -1.0)
-    _, found = run_with_energy(system, 0.0, -1.0, t_end, tol=1e-13)
-    assert np.abs(found.imbalance).max() < 1e-12 * (found.damping[-1] + found.heat[-1])
-    assert len(found.t) < 0.5 * np.sqrt(pull) * t_end + 100
+    assert balance.damping[-1] == pytest.approx(lost, rel=1e-11)
+    assert balance.heat[-1] == pytest.approx(slip, rel=1e-11)
+    assert np.abs(balance.imbalance).max() < 1e-12 * (lost + slip)
 
 
 def test_a_run_of_too_many_segments_is_refused():
@@ -165,22 +129,23 @@ def test_a_run_of_too_many_segments_is_refused():
         energy(system, run, -0.7, -0.4)
 
 
-def test_what_has_no_exact_energy_is_refused():
-    system = System([[1.0]], 0.5)
-    run = simulate(system, 0.0, -0.2, 40.0)
-    with pytest.raises(ValueError, match="run: expected that of this start and these settings"):
-        energy(system, run, 0.1, -0.2)
-    with pytest.raises(ValueError, match="engine: expected one of the exact law, got 'moreau'"):
-        energy(system, run, 0.0, -0.2, engine="moreau")
-    with pytest.raises(ValueError, match="engine: expected one of the exact law, got 'exact'"):
-        energy(system, run, 0.0, -0.2, engine="exact")
-    still = simulate(system, 0.0, -0.2, 1.0)
-    assert len(still.events) == 0  # the end state alone tells it from another
-    with pytest.raises(ValueError, match="run: expected that of this start and these settings"):
-        energy(system, still, 0.1, -0.2)
-    system = System([[-1.0]], 0.0)
-    with pytest.raises(ValueError, match="run: expected one that does not diverge"):
-        energy(system, simulate(system, 9.0, 0.0, 40.0), 9.0, 0.0)
+BLOCK = System([[1.0]], 0.5)
+AWAY = System([[-1.0]], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("system", "z", "w", "t_end", "given", "words"),
+    [
+        (BLOCK, 0.0, -0.2, 40.0, (0.1, {}), "run: expected that of this start and these settings"),
+        (BLOCK, 0.0, -0.2, 1.0, (0.1, {}), "run: expected that of this start and these settings"),  # without events
+        (BLOCK, 0.0, -0.2, 40.0, (0.0, {"engine": "moreau"}), "engine: expected one of the exact law, got 'moreau'"),
+        (BLOCK, 0.0, -0.2, 40.0, (0.0, {"engine": "exact"}), "engine: expected one of the exact law, got 'exact'"),
+        (AWAY, 9.0, 0.0, 40.0, (9.0, {}), "run: expected one that does not diverge"),
+    ],
+)
+def test_what_has_no_exact_energy_is_refused(system, z, w, t_end, given, words):
+    with pytest.raises(ValueError, match=words):
+        energy(system, simulate(system, z, w, t_end), given[0], w, **given[1])
 
 
 # episodes
@@ -207,56 +172,51 @@ def planted(v=-0.5):
 
 def test_planted_episodes():
     run = planted()
-    found = episodes(run, -0.5)
-    np.testing.assert_array_equal([found.start, found.end], [[1.0, 4.0], [2.0, 7.0]])
-    np.testing.assert_array_equal(found.first_block, [0, 2])
-    assert len(found) == 2
-    np.testing.assert_array_equal(found.size, [2, 2])
-    np.testing.assert_allclose(found.moment, [0.5, 0.5])
+    slides = episodes(run, -0.5)
+    np.testing.assert_array_equal([slides.start, slides.end], [[1.0, 4.0], [2.0, 7.0]])
+    np.testing.assert_array_equal(slides.first_block, [0, 2])
+    assert len(slides) == 2
+    np.testing.assert_array_equal(slides.size, [2, 2])
+    np.testing.assert_allclose(slides.moment, [0.5, 0.5])
     np.testing.assert_allclose(episodes(planted(0.5), 0.5).moment, [-0.5, -0.5])
-    np.testing.assert_array_equal(found.duration, [1.0, 3.0])
-    assert repr(found) == "Episodes(2 of up to 2 blocks)"
-
-
-def test_a_run_without_stick_has_no_episodes():
-    run = simulate(System([[1.0]], 0.0, 0.0, 0.0), 1.0, 0.0, 10.0)
-    assert len(episodes(run, 0.0)) == 0
+    np.testing.assert_array_equal(slides.duration, [1.0, 3.0])
+    assert repr(slides) == "Episodes(2 of up to 2 blocks)"
 
 
 def test_one_block_with_static_friction_has_an_episode_a_period():
     """It goes once round its circle of radius (d^2 + v^2)^(1/2), from z = 1 + d to 1 - d: 2 d, and the belt's way."""
     system, drop = System([[1.0]], 0.0, static=1.3), 0.3
-    found = episodes(simulate(system, 0.0, -0.2, 42.0), -0.2)
+    slides = episodes(simulate(system, 0.0, -0.2, 42.0), -0.2)
     slips = 2 * (np.pi - np.arctan(drop / 0.2))
-    assert len(found) == 5
-    np.testing.assert_allclose(found.duration, slips, rtol=1e-9)
-    np.testing.assert_allclose(found.moment, 2 * drop + 0.2 * slips, rtol=1e-9)
+    assert len(slides) == 5
+    np.testing.assert_allclose(slides.duration, slips, rtol=1e-9)
+    np.testing.assert_allclose(slides.moment, 2 * drop + 0.2 * slips, rtol=1e-9)
 
 
 @pytest.mark.parametrize("belts", ["one", "several", "changing"])
 @pytest.mark.parametrize(("engine", "settings"), [("coulomb", {}), ("sigmoid", {"eps": 1e-2})])
 def test_moments_are_those_of_the_states_at_both_ends(engine, settings, belts, rng):
     n_found = 0
-    for _ in range(3):  # one in some hundreds comes to slide, with few episodes or none
+    for _ in range(2):  # one in some hundreds comes to slide, with few episodes or none
         side = float(rng.choice([-1.0, 1.0]))
         speeds = side * rng.uniform(0.04, 0.06, (4, 6))
         belt = {
             "one": speeds[0, 0],
             "several": speeds[0],
-            "changing": Piecewise(np.sort(rng.uniform(-10.0, 160.0, 4)), speeds),
+            "changing": Piecewise(np.sort(rng.uniform(-10.0, 100.0, 4)), speeds),
         }[belts]
         chain = draw_system(
             "chain", 6, int(rng.integers(2**32)), kappa=3.0, leaf=1.0, rho=0.2, static=1.4, belt_speed=belt
         )
-        start = rng.uniform(-0.2, 0.2, 6), chain.belt_speed_at(0.0), 150.0
-        found = episodes(simulate(chain, *start, engine=engine, **settings), belt)
-        ends = np.column_stack([found.start, found.end]).ravel()
+        start = rng.uniform(-0.2, 0.2, 6), chain.belt_speed_at(0.0), 90.0
+        slides = episodes(simulate(chain, *start, engine=engine, **settings), belt)
+        ends = np.column_stack([slides.start, slides.end]).ravel()
         again = simulate(chain, *start, engine=engine, **settings, t_eval=ends)
         way = np.array([quad_vec(chain.belt_speed_at, 0.0, t, points=getattr(belt, "times", None))[0] for t in ends])
         on_belt = (again.samples.z - way.reshape(-1, 6)).sum(axis=1).reshape(-1, 2)
-        np.testing.assert_allclose(found.moment, -side * np.diff(on_belt)[:, 0], atol=1e-9)
-        for first, block in zip(found.start[:1], found.first_block, strict=False):
+        np.testing.assert_allclose(slides.moment, -side * np.diff(on_belt)[:, 0], atol=1e-9)
+        for first, block in zip(slides.start[:1], slides.first_block, strict=False):
             assert not again.events.mode_at(first - 1e-9).any()
             assert again.events.mode_at(first)[block] != 0
-        n_found += len(found)
+        n_found += len(slides)
     assert n_found > 0

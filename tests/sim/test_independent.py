@@ -1,4 +1,4 @@
-"""The independent engine itself, against closed forms, energy and 34-digit arithmetic."""
+"""The independent engine itself, against closed forms and energy."""
 
 from itertools import pairwise
 
@@ -6,9 +6,6 @@ import numpy as np
 import pytest
 
 from tests.independent import Case, Path, Ramp, follow
-from tests.systems import draw_case, made
-
-from .reference import follow as follow_in_34_digits
 
 
 def listed(path: Path) -> list[tuple[float, int, int]]:
@@ -17,18 +14,6 @@ def listed(path: Path) -> list[tuple[float, int, int]]:
 
 def run(*system: object, t_end: float) -> Path:
     return follow(Case.of(*system), t_end)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("system", "t_end", "events"),
-    [
-        ((3.5, 1, -0.2, -0.7, -0.4), 4.5, [(0.09197880284020456, 0, 0), (3.9564549379897342, 0, 1)]),
-        ((3.5, 1, 0.2, -0.7, -0.4), 13.0, [(0.49802862992843305, 0, 0), (11.540118914788621, 0, -1)]),
-    ],
-)
-def test_one_block(system, t_end, events):
-    """AUDIT of the formulas: 40-digit values."""
-    assert listed(run([[0.2]], *system, t_end=t_end)) == events
 
 
 def test_one_block_crosses_and_sticks():
@@ -46,27 +31,12 @@ def test_two_blocks():
     np.testing.assert_allclose(path.z, [-1.0401911196217937, -0.8589369248824921], rtol=0, atol=1e-13)
 
 
-def test_an_undamped_block_swings_about_its_place_for_ever():
-    path = run([[1.0]], 0, 1, -0.2, 0, -0.2, t_end=300.0)
-    t = np.linspace(5.0, 300.0, 500)
-    assert listed(path) == [(5.0, 0, 1)]  # and grazes the belt every period: no event
-    z, w = path.at(t)
-    np.testing.assert_allclose(z[:, 0], -1 - 0.2 * np.sin(t - 5), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(w[:, 0], -0.2 * np.cos(t - 5), rtol=0, atol=1e-12)
-
-
 def test_a_graze_is_no_event_and_a_dip_is_two():
     assert run([[1.0]], 0, 0, -1, 1, 0, t_end=20.0).t == []  # w = -sin t
     half = np.arccos(1 - 1e-6)
     path = run([[1.0]], 0, 0, 1e-6 - 1, 1, 0, t_end=3.0)
     np.testing.assert_allclose(path.t, [np.pi / 2 - half, np.pi / 2 + half], rtol=0, atol=1e-9)
     assert path.mode == [-1, 1]
-
-
-def test_a_belt_at_rest():
-    path = run(np.eye(2), 0, 1, 0, [4.5, 0.5], 0, t_end=100.0)
-    assert path.initial_mode == (-1, 0)
-    assert listed(path) == [(pytest.approx(np.pi, abs=1e-12), 0, 1), (pytest.approx(2 * np.pi, abs=1e-12), 0, 0)]
 
 
 def test_twins_change_together_and_what_rests_at_its_bound_holds():
@@ -101,26 +71,7 @@ def test_energy_is_lost_to_damping_and_friction_only():
     assert energy[0] - energy[1] == pytest.approx(lost, abs=1e-11)
 
 
-@pytest.mark.parametrize("kind", ["random", "ties"])
-def test_small_systems_in_34_digits(kind, rng):
-    n_events = 0
-    for n in (1, 2, 2):
-        case = draw_case(rng, n, "full", damping=(0.0, 1.0), friction=(0.0, 1.0), belt_speed=rng.normal(size=1))
-        if kind == "ties":
-            k, r = rng.integers(-1, 3, (n, n)) / 1.0, rng.integers(0, 2, n) / 2
-            case = Case.of(k, r, 1.0, -0.5, rng.integers(-1, 2, n) / 1.0, -0.5)
-        expected = follow_in_34_digits(made(case), case.z0, case.w0, 3.0)
-        path = follow(case, 3.0)
-        assert (path.block, path.mode) == (expected.block, expected.mode)
-        assert list(path.initial_mode) == expected.initial_mode
-        np.testing.assert_allclose(path.t, expected.t, rtol=0, atol=1e-7)  # a tangency halves the digits
-        np.testing.assert_allclose(path.z, expected.z, rtol=0, atol=1e-10)
-        np.testing.assert_allclose(path.w, expected.w, rtol=0, atol=1e-10)
-        n_events += len(path.t)
-    print(f"{n_events} events")
-
-
-@pytest.mark.parametrize(("drop", "v"), [(0.3, -0.2), (0.01, 0.5), (2.0, -1.0)])
+@pytest.mark.parametrize(("drop", "v"), [(0.01, 0.5), (2.0, -1.0)])
 def test_the_period_of_one_block_with_static_friction(drop, v):
     """K = 1, R = 0: stuck over 2 drop at the belt's speed, then the larger part of a circle."""
     path = follow(Case.of([[1.0]], 0.0, 1.0, v, 0.0, v, 1.0 + drop), 150.0)
@@ -170,32 +121,6 @@ def test_a_force_that_rises_moves_a_block_when_it_passes_static_friction():
     path = follow(Case.of([[0.0]], 0, 1, 0, 0, 0, 1.5, push=push), 5.0)
     assert (path.t, path.mode) == ([pytest.approx(3.0, abs=1e-13)], [1])
     assert path.w == pytest.approx([(5.0**2 - 3.0**2) / 4 - 2.0], abs=1e-12)
-
-
-def test_a_change_of_frame_and_of_units_changes_no_event():
-    """y = z - s(t), s' = the belt's speed, that changes from 0.3 to -0.5: the belt rests and there is a force."""
-    rng = np.random.default_rng(5)
-    n, knots = 3, np.array([2.0, 5.0])
-    a = rng.normal(size=(n, n))
-    k, r, mu, static = a @ a.T, rng.uniform(0, 0.3, n), rng.uniform(0.3, 1, n), rng.uniform(1, 1.5, n)
-    z, w, m = rng.normal(size=n), rng.normal(size=n), rng.uniform(0.5, 2, n)
-    wave = (rng.normal(size=n), 1.7, rng.normal(size=n))
-    speed = Ramp(knots, np.array([[0.3] * n, [-0.5] * n]))
-    path = follow(Case.of(k, r, mu, speed, z, w, static, mass=m, waves=[wave]), 12.0)
-    # until the first knot s = 0.3 t, and - K s - 0.3 R a force that is linear
-    push = Ramp(np.array([0.0, 10.0]), -0.3 * np.array([r, r + k @ np.full(n, 10.0)]))
-    start = follow(Case.of(k, r, mu, 0.0, z, w - 0.3, static, mass=m, waves=[wave], push=push), 2.0)
-    before = [(t, i, q) for t, i, q in zip(path.t, path.block, path.mode, strict=True) if t < 2.0]
-    assert before == [
-        (pytest.approx(t, abs=1e-12), i, q) for t, i, q in zip(start.t, start.block, start.mode, strict=True)
-    ]
-    unit = follow(
-        Case.of(k / m[:, None], r / m, mu / m, speed, z, w, static / m, waves=[(wave[0] / m, *wave[1:])]), 12.0
-    )
-    assert path.block == unit.block
-    np.testing.assert_allclose(path.t, unit.t, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(path.z, unit.z, rtol=0, atol=1e-12)
-    assert len(path.t) > 5
 
 
 @pytest.mark.parametrize("mass", [1.0, 2.5])

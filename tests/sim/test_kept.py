@@ -93,7 +93,7 @@ def test_a_forged_kernel_is_run_where_it_is_ones_own(cache, mark):
     assert mark.exists()
 
 
-@pytest.mark.parametrize("mode", [0o777, 0o1777, 0o770, 0o775, 0o1775, 0o757])
+@pytest.mark.parametrize("mode", [0o777, 0o1777, 0o770, 0o757])
 @pytest.mark.parametrize("above", range(3))
 def test_a_directory_that_others_may_write(cache, mark, mode, above):
     """One may pass through a sticky directory, where others cannot move what is ours; in the cache they could add."""
@@ -107,27 +107,23 @@ def test_a_directory_that_others_may_write(cache, mark, mode, above):
         refused(cache, mark, spoilt)
 
 
-@pytest.mark.parametrize("mode", [0o666, 0o664, 0o646, 0o777])
-def test_a_file_that_others_may_write(cache, mark, mode):
-    kernel_of(cache).write_bytes(planted(mark))
-    kernel_of(cache).chmod(mode)
-    with pytest.raises(CacheError, match=re.escape(str(kernel_of(cache)))):
-        files(cache).load("key")
-    assert not mark.exists()
-
-
-def test_a_file_that_is_a_link_or_a_pipe(cache, mark, top):
+def test_a_file_that_others_may_write_or_that_is_a_link_or_a_pipe(cache, mark, top):
     (top / "elsewhere").write_bytes(planted(mark))
     file = kernel_of(cache)
+    for mode in (0o666, 0o664, 0o646, 0o777):
+        file.write_bytes(planted(mark))
+        file.chmod(mode)
+        with pytest.raises(CacheError, match=re.escape(str(file))):
+            files(cache).load("key")
     for make in (lambda: file.symlink_to(top / "elsewhere"), lambda: os.mkfifo(file), lambda: file.mkdir()):
         file.unlink()
         make()
         with pytest.raises(CacheError, match=r"a link|no plain file"):
             files(cache).load("key")
-        assert not mark.exists()
         if file.is_dir():
             file.rmdir()
             file.touch()
+    assert not mark.exists()
 
 
 def test_ones_own_link_is_followed_to_where_others_may_not_write(cache, mark, top):
@@ -217,21 +213,14 @@ def given(path):
 
 @as_root
 @pytest.mark.parametrize("above", range(3))
-def test_a_directory_of_another_user(cache, mark, above):
+@pytest.mark.parametrize("is_link", [False, True])
+def test_a_directory_or_a_link_of_another_user(cache, mark, top, above, is_link):
+    """A link could lead to anything that we own, as an archive that we unpacked."""
     kernel_of(cache).write_bytes(planted(mark))
     spoilt = (cache, *cache.parents)[above]
-    given(spoilt)
-    refused(cache, mark, spoilt)
-
-
-@as_root
-@pytest.mark.parametrize("above", range(3))
-def test_a_link_of_another_user(cache, mark, top, above):
-    """It could lead to anything that we own, as an archive that we unpacked."""
-    kernel_of(cache).write_bytes(planted(mark))
-    spoilt = (cache, *cache.parents)[above]
-    spoilt.rename(top / "moved")
-    spoilt.symlink_to(top / "moved")
+    if is_link:
+        spoilt.rename(top / "moved")
+        spoilt.symlink_to(top / "moved")
     given(spoilt)
     refused(cache, mark, spoilt)
 
@@ -296,54 +285,16 @@ def test_another_user_takes_what_is_its_own_or_roots(cache, top):
         files(top / "scratch" / "its").load("key")
 
 
-@as_root
-def test_another_user_that_swaps_all_the_time(cache, mark, top):
-    """In a scratch directory of all: what leads to our cache is there by turns a link to ours, and one to theirs."""
-    scratch, flips = top / "scratch", top / "flips"
-    scratch.mkdir()
-    scratch.chmod(0o1777)
-    flips.touch()
-    flips.chmod(0o666)
-
-    def act():
-        theirs = scratch / "theirs"
-        theirs.mkdir()
-        (theirs / "digest").mkdir()
-        (theirs / "digest" / kernel_of(cache).name).write_bytes(planted(mark))
-        for name, to in (("ours", cache.parent), ("forged", theirs)):
-            (scratch / name).symlink_to(to)
-        n_flips = 0
-        while True:
-            for name in ("ours", "forged"):
-                with contextlib.suppress(OSError):
-                    os.symlink(os.readlink(scratch / name), scratch / "next")
-                    os.rename(scratch / "next", scratch / "stickslip")
-                n_flips += 1
-            if n_flips % 1000 == 0:
-                flips.write_text(str(n_flips))
-
-    with as_other(act):
-        until(flips.read_text)
-        before, n_loads = int(flips.read_text()), 0
-        while n_loads < 2000 or int(flips.read_text() or 0) < before + 5000:
-            with pytest.raises(CacheError):
-                files(scratch / "stickslip" / "digest").load("key")
-            n_loads += 1
-    assert not mark.exists()
-
-
 # ---------------------------------------------------------------------------------------------- the command
 
 
-@pytest.mark.parametrize("more", [["--workers", "1"], ["--dry-run"], ["--only", "?"]])
-def test_a_run_says_so_in_one_line(top, more):
+def test_a_run_says_so_in_one_line(top):
     scene, cache = top / "scene.toml", top / "cache"
     scene.write_text(ensemble([3], 2.0, 1, COULOMB))
     cache.mkdir()
     cache.chmod(0o777)
-    main = [sys.executable, "-P", "-m", "stickslip", "run", str(scene), "--out", str(top / "out")]
     done = subprocess.run(
-        [*main, *(member_of(scene) if one == "?" else one for one in more)],
+        [sys.executable, "-P", "-m", "stickslip", "run", str(scene), "--out", str(top / "out"), "--workers", "1"],
         env=os.environ | {"NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": str(Path(__file__).parents[2])},
         capture_output=True,
         text=True,
@@ -355,12 +306,6 @@ def test_a_run_says_so_in_one_line(top, more):
     assert line.startswith("stickslip: kernel cache ")
     assert f"got {cache}, one that others may write (mode 777); set NUMBA_CACHE_DIR" in line
     assert not list(cache.rglob("*.nbc"))
-
-
-def member_of(scene):
-    from stickslip.pipeline import expand, parse_scene
-
-    return next(iter(expand(parse_scene(scene.read_bytes())))).member_id
 
 
 def test_a_worker_elsewhere_does_not_make_failed_members_of_it(monkeypatch):

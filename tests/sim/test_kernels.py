@@ -1,5 +1,7 @@
 """What the engines share: roots of polynomials that were planted, polynomials about another origin, arrays."""
 
+import itertools
+
 import numba
 import numpy as np
 import pytest
@@ -32,7 +34,7 @@ def test_planted_roots_are_found_in_order(planted):
 
 def test_no_root_is_lost_or_made_up_where_rounding_decides_on_which_side_of_a_border_it_lies(rng):
     places = np.setdiff1d(np.arange(-8, 25), [0, 16]) / 16  # at 1 itself rounding decides whether it is inside
-    for _ in range(5000):
+    for _ in range(1000):
         planted = np.sort(rng.choice(places, rng.integers(1, 6), replace=False))
         coefficients = rng.choice([-3.0, -0.1, 0.1, 1.0]) * np.polynomial.polynomial.polyfromroots(planted)
         inside = planted[(planted > 0) & (planted < 1)]
@@ -50,7 +52,7 @@ def test_roots_of_random_polynomials_are_exact_to_rounding_and_none_is_missed(rn
     """Values in extended precision; the unit is the change of a root by rounding of the terms, and its own."""
     n_found, grid = 0, np.linspace(0, 1, 1025)
     grid_powers = np.vander(grid, 24, increasing=True)
-    for _ in range(3000):
+    for _ in range(800):
         degree = int(rng.integers(1, 24))
         coefficients = rng.normal(size=degree + 1) * np.exp(-rng.uniform(0, 2) * np.arange(degree + 1))
         coefficients[0] *= 10.0 ** -rng.choice([0, 0, 3, 12, 30])  # roots near zero are as exact
@@ -68,25 +70,17 @@ def test_roots_of_random_polynomials_are_exact_to_rounding_and_none_is_missed(rn
         counts = np.histogram(found, grid)[0]
         assert (counts[has_root] % 2 == 1).all(), coefficients
         n_found += len(found)
-    assert n_found > 300
+    assert n_found > 80
 
 
-@pytest.mark.parametrize("degree", [2, 8, 16, 40])
-@pytest.mark.parametrize("least", [1e-3, 1e-20, 1e-44])
-def test_roots_of_powers_to_which_steps_of_newtons_method_hardly_come(degree, least):
-    for sign in (-1.0, 1.0):
+@pytest.mark.parametrize("degree", [2, 16, 40])
+def test_roots_of_powers_to_which_steps_of_newtons_method_hardly_come(degree):
+    for sign, least in itertools.product((-1.0, 1.0), (1e-3, 1e-20, 1e-44)):
         coefficients = sign * np.array([-least, *np.zeros(degree - 1), 1.0])
         np.testing.assert_allclose(found_in(coefficients, 8), [least ** (1 / degree)], rtol=1e-14)
 
 
-def test_roots_of_polynomials_of_whole_numbers_are_those_of_their_mirror_images(rng):
-    """Many coefficients of theirs are exactly zero, in the one basis or the other."""
-    for coefficients in rng.integers(-3, 4, (20_000, 5)).astype(float):
-        if coefficients[0] != 0.0:
-            assert found_in(-coefficients, 8).tobytes() == found_in(coefficients, 8).tobytes(), coefficients
-
-
-@pytest.mark.parametrize("degree", [1, 2, 3, 4, 7, 16, 25, 40])
+@pytest.mark.parametrize("degree", [1, 2, 7, 40])
 def test_bernstein_coefficients_are_those_of_scipy(degree, rng):
     coefficients = rng.normal(size=degree + 1)
     found = np.empty(degree + 1)
@@ -105,9 +99,9 @@ def evaluated(rows, order, steps, values):
     values_and_slopes(rows, order, steps, values)
 
 
-@pytest.mark.parametrize("n", [1, 3, 4, 7, 16, 21, 37, 64])
+@pytest.mark.parametrize("n", [1, 7, 16, 37])
 def test_polynomials_about_another_origin_are_those_of_numpy(n, rng):
-    for order in rng.integers(2, 33, 6):
+    for order in rng.integers(2, 33, 3):
         first, last = np.sort(rng.integers(0, n + 1, 2))
         steps, rows = rng.uniform(-1.5, 1.5, n), rng.normal(size=(int(order) + 3, n))  # rows beyond do not count
         polynomials = [np.polynomial.Polynomial(rows[: order + 1, i]) for i in range(n)]

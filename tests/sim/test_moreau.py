@@ -4,33 +4,14 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from stickslip import System, draw_system, simulate
+from stickslip import System, simulate
 from stickslip.sim.engines.moreau.step import BEYOND, whole_steps
 from stickslip.sim.episodes import episodes
 from stickslip.workflows.gallery.charts.peers import random_problem
 
-#: Closed forms of one block, as in tests/sim/test_closed_forms.py: rho, kappa, v, z0, w0, times, modes.
-ONE_BLOCK = [
-    (3.5, 0.2, -0.2, -0.7, -0.4, [0.09197880284020456, 3.9564549379897342], [0, 1]),
-    (3.5, 0.2, +0.2, -0.7, -0.4, [0.49802862992843305, 11.540118914788621], [0, -1]),
-    (0.1, 1.0, -0.2, 3.0, 1.0, [0.29075098367384344, 3.231881443452085, 4.104721534065557], [-1, 0, 1]),
-]
-
 
 def moreau(system, z0, w0, t_end, step, **kw):
     return simulate(system, z0, w0, t_end, engine="moreau", step=step, **kw)
-
-
-@pytest.mark.parametrize(("rho", "kappa", "v", "z0", "w0", "times", "modes"), ONE_BLOCK)
-def test_modes_of_one_block(rho, kappa, v, z0, w0, times, modes):
-    """Every entry, exit and crossing, each within a few steps: the error falls with the step."""
-    system = System([[kappa]], rho, belt_speed=v)
-    for step in (1e-2, 1e-3, 1e-4, 1e-5):
-        run = moreau(system, z0, w0, 20.0, step)
-        assert run.outcome == "finished"
-        assert run.events.initial_mode.tolist() == [np.sign(w0 - v)]
-        assert run.events.mode.tolist() == modes
-        np.testing.assert_allclose(run.events.t, times, rtol=0, atol=3 * step)
 
 
 def test_an_entry_is_at_the_end_of_its_step():
@@ -48,23 +29,23 @@ def test_rounding_of_a_quotient_adds_no_step():
 
 def test_steps_are_the_scheme(rng):
     """The midpoint rule with w projected on the belt's, by numpy; samples lie on the steps' own path."""
-    problem = random_problem(0, 50, 60.0, 0.03, "one")
-    system, n_steps = problem.system, whole_steps(60.0, 0.01)
-    z, w, h, v = np.full(50, problem.z0), np.full(50, problem.w0), 60.0 / n_steps, system.belt_speed
+    problem = random_problem(0, 50, 20.0, 0.03, "one")
+    system, n_steps = problem.system, whole_steps(20.0, 0.01)
+    z, w, h, v = np.full(50, problem.z0), np.full(50, problem.w0), 20.0 / n_steps, system.belt_speed
     a, b = 1 + 0.5 * h * system.damping, h * system.friction
     for _ in range(n_steps):
         free = w - h * (0.5 * system.damping * w + system.stiffness @ (z + 0.5 * h * w)) - a * v
         new = v + np.sign(free) * np.maximum(np.abs(free) - b, 0.0) / a
         z, w = z + 0.5 * h * (w + new), new
-    times = np.sort(np.append(rng.uniform(0, 60, 100), [0.0, 60.0]))
-    run = moreau(system, problem.z0, problem.w0, 60.0, 0.01, t_eval=times)
+    times = np.sort(np.append(rng.uniform(0, 20, 100), [0.0, 20.0]))
+    run = moreau(system, problem.z0, problem.w0, 20.0, 0.01, t_eval=times)
     np.testing.assert_allclose(run.z, z, rtol=0, atol=1e-10)
     np.testing.assert_allclose(run.w, w, rtol=0, atol=1e-10)
-    np.testing.assert_array_equal(run.events.mode_at(60.0) == 0, run.w == v)
+    np.testing.assert_array_equal(run.events.mode_at(20.0) == 0, run.w == v)
     assert (np.diff(run.events.t) >= 0).all()
     assert (run.events.previous_mode != run.events.mode).all()
     np.testing.assert_allclose(run.samples.z[-1], z, rtol=0, atol=1e-10)
-    exact = simulate(system, problem.z0, problem.w0, 60.0, t_eval=times)
+    exact = simulate(system, problem.z0, problem.w0, 20.0, t_eval=times)
     assert np.abs(run.samples.z - exact.samples.z)[: len(times) // 2].max() < 0.05
 
 
@@ -100,33 +81,20 @@ def test_static_friction_holds_a_block_and_moments_tend_to_the_exact_ones():
 def test_static_friction_holds_a_block_that_comes_to_the_belt_with_more_than_kinetic_friction_pulls(rng):
     """K = 1, mu = 1, static 2, a belt at rest: from z = 3.5 it slips to -1.5, and stays, by steps of any length."""
     system = System([[1.0]], 0.0, static=2.0, belt_speed=0.0)
-    steps = 10.0 ** rng.uniform(-3.0, -1.0, 200)
+    steps = 10.0 ** rng.uniform(-3.0, -1.0, 20)
     ends = np.array([moreau(system, 3.5, 0.0, 10.0, step).z[0] for step in steps])
     assert np.abs(ends + 1.5).max() < 0.2
 
 
 def test_a_sample_at_the_end_is_kept_wherever_the_last_step_rounds_to(rng):
     system = System([[1.0]], 0.0, static=1.3)
-    for t_end in rng.integers(1, 50, 200) / 10:  # 39 steps of 0.1 end before 3.9
+    for t_end in rng.integers(1, 50, 30) / 10:  # 39 steps of 0.1 end before 3.9
         run = moreau(system, 0.0, -0.2, t_end, 0.1, t_eval=[t_end])
         np.testing.assert_allclose(run.samples.z, [run.z], rtol=0, atol=1e-13)
 
 
 def moment(system, t_end):
     return episodes(simulate(system, 0.0, -0.05, t_end), -0.05).moment.mean()
-
-
-def test_episodes_of_a_chain_are_those_of_exact_events_for_a_while(rng):
-    chain = draw_system("chain", n=10, seed=0, kappa=4.0, leaf=1.0, rho=0.2, static=1.4, belt_speed=-0.01)
-    z0 = rng.uniform(-0.2, 0.2, 10)
-    exact, steps = (
-        episodes(simulate(chain, z0, -0.01, 200.0, **one), -0.01)
-        for one in ({}, {"engine": "moreau", "step": 1e-4})
-    )  # fmt: skip
-    assert min(len(steps), len(exact)) >= 2
-    np.testing.assert_array_equal(steps.size[:2], exact.size[:2])
-    np.testing.assert_allclose(steps.start[:2], exact.start[:2], rtol=0, atol=0.01)
-    np.testing.assert_allclose(steps.moment[:2], exact.moment[:2], rtol=0, atol=1e-3)
 
 
 def test_a_step_in_which_negative_damping_turns_velocities_round_is_refused():

@@ -74,7 +74,7 @@ def draw(rng, damping):
 
 
 def test_against_the_independent_engine(rng):
-    for _ in range(4):
+    for _ in range(5):
         case = draw(rng, 1e3)
         wave = rng.normal(size=case.n), np.full(case.n, rng.uniform(0.5, 3)), rng.uniform(0, 6, case.n)
         case = replace(case, waves=np.array([wave]))
@@ -84,23 +84,6 @@ def test_against_the_independent_engine(rng):
         run = simulate(system, case.z0, case.w0, 2.0, tol=1e-12, stop_early=False)
         assert np.abs(run.z - found.z).max() < 1e-8 * size
         assert np.abs(run.w - found.w).max() < 1e-8 * size
-
-
-def test_against_short_steps(rng, monkeypatch):
-    """The same with each step as short as the largest R wants it."""
-    for _ in range(8):
-        case = draw(rng, 10 ** rng.uniform(2.7, 4))
-        n, z0, w0, v = case.n, case.z0, case.w0, case.belt.values[0, 0]
-        force = rng.choice([None, Harmonic(rng.normal(size=n), 1.3), Piecewise([0, 2, 5], rng.normal(size=(3, n)))])
-        belt = Piecewise([0, 3, 9], [v, -v, 2 * v]) if rng.random() < 0.3 else v
-        system = made(case).changed(belt_speed=belt, force=[] if force is None else [force])
-        t_end = min(10.0, 5 / max(np.linalg.eigvals(system.slip_matrix()).real.max(), 1e-9))
-        run = simulate(system, z0, w0, t_end, tol=1e-11, stop_early=False)
-        with monkeypatch.context() as short:
-            short.setattr(integrate.Slow, "of", staticmethod(lambda *_: None))
-            expected = simulate(system, z0, w0, t_end, tol=1e-13, stop_early=False)
-        size = max(np.abs(expected.z).max(), np.abs(z0).max(), np.abs(w0).max())
-        np.testing.assert_allclose(run.z, expected.z, rtol=0, atol=1e-8 * size)
 
 
 def test_a_block_with_damping_without_end_is_a_wall(rng):
@@ -129,7 +112,7 @@ def beside(rng, damping):
 @pytest.mark.filterwarnings("ignore:.* while blocks slip")
 def test_blocks_that_rest_keep_nobody_from_slow_motion(rng):
     """Beside a heavily damped one in closed form; coupled or not, v = 0, and the first stays on its side."""
-    for _ in range(30):
+    for _ in range(8):
         damping = 10 ** rng.uniform(3, 8)
         stiffness, light, friction = beside(rng, damping)
         rest = np.zeros(len(light))
@@ -153,7 +136,7 @@ def test_blocks_that_rest_keep_nobody_from_slow_motion(rng):
 
 def test_a_light_block_that_nothing_pulls_keeps_nobody_from_slow_motion(rng):
     """It has no rate but its own R, far above all others: while it slows down, and as a force grows from nothing."""
-    for _ in range(20):
+    for _ in range(4):
         damping, light, t_end = 10 ** rng.uniform(5, 8), rng.uniform(0.05, 0.5), 20.0
         z0, w0, pull = rng.uniform(-10, -2), rng.choice([0.0, 1.0]) * rng.uniform(0.1, 3, 2), rng.normal()
         force = Piecewise([0.0, t_end], [[0.0, 0.0], [0.0, pull * t_end]])
@@ -169,7 +152,7 @@ def test_a_light_block_that_nothing_pulls_keeps_nobody_from_slow_motion(rng):
 
 def test_slow_motion_past_the_belt_is_no_motion_before_it(rng):
     """A block a hair before its belt, which a ramp carries past it: by its series, less exact, it is past already."""
-    for _ in range(10):
+    for _ in range(4):
         damping, mu, length, v = rng.uniform(2e3, 5e3), rng.uniform(0.5, 1.5), 2e-5, -rng.uniform(0.1, 1.0) * 1e-3
         system = System([[1.0]], damping, mu, Piecewise([0.0, length], [v, v + 0.1]))
         gap = 10 ** rng.uniform(-14, -12)
@@ -183,7 +166,7 @@ def test_slow_motion_past_the_belt_is_no_motion_before_it(rng):
 
 def test_heavy_blocks_beside_light_ones_against_the_matrix_exponential(rng):
     """No friction, any coupling: x(t) = exp(A t) x(0)."""
-    for _ in range(20):
+    for _ in range(6):
         n = int(rng.integers(2, 6))
         coupling = rng.choice([0.0, 0.1]) * rng.normal(size=(n, n))
         stiffness = np.diag(10 ** rng.uniform(-1, 3, n)) + coupling

@@ -4,7 +4,6 @@ Where there is float32, the exact engine also takes the products of what blocks 
 """
 
 from functools import reduce
-from itertools import count
 
 import numpy as np
 import pytest
@@ -12,51 +11,8 @@ from scipy.sparse import csc_array
 
 from stickslip.sim import draw_system, simulate
 from stickslip.sim.numerics import products
-from tests.fuzz.draw import draw
-from tests.fuzz.judge import exact_truth
-from tests.independent import Case, Undecided
+from tests.independent import Case
 from tests.systems import draw_case, made
-
-
-def drawn(n_cases, seed):
-    """Short cases of the fuzz for the exact engine, without ties, each with its true end."""
-    for number in count():
-        trial = draw(seed, number)
-        is_tied = trial.family in ("identical", "integers")
-        if (
-            is_tied
-            or trial.engine != "coulomb"
-            or trial.settings["tol"] < 1e-12
-            or trial.t_end * trial.case.rate > 30
-        ):
-            continue
-        try:
-            truth = exact_truth(trial.case, np.array([trial.t_end]), trial.t_end, 1e-7, trial.rng())
-        except Undecided:
-            continue
-        yield trial, truth
-        n_cases -= 1
-        if n_cases == 0:
-            return
-
-
-def test_products_in_float32_cost_the_exact_engine_less_than_its_tolerance(monkeypatch, random_seed):
-    """Only systems of some size are worth them; here all have them."""
-    n_changed = 0
-    for n_before, (trial, truth) in enumerate(drawn(60, random_seed)):  # of a few, by chance none may change
-        if n_before >= 6 and n_changed > 0:
-            break
-        case, runs = trial.case, []
-        system = made(case)
-        for smallest in (1, 1000):
-            monkeypatch.setattr(products, "_SMALL", smallest)
-            runs.append(simulate(system, case.z0, case.w0, trial.t_end, stop_early=False, **trial.settings))
-        single, double = (np.concatenate((run.z, run.w)) for run in runs)
-        allowed = trial.settings["tol"] * truth.unit[-1]
-        np.testing.assert_allclose(single, double, rtol=0, atol=allowed, err_msg=trial.words())
-        np.testing.assert_allclose(single, truth.state[-1], rtol=0, atol=3 * allowed + 1e-12, err_msg=trial.words())
-        n_changed += (single != double).any()
-    assert n_changed > 0
 
 
 def test_what_others_pass_on_makes_windows_longer(monkeypatch, rng):
@@ -65,7 +21,7 @@ def test_what_others_pass_on_makes_windows_longer(monkeypatch, rng):
     runs = []
     for smallest in (1, 1000):
         monkeypatch.setattr(products, "_SMALL", smallest)
-        runs.append(simulate(system, -0.7, -0.4, 200.0, tol=1e-8, stop_early=False))
+        runs.append(simulate(system, -0.7, -0.4, 60.0, tol=1e-8, stop_early=False))
     passing, without = runs
     assert passing.stats.n_steps < 0.95 * without.stats.n_steps
     for name in ("block", "mode"):

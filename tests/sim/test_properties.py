@@ -2,7 +2,6 @@
 
 import gc
 import weakref
-from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -15,11 +14,7 @@ from stickslip.sim import EventSeries, System, draw_system, simulate
 from stickslip.sim.engines import certificates
 from stickslip.sim.runs.series import without_returns
 from tests import independent
-from tests.fuzz.draw import Trial
-from tests.fuzz.judge import judge
-from tests.systems import draw_case, draw_run
-
-EXACT = {"tol": 1e-15, "stop_early": False}
+from tests.systems import draw_run
 
 
 def assert_same(run, t, block, mode, atol=1e-9):
@@ -38,12 +33,10 @@ SMOOTH = {"engine": "sigmoid", "eps": 0.02, "rtol": 1e-7, "atol": 1e-7}
     ("law", "cross"),
     [
         ({"engine": "coulomb", "tol": 1e-12}, 0.0),
-        (SMOOTH, 0.0),
         (SMOOTH, 0.3),
         (SMOOTH | {"stick": "threshold", "threshold": 3.0}, 0.0),
-        (SMOOTH | {"stick": "threshold", "threshold": 3.0}, 0.3),
     ],
-    ids=["coulomb", "sigmoid", "cross damping", "threshold", "threshold, cross damping"],
+    ids=["coulomb", "cross damping", "threshold"],
 )
 def test_nothing_happens_after_a_certified_collapse(law, cross):
     n_collapsed = n_stable = 0
@@ -52,7 +45,7 @@ def test_nothing_happens_after_a_certified_collapse(law, cross):
             np.random.default_rng([seed, 7]), (1, 5), "antisymmetric", damping=(0.2, 3.0), friction=(0.2, 1.0),
             belt_speed=(-0.5, -0.2, 0.3), cross=cross,
         )  # fmt: skip
-        if n_stable == 80 or np.linalg.eigvals(system.slip_matrix()).real.max() > -0.02:
+        if n_stable == 20 or np.linalg.eigvals(system.slip_matrix()).real.max() > -0.02:
             continue
         n_stable += 1
         run = simulate(system, z0, w0, 150.0, stop_early="always", **law)
@@ -67,7 +60,7 @@ def test_nothing_happens_after_a_certified_collapse(law, cross):
         assert run.t_collapse < 150.0
         np.testing.assert_allclose(run.z, full.z, rtol=0, atol=1e-5)
         np.testing.assert_allclose(run.w, full.w, rtol=0, atol=1e-5)
-    assert n_collapsed > 60
+    assert n_collapsed > 12
 
 
 def test_the_bound_of_a_certificate_on_what_forces_do(rng):
@@ -77,7 +70,7 @@ def test_the_bound_of_a_certificate_on_what_forces_do(rng):
     bound = certificates._eigenmodes(System([[1.01]], 0.2)).response()  # -0.1 +- i: 1 / (0.1 x 1) of z
     np.testing.assert_allclose(bound[0, 0], 10.0, rtol=1e-12)
     n_stable = 0
-    while n_stable < 20:
+    while n_stable < 5:
         system, _, _ = draw_run(rng, (1, 4), "antisymmetric", damping=(0.05, 2.0))
         a, n = system.slip_matrix(), system.n
         values = np.linalg.eigvals(a)
@@ -96,7 +89,7 @@ def test_the_bound_of_a_certificate_on_what_forces_do(rng):
 @pytest.mark.parametrize("law", [{"engine": "coulomb", "tol": 1e-10}, {"engine": "sigmoid", "eps": 0.03}])
 def test_a_run_is_the_same_whoever_sees_that_it_is_too_early_for_a_certificate(law, monkeypatch, rng):
     """Kernels do, with what the first look left them; Python would, where they know nothing."""
-    systems = [draw_system("antisymmetric", n, seed=int(rng.integers(2**31))) for n in (1, 2, 5, 20, 20)]
+    systems = [draw_system("antisymmetric", n, seed=int(rng.integers(2**31))) for n in (1, 2, 5, 20)]
     asked, ask = [], certificates.Collapse.certify
     monkeypatch.setattr(certificates.Collapse, "certify", lambda *state: asked.append(1) or ask(*state))
     runs = [simulate(system, -0.7, -0.4, 200.0, stop_early="always", **law) for system in systems]
@@ -114,20 +107,7 @@ def test_a_run_is_the_same_whoever_sees_that_it_is_too_early_for_a_certificate(l
 # The series
 
 
-@pytest.mark.parametrize("law", [{"engine": "coulomb", "tol": 1e-10}, {"engine": "sigmoid", "eps": 0.03}])
-def test_a_collapse_is_certified_on_the_side_where_it_comes_to_be(law):
-    """The paper's start slips left at once, where nothing can be certified; 20 blocks come to rest slipping right."""
-    system = draw_system("antisymmetric", 20, seed=0)
-    run = simulate(system, -0.7, -0.4, 1000.0, stop_early="always", **law)
-    assert (run.events.initial_mode == -1).all()
-    assert (run.outcome, run.events.t_end) == ("collapsed", 1000.0)
-    assert run.t_collapse < 300
-    whole = simulate(system, -0.7, -0.4, 1000.0, stop_early=False, **law)
-    np.testing.assert_array_equal(run.events.t, whole.events.t)
-    assert whole.outcome == "finished"
-
-
-@settings(max_examples=40, database=None)
+@settings(max_examples=20, database=None)
 @given(st.integers(0, 2**32 - 1))
 def test_series_against_a_walk_through_its_events(seed):
     """Times on a coarse grid, so that many events share an instant."""
@@ -190,45 +170,6 @@ def field(system, delta):
     return rate
 
 
-CASES = [
-    (2, 0.1, (1.0, 0.5)),
-    (3, 0.01, (1.0, 0.1, 0.3)),
-    (2, 1e-3, (1.0, 1.0)),
-    (3, 0.03, (1.0, 0.1, 0.01)),
-]
-
-
-@lru_cache
-def smooth(case):
-    """A system under the smoothed law, followed by Radau IIA to 1e-11 with dense output."""
-    n, eps, ratio = CASES[case]
-    system, z0, w0 = draw_run(
-        np.random.default_rng([case, 11]), n, "antisymmetric", damping=(0.1, 1.0), belt_speed=[-0.3]
-    )
-    delta = eps * np.array(ratio)
-    y = solve_ivp(
-        field(system, delta),
-        (0, 5),
-        np.concatenate((z0, w0)),
-        method="Radau",
-        rtol=1e-11,
-        atol=1e-12,
-        dense_output=True,
-    )
-    return system, z0, w0, eps, np.array(ratio), y.sol
-
-
-@pytest.mark.parametrize("case", range(len(CASES)))
-def test_the_error_follows_the_tolerance(case):
-    system, z0, w0, eps, ratio, sol = smooth(case)
-    for tol in 10.0 ** -np.arange(3, 10):
-        run = simulate(system, z0, w0, 5.0, engine="sigmoid", eps=eps, ratio=ratio, rtol=tol, atol=tol)
-        if run.t_end == 5.0:
-            error = np.abs(np.concatenate((run.z, run.w)) - sol(5.0)).max()
-            assert error < 100 * tol
-    assert error > 0
-
-
 def test_order_five_of_the_state_and_of_the_times_of_events():
     """A law that is smooth on the scale of the motion: state by DOP853, 32 entries and exits on its dense output."""
     system = System([[4.0, 1.0], [-1.0, 9.0]], 0.1, [0.5, 0.3], -0.3)
@@ -238,7 +179,7 @@ def test_order_five_of_the_state_and_of_the_times_of_events():
         field(system, delta), (0, 10), np.concatenate((z0, w0)), method="DOP853", rtol=1e-13, atol=1e-13,
         dense_output=True, max_step=0.02,
     )  # fmt: skip
-    initial, rows = located(system, delta, threshold * delta, False, reference.sol, 10.0)
+    initial, rows = located(system, threshold * delta, reference.sol, 10.0)
     t, block, mode = zip(*rows, strict=True)
     assert len(rows) == 32
     steps, errors, late = [], [], []
@@ -262,7 +203,7 @@ def test_the_exact_engine_is_of_order_one_in_its_tolerance_across_events():
     """Some 70 located events a run; state and times err like tol over eight decades, in the mean over draws."""
     tolerances = 10.0 ** -np.arange(4, 12)
     errors, late = [], []
-    for seed in range(8):
+    for seed in range(6):
         system = draw_system("antisymmetric", 50, seed=seed)
         exact = simulate(system, -0.7, -0.4, 20.0, tol=1e-15, stop_early=False)
         assert len(exact.events) > 50
@@ -276,7 +217,7 @@ def test_the_exact_engine_is_of_order_one_in_its_tolerance_across_events():
         assert np.polyfit(np.log(tolerances), mean, 1)[0] == pytest.approx(1, abs=0.15)
 
 
-def located(system, delta, band, by_force, sol, t_end):
+def located(system, band, sol, t_end):
     """Changes of mode on a dense reference, by bisection of the definition of sticking."""
     n = system.n
 
@@ -284,8 +225,6 @@ def located(system, delta, band, by_force, sol, t_end):
         y = sol(t)
         gap = y[n:] - system.belt_speed
         held = (system.friction > 0) & (np.abs(gap) < band)
-        if by_force:
-            held &= np.abs(system.holding_force(y[:n])) < system.friction
         return np.where(held, 0, np.where(gap > 0, 1, -1))
 
     rows = []
@@ -299,44 +238,6 @@ def located(system, delta, band, by_force, sol, t_end):
                 low, high = (middle, high) if modes(middle)[i] == old else (low, middle)
             rows.append((high, int(i), int(seen[k + 1][i])))
     return seen[0], sorted(rows)
-
-
-@pytest.mark.parametrize("stick", ["manifold", "threshold"])
-@pytest.mark.parametrize("case", range(len(CASES)))
-def test_entries_and_exits_are_located(case, stick):
-    system, z0, w0, eps, ratio, sol = smooth(case)
-    delta = eps * ratio
-    band = delta * np.log(1 / delta) if stick == "manifold" else 1.5 * delta
-    initial, rows = located(system, delta, band, stick == "manifold", sol, 5.0)
-    assert len(rows) > 1
-    run = simulate(
-        system, z0, w0, 5.0, engine="sigmoid", eps=eps, ratio=ratio, stick=stick, threshold=1.5, rtol=1e-9, atol=1e-9,
-        stop_early=False,
-    )  # fmt: skip
-    np.testing.assert_array_equal(run.events.initial_mode, initial)
-    t, block, mode = zip(*rows, strict=True)
-    assert_same(run, t, block, mode, atol=1e-6)
-
-
-@pytest.mark.parametrize("eps", [0.03, 1e-8])
-@pytest.mark.parametrize("ratio", [1.0, 1e-4])
-def test_no_layer_is_too_thin(eps, ratio):
-    """The state tends to that of Coulomb, error O(delta), until the tolerance is all that is left."""
-    system, z0, w0, _ = smooth(0)[:4]
-    exact = simulate(system, z0, w0, 5.0, **EXACT)
-    run = simulate(
-        system, z0, w0, 5.0, engine="sigmoid", eps=eps, ratio=ratio, rtol=1e-8, atol=1e-8, stop_early=False
-    )
-    assert np.abs(run.z - exact.z).max() < 10 * eps * ratio + 1e-6
-    assert run.events.t_end == 5.0
-
-
-def test_smoothed_law_on_a_belt_at_rest():
-    """Held blocks creep on the smoothed law, w = -delta atanh(F / mu); the exact law holds them."""
-    system = System(np.eye(2), 0.0, 1.0, 0.0)
-    run = simulate(system, [4.5, 0.5], 0.0, 8.0, engine="sigmoid", eps=1e-5, rtol=1e-8, atol=1e-8)
-    assert run.n_stick([0.0, 3.0, 7.0]).tolist() == [1, 1, 2]
-    np.testing.assert_allclose(run.z, [0.5, 0.5], rtol=0, atol=1e-4)
 
 
 # Touches
@@ -365,17 +266,6 @@ def test_an_event_that_is_taken_back_at_once_is_none():
     assert len(filtered(0.0, 0.0, series=at_once)) == 0
 
 
-def test_blocks_without_damping_that_touch_the_belt(rng):
-    """Uncoupled blocks leave the belt at rest in force, and come back to touch its speed once a period, for ever."""
-    for _ in range(10):
-        kappa, mu, v = rng.uniform(0.1, 4.0, 3), rng.uniform(0.2, 2.0, 3), rng.choice([-1, 1]) * rng.uniform(0.1, 1)
-        for tol in (1e-4, 1e-7, 1e-10, 1e-13):
-            run = simulate(System(np.diag(kappa), 0.0, mu, v), 0.0, v, 300.0, tol=tol)
-            seen = run.events.t < 299.0  # the end may fall into a touch, which is then told by its beginning alone
-            np.testing.assert_allclose(np.sort(run.events.t[seen]), np.sort(mu / kappa / abs(v)), rtol=1e-9)
-            assert (run.events.mode[seen] == np.sign(-v)).all()
-
-
 def test_sticks_that_are_short_for_their_block_alone_are_events():
     """A block of the rate 1e-3, shaken by one of the rate 100: it sticks 32 times, for 0.03 each, in one unit."""
     stiffness, friction = [[0, 1e-6], [0, 1e4]], [1e-6, 0.0]
@@ -393,24 +283,12 @@ def test_the_loosest_tolerances_are_one():
     assert np.array_equal(loose.events.t, bound.events.t)
 
 
-# Against an engine that shares nothing with it
-
-
-@pytest.mark.parametrize("damping", [0.0, 1e-8])
-def test_undamped_chains(damping, rng):
-    """Blocks in a row, springs between neighbours and to the ground, in every way to run them."""
-    for k in range(2):
-        case = draw_case(rng, (1, 10), "chain", damping=(damping, damping), friction=(1.0, 1.0))
-        assert judge(Trial(0, k, "chain", "coulomb", case, 20.0, {"tol": 1e-10})).failures == []
-
-
-@pytest.mark.parametrize("mass", [1.0, 2.0])
 @pytest.mark.parametrize("engine", ["coulomb", "sigmoid", "moreau"])
-def test_systems_and_runs_go_with_their_last_user(engine, mass):
+def test_systems_and_runs_go_with_their_last_user(engine):
     """Without waiting for Python's collector of cycles, which counts objects, not what large systems weigh."""
 
     def gone():
-        system = draw_system("antisymmetric", 5, 0, mass=mass)
+        system = draw_system("antisymmetric", 5, 0, mass=2.0)
         return [weakref.ref(one) for one in (system, simulate(system, -0.7, -0.4, 5.0, engine=engine))]
 
     gone()  # what compiles kernels may keep their first arguments
@@ -425,9 +303,9 @@ def test_systems_and_runs_go_with_their_last_user(engine, mass):
 def test_a_collapse_is_certified_where_that_saves_steps(law, rng):
     """Of a long run by default, of a short one where asked for; without, nothing differs from no test at all."""
     outcomes = []
-    for _ in range(5):
+    for _ in range(3):
         system = draw_system("antisymmetric", 10, rng.integers(2**32))
-        for t_end in (200.0, 20000.0):
+        for t_end in (200.0, 10000.0):
             run = simulate(system, -0.7, -0.4, t_end, **law)
             plain = simulate(system, -0.7, -0.4, t_end, stop_early=False, **law)
             outcomes.append(

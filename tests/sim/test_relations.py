@@ -8,7 +8,7 @@ import pytest
 
 from stickslip.sim import EventSeries, Run, simulate
 from tests.fuzz import relations
-from tests.fuzz.relations import RELATIONS, judge_relations
+from tests.fuzz.relations import RELATIONS, judge_relations, judge_relations_by_waves
 from tests.systems import FAMILIES
 
 
@@ -42,10 +42,17 @@ def test_every_broken_relation_is_found(change: Callable[[Run], Run], monkeypatc
 
 @pytest.mark.parametrize("number", range(3 * len(FAMILIES)))  # each twice under the exact law, once smoothed
 def test_all_relations_hold(number: int, random_seed: int) -> None:
-    seed = random_seed
-    repeat = f"python -m tests.fuzz --against relations --seed {seed} --case {number}"
+    repeat = f"python -m tests.fuzz --against relations --seed {random_seed} --case {number}"
     print(repeat)
-    verdict = judge_relations(seed, number)
+    verdict = judge_relations(random_seed, number)
+    assert verdict.failures == [], repeat
+
+
+@pytest.mark.parametrize("number", range(0, len(FAMILIES), 2))
+def test_all_relations_hold_of_waves(number: int, random_seed: int) -> None:
+    repeat = f"python -m tests.fuzz --against relations-of-waves --seed {random_seed} --case {number}"
+    print(repeat)
+    verdict = judge_relations_by_waves(random_seed, number)
     assert verdict.failures == [], repeat
 
 

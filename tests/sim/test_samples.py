@@ -9,7 +9,6 @@ ENGINES = {
     "coulomb": {"engine": "coulomb", "tol": 1e-12},
     "sigmoid": {"engine": "sigmoid", "rtol": 1e-8, "atol": 1e-8},
 }
-TIMES = np.linspace(0.0, 60.0, 121)
 
 
 @pytest.fixture(scope="module", params=ENGINES)
@@ -40,32 +39,15 @@ def test_a_block_between_stick_and_rest():
     np.testing.assert_allclose(kept.z[3:, 0], expected, rtol=1e-11)
 
 
-def test_they_are_the_states_that_shorter_runs_end_in(system, settings):
-    kept = simulate(system, -0.7, -0.4, 60.0, t_eval=TIMES, stop_early=False, **settings).samples
-    exact = settings["engine"] == "coulomb"
-    for k in (0, 1, 7, 40, 120):
-        run = simulate(system, -0.7, -0.4, TIMES[k], stop_early=False, **settings)
-        np.testing.assert_allclose(kept.z[k], run.z, rtol=0, atol=1e-11 if exact else 1e-7)
-        np.testing.assert_allclose(kept.w[k], run.w, rtol=0, atol=1e-11 if exact else 1e-6)
-
-
-def test_to_ask_for_them_changes_nothing(system, settings):
-    plain = simulate(system, -0.7, -0.4, 60.0, **settings)
-    asked = simulate(system, -0.7, -0.4, 60.0, t_eval=TIMES, **settings)
-    assert len(plain.samples) == 0
-    np.testing.assert_array_equal(plain.z, asked.z)
-    np.testing.assert_array_equal(plain.events.t, asked.events.t)
-
-
-@pytest.mark.parametrize("n", [1, 3, 20])
+@pytest.mark.parametrize("n", [3, 20])
 def test_a_collapsed_run_is_the_one_that_goes_on(settings, n, rng):
     """Past a collapse the motion is that of the modes: the same states, to the end, as step by step."""
     saved = 0
-    for _ in range(20):  # of which some save nothing
+    for _ in range(4):  # of which some save nothing
         system = draw_system("antisymmetric", n, rng.integers(2**32))
         start = rng.normal(size=(2, n))
         run, full = (
-            simulate(system, *start, 800.0, t_eval=np.linspace(0.0, 800.0, 201), stop_early=stop_early, **settings)
+            simulate(system, *start, 800.0, t_eval=np.linspace(0.0, 800.0, 81), stop_early=stop_early, **settings)
             for stop_early in ("always", False)
         )
         if run.outcome != "collapsed":  # one in some hundreds takes longer
@@ -83,7 +65,7 @@ def test_a_collapsed_run_is_the_one_that_goes_on(settings, n, rng):
 
 def test_a_collapse_ends_no_definition_of_sticking_early():
     """|w - v| < c delta with c delta = 0.15, and 0.21 > |v|: blocks enter the first late, the second for good."""
-    for seed in range(3):
+    for seed in range(1):
         system = draw_system("antisymmetric", 20, seed)
         run, full = (
             simulate(system, -0.7, -0.4, 1000.0, engine="sigmoid", thresholds=[5.0, 7.0], stop_early=stop_early)
@@ -105,14 +87,14 @@ def test_of_a_run_without_length(system, settings):
 def test_further_definitions_are_those_of_runs_of_their_own(system):
     ratio = 1.0 - np.random.default_rng(3).random(30)
     common = {**ENGINES["sigmoid"], "ratio": ratio, "stop_early": False}
-    run = simulate(system, -0.7, -0.4, 60.0, thresholds=[2.0, 0.5], **common)
+    run = simulate(system, -0.7, -0.4, 20.0, thresholds=[2.0, 0.5], **common)
     assert list(run.by_threshold) == [2.0, 0.5]
     for threshold, series in run.by_threshold.items():
-        own = simulate(system, -0.7, -0.4, 60.0, stick="threshold", threshold=threshold, **common).events
+        own = simulate(system, -0.7, -0.4, 20.0, stick="threshold", threshold=threshold, **common).events
         np.testing.assert_array_equal(series.block, own.block)
         np.testing.assert_array_equal(series.mode, own.mode)
         np.testing.assert_array_equal(series.initial_mode, own.initial_mode)
         np.testing.assert_allclose(series.t, own.t, atol=1e-5)
-    plain = simulate(system, -0.7, -0.4, 60.0, **common)
+    plain = simulate(system, -0.7, -0.4, 20.0, **common)
     np.testing.assert_array_equal(run.events.t, plain.events.t)
     assert run.stats == plain.stats

@@ -16,7 +16,7 @@ def test_the_period_of_stick_and_slip_in_seconds_and_its_reach_in_metres(rng):
     It sticks for 2 D / (k V), slips for 2 (pi - atan(D omega / (k V))) / omega, omega^2 = k / m; about its
     rest, F_k / k, it swings by sqrt((D / k)^2 + (V / omega)^2).
     """
-    for _ in range(5):
+    for _ in range(2):
         m, k, load, belt = 10 ** rng.uniform([-3, 2, 0, -3], [3, 8, 4, 0])
         kinetic, static = 0.3, rng.uniform(0.4, 0.9)
         drop, omega = (static - kinetic) * load, math.sqrt(k / m)
@@ -44,25 +44,7 @@ def test_the_period_of_stick_and_slip_in_seconds_and_its_reach_in_metres(rng):
         assert reach == pytest.approx(amplitude - kinetic * load / k, abs=1e-4 * amplitude)
 
 
-def test_a_forced_block_in_si_units(rng):
-    """No friction: from the steady state of m x'' + c x' + k x = A cos(w t), x and x' stay on it."""
-    m, c, k, push, frequency = 2.0, 30.0, 5e4, 12.0, 140.0
-    steady = push / (k - m * frequency**2 + 1j * c * frequency)
-    scales = Scales(*10 ** rng.uniform(-3, 3, 3))
-    system, same = System.from_physical([[k]], c, 0.0, 0.1, mass=m, force=Harmonic(push, frequency), scales=scales)
-    assert same is scales
-    t = 0.3
-    run = simulate(
-        system, steady.real / scales.length, -(steady.imag * frequency) / scales.speed, t / scales.time, tol=1e-15
-    )
-    turned = steady * np.exp(1j * frequency * t)
-    assert run.z[0] * scales.length == pytest.approx(turned.real, abs=1e-10 * abs(steady))
-    assert run.w[0] * scales.speed == pytest.approx(
-        (1j * frequency * turned).real, abs=1e-10 * abs(steady) * frequency
-    )
-
-
-@pytest.mark.parametrize("law", ["none", "rational", "stribeck"])
+@pytest.mark.parametrize("law", ["rational", "stribeck"])
 def test_any_scales_give_the_same_motion(law, rng):
     """With all that a system is given: events in seconds, states in metres, energies in joules."""
     n = 3
@@ -75,7 +57,7 @@ def test_any_scales_give_the_same_motion(law, rng):
         "normal": rng.uniform(50.0, 80.0, n),
         "static": 0.6,
         "force": [Harmonic(rng.uniform(1.0, 5.0, n), 60.0, 0.3), Piecewise([0.1, 0.3], [0.0, 4.0]), 0.5],
-        "weakening": {"none": None, "rational": Rational(4.0), "stribeck": Stribeck(0.2)}[law],
+        "weakening": {"rational": Rational(4.0), "stribeck": Stribeck(0.2)}[law],
         "back_slip": law != "rational",
     }
     found = []
@@ -138,8 +120,7 @@ def test_scales_are_numbers_above_zero(given):
         Scales(*given)
 
 
-@pytest.mark.parametrize("n", [2, 7, 80])
-@pytest.mark.parametrize("terms", [{}, {"static": 1.2}, {"damping": 300.0}])
+@pytest.mark.parametrize(("n", "terms"), [(80, {}), (7, {"static": 1.2}), (7, {"damping": 300.0})])
 def test_a_belt_that_rubs_on_no_block_takes_no_accuracy(rng, n, terms):
     """However fast it is: the tolerance is relative to the belts of blocks with friction.
 

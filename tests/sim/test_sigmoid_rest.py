@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 
 from stickslip.sim import Harmonic, Piecewise, Rational, System, simulate
-from stickslip.sim.engines.sigmoid.settings import Sigmoid
-from stickslip.sim.simulation import as_task
 
 K = np.array([[2.0, -1.0], [-1.0, 2.0]])
 START = ([3.0, 1.0], 0.0)
@@ -45,11 +43,10 @@ def test_blocks_that_come_to_rest_are_there_at_any_later_time(case):
     np.testing.assert_array_equal(run.samples.z[0], START[0])
 
 
-@pytest.mark.parametrize("eps", [1e-2, 1e-3])
-def test_the_motion_that_is_followed_is_that_of_the_equations(eps):
+def test_the_motion_that_is_followed_is_that_of_the_equations():
     """In the layer a block creeps by z' = -delta (K z) / mu: it is followed where steps would follow it."""
-    system, times = System(K, 0.1, 1.0, 0.0), np.array([3e5, 4e5, 1e6]) * 0.01 / eps
-    settings = {"eps": eps, "t_eval": times, "rtol": 1e-7, "atol": 1e-7}
+    system, times = System(K, 0.1, 1.0, 0.0), np.array([3e5, 4e5, 1e6])
+    settings = {"eps": 1e-2, "t_eval": times, "rtol": 1e-7, "atol": 1e-7}
     early, late = (settled(system, START[0], times[-1], stop_early=stop, **settings) for stop in (True, False))
     assert early.stats.n_steps < late.stats.n_steps
     np.testing.assert_allclose(early.samples.z, late.samples.z, rtol=0, atol=1e-6)
@@ -77,16 +74,3 @@ def test_a_rest_that_repels_or_moves_is_not_certain(system):
     z = -np.tanh(abs(system.belt_speed) / 0.03) * system.kinetic(np.abs([system.belt_speed]))
     one, other = (simulate(system, z, 0.0, t_end, engine="sigmoid").stats.n_steps for t_end in (2e4, 4e4))
     assert other > 1.5 * one
-
-
-def test_a_run_that_begins_with_others_comes_to_rest_as_it_does_alone():
-    """Under its own friction: z_1 creeps at the rate delta / mu, and z_2 swings for more steps than a slice has."""
-    stiffness = [[1.0, 0.01], [0.01, 1.0]]
-    other, system = (System(stiffness, [0.3, 0.0], [mu, 1e-3], 0.0) for mu in (1.0, 0.2))
-    engine = Sigmoid(eps=1e-4, rtol=1e-8, atol=1e-8)
-    together, alone = (
-        engine.prepare([as_task(engine, one, [0.1, 2.5], 0.0, 2e6) for one in systems])[-1]()
-        for systems in ([other, system], [system])
-    )
-    np.testing.assert_array_equal(together.z, alone.z)
-    np.testing.assert_array_equal(together.w, alone.w)

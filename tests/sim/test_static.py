@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from stickslip.sim import System, draw_system, perturb_system, simulate
+from stickslip.sim import System, simulate
 from stickslip.sim.engines.certificates import Collapse, Smoothed
 from stickslip.sim.systems.friction import hidden_term, turning_point
-from tests.fuzz.draw import draw
-from tests.fuzz.judge import judge
 from tests.independent import Case, follow
 
 # the system
@@ -34,14 +32,6 @@ def test_static_friction_is_a_number_or_one_a_block():
         system.static[0] = 2.0
 
 
-def test_static_friction_goes_where_the_system_goes():
-    system = draw_system("antisymmetric", 4, 0, static=1.5)
-    assert perturb_system(system, "antisymmetric", 0.01, 1).static.tolist() == [1.5] * 4
-    plain = draw_system("antisymmetric", 4, 0)
-    np.testing.assert_array_equal(system.holding_force(0.3), plain.holding_force(0.3))
-    np.testing.assert_array_equal(system.rest_state(1), plain.rest_state(1))
-
-
 # the sigmoid engine
 
 FINE = {"engine": "sigmoid", "rtol": 1e-9, "atol": 1e-9}
@@ -53,19 +43,6 @@ def period(drop, speed):
     It leaves at z = -sgn(v) static, where w = v, and slips on a circle about -sgn(v) kinetic.
     """
     return 2 * drop / speed + 2 * (np.pi - np.arctan(drop / speed))
-
-
-def test_the_period_of_one_block_tends_to_that_of_the_exact_law():
-    """As eps^(2/3): F passes the peak in a time of that scale."""
-    system, widths, late = System([[1.0]], 0.0, static=1.3), np.array([1e-3, 1e-4, 1e-5, 1e-6]), []
-    for eps in widths:
-        events = simulate(system, 0.0, -0.2, 42.0, eps=eps, **FINE).events
-        assert events.mode.tolist() == [1, 0] * 5
-        late.append(np.diff(events.t[::2]).mean() - period(0.3, 0.2))
-    print(late)
-    order = np.polyfit(np.log(widths), np.log(late), 1)[0]
-    assert 0.63 < order < 0.7
-    assert late[-1] < 1e-3
 
 
 def test_between_the_two_frictions_the_state_says_which_future():
@@ -88,7 +65,7 @@ def test_a_block_that_comes_at_speed_sticks_up_to_static_friction(ratio, rng):
     """
     n = 8
     peak = np.arctanh(turning_point(hidden_term(ratio)))
-    for _ in range(40):
+    for _ in range(8):
         k, mu, f, side = 10 ** rng.uniform(-1, 1, n), 10 ** rng.uniform(-0.5, 0.5, n), *rng.normal(size=(2, n))
         force = -mu * (1 + (ratio - 1) * rng.uniform(0.1, 0.9, n))
         rest, reach, phase = (force + f) / k, (force - mu) / k, rng.uniform(0.1, 0.9, n) * np.pi
@@ -101,14 +78,13 @@ def test_a_block_that_comes_at_speed_sticks_up_to_static_friction(ratio, rng):
         run = simulate(system, sign * z, sign * w, t_end, engine="sigmoid", eps=delta, rtol=tol, atol=tol)
         allowed = 20 * tol * (1 + np.abs([z, w, rest]).max()) + 10 * delta * (1 + t_end)
         off = np.abs(run.z - sign * rest)
-        print(delta, tol, off.max() / allowed, np.abs(run.w).max() / delta)
         assert (np.abs(run.w) < peak * delta).all()
         assert (off < allowed).all()
 
 
 def test_a_block_in_a_thin_layer_leaves_in_time(rng):
     """Near its peak u is held by little: F lacks the square of what it errs by, over the peak, when it is let go."""
-    for _ in range(60):
+    for _ in range(15):
         k, v, ratio = 10 ** rng.uniform(-1, 1.5), -(10 ** rng.uniform(-1, 0.5)), 1 + 10 ** rng.uniform(-1, 0.5)
         delta, tol = 10 ** rng.uniform(-9.5, -8), 10 ** rng.uniform(-5.7, -4)  # delta^(2/3) is no matter beside it
         system = System([[k]], 0.0, 1.0, v, ratio)
@@ -120,7 +96,6 @@ def test_a_block_in_a_thin_layer_leaves_in_time(rng):
         # F errs by k tol: the time of leaving by tol / |v|, and w by that times (static - kinetic)
         allowed = tol * (1 + abs(exact.z[0])) * max(1, (ratio - 1) / -v) + 10 * delta ** (2 / 3)
         off = max(abs(run.z - exact.z)[0], abs(run.w - exact.w)[0])
-        print(system, delta, tol, off / allowed)
         assert off < 40 * allowed
 
 
@@ -138,23 +113,7 @@ def test_a_run_keeps_more_events_than_there_is_room_for_at_once(law):
     np.testing.assert_allclose(many.stills.t, one.stills.t, rtol=0, atol=1e-4)
 
 
-def test_a_run_goes_on_from_its_end(rng):
-    system = draw_system("chain", 12, int(rng.integers(2**32)), kappa=0.5, leaf=1.0, rho=0.1, static=1.4)
-    z, w = rng.normal(size=(2, 12))
-    whole = simulate(system, z, w, 20.0, t_eval=np.linspace(9.0, 11.0, 201), eps=0.01, **FINE)
-    # a block on its way out of the layer, past where friction is most, still sticks in a run, but not at a start
-    x = np.abs(whole.samples.w - system.belt_speed) / 0.01
-    peak = np.arctanh(turning_point(hidden_term(1.4)))
-    middle = float(whole.samples.t[~((x > peak) & (x < np.log(100.0))).any(axis=1)][0])
-    first = simulate(system, z, w, middle, eps=0.01, **FINE)
-    second = simulate(system, first.z, first.w, 20.0, t_start=middle, eps=0.01, **FINE)
-    assert np.abs(second.z - whole.z).max() < 1e-5
-    assert np.array_equal(second.events.initial_mode, first.events.mode_at(middle))
-    assert len(first.events) + len(second.events) == len(whole.events)
-
-
-@pytest.mark.parametrize("delta", [0.06, 0.4])
-@pytest.mark.parametrize("ratio", [1.0, 1.02, 1.5])
+@pytest.mark.parametrize(("delta", "ratio"), [(0.06, 1.0), (0.4, 1.02), (0.06, 1.5), (0.4, 1.5)])
 def test_what_the_law_strays_from_its_tangent_is_bounded(ratio, delta):
     """The limit of a certificate against that by the largest stray on a fine grid of speeds, for one block.
 
@@ -187,7 +146,7 @@ def test_what_the_law_strays_from_its_tangent_is_bounded(ratio, delta):
 # the exact engine
 
 
-@pytest.mark.parametrize(("drop", "v"), [(0.3, -0.2), (0.01, 0.5), (2.0, -1.0), (1e-7, 0.5)])
+@pytest.mark.parametrize(("drop", "v"), [(0.3, -0.2), (2.0, -1.0), (1e-7, 0.5)])
 def test_the_period_of_one_block(drop, v):
     """However small the drop, and short the stick: 4e-7 of the last is no touch."""
     events = simulate(System([[1.0]], 0.0, 1.0, v, static=1.0 + drop), 0.0, v, 300.0, tol=1e-13).events
@@ -242,38 +201,6 @@ def test_at_static_friction_a_block_slips_against_the_force_alone():
             simulate(system.changed(back_slip=False), static, -0.2, 1.0, modes=[-1])
 
 
-def test_a_run_goes_on_with_the_modes_of_its_end(rng):
-    """As without them: whatever its blocks do, the state says the same."""
-    for _ in range(10):
-        n = int(rng.integers(1, 8))
-        system = draw_system("antisymmetric", n, int(rng.integers(2**31)), static=1.0 + rng.uniform(0, 1, n))
-        first = simulate(system, rng.uniform(-1, 1, n), system.belt_speed, float(rng.uniform(0, 50)))
-        on = [simulate(system, first.z, first.w, first.t_end + 20.0, t_start=first.t_end, modes=modes)
-              for modes in (None, first.events.mode_at(first.t_end))]  # fmt: skip
-        assert on[0].events.t.tobytes() == on[1].events.t.tobytes()
-        assert on[0].z.tobytes() == on[1].z.tobytes()
-
-
-def test_a_run_goes_on_from_its_end_exactly():
-    """Also from an instant at which a block leaves: the state alone says what it does."""
-    system = System([[1.0]], 0.0, static=1.3, belt_speed=-0.25)
-    whole = simulate(system, 0.0, -0.25, 60.0, tol=1e-13)
-    middle = float(whole.events.t[4])
-    first = simulate(system, 0.0, -0.25, middle, tol=1e-13)
-    second = simulate(system, first.z, first.w, 60.0, t_start=middle, tol=1e-13)
-    assert second.events.initial_mode[0] == 1
-    np.testing.assert_allclose(second.events.t, whole.events.t[5:], rtol=0, atol=1e-11)
-
-
-def test_twins_leave_together():
-    k = np.eye(3) * 1.5 - 0.25
-    events = simulate(System(k, 0.1, static=1.4), 0.1, -0.2, 60.0).events
-    t = events.t.reshape(-1, 3)
-    assert len(t) > 10
-    assert np.array_equal(t, t[:, :1].repeat(3, axis=1))
-    assert events.block.tolist() == [0, 1, 2] * len(t)
-
-
 @pytest.mark.parametrize("push", [-0.1, 0.0, 0.1])
 def test_a_block_that_leaves_with_a_jump_takes_along_what_it_holds_at_the_edge(push):
     """Blocks 0 and 1 at F = -static with F' = F'' = 0; a third that slips pushes 0 out or in at the second order.
@@ -314,25 +241,3 @@ def test_static_friction_without_kinetic():
     other = follow(Case.of([[1.0]], 0.2, 0.0, -0.2, 0.0, -0.2, 0.5), 40.0)
     assert events.mode.tolist() == other.mode == [1, 0] * 5
     np.testing.assert_allclose(events.t, other.t, rtol=0, atol=1e-11)
-
-
-def test_cases_of_the_fuzz(random_seed):
-    for number in (1, 3, 4, 8, 10, 14):
-        verdict = judge(draw(random_seed, number, terms=["static"]))
-        assert verdict.failures == []
-
-
-@pytest.mark.parametrize("n", [1, 2, 20])
-def test_the_smoothed_law_tends_to_the_exact_one(n):
-    """A chain from rest on the belt through its first exits; the worst error of z and w, which falls as eps^(2/3)."""
-    rng = np.random.default_rng(n)
-    system = draw_system("chain", n, 0, kappa=0.7, leaf=1.0, rho=0.2, static=1.3)
-    z, t_end = rng.uniform(-0.3, 0.3, n), 7.5
-    exact = simulate(system, z, -0.2, t_end, tol=1e-13)
-    errors, widths = [], np.array([1e-2, 1e-3, 1e-4, 1e-5])
-    for eps in widths:
-        run = simulate(system, z, -0.2, t_end, eps=eps, **FINE)
-        errors.append(max(np.abs(run.z - exact.z).max(), np.abs(run.w - exact.w).max()))
-    print(n, len(exact.events), errors)
-    assert len(exact.events) > 0
-    assert 0.55 < np.polyfit(np.log(widths[1:]), np.log(errors[1:]), 1)[0] < 0.8

@@ -19,14 +19,11 @@ from tests import independent
 V, MU = 0.2, 1.0
 
 
-def planted(depth, stiffness, tol, t_end=300.0, walls=()):
-    """The run of a block whose first stick is so deep, over |v|, and the times of its two events.
-
-    Beside it blocks of other R slip, which nothing but friction pulls: as walls, where R is large.
-    """
+def planted(depth, stiffness, tol, t_end=300.0):
+    """The run of a block whose first stick is so deep, over |v|, and the times of its two events."""
     omega, speed = math.sqrt(stiffness), V * (1.0 + depth)
-    system = System(np.diag([stiffness, *np.ones(len(walls))]), [0.0, *walls], MU, -V)
-    start = np.append(-MU / stiffness + speed / omega, np.zeros(len(walls)))
+    system = System([[stiffness]], 0.0, MU, -V)
+    start = -MU / stiffness + speed / omega
     run = simulate(system, start, 0.0, t_end / omega, tol=tol, stop_early=False)
     entry = math.asin(V / speed) / omega
     return run, (entry, entry + math.sqrt(speed**2 - V**2) / (omega * V))
@@ -36,15 +33,6 @@ def planted(depth, stiffness, tol, t_end=300.0, walls=()):
 @pytest.mark.parametrize(("tol", "depth"), [(1e-3, 5e-6), (1e-5, 5e-6), (1e-8, 5e-9), (1e-10, 5e-11)])
 def test_a_stick_half_a_tolerance_deep_counts_and_the_touches_after_it_do_not(stiffness, tol, depth):
     run, times = planted(depth, stiffness, tol)
-    assert run.events.mode.tolist() == [0, 1]
-    np.testing.assert_allclose(run.events.t, times, rtol=0, atol=0.1 * (times[1] - times[0]))
-
-
-@pytest.mark.parametrize(("tol", "depth"), [(1e-3, 5e-6), (1e-8, 5e-9)])
-@pytest.mark.parametrize("damping", [1e4, 1e10])
-def test_a_heavily_damped_block_makes_no_error_of_which_others_would_have_touches(damping, tol, depth):
-    """Its series have no transient that they could leave out."""
-    run, times = planted(depth, 1.0, tol, walls=[damping])
     assert run.events.mode.tolist() == [0, 1]
     np.testing.assert_allclose(run.events.t, times, rtol=0, atol=0.1 * (times[1] - times[0]))
 
@@ -67,7 +55,7 @@ def test_the_error_that_tells_touches_bounds_the_error_of_a_run(tol, monkeypatch
         made.append(self)
 
     monkeypatch.setattr(integrate._Runs, "__init__", keeping)
-    for seed in (1, 5, 7, 21, 64, 93, 110):
+    for seed in (1, 7, 64):
         stiffness, v, z, w = undamped(seed)
         system = System(stiffness, 0.0, MU, v)
         exact, run = (simulate(system, z, w, 25.0, tol=each, stop_early=False) for each in (3e-14, tol))
@@ -101,7 +89,7 @@ PAIR = ([[2.2, -1.2], [-1.2, 2.2]], -V, [3.0, 1.0], [0.0, 0.0])  # 17 events, of
 
 @pytest.mark.parametrize(
     "given",
-    [PAIR, *map(undamped, (9, 14, 21, 29, 36, 50, 70)), *map(chain_on_the_belt, (2, 47, 103, 130, 217, 233, 258))],
+    [PAIR, *map(undamped, (9, 21, 50)), *map(chain_on_the_belt, (2, 103, 233))],
 )
 def test_short_sticks_count_and_touches_do_not_at_every_tolerance(given):
     """As a method that shares no code has them. With errors of 1e-3 each of the first lost events.
@@ -111,7 +99,7 @@ def test_short_sticks_count_and_touches_do_not_at_every_tolerance(given):
     stiffness, v, z, w = given
     path = independent.follow(independent.Case.of(stiffness, 0.0, MU, v, z, w), 100.0)
     expected = sorted(zip(path.block, path.t, path.mode, strict=True))
-    for tol in (1e-3, 1e-5, 1e-7, 1e-8, 1e-10):
+    for tol in (1e-3, 1e-7, 1e-10):
         events = simulate(System(stiffness, 0.0, MU, v), z, w, 100.0, tol=tol, stop_early=False).events
         listed = sorted(zip(events.block.tolist(), events.t.tolist(), events.mode.tolist(), strict=True))
         assert [(block, mode) for block, _, mode in listed] == [(block, mode) for block, _, mode in expected]

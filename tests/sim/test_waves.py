@@ -43,7 +43,7 @@ def error(run, other):
 def test_small_systems_are_as_a_method_that_shares_no_code_has_them(by_waves, rng):
     """With masses and static friction, and blocks that start on their belt."""
     followed, beyond = 0, []
-    for _ in range(40):
+    for _ in range(30):
         case = draw_case(rng, (1, 6), belt_speed=(-0.2, 0.3, -1.0), terms=("static", "mass"), on_belt=0.3)
         system, tol, t_end = made(case), float(10.0 ** -rng.integers(3, 7)), float(rng.uniform(1.0, 6.0))
         if not settings.Coulomb(tol=tol).is_by_waves(system):
@@ -64,7 +64,7 @@ def test_small_systems_are_as_a_method_that_shares_no_code_has_them(by_waves, rn
         if found >= BOUND:
             beyond.append((found, system, case.z0, case.w0, tol))
         followed += run.stats.method == WAVES
-    assert followed > 10
+    assert followed > 7
     assert len(beyond) <= 1, beyond  # one of 10,000 is let go, or not, by less than its tolerance
 
 
@@ -93,7 +93,7 @@ def test_a_block_that_is_let_go_soon_after_the_start_leaves_then(by_waves, rng):
     assert run.events.t[0] == pytest.approx(soon, rel=1e-6, abs=1e-14)
 
 
-@pytest.mark.parametrize(("static", "least", "tols"), [(1.0, 64, (1e-3, 1e-4, 1e-5, 1e-6)), (1.3, 256, (1e-3, 1e-4))])
+@pytest.mark.parametrize(("static", "least", "tols"), [(1.0, 64, (1e-3, 1e-6)), (1.3, 256, (1e-3, 1e-4))])
 def test_large_systems_are_as_series_have_them(static, least, tols, rng):
     """Events, until paths part; the error about the tolerance times the sensitivity."""
     n, t_end = least + int(rng.integers(46)), 12.0
@@ -113,23 +113,10 @@ def test_large_systems_are_as_series_have_them(static, least, tols, rng):
     assert np.mean([(gaps < 1e3 * tols[-1]).any() for gaps in there]) > 0.95  # a touch more or less is none lost
 
 
-def test_a_looser_tolerance_takes_no_more_steps(rng):
-    system, z, w = large(rng, 80)
-    steps = [simulate(system, z, w, 20.0, tol=tol).stats.n_products for tol in (1e-3, 1e-4, 1e-5, 1e-6)]
-    assert steps == sorted(steps)
-
-
-def test_the_error_falls_with_the_tolerance(rng):
-    system, z, w = large(rng, 64)
-    exact = simulate(system, z, w, 4.0, tol=1e-12)
-    errors = [np.abs(simulate(system, z, w, 4.0, tol=tol).z - exact.z).max() for tol in (1e-3, 1e-4, 1e-5, 1e-6)]
-    assert errors[-1] < 0.04 * max(errors[:2])  # of 40 systems 0.019 at most
-
-
 def test_the_error_is_a_small_share_of_the_tolerance_where_damping_fades_it():
-    """The same twelve systems each time: the geometric mean of their errors was 0.03 tolerances."""
+    """The same systems each time: the geometric mean of their errors was 0.03 tolerances."""
     tol, times, errors = 1e-5, np.linspace(0.5, 4.0, 8), []
-    for seed in range(12):
+    for seed in range(6):
         system, z, w = large(np.random.default_rng(seed), 64)
         exact = simulate(system, z, w, 4.0, tol=1e-13, t_eval=times)
         run = simulate(system, z, w, 4.0, tol=tol, t_eval=times)
@@ -138,8 +125,7 @@ def test_the_error_is_a_small_share_of_the_tolerance_where_damping_fades_it():
     assert np.exp(np.log(errors).mean()) < 0.1
 
 
-@pytest.mark.parametrize("damping", [0.02, 0.3, 1.0])
-@pytest.mark.parametrize("tol", [1e-3, 1e-5])
+@pytest.mark.parametrize(("damping", "tol"), [(0.02, 1e-3), (1.0, 1e-5)])
 def test_touches_are_told_by_an_error_that_is_that_of_the_run(damping, tol, monkeypatch, rng):
     """The median of eight runs: it was 0.4 to 1.7 of the estimate; `tol` itself is 0.3 to 5 times the error."""
     shares, errors, complete = [], [], loop.complete
@@ -170,26 +156,15 @@ def undamped(rng, n, damping):
     return System(stiffness, damping, 1.0, -0.2), rng.normal(size=n) * 2.0, rng.normal(size=n)
 
 
-@pytest.mark.parametrize("tol", [1e-3, 1e-4, 1e-5, 1e-6])
+@pytest.mark.parametrize("tol", [1e-3, 1e-5])
 def test_errors_that_nothing_fades_stay_below_the_tolerance(tol):
-    """Over 600 units of time, by whichever method; by waves alone they were up to 30 tolerances."""
+    """Over 300 units of time, by whichever method; by waves alone they were up to 30 tolerances."""
     for damping in (0.0, 0.01):
         system, z, w = undamped(np.random.default_rng(3), 66, damping)
-        exact = simulate(system, z, w, 600.0, tol=1e-13, stop_early=False)
-        run = simulate(system, z, w, 600.0, tol=tol, stop_early=False)
+        exact = simulate(system, z, w, 300.0, tol=1e-13, stop_early=False)
+        run = simulate(system, z, w, 300.0, tol=tol, stop_early=False)
         assert error(run, exact) < tol * scale(system, exact, w)
         assert run.events.block.tolist() == exact.events.block.tolist()
-
-
-def test_steps_take_less_error_where_damping_is_weak(monkeypatch):
-    """Where waves are kept all the same."""
-    monkeypatch.setattr(settings, "MOST_MEMORY", np.inf)
-    system, z, w = undamped(np.random.default_rng(4), 300, 0.0)
-    exact = simulate(system, z, w, 300.0, tol=1e-13, stop_early=False)
-    for tol in (1e-4, 1e-5):
-        run = simulate(system, z, w, 300.0, tol=tol, stop_early=False)
-        assert run.stats.method == WAVES
-        assert error(run, exact) < 2.0 * tol * scale(system, exact, w)
 
 
 def test_how_long_errors_add_up():
@@ -232,9 +207,7 @@ def test_what_ends_a_run_otherwise_is_said(monkeypatch, rng):
         simulate(system, z, w, 1.0, tol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("length", "time"), [(1e-200, 1.0), (1e200, 1.0), (1.0, 1e-25), (1.0, 1e60), (1e60, 1e-20), (1e-60, 1e18)]
-)
+@pytest.mark.parametrize(("length", "time"), [(1e-200, 1.0), (1.0, 1e60), (1e60, 1e-20)])
 def test_single_precision_keeps_to_its_range(length, time):
     """|K| from 1e-120 to 1e50, and lengths beyond float32: the same motion in other units."""
     system, z, w = undamped(np.random.default_rng(5), 66, 0.3)
@@ -256,59 +229,6 @@ def test_stick_slip_of_one_block_has_the_period_of_the_closed_form(by_waves):
     exits = run.events.t[run.events.is_exit]
     period = 2 * drop / v + 2 * (np.pi - np.arctan(drop / v))
     np.testing.assert_allclose(np.diff(exits), period, rtol=1e-5)
-
-
-def test_one_run_is_the_same_to_the_byte_however_k_is_stored_and_whatever_is_sampled(rng):
-    system, z, w = large(rng, 70, 1.2)
-    one = simulate(system, z, w, 10.0, tol=1e-5)
-    stored = system.changed(stiffness=np.asfortranarray(system.stiffness))
-    for other in (
-        simulate(system, z, w, 10.0, tol=1e-5),
-        simulate(stored, z, w, 10.0, tol=1e-5),
-        simulate(system, z, w, 10.0, tol=1e-5, t_eval=rng.uniform(0.0, 10.0, 5)[[0]]),
-    ):
-        assert one.z.tobytes() == other.z.tobytes()
-        assert one.events.t.tobytes() == other.events.t.tobytes()
-        assert (one.events.block == other.events.block).all()
-
-
-def test_renumbered_and_mirrored_systems_move_alike(rng):
-    n = 70
-    system, z, w = large(rng, n, 1.2)
-    one, order = simulate(system, z, w, 6.0, tol=1e-5), rng.permutation(n)
-    k, each = system.stiffness[np.ix_(order, order)], ("damping", "friction", "static")
-    other = System(k, **{name: getattr(system, name)[order] for name in each}, belt_speed=system.belt_speed)
-    run = simulate(other, z[order], w[order], 6.0, tol=1e-5)
-    np.testing.assert_allclose(run.z, one.z[order], atol=1e-5)
-    assert len(run.events) == len(one.events)
-    mirrored = simulate(system.changed(belt_speed=-system.belt_speed), -z, -w, 6.0, tol=1e-5)
-    assert (mirrored.z == -one.z).all()
-    assert (mirrored.events.mode == -one.events.mode).all()
-
-
-def test_a_run_that_ends_at_an_event_has_it_and_can_go_on(by_waves, rng):
-    """The block has its belt's speed there, to the last bit: a restart knows its mode.
-
-    By rounding the event may come a step later. Steps differ, and of a stick within the error, as one of some 4,000
-    runs has, one run alone may have both events: for three of them in a run the chance is below 1e-7.
-    """
-    tried = 0
-    while tried < 20:
-        case = draw_case(rng, (2, 5), belt_speed=(-0.2,), on_belt=0.3)
-        system = made(case)
-        if not settings.Coulomb(tol=1e-4).is_by_waves(system):
-            continue
-        run = simulate(system, case.z0, case.w0, 5.0, tol=1e-4)
-        if len(run.events) < 2 or run.stats.method != WAVES:
-            continue
-        tried += 1
-        k = int(rng.integers(len(run.events)))
-        first = simulate(system, case.z0, case.w0, float(run.events.t[k]), tol=1e-4)
-        assert abs(len(first.events) - (k + 1)) <= 1 + 2 * 2
-        rest = simulate(system, first.z, first.w, 5.0, tol=1e-4, t_start=float(run.events.t[k]),
-                        modes=first.events.mode_at(first.t_end))  # fmt: skip
-        assert rest.stats.method == SERIES
-        assert np.isfinite(rest.z).all()
 
 
 def test_blocks_that_all_stick_are_noted(by_waves):
@@ -368,9 +288,9 @@ def test_many_equal_blocks_stay_together():
     """Blocks that rounding alone tells apart have their events within the tolerance of each other."""
     n = 256
     system = System(np.eye(n) + 0.0025, 0.1, 1.0, -0.2, static=1.3)
-    run = simulate(system, 0.3, -0.2, 40.0, tol=1e-4)
+    run = simulate(system, 0.3, -0.2, 25.0, tol=1e-4)
     assert run.stats.method == WAVES
     assert len(run.events) % n == 0
-    assert len(run.events) > 4 * n
+    assert len(run.events) > 2 * n
     assert np.ptp(run.events.t.reshape(-1, n), axis=1).max() < 1e-5
     assert np.ptp(run.z) < 1e-5

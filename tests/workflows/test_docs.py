@@ -7,7 +7,6 @@ import os
 import re
 import runpy
 import shlex
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -298,67 +297,6 @@ def test_the_tolerances_are_those_that_are_picked():
 
 
 # ---------------------------------------------------------------------------------------------- extending
-
-
-@pytest.fixture
-def tree(tmp_path):
-    """A copy of the source, to add to, and how to run Python there."""
-    shutil.copytree(ROOT / "stickslip", tmp_path / "stickslip", symlinks=True)
-    for folder in ("sim", "pipeline", "analysis", "workflows"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("__pycache__"))
-
-    def python(*arguments):
-        done = subprocess.run([sys.executable, *arguments], cwd=tmp_path, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    return tmp_path, python
-
-
-@pytest.mark.long
-def test_a_term_is_a_row(tree):
-    """What follows from it, but the physics, which the guide does not have."""
-    root, python = tree
-    file, end = root / "sim" / "systems" / "terms.py", "\n)\n\n#: The arguments"
-    row = block("extending", "python", "drag").strip()
-    file.write_text(file.read_text().replace(end, f"\n{row},{end}", 1))
-    keys = python("-m", "stickslip", "schema", "--keys")
-    assert "system.drag" in keys
-    assert "drag of every block, a force -drag |w| w" in keys
-    swept = (root / "workflows" / "scenes" / "quick.toml").read_text().replace("friction = 1.0", "drag = [0.1, 0.2]")
-    (root / "mine.toml").write_text(swept)
-    show = """
-from stickslip.analysis.members import SYSTEM_KEYS
-from stickslip.pipeline import expand, load_scene
-from stickslip.pipeline.scene.systems import BY_BLOCK
-
-members = expand(load_scene("mine.toml"))
-known = SYSTEM_KEYS, BY_BLOCK, {member.term("drag") for member in members}
-columns = {one.name: one.words for one in load_scene("mine.toml").recording.columns}
-print(*("drag" in some for some in known[:2]), sorted(known[2]), columns["drag"], members[0].member_id)
-"""
-    said = python("-c", show)
-    assert said.startswith("True True [0.1, 0.2] drag of every block; null if drawn n20-m000-drag=0.1-")
-
-
-@pytest.mark.long
-def test_a_record_is_a_file_and_a_line(tree):
-    root, python = tree
-    record = block("extending", "python", "class Largest")
-    (root / "pipeline" / "records" / "motion" / "largest.py").write_text(record)
-    file, before = root / "pipeline" / "records" / "__init__.py", "from stickslip.pipeline.records.outcome"
-    line = "from stickslip.pipeline.records.motion.largest import Largest\n"
-    text = file.read_text().replace(before, line + before)
-    file.write_text(text.replace("= (\n    End,", "= (\n    End,\n    Largest,"))
-    scene = (ROOT / "workflows" / "scenes" / "quick.toml").read_text()
-    (root / "mine.toml").write_text(scene.replace("[record]", "[record]\nlargest = true\n#"))
-    python("-m", "stickslip", "run", "mine.toml", "--out", "out", "--no-report", "--workers", "1")
-    asked = "SELECT min(largest) > 0 AS is_there, count(largest) AS n FROM members"
-    assert python("-m", "stickslip", "query", "out", asked).split()[-2:] == ["True", "16"]
-    assert "record.largest" in python("-m", "stickslip", "schema", "--keys")
-    scene = root / "workflows" / "scenes" / "quick.toml"
-    hashed = python("-c", f"from stickslip.pipeline import load_scene; print(load_scene({str(scene)!r}).hash)")
-    assert hashed.strip() == load_scene(scene).hash  # datasets without it stay what they are
 
 
 def test_a_coupling_is_one_line(monkeypatch):

@@ -219,12 +219,13 @@ def test_a_command_that_is_shown_names_the_same_file():
 ASKED = "SELECT chr(27) || '[31mé' AS a, 1 AS \"b\x1b\""
 
 
-@pytest.mark.parametrize("out", [[], ["--out", "/dev/stdout"]])
-def test_csv_obeys_nothing_in_a_terminal(out, dataset, tmp_path):
+def test_csv_obeys_nothing_in_a_terminal(dataset):
     """A file, or a program, has the bytes as they are."""
     reader, writer = pty.openpty()
     words = [sys.executable, "-m", "stickslip", "query", str(dataset), ASKED, "--format", "csv"]
-    done = subprocess.run([*words, *out], stdout=writer, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL)
+    done = subprocess.run(
+        [*words, "--out", "/dev/stdout"], stdout=writer, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL
+    )
     assert done.returncode == 0, done.stderr
     assert os.read(reader, 1 << 12).decode().splitlines() == ['"a","b\\x1b"', '"\\x1b[31mé",1']
     os.close(reader)
@@ -311,10 +312,7 @@ def test_links_that_lead_round_are_one_line(some_failed, tmp_path, capsys):
             assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", ["/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"])
-def test_a_pipe_that_is_open_is_written(name, some_failed):
-    if not os.path.lexists(name):
-        pytest.skip(f"this system has no {name}")
-    words = ["-m", "stickslip", "query", str(some_failed), "SELECT 1 AS one", "--format", "csv", "--out", name]
+def test_a_pipe_that_is_open_is_written(some_failed):
+    words = ["-m", "stickslip", "query", str(some_failed), "SELECT 1 AS one", "--format", "csv", "--out", "/dev/fd/1"]
     done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=True)
     assert done.stdout.startswith('"one"\n1\n')

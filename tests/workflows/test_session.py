@@ -18,29 +18,33 @@ from stickslip.workflows import reporting
 SYSTEM = draw_system("antisymmetric", n=20, seed=1)
 
 
-SESSIONS = {
-    "tex": lambda: matplotlib.rc("text", usetex=True),
-    "dark": lambda: plt.style.use("dark_background"),
-    "sketch": lambda: matplotlib.rcParams.update({"path.sketch": (1, 100, 2), "savefig.bbox": "tight"}),
-    "large": lambda: matplotlib.rcParams.update({"font.size": 30, "figure.dpi": 200, "svg.fonttype": "none"}),
-    "strict numpy": lambda: np.seterr(all="raise"),
-    "old numpy": lambda: np.set_printoptions(legacy="1.13", precision=2),
-    "null is not NaN": lambda: pd.set_option("future.distinguish_nan_and_na", True),
-    "texts of Python": lambda: pd.set_option("mode.string_storage", "python"),
-    "strict warnings": lambda: warnings.simplefilter("error"),
-}
+def drawing():
+    """A style of one's own."""
+    plt.style.use("dark_background")
+    matplotlib.rc("text", usetex=True)
+    matplotlib.rcParams.update({"path.sketch": (1, 100, 2), "savefig.bbox": "tight"})
+    matplotlib.rcParams.update({"font.size": 30, "figure.dpi": 200, "svg.fonttype": "none"})
+
+
+def computing():
+    """Strict arithmetic and warnings, other nulls and texts."""
+    np.seterr(all="raise")
+    np.set_printoptions(legacy="1.13", precision=2)
+    pd.set_option("future.distinguish_nan_and_na", True)
+    pd.set_option("mode.string_storage", "python")
+    warnings.simplefilter("error")
 
 
 OPTIONS = ("future.distinguish_nan_and_na", "mode.string_storage")
 
 
-@pytest.fixture(params=SESSIONS)
+@pytest.fixture(params=[drawing, computing])
 def session(request):
     """A function that sets what a user's session may have set, which is undone after the test."""
     options = [part for name in OPTIONS for part in (name, pd.get_option(name))]
     numpy = np.errstate(), np.printoptions()
     with matplotlib.rc_context(), pd.option_context(*options), numpy[0], numpy[1], warnings.catch_warnings():
-        yield SESSIONS[request.param]
+        yield request.param
 
 
 def digest(content):

@@ -31,8 +31,8 @@ CHARTS = {
 def chart(name: str) -> type[ChartScene]:
     """The scene of the chart of that name; KeyError if there is none."""
     module, _, scene = CHARTS[name].partition(":")
-    found: type[ChartScene] = getattr(import_module(module), scene)
-    return found
+    scene_class: type[ChartScene] = getattr(import_module(module), scene)
+    return scene_class
 
 
 def load_chart(file: Path) -> ChartScene:

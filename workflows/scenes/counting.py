@@ -110,8 +110,8 @@ class Counted:
     @property
     def couplings(self) -> list[Estimate]:
         """Of each system whose sizes have decay rates: not all of them are 1, nor of its time-shifted blocks."""
-        known = (self.rows[:, [0, 2]] > self.rows[:, [1, 3]]).all(axis=1) & (self.rows[:, [1, 3]] > 0).all(axis=1)
-        return [Estimate(float(value)) for value in parts(self.n)["coupling"](self.rows[known])]
+        is_known = (self.rows[:, [0, 2]] > self.rows[:, [1, 3]]).all(axis=1) & (self.rows[:, [1, 3]] > 0).all(axis=1)
+        return [Estimate(float(value)) for value in parts(self.n)["coupling"](self.rows[is_known])]
 
 
 def question(study: Study) -> Answer | None:
@@ -124,48 +124,52 @@ def question(study: Study) -> Answer | None:
     """
     if not study.data.events:
         return Answer(findings=[Lack(WHAT, Reason.NOT_RECORDED, "events")])
-    every = [part for group in study.groups if (part := counted(study, group)) is not None]
-    every = [part for part in every if part.estimates["coupling"].low is not None]
-    judged = [part for part in every if part.is_judged]
+    groups = [counts for group in study.groups if (counts := counted(study, group)) is not None]
+    groups = [counts for counts in groups if counts.estimates["coupling"].low is not None]
+    judged = [counts for counts in groups if counts.is_judged]
     if not judged:
         return Answer(findings=[Lack(WHAT, Reason.NOTHING_COUNTED) if study.judged() else lack(study, WHAT)])
-    lead = min(judged, key=lambda part: (len(part.group) > part.group.n_moving, -part.n))  # no survivors first
-    alike = sorted((part for part in every if part.others == lead.others), key=lambda part: part.n)
-    told = [lead, *(part for part in reversed(alike) if part is not lead and part.is_judged)]
-    unit, is_swept = systems(study), len(told) > 1
-    findings: list[Finding] = [_parts(part, is_swept, unit) for part in told]
+    lead = min(
+        judged, key=lambda counts: (len(counts.group) > counts.group.n_moving, -counts.n)
+    )  # no survivors first
+    alike = sorted((counts for counts in groups if counts.others == lead.others), key=lambda counts: counts.n)
+    leads = [lead, *(counts for counts in reversed(alike) if counts is not lead and counts.is_judged)]
+    unit, is_swept = systems(study), len(leads) > 1
+    findings: list[Finding] = [_parts(counts, is_swept, unit) for counts in leads]
     slope = Comparison("independent two-state blocks", Difference(lead.estimates["rise_over_two_state"]))
     basis = Basis(len(lead.rows), unit)
     findings.append(Level(RISE, lead.estimates["rise"], _where(lead, is_swept), slope, basis))
     return Answer(findings=findings, figures={"counting": _picture(alike, lead, unit)})
 
 
-def _picture(every: Sequence[Counted], lead: Counted, unit: str) -> Picture:
+def _picture(groups: Sequence[Counted], lead: Counted, unit: str) -> Picture:
     """The excess of several numbers of blocks, or the coupling of each system of one."""
-    if len(every) == 1:
+    if len(groups) == 1:
         coupling = lead.estimates["coupling"]
-        n_above = sum((one.value or 0.0) > 0.0 for one in lead.couplings)
+        n_above = sum((coupled.value or 0.0) > 0.0 for coupled in lead.couplings)
         recipe = partial(forest, lead.couplings, coupling, "coupling, relative to ln 2", (0.0, "none"))
         return Picture(
             recipe,
             f"Coupling is positive in {n_above} of {len(lead.couplings)} {unit}s; diamond and band: all together.",
         )
-    faint = "" if all(part.is_judged for part in every) else " Faint: not in a steady state."
+    faint = "" if all(counts.is_judged for counts in groups) else " Faint: not in a steady state."
     return Picture(
-        partial(by_number, every),
+        partial(by_number, groups),
         "Coupling sets runs apart from time-shifted blocks, and each block's own dynamics time-shifted from "
         f"two-state blocks. Below: times n p (1 − p), which levels finite size; a share p sticks.{faint}",
     )
 
 
-def _where(part: Counted, is_swept: bool) -> Place:
-    return Place.key("n", str(part.n)) if is_swept else EVERYWHERE
+def _where(counts: Counted, is_swept: bool) -> Place:
+    return Place.key("n", str(counts.n)) if is_swept else EVERYWHERE
 
 
-def _parts(part: Counted, is_swept: bool, unit: str) -> Parts:
-    where, basis = _where(part, is_swept), Basis(len(part.rows), unit)
-    whole, *each = (Level(one, part.estimates[one.key], where, basis=basis) for one in (WHOLE, *PARTS))
-    return Parts(whole, tuple(each), "decay rate of cascade sizes")
+def _parts(counts: Counted, is_swept: bool, unit: str) -> Parts:
+    where, basis = _where(counts, is_swept), Basis(len(counts.rows), unit)
+    total, *levels = (
+        Level(quantity, counts.estimates[quantity.key], where, basis=basis) for quantity in (WHOLE, *PARTS)
+    )
+    return Parts(total, tuple(levels), "decay rate of cascade sizes")
 
 
 def counted(study: Study, group: Group) -> Counted | None:
@@ -179,7 +183,9 @@ def counted(study: Study, group: Group) -> Counted | None:
     if not len(rows):
         return None
     basis = enough.basis(halves[:, :3] / halves[:, 3:], int(n_cascades.sum()), level)
-    estimates = {name: over_matrices(of, rows, level) for name, of in parts(int(group.key["n"])).items()}
+    estimates = {
+        name: over_matrices(statistic, rows, level) for name, statistic in parts(int(group.key["n"])).items()
+    }
     return Counted(group, rows, basis.code in enough.JUDGED, float(in_lulls / total), estimates)
 
 
@@ -224,13 +230,13 @@ def slope_sums(win: Window) -> np.ndarray:
     means of its halves are too small by twice as much. Their difference is added, which leaves an error of second
     order in tau / T.
     """
-    before, is_exit = win.path()[:-1].astype(np.float64), win.step < 0
-    if len(before) < 2:
+    level, is_exit = win.path()[:-1].astype(np.float64), win.step < 0
+    if len(level) < 2:
         return np.zeros(2)
-    before -= before.mean()
-    first, second = np.array_split(before, 2)
-    apart = len(before) * (first.mean() - second.mean()) ** 2 / 4
-    return np.array([before @ (is_exit - is_exit.mean()), before @ before + apart])
+    level -= level.mean()
+    early, second = np.array_split(level, 2)
+    late_bias = len(level) * (early.mean() - second.mean()) ** 2 / 4
+    return np.array([level @ (is_exit - is_exit.mean()), level @ level + late_bias])
 
 
 def run_sums(win: Window, steps: BlockSteps, draws: int, rng: np.random.Generator) -> np.ndarray:
@@ -250,12 +256,12 @@ def run_sums(win: Window, steps: BlockSteps, draws: int, rng: np.random.Generato
     return np.concatenate([observed, rotated, [win.time_mean() * span, span], slope_sums(win)])
 
 
-def of_pool(n: int, of: Callable[[int, float], float], rows: np.ndarray) -> np.ndarray:
+def of_pool(n: int, function: Callable[[int, float], float], rows: np.ndarray) -> np.ndarray:
     """`pool.gamma` or `pool.slope` at the mean n_stick of each row of sums."""
     means = ratio(rows[:, MEAN])
     if not all(pool.is_one(n, mean) for mean in means):
         raise Undefined("no block sticks, or all do: there is no such pool")
-    return np.array([of(n, mean) for mean in means])
+    return np.array([function(n, mean) for mean in means])
 
 
 def parts(n: int) -> dict[str, Statistic]:
@@ -284,24 +290,24 @@ def parts(n: int) -> dict[str, Statistic]:
 # ---------------------------------------- figures
 
 
-def _lines(ax: Axes, every: Sequence[Counted], scaled: bool) -> None:
+def _lines(ax: Axes, groups: Sequence[Counted], scaled: bool) -> None:
     """The excess of runs and of three nulls against n p (1 - p); times it if `scaled`, which levels finite size.
 
     Groups that are not judged are faint.
     """
-    x, is_judged = np.array([part.variance for part in every]), np.array([part.is_judged for part in every])
+    x, is_judged = np.array([counts.variance for counts in groups]), np.array([counts.is_judged for counts in groups])
     fine = np.geomspace(x.min() / 1.5, x.max() * 1.5, 60)
     scale, of_line = (x, np.ones(len(fine))) if scaled else (np.ones(len(x)), 1 / fine)
     ax.axhline(0.0, linestyle="--", color=GREY, linewidth=1, label="p = 1/2")
     ax.plot(fine, 0.25 / LN2 * of_line, color=GREEN, linewidth=0.8)
-    finite = np.array([part.estimates["finite_size"].value for part in every], dtype=np.float64)
+    finite = np.array([counts.estimates["finite_size"].value for counts in groups], dtype=np.float64)
     ax.plot(x, finite * scale, "D", color=GREEN, markersize=3.5, label="two-state: finite size")
     forms = (
         ("time_shifted", "s", SMOOTHED, "white", "time-shifted: own dynamics too"),
         ("excess", "o", EXACT, EXACT, "runs: coupling too"),
     )
     for name, mark, colour, face, label in forms:
-        estimates = [part.estimates[name] for part in every]
+        estimates = [counts.estimates[name] for counts in groups]
         ends = [(estimate.value, estimate.low, estimate.high) for estimate in estimates]
         value, low, high = np.array(ends, dtype=np.float64).T * scale
         for which, alpha, words in ((is_judged, 1.0, label), (~is_judged, 0.35, "")):
@@ -311,22 +317,24 @@ def _lines(ax: Axes, every: Sequence[Counted], scaled: bool) -> None:
             )  # fmt: skip
     ax.set_xscale("log")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.xaxis.set_major_formatter(lambda at, _: f"{at:g}")
+    ax.xaxis.set_major_formatter(lambda tick, _: f"{tick:g}")
     ax.xaxis.set_minor_locator(NullLocator())
     ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set(xlim=(fine[0], fine[-1]))
 
 
 @panel(nrows=2, height=3.6, sharex=True)
-def by_number(axes: Sequence[Axes], every: Sequence[Counted]) -> None:
+def by_number(axes: Sequence[Axes], groups: Sequence[Counted]) -> None:
     """The excess over ln 2 of the runs and of three nulls at several n; below, times n p (1 - p)."""
     top, below = axes
-    _lines(top, every, scaled=False)
-    _lines(below, every, scaled=True)
-    for k, part in enumerate(every):
-        number = f"n = {part.n}" if k == 0 else str(part.n)
-        at = (part.variance, 1.0)
-        top.annotate(number, at, xycoords=("data", "axes fraction"), ha="center", va="top", fontsize=6.5, color=GREY)
+    _lines(top, groups, scaled=False)
+    _lines(below, groups, scaled=True)
+    for k, counts in enumerate(groups):
+        number = f"n = {counts.n}" if k == 0 else str(counts.n)
+        place = (counts.variance, 1.0)
+        top.annotate(
+            number, place, xycoords=("data", "axes fraction"), ha="center", va="top", fontsize=6.5, color=GREY
+        )
     top.yaxis.set_major_formatter(PercentFormatter(1.0))
     top.set(ylabel=EXCESS)
     below.set(xlabel=VARIANCE, ylabel=SCALED)

@@ -118,9 +118,11 @@ def question(study: Study) -> Answer:
     for motion in slow:
         period = motion.fit.estimates[Number.PERIOD]
         findings.append(Level(NUMBERS[Number.PERIOD], period, Place.of(motion.group.name), basis=basis))
-    drawn = [line for line in lines if line.key == lines[0].key]
-    caption = f"{_trend(changed, drawn[0].key)}. Bars are {100 * confidence:g}% intervals."
-    return Answer(findings=findings, n_lead=2, figures={"rhythm_period": Picture(partial(periods, drawn), caption)})
+    shown_lines = [line for line in lines if line.key == lines[0].key]
+    caption = f"{_trend(changed, shown_lines[0].key)}. Bars are {100 * confidence:g}% intervals."
+    return Answer(
+        findings=findings, n_lead=2, figures={"rhythm_period": Picture(partial(periods, shown_lines), caption)}
+    )
 
 
 def _rank(change: Change) -> tuple[bool, int, float]:
@@ -202,24 +204,24 @@ def power_law(number: Number, key: str, lines: Sequence[Along], confidence: floa
     """
     sets = [line.groups for line in lines if line.key == key]
     points = [(motion, k) for k, groups in enumerate(sets) for motion in groups]
-    at = np.array([abs(float(motion.group.key[key])) for motion, _ in points])
-    if len(set(at.tolist())) < LEAST_POINTS:
+    values = np.array([abs(float(motion.group.key[key])) for motion, _ in points])
+    if len(set(values.tolist())) < LEAST_POINTS:
         return None
     units = sorted({unit for motion, _ in points for unit in motion.units})
-    x, y = np.log(at), np.array([motion.logs(number, units) for motion, _ in points])
+    x, y = np.log(values), np.array([motion.logs(number, units) for motion, _ in points])
     weight = np.array(
         [jackknife_error(np.array(motion.logs(number, motion.units)[1:])) ** -2 for motion, _ in points]
     )
-    own = np.array([k for _, k in points])[:, None] == np.arange(len(sets))  # each set has a level of its own
-    share = own * weight[:, None] / (weight @ own)
-    x, y = x - own @ (share.T @ x), y - own @ (share.T @ y)
-    by_set = (own.T @ (weight[:, None] * x[:, None] * y)) / (own.T @ (weight * x**2))[:, None]
+    in_set = np.array([k for _, k in points])[:, None] == np.arange(len(sets))  # each set has a level of its own
+    share = in_set * weight[:, None] / (weight @ in_set)
+    x, y = x - in_set @ (share.T @ x), y - in_set @ (share.T @ y)
+    by_set = (in_set.T @ (weight[:, None] * x[:, None] * y)) / (in_set.T @ (weight * x**2))[:, None]
     slopes = (weight * x) @ y / (weight @ x**2)
     slope, error, n_free = float(slopes[0]), jackknife_error(slopes[1:]), len(points) - len(sets) - 1
     half = student.half_width(confidence, len(units) - 1) * error
     misfit = float(special.chdtrc(n_free, weight @ (y[:, 0] - slope * x) ** 2))
     exponent = Estimate(slope, slope - half, slope + half)
-    return Power(number, key, float(at.min()), float(at.max()), exponent, misfit, _p_apart(by_set))
+    return Power(number, key, float(values.min()), float(values.max()), exponent, misfit, _p_apart(by_set))
 
 
 def _p_apart(slopes: np.ndarray) -> float:
@@ -227,12 +229,12 @@ def _p_apart(slopes: np.ndarray) -> float:
 
     Columns are the slopes from all systems, and with each left out. It is 1 for one set, or too few systems.
     """
-    apart, n = slopes[1:] - slopes[0], slopes.shape[1] - 1
-    k = len(apart)
+    deviations, n = slopes[1:] - slopes[0], slopes.shape[1] - 1
+    k = len(deviations)
     if not 0 < k < n:
         return 1.0
-    off = apart[:, 1:] - apart[:, 1:].mean(axis=1, keepdims=True)
-    square = apart[:, 0] @ np.linalg.solve((n - 1) / n * off @ off.T, apart[:, 0])
+    off = deviations[:, 1:] - deviations[:, 1:].mean(axis=1, keepdims=True)
+    square = deviations[:, 0] @ np.linalg.solve((n - 1) / n * off @ off.T, deviations[:, 0])
     return float(special.fdtrc(k, n - k, (n - k) / (k * (n - 1)) * square))
 
 
@@ -247,8 +249,8 @@ def periods(ax: Axes, lines: Sequence[Along]) -> None:
     for k, line in enumerate(lines):
         x = [sign * float(motion.group.key[line.key]) for motion in line.groups]
         estimates = [motion.fit.estimates[Number.PERIOD] for motion in line.groups]
-        known = np.array([(period.value, period.low, period.high) for period in estimates], dtype=np.float64)
-        y, off = known[:, 0], np.abs(known[:, 1:] - known[:, :1]).T
+        ends = np.array([(period.value, period.low, period.high) for period in estimates], dtype=np.float64)
+        y, off = ends[:, 0], np.abs(ends[:, 1:] - ends[:, :1]).T
         colour, form = (EXACT, SMOOTHED, GREEN, PURPLE, ORANGE)[k % 5], f"{'os^Dv'[k % 5]}-"
         ax.errorbar(x, y, off, fmt=form, color=colour, markersize=3.5, linewidth=0.9, label=str(line.at))
     ax.set(xlabel=f"|{lines[0].key}|" if is_negative else lines[0].key, ylabel="natural period")

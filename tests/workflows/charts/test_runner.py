@@ -150,7 +150,7 @@ def test_what_ships_explains_its_keys(name):
         ("fig3", "figure 3 of the paper"),
         ("scaling", "6 random systems with either engine and 5 chains"),
         ("speed_accuracy", "11 methods on 6 problems"),
-        ("stability", "cells and a block on a slope"),
+        ("stability", " cells, in one process"),
     ],
 )
 def test_dry_run_measures_and_writes_nothing(name, extent, tmp_path, monkeypatch, capsys):

@@ -129,7 +129,7 @@ def planted(outcome, error, reason=None):
         cell(10.0, "Moreau-Jean", 0.1, "right", 1e-4),
         cell(1e3, "Moreau-Jean", 0.1, "wrong", 0.2),
     ]
-    return Measured(cells, [Column(axis="layer", stiffness=10.0, floor=1e-12)], [])
+    return Measured(cells, [Column(axis="layer", stiffness=10.0, floor=1e-12)])
 
 
 def test_words_follow_the_cells(scene, said, undrawn):

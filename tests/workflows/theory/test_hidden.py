@@ -10,9 +10,9 @@ from scipy.integrate import solve_ivp, trapezoid
 from scipy.optimize import brentq, fsolve
 
 from stickslip.sim import IntegrationError, System, simulate
-from stickslip.workflows.gallery.theory.blowup import RAMP, Blowup, continuations
-from stickslip.workflows.gallery.theory.laws import Coulomb, Modified, SmoothLaw, StaticAboveKinetic, canopy
-from stickslip.workflows.gallery.theory.slow_time import follow, run_with_law
+from stickslip.workflows.gallery.theory.blowup import Blowup, continuations
+from stickslip.workflows.gallery.theory.laws import Coulomb, Modified, SmoothLaw, StaticAboveKinetic
+from stickslip.workflows.gallery.theory.slow_time import run_with_law
 
 PAIR = System([[1.6, -0.5], [-0.5, 2.1]], damping=0.1, belt_speed=-1.0)
 ONE = System([[1.0]], damping=0.1, belt_speed=-0.2)
@@ -87,59 +87,50 @@ def test_static_law_of_ratio_one_is_coulombs():
     np.testing.assert_array_equal(*[[e.t for e in run.events] for run in runs])
 
 
-def test_canopy_is_the_sum_over_corners():
-    """Eq. (12) term by term, three switches."""
-    rng = np.random.default_rng(1)
-    corners, lam = rng.normal(size=(2, 2, 2, 4)), rng.uniform(-1, 1, 3)
-    weight = [(1 - lam) / 2, (1 + lam) / 2]
-    total = sum(
-        weight[i][0] * weight[j][1] * weight[k][2] * corners[i, j, k]
-        for i in range(2)
-        for j in range(2)
-        for k in range(2)
-    )
-    np.testing.assert_allclose(canopy(corners, lam), total, atol=1e-14)
-
-
 def test_canopy_cannot_express_the_modified_law():
-    """AUDIT (12): the corners of the modified law are Coulomb's, and so is their canopy."""
-    law = Modified()
-    corners = [[law.resistance(np.array([x, y])) for y in (-1.0, 1.0)] for x in (-1.0, 1.0)]
-    lam = np.array([-0.5, 0.0])
-    np.testing.assert_allclose(canopy(corners, lam), lam, atol=1e-15)
-    assert np.abs(law.resistance(lam) - lam).max() == pytest.approx(0.5)
+    """AUDIT (12): the corners of the modified law are Coulomb's, and so is their canopy, linear in each lambda."""
+    law, (x, y) = Modified(), (-0.5, 0.0)
+    canopy = sum(
+        (1 + a * x) / 2 * (1 + b * y) / 2 * law.resistance(np.array([a, b])) for a in (-1.0, 1.0) for b in (-1.0, 1.0)
+    )
+    np.testing.assert_allclose(canopy, [x, y], atol=1e-15)
+    assert np.abs(law.resistance(np.array([x, y])) - canopy).max() == pytest.approx(0.5)
 
 
 # --- sticking modes ------------------------------------------------------------------------------------------
 
 
 def test_coulomb_has_one_mode():
-    """AUDIT, hidden dynamics: lambda = -F, eigenvalues -1, -1 (13 as printed); tanh scales them by 1 - lambda^2."""
-    (mode,) = Blowup(Coulomb(), [1.0, 1.0], sigmoid=RAMP).sticking_modes([0.3, -0.6])
-    np.testing.assert_array_equal(mode.lam, [-0.3, 0.6])
-    np.testing.assert_array_equal(mode.eigenvalues, [-1, -1])
-    assert (mode.kind, mode.is_stable) == ("node", True)
+    """AUDIT, hidden dynamics: lambda = -F, eigenvalues -1, -1 as (13) is printed, times (1 - lambda^2) / eps."""
     (mode,) = Blowup(Coulomb(), [1.0, 1.0], eps=[1.0, 0.5]).sticking_modes([0.3, -0.6])
+    np.testing.assert_array_equal(mode.lam, [-0.3, 0.6])
+    assert (mode.kind, mode.is_stable) == ("node", True)
     np.testing.assert_allclose(mode.eigenvalues, [-(1 - 0.09), -2 * (1 - 0.36)], rtol=1e-14)
     assert Blowup(Coulomb(), [1.0, 1.0]).sticking_modes([0.3, -1.1]) == ()
 
 
+def printed(mode):
+    """Eigenvalues of (13) without its factors, of the modified law at mu = 1, rising."""
+    return np.sort(np.linalg.eigvals(Modified().jacobian(np.ones(2), mode.lam)).real)
+
+
 @pytest.mark.parametrize("g", [0.05, 0.3, 0.5, 0.7, 0.9])
 def test_modified_law_on_the_antidiagonal(g):
-    """AUDIT, hidden dynamics: F1 = -F2 = G."""
-    modes = Blowup(Modified(), [1.0, 1.0], sigmoid=RAMP).sticking_modes([g, -g])
+    """AUDIT, hidden dynamics: F1 = -F2 = G; eigenvalues as (13) is printed, and the factors that it leaves out."""
+    modes = Blowup(Modified(), [1.0, 1.0]).sticking_modes([g, -g])
     first, saddle, second = modes
     np.testing.assert_allclose(first.lam, [-g, 0], atol=1e-14)
     np.testing.assert_allclose(second.lam, [0, g], atol=1e-14)
     root = np.sqrt(1 - g * g)
     for mode in (first, second):
         assert (mode.kind, mode.is_stable) == ("node", True)
-        np.testing.assert_allclose(mode.eigenvalues, [-1 + root, -1 - root], atol=1e-12)
+        np.testing.assert_allclose(printed(mode), [-1 - root, -1 + root], atol=1e-12)
     q = saddle.lam[0]
     assert q**3 - 2 * q == pytest.approx(g, abs=1e-14)
     assert saddle.lam[1] == pytest.approx(-q, abs=1e-15)
     assert (saddle.kind, saddle.is_stable) == ("saddle", False)
-    np.testing.assert_allclose(saddle.eigenvalues, [q * q, -2 + 3 * q * q], atol=1e-12)
+    np.testing.assert_allclose(printed(saddle), [-2 + 3 * q * q, q * q], atol=1e-12)
+    np.testing.assert_allclose(saddle.eigenvalues, (1 - q * q) * printed(saddle)[::-1], atol=1e-12)
 
 
 def test_modified_law_at_one_half():
@@ -148,8 +139,8 @@ def test_modified_law_at_one_half():
     np.testing.assert_allclose(force, [0.5, -0.5], atol=1e-12)
     at_half = np.linalg.solve(PAIR.stiffness, [0.5, -0.5] - PAIR.damping * PAIR.belt_speed)
     np.testing.assert_allclose(at_half, Z_HALF, atol=1e-12)
-    first, saddle, _ = Blowup(Modified(), PAIR.friction, sigmoid=RAMP).sticking_modes(force)
-    np.testing.assert_allclose(first.eigenvalues, [-0.1339745962, -1.8660254038], atol=1e-10)
+    first, saddle, _ = Blowup(Modified(), PAIR.friction).sticking_modes(force)
+    np.testing.assert_allclose(printed(first), [-1.8660254038, -0.1339745962], atol=1e-10)
     assert saddle.lam[0] == pytest.approx(-0.258652022504152763, abs=1e-12)
 
 
@@ -282,10 +273,9 @@ def test_subdivision_refuses_a_degenerate_zero():
 # --- the fast system -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("options", [{}, {"sigmoid": RAMP}], ids=["tanh", "as_printed"])
-def test_basins_of_the_modified_law(options):
+def test_basins_of_the_modified_law():
     """AUDIT, hidden dynamics: (1, 1) -> (0, 0.5), (-1, -1) -> (-0.5, 0); the line lambda2 = -lambda1 separates."""
-    blowup, force = Blowup(Modified(), [1.0, 1.0], **options), [0.5, -0.5]
+    blowup, force = Blowup(Modified(), [1.0, 1.0]), [0.5, -0.5]
     np.testing.assert_allclose(blowup.settle(force, [1, 1]).lam, [0, 0.5], atol=1e-10)
     np.testing.assert_allclose(blowup.settle(force, [-1, -1]).lam, [-0.5, 0], atol=1e-10)
     for x in (-1.0, -0.7, 0.0, 0.4, 1.0):
@@ -343,7 +333,7 @@ def test_mode_dies_in_a_saddle_node_and_jumps():
         return [*residual, np.linalg.det(law.slope(lam))]
 
     exact = fsolve(fold, [-0.4, 0.1, 0.005], xtol=1e-13)
-    run = follow(PAIR, law, Z_HALF, [-0.5, 0.0], 1.0)
+    run = run_with_law(PAIR, law, Z_HALF, -1.0, 0.32, entry=[-0.5, 0.0])
     jump, leave = run.events
     assert (jump.kind, jump.cause, jump.block) == ("jump", "fold", -1)
     assert jump.t == pytest.approx(0.0047988, abs=5e-8)  # the digits that the row has
@@ -356,27 +346,29 @@ def test_mode_dies_in_a_saddle_node_and_jumps():
 
 def test_other_mode_exits_through_its_face():
     """AUDIT, hidden dynamics: (0, 0.5) leaves through lambda2 = +1 at t = 0.3125."""
-    run = follow(PAIR, Modified(), Z_HALF, [0.0, 0.5], 1.0)
+    run = run_with_law(PAIR, Modified(), Z_HALF, -1.0, 0.32, entry=[0.0, 0.5])
     (leave,) = run.events
     assert (leave.kind, leave.block, leave.slip[1]) == ("exit", 1, 1)
     assert leave.t == pytest.approx(0.3125, abs=1e-10)
-    np.testing.assert_allclose(run.z, np.array(Z_HALF) - 0.3125, atol=1e-10)  # stuck blocks ride the belt
-    assert follow(PAIR, Modified(), Z_HALF, [0.0, 0.5], 0.2).events == ()
+    np.testing.assert_allclose(run.segments[1].z, np.array(Z_HALF) - 0.3125, atol=1e-10)  # stuck blocks ride the belt
 
 
-def test_many_blocks_exit_when_their_force_reaches_the_static_one():
-    """F moves at rate K v: block i exits at the first (-r - F_i) / (K v)_i; three blocks, r = 1 and 1.3."""
-    system = System([[1.0, -0.3, 0.0], [-0.3, 1.2, -0.2], [0.0, -0.2, 0.8]], damping=0.1, belt_speed=-0.5)
-    z = [0.1, 0.2, -0.1]
+def test_blocks_exit_when_their_force_reaches_the_static_one():
+    """F moves at rate K v: block i exits at the first (-r - F_i) / (K v)_i; r = 1 and 1.3."""
+    system = System([[1.0, -0.3], [-0.3, 1.2]], damping=0.1, belt_speed=-0.5)
+    z = [0.1, 0.2]
     for law, ratio, cause in ((Coulomb(), 1.0, "face"), (StaticAboveKinetic(1.3), 1.3, "fold")):
-        due = (-ratio - system.holding_force(z)) / (system.stiffness @ np.full(3, -0.5))
-        (leave,) = follow(system, law, z, 0.0, 50.0).events
+        due = (-ratio - system.holding_force(z)) / (system.stiffness @ np.full(2, -0.5))
+        leave = run_with_law(system, law, z, -0.5, 1.01 * due.min()).events[0]
         assert (leave.t, leave.block) == (pytest.approx(due.min(), abs=1e-10), np.argmin(due))
         assert (leave.cause, leave.slip[leave.block]) == (cause, 1)
 
 
 def test_mode_that_loses_stability_by_a_complex_pair():
-    """-s' = [[a - x, -2], [2 - y, a - x]]: a focus, lost where x = a; there F_2 = 2 a, reached at t = 0.4 exactly."""
+    """-s' = [[a - x, -2], [2 - y, a - x]]: a focus, lost where x = a; there F_2 = 2 a, reached at t = 0.4 exactly.
+
+    The trace with the factors 1 - lambda^2 has the same zero.
+    """
     a = 0.2
 
     def s(lam):
@@ -390,10 +382,10 @@ def test_mode_that_loses_stability_by_a_complex_pair():
     law, system = SmoothLaw(s, ds, 1.0, 2), System(np.diag([0.01, 1.0]), damping=0.0, belt_speed=-1.0)
     start = np.array([0.4, 0.0])
     z = -s(start) / np.diag(system.stiffness)
-    assert follow(system, law, z, start, 0.399, sigmoid=RAMP).events == ()
+    assert run_with_law(system, law, z, -1.0, 0.399, entry=start).events == ()
     # at this point the fast system has no mode to go to: it circles, and the message says when
     with pytest.raises(IntegrationError, match=r"t = 0\.(4|40000+\d*|39999+\d*): .*fast system"):
-        follow(system, law, z, start, 0.5, sigmoid=RAMP)
+        run_with_law(system, law, z, -1.0, 0.5, entry=start)
 
 
 @pytest.mark.parametrize(

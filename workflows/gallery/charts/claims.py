@@ -47,14 +47,14 @@ def told(
     return otherwise if high < least or low > most else UNTOLD
 
 
-def alike(found: Estimate, margin: float) -> str:
+def alike(estimate: Estimate, margin: float) -> str:
     """Whether a difference is none, to within a margin."""
-    return told(found.low, found.high, -margin, margin)
+    return told(estimate.low, estimate.high, -margin, margin)
 
 
 def every(verdicts: Sequence[str]) -> str:
     """Of claims that all have to hold."""
-    return next((one for one in (CONTRADICTED, CORRECTED, UNTOLD) if one in verdicts), REPRODUCED)
+    return next((verdict for verdict in (CONTRADICTED, CORRECTED, UNTOLD) if verdict in verdicts), REPRODUCED)
 
 
 def share(found: int, tried: int) -> Claim:

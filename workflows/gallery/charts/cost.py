@@ -62,13 +62,13 @@ def timed(
     times: list[float] = []
     units: list[float] = []
     while True:
-        before = product.seconds() if product else 0.0
+        cost_before = product.seconds() if product else 0.0
         start = time.perf_counter()
-        found = run()
+        result = run()
         times.append(time.perf_counter() - start)
-        units += [0.5 * (before + product.seconds())] if product else []
+        units += [0.5 * (cost_before + product.seconds())] if product else []
         if len(times) >= repeats or times[-1] > longest:
             break
     costs = [seconds / unit for seconds, unit in zip(times, units, strict=True)] if units else []
     in_products = (median(units), median(costs), min(costs), max(costs)) if units else (None,) * 4
-    return found, Timing(len(times), median(times), min(times), max(times), *in_products)
+    return result, Timing(len(times), median(times), min(times), max(times), *in_products)

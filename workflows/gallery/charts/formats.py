@@ -90,11 +90,11 @@ def cells(
     where : str
         Name of the Parquet file with all rows, for a note of how many more there are.
     """
-    shown = rows[:most]
-    filled = [column for column in columns if any(_values(row, column)[0] is not None for row in shown)]
+    head = rows[:most]
+    filled = [column for column in columns if any(_values(row, column)[0] is not None for row in head)]
     n_more = len(rows) - most
     note = f"{plural(n_more, 'more row')}{f' in report/{where}.parquet' if where else ''}." if n_more > 0 else ""
-    texts = [[_text(_values(row, column), column[2]) for column in filled] for row in shown]
+    texts = [[_text(_values(row, column), column[2]) for column in filled] for row in head]
     return Table([heading for heading, *_ in filled], texts, note, caption)
 
 

@@ -225,10 +225,10 @@ def _scipy(method: str, with_jacobian: bool) -> Callable[[Problem], Solver]:
 
         def solve(tolerance: float) -> Solution:
             equations.begin()
-            found = solve_ivp(equations, span, start, rtol=tolerance, atol=tolerance, **options)
-            if not found.success:
-                raise MethodError(found.message)
-            return Solution(found.y[: equations.n, -1], int(found.nfev))
+            solution = solve_ivp(equations, span, start, rtol=tolerance, atol=tolerance, **options)
+            if not solution.success:
+                raise MethodError(solution.message)
+            return Solution(solution.y[: equations.n, -1], int(solution.nfev))
 
         return solve
 
@@ -269,10 +269,10 @@ def _cvode(problem: Problem) -> Solver:
             jactimes=CVODEJacTimes(product_setup, product),
             precond=CVODEPrecond(None, without_k),
         )
-        found = solver.solve(span, start)
-        if not found.success:
-            raise MethodError(str(found.message))
-        return Solution(np.asarray(found.y)[-1, :n])
+        solution = solver.solve(span, start)
+        if not solution.success:
+            raise MethodError(str(solution.message))
+        return Solution(np.asarray(solution.y)[-1, :n])
 
     return solve
 
@@ -306,17 +306,17 @@ def _cyrk(problem: Problem) -> Solver:
     options: dict[str, Any] = {"method": "DOP853", "t_eval": np.array([problem.t_end]), "args": numbers}
 
     def solve(tolerance: float) -> Solution:
-        found = nbsolve2_ivp(
+        solution = nbsolve2_ivp(
             compiled.address, span, start, rtol=tolerance, atol=tolerance, max_num_steps=_MOST_STEPS, **options
         )
         try:
-            if found.status == _CYRK_TOO_MANY:
+            if solution.status == _CYRK_TOO_MANY:
                 raise GivenUp(f"given up after {_MOST_STEPS:,} steps")
-            if not found.success:
-                raise MethodError(f"DOP853 ended with status {found.status}")
-            return Solution(np.array(found.y)[:n, -1])
+            if not solution.success:
+                raise MethodError(f"DOP853 ended with status {solution.status}")
+            return Solution(np.array(solution.y)[:n, -1])
         finally:
-            found.free()
+            solution.free()
 
     return solve
 
@@ -358,13 +358,13 @@ def _diffrax(problem: Problem) -> Solver:
     compiled = jax.jit(end).lower(start, 1e-3).compile()
 
     def solve(tolerance: float) -> Solution:
-        found = compiled(start, tolerance)
-        z = np.asarray(found.ys[0, :n])
-        if found.result == diffrax.RESULTS.max_steps_reached:
+        solution = compiled(start, tolerance)
+        z = np.asarray(solution.ys[0, :n])
+        if solution.result == diffrax.RESULTS.max_steps_reached:
             raise GivenUp(f"given up after {_MOST_STEPS:,} steps")
-        if found.result != diffrax.RESULTS.successful:
-            raise MethodError(str(found.result))
-        return Solution(z, 6 * int(found.stats["num_steps"]))
+        if solution.result != diffrax.RESULTS.successful:
+            raise MethodError(str(solution.result))
+        return Solution(z, 6 * int(solution.stats["num_steps"]))
 
     return solve
 
@@ -405,7 +405,7 @@ def solved(name: str, setting: float, problem: Problem) -> Solution:
     return method(name).prepare(replace(problem, patience=math.inf))(setting)
 
 
-def warm(one: Method, problem: Problem, setting: float) -> None:
+def warm(peer: Method, problem: Problem, setting: float) -> None:
     """Let a method compile and load what its first call needs, untimed; an error here will occur again when timed."""
     with suppress(MethodError, sim.IntegrationError):
-        one.prepare(replace(problem, t_end=1e-3 * problem.t_end))(setting)
+        peer.prepare(replace(problem, t_end=1e-3 * problem.t_end))(setting)

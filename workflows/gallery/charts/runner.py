@@ -26,13 +26,13 @@ from stickslip.workflows.gallery.charts.formats import FORMS
 
 def versions(*libraries: str) -> dict[str, str]:
     """Versions of the libraries used, by distribution; "not installed" for a missing one."""
-    found = {"python": platform.python_version()}
+    numbers = {"python": platform.python_version()}
     for name in ("stickslip", "numpy", "numba", *libraries):
         try:
-            found[name] = version(name)
+            numbers[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            numbers[name] = "not installed"
+    return numbers
 
 
 def _folder(scene: ChartScene) -> Path:
@@ -57,19 +57,19 @@ def _templates(folder: Path) -> Environment:
 
 def report(scene: ChartScene, measured: Any) -> Report:
     """The page of a scene, made from the result of its `measure`; the headline is the page's lead."""
-    shown = scene.show(measured)
-    figures = {name: draw(recipe, with_pdf=True) for name, recipe in shown.figures.items()}
+    parts_of_page = scene.show(measured)
+    figures = {name: draw(recipe, with_pdf=True) for name, recipe in parts_of_page.figures.items()}
     templates = _templates(_folder(scene))
     templates.globals["image"] = partial(_image, figures)
     template = templates.get_template(f"{scene.chart}.html")
     page = template.render(
-        shown.facts,
+        parts_of_page.facts,
         page=Page(scene.title, scene.about),
         scene=scene,
         measured=measured,
         versions=versions(*scene.libraries),
     )
-    return Report(page, shown.tables, [scene.title, *_headline(page)], figures)
+    return Report(page, parts_of_page.tables, [scene.title, *_headline(page)], figures)
 
 
 def _headline(page: str) -> list[str]:
@@ -86,5 +86,5 @@ def _image(figures: dict[str, Drawn], name: str, alt: str) -> Markup:
 def frame(rows: Sequence[Any], of: type) -> pd.DataFrame:
     """Dataclasses as the rows of a table; whole numbers stay whole where some are null."""
     hints = get_type_hints(of)
-    whole = {name: "Int64" for name, hint in hints.items() if hint == int | None}
-    return pd.DataFrame(map(asdict, rows), columns=list(hints)).astype(whole)
+    integers = {name: "Int64" for name, hint in hints.items() if hint == int | None}
+    return pd.DataFrame(map(asdict, rows), columns=list(hints)).astype(integers)

@@ -204,28 +204,32 @@ def warm() -> None:
 
 def cost(scene: ScalingScene, system: System, engine: Engine, n: int) -> Cost:
     """Runs over a fixed time, from the exact engine's state at `t_burn`."""
-    row, drawn = Cost(system, engine, n), scene.drawn(system, n)
+    row, blocks = Cost(system, engine, n), scene.drawn(system, n)
     settings: dict[str, Any] = {"tol": scene.tol}
     if engine == "sigmoid":
         settings = {"eps": scene.eps, "rtol": scene.rtol, "atol": scene.rtol}
     try:
-        start = sim.simulate(drawn, Z0, W0, scene.t_burn, tol=scene.tol, stop_early=False)
+        start = sim.simulate(blocks, Z0, W0, scene.t_burn, tol=scene.tol, stop_early=False)
         run = partial(
             # to the end: whether a collapse is certain is a question of its own, with a cost of its own
-            sim.simulate, drawn, start.z, start.w, scene.t_burn + scene.t_run, t_start=scene.t_burn, engine=engine,
+            sim.simulate, blocks, start.z, start.w, scene.t_burn + scene.t_run, t_start=scene.t_burn, engine=engine,
             stop_early=False, **settings,
         )  # fmt: skip
-        product = Product(drawn.stiffness) if isinstance(drawn.stiffness, np.ndarray) else None
-        found, timing = timed(run, product, scene.repeats)
+        product = Product(blocks.stiffness) if isinstance(blocks.stiffness, np.ndarray) else None
+        result, timing = timed(run, product, scene.repeats)
     except sim.IntegrationError as error:
         return replace(row, reason=str(error))
-    if found.outcome != "finished":
-        return replace(row, reason=found.reason)
-    stats = found.stats
+    if result.outcome != "finished":
+        return replace(row, reason=result.reason)
+    stats = result.stats
     return replace(
-        row, n_entries=int(drawn.stiffness.size), t=scene.t_run, n_events=stats.n_events, n_products=stats.n_products,
+        row,
+        n_entries=int(blocks.stiffness.size),
+        t=scene.t_run,
+        n_events=stats.n_events,
+        n_products=stats.n_products,
         **timing._asdict(),
-    )  # fmt: skip
+    )
 
 
 def throughput(scene: ScalingScene, say: Say) -> list[Throughput]:
@@ -272,8 +276,8 @@ def cost_against_size(groups: Mapping[str, Sequence[Cost]]) -> Figure:
         for ax, (title, quantity, unit) in zip(axes[0], panels, strict=True):
             ax.set(title=title, xscale="log", xlabel="number of blocks n")
             for k, (name, rows) in enumerate(groups.items()):
-                known = [(row.n, value / unit) for row in rows if (value := getattr(row, quantity)) is not None]
-                ax.plot(*np.array(known).reshape(-1, 2).T, "osD"[k], linestyle="-", linewidth=0.9, color=CYCLE[k],
+                points = [(row.n, value / unit) for row in rows if (value := getattr(row, quantity)) is not None]
+                ax.plot(*np.array(points).reshape(-1, 2).T, "osD"[k], linestyle="-", linewidth=0.9, color=CYCLE[k],
                         markersize=4, label=name)  # fmt: skip
             ax.set(**({"ylim": (0, 1)} if quantity == "rest" else {"yscale": "log"}))
         legend(figure, 3)

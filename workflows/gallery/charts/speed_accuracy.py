@@ -81,15 +81,15 @@ class SpeedScene(ChartScene):
             for ratio in ratios:
                 model: Model = "coulomb" if ratio is None else "sigmoid"
                 problem = self.problem(n, ratio or "one")
-                standard, known = referenced(Standard(n=n, ratio=ratio, model=model), *REFERENCES[model], problem)
+                standard, solution = referenced(Standard(n=n, ratio=ratio, model=model), *REFERENCES[model], problem)
                 references.append(standard)
                 product, row = Product(np.asarray(problem.system.stiffness)), Cost(n=n, ratio=ratio, model=model)
-                asked = (problem, standard, known)
+                setup = (problem, standard, solution)
                 for method, settings in methods_of(model, self.tolerances, self.steps):
-                    found = list(trials(row, method, *asked, settings, self.seconds_a_run, product, self.repeats))
-                    costs += found
-                    done = sum(cost.outcome == "measured" for cost in found)
-                    say(f"n = {n}{f', r {ratio}' if ratio else ''}: {method.name}, {done} of {len(settings)}")
+                    rows = list(trials(row, method, *setup, settings, self.seconds_a_run, product, self.repeats))
+                    costs += rows
+                    n_measured = sum(cost.outcome == "measured" for cost in rows)
+                    say(f"n = {n}{f', r {ratio}' if ratio else ''}: {method.name}, {n_measured} of {len(settings)}")
         return Measured(costs, references)
 
     def show(self, measured: Measured) -> Shown:
@@ -151,14 +151,14 @@ def products_at(errors: Sequence[float], products: Sequence[float], target: floa
     it at a finer tolerance, does not count. A later point that is cheaper still does.
     """
     above = [k for k, error in enumerate(errors) if error > target]
-    first = above[-1] + 1 if above else 0
-    if first == len(errors):
+    start = above[-1] + 1 if above else 0
+    if start == len(errors):
         return None
-    found = list(products[first:])
+    costs = list(products[start:])
     if above:
-        e, c = np.log(errors[first - 1 : first + 1]), np.log(products[first - 1 : first + 1])
-        found.append(float(np.exp(c[0] + (c[1] - c[0]) * (np.log(target) - e[0]) / (e[1] - e[0]))))
-    return min(found)
+        e, c = np.log(errors[start - 1 : start + 1]), np.log(products[start - 1 : start + 1])
+        costs.append(float(np.exp(c[0] + (c[1] - c[0]) * (np.log(target) - e[0]) / (e[1] - e[0]))))
+    return min(costs)
 
 
 @dataclass(frozen=True)
@@ -192,11 +192,11 @@ class Panel:
 
     def tolerances(self) -> list[tuple[str, float, float]]:
         """(engine, least, most) of an engine's errors over its tolerances."""
-        found = []
+        rows = []
         for name in (method.name for method in METHODS if method.is_ours):
             ratios = [c.error / c.tolerance for c in self.curves.get(name, ()) if c.error and c.tolerance]
-            found += [(name, min(ratios), max(ratios))] if ratios else []
-        return found
+            rows += [(name, min(ratios), max(ratios))] if ratios else []
+        return rows
 
 
 def _points(curve: Sequence[Cost]) -> tuple[list[float], list[float]]:
@@ -206,15 +206,15 @@ def _points(curve: Sequence[Cost]) -> tuple[list[float], list[float]]:
 
 def _panels(measured: Measured) -> list[Panel]:
     n_events = {reference.n: reference.n_events for reference in measured.references if reference.ratio is None}
-    found = []
+    panels = []
     for reference in measured.references:
         if reference.ratio is not None:
             curves: dict[str, list[Cost]] = {}
             for cost in measured.costs:
                 if cost.n == reference.n and cost.ratio in (None, reference.ratio):
                     curves.setdefault(cost.method, []).append(cost)
-            found.append(Panel(reference.n, reference.ratio, curves, reference.floor, n_events[reference.n]))
-    return found
+            panels.append(Panel(reference.n, reference.ratio, curves, reference.floor, n_events[reference.n]))
+    return panels
 
 
 # ---------------------------------------------------------------------------------------------- the figure
@@ -245,13 +245,13 @@ def error_against_cost(panels: Sequence[Panel]) -> Figure:
         for ax, panel in zip(axes.flat, panels, strict=False):
             ax.set(title=panel.title, xscale="log", yscale="log")
             for name in (name for name in names if name in panel.curves):
-                done = [cost for cost in panel.curves[name] if cost.error is not None]
-                ax.plot([c.products for c in done], [c.error for c in done], label=name, **style[name])
-                if bounds := [(c.products, c.error) for c in done if c.is_bound]:
+                points = [cost for cost in panel.curves[name] if cost.error is not None]
+                ax.plot([c.products for c in points], [c.error for c in points], label=name, **style[name])
+                if bounds := [(c.products, c.error) for c in points if c.is_bound]:
                     hollow = style[name] | {"linestyle": "none", "markerfacecolor": "white", "zorder": 4}
                     ax.plot(*zip(*bounds, strict=True), **hollow)
-                if name in _OURS and (least := [(_LEAST * c.computed, c.error) for c in done if c.computed]):
-                    ax.plot(*zip(*least, strict=True), color=style[name]["color"], linewidth=0.8)
+                if name in _OURS and (floor := [(_LEAST * c.computed, c.error) for c in points if c.computed]):
+                    ax.plot(*zip(*floor, strict=True), color=style[name]["color"], linewidth=0.8)
             if panel.floor is not None:
                 ax.axhline(panel.floor, color=GREY, linestyle=":", linewidth=0.8)
             if panel.n_events:

@@ -28,10 +28,9 @@ from pydantic import Field
 from stickslip import sim
 from stickslip.analysis.style import GREY, styled, subplots
 from stickslip.pipeline.scene.toml import Blocks, Positive
-from stickslip.workflows.gallery.charts import ChartScene, Say, Several, Shown, slope
+from stickslip.workflows.gallery.charts import ChartScene, Say, Several, Shown
 from stickslip.workflows.gallery.charts.peers import METHODS, Model, Problem, methods_of, random_problem
 from stickslip.workflows.gallery.charts.runner import frame
-from stickslip.workflows.gallery.charts.slope import Creep, creep
 from stickslip.workflows.gallery.charts.trials import Outcome, Reference, Setting, Trial, referenced, trials
 
 Axis = Literal["layer", "bond", "damping"]
@@ -59,7 +58,7 @@ WRONG_ABOVE = 1e-2
 class StabilityScene(ChartScene):
     """A scene with ``chart = "stability"``; dimensionless but for `patience`."""
 
-    libraries = ("scipy", "CyRK", "scikit-sundae", "diffrax", "mujoco")
+    libraries = ("scipy", "CyRK", "scikit-sundae", "diffrax")
 
     chart: Literal["stability"] = Field(description="kind of the chart", examples=["stability"])
     title: str = Field(default="Where methods stop working", description="one line for the report's head")
@@ -100,12 +99,12 @@ class StabilityScene(ChartScene):
         return {"layer": self.stiffness, **exact}
 
     def extent(self) -> str:
-        found = sum(
+        n_cells = sum(
             len(columns) * len(settings)
             for axis, columns in self.axes.items()
             for _, settings in methods_of(LAWS[axis], self.tolerances, self.steps)
         )
-        return f"{found} cells and a block on a slope"
+        return f"{n_cells} cells"
 
     def measure(self, say: Say) -> Measured:
         """Fill every map, column by column."""
@@ -117,38 +116,33 @@ class StabilityScene(ChartScene):
                 model = LAWS[axis]
                 for stiffness in columns:
                     problem, blank = self.problem(axis, stiffness), Column(axis=axis, stiffness=stiffness)
-                    column, known = referenced(blank, *REFERENCES[model], problem)
+                    column, solution = referenced(blank, *REFERENCES[model], problem)
                     references.append(column)
                     row = Cell(axis=axis, stiffness=stiffness)
                     for method, settings in methods_of(model, self.tolerances, self.steps):
-                        found = trials(row, method, problem, column, known, settings, self.patience)
-                        cells += [judged(cell, column.floor) for cell in found]
+                        rows = trials(row, method, problem, column, solution, settings, self.patience)
+                        cells += [judged(cell, column.floor) for cell in rows]
                     say(f"{axis}, {stiffness:g}: {len(cells)} cells")
-        return Measured(cells, references, creep(say))
+        return Measured(cells, references)
 
     def show(self, measured: Measured) -> Shown:
-        """Tables: `cells`, `references`, `creep`."""
+        """Tables: `cells`, `references`."""
         groups = {axis: maps for axis in LAWS if (maps := _maps(measured.cells, axis))}
-        maps = [one for group in groups.values() for one in group]
+        maps = [panel for group in groups.values() for panel in group]
         cells: dict[str, list[Cell]] = {}
-        for one in maps:
-            cells.setdefault(one.method, []).extend(one.cells)
-        told = {name: Counter(cell.outcome for cell in some) for name, some in cells.items()}
-        ours = [method.name for method in METHODS if method.is_ours and method.name in told]
+        for panel in maps:
+            cells.setdefault(panel.method, []).extend(panel.cells)
+        outcomes = {name: Counter(cell.outcome for cell in members) for name, members in cells.items()}
+        ours = [method.name for method in METHODS if method.is_ours and method.name in outcomes]
         facts = {
             "groups": groups,
-            "engines": {name: told[name] for name in ours},
-            "others": {name: told[name] for name in told if name not in ours},
+            "engines": {name: outcomes[name] for name in ours},
+            "others": {name: outcomes[name] for name in outcomes if name not in ours},
             "events": {name: [cell for cell in cells[name] if cell.apart is not None] for name in ours},
             "rule": {"factor": FACTOR, "right_below": RIGHT_BELOW, "wrong_above": WRONG_ABOVE},
-            "slope": slope,
         }
-        tables = {
-            "cells": frame(measured.cells, Cell),
-            "references": frame(measured.references, Column),
-            "creep": frame(measured.creep, Creep),
-        }
-        return Shown(facts, tables, {f"{axis}_maps": partial(maps_of, some) for axis, some in groups.items()})
+        tables = {"cells": frame(measured.cells, Cell), "references": frame(measured.references, Column)}
+        return Shown(facts, tables, {f"{axis}_maps": partial(maps_of, panels) for axis, panels in groups.items()})
 
 
 # ---------------------------------------------------------------------------------------------- measuring
@@ -180,7 +174,6 @@ class Measured:
 
     cells: list[Cell]
     references: list[Column]
-    creep: list[Creep]
 
 
 def judged(cell: Cell, floor: float | None) -> Cell:
@@ -213,16 +206,16 @@ class Map:
     @property
     def worst(self) -> Cell | None:
         """The cell that goes past its tolerance by the largest factor."""
-        asked = [cell for cell in self.cells if cell.error is not None and cell.tolerance is not None]
-        return max(asked, key=lambda cell: (cell.error or 0.0) / cell.setting, default=None)
+        candidates = [cell for cell in self.cells if cell.error is not None and cell.tolerance is not None]
+        return max(candidates, key=lambda cell: (cell.error or 0.0) / cell.setting, default=None)
 
 
 def _maps(cells: Sequence[Cell], axis: Axis) -> list[Map]:
-    found: dict[str, list[Cell]] = {}
+    by_method: dict[str, list[Cell]] = {}
     for cell in cells:
         if cell.axis == axis and cell.outcome != "absent":
-            found.setdefault(cell.method, []).append(cell)
-    return [Map(axis, method, mine) for method, mine in found.items()]
+            by_method.setdefault(cell.method, []).append(cell)
+    return [Map(axis, method, mine) for method, mine in by_method.items()]
 
 
 # ---------------------------------------------------------------------------------------------- figures
@@ -246,32 +239,32 @@ def maps_of(maps: Sequence[Map], columns: int = 4) -> Figure:
         for ax in axes.flat[len(maps) :]:
             ax.set_axis_off()
         label = ""
-        for k, (ax, one) in enumerate(zip(axes.flat, maps, strict=False)):
-            _draw(ax, one)
-            before, label = label, "tolerance" if one.cells[0].step is None else "step h"
-            if k % columns == 0 or label != before:
+        for k, (ax, panel) in enumerate(zip(axes.flat, maps, strict=False)):
+            _draw(ax, panel)
+            previous, label = label, "tolerance" if panel.cells[0].step is None else "step h"
+            if k % columns == 0 or label != previous:
                 ax.set_ylabel(label)
             if k + columns >= len(maps):
-                ax.set_xlabel(_XLABELS[one.axis])
+                ax.set_xlabel(_XLABELS[panel.axis])
         handles: list[Any] = [
             Patch(facecolor=fill, edgecolor=GREY, linewidth=0.5, label=words if mark is None else f"{words} ({mark})")
             for outcome, (fill, _, mark, words) in _OUTCOMES.items()
-            if any(cell.outcome == outcome for one in maps for cell in one.cells)
+            if any(cell.outcome == outcome for panel in maps for cell in panel.cells)
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=3)
     return figure
 
 
-def _draw(ax: Axes, one: Map) -> None:
-    stiffness = sorted({cell.stiffness for cell in one.cells})
-    settings = sorted({cell.setting for cell in one.cells})
-    for cell in one.cells:
+def _draw(ax: Axes, panel: Map) -> None:
+    stiffness = sorted({cell.stiffness for cell in panel.cells})
+    settings = sorted({cell.setting for cell in panel.cells})
+    for cell in panel.cells:
         fill, ink, mark, _ = _OUTCOMES[cell.outcome]
         x, y = stiffness.index(cell.stiffness), settings.index(cell.setting)
         ax.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=fill, edgecolor="white", linewidth=0.5))
         text = mark if mark else (f"{np.log10(cell.error):.0f}".replace("-", "−") if cell.error else "∞")
         ax.text(x, y, text, color=ink, fontsize=6 if len(stiffness) < 9 else 5, ha="center", va="center_baseline")
-    ax.set(xlim=(-0.5, len(stiffness) - 0.5), ylim=(-0.5, len(settings) - 0.5), title=one.method)
+    ax.set(xlim=(-0.5, len(stiffness) - 0.5), ylim=(-0.5, len(settings) - 0.5), title=panel.method)
     for axis, values in ((ax.xaxis, stiffness), (ax.yaxis, settings)):
         powers = np.log10(values)
         places = [k for k, power in enumerate(powers) if abs(power - round(power)) < 1e-9]

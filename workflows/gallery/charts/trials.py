@@ -75,13 +75,13 @@ def referenced(
     """A run as well as it can be had, and how well a second computation, of `checked` if given, agrees."""
     row = replace(row, reference="{} at {:g}".format(*by), check="{} at {:g}".format(*check))
     try:
-        known = solved(*by, problem)
-        other = solved(*check, checked or problem).z
+        solution = solved(*by, problem)
+        check_z = solved(*check, checked or problem).z
     except (MethodError, sim.IntegrationError) as error:
         return replace(row, reason=str(error)), None
     # two computations may agree to the bit, yet no less than rounding is claimed
-    floor = float(max(np.abs(known.z - other).max(), np.spacing(np.abs(known.z).max())))
-    return replace(row, floor=floor, n_events=None if known.events is None else len(known.events)), known
+    floor = float(max(np.abs(solution.z - check_z).max(), np.spacing(np.abs(solution.z).max())))
+    return replace(row, floor=floor, n_events=None if solution.events is None else len(solution.events)), solution
 
 
 def trials(
@@ -107,50 +107,50 @@ def trials(
     warm(method, problem, settings[-1])
     too_slow: str | None = None
     for setting in reversed(settings):
-        asked = replace(row, step=setting) if method.control == "step" else replace(row, tolerance=setting)
+        trial = replace(row, step=setting) if method.control == "step" else replace(row, tolerance=setting)
         if too_slow is not None:
-            yield replace(asked, outcome="too slow", reason=too_slow)
+            yield replace(trial, outcome="too slow", reason=too_slow)
             continue
         start = time.perf_counter()
         try:
-            found, timing = timed(partial(solve, setting), product, repeats, longest)
+            solution, timing = timed(partial(solve, setting), product, repeats, longest)
         except (MethodError, sim.IntegrationError) as failure:
             took = time.perf_counter() - start
             outcome: Outcome = "too slow" if isinstance(failure, GivenUp) else "failed"
-            yield replace(asked, outcome=outcome, reason=str(failure))
+            yield replace(trial, outcome=outcome, reason=str(failure))
         else:
             took = timing.seconds
-            done = replace(asked, computed=found.n_products, **timing._asdict())
-            yield _judged(done, found, known, reference.floor or 0.0)
+            result = replace(trial, computed=solution.n_products, **timing._asdict())
+            yield _judged(result, solution, known, reference.floor or 0.0)
         if took > longest:
             too_slow = f"took {took:.2g} s at {setting:g}: more than {longest:g} s"
 
 
-def _judged(row: Row, found: Solution, known: Solution, floor: float) -> Row:
-    error = float(np.abs(found.z - known.z).max())
+def _judged(row: Row, solution: Solution, reference: Solution, floor: float) -> Row:
+    error = float(np.abs(solution.z - reference.z).max())
     if not np.isfinite(error):
         return replace(row, outcome="wrong", reason="z at t_end is not finite, returned as a success")
     row = replace(row, error=max(error, floor), is_bound=error <= floor)
-    if found.events is None or known.events is None:
+    if solution.events is None or reference.events is None:
         return row
-    parted_at, apart = compared(found.events, known.events)
+    parted_at, apart = compared(solution.events, reference.events)
     return replace(row, parted_at=parted_at, apart=apart)
 
 
-def compared(found: sim.EventSeries, known: sim.EventSeries) -> tuple[float | None, float]:
+def compared(found: sim.EventSeries, reference: sim.EventSeries) -> tuple[float | None, float]:
     """When the first block's events are no longer the known ones, if ever, and how far their times are off before."""
     parted, shared = math.inf, []
-    for block in range(known.n):
-        mine, its = (np.flatnonzero(series.block == block) for series in (found, known))
+    for block in range(reference.n):
+        mine, its = (np.flatnonzero(series.block == block) for series in (found, reference))
         n = min(len(mine), len(its))
-        alike = np.append(found.mode[mine[:n]] == known.mode[its[:n]], len(mine) == len(its))
-        shared.append(np.column_stack([found.t[mine[:n]], known.t[its[:n]]]))
+        alike = np.append(found.mode[mine[:n]] == reference.mode[its[:n]], len(mine) == len(its))
+        shared.append(np.column_stack([found.t[mine[:n]], reference.t[its[:n]]]))
         if not alike.all():
-            first = int(np.argmin(alike))
-            rest = [
-                series.t[events[first]] for series, events in ((found, mine), (known, its)) if first < len(events)
+            place = int(np.argmin(alike))
+            later = [
+                series.t[events[place]] for series, events in ((found, mine), (reference, its)) if place < len(events)
             ]
-            parted = min(parted, *rest)
+            parted = min(parted, *later)
     times = np.vstack(shared)
     times = times[times.max(axis=1) < parted]
     return None if parted == math.inf else parted, float(np.abs(times[:, 0] - times[:, 1]).max(initial=0.0))

@@ -69,10 +69,10 @@ class Forced:
         """Of the map from one cycle of the force to the next, at a state that it maps to itself, by differences."""
         columns = []
         for move in ((width, 0.0), (0.0, width)):
-            one, other = (
+            plus, minus = (
                 self.after(State(start.z + s * move[0], start.w + s * move[1], start.phase)) for s in (1, -1)
             )
-            columns.append([(one.z - other.z) / (2 * width), (one.w - other.w) / (2 * width)])
+            columns.append([(plus.z - minus.z) / (2 * width), (plus.w - minus.w) / (2 * width)])
         return np.linalg.eigvals(np.transpose(columns))
 
 
@@ -87,9 +87,9 @@ def shape(frequency: float) -> tuple[float, float, float]:
     k = int(np.argmax(values))
     top = float(values[k])
     if 0 < k < len(t) - 1:
-        before, after = values[k - 1], values[k + 1]
-        curve = before - 2 * top + after
-        top -= (after - before) ** 2 / (8 * curve) if curve else 0.0
+        low, high = values[k - 1], values[k + 1]
+        curve = low - 2 * top + high
+        top -= (high - low) ** 2 / (8 * curve) if curve else 0.0
     return float(v), float(u), max(top, 1.0 / frequency**2)
 
 

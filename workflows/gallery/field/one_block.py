@@ -159,8 +159,8 @@ class OneBlockScene(ChartScene):
         """Tables: `claims`, `periods`, `sliding`, `stability`, `shifted`, `stops`."""
         judged = [{"claim": claim.__name__} | claim(measured) for claim in _CLAIMS]
         tables = {"claims": table(judged)} | {
-            name: frame(getattr(measured, name), of)
-            for name, of in (
+            name: frame(getattr(measured, name), row)
+            for name, row in (
                 ("periods", Period), ("sliding", Sliding), ("stability", Stability), ("shifted", Shifted),
                 ("stops", Stops),
             )
@@ -214,15 +214,15 @@ def _period(rng: np.random.Generator, is_damped: bool) -> Period:
 
 
 def _sliding(frequency: float) -> Sliding:
-    most, residue, stops = most_friction(frequency), 0.0, []
+    friction, residue, stops = most_friction(frequency), 0.0, []
     for factor in (1 - _BESIDE, 1 + _BESIDE):
-        block = Forced(frequency, factor * most)
+        block = Forced(frequency, factor * friction)
         start = sliding_cycle(block)
         stops.append(sum(block.stops(start, 1, 5)))
         if factor < 1:
-            after = block.after(start)
-            residue = max(abs(after.z - start.z), abs(after.w - start.w)) / start.z
-    return Sliding(frequency, most, residue, *stops)
+            end = block.after(start)
+            residue = max(abs(end.z - start.z), abs(end.w - start.w)) / start.z
+    return Sliding(frequency, friction, residue, *stops)
 
 
 def _anywhere(rng: np.random.Generator) -> State:
@@ -237,20 +237,20 @@ def _stability(rng: np.random.Generator, frequency: float) -> Stability:
     start = _anywhere(rng)
     if sum(block.stops(start, 200, 2)):
         return Stability(frequency, friction, block.damping, None)
-    found = np.abs(block.multipliers(block.after(start, 200))).max()
-    return Stability(frequency, friction, block.damping, float(found))
+    multiplier = np.abs(block.multipliers(block.after(start, 200))).max()
+    return Stability(frequency, friction, block.damping, float(multiplier))
 
 
 def _shifted(rng: np.random.Generator, frequency: float) -> Shifted:
-    most = most_friction(frequency)
-    block = Forced(frequency, float(most * rng.uniform(0.2, 0.9)))
-    shift, widest = float(rng.uniform(-0.95, 0.95)), most - block.friction
+    friction = most_friction(frequency)
+    block = Forced(frequency, float(friction * rng.uniform(0.2, 0.9)))
+    shift, widest = float(rng.uniform(-0.95, 0.95)), friction - block.friction
     start = sliding_cycle(block)
     start = start._replace(z=start.z + shift * widest)
-    after = block.after(start, 100)
-    moved = max(abs(after.z - start.z), abs(after.w - start.w))
+    end = block.after(start, 100)
+    change = max(abs(end.z - start.z), abs(end.w - start.w))
     largest = np.abs(block.multipliers(block.after(start, 0.3))).max()
-    return Shifted(frequency, block.friction, shift, moved, float(largest))
+    return Shifted(frequency, block.friction, shift, change, float(largest))
 
 
 def _stops(rng: np.random.Generator, frequency: float) -> Stops:
@@ -276,8 +276,8 @@ def basin(rng: np.random.Generator, starts: int) -> Basin:
     def slides(z: float, w: float, t_end: float) -> bool:
         return len(run(z, w, t_end).events) == 0
 
-    rest = FRICTION + (STATIC - FRICTION) * np.exp(-BELT / FALL)
-    inside, outside = rest - 1e-3, STARTS[0][0]
+    balance = FRICTION + (STATIC - FRICTION) * np.exp(-BELT / FALL)
+    inside, outside = balance - 1e-3, STARTS[0][0]
     while abs(inside - outside) > 1e-14:
         middle = (inside + outside) / 2
         if slides(middle, 0.0, _AT_EDGE):
@@ -291,11 +291,11 @@ def basin(rng: np.random.Generator, starts: int) -> Basin:
     box = np.prod([high - low for low, high in STARTS])
     around = run(inside, 0.0, 2 * up, np.linspace(0.0, 2 * up, 200)).samples
     low, high = np.transpose(STARTS)
-    drawn = rng.uniform(low, high, size=(starts, 2)).tolist()
+    points = rng.uniform(low, high, size=(starts, 2)).tolist()
     sticks = run(2.0, 1.0, _DECIDED, np.linspace(_DECIDED - 8.0, _DECIDED, 300)).samples
     return Basin(
         area / float(box), around.z[:, 0].tolist(), around.w[:, 0].tolist(),
-        [(z, speed, slides(z, speed, _DECIDED)) for z, speed in drawn],
+        [(z, speed, slides(z, speed, _DECIDED)) for z, speed in points],
         list(zip(sticks.z[:, 0].tolist(), sticks.w[:, 0].tolist(), strict=True)),
     )  # fmt: skip
 
@@ -317,44 +317,44 @@ def _periods(rows: list[Period]) -> Claim:
 
 
 def amplitude(measured: Measured) -> Claim:
-    off = max(one.residue for one in measured.sliding)
+    off = max(cycle.residue for cycle in measured.sliding)
     return {"verdict": verdict_of(off < EXACT), "tried": len(measured.sliding), "value": off}
 
 
 def boundary(measured: Measured) -> Claim:
     """Just below no stop, just above some, at every frequency."""
     rows = measured.sliding
-    found = share(sum(row.stops_below == 0 and row.stops_above > 0 for row in rows), len(rows))
-    return found | {"verdict": verdict_of(found["found"] == len(rows))}
+    claim = share(sum(row.stops_below == 0 and row.stops_above > 0 for row in rows), len(rows))
+    return claim | {"verdict": verdict_of(claim["found"] == len(rows))}
 
 
 def stable(measured: Measured) -> Claim:
-    rows = [one.multiplier for one in measured.stability if one.multiplier is not None]
-    found = share(sum(row < 1 for row in rows), len(rows))
-    return found | {"verdict": told(found["low"], found["high"], ALMOST_ALWAYS), "most": max(rows, default=None)}
+    rows = [cycle.multiplier for cycle in measured.stability if cycle.multiplier is not None]
+    claim = share(sum(row < 1 for row in rows), len(rows))
+    return claim | {"verdict": told(claim["low"], claim["high"], ALMOST_ALWAYS), "most": max(rows, default=None)}
 
 
 def continuum(measured: Measured) -> Claim:
     rows = measured.shifted
-    moved, apart = max(row.moved for row in rows), max(abs(row.multiplier - 1) for row in rows)
-    verdicts = [verdict_of(moved < _SAME), verdict_of(apart < 10 * _BESIDE)]
-    return {"verdict": every(verdicts), "tried": len(rows), "value": moved, "apart": apart}
+    change, off = max(row.moved for row in rows), max(abs(row.multiplier - 1) for row in rows)
+    verdicts = [verdict_of(change < _SAME), verdict_of(off < 10 * _BESIDE)]
+    return {"verdict": every(verdicts), "tried": len(rows), "value": change, "apart": off}
 
 
 def stops(measured: Measured) -> Claim:
     counts = Counter(stop.stops for stop in measured.stops)
-    found = share(sum(counts[n] for n in PUBLISHED_STOPS), len(measured.stops))
-    seen = sorted(n for n in counts if n is not None)
-    return found | {"verdict": told(found["low"], found["high"], ALMOST_ALWAYS), "seen": seen}
+    claim = share(sum(counts[n] for n in PUBLISHED_STOPS), len(measured.stops))
+    values = sorted(n for n in counts if n is not None)
+    return claim | {"verdict": told(claim["low"], claim["high"], ALMOST_ALWAYS), "seen": values}
 
 
 def steady_sliding(measured: Measured) -> Claim:
     """To the published digits; the published sample within two of its standard errors."""
-    one = measured.basin
-    is_near = abs(one.share - PUBLISHED_BASIN) < 5e-5
-    is_sampled = abs(one.share - PUBLISHED_SAMPLE) < 2 * PUBLISHED_ERROR
-    sample = share(sum(slides for _, _, slides in one.starts), len(one.starts))
-    return sample | {"verdict": every([verdict_of(is_near), verdict_of(is_sampled)]), "value": one.share}
+    basin = measured.basin
+    is_near = abs(basin.share - PUBLISHED_BASIN) < 5e-5
+    is_sampled = abs(basin.share - PUBLISHED_SAMPLE) < 2 * PUBLISHED_ERROR
+    sample = share(sum(slides for _, _, slides in basin.starts), len(basin.starts))
+    return sample | {"verdict": every([verdict_of(is_near), verdict_of(is_sampled)]), "value": basin.share}
 
 
 _CLAIMS = (free_period, damped_period, amplitude, boundary, stable, continuum, stops, steady_sliding)
@@ -378,18 +378,18 @@ def _draw_stops(ax: Axes, scene: OneBlockScene, measured: Measured) -> None:
     ax.plot(frequencies, bound, color="black", linewidth=0.8)
     counts = sorted({stop.stops for stop in measured.stops if stop.stops is not None})
     for k, n in enumerate(counts):
-        some = [stop for stop in measured.stops if stop.stops == n]
-        ax.plot([one.frequency for one in some], [one.friction for one in some], "o", markersize=2.5,
+        points = [stop for stop in measured.stops if stop.stops == n]
+        ax.plot([point.frequency for point in points], [point.friction for point in points], "o", markersize=2.5,
                 color=CYCLE[k % len(CYCLE)], label=str(n))  # fmt: skip
     ax.set(xscale="log", title="(a) stops a cycle of the force", xlabel="frequency Ω", ylabel="friction S")
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7, handletextpad=0.1)
 
 
-def _draw_basin(ax: Axes, one: Basin) -> None:
+def _draw_basin(ax: Axes, basin: Basin) -> None:
     for is_sliding, colour, label in ((True, CYCLE[2], "comes to slide"), (False, CYCLE[0], "sticks and slips")):
-        some = [(z, w) for z, w, slides in one.starts if slides == is_sliding]
-        ax.plot([z for z, _ in some], [w for _, w in some], ".", markersize=3, color=colour, label=label)
-    ax.plot(one.z, one.w, color="black", linewidth=0.9, label="unstable cycle")
-    ax.plot(*np.transpose(one.sticking), color=GREY, linewidth=0.9, label="stick-slip cycle")
+        points = [(z, w) for z, w, slides in basin.starts if slides == is_sliding]
+        ax.plot([z for z, _ in points], [w for _, w in points], ".", markersize=3, color=colour, label=label)
+    ax.plot(basin.z, basin.w, color="black", linewidth=0.9, label="unstable cycle")
+    ax.plot(*np.transpose(basin.sticking), color=GREY, linewidth=0.9, label="stick-slip cycle")
     ax.set(title="(b) starts", xlabel="displacement z", ylabel="velocity z′")
     ax.legend(loc="lower left", fontsize=6, framealpha=0.9, frameon=True)

@@ -78,13 +78,13 @@ class Pair:
         z = 0.5 * difference * np.array([1.0, -1.0])
         z += self.speed - (system.static + system.stiffness @ z).min()  # one leaves after a unit of time
         run = partial(sim.simulate, system, z, -self.speed, tol=TOL, stop_early=False)
-        after = run(_EPISODE)
-        (start, end), *more = spans(after.events)
-        if more or after.n_stick(_EPISODE) < 2:  # the next one has begun
-            after = run(end)
-        left = (system.static + system.stiffness @ after.z).min() / self.speed - (end - after.t_end)
-        size = len(np.unique(after.events.block))
-        return Quake(difference, float(after.z[0] - after.z[1]), size, float(end - start + left))
+        run_on = run(_EPISODE)
+        (start, end), *later = spans(run_on.events)
+        if later or run_on.n_stick(_EPISODE) < 2:  # the next one has begun
+            run_on = run(end)
+        wait = (system.static + system.stiffness @ run_on.z).min() / self.speed - (end - run_on.t_end)
+        size = len(np.unique(run_on.events.block))
+        return Quake(difference, float(run_on.z[0] - run_on.z[1]), size, float(end - start + wait))
 
     def orbit(self, difference: float) -> Iterator[Quake]:
         while True:
@@ -226,20 +226,20 @@ def homogeneous(pair: Pair) -> Together:
 
 def end(pair: Pair, start: float, episodes: int, asymmetry: float | None = None) -> End:
     """The cycle in which a start ends, its stability, and whether it survives an asymmetry."""
-    found = _cycle(pair, start, episodes)
-    at = abs(start) / pair.widest
-    if found is None:
-        return End(pair.coupling, at, "none found")
-    n = len(found)
-    differences, sizes = [quake.before for quake in found], sorted(quake.size for quake in found)
-    slopes = [cycles.slope(lambda x: pair.next(x).after, quake.before, _WIDTH * pair.drop) for quake in found]
+    cycle = _cycle(pair, start, episodes)
+    share = abs(start) / pair.widest
+    if cycle is None:
+        return End(pair.coupling, share, "none found")
+    n = len(cycle)
+    differences, sizes = [quake.before for quake in cycle], sorted(quake.size for quake in cycle)
+    slopes = [cycles.slope(lambda x: pair.next(x).after, quake.before, _WIDTH * pair.drop) for quake in cycle]
     survives = None
     if asymmetry is not None:
-        other = _cycle(Pair(pair.coupling, pair.drop, pair.speed, 1 + asymmetry), differences[0], 4 * _LONGEST)
-        survives = other is not None and sorted(quake.size for quake in other) == sizes
+        perturbed = _cycle(Pair(pair.coupling, pair.drop, pair.speed, 1 + asymmetry), differences[0], 4 * _LONGEST)
+        survives = perturbed is not None and sorted(quake.size for quake in perturbed) == sizes
     return End(
-        pair.coupling, at, _kind(differences, sizes, pair.drop), n, max(map(abs, differences)) / pair.drop,
-        ", ".join(map(str, sizes)), sum(quake.wait for quake in found), abs(float(np.prod(slopes))), survives,
+        pair.coupling, share, _kind(differences, sizes, pair.drop), n, max(map(abs, differences)) / pair.drop,
+        ", ".join(map(str, sizes)), sum(quake.wait for quake in cycle), abs(float(np.prod(slopes))), survives,
     )  # fmt: skip
 
 
@@ -248,7 +248,9 @@ def _cycle(pair: Pair, start: float, episodes: int) -> list[Quake] | None:
     orbit: list[Quake] = []
     for quake in islice(pair.orbit(start), episodes):
         orbit.append(quake)
-        n = cycles.period([[one.before, one.size * pair.drop] for one in orbit], _SAME * pair.drop, _LONGEST)
+        n = cycles.period(
+            [[episode.before, episode.size * pair.drop] for episode in orbit], _SAME * pair.drop, _LONGEST
+        )
         if n is not None:
             return orbit[-n:]
     return None
@@ -282,55 +284,57 @@ def chaos(pair: Pair, start: float) -> Unequal:
 
 
 def unstable(measured: Measured) -> Claim:
-    found = share(sum(one.multiplier > 1 for one in measured.together), len(measured.together))
-    off = [abs(one.multiplier / one.closed - 1) for one in measured.together]
-    return found | {"verdict": told(found["low"], found["high"], ALMOST_ALWAYS), "off": float(np.median(off)),
-                    "least": min(one.multiplier for one in measured.together)}  # fmt: skip
+    claim = share(sum(cycle.multiplier > 1 for cycle in measured.together), len(measured.together))
+    off = [abs(cycle.multiplier / cycle.closed - 1) for cycle in measured.together]
+    return claim | {"verdict": told(claim["low"], claim["high"], ALMOST_ALWAYS), "off": float(np.median(off)),
+                    "least": min(cycle.multiplier for cycle in measured.together)}  # fmt: skip
 
 
 def no_smoothing(measured: Measured) -> Claim:
-    found = share(sum(end.kind not in ("together", "none found") for end in measured.ends), len(measured.ends))
-    return found | {"verdict": told(found["low"], found["high"], IN_GENERAL)}
+    claim = share(sum(end.kind not in ("together", "none found") for end in measured.ends), len(measured.ends))
+    return claim | {"verdict": told(claim["low"], claim["high"], IN_GENERAL)}
 
 
 def two_cycles(measured: Measured) -> Claim:
     """One episode again and again, or two in turns, and both are there."""
     counted = Counter(end.n_cycle for end in measured.ends if end.kind != "together")
-    found = share(counted[1] + counted[2], len(measured.ends))
-    each = [share(counted[n], len(measured.ends)) for n in (2, 1)]
-    verdicts = [told(found["low"], found["high"], ALMOST_ALWAYS)]
-    verdicts += [told(one["low"], one["high"], np.nextafter(0, 1)) for one in each]
-    return found | {"verdict": every(verdicts), "each": each}
+    claim = share(counted[1] + counted[2], len(measured.ends))
+    shares = [share(counted[n], len(measured.ends)) for n in (2, 1)]
+    verdicts = [told(claim["low"], claim["high"], ALMOST_ALWAYS)]
+    verdicts += [told(part["low"], part["high"], np.nextafter(0, 1)) for part in shares]
+    return claim | {"verdict": every(verdicts), "each": shares}
 
 
 def structurally_unstable(measured: Measured) -> Claim:
     """One kind of cycle is gone with the symmetry; the others mostly stay."""
     tried = [end for end in measured.ends if end.survives is not None]
-    alone, others = ([one for one in tried if (one.kind == "alone in turns") == is_so] for is_so in (True, False))
-    gone, stay = (share(sum(bool(one.survives) == is_so for one in some), len(some))
-                  for is_so, some in ((False, alone), (True, others)))  # fmt: skip
-    apart = [abs(end.multiplier - 1) for end in measured.ends if end.kind == "alone in turns" and end.multiplier]
+    turns = [end for end in tried if end.kind == "alone in turns"]
+    rests = [end for end in tried if end.kind != "alone in turns"]
+    gone = share(sum(not end.survives for end in turns), len(turns))
+    stay = share(sum(bool(end.survives) for end in rests), len(rests))
+    distances = [abs(end.multiplier - 1) for end in measured.ends if end.kind == "alone in turns" and end.multiplier]
     return gone | {
         "verdict": every([told(gone["low"], gone["high"], IN_GENERAL), told(stay["low"], stay["high"], IN_GENERAL)]),
-        "stay": stay, "apart": max(apart, default=None),
+        "stay": stay, "apart": max(distances, default=None),
     }  # fmt: skip
 
 
 def only_cycles(measured: Measured) -> Claim:
-    found = share(sum(end.n_cycle is not None for end in measured.ends), len(measured.ends))
-    return found | {"verdict": told(found["low"], found["high"], ALMOST_ALWAYS)}
+    claim = share(sum(end.n_cycle is not None for end in measured.ends), len(measured.ends))
+    return claim | {"verdict": told(claim["low"], claim["high"], ALMOST_ALWAYS)}
 
 
 def chaos_if_unequal(measured: Measured) -> Claim:
     """For some couplings a positive exponent, for others a cycle."""
-    chaotic = [one for one in measured.unequal if one.low is not None and one.low > 0]
-    found = share(len(chaotic), len(measured.unequal))
-    periodic = share(sum(one.n_cycle is not None for one in measured.unequal), len(measured.unequal))
-    some = np.nextafter(0, 1)
-    return found | {
-        "verdict": every([told(one["low"], one["high"], some) for one in (found, periodic)]), "periodic": periodic,
-        "exponents": [one.exponent for one in chaotic],
-    }  # fmt: skip
+    chaotic = [pair for pair in measured.unequal if pair.low is not None and pair.low > 0]
+    claim = share(len(chaotic), len(measured.unequal))
+    periodic = share(sum(pair.n_cycle is not None for pair in measured.unequal), len(measured.unequal))
+    positive = np.nextafter(0, 1)
+    return claim | {
+        "verdict": every([told(part["low"], part["high"], positive) for part in (claim, periodic)]),
+        "periodic": periodic,
+        "exponents": [pair.exponent for pair in chaotic],
+    }
 
 
 _CLAIMS = (unstable, no_smoothing, two_cycles, structurally_unstable, only_cycles, chaos_if_unequal)
@@ -340,12 +344,12 @@ def kinds(measured: Measured) -> list[dict[str, Any]]:
     """For each kind of cycle: the number of starts that end in it, their multipliers and couplings."""
     rows = []
     for kind, _ in Counter(end.kind for end in measured.ends).most_common():
-        some = [end for end in measured.ends if end.kind == kind]
-        slopes = [one.multiplier for one in some if one.multiplier is not None]
+        ends = [end for end in measured.ends if end.kind == kind]
+        slopes = [cycle.multiplier for cycle in ends if cycle.multiplier is not None]
         rows.append({
-            "kind": kind, **share(len(some), len(measured.ends)),
+            "kind": kind, **share(len(ends), len(measured.ends)),
             "least": min(slopes, default=None), "most": max(slopes, default=None),
-            "first": min(one.coupling for one in some), "last": max(one.coupling for one in some),
+            "first": min(cycle.coupling for cycle in ends), "last": max(cycle.coupling for cycle in ends),
         })  # fmt: skip
     return rows
 
@@ -354,20 +358,22 @@ def draw(scene: TwoBlocksScene, measured: Measured) -> Figure:
     """The multiplier of the homogeneous cycle over the coupling, and where each start ends."""
     with styled():
         figure, axes = subplots(1, 2, 3.2)
-        left, right = axes[0]
+        ax_cycle, ax_ends = axes[0]
         low, high = scene.coupling
         k = np.geomspace(low, high, 2000)
-        closed = [multiplier(one, scene.drop, scene.belt_speed) for one in k]
-        left.loglog(k, closed, color=GREY, linewidth=0.8, label="closed form")
-        left.loglog([one.coupling for one in measured.together], [one.multiplier for one in measured.together],
-                    ".", color=CYCLE[0], markersize=3, label="exact engine")  # fmt: skip
-        left.axhline(1.0, color="black", linewidth=0.8, linestyle="--", label="stable below")
-        left.set(title="(a) both blocks together: |dD′/dD|", xlabel="coupling k", ylim=(0.3, None))
-        left.legend(loc="lower left", fontsize=7)
+        closed = [multiplier(coupling, scene.drop, scene.belt_speed) for coupling in k]
+        ax_cycle.loglog(k, closed, color=GREY, linewidth=0.8, label="closed form")
+        points = np.array([(cycle.coupling, cycle.multiplier) for cycle in measured.together])
+        ax_cycle.loglog(*points.T, ".", color=CYCLE[0], markersize=3, label="exact engine")
+        ax_cycle.axhline(1.0, color="black", linewidth=0.8, linestyle="--", label="stable below")
+        ax_cycle.set(title="(a) both blocks together: |dD′/dD|", xlabel="coupling k", ylim=(0.3, None))
+        ax_cycle.legend(loc="lower left", fontsize=7)
         for colour, row in zip(CYCLE, kinds(measured), strict=False):
-            some = [end for end in measured.ends if end.kind == row["kind"]]
-            right.semilogx([one.coupling for one in some], [one.share for one in some], "o", color=colour,
+            ends = [end for end in measured.ends if end.kind == row["kind"]]
+            ax_ends.semilogx([cycle.coupling for cycle in ends], [cycle.share for cycle in ends], "o", color=colour,
                            markersize=3, label=row["kind"])  # fmt: skip
-        right.set(title="(b) where each start ends", xlabel="coupling k", ylabel="|D| at the start, over the largest")
-        legend(figure, 4, [right])
+        ax_ends.set(
+            title="(b) where each start ends", xlabel="coupling k", ylabel="|D| at the start, over the largest"
+        )
+        legend(figure, 4, [ax_ends])
     return figure

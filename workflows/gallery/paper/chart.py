@@ -28,28 +28,28 @@ class PaperScene(Asked):
 
     def measure(self, say: Say) -> Measured:
         """The measurements that the figures show and the claims are judged by."""
-        found = Measured(*([] for _ in Measured.__dataclass_fields__))
+        measured = Measured(*([] for _ in Measured.__dataclass_fields__))
         if 1 in self.figures:
-            found.portraits.extend(map(figures_1_2.portrait, (-ONE[3], ONE[3])))
+            measured.portraits.extend(map(figures_1_2.portrait, (-ONE[3], ONE[3])))
         if 2 in self.figures:
-            found.parallelograms.extend((figures_1_2.parallelogram(1), figures_1_2.parallelogram(-1)))
-            found.uniqueness.append(figures_1_2.uniqueness())
+            measured.parallelograms.extend((figures_1_2.parallelogram(1), figures_1_2.parallelogram(-1)))
+            measured.uniqueness.append(figures_1_2.uniqueness())
         if 6 in self.figures:
-            found.blow_ups.extend(figure_6.blow_ups())
-            found.slow_runs.extend(figure_6.slow_run(side) for side in (1, -1))
-            found.modes.extend(figure_6.modes_in_time())
+            measured.blow_ups.extend(figure_6.blow_ups())
+            measured.slow_runs.extend(figure_6.slow_run(side) for side in (1, -1))
+            measured.modes.extend(figure_6.modes_in_time())
         asks = list(dict.fromkeys(self.asks()))
         paths = []
         for k, path in enumerate(run_all(asks, self.seed, self.eps, self.workers), start=1):
             paths.append(path)
-            found.traces.extend(figures_3_to_5.traces(path, self.t_shown, self.n))
+            measured.traces.extend(figures_3_to_5.traces(path, self.t_shown, self.n))
             if k % 20 == 0 or k == len(asks):
                 say(f"{k} of {len(asks)} runs")
-        found.runs.extend(figures_3_to_5.rows(paths, self.t_burn))
-        found.pairings.extend(figures_3_to_5.pairings(paths, self.t_burn))
+        measured.runs.extend(figures_3_to_5.rows(paths, self.t_burn))
+        measured.pairings.extend(figures_3_to_5.pairings(paths, self.t_burn))
         if 5 in self.figures:
-            found.cascades.extend(figures_3_to_5.cascade_laws(paths, self.n[-1], self.dt, self.t_burn))
-        return found
+            measured.cascades.extend(figures_3_to_5.cascade_laws(paths, self.n[-1], self.dt, self.t_burn))
+        return measured
 
     def show(self, measured: Measured) -> Shown:
         """Tables: `claims`; and of the figures asked for `corners`, `runs`, `cascades`, `paths`, `hidden`."""
@@ -58,14 +58,14 @@ class PaperScene(Asked):
         slow = [event for run in measured.slow_runs for event in run.events]
         tables: dict[str, pd.DataFrame] = {"claims": table(judged)}
         tables |= {
-            name: frame(rows, of)
-            for name, rows, of in (
+            name: frame(rows, row)
+            for name, rows, row in (
                 ("corners", corners, Corner), ("runs", measured.runs, Row), ("cascades", measured.cascades, Cascades),
                 ("paths", measured.pairings, Pairing), ("hidden", slow, SlowEvent),
             )
             if rows
         }  # fmt: skip
-        drawn: dict[int, list[Recipe]] = {
+        recipes: dict[int, list[Recipe]] = {
             1: [partial(figures_1_2.phase_portrait, portrait) for portrait in measured.portraits],
             2: [
                 *(partial(figures_1_2.region, parallelogram) for parallelogram in measured.parallelograms),
@@ -74,18 +74,18 @@ class PaperScene(Asked):
             3: figures_3_to_5.panels(measured.traces, 3),
             4: figures_3_to_5.panels(measured.traces, 4),
             5: figures_3_to_5.panels(measured.traces, 5),
-            6: [partial(figure_6.fast_flow, one) for one in measured.blow_ups],
+            6: [partial(figure_6.fast_flow, flow) for flow in measured.blow_ups],
         }
         if 4 in self.figures:
-            drawn[4].append(partial(figures_3_to_5.escape_times, measured.runs, self.t_few))
+            recipes[4].append(partial(figures_3_to_5.escape_times, measured.runs, self.t_few))
         if 5 in self.figures:
-            drawn[5].append(partial(figures_3_to_5.size_law, measured.cascades))
+            recipes[5].append(partial(figures_3_to_5.size_law, measured.cascades))
         if 6 in self.figures:
-            drawn[6].append(partial(figure_6.slow_modes, measured.modes, measured.slow_runs))
+            recipes[6].append(partial(figure_6.slow_modes, measured.modes, measured.slow_runs))
         figures = {
             f"figure{number}_{k}": recipe
             for number in self.figures
-            for k, recipe in enumerate(drawn[number], start=1)
+            for k, recipe in enumerate(recipes[number], start=1)
         }
         facts = {"claims": judged, "pair": figures_1_2, "force": figure_6.FORCE, "panels": list(figures)}
         return Shown(facts, tables, figures)

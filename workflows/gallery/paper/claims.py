@@ -71,10 +71,10 @@ def _median(times: Sequence[float]) -> Estimate:
     return median(np.array(times), np.full(len(times), True), CONFIDENCE)
 
 
-def _share(rows: Sequence[Row], *of: str) -> Claim:
+def _share(rows: Sequence[Row], *fates: str) -> Claim:
     """Share of runs with some fates; its interval takes the quiet ones, which cannot be told, either way."""
-    found, quiet = (sum(row.fate in some for row in rows) for some in (of, (QUIET,)))
-    return share(found, len(rows)) | {"high": share(found + quiet, len(rows))["high"], "quiet": quiet}
+    n_found, quiet = (sum(row.fate in wanted_fates for row in rows) for wanted_fates in (fates, (QUIET,)))
+    return share(n_found, len(rows)) | {"high": share(n_found + quiet, len(rows))["high"], "quiet": quiet}
 
 
 def _of(measured: Measured, study: str, n: int | None = None) -> list[Row]:
@@ -101,11 +101,11 @@ def double_exit(scene: Asked, measured: Measured) -> Claim:
 
 
 def determinacy(scene: Asked, measured: Measured) -> Claim:
-    (one,) = measured.uniqueness
-    growth = max(one.apart) / figures_1_2.APART
+    (measure,) = measured.uniqueness
+    growth = max(measure.apart) / figures_1_2.APART
     return {
-        "verdict": verdict_of(growth > 10.0 or one.coulomb > 1), "tried": len(one.apart), "value": growth,
-        "static": one.static, "static_over": figures_1_2.RATIO,
+        "verdict": verdict_of(growth > 10.0 or measure.coulomb > 1), "tried": len(measure.apart), "value": growth,
+        "static": measure.static, "static_over": figures_1_2.RATIO,
     }  # fmt: skip
 
 
@@ -118,9 +118,9 @@ def few_come_to_rest(scene: Asked, measured: Measured) -> Claim:
 
 def more_come_to_rest(scene: Asked, measured: Measured) -> Claim:
     """Most do, and half of these near the paper's time."""
-    found = _rest(_of(measured, "long", scene.n[-2:][0]))
-    half = _median(found["ends"])
-    return found | {"verdict": every([found["verdict"], told(half.low, half.high, BRINK / NEAR, BRINK * NEAR)])}
+    claim = _rest(_of(measured, "long", scene.n[-2:][0]))
+    half = _median(claim["ends"])
+    return claim | {"verdict": every([claim["verdict"], told(half.low, half.high, BRINK / NEAR, BRINK * NEAR)])}
 
 
 def _rest(rows: Sequence[Row]) -> Claim:
@@ -160,20 +160,22 @@ def _changed(scene: Asked, measured: Measured, study: str) -> list[Claim]:
 
 
 def _against(rows: Sequence[Row], bases: Mapping[int, Row]) -> Claim:
-    fates, usual = (Counter(_KINDS[row.fate] for row in some) for some in (rows, [bases[row.matrix] for row in rows]))
-    both = [{_KINDS[row.fate], _KINDS[bases[row.matrix].fate]} for row in rows]
-    changed = share(sum(len(kinds - {QUIET}) > 1 for kinds in both), len(rows))
+    fates, usual = (
+        Counter(_KINDS[row.fate] for row in group) for group in (rows, [bases[row.matrix] for row in rows])
+    )
+    ends = [{_KINDS[row.fate], _KINDS[bases[row.matrix].fate]} for row in rows]
+    changed = share(sum(len(kinds - {QUIET}) > 1 for kinds in ends), len(rows))
     means = [(row.mean, bases[row.matrix].mean) for row in rows]
     pairs = np.array([(mean - base, base) for mean, base in means if mean is not None and base])
-    moved = over_matrices(ratio, pairs, CONFIDENCE) if fates["moving"] == len(rows) and len(pairs) else Estimate()
+    shift = over_matrices(ratio, pairs, CONFIDENCE) if fates["moving"] == len(rows) and len(pairs) else Estimate()
     untold = fates[QUIET] + usual[QUIET]
     is_other = fates != usual and not untold
     # a few runs that end otherwise contradict only if their share is beyond the margin with its whole interval
     is_open = changed["found"] or untold
-    verdict = told(changed["low"], 1.0, most=MARGIN) if is_open else alike(moved, MARGIN)
+    verdict = told(changed["low"], 1.0, most=MARGIN) if is_open else alike(shift, MARGIN)
     return {
         "n_runs": len(rows), "fates": Counter(row.fate for row in rows),
-        "moved": moved.value, "low": moved.low, "high": moved.high,
+        "moved": shift.value, "low": shift.low, "high": shift.high,
         "is_other": is_other, "alike": verdict,
     }  # fmt: skip
 
@@ -182,8 +184,8 @@ def key_parameters(scene: Asked, measured: Measured) -> Claim:
     """A constant is key if halving or doubling it changes the fate; a few runs cannot show that it never does."""
     rows = _changed(scene, measured, "keys")
     key = {name: any(row["is_other"] for row in rows if row["setting"].startswith(name)) for name in SCALES}
-    named = all(key[name] for name in ("belt_speed", "rho", "kappa"))
-    verdict = UNTOLD if not named else CORRECTED if key["friction"] else REPRODUCED
+    is_named = all(key[name] for name in ("belt_speed", "rho", "kappa"))
+    verdict = UNTOLD if not is_named else CORRECTED if key["friction"] else REPRODUCED
     return {"verdict": verdict, "rows": rows, "key": key}
 
 
@@ -193,15 +195,18 @@ def details(scene: Asked, measured: Measured) -> Claim:
     How K is drawn is not such a detail; the six readings of it are listed too, by n: which end as in figure 3?
     """
     rows = _changed(scene, measured, "details")
-    wanted = [*((COLLAPSED,) for _ in scene.n[:-1]), MOVING]
+    fates = [*((COLLAPSED,) for _ in scene.n[:-1]), MOVING]
     readings: list[Claim] = []
     for coupling in sim.COUPLINGS:
         by_n = [[row for row in _of(measured, "readings", n) if row.setting == coupling] for n in scene.n]
         fits, may_fit = (
-            all(any(row.fate in (*ends, *more) for row in some) for some, ends in zip(by_n, wanted, strict=True))
-            for more in ((), (QUIET,))
+            all(
+                any(row.fate in (*ends, *open_fates) for row in group)
+                for group, ends in zip(by_n, fates, strict=True)
+            )
+            for open_fates in ((), (QUIET,))
         )
-        counts = [Counter(row.fate for row in some) for some in by_n]
+        counts = [Counter(row.fate for row in group) for group in by_n]
         verdict = verdict_of(fits, UNTOLD if may_fit else CONTRADICTED)
         readings.append({"coupling": coupling, "verdict": verdict, "counts": counts})
     return {"verdict": every([row["alike"] for row in rows]), "rows": rows, "readings": readings}
@@ -212,15 +217,15 @@ def details(scene: Asked, measured: Measured) -> Claim:
 
 def sensitive(scene: Asked, measured: Measured) -> Claim:
     """Whether runs with a small change part from the unchanged ones by `t_shown`: under each change most do."""
-    each = {}
-    for one in LITTLE:
-        rows = [row for row in _of(measured, "lasting") if row.setting == one]
+    shares = {}
+    for change in LITTLE:
+        rows = [row for row in _of(measured, "lasting") if row.setting == change]
         times = sorted(row.t_apart for row in rows if row.t_apart is not None and row.t_apart <= scene.t_shown)
-        each[one] = share(len(times), len(rows)) | {"times": times}
-    fewest = min(each.values(), key=lambda one: one["low"] or 0.0)
+        shares[change] = share(len(times), len(rows)) | {"times": times}
+    fewest = min(shares.values(), key=lambda part: part["low"] or 0.0)
     return {name: fewest[name] for name in ("found", "tried", "low", "high")} | {
-        "verdict": every([told(one["low"], one["high"], MOST) for one in each.values()]),
-        "each": each, "size": scene.size,
+        "verdict": every([told(part["low"], part["high"], MOST) for part in shares.values()]),
+        "each": shares, "size": scene.size,
         "is_few_at_rest": all(row.fate == COLLAPSED for row in _of(measured, "r", scene.n[0])),
     }  # fmt: skip
 
@@ -234,63 +239,65 @@ def robust(scene: Asked, measured: Measured) -> Claim:
     by_setting: dict[str, dict[int, Row]] = {}
     for row in _of(measured, "lasting"):
         by_setting.setdefault(row.setting, {})[row.matrix] = row
-    all_of = [by_setting.get(one, {}) for one in ("unchanged", "start", *LITTLE)]
-    kept = [
+    all_of = [by_setting.get(setting, {}) for setting in ("unchanged", "start", *LITTLE)]
+    means = [
         [rows[k].mean for rows in all_of]
         for k in all_of[0]
         if all(k in rows and rows[k].fate in MOVING for rows in all_of)
     ]
-    moving = {one: _share(list(by_setting.get(one, {}).values()), *MOVING) for one in ("unchanged", *LITTLE)}
-    facts = {"moving": moving, "bound": BOUND, "tried": len(kept), "size": scene.size}
-    if len(kept) < LEAST_MATRICES:
+    moving = {
+        setting: _share(list(by_setting.get(setting, {}).values()), *MOVING) for setting in ("unchanged", *LITTLE)
+    }
+    facts = {"moving": moving, "bound": BOUND, "tried": len(means), "size": scene.size}
+    if len(means) < LEAST_MATRICES:
         return facts | {"verdict": UNTOLD, "rms": None}
-    values = np.array(kept, dtype=float)
-    found = components.against_redraw(values[:, :2], values[:, 2:], CONFIDENCE)
-    theta = found.theta
+    values = np.array(means, dtype=float)
+    result = components.against_redraw(values[:, :2], values[:, 2:], CONFIDENCE)
+    theta = result.theta
     return facts | {
-        "verdict": REPRODUCED if found.is_below(BOUND)
-        else CONTRADICTED if found.is_above(BOUND)
+        "verdict": REPRODUCED if result.is_below(BOUND)
+        else CONTRADICTED if result.is_above(BOUND)
         else UNTOLD,
-        "value": theta.value if found.is_bounded else None, "low": theta.low, "high": theta.high,
+        "value": theta.value if result.is_bounded else None, "low": theta.low, "high": theta.high,
         "rms": {
-            name: float(np.sqrt(of) / values[:, :2].mean())
-            for name, of in (("change", found.change), ("start", found.replicate), ("matrix", found.redraw))
+            name: float(np.sqrt(square) / values[:, :2].mean())
+            for name, square in (("change", result.change), ("start", result.replicate), ("matrix", result.redraw))
         },
     }  # fmt: skip
 
 
 def oscillations(scene: Asked, measured: Measured) -> Claim:
     """Half of the runs have a period near the paper's; beside it the runs without noise and with the least."""
-    found = _dampings(scene, measured, STRONG)
+    claim = _dampings(scene, measured, STRONG)
     runs = _of(measured, "base", scene.n[-1]) + _of(measured, "dampings")
-    seen: dict[float, list[tuple[float, float]]] = {}
+    by_size: dict[float, list[tuple[float, float]]] = {}
     for row in sorted(runs, key=lambda row: row.size):
         if row.period is not None and row.swing is not None:
-            seen.setdefault(row.size, []).append((row.period, row.swing))
-    if found["found"] is None or STRONG not in seen:
+            by_size.setdefault(row.size, []).append((row.period, row.swing))
+    if claim["found"] is None or STRONG not in by_size:
         return {"found": None, "verdict": UNTOLD}
-    half, near = _median([period for period, _ in seen[STRONG]]), (PERIOD / NEAR, PERIOD * NEAR)
-    less = [one for size, some in list(seen.items())[:2] for one in some if size < STRONG]
-    return found | {
-        "verdict": told(half.low, half.high, *near),
-        "seen": {size: seen[size] for size in [*list(seen)[:2], STRONG]},
-        "is_old": bool(less) and all(near[0] <= period <= near[1] for period, _ in less),
-        "is_wider": min(swing for _, swing in seen[STRONG]) > max((swing for _, swing in less), default=0.0),
+    half, bounds = _median([period for period, _ in by_size[STRONG]]), (PERIOD / NEAR, PERIOD * NEAR)
+    less = [pair for size, pairs in list(by_size.items())[:2] for pair in pairs if size < STRONG]
+    return claim | {
+        "verdict": told(half.low, half.high, *bounds),
+        "seen": {size: by_size[size] for size in [*list(by_size)[:2], STRONG]},
+        "is_old": bool(less) and all(bounds[0] <= period <= bounds[1] for period, _ in less),
+        "is_wider": min(swing for _, swing in by_size[STRONG]) > max((swing for _, swing in less), default=0.0),
     }  # fmt: skip
 
 
 def collapse_at_strongest(scene: Asked, measured: Measured) -> Claim:
     """Most collapse; or, corrected, run away: under both readings of what is moved, as the paper names neither."""
-    found = _dampings(scene, measured, STRONGEST)
+    claim = _dampings(scene, measured, STRONGEST)
     by_size = [row for row in _of(measured, "dampings") if row.size == STRONGEST]
     noisy, scaled = (_share(rows, COLLAPSED) for rows in (by_size, _of(measured, "scaled")))
-    if found["found"] is None or not scaled["tried"]:
-        return found | {"verdict": UNTOLD, "scaled": scaled}
-    otherwise = CORRECTED if found["low"] > MOST else CONTRADICTED
+    if claim["found"] is None or not scaled["tried"]:
+        return claim | {"verdict": UNTOLD, "scaled": scaled}
+    otherwise = CORRECTED if claim["low"] > MOST else CONTRADICTED
     by_reading = {
         told(noisy["low"], noisy["high"], MOST, otherwise=otherwise), told(scaled["low"], scaled["high"], MOST),
     }  # fmt: skip
-    return found | {"verdict": by_reading.pop() if len(by_reading) == 1 else UNTOLD, "scaled": scaled}
+    return claim | {"verdict": by_reading.pop() if len(by_reading) == 1 else UNTOLD, "scaled": scaled}
 
 
 def _dampings(scene: Asked, measured: Measured, size: float) -> Claim:
@@ -307,11 +314,11 @@ def paths_and_laws(scene: Asked, measured: Measured) -> Claim:
 
     All three are needed: shared exits are those of chance to within `COMMON`, mean n_stick and gamma alike.
     """
-    found = measured.pairings
-    rows = np.array([(one.shared, one.by_chance, one.n_exits) for one in found], dtype=float).reshape(-1, 3)
-    means = np.array([(one.mean_smoothed - one.mean, one.mean) for one in found]).reshape(-1, 2)
+    pairings = measured.pairings
+    rows = np.array([(pair.shared, pair.by_chance, pair.n_exits) for pair in pairings], dtype=float).reshape(-1, 3)
+    means = np.array([(pair.mean_smoothed - pair.mean, pair.mean) for pair in pairings]).reshape(-1, 2)
     sizes = np.array([
-        (one.size_smoothed, one.cascades_smoothed, one.size, one.cascades) for one in found
+        (pair.size_smoothed, pair.cascades_smoothed, pair.size, pair.cascades) for pair in pairings
     ], dtype=float).reshape(-1, 4)  # fmt: skip
     shared = over_matrices(lambda s: s[:, 0] / s[:, 2], rows, CONFIDENCE)
     chance = over_matrices(lambda s: s[:, 1] / s[:, 2], rows, CONFIDENCE)
@@ -320,7 +327,7 @@ def paths_and_laws(scene: Asked, measured: Measured) -> Claim:
     steep = over_matrices(lambda s: law_gamma(s[:, :2]) / law_gamma(s[:, 2:]) - 1, sizes, CONFIDENCE)
     return {
         "verdict": every([alike(beyond, COMMON), alike(mean, MARGIN), alike(steep, SAME)]),
-        "tried": len(found), "value": shared.value, "low": shared.low, "high": shared.high, "chance": chance.value,
+        "tried": len(pairings), "value": shared.value, "low": shared.low, "high": shared.high, "chance": chance.value,
         "mean": mean, "gamma": steep, "t_from": scene.t_burn,
     }  # fmt: skip
 
@@ -354,8 +361,8 @@ def form(scene: Asked, measured: Measured) -> Claim:
 
 def _ends(rows: Sequence[Cascades], low: str, high: str) -> tuple[float | None, float | None]:
     """The lowest and the highest end of the intervals of all readings."""
-    read = [row for row in rows if row.definition in READINGS]
-    lows, highs = ([end for row in read if (end := getattr(row, name)) is not None] for name in (low, high))
+    readings = [row for row in rows if row.definition in READINGS]
+    lows, highs = ([end for row in readings if (end := getattr(row, name)) is not None] for name in (low, high))
     return min(lows, default=None), max(highs, default=None)
 
 
@@ -370,8 +377,8 @@ def gamma(scene: Asked, measured: Measured) -> Claim:
     ]
     around = [
         (short, long)
-        for (short, one), (long, other) in pairwise(sorted(steps))
-        if min(one, other) <= PAPER_GAMMA <= max(one, other)
+        for (short, gamma_short), (long, gamma_long) in pairwise(sorted(steps))
+        if min(gamma_short, gamma_long) <= PAPER_GAMMA <= max(gamma_short, gamma_long)
     ]
     ends = PAPER_GAMMA * (1 - SAME), PAPER_GAMMA * (1 + SAME)
     return {
@@ -384,22 +391,22 @@ def gamma(scene: Asked, measured: Measured) -> Claim:
 
 def clusters(scene: Asked, measured: Measured) -> Claim:
     """gamma by events over that of the toss of a coin; clusters would make it shallower, and by much."""
-    one = by_definition(measured.cascades, "events")
-    if one is None or one.gamma is None or one.low is None or one.high is None:
+    law = by_definition(measured.cascades, "events")
+    if law is None or law.gamma is None or law.low is None or law.high is None:
         return {"verdict": UNTOLD, "value": None}
-    value, low, high = (of / LN2 - 1.0 for of in (one.gamma, one.low, one.high))
+    value, low, high = (rate / LN2 - 1.0 for rate in (law.gamma, law.low, law.high))
     return {"verdict": told(low, high, most=CLUSTERED), "value": value, "low": low, "high": high,
             "clustered": -CLUSTERED}  # fmt: skip
 
 
 def cascade_bound(scene: Asked, measured: Measured) -> Claim:
-    one = by_definition(measured.cascades, "events")
-    largest = one.largest if one else 0
+    law = by_definition(measured.cascades, "events")
+    largest = law.largest if law else 0
     return {"verdict": verdict_of(largest > scene.n[-1], CORRECTED), "found": largest, "n": scene.n[-1]}
 
 
 def two_modes(scene: Asked, measured: Measured) -> Claim:
-    modes = next(one.modes for one in measured.blow_ups if one.law == "modified")
+    modes = next(flow.modes for flow in measured.blow_ups if flow.law == "modified")
     stable, saddles = ([mode[:2] for mode in modes if mode[2] == is_stable] for is_stable in (True, False))
     return {"verdict": verdict_of(len(stable) == 2), "stable": stable, "saddles": saddles}
 

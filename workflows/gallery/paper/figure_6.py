@@ -69,13 +69,13 @@ def blow_ups() -> list[BlowUp]:
     axis = np.linspace(-1.0, 1.0, 41)
     force = np.array([FORCE, -FORCE])
     laws: dict[str, SwitchingLaw] = {"Coulomb": Coulomb(), "modified": Modified()}
-    found = []
+    flows = []
     for name, law in laws.items():
         blow_up = Blowup(law, np.ones(2))
         rate = np.array([[blow_up.rhs(force, np.array([x, y])) for x in axis] for y in axis])
         modes = [(float(m.lam[0]), float(m.lam[1]), m.is_stable) for m in blow_up.sticking_modes(force)]
-        found.append(BlowUp(name, axis.tolist(), np.moveaxis(rate, 2, 0).tolist(), modes))
-    return found
+        flows.append(BlowUp(name, axis.tolist(), np.moveaxis(rate, 2, 0).tolist(), modes))
+    return flows
 
 
 def held(system: sim.System) -> Floats:
@@ -92,13 +92,13 @@ def slow_run(side: int) -> SlowRun:
     system, law = pair(1), Modified()
     slip = np.full(2, side)
     at_belt = np.concatenate([held(system), np.full(2, V)])
-    rest = np.concatenate([system.rest_state(slip), np.zeros(2)])
-    start = rest + expm(-BEFORE * system.slip_matrix()) @ (at_belt - rest)
+    equilibrium = np.concatenate([system.rest_state(slip), np.zeros(2)])
+    start = equilibrium + expm(-BEFORE * system.slip_matrix()) @ (at_belt - equilibrium)
     run = run_with_law(system, law, start[:2], start[2:], BEFORE + AFTER)
     blow_up = Blowup(law, system.friction)
     held_by = [(segment, *_mode_of(system, blow_up, segment)) for segment in run.segments if not segment.slip.any()]
     times = [float(t) - BEFORE for _, when, _ in held_by for t in when]
-    lam = [one for _, _, path in held_by for one in path]
+    lam = [point for _, _, path in held_by for point in path]
     events = [
         SlowEvent(side, _tidy(e.t - BEFORE), e.kind, e.cause, e.block, *_tidy(e.lam_before), *_tidy(e.lam))
         for e in run.events
@@ -138,17 +138,17 @@ def modes_in_time() -> list[tuple[float, float, bool]]:
 
 
 @panel()
-def fast_flow(ax: Axes, one: BlowUp) -> None:
+def fast_flow(ax: Axes, flow: BlowUp) -> None:
     """The fast flow in the box of (lambda_1, lambda_2), stable modes filled, others open."""
-    axis = np.asarray(one.axis)
-    right, up = np.array(one.rate)
+    axis = np.asarray(flow.axis)
+    right, up = np.array(flow.rate)
     ax.streamplot(axis, axis, right, up, color=BLUE, density=0.7, linewidth=0.8, broken_streamlines=False)
     for is_stable, label in ((True, "sticking mode, stable"), (False, "sticking mode, saddle")):
-        some = [(x, y) for x, y, holds in one.modes if holds == is_stable]
-        if some:
-            ax.plot(*zip(*some, strict=True), "o", color=ORANGE if is_stable else "white", markersize=8, zorder=5,
+        modes = [(x, y) for x, y, holds in flow.modes if holds == is_stable]
+        if modes:
+            ax.plot(*zip(*modes, strict=True), "o", color=ORANGE if is_stable else "white", markersize=8, zorder=5,
                     markeredgecolor="black", linestyle="none", label=label)  # fmt: skip
-    ax.set(title=f"({'a' if one.law == 'Coulomb' else 'b'}) {one.law} law", xlabel="λ₁", ylabel="λ₂",
+    ax.set(title=f"({'a' if flow.law == 'Coulomb' else 'b'}) {flow.law} law", xlabel="λ₁", ylabel="λ₂",
            xlim=(-1, 1), ylim=(-1, 1), aspect="equal")  # fmt: skip
     ax.spines[["top", "right"]].set_visible(True)
     ax.figure.legend(loc="outside lower center", ncols=2, fontsize=7)
@@ -158,12 +158,12 @@ def fast_flow(ax: Axes, one: BlowUp) -> None:
 def slow_modes(ax: Axes, points: Sequence[tuple[float, float, bool]], runs: Sequence[SlowRun]) -> None:
     """lambda_2 of the sticking modes in slow time, and of the two runs."""
     for is_wanted, marker, size, label in ((True, "o", 3.5, "mode, stable"), (False, "x", 3.0, "mode, saddle")):
-        seen = [(t, y) for t, y, is_stable in points if is_stable == is_wanted]
-        ax.plot(*np.array(seen).reshape(-1, 2).T, marker, color=GREY, markersize=size, alpha=0.4, label=label)
+        values = [(t, y) for t, y, is_stable in points if is_stable == is_wanted]
+        ax.plot(*np.array(values).reshape(-1, 2).T, marker, color=GREY, markersize=size, alpha=0.4, label=label)
     for k, run in enumerate(runs):
         t, lam = np.array(run.t), np.array(run.lam[1])
-        shown = t <= SHOWN
+        early = t <= SHOWN
         label = "run from λ = " + ("(1, 1)" if run.side > 0 else "(−1, −1)")
-        ax.plot(t[shown], lam[shown], color=CYCLE[k], linestyle="-" if k == 0 else "--", linewidth=2, label=label)
+        ax.plot(t[early], lam[early], color=CYCLE[k], linestyle="-" if k == 0 else "--", linewidth=2, label=label)
     ax.set(title="(c) modified law in slow time", xlabel="time t", ylabel="λ₂")
     ax.legend(fontsize=7, loc="center right")

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from stickslip import sim
 from stickslip.analysis.style import BLUE, CYCLE, GREY, ORANGE, PURPLE, panel
 from stickslip.workflows.gallery.charts.peers import Floats
-from stickslip.workflows.gallery.theory import folds, strata
+from stickslip.workflows.gallery.theory import folds
 from stickslip.workflows.gallery.theory.blowup import continuations
 from stickslip.workflows.gallery.theory.laws import Coulomb, StaticAboveKinetic
 
@@ -134,17 +134,17 @@ def pair(sign: Literal[1, -1]) -> sim.System:
 
 def corner(system: sim.System, sides: tuple[int, int]) -> Floats:
     """Where both blocks are at the edge of sticking, lambda = `sides`; shape (2,)."""
-    (found,) = (corner for corner in strata.corners(system) if corner.sides == sides)
-    return found.point
+    (match,) = (corner for corner in folds.corners(system) if corner.sides == sides)
+    return match.point
 
 
 def parallelogram(sign: Literal[1, -1]) -> Parallelogram:
     """Corners and the paths (a), (b), (c) under one sign of the coupling."""
     system = pair(sign)
     corners: list[Corner] = []
-    for one in strata.parallelogram(system):
-        (a, b), (x, y), (first, second) = one.sides, one.point, one.visibility()
-        corners.append(Corner(sign, a, b, float(x), float(y), str(first), str(second)))
+    for vertex in folds.parallelogram(system):
+        (a, b), (x, y), (fold_1, fold_2) = vertex.sides, vertex.point, vertex.visibility
+        corners.append(Corner(sign, a, b, float(x), float(y), str(fold_1), str(fold_2)))
     lead = 0.5  # time on the belt before the corner
     belt = np.full(2, V)
     starts = {"a": np.zeros(2), "b": corner(system, (1, 1)) - lead * belt, "c": corner(system, (1, -1))}
@@ -153,8 +153,8 @@ def parallelogram(sign: Literal[1, -1]) -> Parallelogram:
     for case, z0 in starts.items():
         run = sim.simulate(system, z0, belt, times[-1], t_eval=times, stop_early=False)
         z, w, events = run.samples.z, run.samples.w, run.events
-        listed = [(float(t), int(i), int(m)) for t, i, m in zip(events.t, events.block, events.mode, strict=True)]
-        paths.append(Path2(case, times.tolist(), z.T.tolist(), w.T.tolist(), listed))
+        changes = [(float(t), int(i), int(m)) for t, i, m in zip(events.t, events.block, events.mode, strict=True)]
+        paths.append(Path2(case, times.tolist(), z.T.tolist(), w.T.tolist(), changes))
     return Parallelogram(sign, corners, paths)
 
 
@@ -167,16 +167,16 @@ def uniqueness() -> Uniqueness:
     def run(z0: Floats) -> sim.Run:
         return sim.simulate(system, z0, belt, FOLLOWED, t_eval=times, stop_early=False)
 
-    middle, apart, n_events = run(start).samples, [], []
+    middle, distances, n_events = run(start).samples, [], []
     for angle in 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
-        moved = run(start + APART * np.array([np.cos(angle), np.sin(angle)]))
-        distance = ((moved.samples.z - middle.z) ** 2 + (moved.samples.w - middle.w) ** 2).sum(axis=1)
-        apart.append(float(np.sqrt(distance.max())))
-        n_events.append(len(moved.events))
+        neighbour = run(start + APART * np.array([np.cos(angle), np.sin(angle)]))
+        distance = ((neighbour.samples.z - middle.z) ** 2 + (neighbour.samples.w - middle.w) ** 2).sum(axis=1)
+        distances.append(float(np.sqrt(distance.max())))
+        n_events.append(len(neighbour.events))
     rho, kappa, mu, speed = ONE
-    one, z = single(-speed), (rho * speed - 0.5 * (1.0 + RATIO) * mu) / kappa
-    futures = (len(continuations(one, law, z, -speed)) for law in (Coulomb(), StaticAboveKinetic(RATIO)))
-    return Uniqueness(apart, n_events, *futures)
+    block, z = single(-speed), (rho * speed - 0.5 * (1.0 + RATIO) * mu) / kappa
+    futures = (len(continuations(block, law, z, -speed)) for law in (Coulomb(), StaticAboveKinetic(RATIO)))
+    return Uniqueness(distances, n_events, *futures)
 
 
 def printed_corner(lambda_1: int, lambda_2: int) -> np.ndarray:
@@ -196,20 +196,22 @@ _DASHES = ("-", "--", "-.")
 
 
 @panel()
-def phase_portrait(ax: Axes, one: Portrait) -> None:
+def phase_portrait(ax: Axes, plane: Portrait) -> None:
     """Figure 1: z against z'; the stick interval thick, the exit point E marked, its path bold."""
-    ax.axhline(one.v, color=GREY, linestyle="--", linewidth=0.9, label="z' = v, crossed")
-    for z, w, is_exit in one.paths:
+    ax.axhline(plane.v, color=GREY, linestyle="--", linewidth=0.9, label="z' = v, crossed")
+    for z, w, is_exit in plane.paths:
         ax.plot(z, w, color=ORANGE if is_exit else BLUE, linewidth=2.4 if is_exit else 0.9,
                 zorder=3 if is_exit else 2, label="path from E" if is_exit else "_")  # fmt: skip
         _arrow(ax, z, w, ORANGE if is_exit else BLUE)
-    ax.plot(one.stick, [one.v, one.v], color="black", linewidth=3.0, solid_capstyle="butt", zorder=4, label="sticks")
-    ax.plot([one.exit], [one.v], "o", color=ORANGE, markeredgecolor="black", markersize=6, zorder=5)
-    ax.annotate("E", (one.exit, one.v), xytext=(0, 8 if one.v > 0 else -14), textcoords="offset points",
+    ax.plot(
+        plane.stick, [plane.v, plane.v], color="black", linewidth=3.0, solid_capstyle="butt", zorder=4, label="sticks"
+    )
+    ax.plot([plane.exit], [plane.v], "o", color=ORANGE, markeredgecolor="black", markersize=6, zorder=5)
+    ax.annotate("E", (plane.exit, plane.v), xytext=(0, 8 if plane.v > 0 else -14), textcoords="offset points",
                 ha="center", fontweight="bold")  # fmt: skip
-    ax.set(title=f"({'i' if one.v < 0 else 'ii'}) v = {one.v:g}".replace("-", "−"), xlabel="displacement z",
+    ax.set(title=f"({'i' if plane.v < 0 else 'ii'}) v = {plane.v:g}".replace("-", "−"), xlabel="displacement z",
            ylabel="velocity z'")  # fmt: skip
-    ax.legend(loc="upper right" if one.v < 0 else "lower left", fontsize=7)
+    ax.legend(loc="upper right" if plane.v < 0 else "lower left", fontsize=7)
 
 
 def _arrow(ax: Axes, x: Sequence[float], y: Sequence[float], colour: str) -> None:
@@ -220,9 +222,9 @@ def _arrow(ax: Axes, x: Sequence[float], y: Sequence[float], colour: str) -> Non
 
 
 @panel(nrows=3, sharex=True)
-def velocities(axes: Sequence[Axes], one: Parallelogram) -> None:
+def velocities(axes: Sequence[Axes], plane: Parallelogram) -> None:
     """Figure 2: z' - v of both blocks in the cases (a), (b), (c); dotted: exits."""
-    for ax, path in zip(axes, one.paths, strict=True):
+    for ax, path in zip(axes, plane.paths, strict=True):
         for block, w in enumerate(path.w):
             ax.plot(
                 path.t,
@@ -233,35 +235,35 @@ def velocities(axes: Sequence[Axes], one: Parallelogram) -> None:
             )
         for t, block, mode in path.events:
             ax.axvline(t, color=CYCLE[block], linestyle=":" if mode else "-", linewidth=0.8)
-        ax.set_title(f"({path.case}) {_sign(one)}")
+        ax.set_title(f"({path.case}) {_sign(plane)}")
     axes[0].legend(fontsize=7, loc="upper left")
     axes[-1].set_xlabel("time t")
     axes[0].figure.supylabel("relative velocity z' − v", fontsize=9)
 
 
 @panel()
-def region(ax: Axes, one: Parallelogram) -> None:
+def region(ax: Axes, plane: Parallelogram) -> None:
     """Figure 2: (z_1, z_2) with folds, corners and the three cases.
 
     Solid edges are visible folds (exits), dashed ones invisible (entries).
     """
-    z = np.array([(corner.z_1, corner.z_2) for corner in one.corners])
+    z = np.array([(corner.z_1, corner.z_2) for corner in plane.corners])
     span = np.ptp(z, axis=0)
     ax.fill(*z.T, color=GREY, alpha=0.15, linewidth=0)
-    for k, corner in enumerate(one.corners):
-        after = (k + 1) % len(one.corners)
+    for k, corner in enumerate(plane.corners):
+        following = (k + 1) % len(plane.corners)
         # of two neighbours one lambda is the same: that block's fold is the edge between them
-        block = 0 if corner.lambda_1 == one.corners[after].lambda_1 else 1
+        block = 0 if corner.lambda_1 == plane.corners[following].lambda_1 else 1
         leaves = (corner.label[block] == "+") == (V < 0)
-        ax.plot(*z[[k, after]].T, color="black", linewidth=1.4, linestyle="-" if leaves else "--",
+        ax.plot(*z[[k, following]].T, color="black", linewidth=1.4, linestyle="-" if leaves else "--",
                 label="visible fold" if leaves else "invisible fold")  # fmt: skip
-        along = (z[after] - z[k]) / span
+        along = (z[following] - z[k]) / span
         outward = np.array([along[1], -along[0]]) / np.hypot(*along)  # corners run counter-clockwise
-        x, y = z[[k, after]].mean(axis=0) + 0.06 * outward * span
-        slope = np.degrees(np.arctan2(z[after, 1] - z[k, 1], z[after, 0] - z[k, 0]))
+        x, y = z[[k, following]].mean(axis=0) + 0.06 * outward * span
+        slope = np.degrees(np.arctan2(z[following, 1] - z[k, 1], z[following, 0] - z[k, 0]))
         ax.text(x, y, f"fold of {block + 1}", fontsize=7, ha="center", va="center", rotation_mode="anchor",
                 rotation=(slope + 90) % 180 - 90, transform_rotates_text=True)  # fmt: skip
-    for corner in one.corners:
+    for corner in plane.corners:
         marker, colour = _LOOKS[corner.kind]
         x, y = corner.z_1, corner.z_2
         ax.plot([x], [y], marker, color=colour, markeredgecolor="black", markersize=7, linestyle="none", zorder=5,
@@ -269,16 +271,16 @@ def region(ax: Axes, one: Parallelogram) -> None:
         right = x > z[:, 0].mean()
         ax.annotate(f"{{{','.join(corner.label)}}}".replace("-", "−"), (x, y), xytext=(9 if right else -9, 5),
                     textcoords="offset points", ha="left" if right else "right", va="bottom", fontsize=8)  # fmt: skip
-    for k, path in enumerate(one.paths):
+    for k, path in enumerate(plane.paths):
         colour = (BLUE, ORANGE, PURPLE)[k % 3]
-        shown = int(np.searchsorted(path.t, _LEAVING, side="right"))
-        ax.plot(path.z[0][:shown], path.z[1][:shown], color=colour, linewidth=1.8, zorder=4,
+        n_points = int(np.searchsorted(path.t, _LEAVING, side="right"))
+        ax.plot(path.z[0][:n_points], path.z[1][:n_points], color=colour, linewidth=1.8, zorder=4,
                 linestyle=_DASHES[k], label=f"path ({path.case})")  # fmt: skip
         ax.plot(path.z[0][0], path.z[1][0], ".", color=colour, zorder=6)
     low, high = z.min(axis=0), z.max(axis=0)
     margin = 0.3 * (high - low)
-    reading = "eq. (6)" if one.sign > 0 else "section 3"
-    ax.set(title=f"{_sign(one)}, {reading}", xlabel="displacement z₁", ylabel="z₂",
+    reading = "eq. (6)" if plane.sign > 0 else "section 3"
+    ax.set(title=f"{_sign(plane)}, {reading}", xlabel="displacement z₁", ylabel="z₂",
            xlim=(low[0] - margin[0], high[0] + margin[0]),
            ylim=(low[1] - margin[1], high[1] + margin[1]))  # fmt: skip
     start = low - margin + np.array([0.66, 0.96]) * (span + 2 * margin)
@@ -286,9 +288,9 @@ def region(ax: Axes, one: Parallelogram) -> None:
                 arrowprops={"arrowstyle": "-|>", "color": GREY})  # fmt: skip
     ax.annotate("drift (v, v)", start, xytext=(4, 0), textcoords="offset points", fontsize=7, color=GREY, va="center")
     handles, labels = ax.get_legend_handles_labels()
-    named = dict(zip(labels, handles, strict=True))
-    ax.figure.legend(named.values(), named, loc="outside lower center", ncols=3, fontsize=7)
+    by_label = dict(zip(labels, handles, strict=True))
+    ax.figure.legend(by_label.values(), by_label, loc="outside lower center", ncols=3, fontsize=7)
 
 
-def _sign(one: Parallelogram) -> str:
-    return f"s = {one.sign:+d}".replace("-", "−")
+def _sign(plane: Parallelogram) -> str:
+    return f"s = {plane.sign:+d}".replace("-", "−")

@@ -121,28 +121,28 @@ def rows(paths: Sequence[Path], t_burn: float) -> list[Row]:
     }
     n = max((base.ask.n for base in bases.values()), default=0)
     long = [path for path in paths if path.ask.study == "long" and path.ask.n == n]
-    apart = _APART * _between_matrices(long, t_burn)
-    found = []
+    threshold = _APART * _between_matrices(long, t_burn)
+    table = []
     for path in paths:
         ask = path.ask
-        base = bases[ask.matrix] if ask.study == "lasting" and ask.setting != "unchanged" and apart > 0 else None
+        base = bases[ask.matrix] if ask.study == "lasting" and ask.setting != "unchanged" and threshold > 0 else None
         fate = fates.fate(path.outcome, (path.t, path.n_stick), ask.t_end, path.growth_rate, ask.n)
         mean = None
         if fate != fates.DIVERGED and path.t_stop > t_burn:
             mean = cascades.window(path.t, path.n_stick, t_burn, path.t_stop).time_mean()
         period, swing = oscillation(path) if ask.study in ("dampings", "base") else (None, None)
-        found.append(Row(
+        table.append(Row(
             ask.study, ask.setting, ask.law, ask.n, ask.matrix, ask.size, fate, path.t_stop, float(path.t[-1]), mean,
-            apart_from(path, base, apart) if base is not None else None, period, swing,
+            apart_from(path, base, threshold) if base is not None else None, period, swing,
         ))  # fmt: skip
-    return found
+    return table
 
 
 def _between_matrices(paths: Sequence[Path], t_burn: float) -> float:
     """How much n_stick differs on average between runs of different matrices, after t_burn."""
     times = np.arange(t_burn, min((path.t_stop for path in paths), default=t_burn), 1.0)
     values = [cascades.sample(path.t, path.n_stick, times) for path in paths]
-    differences = [np.abs(one - other).mean() for one, other in pairwise(values)]
+    differences = [np.abs(values_a - values_b).mean() for values_a, values_b in pairwise(values)]
     return float(np.mean(differences)) if differences and len(times) else 0.0
 
 
@@ -150,10 +150,10 @@ def apart_from(path: Path, base: Path, blocks: float) -> float | None:
     """When n_stick of two runs first differs by so many blocks on average over a window; None if never."""
     times = np.arange(_RUSH, min(path.t_stop, base.t_stop), _APART_DT)
     width = round(_APART_WINDOW / _APART_DT)
-    one, other = (cascades.sample(of.t, of.n_stick, times) for of in (path, base))
-    total = np.cumsum(np.abs(one - other))
-    apart = np.flatnonzero(total[width:] - total[:-width] >= blocks * width)
-    return float(times[width + apart[0]]) if len(apart) else None
+    values, base_values = (cascades.sample(run.t, run.n_stick, times) for run in (path, base))
+    total = np.cumsum(np.abs(values - base_values))
+    windows = np.flatnonzero(total[width:] - total[:-width] >= blocks * width)
+    return float(times[width + windows[0]]) if len(windows) else None
 
 
 def oscillation(path: Path) -> tuple[float | None, float | None]:
@@ -163,32 +163,34 @@ def oscillation(path: Path) -> tuple[float | None, float | None]:
         return None, None
     sampled = cascades.sample(path.t, path.n_stick, times)
     frequency, power = periodogram(sampled, 1.0 / _PERIOD_DT, "hann", 8 * len(times), "linear")
-    seen = (frequency > 1.0 / _PERIODS[1]) & (frequency < 1.0 / _PERIODS[0])
-    return float(1.0 / frequency[seen][np.argmax(power[seen])]), float(sampled.std())
+    band = (frequency > 1.0 / _PERIODS[1]) & (frequency < 1.0 / _PERIODS[0])
+    return float(1.0 / frequency[band][np.argmax(power[band])]), float(sampled.std())
 
 
 def traces(path: Path, t_shown: float, n: Sequence[int]) -> Iterator[Trace]:
     """What is drawn of each run, by panel."""
-    ask, last = path.ask, n[-1]
-    if ask.study == "long" and ask.n == last and ask.matrix < _DRAWN:
+    ask, largest = path.ask, n[-1]
+    if ask.study == "long" and ask.n == largest and ask.matrix < _DRAWN:
         yield _trace(path, 5, "(i)", f"matrix {ask.matrix}", ask.t_end)
     if ask.matrix:
         return
     if ask.study in ("long", "base") and ask.n in n:
         yield _trace(path, 3, f"n = {ask.n}", "exact" if ask.study == "long" else "sigmoid", t_shown)
-    if ask.study in ("base", "r") and ask.n in (n[0], last):
+    if ask.study in ("base", "r") and ask.n in (n[0], largest):
         panel = f"({'i' if ask.n == n[0] else 'ii'}) n = {ask.n}, r redrawn"
         yield _trace(path, 4, panel, ask.setting or "unchanged", t_shown)
-    if ask.n == last and ask.study in ("base", "constants"):
+    if ask.n == largest and ask.study in ("base", "constants"):
         yield _trace(path, 4, "(iii) constants moved", ask.setting or "unchanged", t_shown)
-    if ask.n == last and (ask.study == "base" or (ask.study == "dampings" and ask.size in _NOISE_DRAWN)):
+    if ask.n == largest and (ask.study == "base" or (ask.study == "dampings" and ask.size in _NOISE_DRAWN)):
         label = f"{100 * ask.size:g}%" if ask.size else "unchanged"
         yield _trace(path, 4, "(iv) all n² dampings moved", label, 0.5 * ask.t_end)
 
 
 def _trace(path: Path, figure: int, panel: str, label: str, t_shown: float) -> Trace:
-    seen = path.t <= t_shown
-    return Trace(figure, panel, label, path.t[seen].tolist(), path.n_stick[seen].tolist(), min(t_shown, path.t_stop))
+    early = path.t <= t_shown
+    return Trace(
+        figure, panel, label, path.t[early].tolist(), path.n_stick[early].tolist(), min(t_shown, path.t_stop)
+    )
 
 
 def cascade_laws(paths: Sequence[Path], n: int, dt: tuple[float, ...], t_burn: float) -> list[Cascades]:
@@ -202,16 +204,16 @@ def cascade_laws(paths: Sequence[Path], n: int, dt: tuple[float, ...], t_burn: f
     return [_law(law, [cascades.sizes(window, law) for window in windows]) for law in laws]
 
 
-def _law(law: cascades.Law, found: Sequence[np.ndarray]) -> Cascades:
-    sums = np.array([(one.sum(), len(one)) for one in found])
+def _law(law: cascades.Law, sizes: Sequence[np.ndarray]) -> Cascades:
+    sums = np.array([(run.sum(), len(run)) for run in sizes])
     rate = estimates.over_matrices(estimates.gamma, sums, CONFIDENCE)
-    longest = int(max(one.max(initial=1) for one in found))
-    spread = dispersion.moments(np.array([np.bincount(one, minlength=longest + 1)[1:] for one in found]))
+    longest = int(max(run.max(initial=1) for run in sizes))
+    spread = dispersion.moments(np.array([np.bincount(run, minlength=longest + 1)[1:] for run in sizes]))
     over = estimates.over_matrices(dispersion.excess, spread, CONFIDENCE)
     return Cascades(
-        law.definition, law.dt, len(sums), int(sums[:, 1].sum()), int(max(one.max(initial=0) for one in found)),
+        law.definition, law.dt, len(sums), int(sums[:, 1].sum()), int(max(run.max(initial=0) for run in sizes)),
         rate.value, rate.low, rate.high, rate.reason or None,
-        [np.bincount(one)[1:].tolist() for one in found[:_DRAWN]], over.value, over.low, over.high,
+        [np.bincount(run)[1:].tolist() for run in sizes[:_DRAWN]], over.value, over.low, over.high,
     )  # fmt: skip
 
 
@@ -230,14 +232,16 @@ def _pairing(exact: Path, exits: Exits, smoothed: Path, exits_smoothed: Exits, t
     (mine, of_mine), (theirs, of_theirs) = exits, exits_smoothed
     n_exits, shared, by_chance = 0, 0, 0.0
     for block in range(exact.ask.n):
-        a, b = (t[(of == block) & (t > t_from) & (t <= t_to)] for t, of in ((mine, of_mine), (theirs, of_theirs)))
+        a, b = (
+            t[(blocks == block) & (t > t_from) & (t <= t_to)] for t, blocks in ((mine, of_mine), (theirs, of_theirs))
+        )
         edges = np.concatenate(([-np.inf], b, [np.inf]))
-        after = np.searchsorted(b, a)
+        place = np.searchsorted(b, a)
         n_exits += len(a)
-        shared += int(np.count_nonzero(np.minimum(a - edges[after], edges[after + 1] - a) <= _TOGETHER))
+        shared += int(np.count_nonzero(np.minimum(a - edges[place], edges[place + 1] - a) <= _TOGETHER))
         # turned by a random amount, an exit falls within so much of one with the share of time that is
-        near = np.minimum(np.diff(b), 2 * _TOGETHER).sum() + 2 * _TOGETHER if len(b) else 0.0
-        by_chance += len(a) * min(float(near) / (t_to - t_from), 1.0)
+        covered = np.minimum(np.diff(b), 2 * _TOGETHER).sum() + 2 * _TOGETHER if len(b) else 0.0
+        by_chance += len(a) * min(float(covered) / (t_to - t_from), 1.0)
     windows = [cascades.window(path.t, path.n_stick, t_from, t_to) for path in (exact, smoothed)]
     sums = [[int(x) for x in cascades.sums(win.step)[cascades.Law("events")]] for win in windows]
     mean, mean_smoothed = (win.time_mean() for win in windows)
@@ -246,18 +250,18 @@ def _pairing(exact: Path, exits: Exits, smoothed: Path, exits_smoothed: Exits, t
 
 def escapes(runs: Sequence[Row], t_end: float) -> list[Claim]:
     """By size of the noise on all dampings: runs, how many left, and the median time of escape with its interval."""
-    found: list[Claim] = []
-    some = [run for run in runs if run.study == "dampings"]
-    for size in sorted({one.size for one in some}):
-        own = [one for one in some if one.size == size]
-        left = np.array([one.fate == fates.DIVERGED for one in own])
-        times = np.where(left, [one.t_stop for one in own], t_end)
-        half = fates.median(times, left, CONFIDENCE)
-        found.append({
-            "size": size, "runs": len(own), "left": int(left.sum()), "median": half.value, "low": half.low,
+    table: list[Claim] = []
+    noisy = [run for run in runs if run.study == "dampings"]
+    for size in sorted({row.size for row in noisy}):
+        rows = [row for row in noisy if row.size == size]
+        escaped = np.array([row.fate == fates.DIVERGED for row in rows])
+        times = np.where(escaped, [row.t_stop for row in rows], t_end)
+        half = fates.median(times, escaped, CONFIDENCE)
+        table.append({
+            "size": size, "runs": len(rows), "left": int(escaped.sum()), "median": half.value, "low": half.low,
             "high": half.high,
         })  # fmt: skip
-    return found
+    return table
 
 
 # ---------------------------------------------------------------------------------------------- drawings
@@ -265,12 +269,12 @@ def escapes(runs: Sequence[Row], t_end: float) -> list[Claim]:
 
 def panels(traces: Sequence[Trace], number: int) -> list[Callable[[], Figure]]:
     """The panels of n_stick(t) of a figure."""
-    found: dict[str, list[Trace]] = {}
+    by_panel: dict[str, list[Trace]] = {}
     for trace in traces:
         if trace.figure == number:
-            found.setdefault(trace.panel, []).append(trace)
-    order = sorted(found, key=lambda title: (len(title), title) if number == 3 else (0, title))
-    return [partial(n_stick_panel, title, found[title]) for title in order]
+            by_panel.setdefault(trace.panel, []).append(trace)
+    order = sorted(by_panel, key=lambda title: (len(title), title) if number == 3 else (0, title))
+    return [partial(n_stick_panel, title, by_panel[title]) for title in order]
 
 
 def n_stick_panel(title: str, curves: Sequence[Trace]) -> Figure:
@@ -278,15 +282,15 @@ def n_stick_panel(title: str, curves: Sequence[Trace]) -> Figure:
 
     The first curve is thick and grey if more than two are drawn, as what the others are held against.
     """
-    apart = curves[0].figure == 5
+    is_stacked = curves[0].figure == 5
     with styled():
         figure = Figure(figsize=PANEL, layout="constrained")
-        axes = figure.subplots(len(curves) if apart else 1, 1, sharex=True, squeeze=False)[:, 0]
-        if apart:
-            for ax, one in zip(axes, curves, strict=True):
-                _curves(ax, [one])
+        axes = figure.subplots(len(curves) if is_stacked else 1, 1, sharex=True, squeeze=False)[:, 0]
+        if is_stacked:
+            for ax, curve in zip(axes, curves, strict=True):
+                _curves(ax, [curve])
         else:
-            _curves(axes[0], sorted(curves, key=lambda one: (one.label != "unchanged", one.label)))
+            _curves(axes[0], sorted(curves, key=lambda curve: (curve.label != "unchanged", curve.label)))
             axes[0].legend(loc="upper right", ncols=2, fontsize=7, handlelength=1.6)
         axes[0].set_title(title)
         axes[-1].set_xlabel("time t")
@@ -296,14 +300,19 @@ def n_stick_panel(title: str, curves: Sequence[Trace]) -> Figure:
 
 def _curves(ax: Axes, curves: Sequence[Trace]) -> None:
     with_base = len(curves) > 2
-    for k, one in enumerate(curves):
+    for k, curve in enumerate(curves):
         is_base = with_base and k == 0
         # thousands of steps: a picture inside the SVG keeps the report small
         ax.step(
-            np.append(one.t, one.t_stop), np.append(one.n_stick, one.n_stick[-1]), where="post", rasterized=True,
-            label=one.label, color=GREY if is_base else (EXACT, SMOOTHED, *CYCLE[2:])[k - with_base],
-            linewidth=1.8 if is_base else 0.7, alpha=0.55 if is_base else 1.0,
-        )  # fmt: skip
+            np.append(curve.t, curve.t_stop),
+            np.append(curve.n_stick, curve.n_stick[-1]),
+            where="post",
+            rasterized=True,
+            label=curve.label,
+            color=GREY if is_base else (EXACT, SMOOTHED, *CYCLE[2:])[k - with_base],
+            linewidth=1.8 if is_base else 0.7,
+            alpha=0.55 if is_base else 1.0,
+        )
     ax.set_xlim(0, max(curve.t_stop for curve in curves))
     ax.set_ylim(0, max(1.0, 1.35 * max(max(curve.n_stick) for curve in curves)))
     ax.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=4))
@@ -315,20 +324,20 @@ def escape_times(ax: Axes, runs: Sequence[Row], t_end: float) -> None:
 
     Runs that are still there at the end are hollow, at t_end.
     """
-    some = [run for run in runs if run.study == "dampings"]
+    noisy = [run for run in runs if run.study == "dampings"]
     for has_left, label in ((True, "escapes"), (False, "still there at the end")):
-        seen = [one for one in some if (one.fate == fates.DIVERGED) == has_left]
-        ax.plot([100 * one.size for one in seen], [one.t_stop for one in seen], "o", color=EXACT, markersize=4,
+        rows = [row for row in noisy if (row.fate == fates.DIVERGED) == has_left]
+        ax.plot([100 * row.size for row in rows], [row.t_stop for row in rows], "o", color=EXACT, markersize=4,
                 markerfacecolor=EXACT if has_left else "white", linestyle="none", label=label)  # fmt: skip
-    for one in escapes(runs, t_end):
-        value = one["median"]
+    for row in escapes(runs, t_end):
+        value = row["median"]
         if value is not None:
-            ends = [[value - (one["low"] or value)], [(one["high"] or t_end) - value]]
-            ax.errorbar([112 * one["size"]], [value], yerr=ends, fmt="s", color=SMOOTHED, markersize=4, capsize=2)
+            ends = [[value - (row["low"] or value)], [(row["high"] or t_end) - value]]
+            ax.errorbar([112 * row["size"]], [value], yerr=ends, fmt="s", color=SMOOTHED, markersize=4, capsize=2)
     ax.errorbar([], [], fmt="s", color=SMOOTHED, markersize=4, label="median")
     ax.set(xscale="log", yscale="log", xlabel="noise on every damping, % of ρ", ylabel="time of escape",
            title="(v) escape under noise on all n² dampings")  # fmt: skip
-    sizes = sorted({100 * one.size for one in some})
+    sizes = sorted({100 * row.size for row in noisy})
     ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
     ax.minorticks_off()
     ax.legend(loc="lower left", fontsize=7)
@@ -343,20 +352,20 @@ def by_definition(rows: Sequence[Cascades], definition: str) -> Cascades | None:
 def size_law(axes: Sequence[Axes], rows: Sequence[Cascades]) -> None:
     """Cascades of each size on a log axis, by events and by falls; the fits and the paper's law."""
     for ax, definition in zip(axes, ("events", "length"), strict=True):
-        one = by_definition(rows, definition)
-        if one is None or not any(map(any, one.counts)):
+        law = by_definition(rows, definition)
+        if law is None or not any(map(any, law.counts)):
             continue
-        for j, counts in enumerate(one.counts):
-            seen = [(size, count) for size, count in enumerate(counts, 1) if count]
-            ax.plot(*zip(*seen, strict=True), "os^"[j], color=CYCLE[j], markersize=3, label=f"matrix {j}")
-        level = np.mean([counts[0] for counts in one.counts if counts])
-        ends = np.array([1.0, max(map(len, one.counts))])
-        for gamma, colour, dash, label in ((one.gamma, "black", "-", "fit"), (PAPER_GAMMA, GREY, "--", "paper")):
+        for j, counts in enumerate(law.counts):
+            points = [(size, count) for size, count in enumerate(counts, 1) if count]
+            ax.plot(*zip(*points, strict=True), "os^"[j], color=CYCLE[j], markersize=3, label=f"matrix {j}")
+        level = np.mean([counts[0] for counts in law.counts if counts])
+        ends = np.array([1.0, max(map(len, law.counts))])
+        for gamma, colour, dash, label in ((law.gamma, "black", "-", "fit"), (PAPER_GAMMA, GREY, "--", "paper")):
             if gamma is not None:
                 ax.plot(ends, level * np.exp(-gamma * (ends - 1)), color=colour, linestyle=dash,
                         label=f"{label}, γ = {gamma:.2f}")  # fmt: skip
         ax.set(yscale="log", ylim=(0.6, None), xlabel="size Δ$n_{stick}$")
-        ax.set_title("(ii) by events" if definition == "events" else f"(ii) by falls, step {one.dt:g}")
+        ax.set_title("(ii) by events" if definition == "events" else f"(ii) by falls, step {law.dt:g}")
         size_axis(ax, int(ends[1]))
         ax.legend(fontsize=6)
     axes[0].set_ylabel("number of cascades f")

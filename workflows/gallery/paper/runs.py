@@ -107,10 +107,10 @@ def run_all(asks: Sequence[Ask], seed: int, eps: float, workers: int) -> Iterato
     def by_child(job: tuple[Ask, int, float]) -> Path:
         child = idle.get()
         try:
-            found: Path = child(job)
+            path: Path = child(job)
         finally:
             idle.put(child)
-        return found
+        return path
 
     with ExitStack() as stack, ThreadPoolExecutor(workers) as pool:
         for _ in range(workers):
@@ -127,13 +127,13 @@ def system(ask: Ask, seed: int) -> sim.System:
     friction: Floats | float = scales.pop("friction")
     if ask.detail == "friction":
         friction = friction * _generator(ask, seed).uniform(0.8, 1.2, ask.n)
-    found = sim.draw_system(
+    drawn_system = sim.draw_system(
         ask.coupling, ask.n, seed_of(seed, MATRIX, ask.n, ask.matrix), friction=friction, **scales
     )
     if not ask.reading:
-        return found
+        return drawn_system
     key = seed_of(seed, PERTURBATION, ask.n, ask.matrix, ask.draw)
-    return sim.perturb_system(found, ask.coupling, ask.size, key, reading=ask.reading)
+    return sim.perturb_system(drawn_system, ask.coupling, ask.size, key, reading=ask.reading)
 
 
 def _generator(ask: Ask, seed: int) -> np.random.Generator:
@@ -142,47 +142,47 @@ def _generator(ask: Ask, seed: int) -> np.random.Generator:
 
 def run(ask: Ask, seed: int, eps: float) -> Path:
     """Run it from the paper's start."""
-    one = system(ask, seed)
+    blocks = system(ask, seed)
     if ask.law in SIGMOIDS:
-        return Path(ask, *smoothed(one, SIGMOIDS[ask.law], eps, ask.t_end))
+        return Path(ask, *smoothed(blocks, SIGMOIDS[ask.law], eps, ask.t_end))
     z0: Floats | float = _generator(ask, seed).uniform(-1.0, 1.0, ask.n) if ask.detail == "start" else Z0
     picked = TOLERANCES["statistics"]
     if ask.law == "coulomb":
-        found = sim.simulate(one, z0, W0, ask.t_end, tol=picked["tol"], stop_early="always")
+        result = sim.simulate(blocks, z0, W0, ask.t_end, tol=picked["tol"], stop_early="always")
     else:
         ratio = random_ratios(seed, ask.n, ask.draw) if ask.detail == "r" else 1.0
         rtol, atol = picked["rtol"], picked["atol"]
-        if one.cross_damping is not None:
+        if blocks.cross_damping is not None:
             rtol = atol = _ESCAPE_TOLERANCE
-        found = sim.simulate(one, z0, W0, ask.t_end, engine="sigmoid", eps=eps, ratio=ratio, rtol=rtol, atol=atol)
-    events = found.events
+        result = sim.simulate(blocks, z0, W0, ask.t_end, engine="sigmoid", eps=eps, ratio=ratio, rtol=rtol, atol=atol)
+    events = result.events
     t, n_stick = events.change_points()
     exits = rate = None
     if ask.keeps_exits:
         exits = block_steps(events.t, events.block, events.mode, events.initial_mode, 0.0, events.t_end).exits
-    if ask.law == "coulomb" and found.outcome == "finished" and is_all_slip(t[-1], n_stick[-1], ask.t_end):
-        rate = float(np.linalg.eigvals(one.slip_matrix()).real.max())
-    return Path(ask, found.outcome, t, n_stick, events.t_end, exits, rate)
+    if ask.law == "coulomb" and result.outcome == "finished" and is_all_slip(t[-1], n_stick[-1], ask.t_end):
+        rate = float(np.linalg.eigvals(blocks.slip_matrix()).real.max())
+    return Path(ask, result.outcome, t, n_stick, events.t_end, exits, rate)
 
 
 def smoothed(
-    one: sim.System, sigmoid: Callable[[Floats], Floats], eps: float, t_end: float
+    blocks: sim.System, sigmoid: Callable[[Floats], Floats], eps: float, t_end: float
 ) -> tuple[str, Floats, np.ndarray, float]:
     """Outcome, times, n_stick and end of a run under a sigmoid, by SciPy.
 
     The friction is mu sigmoid((w - v) / eps); a block sticks as under the sigmoid engine.
     """
-    n, mu, v = one.n, one.friction, one.belt_speed
-    stiffness = np.asarray(one.stiffness)
+    n, mu, v = blocks.n, blocks.friction, blocks.belt_speed
+    stiffness = np.asarray(blocks.stiffness)
 
     def rate(t: float, y: Floats) -> Floats:
         w = y[n:]
-        return np.concatenate((w, -stiffness @ y[:n] - one.damping * w - mu * sigmoid((w - v) / eps)))
+        return np.concatenate((w, -stiffness @ y[:n] - blocks.damping * w - mu * sigmoid((w - v) / eps)))
 
     times = _STEP * np.arange(round(t_end / _STEP) + 1)
     start = np.concatenate((np.full(n, Z0), np.full(n, W0)))
-    found = solve_ivp(rate, (0.0, times[-1]), start, t_eval=times, rtol=1e-6, atol=1e-6)
-    z, w = found.y[:n], found.y[n:]
-    is_held = np.abs(one.damping[:, None] * v + stiffness @ z) < mu[:, None]
+    solution = solve_ivp(rate, (0.0, times[-1]), start, t_eval=times, rtol=1e-6, atol=1e-6)
+    z, w = solution.y[:n], solution.y[n:]
+    is_held = np.abs(blocks.damping[:, None] * v + stiffness @ z) < mu[:, None]
     n_stick = (is_held & (np.abs(w - v) < eps * np.log(1.0 / eps))).sum(axis=0)
-    return "finished", found.t, n_stick, float(found.t[-1])
+    return "finished", solution.t, n_stick, float(solution.t[-1])

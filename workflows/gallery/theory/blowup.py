@@ -1,6 +1,7 @@
 """Hidden dynamics of a discontinuity: the blow-up and its sticking modes (slow time: `slow_time` beside this).
 
-Inside the layer lambda_j = phi((w_j - v) / eps_j), and on the fast time of eq. (13), positive factors kept,
+Inside the layer lambda_j = phi((w_j - v) / eps_j), phi = tanh, and on the fast time of eq. (13), positive factors
+kept,
 
     lambda_j' = (phi' / eps_j) f_j(F; lambda),    f = -F - mu s(lambda)     (s by the laws of `laws`)
 
@@ -10,7 +11,6 @@ where eigenvalues are complex or there are more than two switches, can change st
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 from typing import Literal
@@ -34,21 +34,6 @@ MAX_EVALUATIONS = 20_000
 ON_BORDER = 1e-10
 #: real parts below this share of the largest eigenvalue are zero
 DEGENERATE = 1e-12
-
-
-@dataclass(frozen=True)
-class Sigmoid:
-    """phi: the map u = (w - v) / eps -> lambda, an inverse of it on (-1, 1), and phi' as a function of lambda."""
-
-    value: Callable[[Floats], Floats]
-    inverse: Callable[[Floats], Floats]
-    slope: Callable[[Floats], Floats]
-
-
-#: phi' = 1 - lambda^2
-TANH = Sigmoid(np.tanh, np.arctanh, lambda lam: 1 - lam**2)
-#: phi' = 1 inside the box: eq. (13) as printed, without the factors
-RAMP = Sigmoid(lambda u: np.clip(u, -1.0, 1.0), np.array, np.ones_like)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +93,6 @@ class Blowup:
         mu > 0.
     eps : float or array_like, shape (m,)
         Relative widths of the layers, > 0.
-    sigmoid : Sigmoid
-        phi; `TANH`, or `RAMP` for eq. (13) as printed.
 
     Raises
     ------
@@ -120,9 +103,8 @@ class Blowup:
     law: SwitchingLaw
     friction: Floats
     eps: Floats
-    sigmoid: Sigmoid
 
-    def __init__(self, law: SwitchingLaw, friction: ArrayLike, eps: ArrayLike = 1.0, sigmoid: Sigmoid = TANH) -> None:
+    def __init__(self, law: SwitchingLaw, friction: ArrayLike, eps: ArrayLike = 1.0) -> None:
         m = np.size(friction) if law.size is None or np.ndim(friction) else law.size
         for name, value in (("friction", friction), ("eps", eps)):
             array = per_block(name, value, m)
@@ -132,18 +114,21 @@ class Blowup:
         if law.size not in (None, m):
             raise ValueError(f"law: {type(law).__name__} is for {law.size} blocks, got {m}")
         object.__setattr__(self, "law", law)
-        object.__setattr__(self, "sigmoid", sigmoid)
+
+    def factor(self, lam: Floats) -> Floats:
+        """phi' / eps of eq. (13), shape (m,)."""
+        return np.asarray((1 - lam**2) / self.eps)
 
     def rhs(self, force: Floats, lam: Floats) -> Floats:
         """lambda' on the fast time, eq. (13) with its factors, shape (m,)."""
-        return self.sigmoid.slope(lam) / self.eps * self.law.accelerations(force, self.friction, lam)
+        return self.factor(lam) * self.law.accelerations(force, self.friction, lam)
 
     def mode(self, lam: Floats, slip: Slips) -> Mode:
         """An equilibrium and its stability within the blocks that stick."""
         free = np.flatnonzero(slip == 0)
         if not len(free):
             return Mode(lam, slip, np.empty(0, dtype=np.complex128), "slip", True)
-        factor = self.sigmoid.slope(lam[free]) / self.eps[free]
+        factor = self.factor(lam)[free]
         jacobian = factor[:, None] * self.law.jacobian(self.friction, lam)[np.ix_(free, free)]
         values = np.linalg.eigvals(jacobian).astype(np.complex128)
         values = values[np.argsort(-values.real)]
@@ -175,8 +160,8 @@ class Blowup:
         """
         slips = self._slips(slip)
         target = -per_block("force", force, len(slips)) / self.friction
-        found = self.law.zeros(target, slips)
-        return tuple(self.mode(lam, slips) for lam in found[np.lexsort(found.T[::-1])])
+        zeros = self.law.zeros(target, slips)
+        return tuple(self.mode(lam, slips) for lam in zeros[np.lexsort(zeros.T[::-1])])
 
     def continuations(self, force: ArrayLike, slip: ArrayLike = 0) -> tuple[Mode, ...]:
         """All forward continuations of blocks that are on the belt (slip_i = 0): stable modes and possible slips.
@@ -186,15 +171,15 @@ class Blowup:
         """
         slips, m = self._slips(slip), len(self.friction)
         load = per_block("force", force, m)
-        found = []
+        modes = []
         for choice in product(*([0, 1, -1] if s == 0 else [s] for s in slips.tolist())):
             trial = np.array(choice, dtype=np.int8)
             starts = (trial != 0) & (slips == 0)
             for mode in self.sticking_modes(load, trial):
                 away = self.law.accelerations(load, self.friction, mode.lam) * trial > 0
                 if mode.is_stable and away[starts].all():
-                    found.append(mode)
-        return tuple(found)
+                    modes.append(mode)
+        return tuple(modes)
 
     def settle(self, force: ArrayLike, entry: ArrayLike, slip: ArrayLike = 0) -> Settled:
         """Run the fast system from an entry point to where it settles.
@@ -222,19 +207,19 @@ class Blowup:
 
         def box(u: Floats) -> Floats:
             lam = slips.astype(np.float64)
-            lam[free] = self.sigmoid.value(u)
+            lam[free] = np.tanh(u)
             return lam
 
         def rhs(_: float, u: Floats) -> Floats:
             return (self.law.accelerations(load, self.friction, box(u)) / self.eps)[free]
 
-        u = self.sigmoid.inverse(np.clip(start, ENTRY_DEPTH - 1, 1 - ENTRY_DEPTH)[free])
+        u = np.arctanh(np.clip(start, ENTRY_DEPTH - 1, 1 - ENTRY_DEPTH)[free])
         unit = float(self.eps.max() / self.friction.min())
         times, path, t, n_evaluations = [np.zeros(1)], [box(u)[None]], 0.0, 0
         for span in (*2.0 ** np.arange(2, 14), 0.0):
-            rest = self._at_rest(load, box(u), slips, 1e-9 if span else 1e-4)
-            if rest is not None:
-                lam, slipping, is_stable = rest
+            end = self._at_rest(load, box(u), slips, 1e-9 if span else 1e-4)
+            if end is not None:
+                lam, slipping, is_stable = end
                 return Settled(lam, slipping, is_stable, np.concatenate(times), np.concatenate(path))
             if not span or n_evaluations > MAX_EVALUATIONS:
                 break
@@ -261,24 +246,24 @@ class Blowup:
         free = np.flatnonzero(slipping == 0)
         if (np.abs(f[free]) > tol * scale).any():
             return None
-        at = np.where(slipping != 0, slipping, lam).astype(np.float64)
+        point = np.where(slipping != 0, slipping, lam).astype(np.float64)
         for _ in range(8 if len(free) else 0):
-            jacobian = self.law.jacobian(self.friction, at)[np.ix_(free, free)]
-            step = np.linalg.lstsq(jacobian, -self.law.accelerations(load, self.friction, at)[free])[0]
-            at[free] = np.clip(at[free] + step, -1.0, 1.0)
-        f = self.law.accelerations(load, self.friction, at)
-        near = np.abs(at - lam).max() < 1e-2 and (np.abs(f[free]) < 1e-9 * scale).all()
-        if not near or not (f * slipping > 0)[leaving].all():
+            jacobian = self.law.jacobian(self.friction, point)[np.ix_(free, free)]
+            step = np.linalg.lstsq(jacobian, -self.law.accelerations(load, self.friction, point)[free])[0]
+            point[free] = np.clip(point[free] + step, -1.0, 1.0)
+        f = self.law.accelerations(load, self.friction, point)
+        is_near = np.abs(point - lam).max() < 1e-2 and (np.abs(f[free]) < 1e-9 * scale).all()
+        if not is_near or not (f * slipping > 0)[leaving].all():
             return None
         if not len(free):
-            return at, slipping, True
+            return point, slipping, True
         # the factors vanish on a face: a floor keeps the sign that they give just inside it
-        factor = np.maximum(self.sigmoid.slope(at[free]), 1e-6) / self.eps[free]
-        jacobian = self.law.jacobian(self.friction, at)[np.ix_(free, free)]
+        factor = np.maximum(1 - point[free] ** 2, 1e-6) / self.eps[free]
+        jacobian = self.law.jacobian(self.friction, point)[np.ix_(free, free)]
         is_stable = bool(np.linalg.eigvals(factor[:, None] * jacobian).real.max() < 0)
         if not is_stable and np.abs(f_before[free]).max() > ON_BORDER * scale:
             return None  # it may be passing the equilibrium
-        return at, slipping, is_stable
+        return point, slipping, is_stable
 
     def _slips(self, slip: ArrayLike) -> Slips:
         array = per_block("slip", slip, len(self.friction))
@@ -287,15 +272,7 @@ class Blowup:
         return array.astype(np.int8)
 
 
-def continuations(
-    system: System,
-    law: SwitchingLaw,
-    z: ArrayLike,
-    w: ArrayLike,
-    *,
-    eps: ArrayLike = 1.0,
-    sigmoid: Sigmoid = TANH,
-) -> tuple[Mode, ...]:
+def continuations(system: System, law: SwitchingLaw, z: ArrayLike, w: ArrayLike) -> tuple[Mode, ...]:
     """All forward continuations of a state: one if the state determines its future, more if it does not.
 
     Coulomb's law has one everywhere except at folds (-Sign is monotone). Under static friction above kinetic, ratio
@@ -312,7 +289,7 @@ def continuations(
         If an argument is of the wrong shape or size, the damping is not diagonal, or static friction is above
         the kinetic.
     """
-    blowup = Blowup(law, system.friction, eps, sigmoid)
+    blowup = Blowup(law, system.friction)
     z, w = per_block("z", z, system.n), per_block("w", w, system.n)
     return blowup.continuations(total_force(system, z, w), np.sign(w - system.belt_speed))
 

@@ -16,9 +16,9 @@ from fractions import Fraction
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from stickslip.sim.numerics.arguments import Floats, floats, number
+from stickslip.sim.numerics.arguments import Floats, number
 from stickslip.sim.runs.run import IntegrationError
 from stickslip.sim.systems.friction import hidden_term, over_kinetic, turning_point
 
@@ -156,9 +156,9 @@ class Modified(SwitchingLaw):
             return slip.astype(np.float64)[None]
         if slip.any():
             free = int(np.flatnonzero(slip == 0)[0])
-            found = np.tile(slip.astype(np.float64), (2, 1))
-            found[:, free] = _beside_slip(target[free], float(slip[1 - free]))
-            return _in_box(found[np.isfinite(found[:, free])])
+            points = np.tile(slip.astype(np.float64), (2, 1))
+            points[:, free] = _beside_slip(target[free], float(slip[1 - free]))
+            return _in_box(points[np.isfinite(points[:, free])])
         # the component further from +-1 is eliminated: y is then well conditioned
         order = [0, 1] if abs(abs(target[0]) - 1) >= abs(abs(target[1]) - 1) else [1, 0]
         a, b = (float(target[k]) for k in order)
@@ -169,8 +169,8 @@ class Modified(SwitchingLaw):
         if abs(a) == 1:
             y = _beside_slip(b, a)
             pairs.append(np.column_stack([np.full(2, a), y])[np.isfinite(y)])
-        found = np.concatenate(pairs)[:, order]
-        return np.unique(_in_box(np.array([self._polish(lam, target) for lam in found]).reshape(-1, 2)), axis=0)
+        points = np.concatenate(pairs)[:, order]
+        return np.unique(_in_box(np.array([self._polish(lam, target) for lam in points]).reshape(-1, 2)), axis=0)
 
     def _polish(self, lam: Floats, target: Floats) -> Floats:
         """One Newton step, where the root is simple enough that it can only improve."""
@@ -225,34 +225,14 @@ class SmoothLaw(SwitchingLaw):
         return _subdivide(self, target, slip, self.curvature, self.resolution)
 
 
-def canopy(corners: ArrayLike, lam: ArrayLike) -> Floats:
-    """Convex canopy, eq. (12): sum over corners of the product of (1 +- lambda_j) / 2 times f^(+-...+-).
-
-    Parameters
-    ----------
-    corners : array_like, shape (2,) * m + trailing
-        corners[i_1, ..., i_m] is the vector field at lambda_j = 2 i_j - 1; any trailing shape.
-    lam : array_like, shape (m,)
-
-    Returns
-    -------
-    float64, of the trailing shape
-        Multilinear in lambda, so it misses every term that vanishes at the corners, as those of section 5 do.
-    """
-    value = floats("corners", corners, "vector fields at the corners of the box")
-    for weight in floats("lam", lam, "a number for each switch"):
-        value = value[0] * (1 - weight) / 2 + value[1] * (1 + weight) / 2
-    return value
-
-
 def _combine(roots: list[Floats], slip: Slips) -> Floats:
     """Zeros of a law without coupling: all combinations of the zeros of the components."""
     sides = [_in_box(r[:, None])[:, 0] if not s else np.array([float(s)]) for r, s in zip(roots, slip, strict=True)]
     return np.array(list(product(*sides)), dtype=np.float64).reshape(-1, len(slip))
 
 
-def _in_box(found: Floats) -> Floats:
-    return np.clip(found[(np.abs(found) <= 1 + ON_FACE).all(axis=1)], -1.0, 1.0)
+def _in_box(points: Floats) -> Floats:
+    return np.clip(points[(np.abs(points) <= 1 + ON_FACE).all(axis=1)], -1.0, 1.0)
 
 
 def _beside_slip(target: float, side: float) -> Floats:
@@ -278,14 +258,14 @@ def _value(p: Poly, x: Fraction) -> Fraction:
 
 def _divide(p: Poly, q: Poly) -> tuple[Poly, Poly]:
     """Quotient and remainder."""
-    quotient, rest = [], list(p)
-    while len(rest) >= len(q):
-        factor = rest[0] / q[0]
+    quotient, remainder = [], list(p)
+    while len(remainder) >= len(q):
+        factor = remainder[0] / q[0]
         quotient.append(factor)
-        rest = [r - factor * (q[k] if k < len(q) else 0) for k, r in enumerate(rest)][1:]
-    while rest and rest[0] == 0:
-        rest = rest[1:]
-    return quotient, rest
+        remainder = [r - factor * (q[k] if k < len(q) else 0) for k, r in enumerate(remainder)][1:]
+    while remainder and remainder[0] == 0:
+        remainder = remainder[1:]
+    return quotient, remainder
 
 
 def _derivative(p: Poly) -> Poly:
@@ -296,10 +276,10 @@ def _derivative(p: Poly) -> Poly:
 def _sturm(p: Poly) -> list[Poly]:
     chain = [p, _derivative(p)]
     while len(chain[-1]) > 1:
-        rest = _divide(chain[-2], chain[-1])[1]
-        if not rest:
+        remainder = _divide(chain[-2], chain[-1])[1]
+        if not remainder:
             break
-        chain.append([-c / abs(rest[0]) for c in rest])
+        chain.append([-c / abs(remainder[0]) for c in remainder])
     return chain
 
 
@@ -354,7 +334,7 @@ def _subdivide(law: SwitchingLaw, target: Floats, slip: Slips, curvature: float,
     m, lam = len(free), slip.astype(np.float64)
     if not m:
         return lam[None]
-    found: list[Floats] = []
+    zeros: list[Floats] = []
 
     def residual(centre: Floats) -> tuple[Floats, Floats]:
         lam[free] = centre
@@ -376,7 +356,7 @@ def _subdivide(law: SwitchingLaw, target: Floats, slip: Slips, curvature: float,
             if np.abs(inverse @ value).max() <= (1 + bend) * half + ON_FACE:
                 zero = _newton(residual, centre)
                 if np.abs(zero - centre).max() <= 2 * half and np.abs(residual(zero)[0]).max() < ON_FACE:
-                    found.append(zero)  # of a cell that holds a zero Newton's method always comes here
+                    zeros.append(zero)  # of a cell that holds a zero Newton's method always comes here
         elif half < resolution:
             raise IntegrationError(
                 f"zeros of the law near lambda = {centre.round(9).tolist()}: not decided at resolution"
@@ -385,8 +365,8 @@ def _subdivide(law: SwitchingLaw, target: Floats, slip: Slips, curvature: float,
         else:
             cells += [(centre + half / 2 * np.array(sign), half / 2) for sign in product((-1.0, 1.0), repeat=m)]
     distinct: list[Floats] = []
-    for zero in found:  # zeros are unique in cells far wider than this
-        if not any(np.abs(zero - other).max() < 1e-10 for other in distinct):
+    for zero in zeros:  # zeros are unique in cells far wider than this
+        if not any(np.abs(zero - neighbour).max() < 1e-10 for neighbour in distinct):
             distinct.append(zero)
     table = np.tile(slip.astype(np.float64), (len(distinct), 1))
     table[:, free] = np.array(distinct).reshape(-1, m)

@@ -18,7 +18,7 @@ from stickslip.sim.numerics.arguments import Floats, number, per_block
 from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs.run import IntegrationError
 from stickslip.sim.systems.system import System, require_plain
-from stickslip.workflows.gallery.theory.blowup import TANH, Blowup, Sigmoid, total_force
+from stickslip.workflows.gallery.theory.blowup import Blowup, total_force
 from stickslip.workflows.gallery.theory.laws import Slips, SwitchingLaw
 
 EventKind = Literal["exit", "entry", "crossing", "jump"]
@@ -107,8 +107,6 @@ def run_with_law(
     t_end: float,
     *,
     entry: ArrayLike = 0.0,
-    eps: ArrayLike = 1.0,
-    sigmoid: Sigmoid = TANH,
 ) -> LawRun:
     """Follow one or two blocks under a switching law from t = 0; the fast system chooses among modes.
 
@@ -126,8 +124,6 @@ def run_with_law(
     entry : float or array_like, shape (n,)
         lambda from which blocks with w0_i = v settle. Blocks that come from slip enter at their face; if two
         come at one instant, at equal depth.
-    eps, sigmoid
-        See `stickslip.workflows.gallery.theory.blowup.Blowup`.
 
     Raises
     ------
@@ -143,67 +139,11 @@ def run_with_law(
             f"system: expected one or two blocks, got {system.n}; `stickslip.sim.simulate` runs more, by Coulomb"
         )
     z, w = per_block("z0", z0, system.n), per_block("w0", w0, system.n)
-    blowup = Blowup(law, system.friction, eps, sigmoid)
-    return _collect(_march(system, blowup, z, w, per_block("entry", entry, system.n), number("t_end", t_end, 0.0)))
-
-
-@numpy_arithmetic()
-def follow(
-    system: System,
-    law: SwitchingLaw,
-    z: ArrayLike,
-    lam: ArrayLike,
-    t_end: float,
-    *,
-    eps: ArrayLike = 1.0,
-    sigmoid: Sigmoid = TANH,
-) -> LawRun:
-    """Continue a sticking mode in slow time, all blocks stuck (z' = v), through jumps, to its first exit or `t_end`.
-
-    The mode, a curve in (lambda, t), is followed along its tangent, so that a saddle-node is a regular point of
-    the path; event times are good to 1e-10.
-
-    Parameters
-    ----------
-    system : System
-        n blocks, all with mu > 0.
-    law : SwitchingLaw
-    z : float or array_like, shape (n,)
-        Displacements at t = 0.
-    lam : float or array_like, shape (n,)
-        A point from which the fast system settles on the mode, such as the mode itself.
-    t_end : float
-
-    Returns
-    -------
-    LawRun
-        Ends at the first exit: its events are jumps, then exits.
-
-    Raises
-    ------
-    ValueError, IntegrationError
-        As `run_with_law`.
-    """
-    require_plain(system, "`stickslip.workflows.gallery.theory.slow_time`")
-    start, belt = per_block("z", z, system.n), np.full(system.n, system.belt_speed)
-    blowup = Blowup(law, system.friction, eps, sigmoid)
-    marching = _march(system, blowup, start, belt, per_block("lam", lam, system.n), number("t_end", t_end, 0.0))
-    return _collect(marching, until_exit=True)
-
-
-def _collect(marching: Iterator[_Stretch], until_exit: bool = False) -> LawRun:
-    segments: list[Segment] = []
-    events: list[LawEvent] = []
-    for segment, happened, state in marching:
-        if until_exit and segment.slip.any():
-            break
-        segments.append(segment)
-        events += happened
-        if until_exit and state.slip.any():
-            break
-    if not segments:
-        raise IntegrationError("lam: the fast system does not settle on a mode in which all blocks stick")
-    return LawRun(tuple(segments), tuple(events), state.t, state.z, state.w)
+    blowup = Blowup(law, system.friction)
+    phases = list(_march(system, blowup, z, w, per_block("entry", entry, system.n), number("t_end", t_end, 0.0)))
+    events = tuple(event for _, changes, _ in phases for event in changes)
+    *_, (_, _, end) = phases
+    return LawRun(tuple(segment for segment, *_ in phases), events, end.t, end.z, end.w)
 
 
 def _march(system: System, blowup: Blowup, z: Floats, w: Floats, entry: Floats, t_end: float) -> Iterator[_Stretch]:
@@ -217,12 +157,12 @@ def _march(system: System, blowup: Blowup, z: Floats, w: Floats, entry: Floats, 
         if cause == "end":
             yield segment, [], end
             return
-        after = _decide(system, blowup, _at_event(system, blowup, end, cause))
-        yield segment, _events(end, after, cause), after
+        next_state = _decide(system, blowup, _at_event(system, blowup, end, cause))
+        yield segment, _events(end, next_state, cause), next_state
         n_still = n_still + 1 if end.t - state.t < TOGETHER else 0
         if n_still > 10 * system.n:
             raise IntegrationError(f"t = {end.t:.12g}: events pile up; the modes chatter under this law")
-        state = after
+        state = next_state
 
 
 def _decide(system: System, blowup: Blowup, state: _State) -> _State:
@@ -252,14 +192,14 @@ def _at_event(system: System, blowup: Blowup, state: _State, cause: Cause) -> _S
         slip[out] = lam[out] = np.sign(lam[out])
     else:
         free = np.flatnonzero(slip == 0)
-        factor = blowup.sigmoid.slope(lam[free]) / blowup.eps[free]
+        factor = blowup.factor(lam)[free]
         jacobian = factor[:, None] * blowup.law.jacobian(blowup.friction, lam)[np.ix_(free, free)]
         values, right = np.linalg.eig(jacobian)
         along = right[:, np.argmax(values.real)].real
         along, depth = along / np.abs(along).max(), FOLD_DEPTH
         if cause == "fold":  # no mode exists beyond, so lambda leaves to the side to which the drift of F pushes it
-            values, left = np.linalg.eig(jacobian.T)
-            across = left[:, np.argmax(values.real)].real
+            values, left_vectors = np.linalg.eig(jacobian.T)
+            across = left_vectors[:, np.argmax(values.real)].real
             along *= -np.sign((across @ (factor * (system.stiffness @ w)[free])) * (across @ along))
             depth = _fold_depth(blowup, total_force(system, state.z, w), lam, free, along, across / (across @ along))
         lam[free] = np.clip(lam[free] + depth * along, -1.0, 1.0)
@@ -280,16 +220,15 @@ def _fold_depth(
     return depth
 
 
-def _events(before: _State, after: _State, cause: Cause) -> list[LawEvent]:
+def _events(old: _State, new: _State, cause: Cause) -> list[LawEvent]:
     def event(kind: EventKind, block: int) -> LawEvent:
-        return LawEvent(after.t, kind, cause, block, after.slip, before.lam, after.lam)
+        return LawEvent(new.t, kind, cause, block, new.slip, old.lam, new.lam)
 
-    changed = np.flatnonzero(before.slip != after.slip)
+    changed = np.flatnonzero(old.slip != new.slip)
     if not len(changed):  # a block that grazes the belt speed goes on slipping: no event
         return [event("jump", -1)] if cause in ("fold", "focus") else []
     return [
-        event("exit" if before.slip[j] == 0 else "entry" if after.slip[j] == 0 else "crossing", int(j))
-        for j in changed
+        event("exit" if old.slip[j] == 0 else "entry" if new.slip[j] == 0 else "crossing", int(j)) for j in changed
     ]
 
 
@@ -327,7 +266,7 @@ def _phase(system: System, blowup: Blowup, state: _State, t_end: float) -> tuple
     if m:
         functions.append(("fold", lambda _, x: float(np.linalg.det(slope(x))), -1.0))
     if m > 1:
-        functions.append(("focus", lambda _, x: _pair_growth(blowup, slope(x), x[:m], free), 1.0))
+        functions.append(("focus", lambda _, x: _pair_growth(blowup, slope(x), lam), 1.0))
     for _, function, direction in functions:
         function.terminal, function.direction = True, direction  # type: ignore[attr-defined]
 
@@ -359,18 +298,14 @@ def _tangent(slope: Floats, drift: Floats) -> Floats:
         return np.ones(1)
     if m == 1:
         kernel = np.array([-drift[0], slope[0, 0]])
-    elif m == 2:
+    else:
         (a, b), (c, d) = slope
         kernel = np.array([b * drift[1] - d * drift[0], c * drift[0] - a * drift[1], a * d - b * c])
-    else:
-        kernel = np.linalg.svd(np.column_stack([slope, drift]))[2][-1]
-        kernel *= np.sign(np.linalg.det(np.vstack([np.column_stack([slope, drift]), kernel])))
     return np.asarray(kernel / np.linalg.norm(kernel))
 
 
-def _pair_growth(blowup: Blowup, slope: Floats, lam: Floats, free: NDArray[np.intp]) -> float:
-    """Largest real part among complex pairs of the scaled Jacobian; -1 without any."""
-    factor = blowup.sigmoid.slope(lam) / blowup.eps[free]
-    values = np.linalg.eigvals(-factor[:, None] * slope)
+def _pair_growth(blowup: Blowup, slope: Floats, lam: Floats) -> float:
+    """Largest real part among complex pairs of the scaled Jacobian of two blocks; -1 without any."""
+    values = np.linalg.eigvals(-blowup.factor(lam)[:, None] * slope)
     pairs = values[values.imag > 0].real
     return float(pairs.max()) if len(pairs) else -1.0
