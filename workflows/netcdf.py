@@ -65,14 +65,16 @@ def write(path: Where, out: Path) -> None:
 
 def _fill(file: Any, opened: Opened, source: Any, lists: list[str]) -> None:
     scene = opened.scene
-    file.setncatts({
-        "Conventions": "CF-1.11",
-        "featureType": "timeSeries",
-        "title": scene.title,
-        "source": f"stickslip {__version__}",
-        "scene_hash": scene.hash,
-        "comment": "dimensionless: no clock, no place on Earth",
-    })  # fmt: skip
+    file.setncatts(
+        {
+            "Conventions": "CF-1.11",
+            "featureType": "timeSeries",
+            "title": scene.title,
+            "source": f"stickslip {__version__}",
+            "scene_hash": scene.hash,
+            "comment": "dimensionless: no clock, no place on Earth",
+        }
+    )
     file.createDimension("member", sum(shard.rows for shard in opened.manifest.shards.values()))
     for name in scalars(source.schema):
         with reading(opened.place):

@@ -8,13 +8,11 @@ import difflib
 import re
 import shutil
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
 import matplotlib
-import pandas as pd
 
 from stickslip.analysis import Report
 from stickslip.analysis.page import parts
@@ -26,8 +24,6 @@ from tests import statements
 from tests.statements.scenes import COMPARED, PLANS, Plan
 
 STATEMENTS = "statements.txt"
-#: Relative difference below which two numbers are one: what rounding leaves.
-ROUNDING = 1e-9
 _NUMBER = re.compile(r"[-+\u2212]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _MADE_BY = ("stickslip: ", "Code beside the scene")  # digests, which change with any line of the program
 
@@ -149,87 +145,19 @@ def write_all(out: Path, datasets: Path, only: list[str]) -> int:
 
 
 def by_value(text: str) -> str:
-    """A line with each of its numbers as the shortest text of its value."""
-    return _NUMBER.sub(lambda found: format(float(found[0].replace("\u2212", "-")), ".9g"), text)
+    """A line with each of its numbers as the shortest text of its value, to nine digits: what rounding leaves."""
+    return _NUMBER.sub(lambda number: format(float(number[0].replace("\u2212", "-")), ".9g"), text)
 
 
 def differences(old: Path, new: Path) -> list[str]:
-    """What differs between two folders of `write`, statements, then tables: lines, - of the old, + of the new.
-
-    ~ counts lines, or rows of a table, that are in both, but in another order.
-    """
-    found = _of_lines(*((folder / STATEMENTS).read_text().splitlines() for folder in (old, new)))
-    for name in sorted({file.name for folder in (old, new) for file in folder.glob("*.csv")}):
-        files = (old / name, new / name)
-        if not all(file.exists() for file in files):
-            found.append(f"{'-' if files[0].exists() else '+'} table {name}")
-        elif files[0].read_bytes() != files[1].read_bytes():
-            found += [f"{line[0]} {name}: {line[2:]}" for line in _of_tables(*map(_table, files))]
-    return found
-
-
-def _of_lines(old: list[str], new: list[str]) -> list[str]:
-    values = [[*map(by_value, lines)] for lines in (old, new)]
-    blocks = difflib.SequenceMatcher(None, *values, autojunk=False).get_opcodes()
-    both = Counter(values[0]) & Counter(values[1])
-    for _, first, end, _, _ in (block for block in blocks if block[0] == "equal"):
-        both -= Counter(values[0][first:end])
-    found, moved = [], both.total()
-    for sign, lines, named, place in (("-", old, values[0], 1), ("+", new, values[1], 3)):
-        left = both.copy()
-        for block in blocks:
-            for k in range(*block[place : place + 2]) if block[0] != "equal" else ():
-                if left[named[k]]:
-                    left[named[k]] -= 1
-                else:
-                    found.append((block[1], f"{sign} {lines[k]}"))
-    return [line for _, line in sorted(found, key=lambda one: one[0])] + [f"~ {moved} moved"] * bool(moved)
-
-
-def _table(file: Path) -> pd.DataFrame:
-    return pd.read_csv(file, dtype=str, keep_default_na=False)
-
-
-def _of_tables(old: pd.DataFrame, new: pd.DataFrame) -> list[str]:
-    """Columns and rows that only one has, and cells that differ; rows are told by the words in them."""
-    found = [f"- column {name}" for name in old if name not in new]
-    found += [f"+ column {name}" for name in new if name not in old]
-    shared = [name for name in old if name in new]
-    words = [name for name in shared if not all(map(_is_number, pd.concat([old[name], new[name]])))]
-    rows = [_by_words(table[shared], words) for table in (old, new)]
-    for sign, (some, others) in (("-", rows), ("+", rows[::-1])):
-        found += [f"{sign} {', '.join(row.values())}" for key, row in some.items() if key not in others]
-    both = [[key for key in some if key in others] for some, others in (rows, rows[::-1])]
-    found += [f"~ {len(both[0])} rows in another order"] * (both[0] != both[1])
-    for key in both[0]:
-        before, after = (some[key] for some in rows)
-        for name in shared:
-            if not _is_same(before[name], after[name]):
-                where = ", ".join(filter(None, (*key[0], f"#{key[1]}" * bool(key[1]))))
-                found += [f"- {where}: {name} = {before[name]}", f"+ {where}: {name} = {after[name]}"]
-    return found
-
-
-def _by_words(table: pd.DataFrame, words: list[str]) -> dict[tuple[tuple[str, ...], int], dict[str, str]]:
-    """The rows of a table, by the words in them and the number of such rows before."""
-    rows: dict[tuple[tuple[str, ...], int], dict[str, str]] = {}
-    seen: Counter[tuple[str, ...]] = Counter()
-    for row in table.to_dict("records"):
-        key = tuple(by_value(row[name]) for name in words)
-        rows[key, seen[key]] = row
-        seen[key] += 1
-    return rows
-
-
-def _is_number(text: str) -> bool:
-    return text == "" or bool(_NUMBER.fullmatch(text))
-
-
-def _is_same(before: str, after: str) -> bool:
-    if not (before and after and _is_number(before) and _is_number(after)):
-        return by_value(before) == by_value(after)
-    numbers = float(before), float(after)
-    return abs(numbers[0] - numbers[1]) <= ROUNDING * max(map(abs, numbers))
+    """What differs between two folders of `write`, by file: lines, - of the old, + of the new."""
+    lines = []
+    for name in sorted({file.name for folder in (old, new) for file in folder.iterdir()}):
+        texts = [(folder / name).read_text() if (folder / name).exists() else "" for folder in (old, new)]
+        versions = [[by_value(line) for line in text.splitlines()] for text in texts]
+        _, _, *changes = difflib.unified_diff(*versions, n=0, lineterm="") if versions[0] != versions[1] else "  "
+        lines += [f"{line[0]} {name}: {line[1:]}" for line in changes if not line.startswith("@@")]
+    return lines
 
 
 def compare(old: Path, new: Path) -> int:

@@ -29,9 +29,11 @@ class Extend(Command):
         parser.add_argument("directory", metavar="DIR")
         what = parser.add_mutually_exclusive_group(required=True)
         what.add_argument(
-            "--record", nargs="+", metavar="KEY[=VALUE]",
+            "--record",
+            nargs="+",
+            metavar="KEY[=VALUE]",
             help="keys under [record] of a scene; one without a value is true; or module:function, for its `own`",
-        )  # fmt: skip
+        )
         what.add_argument("--scene", metavar="FILE", help="a scene file whose members are those of DIR, or more")
         parser.add_argument(
             "--out", required=True, metavar="DIR2", help="directory of the new dataset, or its address"

@@ -29,10 +29,12 @@ class Plot(Command):
         parser.add_argument("directory", metavar="DIR")
         parser.add_argument("member", metavar="MEMBER", help="its member_id, as in the view `members`")
         parser.add_argument(
-            "--kind", default="space_time", metavar="KIND",
+            "--kind",
+            default="space_time",
+            metavar="KIND",
             help="space_time (default); n_stick; slip: how often each block of a grid slips, as a map; or spectrum:"
             " that of n_stick",
-        )  # fmt: skip
+        )
         parser.add_argument(
             "--span", nargs=2, type=float, metavar=("T0", "T1"), help="times between which to draw (default: all)"
         )

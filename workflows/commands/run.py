@@ -60,8 +60,10 @@ class Run(Command):
         check_name("--out", arguments.out or "")
         file = find(arguments.scene)
         if arguments.out is None and not file.stem.strip("."):  # runs/ itself, or what it is in
-            raise Wrong(f"SCENE: expected a name that data can have under runs/, got {file.name!r}; rename it, or"
-                        " add --out DIR")  # fmt: skip
+            raise Wrong(
+                f"SCENE: expected a name that data can have under runs/, got {file.name!r}; rename it, or"
+                " add --out DIR"
+            )
         if not file.exists() and file.suffix != ".toml":
             from stickslip.sim.numerics.arguments import did_you_mean
 

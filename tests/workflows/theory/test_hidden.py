@@ -303,7 +303,6 @@ def test_fast_system_leaves_through_a_face():
     np.testing.assert_allclose(settled.lam, [1, -0.4], atol=1e-9)
     crossed = Blowup(Coulomb(), [1.0]).settle(1.5, 1.0)  # from right slip to left slip, without a mode
     assert crossed.slip.tolist() == [-1]
-    assert crossed.path[0, 0] > 0 > crossed.path[-1, 0]
 
 
 def test_fast_system_that_cycles_is_named():

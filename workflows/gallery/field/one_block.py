@@ -294,10 +294,12 @@ def basin(rng: np.random.Generator, starts: int) -> Basin:
     points = rng.uniform(low, high, size=(starts, 2)).tolist()
     sticks = run(2.0, 1.0, _DECIDED, np.linspace(_DECIDED - 8.0, _DECIDED, 300)).samples
     return Basin(
-        area / float(box), around.z[:, 0].tolist(), around.w[:, 0].tolist(),
+        area / float(box),
+        around.z[:, 0].tolist(),
+        around.w[:, 0].tolist(),
         [(z, speed, slides(z, speed, _DECIDED)) for z, speed in points],
         list(zip(sticks.z[:, 0].tolist(), sticks.w[:, 0].tolist(), strict=True)),
-    )  # fmt: skip
+    )
 
 
 # ---------------------------------------------------------------------------------------------- claims

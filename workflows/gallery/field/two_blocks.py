@@ -196,9 +196,11 @@ class TwoBlocksScene(ChartScene):
         judged = [{"claim": claim.__name__} | claim(measured) for claim in _CLAIMS]
         facts = {"claims": judged, "kinds": kinds(measured)}
         tables = {
-            "claims": table(judged), "ends": frame(measured.ends, End),
-            "homogeneous": frame(measured.together, Together), "unequal": frame(measured.unequal, Unequal),
-        }  # fmt: skip
+            "claims": table(judged),
+            "ends": frame(measured.ends, End),
+            "homogeneous": frame(measured.together, Together),
+            "unequal": frame(measured.unequal, Unequal),
+        }
         return Shown(facts, tables, {"two_blocks": partial(draw, self, measured)})
 
 
@@ -315,8 +317,9 @@ def structurally_unstable(measured: Measured) -> Claim:
     distances = [abs(end.multiplier - 1) for end in measured.ends if end.kind == "alone in turns" and end.multiplier]
     return gone | {
         "verdict": every([told(gone["low"], gone["high"], IN_GENERAL), told(stay["low"], stay["high"], IN_GENERAL)]),
-        "stay": stay, "apart": max(distances, default=None),
-    }  # fmt: skip
+        "stay": stay,
+        "apart": max(distances, default=None),
+    }
 
 
 def only_cycles(measured: Measured) -> Claim:

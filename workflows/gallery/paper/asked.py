@@ -46,9 +46,10 @@ class Asked(ChartScene):
         min_length=1, description="numbers of the figures", examples=[[3, 5]]
     )
     n: BlockNumbers = Field(
-        default=(20, 100, 200), description="numbers of blocks of figure 3; the last is that of figures 4 and 5",
+        default=(20, 100, 200),
+        description="numbers of blocks of figure 3; the last is that of figures 4 and 5",
         examples=[[20, 200]],
-    )  # fmt: skip
+    )
     draws: Count = Field(default=20, description="number of matrices for each n but the last")
     beyond: Blocks = Field(default=250, description="number of blocks at which runs escape")
     matrices: Count = Field(default=40, description="number of matrices for the last n")
@@ -102,9 +103,11 @@ class Asked(ChartScene):
                 for draw in range(3):
                     yield Ask("r", f"r, draw {draw}", blocks, 0, self.t_few, "sigmoid", detail="r", draw=draw)
             changes: dict[str, dict[str, Any]] = {
-                "unchanged": {}, "start": {"detail": "start"}, "r": {"detail": "r"},
+                "unchanged": {},
+                "start": {"detail": "start"},
+                "r": {"detail": "r"},
                 "constants": {"reading": "scale", "size": self.size},
-            }  # fmt: skip
+            }
             for matrix, (setting, change) in product(range(self.changed), changes.items()):
                 yield Ask("lasting", setting, n, matrix, self.t_end, "sigmoid", draw=matrix, **change)
             for draw in range(3):

@@ -36,7 +36,7 @@ from stickslip.workflows.gallery.charts.claims import (
     share,
     told,
     verdict_of,
-)  # fmt: skip
+)
 from stickslip.workflows.gallery.paper import figures_1_2
 from stickslip.workflows.gallery.paper.asked import STRONGEST, Asked, Measured
 from stickslip.workflows.gallery.paper.figures_3_to_5 import PAPER_GAMMA, Cascades, Row, by_definition, escapes
@@ -225,9 +225,10 @@ def sensitive(scene: Asked, measured: Measured) -> Claim:
     fewest = min(shares.values(), key=lambda part: part["low"] or 0.0)
     return {name: fewest[name] for name in ("found", "tried", "low", "high")} | {
         "verdict": every([told(part["low"], part["high"], MOST) for part in shares.values()]),
-        "each": shares, "size": scene.size,
+        "each": shares,
+        "size": scene.size,
         "is_few_at_rest": all(row.fate == COLLAPSED for row in _of(measured, "r", scene.n[0])),
-    }  # fmt: skip
+    }
 
 
 def robust(scene: Asked, measured: Measured) -> Claim:
@@ -255,15 +256,15 @@ def robust(scene: Asked, measured: Measured) -> Claim:
     result = components.against_redraw(values[:, :2], values[:, 2:], CONFIDENCE)
     theta = result.theta
     return facts | {
-        "verdict": REPRODUCED if result.is_below(BOUND)
-        else CONTRADICTED if result.is_above(BOUND)
-        else UNTOLD,
-        "value": theta.value if result.is_bounded else None, "low": theta.low, "high": theta.high,
+        "verdict": REPRODUCED if result.is_below(BOUND) else CONTRADICTED if result.is_above(BOUND) else UNTOLD,
+        "value": theta.value if result.is_bounded else None,
+        "low": theta.low,
+        "high": theta.high,
         "rms": {
             name: float(np.sqrt(square) / values[:, :2].mean())
             for name, square in (("change", result.change), ("start", result.replicate), ("matrix", result.redraw))
         },
-    }  # fmt: skip
+    }
 
 
 def oscillations(scene: Asked, measured: Measured) -> Claim:
@@ -283,7 +284,7 @@ def oscillations(scene: Asked, measured: Measured) -> Claim:
         "seen": {size: by_size[size] for size in [*list(by_size)[:2], STRONG]},
         "is_old": bool(less) and all(bounds[0] <= period <= bounds[1] for period, _ in less),
         "is_wider": min(swing for _, swing in by_size[STRONG]) > max((swing for _, swing in less), default=0.0),
-    }  # fmt: skip
+    }
 
 
 def collapse_at_strongest(scene: Asked, measured: Measured) -> Claim:
@@ -295,8 +296,9 @@ def collapse_at_strongest(scene: Asked, measured: Measured) -> Claim:
         return claim | {"verdict": UNTOLD, "scaled": scaled}
     otherwise = CORRECTED if claim["low"] > MOST else CONTRADICTED
     by_reading = {
-        told(noisy["low"], noisy["high"], MOST, otherwise=otherwise), told(scaled["low"], scaled["high"], MOST),
-    }  # fmt: skip
+        told(noisy["low"], noisy["high"], MOST, otherwise=otherwise),
+        told(scaled["low"], scaled["high"], MOST),
+    }
     return claim | {"verdict": by_reading.pop() if len(by_reading) == 1 else UNTOLD, "scaled": scaled}
 
 
@@ -317,9 +319,9 @@ def paths_and_laws(scene: Asked, measured: Measured) -> Claim:
     pairings = measured.pairings
     rows = np.array([(pair.shared, pair.by_chance, pair.n_exits) for pair in pairings], dtype=float).reshape(-1, 3)
     means = np.array([(pair.mean_smoothed - pair.mean, pair.mean) for pair in pairings]).reshape(-1, 2)
-    sizes = np.array([
-        (pair.size_smoothed, pair.cascades_smoothed, pair.size, pair.cascades) for pair in pairings
-    ], dtype=float).reshape(-1, 4)  # fmt: skip
+    sizes = np.array(
+        [(pair.size_smoothed, pair.cascades_smoothed, pair.size, pair.cascades) for pair in pairings], dtype=float
+    ).reshape(-1, 4)
     shared = over_matrices(lambda s: s[:, 0] / s[:, 2], rows, CONFIDENCE)
     chance = over_matrices(lambda s: s[:, 1] / s[:, 2], rows, CONFIDENCE)
     beyond = over_matrices(lambda s: (s[:, 0] - s[:, 1]) / s[:, 2], rows, CONFIDENCE)

@@ -284,8 +284,9 @@ def region(ax: Axes, plane: Parallelogram) -> None:
            xlim=(low[0] - margin[0], high[0] + margin[0]),
            ylim=(low[1] - margin[1], high[1] + margin[1]))  # fmt: skip
     start = low - margin + np.array([0.66, 0.96]) * (span + 2 * margin)
-    ax.annotate("", start + 0.2 * float(span.min()) * np.sign(V), start,
-                arrowprops={"arrowstyle": "-|>", "color": GREY})  # fmt: skip
+    ax.annotate(
+        "", start + 0.2 * float(span.min()) * np.sign(V), start, arrowprops={"arrowstyle": "-|>", "color": GREY}
+    )
     ax.annotate("drift (v, v)", start, xytext=(4, 0), textcoords="offset points", fontsize=7, color=GREY, va="center")
     handles, labels = ax.get_legend_handles_labels()
     by_label = dict(zip(labels, handles, strict=True))

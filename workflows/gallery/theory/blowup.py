@@ -71,15 +71,11 @@ class Settled:
         0 for a block that sticks; +1, -1 for one that left through the face lambda_i = +1, -1 (or was slipping).
     is_stable : bool
         False if the entry lies on the boundary of basins, or within about 1e-10 of it, and ends in an unstable mode.
-    time : float64, shape (k,); path : float64, shape (k, m)
-        Fast time and lambda on the way.
     """
 
     lam: Floats
     slip: Slips
     is_stable: bool
-    time: Floats
-    path: Floats
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -215,12 +211,12 @@ class Blowup:
 
         u = np.arctanh(np.clip(start, ENTRY_DEPTH - 1, 1 - ENTRY_DEPTH)[free])
         unit = float(self.eps.max() / self.friction.min())
-        times, path, t, n_evaluations = [np.zeros(1)], [box(u)[None]], 0.0, 0
+        t, n_evaluations = 0.0, 0
         for span in (*2.0 ** np.arange(2, 14), 0.0):
             end = self._at_rest(load, box(u), slips, 1e-9 if span else 1e-4)
             if end is not None:
                 lam, slipping, is_stable = end
-                return Settled(lam, slipping, is_stable, np.concatenate(times), np.concatenate(path))
+                return Settled(lam, slipping, is_stable)
             if not span or n_evaluations > MAX_EVALUATIONS:
                 break
             run = solve_ivp(rhs, (t, t + span * unit), u, method="LSODA", rtol=1e-10, atol=1e-12)
@@ -229,8 +225,6 @@ class Blowup:
                     f"the fast system at F = {load.tolist()}, lambda = {box(u).tolist()}: {run.message}"
                 )
             u, t = run.y[:, -1], run.t[-1]
-            times.append(run.t[1:])
-            path.append(np.array([box(v) for v in run.y.T[1:]]))
             n_evaluations += run.nfev
         raise IntegrationError(
             f"the fast system at F = {load.tolist()} does not come to rest from lambda = {start.tolist()} in"

@@ -12,7 +12,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from fractions import Fraction
 from itertools import product
 
 import numpy as np
@@ -26,6 +25,8 @@ Slips = NDArray[np.int8]
 
 #: a point this far outside the box counts as on its face: the rounding of lambda
 ON_FACE = 1e-12
+#: a point at which s misses its target by more is no zero, but a double root of P beside a face, split by rounding
+ROOT_MISS = 1e-9
 
 
 class SwitchingLaw(ABC):
@@ -145,12 +146,12 @@ class Modified(SwitchingLaw):
         return np.array([[1 + 2 * x * y, x**2 - 1], [y**2 - 1, 1 + 2 * x * y]])
 
     def zeros(self, target: Floats, slip: Slips) -> Floats:
-        """See `SwitchingLaw.zeros`. Both blocks free: complete because Sturm's theorem counts the real roots of
+        """See `SwitchingLaw.zeros`. Both blocks free: from the real roots of
 
             P(x) = -x^5 - b x^4 + 2 x^3 + (2 b - a) x^2 + a^2 x - (a + b),    (a, b) = target
 
-        in exact rational arithmetic. P is s_2 = b with y = (x - a) / (1 - x^2) from s_1 = a inserted; it loses
-        only x = +-1, which needs a = +-1 and is then a quadratic in y.
+        P is s_2 = b with y = (x - a) / (1 - x^2) from s_1 = a inserted; it loses only x = +-1, which needs a = +-1
+        and is then a quadratic in y. At a saddle-node its double root may be missed.
         """
         if slip.all():
             return slip.astype(np.float64)[None]
@@ -162,15 +163,17 @@ class Modified(SwitchingLaw):
         # the component further from +-1 is eliminated: y is then well conditioned
         order = [0, 1] if abs(abs(target[0]) - 1) >= abs(abs(target[1]) - 1) else [1, 0]
         a, b = (float(target[k]) for k in order)
-        exact = Fraction(a), Fraction(b)
-        x = np.array(_real_roots([-1, -exact[1], 2, 2 * exact[1] - exact[0], exact[0] ** 2, -exact[0] - exact[1]]))
+        x = np.roots([-1.0, -b, 2.0, 2.0 * b - a, a**2, -a - b])
+        x = x[np.isreal(x)].real
         x = x[np.abs(x) < 1]
         pairs = [np.column_stack([x, (x - a) / (1 - x**2)])]
         if abs(a) == 1:
             y = _beside_slip(b, a)
             pairs.append(np.column_stack([np.full(2, a), y])[np.isfinite(y)])
         points = np.concatenate(pairs)[:, order]
-        return np.unique(_in_box(np.array([self._polish(lam, target) for lam in points]).reshape(-1, 2)), axis=0)
+        points = _in_box(np.array([self._polish(lam, target) for lam in points]).reshape(-1, 2))
+        misses = np.array([np.abs(self.resistance(lam) - target).max() for lam in points])
+        return np.unique(points[misses < ROOT_MISS], axis=0)
 
     def _polish(self, lam: Floats, target: Floats) -> Floats:
         """One Newton step, where the root is simple enough that it can only improve."""
@@ -242,87 +245,6 @@ def _beside_slip(target: float, side: float) -> Floats:
         return np.array([np.inf, np.inf])
     roots = side * (np.array([-1.0, 1.0]) * np.sqrt(square) - 1) / 2
     return roots if square > 0 else np.array([roots[0], np.inf])
-
-
-# --- real roots of a polynomial, exactly counted ---------------------------------------------------------------
-
-Poly = list[Fraction]  # highest power first, leading coefficient not zero
-
-
-def _value(p: Poly, x: Fraction) -> Fraction:
-    total = Fraction(0)
-    for coefficient in p:
-        total = total * x + coefficient
-    return total
-
-
-def _divide(p: Poly, q: Poly) -> tuple[Poly, Poly]:
-    """Quotient and remainder."""
-    quotient, remainder = [], list(p)
-    while len(remainder) >= len(q):
-        factor = remainder[0] / q[0]
-        quotient.append(factor)
-        remainder = [r - factor * (q[k] if k < len(q) else 0) for k, r in enumerate(remainder)][1:]
-    while remainder and remainder[0] == 0:
-        remainder = remainder[1:]
-    return quotient, remainder
-
-
-def _derivative(p: Poly) -> Poly:
-    degree = len(p) - 1
-    return [c * (degree - k) for k, c in enumerate(p[:-1])]
-
-
-def _sturm(p: Poly) -> list[Poly]:
-    chain = [p, _derivative(p)]
-    while len(chain[-1]) > 1:
-        remainder = _divide(chain[-2], chain[-1])[1]
-        if not remainder:
-            break
-        chain.append([-c / abs(remainder[0]) for c in remainder])
-    return chain
-
-
-def _variations(chain: list[Poly], x: Fraction) -> int:
-    signs = [v > 0 for p in chain if (v := _value(p, x)) != 0]
-    return sum(a != b for a, b in zip(signs[1:], signs[:-1], strict=True))
-
-
-def _real_roots(coefficients: list[int | Fraction]) -> list[float]:
-    """Distinct real roots in [-1, 1] of a polynomial with exact coefficients, each to 2^-60.
-
-    Sturm's theorem on the square-free part isolates them, bisection by the exact sign narrows them.
-    """
-    p = [Fraction(c) for c in coefficients]
-    chain = _sturm(p)
-    if len(chain[-1]) > 1:  # a repeated root: gcd(p, p') is the last of the chain
-        p = _divide(p, chain[-1])[0]
-        chain = _sturm(p)
-    roots = [-1.0] if _value(p, Fraction(-1)) == 0 else []
-    pending = [(Fraction(-1), Fraction(1))]
-    while pending:
-        low, high = pending.pop()  # half-open: (low, high]
-        n_roots = _variations(chain, low) - _variations(chain, high)
-        if n_roots > 1:
-            middle = (low + high) / 2
-            pending += [(low, middle), (middle, high)]
-        elif n_roots == 1:
-            roots.append(_bisect(p, low, high))
-    return sorted(roots)
-
-
-def _bisect(p: Poly, low: Fraction, high: Fraction) -> float:
-    """The one root, a simple one, in (low, high]."""
-    if _value(p, high) == 0:
-        return float(high)
-    above = _value(p, high) > 0
-    while high - low > Fraction(1, 2**60):
-        middle = (low + high) / 2
-        value = _value(p, middle)
-        if value == 0:
-            return float(middle)
-        low, high = (low, middle) if (value > 0) == above else (middle, high)
-    return float(high)
 
 
 # --- subdivision -----------------------------------------------------------------------------------------------
