@@ -200,6 +200,8 @@ class _End:
         if self._mode.any() or self._is_loaded_by(self._v):
             return False
         swing, steady = np.zeros(s.n), s.damping * self._v + s.stiffness @ self._run.z
+        if s.cross_damping is not None:
+            steady += s.cross_damping @ self._v
         for term in s.force:
             if isinstance(term, Harmonic):
                 swing += np.abs(term.amplitude)
