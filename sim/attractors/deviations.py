@@ -144,6 +144,22 @@ class Path:
         z, w = self.states.z, self.states.w
         return np.concatenate([z[-1] - z[0] - drift, w[-1] - w[0]])
 
+    def is_differentiable(self, at_once: float) -> bool:
+        """Whether deviations have a matrix; events no further apart than `at_once` are at one instant.
+
+        Not where damping couples an exit with a jump of w' to another event of its instant: which of the two comes
+        first then depends on the deviation, and what it becomes on that.
+        """
+        s, cross = self.system, self.system.cross_damping
+        if cross is None:
+            return True
+        for k, i in enumerate(self.block.tolist()):
+            is_jump = self.modes[k, i] == 0 and s.static[i] > s.slip_friction[0][i]
+            others = self.block[np.abs(self.states.t[: len(self.block)] - self.states.t[k]) <= at_once]
+            if is_jump and _row(cross, i)[others].any():
+                return False
+        return True
+
     def monodromy(self, is_forced: bool) -> Floats:
         """By what deviations just before the first event are multiplied until just before the last edge.
 
