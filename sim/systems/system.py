@@ -709,7 +709,7 @@ def _damping(damping: Any, n: int) -> tuple[Floats, Any]:
     """R and N, from a damping given as a number, by block, or as a matrix."""
     if is_sparse(damping):
         return _sparse_damping(damping, n)
-    cross = floats("damping", damping, f"a number, {n} numbers or a dense matrix")
+    cross = floats("damping", damping, f"a number, {n} numbers or a matrix")
     if cross.ndim != 2:
         return per_block("damping", cross, n), None
     if cross.shape != (n, n):

@@ -138,8 +138,7 @@ class _Runs(Several):
         self.slow = Slow.of(systems[0], self.drives[0].fastest) if may_be_slow else None
         is_sparse = not isinstance(systems[0].stiffness, np.ndarray)
         is_local = is_sparse and is_linear and not self.drives[0].is_forced and self.slow is None
-        pull, drag = float(row_sums[0].max()), float(systems[0].cross_sums.max())
-        local = Local.of(systems[0].n, pull, drag) if is_local else None
+        local = Local.of(systems[0]) if is_local else None
         self.work = Work(Expansion.blank(mode, n_shapes), self.searches, self.slow, local)
         if tasks[0].modes is not None:
             self.work.expansion.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)

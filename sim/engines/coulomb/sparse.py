@@ -26,6 +26,7 @@ from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, largest
 from stickslip.sim.numerics.horner import shift_rows
+from stickslip.sim.systems.system import System
 
 _NEVER = math.inf
 
@@ -50,12 +51,13 @@ class Local(NamedTuple):
     ends: NDArray[np.int64]  #: the number of members at most k ties away from the event
 
     @classmethod
-    def of(cls, n: int, pull: float, drag: float) -> Local:
-        """A workspace for n blocks."""
+    def of(cls, system: System) -> Local:
+        """For the blocks of a system."""
+        n = system.n
         size, most = 1 << (n - 1).bit_length(), min(n, max(control.FEW, n // control.SHARE))
         return cls(
-            pull=pull,
-            drag=drag,
+            pull=float(system.row_sums.max()),
+            drag=float(system.cross_sums.max()),
             origin=np.zeros(n),
             due=np.full(2 * size, _NEVER),
             place=np.full(n, -1),
