@@ -3,7 +3,7 @@
     d/dt (w M w / 2 + z K_s z / 2) = belt + outside - damping - heat + coupling
 
 The belt of block i does work on it at the rate v_i f_i, f_i the friction on the block: -mu_i sigma_i in slip,
-`System.holding_force` in stick, where it balances all other forces. External forces do work too. Damping takes w R w;
+`System.holding_force` in stick, where it balances all other forces. External forces do work too. Damping takes w C w;
 the contact dissipates -f_i (w_i - v_i), which is zero in stick. Springs store z K_s z / 2, K_s the symmetric part of
 K; the skew part, non-reciprocal coupling, supplies -w K_a z.
 
@@ -159,12 +159,14 @@ def _powers(system: System, skew: Any, mode: NDArray[np.int8], samples: Samples,
         return np.asarray((matrix @ x.reshape(-1, system.n).T).T).reshape(x.shape)
 
     holding = system.damping * v + times_matrix(system.stiffness, z) - pull + system.mass * gain
+    cross = np.zeros_like(w) if system.cross_damping is None else times_matrix(system.cross_damping, w)
+    holding = holding + cross
     force = np.where(mode == 0, holding, -system.kinetic(w - v) * mode)
     return np.array(
         [
             (force * v).sum(axis=2),
             (pull * w).sum(axis=2),
-            (system.damping * w * w).sum(axis=2),
+            (w * (system.damping * w + cross)).sum(axis=2),
             np.where(mode == 0, 0.0, force * (v - w)).sum(axis=2),
             -(w * times_matrix(skew, z)).sum(axis=2),
         ]
@@ -191,7 +193,8 @@ def _edges(system: System, series: EventSeries) -> Floats:
 
     An eigenvalue x of slipping blocks has |x| |x + R_j| <= k_j, the sum of |K_jk| over k, for at least one block j,
     that of the largest component of its eigenvector. If R_j > 4 k_j^(1/2), |x| is below k_j^(1/2), or x within as
-    much of -R_j: a transient that begins at an instant, after which segments grow.
+    much of -R_j: a transient that begins at an instant, after which segments grow. Where damping couples blocks no R
+    counts as heavy.
     """
     bends = np.concatenate(
         [np.empty(0), *(x.times for x in (*system.force, system.belt_speed) if isinstance(x, Piecewise))]
@@ -199,7 +202,7 @@ def _edges(system: System, series: EventSeries) -> Floats:
     bends = bends[(bends > series.t_start) & (bends < series.t_end)]
     instants = np.unique(np.concatenate(([series.t_start], series.t, bends, [series.t_end])))
     unit = system.of_unit_mass
-    is_heavy = unit.damping > _HEAVY * np.sqrt(unit.row_sums)
+    is_heavy = (unit.damping > _HEAVY * np.sqrt(unit.row_sums)) & (unit.cross_damping is None)
     lasting = unit.changed(damping=np.where(is_heavy, 0.0, unit.damping)) if is_heavy.any() else unit
     fall = 0.0
     if system.weakening is not None:

@@ -1,13 +1,13 @@
 """An exact engine that shares no code and no method with `sim`: matrix exponentials and Chebyshev interpolants.
 
-    M z'' + R z' + K z + mu lambda = f(t),    lambda_i in Sign(z_i' - v_i(t))
+    M z'' + C z' + K z + mu lambda = f(t),    lambda_i in Sign(z_i' - v_i(t)),    C = diag(R) + N
 
 While no block changes its mode the motion is linear, X' = A X with X = (z, (w - v) / rate, drive), and exp(A t) is
 taken by Pade's method at Chebyshev nodes of a sub-interval that is short against 1 / |A|: singular, nilpotent,
 defective or undamped systems need no care. What drives them is part of X: one, the time since the last knot, of which
 f and v are linear functions between knots, and the cosine and sine of each frequency of f. What may end the motion,
-(w - v) of a slipping block and m -+ F of a sticking one, m its static friction and F = M v' + R v + K z - f, is then
-a polynomial; it is monotone between the zeros of its derivative, so no crossing and no touch is missed. A function
+(w - v) of a slipping block and m -+ F of a sticking one, m its static friction and F = M v' + R v + N w + K z - f, is
+then a polynomial; it is monotone between the zeros of its derivative, so no crossing and no touch is missed. One
 that vanishes at the start, to the order k, is divided by t^k exactly: its k-th derivative is averaged.
 
 At an instant every block with w = v is decided anew, all together: by |F| against m, and at |F| = m by the first
@@ -96,7 +96,7 @@ class Ramp:
 
 @dataclass(frozen=True)
 class Case:
-    """What is to be followed: the system and its start; `stiffness` (n, n), `waves` (m, 3, n), all else (n,).
+    """What is to be followed: the system and its start; `stiffness`, `cross` (n, n), `waves` (m, 3, n), else (n,).
 
     `waves` are amplitudes, frequencies and phases of cosines, which with `push` make the force. `falls` is the law by
     which friction falls with speed, ("rational", rate) or ("exponential", speed); `closed` the side to which a block
@@ -114,7 +114,8 @@ class Case:
     push: Ramp
     waves: Floats
     closed: Floats
-    falls: tuple[str, float] | None = None
+    falls: tuple[str, float] | None
+    cross: Floats
 
     @classmethod
     def of(
@@ -145,7 +146,7 @@ class Case:
         belt, force = Ramp.of(belt_speed, n), Ramp.of(push, n)
         closed = np.zeros(n) if back_slip else np.sign(belt.values.sum(axis=0))
         own = (
-            each(damping),
+            each(np.diag(damping) if np.ndim(damping) == 2 else damping),
             each(friction),
             belt,
             each(z0),
@@ -156,7 +157,9 @@ class Case:
             cosines,
             closed,
         )
-        return cls(matrix, *own, falls)
+        drag = np.array(damping, dtype=float)
+        cross = drag - np.diag(np.diag(drag)) if drag.ndim == 2 else np.zeros((n, n))
+        return cls(matrix, *own, falls, cross)
 
     @cached_property
     def near(self) -> Floats:
@@ -198,6 +201,7 @@ class Case:
     def rate(self) -> float:
         """No motion is faster than about this; not below one, or friction alone would be seen at too few places."""
         own = np.sqrt(np.linalg.norm(self.stiffness / self.mass[:, None], 2)) + np.abs(self.damping / self.mass).max()
+        own += np.linalg.norm(self.cross / self.mass[:, None], 2)
         own += (self.drop * self.steepness / self.mass).max()
         return float(max(1.0, own, self.frequencies.max(initial=0.0)))
 
@@ -237,17 +241,19 @@ class Case:
         amplitude, frequency, phase = self.waves.transpose(1, 0, 2)
         return np.asarray(self.push.line(t)[0] + (amplitude * np.cos(frequency * t + phase)).sum(axis=0))
 
-    def holding(self, times: Floats, z: Floats) -> Floats:
-        """F (m, n) at times (m,), of z (m, n)."""
+    def holding(self, times: Floats, z: Floats, w: Floats) -> Floats:
+        """F (m, n) at times (m,), of z and w (m, n)."""
         push = [self.force(t) - self.mass * self.belt.line(t)[1] for t in times]
-        return np.asarray(self.damping * self.belt.at(times) + z @ self.stiffness.T - push)
+        return np.asarray(self.damping * self.belt.at(times) + z @ self.stiffness.T + w @ self.cross.T - push)
 
     def renumbered(self, order: NDArray[np.int64]) -> Case:
         """With the blocks in this order."""
         each: dict[str, Any] = {name: getattr(self, name)[order] for name in _EACH}
         belt, push = (Ramp(ramp.times, ramp.values[:, order]) for ramp in (self.belt, self.push))
-        matrix = self.stiffness[np.ix_(order, order)]
-        return replace(self, stiffness=matrix, belt=belt, push=push, waves=self.waves[:, :, order], **each)
+        matrix, cross = self.stiffness[np.ix_(order, order)], self.cross[np.ix_(order, order)]
+        return replace(
+            self, stiffness=matrix, cross=cross, belt=belt, push=push, waves=self.waves[:, :, order], **each
+        )
 
     def beside(self, other: Case) -> Case:
         """Two systems as one; friction falls as here."""
@@ -255,8 +261,8 @@ class Case:
         mine, its = np.zeros((len(self.waves), 3, other.n)), np.zeros((len(other.waves), 3, self.n))
         waves = np.concatenate((np.dstack((self.waves, mine)), np.dstack((its, other.waves))))
         belt, push = self.belt.beside(other.belt), self.push.beside(other.push)
-        matrix = block_diag(self.stiffness, other.stiffness)
-        return replace(self, stiffness=matrix, belt=belt, push=push, waves=waves, **each)
+        matrix, cross = block_diag(self.stiffness, other.stiffness), block_diag(self.cross, other.cross)
+        return replace(self, stiffness=matrix, cross=cross, belt=belt, push=push, waves=waves, **each)
 
     def perturbed(self, rng: np.random.Generator, size: float) -> Case:
         """Each constant times 1 + size u, and each start plus size u times the largest of the start; |u| <= 1."""
@@ -286,7 +292,7 @@ class Case:
         if self.is_driven or (self.mass != 1).any():
             push, waves = self.push.varied(u), self.waves * (1 + u(*self.waves.shape))
             changed = replace(changed, mass=self.mass * (1 + u(n)), push=push, waves=waves)
-        return changed
+        return replace(changed, cross=self.cross * (1 + u(n, n))) if self.cross.any() else changed
 
 
 @dataclass
@@ -342,9 +348,9 @@ class _Flow:
         (v, v_slope), (push, push_slope) = case.belt.line(since), case.push.line(since)
         #: F = forces X
         self.forces = np.zeros((n, size))
-        self.forces[:, :n] = case.stiffness
-        self.forces[:, one] = case.mass * v_slope + case.damping * v - push
-        self.forces[:, time] = (case.damping * v_slope - push_slope) / rate
+        self.forces[:, :n], self.forces[:, n : 2 * n] = case.stiffness, rate * case.cross
+        self.forces[:, one] = case.mass * v_slope + case.damping * v + case.cross @ v - push
+        self.forces[:, time] = (case.damping * v_slope + case.cross @ v_slope - push_slope) / rate
         m = np.zeros((size, size))
         for k, frequency in enumerate(frequencies):
             cosine, sine = time + 1 + 2 * k, time + 2 + 2 * k
@@ -551,7 +557,7 @@ class _Follower:
         now = np.abs(self.x[:n]) + np.abs(self.x[n : 2 * n]) + case.fastest_belt / case.rate
         self._peak = np.maximum(self._peak, now)
         size = np.maximum(now, _REMEMBERED * self._peak)
-        pull = np.abs(case.stiffness) @ size + case.strongest_push
+        pull = (np.abs(case.stiffness) + case.rate * np.abs(case.cross)) @ size + case.strongest_push
         self.small_force = _ROUNDING * (pull + case.static)
         self.small_speed = _ROUNDING * (size + pull / (case.mass * case.rate**2))
 
@@ -613,7 +619,9 @@ class _Follower:
                 if found:
                     break  # others feel it, at a higher order
             if felt:
-                open_ = [i for i in edge if self.mode[i] == 0]
+                open_ = [i for i in edge if self.mode[i] == 0 or not case.is_above[i]]
+                for i in open_:
+                    self.mode[i] = 0
             if not found:
                 for i in open_:
                     self.orders[i] = -1  # it rests there

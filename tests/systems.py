@@ -76,9 +76,10 @@ def made(case: Case, sparse: bool = False) -> System:
     k = csc_array(case.stiffness) if sparse else case.stiffness
     force: Any = [Piecewise(case.push.times, case.push.values), *(Harmonic(*wave) for wave in case.waves)]
     laws = {"rational": Rational, "exponential": Stribeck}
+    c: Any = np.diag(case.damping) + case.cross if case.cross.any() else case.damping
     return System(
         k,
-        case.damping,
+        csc_array(c) if sparse and c.ndim == 2 else c,
         case.friction,
         _drive(case.belt),
         case.static,
@@ -202,8 +203,8 @@ def _static(rng: Rng, mu: Floats) -> Floats:
 
 
 #: What is drawn beside eq. (10), each in half of the cases: static friction above the kinetic, forces, belts of
-#: different speeds or such as change, masses, friction that falls with speed, no back slip.
-TERMS = ("static", "force", "belt", "mass", "weakening", "back_slip")
+#: different speeds or such as change, masses, friction that falls with speed, no back slip, damping between blocks.
+TERMS = ("static", "force", "belt", "mass", "weakening", "back_slip", "cross")
 _CURVED_MAX = 6  # blocks; more are slow to follow where the motion is not linear
 _LATEST = 60.0  # of a knot
 
@@ -217,6 +218,24 @@ def _ramps(rng: Rng, n: int, size: Callable[[tuple[int, int]], Floats], whole: b
     if k > 2 and rng.random() < 0.4:
         values[1] = values[0]
     return Ramp(np.sort(times), values)
+
+
+def _coupled(rng: Rng, case: Case, whole: bool, alike: bool) -> Case:
+    """With damping between blocks: N in proportion to K, of dashpots, or of any kind, of some pairs or of all."""
+    n, size = case.n, rng.choice([0.1, 0.5, 2.0])
+    kind = rng.choice(["proportional", "dashpots", "any"])
+    tied = rng.random((n, n)) < rng.choice([0.4, 1.0])
+    if whole or alike:
+        cross = np.full((n, n), 0.5)
+    elif kind == "proportional":
+        cross = size * case.stiffness / max(np.abs(case.stiffness).max(), 1.0)
+    else:
+        cross = size * rng.normal(size=(n, n)) * tied
+    if kind == "dashpots":
+        springs = np.abs(np.triu(cross, 1))
+        cross = -(springs + springs.T)
+        case = replace(case, damping=case.damping - cross.sum(axis=1))
+    return replace(case, cross=cross - np.diag(np.diag(cross)))
 
 
 def with_terms(rng: Rng, case: Case, terms: Collection[str], whole: bool = False, alike: bool = False) -> Case:
@@ -274,4 +293,6 @@ def with_terms(rng: Rng, case: Case, terms: Collection[str], whole: bool = False
         case = replace(case, falls=(own.choice(["rational", "exponential"]), float(own.choice(speeds_of_slip))))
     if "back_slip" in chosen and (case.near > 0).all() and (case.belt.values * case.belt.values[0] > 0).all():
         case = replace(case, closed=np.sign(case.belt.values[0]))
+    if own := chosen.get("cross"):
+        case = _coupled(own, case, whole, alike)
     return case

@@ -358,9 +358,30 @@ def _own_system(member: Member) -> sim.System:
     for name, value in terms.items():
         if isinstance(value, Ratio):
             given[name] = given[name] * (given[value.of] if value.of in given else getattr(made, value.of))
+    if (of_mass := terms.get("rayleigh_mass")) is not None:
+        return _with_rayleigh(
+            _of_source(member, made, {**given, "damping": 0.0}), of_mass, terms["rayleigh_stiffness"]
+        )
+    return _of_source(member, made, given)
+
+
+def _with_rayleigh(system: sim.System, of_mass: float, of_stiffness: float) -> sim.System:
+    """The system with C = a M + b K."""
+    damping: Any = of_stiffness * system.stiffness
+    if isinstance(damping, np.ndarray):
+        damping += np.diag(of_mass * system.mass)
+    else:
+        from scipy.sparse import diags_array  # a sparse K has loaded it
+
+        damping = damping + diags_array(of_mass * system.mass)
+    return system.changed(damping=damping)
+
+
+def _of_source(member: Member, made: sim.System | None, given: dict[str, Any]) -> sim.System:
+    """The system of a member's source, a function's that is made, with these arguments."""
     if made is not None:
         return made.changed(**given)
-    rho = terms.get("rho")
+    origin, seed, rho = member.source.origin, member._seed(MATRIX), member.term("rho")
     if isinstance(origin, SystemFile):
         if rho is not None:
             given["damping"] = np.random.default_rng(seed).uniform(rho, 2 * rho, member.n)

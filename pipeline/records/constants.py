@@ -64,10 +64,11 @@ class Constants(Record):
         }
         if len(waves) == 1:
             lists |= {f"force_{name}": getattr(waves[0], name) for name in _HARMONIC}
-        cross, known = system.cross_damping, {name: one for name, one in lists.items() if one is not None}
+        cross = None if system.cross_damping is None else system.damping_matrix - np.diag(system.damping)
+        known = {name: one for name, one in lists.items() if one is not None}
         return {
             "constant_row": row.astype(np.int32),
             "constant_column": column.astype(np.int32),
             "constant_stiffness": np.asarray(system.stiffness[row, column]).ravel(),
-            "constant_cross_damping": None if cross is None else cross.ravel(),
+            "constant_cross_damping": None if cross is None else np.asarray(cross).ravel(),
         } | {f"constant_{name}": np.broadcast_to(value, system.n) for name, value in known.items()}

@@ -96,6 +96,7 @@ PARTS = {
     ),
     "graph": Part('`coupling = "chain"`, or another graph, under [system]', _OF_TERMS["graph"]),
     "damping": Part("`damping` under [system], or in its file", _OF_TERMS["damping"], _BY_BLOCK),
+    "rayleigh": _of_term("rayleigh")._replace(nulls=("rho",)),
     "static": _of_term("static"),
     "mass": _of_term("mass"),
     # speeds that differ, or change in time: null in their column

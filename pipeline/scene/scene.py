@@ -246,7 +246,8 @@ class Scene(StrictTable):
         kept = self.system.readings
         if set(readings) - set(kept):
             remedy = f"write readings = {json.dumps(kept)}" if kept else "remove [perturbation]"
-            what = f'coupling = "{self.system.coupling}"' + " with `damping`" * (self.system.damping is not None)
+            also = [f"`{key}`" for key in ("damping", "rayleigh") if getattr(self.system, key) is not None]
+            what = " with ".join([f'coupling = "{self.system.coupling}"', *also])
             raise ValueError(
                 f"perturbation.readings: expected those that keep what {what} is,"
                 f" {json.dumps(kept)}, got {json.dumps(readings)}; {remedy}"
@@ -325,13 +326,15 @@ class Scene(StrictTable):
         asked = (
             ("force", forces and (forces if isinstance(system.force, tuple) else forces[0]), "none"),
             ("belt_speed", belts[0] if belts else None, "one number for all blocks and times"),
+            ("rayleigh", system.rayleigh, "none"),
             ("weakening", system.weakening, "none"),
             ("back_slip", None if system.back_slip else "false", "true"),
             *((term.name, known[term.name], "none") for term in TERMS if term.argument and term.default is None),
         )
         for engine in self.engines:
             for key, found, expected in asked:
-                if found is not None and key in BEYOND and key not in engine.engine.taken():
+                beyond = "damping matrix" if key == "rayleigh" else key
+                if found is not None and beyond in BEYOND and beyond not in engine.engine.taken():
                     got = found.model_dump(exclude_none=True) if isinstance(found, BaseModel) else found
                     raise SceneError(
                         f'system.{key}: expected {expected}, all that [[engine]] name = "{engine.name}" takes, got'

@@ -205,6 +205,22 @@ class WeakeningTable(_with_terms("weakening", _Law)):  # type: ignore[misc]
         return self
 
 
+def _pair(given: Any) -> Any:
+    """`[a, b]` as its table; what is swept is written by keys."""
+    if not isinstance(given, list | tuple):
+        return given
+    if len(given) != 2 or not all(isinstance(number, int | float) for number in given):
+        raise ValueError(
+            f"expected two numbers, a and b of C = a M + b K, got {shown(given)}; write e.g. [0.05, 0.1], or to sweep"
+            " one of them {mass = 0.05, stiffness = [0.1, 0.2]}"
+        )
+    return dict(zip(("mass", "stiffness"), given, strict=True))
+
+
+class RayleighTable(_with_terms("rayleigh")):  # type: ignore[misc]
+    """[system.rayleigh]: damping in proportion to masses and stiffnesses, C = mass M + stiffness K."""
+
+
 #: The keys that may hold lists and distributions, by their names in a grid, in ids and columns: the table in [system]
 #: that they stand in, "" for itself, and the key there.
 QUANTITIES = {term.name: (term.table, term.key) for term in TERMS}
@@ -243,6 +259,9 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
 
     force: Forces | None = Field(
         default=None, description="an external force, or a list of forces that act together; see [system.force]"
+    )
+    rayleigh: Annotated[RayleighTable | None, BeforeValidator(_pair)] = Field(
+        default=None, description="[a, b] of the damping matrix C = a M + b K, in the place of `rho`"
     )
     weakening: WeakeningTable | None = None
     back_slip: bool = Field(
@@ -291,7 +310,8 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
     @property
     def readings(self) -> tuple[str, ...]:
         """The readings of a perturbation that keep what the system is."""
-        kept = COUPLINGS[self.coupling].readings if self.coupling in COUPLINGS else ()
+        is_drawn = self.coupling in COUPLINGS and self.rayleigh is None  # else C is no longer drawn
+        kept = COUPLINGS[self.coupling].readings if is_drawn else ()
         return kept if self.damping is None else tuple(set(kept) & {"relative"})  # there is no scale of R
 
     @property
@@ -329,7 +349,7 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
                 raise ValueError(f"n: expected that of {name}, {file.n}, got {list(self.n)}; write `n = {file.n}`")
             given = {key for key in self.model_fields_set if getattr(self, key) is not None}
             for array in OF_BLOCKS:
-                keys = {array, "rho"} if array == "damping" else {array}
+                keys = {array, "rho", "rayleigh"} if array == "damping" else {array}
                 if array in file.arrays and keys & given:
                     key = sorted(keys & given)[0]
                     raise ValueError(f"{key}: expected none beside the array `{array}` of {name}, got one; remove it")
@@ -389,9 +409,12 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
                         f"belt_speed: expected with back_slip = false a belt that neither rests nor turns, got"
                         f" {speed}, which loads to neither side, or to both; change it, or remove `back_slip`"
                     )
-        if self.damping is not None:
-            if "rho" in self.model_fields_set and self.rho is not None:
-                raise ValueError("damping: expected either `damping` or `rho`, got both; remove one")
+        damped = [key for key in ("damping", "rayleigh") if getattr(self, key) is not None]
+        if damped and "rho" in self.model_fields_set and self.rho is not None:
+            damped.append("rho")
+        if len(damped) > 1:
+            raise ValueError(f"{damped[0]}: expected either `{damped[0]}` or `{damped[1]}`, got both; remove one")
+        if damped:
             object.__setattr__(self, "rho", None)
         for k, force in enumerate(self.forces):
             if force.blocks is not None and force.blocks[-1] >= min(self.n):

@@ -314,7 +314,13 @@ def _attempt(function: OwnFunction, n: int, parameters: Mapping[str, float]) -> 
 
 def _parts(system: System) -> list[Any]:
     """All that determines a system."""
-    stiffness = system.stiffness
-    dense = stiffness if isinstance(stiffness, np.ndarray) else [stiffness.data, stiffness.indices, stiffness.indptr]
-    rest = [getattr(system, name) for name in (*OF_BLOCKS, "cross_damping", "force", "back_slip")]
-    return [dense, *rest, repr(system.weakening)]  # a law of the user's own may not be pickled
+    matrices = [_content(matrix) for matrix in (system.stiffness, system.cross_damping)]
+    rest = [getattr(system, name) for name in (*OF_BLOCKS, "force", "back_slip")]
+    return [*matrices, *rest, repr(system.weakening)]  # a law of the user's own may not be pickled
+
+
+def _content(matrix: Any) -> Any:
+    """All that a matrix holds, dense or sparse."""
+    return (
+        matrix if matrix is None or isinstance(matrix, np.ndarray) else [matrix.data, matrix.indices, matrix.indptr]
+    )

@@ -7,8 +7,9 @@ J. Ros, Phys. Rep. 470 (2009) 151). At an event it is multiplied by the saltatio
     S = 1 + (f+ - f-) n / (n f- + dg/dt),    g(x, t) = 0 the event, n its gradient, f-+ = (z', w') before and after
 
 (R. I. Leine and H. Nijmeijer, Dynamics and Bifurcations of Non-Smooth Mechanical Systems, 2004). With this law an
-entry sets dw_i = 0; an exit adds (m_i - mu_i) s K_i dz / (K w - f')_i to it, m_i the static friction and s the side;
-a crossing multiplies it by w_i'+ / w_i'-. These commute, so the order of events at one instant does not matter.
+entry sets dw_i = 0; an exit adds (m_i - mu_i) s (K dz + N dw)_i / (K w + N w' - f')_i to it, m_i the static friction
+and s the side; a crossing multiplies it by w_i'+ / w_i'-. These commute, so the order of events at one instant does
+not matter, unless damping couples one to an exit with m_i > mu_i, which depends on w'.
 """
 
 from __future__ import annotations
@@ -143,6 +144,22 @@ class Path:
         z, w = self.states.z, self.states.w
         return np.concatenate([z[-1] - z[0] - drift, w[-1] - w[0]])
 
+    def is_differentiable(self, at_once: float) -> bool:
+        """Whether deviations have a matrix; events no further apart than `at_once` are at one instant.
+
+        Not where damping couples an exit with a jump of w' to another event of its instant: which of the two comes
+        first then depends on the deviation, and what it becomes on that.
+        """
+        s, cross = self.system, self.system.cross_damping
+        if cross is None:
+            return True
+        for k, i in enumerate(self.block.tolist()):
+            is_jump = self.modes[k, i] == 0 and s.static[i] > s.slip_friction[0][i]
+            others = self.block[np.abs(self.states.t[: len(self.block)] - self.states.t[k]) <= at_once]
+            if is_jump and _row(cross, i)[others].any():
+                return False
+        return True
+
     def monodromy(self, is_forced: bool) -> Floats:
         """By what deviations just before the first event are multiplied until just before the last edge.
 
@@ -173,8 +190,10 @@ class Path:
 
     @cached_property
     def _loads(self) -> Floats:
-        """Rates at which springs and forces load the blocks at each edge, (K w - f')_i, shape (m + 1, n)."""
+        """Rates at which others and forces load the blocks at each edge, (K w + N w' - f')_i, shape (m + 1, n)."""
         loads = (self.system.stiffness @ self.states.w.T).T
+        if self.system.cross_damping is not None:
+            loads = loads + (self.system.cross_damping @ self._slip_rates.T).T
         for term in self.system.force:
             if isinstance(term, Harmonic):
                 rate = Harmonic(term.amplitude * term.frequency, term.frequency, term.phase + np.pi / 2)
@@ -183,9 +202,13 @@ class Path:
 
     @cached_property
     def _rows(self) -> dict[int, Floats]:
-        """K_i of each block with an event, shape (n,)."""
-        k = self.system.stiffness
-        return {i: k[i] if isinstance(k, np.ndarray) else k[[i]].toarray()[0] for i in np.unique(self.block).tolist()}
+        """(K_i, N_i), the gradient of F_i, of each block with an event, shape (2n,)."""
+        k, cross = self.system.stiffness, self.system.cross_damping
+        none = np.zeros(self.system.n)
+        return {
+            i: np.append(_row(k, i), none if cross is None else _row(cross, i))
+            for i in np.unique(self.block).tolist()
+        }
 
     def _pass(self, k: int, moved: Floats) -> None:
         """Multiply deviations, the columns of an array, by the saltation matrix of the event at an edge, in place."""
@@ -197,7 +220,7 @@ class Path:
             row[:] = 0.0
         elif before == 0:
             drop = s.static[i] - s.slip_friction[0][i]
-            row[:] = after * drop / self._loads[k, i] * (self._rows[i] @ moved[: s.n]) if drop > 0.0 else 0.0
+            row[:] = after * drop / self._loads[k, i] * (self._rows[i] @ moved) if drop > 0.0 else 0.0
         else:
             row *= 1.0 + s.slip_friction[0][i] * (before - after) / self._slip_rates[k, i]
 
@@ -205,7 +228,7 @@ class Path:
         """Shift deviations in time, in place, until each has the event at an edge at the time of that edge."""
         n, i = self.system.n, int(self.block[k])
         if self.modes[k, i] == 0:
-            late = self._rows[i] @ moved[:n] / self._loads[k, i]
+            late = self._rows[i] @ moved / self._loads[k, i]
         else:
             late = moved[n + i] / self._slip_rates[k, i]
         moved -= self._motion[k] * late
@@ -248,10 +271,17 @@ class Path:
         return one + three / 12 + _commutator(c - 20 * one - three, two + d) / 240
 
 
+def _row(matrix: Any, i: int) -> Floats:
+    """Row i of a dense or sparse matrix, shape (n,)."""
+    return np.asarray(matrix[i] if isinstance(matrix, np.ndarray) else matrix[[i]].toarray()[0])
+
+
 def slip_rates(system: System, states: Samples, modes: NDArray[np.int8]) -> Floats:
     """w' of blocks of unit masses at some states, with the modes there, shape (m, n)."""
     s, (t, z, w) = system, (states.t, states.z, states.w)
     forces = -(s.stiffness @ z.T).T - s.damping * w - s.kinetic(w - s.belt_speed_at(t)) * modes
+    if s.cross_damping is not None:
+        forces -= (s.cross_damping @ w.T).T
     if s.force:
         forces += s.force_at(t)
     return np.where(modes == 0, 0.0, forces)

@@ -37,7 +37,8 @@ class Attractor:
         Of a periodic run: the largest modulus of its Floquet multipliers, but for those of a shift in time and of
         shifts of z at which no spring pulls; 0 if it is below
         100 `tol`, at most 1e-4. Below one the cycle attracts; above, only
-        symmetry or chance keeps the run on it. None if it would take too long.
+        symmetry or chance keeps the run on it. None if it would take too long, or a block with static friction above
+        the kinetic leaves at the instant of another's event that damping couples to it.
     growth_rate : float or None
         Of an irregular run: the rate at which small deviations grow, but for shifts in time. Of an undecided one that
         has many events, and on a torus, where it is negative: the same.

@@ -200,6 +200,8 @@ class _End:
         if self._mode.any() or self._is_loaded_by(self._v):
             return False
         swing, steady = np.zeros(s.n), s.damping * self._v + s.stiffness @ self._run.z
+        if s.cross_damping is not None:
+            steady += s.cross_damping @ self._v
         for term in s.force:
             if isinstance(term, Harmonic):
                 swing += np.abs(term.amplitude)
@@ -317,8 +319,8 @@ class _End:
             # it settles from side to side, and is still too far off to be back after a part of the round; in so many
             # turns a spiral onto the shorter cycle may come as near as a longer cycle does
             return self._settled(Round(part, period * part / p, is_back=False))
-        is_short = p * (2.0 * self._system.n) ** 3 <= _WORK
-        matrix = path.monodromy(bool(self._frequencies)) if is_short else None
+        has_matrix = p * (2.0 * self._system.n) ** 3 <= _WORK and path.is_differentiable(self._at_once)
+        matrix = path.monodromy(bool(self._frequencies)) if has_matrix else None
         multiplier = None if matrix is None else self._multiplier(matrix)
         distance = 0.0 if matrix is None else self._distance(path, drift, matrix)
         if distance > path.extent(drift) / _LARGER:
@@ -391,7 +393,7 @@ class _End:
 
         found = near_cycle(s, at.z[0], at.w[0], round_, p, self._close,
                            lambda some: in_order(some, 0, self._at_once), self._run_from, self._size)  # fmt: skip
-        if found is None:
+        if found is None or not found.path.is_differentiable(self._at_once):
             return None
         size = self._size(found.path)
         drift = self._drift(found.path, size)

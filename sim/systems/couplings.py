@@ -194,7 +194,7 @@ def perturb_system(
     - ``"relative"``: by up to `size` of itself. Every free constant, of K and of R, times 1 + size u, u uniform in
       [-1, 1]; entries of K that are one constant, such as K_ij = -K_ji, share their u.
     - ``"damping matrix"``: as "scale", and noise uniform in [-size rho, size rho] on every entry of the damping
-      matrix off its diagonal: `System.cross_damping`, for the sigmoid engine alone.
+      matrix off its diagonal: `System.cross_damping`.
 
     Parameters
     ----------

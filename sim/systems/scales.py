@@ -98,11 +98,10 @@ class Scales:
 
     def dimensionless(self, system: System) -> System:
         """The system whose numbers are in SI units, in these scales."""
-        belt, cross = system.belt_speed, system.cross_damping
-        damping = system.damping if cross is None else cross + np.diag(system.damping)
+        belt = system.belt_speed
         return system.changed(
             stiffness=system.stiffness / self.stiffness,
-            damping=damping / self.damping,
+            damping=system.damping_matrix / self.damping,
             friction=system.friction / self.force,
             static=None if system.static is system.friction else system.static / self.force,
             belt_speed=self._term(belt, self.speed) if isinstance(belt, Piecewise) else belt / self.speed,

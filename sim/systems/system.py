@@ -2,10 +2,10 @@
 
     z_i'' + R_i z_i' + (K z)_i + mu_i lambda_i = 0,    lambda_i in Sign(z_i' - v)        (eq. 10 of the paper)
 
-A full damping matrix C = diag(R) + N adds (N z')_i, N with zero diagonal; only the sigmoid engine takes it. With
-static friction above the kinetic, a block sticks while |mu_i lambda_i| is at most its static friction. Masses m_i
-multiply z_i'' (by default one), external forces f_i(t) stand on the right side, and each block may have its own belt,
-of speed v_i(t). Everything is dimensionless.
+A full damping matrix C = diag(R) + N adds (N z')_i, N with zero diagonal. With static friction above the kinetic,
+a block sticks while |mu_i lambda_i| is at most its static friction. Masses m_i multiply z_i'' (by default one),
+external forces f_i(t) stand on the right side, and each block may have its own belt, of speed v_i(t). Everything is
+dimensionless.
 """
 
 from __future__ import annotations
@@ -31,12 +31,22 @@ if TYPE_CHECKING:  # takes a tenth of a second to load, and few systems need it
 
 
 class Columns(NamedTuple):
-    """K by columns as the exact engine takes it: K transposed or, when this is empty, CSC."""
+    """A matrix by columns as the exact engine takes it: transposed or, when this is empty, CSC."""
 
     dense: Floats
     indptr: NDArray[np.int32]
     indices: NDArray[np.int32]
     data: Floats
+
+    @classmethod
+    def of(cls, matrix: Any) -> Columns:
+        """Those of a matrix, shape (n, n), dense or sparse."""
+        if isinstance(matrix, np.ndarray):
+            none = np.empty(0, dtype=np.int32)
+            # a copy always: kernels are compiled anew for what is read-only
+            return cls(np.array(matrix.T, order="C"), none, none, np.empty(0))
+        indptr, indices = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
+        return cls(np.empty((0, 0)), indptr, indices, matrix.data.copy())
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -47,8 +57,8 @@ class System:
     ----------
     stiffness : array_like or scipy.sparse matrix, shape (n, n)
         K, any matrix: symmetric for springs, with a skew part for non-reciprocal couplings.
-    damping : float or array_like, shape (n,) or (n, n)
-        R, the diagonal of the damping matrix C, or C itself, dense. Of either sign: R < 0 feeds a motion, as friction
+    damping : float, array_like, shape (n,) or (n, n), or scipy.sparse matrix
+        R, the diagonal of the damping matrix C, or C itself. Of either sign: R < 0 feeds a motion, as friction
         that falls with the speed of slip does in linear theory.
     friction : float or array_like, shape (n,)
         mu >= 0, kinetic friction; a block with mu = 0 slides freely, except to a closed side.
@@ -81,8 +91,8 @@ class System:
         Static friction; `friction` itself where it was left out.
     damping : ndarray, shape (n,)
         R, also of a full matrix.
-    cross_damping : ndarray, shape (n, n), or None
-        N = C - diag(R); None if that is zero.
+    cross_damping : ndarray or csc_array, shape (n, n), or None
+        N = C - diag(R), sparse as C was; None if that is zero.
 
     Raises
     ------
@@ -93,7 +103,7 @@ class System:
 
     stiffness: Floats | scipy.sparse.csc_array
     damping: Floats
-    cross_damping: Floats | None
+    cross_damping: Floats | scipy.sparse.csc_array | None
     friction: Floats
     belt_speed: Any  # Any: code for one belt of constant speed takes it as a number
     static: Floats
@@ -118,7 +128,7 @@ class System:
         if is_sparse(stiffness):
             from scipy.sparse import csc_array
 
-            matrix = csc_array(_checked(stiffness), copy=True)  # its entries are sorted in place
+            matrix = csc_array(_checked("stiffness", stiffness), copy=True)  # its entries are sorted in place
             matrix = csc_array(
                 (floats("stiffness", matrix.data, "real entries"), matrix.indices, matrix.indptr), matrix.shape
             )
@@ -305,17 +315,9 @@ class System:
     @cached_property
     def _divided_by_mass(self) -> System:
         share = 1.0 / self.mass
-        if isinstance(self.stiffness, np.ndarray):
-            stiffness = self.stiffness * share[:, np.newaxis]
-        else:
-            from scipy.sparse import diags_array
-
-            stiffness = diags_array(share) @ self.stiffness
         return self.changed(
-            stiffness=stiffness,
-            damping=self.damping * share
-            if self.cross_damping is None
-            else (self.cross_damping + np.diag(self.damping)) * share[:, np.newaxis],
+            stiffness=_rows_times(self.stiffness, share),
+            damping=_rows_times(self.damping_matrix, share),
             friction=self.friction * share,
             static=None if self.static is self.friction else self.static * share,
             mass=1.0,
@@ -325,18 +327,29 @@ class System:
     @cached_property
     def columns(self) -> Columns:
         """K by columns, the form in which the kernels stream it."""
-        if isinstance(self.stiffness, np.ndarray):
-            none = np.empty(0, dtype=np.int32)
-            # a copy always: kernels are compiled anew for what is read-only
-            return Columns(np.array(self.stiffness.T, order="C"), none, none, np.empty(0))
-        csc = self.stiffness
-        indptr, indices = csc.indptr.astype(np.int32), csc.indices.astype(np.int32)
-        return Columns(np.empty((0, 0)), indptr, indices, csc.data.copy())
+        return Columns.of(self.stiffness)
+
+    @property
+    def damping_matrix(self) -> Any:
+        """C, dense or sparse, shape (n, n); R, shape (n,), where C is diagonal."""
+        cross = self.cross_damping
+        if cross is None:
+            return self.damping
+        if isinstance(cross, np.ndarray):
+            return cross + np.diag(self.damping)
+        from scipy.sparse import diags_array
+
+        return diags_array(self.damping) + cross
 
     @cached_property
     def row_sums(self) -> Floats:
         """sum_j |K_ij|, shape (n,), which bounds the rounding of (K x)_i."""
-        return np.asarray(abs(self.stiffness).sum(axis=1), dtype=np.float64).reshape(self.n)
+        return _row_sums(self.stiffness)
+
+    @cached_property
+    def cross_sums(self) -> Floats:
+        """sum_j |N_ij|, shape (n,), of the damping between blocks."""
+        return np.zeros(self.n) if self.cross_damping is None else _row_sums(self.cross_damping)
 
     def holding_force(self, z: ArrayLike, w: ArrayLike | None = None, t: float | None = None) -> Floats:
         """The force that friction holds while block i sticks, -mu_i lambda_i, shape (n,).
@@ -372,7 +385,7 @@ class System:
         stiffness = self.stiffness if isinstance(self.stiffness, np.ndarray) else self.stiffness.toarray()
         damping = np.diag(self.damping + drag)
         if self.cross_damping is not None:
-            damping += self.cross_damping
+            damping = damping + self.cross_damping  # a sparse one too
         matrix = np.zeros((2 * n, 2 * n))
         np.fill_diagonal(matrix[:n, n:], 1.0)
         matrix[n:, :n], matrix[n:, n:] = -stiffness, -damping
@@ -408,14 +421,16 @@ class System:
 
     @cached_property
     def rates(self) -> Floats:
-        """Rates of change: the largest |R_j| + (sum_k |K_jk|)^(1/2) of the blocks connected with each, shape (n,).
+        """Rates of change: the largest sum_k |C_jk| + (sum_k |K_jk|)^(1/2) of blocks connected with each, shape (n,).
 
-        Masses divide R and K. The frequency of a force on one of the blocks counts if it is larger. Blocks are
-        connected if K couples them, in either direction and over any number of other blocks.
+        Masses divide C and K. The frequency of a force on one of the blocks counts if it is larger. Blocks are
+        connected if K or C couples them, in either direction and over any number of other blocks.
         """
         if self.has_mass:
             return self.of_unit_mass.rates
-        own = np.abs(self.damping) + np.sqrt(self.row_sums)
+        own, cross = np.abs(self.damping) + np.sqrt(self.row_sums), self.cross_damping
+        if cross is not None:
+            own = own + self.cross_sums
         for term in self.force:
             if isinstance(term, Harmonic):
                 own = np.maximum(own, np.abs(term.frequency) * (term.amplitude != 0.0))
@@ -423,7 +438,10 @@ class System:
             return np.full(self.n, own.max())
         from scipy.sparse import csgraph, csr_array  # as above
 
-        _, group = csgraph.connected_components(csr_array(self.stiffness), directed=True, connection="weak")
+        ties = csr_array(self.stiffness)
+        if cross is not None:
+            ties = abs(ties) + abs(csr_array(cross))
+        _, group = csgraph.connected_components(ties, directed=True, connection="weak")
         fastest = np.zeros(self.n)
         np.maximum.at(fastest, group, own)
         return np.asarray(fastest[group])
@@ -435,8 +453,11 @@ class System:
 
     @cached_property
     def least_damping(self) -> float:
-        """The least R_i."""
-        return float(self.damping.min())
+        """The least R_i; of a full C a bound of the least eigenvalue of its symmetric part, by Gershgorin."""
+        cross = self.cross_damping
+        if cross is None:
+            return float(self.damping.min())
+        return float((self.damping - 0.5 * (self.cross_sums + _row_sums(cross.T))).min())
 
     @cached_property
     def most_friction(self) -> float:
@@ -448,10 +469,9 @@ class System:
 
         Without back slip the closed sides stay as they are, also on another belt.
         """
-        cross = self.cross_damping
         own = {
             "stiffness": self.stiffness,
-            "damping": self.damping if cross is None else cross + np.diag(self.damping),
+            "damping": self.damping_matrix,
             "friction": self.friction,
             "belt_speed": self.belt_speed,
             "static": None if self.static is self.friction else self.static,
@@ -535,7 +555,7 @@ def _highest_static(system: System) -> str:
 def _first_cross_damping(system: System) -> str:
     cross = system.cross_damping
     assert cross is not None
-    block, other = np.argwhere(cross)[0]
+    block, other = min(zip(*cross.nonzero(), strict=True))
     return f"{cross[block, other]:g} at row {block}, column {other}"
 
 
@@ -615,7 +635,21 @@ def is_sparse(matrix: object) -> bool:
     return sparse is not None and bool(sparse.issparse(matrix))
 
 
-def _checked(matrix: Any) -> Any:
+def _rows_times(matrix: Any, share: Floats) -> Any:
+    """The rows of a dense or sparse matrix, or numbers, shape (n,), times those of `share`, shape (n,)."""
+    if not is_sparse(matrix):
+        return matrix * (share if matrix.ndim == 1 else share[:, np.newaxis])
+    from scipy.sparse import diags_array
+
+    return diags_array(share) @ matrix
+
+
+def _row_sums(matrix: Any) -> Floats:
+    """Sums of magnitudes by row, shape (n,), of a dense or sparse matrix."""
+    return np.asarray(abs(matrix).sum(axis=1), dtype=np.float64).reshape(matrix.shape[0])
+
+
+def _checked(name: str, matrix: Any) -> Any:
     """A sparse matrix whose indices are in range, as SciPy's compiled code assumes."""
     from scipy.sparse import coo_array
 
@@ -627,7 +661,7 @@ def _checked(matrix: Any) -> Any:
         return coo_array((entries.data, entries.coords), entries.shape)  # which checks them
     except ValueError as error:
         raise ValueError(
-            f"stiffness: expected a sparse matrix with its indices in range, got one with {error}"
+            f"{name}: expected a sparse matrix with its indices in range, got one with {error}"
         ) from None
 
 
@@ -671,9 +705,11 @@ def _closed(back_slip: bool, belt_speed: Any, n: int) -> NDArray[np.int8]:
     return goes
 
 
-def _damping(damping: ArrayLike, n: int) -> tuple[Floats, Floats | None]:
+def _damping(damping: Any, n: int) -> tuple[Floats, Any]:
     """R and N, from a damping given as a number, by block, or as a matrix."""
-    cross = floats("damping", damping, f"a number, {n} numbers or a dense matrix")
+    if is_sparse(damping):
+        return _sparse_damping(damping, n)
+    cross = floats("damping", damping, f"a number, {n} numbers or a matrix")
     if cross.ndim != 2:
         return per_block("damping", cross, n), None
     if cross.shape != (n, n):
@@ -684,3 +720,21 @@ def _damping(damping: ArrayLike, n: int) -> tuple[Floats, Floats | None]:
     np.fill_diagonal(cross, 0.0)
     cross.flags.writeable = False
     return diagonal, cross if cross.any() else None
+
+
+def _sparse_damping(damping: Any, n: int) -> tuple[Floats, Any]:
+    """R and N from a sparse C."""
+    from scipy.sparse import csc_array, diags_array
+
+    if damping.shape != (n, n):
+        raise ValueError(f"damping: expected a matrix of shape ({n}, {n}), got shape {damping.shape}")
+    whole = csc_array(_checked("damping", damping))
+    whole = csc_array((floats("damping", whole.data, "real entries"), whole.indices, whole.indptr), whole.shape)
+    if not np.isfinite(whole.data).all():
+        raise ValueError("damping: expected finite entries, got NaN or infinity")
+    whole.sum_duplicates()
+    diagonal = per_block("damping", whole.diagonal(), n)
+    cross = csc_array(whole - diags_array(diagonal))
+    cross.eliminate_zeros()
+    cross.data.flags.writeable = False
+    return diagonal, cross if cross.nnz else None

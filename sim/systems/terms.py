@@ -131,6 +131,23 @@ TERMS = (
         in_file=True,
     ),
     Term(
+        name="rayleigh_mass",
+        words="a of the damping matrix C = a M + b K, in the place of `rho`",
+        column="a of the damping matrix C = a M + b K",
+        default=0.0,
+        least=0,
+        part="rayleigh",
+        table="rayleigh",
+    ),
+    Term(
+        name="rayleigh_stiffness",
+        words="b of the damping matrix C = a M + b K",
+        default=0.0,
+        least=0,
+        part="rayleigh",
+        table="rayleigh",
+    ),
+    Term(
         name="friction",
         words="kinetic friction mu of every block",
         default=1.0,

@@ -41,7 +41,8 @@ class Trial:
     def words(self) -> str:
         """Lines of Python that run it."""
         case = self.case
-        k, r, mu, z, w = (x.tolist() for x in (case.stiffness, case.damping, case.friction, case.z0, case.w0))
+        c = np.diag(case.damping) + case.cross if case.cross.any() else case.damping
+        k, r, mu, z, w = (x.tolist() for x in (case.stiffness, c, case.friction, case.z0, case.w0))
         settings = "".join(f", {name}={_plain(value)}" for name, value in self.settings.items())
         drive = f", static={case.static.tolist()}" if (case.static > case.friction).any() else ""
         drive += f", weakening={_LAWS[case.falls[0]]}({case.falls[1]!r})" if case.falls else ""
@@ -108,7 +109,8 @@ def _growth(case: Case, t: float) -> float:
 
     def of(free: Floats) -> float:
         m, r = case.mass[free], case.damping - case.drop * case.steepness / 2
-        k, r = case.stiffness[np.ix_(free, free)] / (m[:, None] * case.rate), np.diag(r[free] / m)
+        k = case.stiffness[np.ix_(free, free)] / (m[:, None] * case.rate)
+        r = (np.diag(r) + case.cross)[np.ix_(free, free)] / m[:, None]
         a = np.block([[np.zeros_like(k), case.rate * np.eye(len(k))], [-k, -r]])
         with np.errstate(all="ignore"):  # what overflows has grown too much
             return float(np.nan_to_num(np.abs(expm(a * t)), nan=np.inf).max())
@@ -154,7 +156,7 @@ def draw(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:
         w = np.where(rng.random(n) < 0.6, at_start, rng.integers(-2, 3, n) * 1.0)
     else:
         kinds = rng.integers(0, rng.integers(1, 3), n) if alike else np.arange(n)  # one kind of start, or two
-        drag = case.holding(np.zeros(1), np.zeros((1, n)))[0]
+        drag = case.holding(np.zeros(1), np.zeros((1, n)), at_start[None])[0]
         z, w = (x[kinds] if n > 1 else x[:1] for x in _start(rng, k, case.static, at_start, drag))
     case = started(case, z, w)
     lengths = [10 ** rng.uniform(-1, 0.7), rng.uniform(5, 60), 10 ** rng.uniform(1.8, 2.7)]

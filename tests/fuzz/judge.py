@@ -138,9 +138,10 @@ def _modes(path: Path, least: float = 0.0, scale: float = 1.0) -> list[Stretches
     Where a block meets its belt that is over the slope of w - v: of a faded motion, hardly any.
     """
     case, moves, mode = path.case, [], list(path.initial_mode)
-    z = path.at(path.t)[0] if path.t else ()
-    for t, at, i, new in zip(path.t, z, path.block, path.mode, strict=True):
-        pull = case.holding(np.array([t]), at[None])[0, i] + case.near[i] * mode[i]
+    z, w = path.at(path.t) if path.t else ((), ())
+    for t, *state, i, new in zip(path.t, z, w, path.block, path.mode, strict=True):
+        at, speed = (part[None] for part in state)
+        pull = case.holding(np.array([t]), at, speed)[0, i] + case.near[i] * mode[i]
         moves.append(max(least, scale * case.mass[i] / max(abs(pull), 1e-300)) if mode[i] else least)
         mode[i] = new
     return by_block(path.t, path.block, path.mode, path.initial_mode, moves)
@@ -169,6 +170,7 @@ def smooth_truth(case: Case, times: Floats, delta: Floats, rng: np.random.Genera
 
     def state(case: Case, tol: float) -> Floats:
         n, k, r, m = case.n, case.stiffness, case.damping, case.mass
+        cross = case.cross
         c = np.array([_hidden(*pair) for pair in zip(case.static, case.near, strict=True)])
 
         def friction(u: Floats) -> tuple[Floats, Floats]:
@@ -184,11 +186,13 @@ def smooth_truth(case: Case, times: Floats, delta: Floats, rng: np.random.Genera
         def f(x: Floats, t: float) -> Floats:
             w = x[n:]
             held = friction(w - case.belt.line(t)[0])[0]
-            return np.concatenate((w, (case.force(t) - r * w - k @ x[:n] - held) / m))
+            return np.concatenate((w, (case.force(t) - r * w - cross @ w - k @ x[:n] - held) / m))
 
         def jacobian(x: Floats, t: float) -> Floats:
             slope = friction(x[n:] - case.belt.line(t)[0])[1]
-            return np.block([[np.zeros((n, n)), np.eye(n)], [-k / m[:, None], -np.diag((r + slope) / m)]])
+            return np.block(
+                [[np.zeros((n, n)), np.eye(n)], [-k / m[:, None], -(np.diag(r + slope) + cross) / m[:, None]]]
+            )
 
         now, found = np.concatenate((case.z0, case.w0)), [np.empty((0, 2 * n))]
         inner = case.knots[(case.knots > 0) & (case.knots < times[-1])] if case.is_driven else []
@@ -248,7 +252,8 @@ def _has_grown(truth: Truth, before: Floats) -> bool:
     """
     case = truth.case
     n, m = case.n, case.mass
-    matrix = np.block([[np.zeros((n, n)), np.eye(n)], [-case.stiffness / m[:, None], -np.diag(case.damping / m)]])
+    drag = np.diag(case.damping) + case.cross
+    matrix = np.block([[np.zeros((n, n)), np.eye(n)], [-case.stiffness / m[:, None], -drag / m[:, None]]])
     rates, left = eig(matrix, left=True, right=False)
     unstable = left[:, rates.real > 0].conj().T
     return bool((np.abs(unstable @ truth.state[-1]) >= 0.99 * np.abs(unstable @ before)).any())
@@ -345,9 +350,9 @@ class _Judge:
         y = np.where(y * case.closed > 0, 0.0, y)  # what is pulled to a side that is barred creeps there, and sticks
         spare = (self.limit * self.tol * truth.unit)[:, None]
         free = case.near == 0
-        force = case.holding(truth.times, z)
+        force = case.holding(truth.times, z, truth.state[:, case.n :])
         force = np.where(case.closed == 0, np.abs(force), case.closed * force)
-        doubt = spare * (1 + np.abs(case.stiffness).sum(axis=1))
+        doubt = spare * (1 + np.abs(case.stiffness).sum(axis=1) + np.abs(case.cross).sum(axis=1))
         definitions = [(None, run.events, delta * np.log(1 / delta))]
         definitions += [(c, series, c * delta) for c, series in run.by_threshold.items()]
         for name, series, band in definitions:

@@ -407,8 +407,9 @@ def setup_of(seed: int, number: int, terms: Any = TERMS) -> Setup:
         k = np.kron(np.eye(copies), case.stiffness)
         k += 0.01 / len(k) * rng.normal(size=k.shape)
         many = replace(
-            case.renumbered(np.tile(np.arange(n), copies)), stiffness=k, z0=np.tile(z, copies), w0=np.tile(w, copies)
-        )
+            case.renumbered(np.tile(np.arange(n), copies)), stiffness=k, cross=np.kron(np.eye(copies), case.cross),
+            z0=np.tile(z, copies), w0=np.tile(w, copies),
+        )  # fmt: skip
         if np.ndim(settings.get("ratio", 1.0)):
             settings["ratio"] = np.tile(settings["ratio"], copies)
         system, z, w = made(many), many.z0, many.w0

@@ -105,10 +105,25 @@ BAD = {
         'sizes = [0.05, 0.01]\nreadings = ["damping"]',
         ["perturbation.readings[0]", "'damping matrix'", "'damping'"],
     ),
-    "a damping matrix for the exact engine": (
+    "a damping matrix for an engine without": (
         "sizes = [0.05, 0.01]",
-        'sizes = [0.05, 0.01]\nreadings = "damping matrix"',
-        ["engine[0].readings", "diagonal", "readings = []"],
+        'sizes = [0.05, 0.01]\nreadings = "damping matrix"\n\n[[engine]]\nname = "moreau"',
+        ["engine[2].readings", "diagonal", "readings = []"],
+    ),
+    "Rayleigh's damping beside another": (
+        'coupling = "antisymmetric"',
+        'coupling = "antisymmetric"\nrho = 2.0\nrayleigh = [0.1, 0.2]',
+        ["system", "rayleigh: expected either `rayleigh` or `rho`", "remove one"],
+    ),
+    "three numbers of Rayleigh's damping": (
+        'coupling = "antisymmetric"',
+        'coupling = "antisymmetric"\nrayleigh = [0.1, 0.2, 0.3]',
+        ["system.rayleigh", "two numbers, a and b", "[0.1, 0.2, 0.3]"],
+    ),
+    "Rayleigh's damping of what is perturbed": (
+        'coupling = "antisymmetric"',
+        'coupling = "antisymmetric"\nrayleigh = [0.1, 0.2]',
+        ["perturbation.readings", "with `rayleigh`", "remove [perturbation]"],
     ),
     "a reading that is not there": (
         'name = "coulomb"',

@@ -392,3 +392,16 @@ def test_a_scene_that_does_not_fit_its_file_is_refused(case, tmp_path, arrays):
         load_scene(written(tmp_path, arrays, SCENE.replace(old, new)))
     (line,) = str(caught.value).splitlines()
     assert all(word in line for word in words), line
+
+
+def test_rayleighs_damping_is_in_proportion_to_masses_and_stiffnesses():
+    def scene(rayleigh):
+        system = f'[system]\ncoupling = "chain"\nn = 4\nmass = {{uniform = [0.8, 1.2]}}\nrayleigh = {rayleigh}\n'
+        return parse_scene(f"{system}[start]\nz = 0.0\nw = 0.0\n[run]\nt_end = 2.0\nmatrices = 1\n{ENDING}".encode())
+
+    diagonal, full = (member.system() for member in expand(scene("{mass = 0.1, stiffness = [0.0, 0.2]}")))
+    np.testing.assert_array_equal(diagonal.damping, 0.1 * diagonal.mass)
+    assert diagonal.cross_damping is None
+    expected = 0.1 * np.diag(full.mass) + 0.2 * full.stiffness.toarray()
+    np.testing.assert_allclose(full.damping_matrix.toarray(), expected, rtol=1e-15)
+    assert scene("[0.1, 0.2]").system.rayleigh.model_dump() == {"mass": 0.1, "stiffness": 0.2}

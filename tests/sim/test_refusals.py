@@ -99,7 +99,9 @@ ARRAYS = [
     ("damping", VALUE, r"expected a matrix of shape \(3, 3\), got shape \(2, 3\)", three(damping=np.ones((2, 3)))),
     ("damping", VALUE, "expected finite entries", three(damping=np.full((3, 3), np.nan))),
     ("damping", VALUE, "expected a number or an array", three(damping=np.ones((3, 3, 3)))),
-    ("damping", TYPE, "expected a number, 3 numbers or a dense", three(damping=scipy.sparse.eye_array(3))),
+    ("damping", TYPE, "expected real entries", three(damping=1j * scipy.sparse.eye_array(3))),
+    ("damping", VALUE, r"expected a matrix of shape \(3, 3\), got shape", three(damping=scipy.sparse.eye_array(2))),
+    ("damping", VALUE, "expected finite entries", three(damping=np.nan * scipy.sparse.eye_array(3))),
     ("damping", TYPE, "expected a number", three(damping=[[1.0], [1.0, 2.0]])),
     ("friction", EITHER, GOT, system([[1.0]], 0.1, -1.0)),
     ("friction", EITHER, GOT, system([[1.0]], 0.1, [np.nan])),
@@ -287,7 +289,7 @@ THEORY = [
 ]  # fmt: skip
 #: What is written for plain systems, of a diagonal, one friction and one belt.
 PLAIN = {
-    "simulate": lambda s: simulate(s, 0.0, 0.0, 1.0),
+    "simulate": lambda s: simulate(s, 0.0, 0.0, 1.0, engine="moreau"),
     "sticking_lambda": lambda s: folds.sticking_lambda(s, [0.0, 0.0]),
     "can_stick": lambda s: folds.can_stick(s, [0.0, 0.0]),
     "corners": folds.corners,

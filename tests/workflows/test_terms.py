@@ -26,6 +26,8 @@ BESIDE = {
     "force_frequency": "force = {amplitude = 0.5, frequency = VALUE}",
     "force_phase": "force = {amplitude = 0.5, frequency = 1.0, phase = VALUE}",
     "static": "friction = 0.5\nstatic = VALUE",
+    "rayleigh_mass": "rayleigh = {mass = VALUE}",
+    "rayleigh_stiffness": "rayleigh = {stiffness = VALUE}",
 } | {f"weakening_{key}": law_with(law, key) for law in LAWS.values() for key in law.parameters()}
 
 

@@ -49,8 +49,7 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
     Raises
     ------
     ValueError
-        Of a run: if the system has cross damping, or numbers that leave float64 on the way, or a block starts ahead
-        of its belt without back slip.
+        Of a run: if numbers leave float64 on the way, or a block starts ahead of its belt without back slip.
     IntegrationError
         Of a run: if events accumulate at one instant.
     """
@@ -134,10 +133,12 @@ class _Runs(Several):
             Collapse(task.system, _followed(task.system, tol), cost=control.certificate(task))
             for task, tol in zip(tasks, self.tols.tolist(), strict=True)
         ]
-        self.slow = Slow.of(systems[0], self.drives[0].fastest) if may_be_heavy and weakening is None else None
-        is_dense = isinstance(systems[0].stiffness, np.ndarray) or self.drives[0].is_forced or weakening is not None
-        is_local = not is_dense and self.slow is None
-        local = Local.of(systems[0].n, float(row_sums[0].max())) if is_local else None
+        is_linear, has_cross = weakening is None, systems[0].cross_damping is not None
+        may_be_slow = may_be_heavy and is_linear and not has_cross
+        self.slow = Slow.of(systems[0], self.drives[0].fastest) if may_be_slow else None
+        is_sparse = not isinstance(systems[0].stiffness, np.ndarray)
+        is_local = is_sparse and is_linear and not self.drives[0].is_forced and self.slow is None
+        local = Local.of(systems[0]) if is_local else None
         self.work = Work(Expansion.blank(mode, n_shapes), self.searches, self.slow, local)
         if tasks[0].modes is not None:
             self.work.expansion.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
@@ -191,6 +192,7 @@ def _require_modes(task: Task, asked: NDArray[np.int8], found: NDArray[np.int8],
     v, force = s.belt_speed_at(t), s.holding_force(z, task.w0, t)
     # a run that was cut at an event has |F| at static friction to its own tolerance
     size = np.abs(s.damping * v) + s.row_sums * np.abs(z).max() + np.abs(s.force_at(t)) + s.static
+    size += s.cross_sums * np.abs(task.w0).max()
     allowed = _AT_EVENTS * tol * size
     is_at_edge = (np.abs(task.w0 - v) <= tol * s.fastest_belt) & (np.abs(np.abs(force) - s.static) <= allowed)
     # but friction drives no block, and none slips to a side that is closed

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.forcing import Drive, Forcing
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
@@ -27,6 +28,34 @@ class SpeedWeakening(NamedTuple):
     is_entire: bool
 
 
+class Cross(NamedTuple):
+    """The damping between blocks: N, and workspace."""
+
+    columns: Columns
+    row_sums: Floats
+    product: Floats
+    moving: NDArray[np.int64]
+    noise: Floats  #: by order, the sums of the magnitudes of the terms of each coefficient of N w
+
+    @classmethod
+    def of(cls, system: System) -> Cross | None:
+        """None if C is diagonal."""
+        if system.cross_damping is None:
+            return None
+        n, matrix = system.n, system.cross_damping
+        if not isinstance(system.stiffness, np.ndarray):
+            from scipy.sparse import csc_array  # a sparse K has loaded it
+
+            matrix = csc_array(matrix)
+        return cls(
+            Columns.of(matrix),
+            system.cross_sums,
+            np.zeros(n),
+            np.zeros(n, np.int64),
+            np.zeros((control.ORDER_MAX + 1, n)),
+        )
+
+
 class Model(NamedTuple):
     """What is constant in a piece of a run. numba types its fields by position.
 
@@ -43,6 +72,7 @@ class Model(NamedTuple):
     weakening: SpeedWeakening | None
     belt_speed: Floats
     forcing: Forcing
+    cross: Cross | None
 
     @classmethod
     def of(cls, system: System, pairs: Pairs, drive: Drive) -> Model:
@@ -65,7 +95,16 @@ class Model(NamedTuple):
             weakens,
             drive.belt_speed,
             drive.forcing,
+            Cross.of(system),
         )
+
+
+@inner
+def coupling(cross, i):  # type: ignore[no-untyped-def]
+    """sum_j |N_ij| of block i."""
+    if cross is None:
+        return 0.0
+    return cross.row_sums[i]
 
 
 @inner

@@ -126,7 +126,7 @@ def _stays(model, expansion, moves, order):  # type: ignore[no-untyped-def]
     for k in range(1, order - 1):
         c_max = largest(series[k])
         for i in range(len(zeros)):
-            noise = ROUNDING * (model.row_sums[i] * c_max + known(model.forcing, k, i))
+            noise = ROUNDING * (model.row_sums[i] * c_max + known(model, k, i))
             if zeros[i] == IDENTICALLY_ZERO and abs(forces[k, i]) > noise:
                 return False
             if not moves[i] and series[k + 1, i] != 0.0:

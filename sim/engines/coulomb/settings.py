@@ -58,8 +58,8 @@ class Coulomb(Engine):
     Raises
     ------
     TypeError, ValueError
-        If `tol` is no number in (1e-16, 1e-2), or, once it is run, the system has cross damping, or numbers so small
-        that what the method takes of them leaves float64.
+        If `tol` is no number in (1e-16, 1e-2), or, once it is run, the system has numbers so small that what the
+        method takes of them leaves float64.
     """
 
     name = "coulomb"
@@ -69,7 +69,7 @@ class Coulomb(Engine):
     keeps_stills = True
     sizes = (SMALL, SIZE_OF_WAVES)
     is_exact = True
-    takes = frozenset({"static", "weakening", "back_slip", "force", "belt_speed"})
+    takes = frozenset({"static", "weakening", "back_slip", "force", "belt_speed", "damping matrix"})
 
     tol: float = setting(1e-10, TOL)
 
@@ -106,9 +106,10 @@ class Coulomb(Engine):
         If K is dense, n at least 64 and `tol` at least 1e-6 (203 blocks: 1e-7, 640: 1e-8), or 256 and 1e-4 where
         static friction is above the kinetic, the belts have constant speeds, one of which is not zero, there are no
         forces, friction does not depend on the speed of slip, which may go to either side, and no block is heavily
-        damped. `simulate` with `modes` takes series, as does a start at which |F| is at static friction, and a run
-        that this method cannot carry through. Of a run of this length, in which errors of steps add up where damping
-        is weak, `tol` is that of a step.
+        damped. Damping between blocks gives F a kink at each event of another block, which no polynomial over a macro
+        step follows: such systems take series. `simulate` with `modes` takes series too, as does a start at which |F|
+        is at static friction, and a run that this method cannot carry through. Of a run of this length, in which
+        errors of steps add up where damping is weak, `tol` is that of a step.
         """
         n = system.n
         if n < SIZE_OF_WAVES or self.accumulation(system, length) > MOST_MEMORY:

@@ -2,9 +2,9 @@
 
 Every block has a series about an instant of its own in the window, and the time of its next event, the first of which
 a tournament tree finds. An event changes the series of its block from the second order on, those of its neighbours
-from the fourth, those of their neighbours from the sixth: the update ends after so many ties that the rest is far
-below the tolerance, and at blocks that stick. So the cost of an event does not depend on the number of blocks, and a
-window holds any number of events.
+from the fourth, those of their neighbours from the sixth, or the third and fourth where damping couples them:
+the update ends after so many ties that the rest is far below the tolerance, and at blocks that stick. So the cost of
+an event does not depend on the number of blocks, and a window holds any number of events.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.events import enclose, excluded, root
-from stickslip.sim.engines.coulomb.sticking import force_rounding, push
+from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push
 from stickslip.sim.engines.coulomb.taylor import UNDECIDED, Window, curvature, decide, error_after, expand, pull_of
 from stickslip.sim.engines.coulomb.windows import evaluate, instant, note, record, sample, stalls
 from stickslip.sim.engines.frame import Way, frame
@@ -26,6 +26,7 @@ from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, largest
 from stickslip.sim.numerics.horner import shift_rows
+from stickslip.sim.systems.system import System
 
 _NEVER = math.inf
 
@@ -34,6 +35,7 @@ class Local(NamedTuple):
     """Per-block data of a window, and the workspace of a local update: the blocks near an event."""
 
     pull: float  #: the largest row sum of |K|
+    drag: float  #: and of |N|
     origin: Floats  #: the instant about which a block's series is, from the start of the window
     due: Floats  #: a tournament tree: the next event of block i at size + i, at k the earlier of 2 k and 2 k + 1
     place: NDArray[np.int64]  #: of a block among the members; -1: it is none
@@ -49,11 +51,13 @@ class Local(NamedTuple):
     ends: NDArray[np.int64]  #: the number of members at most k ties away from the event
 
     @classmethod
-    def of(cls, n: int, pull: float) -> Local:
-        """A workspace for n blocks."""
+    def of(cls, system: System) -> Local:
+        """For the blocks of a system."""
+        n = system.n
         size, most = 1 << (n - 1).bit_length(), min(n, max(control.FEW, n // control.SHARE))
         return cls(
-            pull=pull,
+            pull=float(system.row_sums.max()),
+            drag=float(system.cross_sums.max()),
             origin=np.zeros(n),
             due=np.full(2 * size, _NEVER),
             place=np.full(n, -1),
@@ -129,6 +133,27 @@ def _bring(model, expansion, local, order, s, first, last):  # type: ignore[no-u
 
 
 @inner
+def _list_tied(columns, j, local, count):  # type: ignore[no-untyped-def]
+    """Add the blocks that a matrix ties to block j to the members; their number, and whether there was room."""
+    for p in range(columns.indptr[j], columns.indptr[j + 1]):
+        i = columns.indices[p]
+        if local.place[i] < 0:
+            if count == len(local.members):
+                return count, False
+            local.place[i] = count
+            local.members[count] = i
+            count += 1
+    return count, True
+
+
+@inner
+def _list_dragged(cross, j, local, count):  # type: ignore[no-untyped-def]
+    if cross is None:
+        return count, True
+    return _list_tied(cross.columns, j, local, count)
+
+
+@inner
 def _gather(model, expansion, local, window, jump, left):  # type: ignore[no-untyped-def]
     """List the blocks to which an event is carried over, behind its own; shorten the window where they are too many.
 
@@ -136,31 +161,47 @@ def _gather(model, expansion, local, window, jump, left):  # type: ignore[no-unt
     the last ones, and the rest of the window.
     """
     order, allowed = window.order, window.allowed
-    columns, members, place, ends = model.columns, local.members, local.place, local.ends
+    members, place, ends = local.members, local.place, local.ends
     first, count, ties = 0, 1, 0
     ends[0] = count
-    # the error of w if the update ends here, over the one allowed
-    share = 0.5 * jump * left / (control.PASSED_ON * allowed)
-    while share > 1.0 and first < count and 2 * ties + 2 <= order:
+    # the error of w if the update ends here, over the one allowed; z of the last ties changes from this order on
+    share, lowest = 0.5 * jump * left / (control.PASSED_ON * allowed), 2
+    while share > 1.0 and first < count and lowest <= order:
         for a in range(first, ends[ties]):
             j = members[a]
             if a > 0 and expansion.mode[j] == 0:
                 continue
-            for p in range(columns.indptr[j], columns.indptr[j + 1]):
-                i = columns.indices[p]
-                if place[i] < 0:
-                    if count == len(members):
-                        for b in range(ends[ties], count):
-                            place[members[b]] = -1
-                        return ties, left * share ** (-1.0 / (2 * ties + 1))
-                    place[i] = count
-                    members[count] = i
-                    count += 1
+            count, has_room = _list_tied(model.columns, j, local, count)
+            if has_room:
+                count, has_room = _list_dragged(model.cross, j, local, count)
+            if not has_room:
+                for b in range(ends[ties], count):
+                    place[members[b]] = -1
+                return ties, left * share ** (-1.0 / (lowest - 1))
         first = ends[ties]
         ties += 1
         ends[ties] = count
-        share *= local.pull * left * left / ((2 * ties + 1) * (2 * ties + 2))
+        if model.cross is None:
+            lowest += 2
+            share *= local.pull * left * left / ((lowest - 1) * lowest)
+        else:
+            lowest += 1
+            share *= left * (local.drag + local.pull * left / (lowest + 1)) / lowest
     return ties, left
+
+
+@inner
+def _drag(cross, local, k, count):  # type: ignore[no-untyped-def]
+    """Add what the changes of w make of N w at order k to the changes of F."""
+    if cross is None or k == 0:
+        return
+    columns, place, pulls, changes = cross.columns, local.place, local.pulls, local.changes
+    for a in range(min(count, local.ends[k - 1])):
+        j = local.members[a]
+        for p in range(columns.indptr[j], columns.indptr[j + 1]):
+            b = place[columns.indices[p]]
+            if b >= 0:
+                pulls[k, b] += columns.data[p] * ((k + 1) * changes[k + 1, a])
 
 
 @inner
@@ -176,12 +217,14 @@ def _pass_on(model, local, order, start, count, pull, was_stuck):  # type: ignor
         for a in range(count):
             pulls[k, a] = 0.0
         if k >= 2:
-            for a in range(min(count, ends[(k - 2) // 2])):
+            n_ties = (k - 2) // 2 if model.cross is None else k - 2
+            for a in range(min(count, ends[n_ties])):
                 j = members[a]
                 for p in range(columns.indptr[j], columns.indptr[j + 1]):
                     b = place[columns.indices[p]]
                     if b >= 0:
                         pulls[k, b] += columns.data[p] * changes[k, a]
+        _drag(model.cross, local, k, count)
         factor = -1.0 / ((k + 2) * (k + 1))
         pull[k] += pulls[k, 0]
         old = 0.0 if was_stuck else series[k + 2, 0]
@@ -201,7 +244,7 @@ def _is_alone(model, local, h, count, z_max):  # type: ignore[no-untyped-def]
         i = local.members[a]
         if mode[a] == 0:
             drag = model.damping[i] * v[i]
-            slack = force_rounding(drag, model.row_sums[i] * z_max, model.static[i], 0.0)
+            slack = force_rounding(drag, model.row_sums[i] * z_max, model.static[i], known(model, 0, i))
             if push(model.closed[i], drag + series[0, a]) >= model.static[i] - slack:
                 return False
         else:

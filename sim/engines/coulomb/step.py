@@ -15,7 +15,8 @@ no special cases.
 
 An event changes the equation of one block. That block's own series changes from the second order on, those of the
 others from the fourth, by a column of K: `taylor.correct` carries most events over in O(n) an order, and one
-expansion serves a window of several events.
+expansion serves a window of several events. Damping between blocks, of which F = R v + K z + N w has a term more,
+changes those of the others from the third order on: a new expansion follows on each event.
 
 The series are explicit: R h is about 5 at most. Blocks with far larger R are followed on their slow motion, once they
 have reached it: `stickslip.sim.engines.coulomb.overdamped`.
@@ -90,7 +91,7 @@ def _on_the_edge(model, expansion, near, z_max, w, block, order, step, has_force
         concerned = touching[i] or i == block
         if mode[i] == 0 and has_forces:
             force = model.damping[i] * v[i] + series[0, i]
-            noise = known(model.forcing, 0, i)
+            noise = known(model, 0, i)
             slack = force_rounding(model.damping[i] * v[i], model.row_sums[i] * z_max, model.static[i], noise)
             concerned = concerned or push(model.closed[i], force) >= model.static[i] - slack
         count += concerned
@@ -163,7 +164,8 @@ def _carry(model, work, goal, state, window, is_after_event, precheck, events, n
     age, left = window.age + step, window.left - step
     of_series = taylor.Window(order, window.span, window.allowed, 0.0)
     clock[loop.ERROR] = error_after(model, expansion, goal, of_series, age, window.error)
-    if block >= 0 and left > 0.0 and model.weakening is None and not window.is_slow:
+    is_linear = model.weakening is None and not window.is_slow
+    if block >= 0 and left > 0.0 and is_linear and model.cross is None:
         h = _pass_event(model, work, goal, state, window, block, step, left)
         is_cut, is_open = window.is_cut or h < left, control.is_worth_using(clock, h)
         clock[control.CARRIED] += 1.0 if is_open else 0.0

@@ -2,9 +2,9 @@
 
 Where |F| = m, as at every exit, the first coefficient of the series of F that does not vanish decides. A block whose
 m is the kinetic friction leaves with w' = 0, as if it stuck; one with m above it leaves with a jump of w', which the
-others feel from the second order of F on. If such an exit is found there or later, all blocks with |F| = m are
-decided anew with that block slipping: blocks that leave while the others stick leave together, and the others are
-decided again without them.
+others feel from the second order of F on, or from the first by damping between blocks. If such an exit is found there
+or later, all blocks with |F| = m are decided anew with that block slipping: blocks that leave while the others stick
+leave together, and the others are decided again without them.
 """
 
 from __future__ import annotations
@@ -18,9 +18,20 @@ IDENTICALLY_ZERO = 320  # beyond every order of a series
 
 
 @inner
-def known(forcing, k, i):  # type: ignore[no-untyped-def]
-    """The sum of the magnitudes of the terms of the k-th coefficient of the external force on block i."""
-    return forcing.noise[k, i] if acts(forcing) else 0.0
+def _of_others(cross, k, i):  # type: ignore[no-untyped-def]
+    if cross is None:
+        return 0.0
+    return cross.noise[k, i]
+
+
+@inner
+def known(model, k, i):  # type: ignore[no-untyped-def]
+    """The sum of the magnitudes of the terms of the k-th coefficient of forces on block i beside K z.
+
+    That is, of the external force, and of damping between blocks.
+    """
+    external = model.forcing.noise[k, i] if acts(model.forcing) else 0.0
+    return external + _of_others(model.cross, k, i)
 
 
 @inner
@@ -51,7 +62,7 @@ def settle(model, z_max, expansion):  # type: ignore[no-untyped-def]
         if touching[i] or mode[i] == 0:
             most = static[i]
             force = damping[i] * v[i] + forces[0, i]
-            slack = force_rounding(damping[i] * v[i], model.row_sums[i] * z_max, most, known(model.forcing, 0, i))
+            slack = force_rounding(damping[i] * v[i], model.row_sums[i] * z_max, most, known(model, 0, i))
             outward = push(closed[i], force)
             if (leaves[i] != 0 and outward > model.friction[i]) or outward > most + slack:
                 mode[i] = -1 if force > 0.0 else 1
@@ -81,7 +92,7 @@ def settle_by_order(model, k, c_max, expansion):  # type: ignore[no-untyped-def]
     for i in range(len(mode)):
         if side[i] != 0 and zeros[i] == IDENTICALLY_ZERO:
             push = -forces[k, i]
-            if abs(push) > ROUNDING * (model.row_sums[i] * c_max + known(model.forcing, k, i)):
+            if abs(push) > ROUNDING * (model.row_sums[i] * c_max + known(model, k, i)):
                 n_decided += 1
                 if side[i] == UNDECIDED_BOTH:
                     side[i] = 1 if push > 0.0 else -1
@@ -91,7 +102,9 @@ def settle_by_order(model, k, c_max, expansion):  # type: ignore[no-untyped-def]
                     if static[i] > friction[i]:
                         zeros[i] = 1
                         expansion.series[2, i] = 0.5 * (static[i] - friction[i]) * side[i]
-                        if k > 1 and leaves[i] == 0:  # else `settle` found it at the edge, where rounding decides
+                        # others feel it from this order on; if its side was known, rounding at the edge decides
+                        is_felt = k > 1 or model.cross is not None
+                        if is_felt and leaves[i] == 0:
                             leaves[i] = side[i]
                             again = True
                 else:

@@ -4,7 +4,8 @@ With z(t0 + s) = sum_k c_k s^k, a slipping block has
 
     (k + 2)(k + 1) c_{k+2} = -R (k + 1) c_{k+1} - K c_k - [k = 0] mu sigma        sigma = +-1: direction of slip
 
-and a sticking one c_1 = v and no more; the coefficients of an external force are subtracted from K c_k. Where
+and a sticking one c_1 = v and no more; the coefficients of an external force are subtracted from K c_k, and those of
+the damping between blocks, (k + 1) N c_{k+1}, added, which takes one more product an order. Where
 friction falls with the speed of slip, mu is a series too, near (f + (1 - f) S(x)), f = far / near, x = a sigma (w -
 v), a the steepness; S_k follow from x_0 .. x_k, x_j = a sigma (j + 1) c_{j+1}, by the recurrence of the law.
 
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
-from stickslip.sim.engines.coulomb.model import SERIES_OF, fastest_belt
+from stickslip.sim.engines.coulomb.model import SERIES_OF, coupling, fastest_belt
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push, settle, settle_by_order
 from stickslip.sim.engines.forcing import acts, begin, may_change, take_off
 from stickslip.sim.kernels.compile import inner, one_of
@@ -32,7 +33,7 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
 from stickslip.sim.numerics.horner import shift_rows
 from stickslip.sim.numerics.panels import SINGLE_ERROR
-from stickslip.sim.numerics.products import list_moving, two_products, two_single_products
+from stickslip.sim.numerics.products import list_moving, one_product, two_products, two_single_products
 from stickslip.sim.systems.weakening import LAW_OF
 
 UNDECIDED = 2  #: in the place of a mode
@@ -63,7 +64,7 @@ class Expansion(NamedTuple):
     """
 
     series: Floats  #: by rows: c_k of a block that slips, and, once all are expanded, F - R v of one that sticks
-    forces: Floats  #: while they are expanded: K c_k, less the coefficients of external forces
+    forces: Floats  #: while they are expanded: K c_k and the like of N, less the coefficients of external forces
     held: Floats  #: z of a block that sticks
     mode: NDArray[np.int8]
     slips: Floats  #: 1 where a block slips, else 0
@@ -269,6 +270,25 @@ def _are_in_range(low, high):  # type: ignore[no-untyped-def]
 
 
 @inner
+def _drag_along(cross, series, k, forces):  # type: ignore[no-untyped-def]
+    """Add the k-th coefficient of N w to that of K z, and bound its rounding."""
+    if cross is None:
+        return
+    one_product(cross.columns, series[k + 1], cross.product, cross.moving)
+    most = (k + 1) * largest(series[k + 1])
+    for i in range(len(forces)):
+        forces[i] += (k + 1) * cross.product[i]
+        cross.noise[k, i] = cross.row_sums[i] * most
+
+
+@inner
+def _products_to(model, k):  # type: ignore[no-untyped-def]
+    """The number of products up to order k: of K two orders at a time, of N each."""
+    of_stiffness = k + 1 + (k + 1) % 2
+    return of_stiffness if model.cross is None else of_stiffness + k + 1
+
+
+@inner
 def expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-def]
     """Expand the series of all blocks at the present instant, and decide the modes of those with w = v on the way.
 
@@ -304,6 +324,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
     begin(forcing, t)
     for k in range(2):
         pushed_next = take_off(forcing, t, k, forces[k])
+    _drag_along(model.cross, series, 0, forces[0])
     w_max = largest(w)
     n_undecided = settle(model, largest(z), expansion)
     for i in range(n):
@@ -332,10 +353,11 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
             pushed_next = take_off(forcing, t, k + 1, forces[k + 1])
         else:
             pushed = pushed_next
+        _drag_along(model.cross, series, k, forces[k])
         if n_undecided > 0:
             n_decided, again = settle_by_order(model, k, largest(series[k]), expansion)
             if again:
-                return 0, 0.0, 0.0, k + 1 + (k + 1) % 2
+                return 0, 0.0, 0.0, _products_to(model, k)
             n_undecided -= n_decided
             for i in range(n):
                 slips[i] = 1.0 if mode[i] != 0 else 0.0
@@ -357,7 +379,7 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
             break
         if pushed > 0.0:  # the truncated series of a force counts where it moves a block, and where friction holds it
             size = max(size, pushed * max(1.0 / (order * (order - 1)), 1.0 / (order * (rate * target) ** 2)))
-        n_products = k + 1 + (k + 1) % 2
+        n_products = _products_to(model, k)
         # the last term of w decides; two in a row, since one can vanish by chance
         is_polynomial = size == 0.0 and last == 0.0 and order >= control.ORDER_MIN
         if is_polynomial and _is_friction_known(weakening, model, expansion, order, target, allowed):
@@ -393,7 +415,8 @@ def error_after(model, expansion, goal, window, step, error):  # type: ignore[no
     The terms left out first follow from the last two, which have come to the error allowed at most, wherever in the
     window a block's series begins. A window is at most `control.SPAN` long at the rates of its series, which leave
     the transients of heavily damped blocks out (`overdamped`). What an event that was carried over leaves out, and
-    the rounding of products in single precision, grow like the fifth power of the time, at least.
+    the rounding of products in single precision, grow like the fifth power of the time, at least; the former like its
+    square where damping couples blocks.
     """
     series, damping, order = expansion.series, model.damping, window.order
     reach = min(goal.rate * step, control.SPAN)
@@ -404,9 +427,11 @@ def error_after(model, expansion, goal, window, step, error):  # type: ignore[no
         if low + high > 0.0:
             low = min((order - 1) * power * low, window.allowed)
             high = min(order * power * step * high, window.allowed)
-            left_out = max(left_out, min(abs(damping[i]) * step, reach) / order * high + coupled * (low + high))
+            damped = min(abs(damping[i]) * step, reach) if model.cross is None else reach
+            left_out = max(left_out, damped / order * high + coupled * (low + high))
     share = control.PASSED_ON + (control.LIKELY * control.ROUNDED_OFF if len(model.pairs.single_panels) > 0 else 0.0)
-    carried = share * window.allowed * min(1.0, step / window.span) ** 5
+    passed = min(1.0, step / window.span)
+    carried = share * window.allowed * (passed**5 if model.cross is None else passed * passed)
     rounding = ROUNDING * window.allowed / goal.tol
     return error * math.exp(-goal.decay * step) + left_out + carried + rounding
 
@@ -449,10 +474,12 @@ def decide(model, i, was_stuck, force, slope, window, rate):  # type: ignore[no-
     """Mode of block i after its event, from F and its slope; UNDECIDED if that takes more accurate series."""
     span, allowed, z_max = window.span, window.allowed, window.z_max
     most, row_sum = model.static[i], model.row_sums[i]
-    rate_error = max(row_sum, rate * rate) * allowed if acts(model.forcing) else row_sum * allowed
-    drag, noise = model.damping[i] * model.belt_speed[i], known(model.forcing, 0, i)
-    # the last: a series that was shifted lacks a term of R w
-    error = rate_error * span + force_rounding(drag, row_sum * z_max, most, noise) + model.damping[i] * allowed
+    is_pushed = acts(model.forcing) or model.cross is not None
+    rate_error = max(row_sum, rate * rate) * allowed if is_pushed else row_sum * allowed
+    drag, noise = model.damping[i] * model.belt_speed[i], known(model, 0, i)
+    # the last: a series that was shifted lacks a term of C w
+    of_drag = (model.damping[i] + coupling(model.cross, i)) * allowed
+    error = rate_error * span + force_rounding(drag, row_sum * z_max, most, noise) + of_drag
     doubt = control.DOUBT * error
     new = -1 if force > 0.0 else 1
     if was_stuck:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
+from stickslip.sim.engines.coulomb.model import coupling
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy
@@ -83,7 +85,10 @@ def touch(model, series, i, before, mode, error):  # type: ignore[no-untyped-def
         slope, braked = c1, damping * model.belt_speed[i] + series[0, i] + before * friction
     else:
         slope, braked = 6.0 * series[3, i] + 2.0 * damping * c2, 2.0 * c2 + (mode - before) * friction
-    return loop.touch(before, mode, slope, braked, model.row_sums[i], control.TOLD * error)
+    pull, drag = model.row_sums[i], coupling(model.cross, i)
+    if drag > 0.0:
+        pull = (math.sqrt(pull) + drag) ** 2
+    return loop.touch(before, mode, slope, braked, pull, control.TOLD * error)
 
 
 @inner

@@ -221,7 +221,7 @@ class _Rest:
         pull = -self._friction.force(-belt) + system.damping * belt
         spread = system.row_sums * of_z
         if system.cross_damping is not None:
-            spread = spread + np.abs(system.cross_damping).sum(axis=1) * of_w
+            spread = spread + system.cross_sums * of_w
         for u in (-belt - of_w, -belt + of_w):
             for force in (pull - spread, pull + spread):
                 block.u0, block.force0 = u, force
