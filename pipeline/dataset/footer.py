@@ -56,7 +56,6 @@ class Chunk(NamedTuple):
     ----------
     path : str
         The column, with a point between the levels of lists.
-    n_rows, n_values : int
     first, end : int
         Bytes of the file.
     n_bytes : int
@@ -81,10 +80,7 @@ class Chunk(NamedTuple):
 def chunks(content: bytes, schema: pq.ParquetSchema) -> list[Chunk]:
     """The columns of each group of rows of a file that Arrow can open.
 
-    Raises
-    ------
-    ValueError
-        If its footer is not as this program writes it.
+    Raises `ValueError` if its footer is not as this program writes it.
     """
     start = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
     leaves = [schema.column(k) for k in range(len(schema))]

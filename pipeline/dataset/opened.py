@@ -57,10 +57,7 @@ class Opened:
     def tasks(self) -> list[Task]:
         """The shards that it consists of, done or not.
 
-        Raises
-        ------
-        DamagedManifest
-            If the manifest's packing is not of the scene's members.
+        Raises `DamagedManifest` if the manifest's packing is not of the scene's members.
         """
         return planned(self.place, self.scene, self.manifest)
 
@@ -108,10 +105,8 @@ class Opened:
     def shards(self, names: Sequence[str] | None = None) -> ds.Dataset:
         """The shards that the manifest lists, or some of them, as one Arrow dataset, in the order of their names.
 
-        Raises
-        ------
-        StoreError
-            If a shard is not what was written, or the manifest's packing or design is not that of its scene.
+        Raises `StoreError` if a shard is not what was written, or the manifest's packing or design is not that of its
+        scene.
         """
         import pyarrow.dataset as ds  # it loads pandas
 
@@ -138,10 +133,7 @@ class Opened:
     def check(self, names: Sequence[str] | None = None) -> None:
         """Check some shards, or all, against the manifest; a checked one is read again only if its file has changed.
 
-        Raises
-        ------
-        StoreError
-            If one is not what was written, was changed since the dataset was opened, or is not there.
+        Raises `StoreError` if one is not what was written, was changed since the dataset was opened, or is not there.
         """
         place, known = self.place, self.manifest.shards
         files = {name: f"{DATA}/{name}" for name in (known if names is None else names)}
@@ -181,10 +173,7 @@ class Opened:
     def checked(self, table: pa.Table) -> pa.Table:
         """Columns of some rows, once they are found to be what the scene can give.
 
-        Raises
-        ------
-        StoreError
-            If they are not.
+        Raises `StoreError` if they are not.
         """
         problem = self.sound.fault(table)
         if problem:
@@ -195,10 +184,7 @@ class Opened:
     def check_members(self, table: pa.Table, shards: Sequence[str]) -> None:
         """See that rows of some shards, all of them, are of the members that the scene gives these.
 
-        Raises
-        ------
-        StoreError
-            If they are not.
+        Raises `StoreError` if they are not.
         """
         first = 0
         for name in shards:
@@ -212,10 +198,7 @@ class Opened:
     def again(self) -> Opened:
         """The dataset as it is now; its scene is read again only if it is another.
 
-        Raises
-        ------
-        StoreError
-            As `open_dataset`.
+        Raises `StoreError` as `open_dataset`.
         """
         manifest = read_manifest(self.place)
         same = manifest.scene_hash == self.manifest.scene_hash
@@ -232,10 +215,7 @@ _checked: dict[str, tuple[str, object]] = {}
 def open_dataset(path: Where | Opened) -> Opened:
     """The dataset at `path`; one that is open already is returned as it is.
 
-    Raises
-    ------
-    StoreError
-        If there is none, its scene cannot be read, or it is not the one of the data.
+    Raises `StoreError` if there is none, its scene cannot be read, or it is not the one of the data.
     """
     if isinstance(path, Opened):
         return path
@@ -256,10 +236,7 @@ def open_dataset(path: Where | Opened) -> Opened:
 def stored_scene(place: Place) -> Scene:
     """The scene that lies at a place.
 
-    Raises
-    ------
-    SceneError
-        If there is none, or it is not a scene.
+    Raises `SceneError` if there is none, or it is not a scene.
     """
     file = place.named(SCENE)
     try:
@@ -274,10 +251,7 @@ def stored_scene(place: Place) -> Scene:
 def planned(place: Place, scene: Scene, manifest: Manifest) -> list[Task]:
     """The shards that a dataset of a scene consists of, done or not.
 
-    Raises
-    ------
-    DamagedManifest
-        If the manifest's packing is not of the scene's members.
+    Raises `DamagedManifest` if the manifest's packing is not of the scene's members.
     """
     try:
         found = tasks(scene, manifest.earlier, manifest.packing)
@@ -305,10 +279,7 @@ def dataset_scene(path: Where | Opened) -> Scene:
 def dataset(path: Where | Opened, shards: Sequence[str] | None = None) -> ds.Dataset:
     """The shards that the manifest lists, or some of them, as one Arrow dataset, in the order of their names.
 
-    Raises
-    ------
-    StoreError
-        If there is no readable dataset at `path`, or a shard is not what was written.
+    Raises `StoreError` if there is no readable dataset at `path`, or a shard is not what was written.
     """
     return open_dataset(path).shards(shards)
 

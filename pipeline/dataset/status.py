@@ -137,10 +137,7 @@ def status(path: Where | Opened) -> Status:
 class Follower:
     """Looks at a dataset whenever it is asked to, and opens it once.
 
-    Raises
-    ------
-    StoreError
-        Here and on looking, as `status`.
+    Raises `StoreError`: here and on looking, as `status`.
     """
 
     def __init__(self, path: Where) -> None:

@@ -48,9 +48,11 @@ _SHOWN = 5
 class Store:
     """The right to write the dataset at `path`, for the length of a with-block.
 
-    Creates the dataset, resumes it, or extends it by what its scene has grown by: leftovers of a crash are removed,
-    a lost manifest is rebuilt from the record of the commits, damaged shards are forgotten (and so computed
-    again), and `todo` says what is to be computed.
+    Creates the dataset, resumes it, or extends it by what its scene has grown by: leftovers of a crash are removed, a
+    lost manifest is rebuilt from the record of the commits, damaged shards are forgotten (and so computed again), and
+    `todo` says what is to be computed. Raises `ValueError` if the scene's source is that of other data; `StoreError`
+    on entering: the directory belongs to another scene, to something else, to another version or to a running
+    process; or it cannot be written. Nothing is changed then.
 
     Parameters
     ----------
@@ -64,14 +66,6 @@ class Store:
         Whether to resume data that another version of the program began, or take rows over; numbers may differ.
     programs : sequence of str
         Those that wrote data of which rows are taken over.
-
-    Raises
-    ------
-    ValueError
-        If the scene's source is that of other data.
-    StoreError
-        On entering: the directory belongs to another scene, to something else, to another version or to a running
-        process; or it cannot be written. Nothing is changed then.
     """
 
     def __init__(
@@ -246,10 +240,7 @@ class Store:
     def look(self) -> tuple[list[Task], list[Task]]:
         """All shards, and those that a run would compute; the dataset is neither taken nor changed.
 
-        Raises
-        ------
-        StoreError
-            As on entering, if a run would be refused.
+        Raises `StoreError` as on entering, if a run would be refused.
         """
         with _explained(self.place):
             self._manifest = self._check()
@@ -316,10 +307,8 @@ class Store:
     def commit(self, *results: Result) -> list[Shard]:
         """Make shards part of the dataset: their bytes, each in one step, then their lines of the record in another.
 
-        Raises
-        ------
-        StoreError
-            If one cannot be written, or the right to write was lost; the dataset is then as it was before.
+        Raises `StoreError` if one cannot be written, or the right to write was lost; the dataset is then as it was
+        before.
         """
         shards = {result.name: _shard(result) for result in results}
         lines = b"".join(

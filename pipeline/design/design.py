@@ -164,8 +164,6 @@ class Design:
         The grid is run for each.
     fixed : frozenset of int
         Points of the grid, by number, whose start is not drawn although the units are starts: there, matrices are.
-    methods : tuple of Method
-    changes : tuple of Change
     numbers : tuple of int
         The number of each point in the order of the grid, if that is another order: what was numbered before a scene
         grew keeps its number.

@@ -392,10 +392,7 @@ class Ensemble(_Numbered):
     def places_of(self, other: Ensemble) -> np.ndarray:
         """The places here of the members of another scene, in the order of theirs.
 
-        Raises
-        ------
-        KeyError
-            If one is not here.
+        Raises `KeyError` if one is not here.
         """
         source, matrix, place, variant = other.split(np.arange(len(other)))
         sources, points, variants = map(_numbers, self._words, other._words)

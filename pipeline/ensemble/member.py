@@ -96,13 +96,8 @@ class Member:
     ----------
     member_id : str
         Built from its own values alone: more matrices, sizes, draws or engines in the scene do not rename it.
-    source : Source
     terms : tuple of (str, value)
         What its system is given, by the names of `stickslip.sim.systems.terms.TERMS`.
-    change : Change
-    begin : Start
-    method : Method
-    t_end : float
     shared_cost : float
         What records take for it, and its part of what is computed once for several members.
     """

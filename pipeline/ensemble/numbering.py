@@ -23,7 +23,6 @@ class Numbering:
 
     Attributes
     ----------
-    ensemble : Ensemble
     before : Numbering, optional
         Of the scene that it grew from.
     """
@@ -35,10 +34,7 @@ class Numbering:
     def kept(self) -> np.ndarray:
         """The places in the scene's expansion of the members that it grew from, in the order of theirs.
 
-        Raises
-        ------
-        KeyError
-            If it lacks some of them.
+        Raises `KeyError` if it lacks some of them.
         """
         return np.zeros(0, np.int64) if self.before is None else self.ensemble.places_of(self.before.ensemble)
 

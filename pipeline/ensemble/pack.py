@@ -34,8 +34,6 @@ class Batch:
     ----------
     number : int
         Its place among the dataset's shards.
-    members : Members
-    scene_hash : str
     numbering : Numbering, optional
         Of all members of their scene; in another process there are their coordinates alone.
     """
@@ -98,19 +96,15 @@ class PlanError(ValueError):
 def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[int]] | None = None) -> list[Task]:
     """The shards of a dataset, in order.
 
+    Raises `PlanError` if the numbers are not those of the scenes' members, or an earlier scene cannot be read.
+
     Parameters
     ----------
-    scene : Scene
     earlier : sequence of str
         Sources of the scenes that it grew from, the first one first.
     packing : sequence of sequences of int
         For each of these and for `scene`: the number of members of each shard that it added; left out, as `pack`
         packs `scene` alone.
-
-    Raises
-    ------
-    PlanError
-        If the numbers are not those of the scenes' members, or an earlier scene cannot be read.
     """
     try:
         scenes = [*(parse_scene(source.encode(), folder=scene.folder) for source in earlier), scene]
@@ -133,10 +127,7 @@ def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[
 def numberings(scenes: Sequence[Scene]) -> list[Numbering]:
     """How the members of scenes that grew from each other are numbered.
 
-    Raises
-    ------
-    PlanError
-        If one lacks members of the scene before it.
+    Raises `PlanError` if one lacks members of the scene before it.
     """
     found: list[Numbering] = []
     for scene in scenes:

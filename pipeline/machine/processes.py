@@ -268,10 +268,7 @@ class Child:
     def __call__(self, argument: object) -> Any:
         """The function's result for an argument.
 
-        Raises
-        ------
-        ChildDied
-            If the process ends first, as it does when the function raises, or does not start.
+        Raises `ChildDied` if the process ends first, as it does when the function raises, or does not start.
         """
         assert self._process.stdin is not None
         assert self._process.stdout is not None

@@ -30,17 +30,13 @@ class Scratch(NamedTuple):
 def scratch(parent: str | None = None) -> Iterator[Scratch]:
     """A directory of this process alone, which goes with the with-block; those that killed processes left go first.
 
-    A process holds a lock on its directory, which lasts no longer than the process.
+    A process holds a lock on its directory, which lasts no longer than the process. Raises `OSError` if it cannot be
+    created.
 
     Parameters
     ----------
     parent : str, optional
         Where it lies: the system's directory for temporary files if left out.
-
-    Raises
-    ------
-    OSError
-        If it cannot be created.
     """
     parent = parent or tempfile.gettempdir()
     _sweep(parent)

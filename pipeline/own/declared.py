@@ -29,16 +29,12 @@ _FORM = (
 def declared(function: OwnFunction, found: Callable[..., Any]) -> dict[str, Any]:
     """The columns of a function that measures runs, as plain values, and whether it asks for states.
 
+    Raises `SceneError` if it takes other arguments, or does not declare what it returns.
+
     Parameters
     ----------
-    function : OwnFunction
     found : callable
         The function itself, as `use` hands it to its work.
-
-    Raises
-    ------
-    SceneError
-        If it takes other arguments, or does not declare what it returns.
     """
     where, parameters = f"{function.key}: {function.name}", inspect.signature(found).parameters
     is_sampled = SAMPLES in parameters

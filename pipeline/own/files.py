@@ -27,10 +27,7 @@ def digest(content: bytes) -> str:
 def content_of(path: Path, key: str) -> bytes:
     """The bytes of a plain file; `key` is what errors begin with.
 
-    Raises
-    ------
-    SceneError
-        If it cannot be read, is no plain file or is being written.
+    Raises `SceneError` if it cannot be read, is no plain file or is being written.
     """
     try:
         # a pipe that nobody writes to would block
@@ -83,12 +80,7 @@ def is_installed(file: Path) -> bool:
 def check_beside(root: Path, beside: Iterable[tuple[str, str]], key: str) -> None:
     """See that files that a function reads are as they were.
 
-    Raises
-    ------
-    ChangedError
-        If one has changed.
-    SceneError
-        If one is gone.
+    Raises `ChangedError` if one has changed; `SceneError` if one is gone.
     """
     for name, sha256 in beside:
         file = root / name

@@ -74,10 +74,7 @@ class OwnFunction:
 def resolve(name: str, folder: Path, key: str) -> OwnFunction:
     """The function `module:function` of a module beside a scene, or installed; nothing is loaded, none is `beside`.
 
-    Raises
-    ------
-    SceneError
-        If there is no such module.
+    Raises `SceneError` if there is no such module.
     """
     module = name.partition(":")[0]
     file = file_of(module, folder)
@@ -98,12 +95,7 @@ def look_again(function: OwnFunction) -> None:
 def module_file(function: OwnFunction) -> Path:
     """The file of a function's module as it was: in its folder, above it, or installed.
 
-    Raises
-    ------
-    ChangedError
-        If it is another.
-    SceneError
-        If it is gone.
+    Raises `ChangedError` if it is another; `SceneError` if it is gone.
     """
     module, key = function.module, function.key
     folders = dict.fromkeys((Path(function.at), *Path(function.at).parents, Path()))
@@ -126,16 +118,10 @@ def call(function: OwnFunction, *arguments: Any, is_trial: bool = False, **by_na
 def use(function: OwnFunction, work: Callable[[Callable[..., Any]], Any], is_trial: bool = False) -> Any:
     """What some work with a function gives; only where code of the user's may run.
 
-    Its module is loaded once a process, from the file on disk. What it prints goes to the standard error.
-
-    Raises
-    ------
-    LateError
-        If it loads a module beside the scene that it did not load when it was tried.
-    SceneError
-        If the module or the function is gone, or has changed.
-    Exception
-        Whatever the work raises; what would end the process, as SystemExit, as a RuntimeError that names it.
+    Its module is loaded once a process, from the file on disk. What it prints goes to the standard error. Raises
+    `LateError` if it loads a module beside the scene that it did not load when it was tried; `SceneError` if the
+    module or the function is gone, or has changed; `Exception`: whatever the work raises; what would end the process,
+    as SystemExit, as a RuntimeError that names it.
     """
     process = os.getpid()
     with _alone:

@@ -57,10 +57,7 @@ class Trial(NamedTuple):
 def tried(trial: Trial) -> dict[str, Any]:
     """The facts of what was called twice, and in another process too; with `beside`, the files that it reads.
 
-    Raises
-    ------
-    SceneError
-        If that goes wrong, what it gives differs, or it takes longer than `LONGEST_TRIAL`.
+    Raises `SceneError` if that goes wrong, what it gives differs, or it takes longer than `LONGEST_TRIAL`.
     """
     # what a module draws when it is loaded, or what depends on the order of a set, differs between processes
     with ThreadPoolExecutor(1) as aside, Child(_try) as child, Child(_try) as other:

@@ -46,7 +46,6 @@ class Directory(Place):
 
     Parameters
     ----------
-    path : Path
     inner : tuple of str
         Folders below it, in which the files are.
     """

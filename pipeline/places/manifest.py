@@ -167,15 +167,13 @@ class DamagedManifest(StoreError):
 def read_manifest(path: Where, is_forgiving: bool = False) -> Manifest:
     """The manifest of the dataset at `path`, with what the record adds to it.
 
+    Raises `StoreError` if there is none or it cannot be read; `DamagedManifest` if it, or the record, cannot be
+    understood.
+
     Parameters
     ----------
     is_forgiving : bool
         Whether to leave out damaged lines of the record, for a caller that recomputes what they confirmed.
-
-    Raises
-    ------
-    StoreError
-        If there is none or it cannot be read; `DamagedManifest` if it, or the record, cannot be understood.
     """
     place = place_of(path)
     manifest = _manifest(place)

@@ -133,10 +133,7 @@ class Place(ABC):
     def check_parts(self) -> None:
         """Refuse a dataset of which a part is no plain file or folder, without opening any.
 
-        Raises
-        ------
-        StoreError
-            If one is something else, as a link, which leads out of it.
+        Raises `StoreError` if one is something else, as a link, which leads out of it.
         """
 
     def _read_if_there(self, name: str) -> bytes | None:
@@ -176,10 +173,7 @@ class Place(ABC):
     def own(self) -> contextlib.AbstractContextManager[Hold]:
         """The right to write here, for the length of a with-block.
 
-        Raises
-        ------
-        StoreError
-            If another process has it.
+        Raises `StoreError` if another process has it.
         """
 
     @abstractmethod

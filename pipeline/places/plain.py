@@ -38,6 +38,8 @@ _SAFELY = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY
 def check(found: os.stat_result, shown: Path, kind: int = stat.S_IFREG) -> None:
     """Refuse what is no plain file, or no folder.
 
+    Raises `StoreError` if it is another kind.
+
     Parameters
     ----------
     found : os.stat_result
@@ -46,11 +48,6 @@ def check(found: os.stat_result, shown: Path, kind: int = stat.S_IFREG) -> None:
         What the error calls it.
     kind : int
         `stat.S_IFREG` or `stat.S_IFDIR`.
-
-    Raises
-    ------
-    StoreError
-        If it is another kind.
     """
     if stat.S_IFMT(found.st_mode) != kind:
         what = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
@@ -68,12 +65,8 @@ def status(name: str, directory: int) -> os.stat_result | None:
 def opened(name: str, directory: int, shown: Path, flags: int = os.O_RDONLY, kind: int = stat.S_IFREG) -> int:
     """Descriptor of a plain file, or a folder, in an open folder.
 
-    Raises
-    ------
-    StoreError
-        If it is something else; or, where it would be written, has a second name, which may be another's.
-    OSError
-        If it cannot be opened.
+    Raises `StoreError` if it is something else; or, where it would be written, has a second name, which may be
+    another's; `OSError` if it cannot be opened.
     """
     found = status(name, directory)
     if found is not None:
@@ -99,19 +92,14 @@ def way(path: Path, refusal: Callable[[str], Exception], is_made: bool = False) 
     """The folder in which a path ends, to pass through, the path's last name, and the folder's path without links.
 
     A link of another user may lead only to what is that user's, or lies in what is: not to what is this user's alone.
+    Raises `OSError` if it cannot be passed.
 
     Parameters
     ----------
-    path : Path
     refusal : callable
         The error for a link, which it is told, that leads elsewhere.
     is_made : bool
         Whether folders on the way that are missing are created.
-
-    Raises
-    ------
-    OSError
-        If it cannot be passed.
     """
     parts, at = [*reversed(path.parts)] or ["."], Path("/") if path.is_absolute() else Path.cwd()
     others: list[tuple[int, int, Path]] = []  # another user's links: how many parts follow, whose, where
@@ -163,14 +151,9 @@ def folder(
 ) -> Iterator[int]:
     """Descriptor of a folder: `root` may be reached through links as of `way`, the folders `inner` below it may not.
 
-    What has taken the place of a root that was `known` counts as none.
-
-    Raises
-    ------
-    StoreError
-        If an inner one is something else, or a link of another user leads to the root.
-    OSError
-        If it cannot be opened; with `is_made`, inner ones that are missing are created.
+    What has taken the place of a root that was `known` counts as none. Raises `StoreError` if an inner one is
+    something else, or a link of another user leads to the root; `OSError` if it cannot be opened; with `is_made`,
+    inner ones that are missing are created.
     """
     with way(root, refusal_of(root)) as (passed, name, _), filename(root):
         descriptor = os.open(name, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=passed)

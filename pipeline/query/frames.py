@@ -424,17 +424,14 @@ class Series(Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]):
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]]:
         """t and n_stick of some members, in their order, one after the other: a part for each shard that is read.
 
+        Raises `KeyError` if a member is unknown or failed; its argument is the member.
+
         Yields
         ------
         first : int64, shape (m + 1,)
             Where the members of the part begin, and the length of what follows.
         t : float64, shape (first[-1],)
         n_stick : int32, shape (first[-1],)
-
-        Raises
-        ------
-        KeyError
-            If a member is unknown or failed; its argument is the member.
         """
         done = 0
         while done < len(member_ids):
@@ -491,10 +488,7 @@ class _Shard:
     def together(self, rows: NDArray[np.int64]) -> list[np.ndarray]:
         """Where lists of some rows begin, if they lie one after the other, their length, and the lists of each name.
 
-        Raises
-        ------
-        pyarrow.ArrowInvalid
-            If lists of one row differ in length.
+        Raises `pyarrow.ArrowInvalid` if lists of one row differ in length.
         """
         first, places, found = np.zeros(1, np.int64), np.zeros(0, np.int64), list[np.ndarray]()
         for name, (values, begins) in self._lists.items():

@@ -41,8 +41,6 @@ class Own(NamedTuple):
 
     Attributes
     ----------
-    function : OwnFunction
-    columns : tuple of Column
     optional : tuple of str
         Those of the columns that it may leave without a value, by returning None.
     is_sampled : bool
@@ -140,10 +138,7 @@ class OwnRecord(WindowRecord):
     def measured(self, own: Own, made: Made) -> Measured:
         """What one of its functions measures of a run.
 
-        Raises
-        ------
-        SceneError
-            If its module is gone, or has changed.
+        Raises `SceneError` if its module is gone, or has changed.
         """
         run, window = made.run, (self.t_burn, made.run.t_end)
         if window[1] <= window[0]:
@@ -296,10 +291,7 @@ def named_functions(own: object) -> list[str]:
 def look_at_functions(names: Iterable[str], folder: Path) -> dict[str, dict[str, Any]]:
     """What a scene keeps of functions beside it, by name, as plain values. Their modules are loaded in children.
 
-    Raises
-    ------
-    SceneError
-        If there is none of that name, it cannot be loaded, or does not declare what it returns.
+    Raises `SceneError` if there is none of that name, it cannot be loaded, or does not declare what it returns.
     """
     functions = [resolve(name, folder, KEY) for name in names]
     seen: dict[str, dict[str, Any]] = {}

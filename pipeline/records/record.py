@@ -57,8 +57,6 @@ class Made:
 
     Attributes
     ----------
-    member : Member
-    system : System
     run : Run
         Sampled at the times that the records' `times` ask for.
     start : tuple of two
@@ -141,7 +139,6 @@ class Record(ABC):
         Of that key, for schemas and the guide.
     asked_by : str
         The line by which a scene asks for it.
-    columns : tuple of Column
     is_of_paths : bool
         Whether it is about each run's own path, so that tolerances are picked for paths.
     needs : frozenset of str

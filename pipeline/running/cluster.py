@@ -82,10 +82,7 @@ _LOCAL_CLUSTER = {
 def check_memory(scene: Scene, workers: int) -> None:
     """See that a worker of this machine can hold the scene's largest system, from the numbers alone.
 
-    Raises
-    ------
-    SceneError
-        If it cannot.
+    Raises `SceneError` if it cannot.
     """
     n = max(scene.system.n)
     room = MEMORY_LIMIT / max(1, min(workers, scene.n_members))
@@ -103,10 +100,7 @@ def check_memory(scene: Scene, workers: int) -> None:
 def check_address(address: str) -> None:
     """See that a scheduler answers at an address: with a wrong one `Client` hangs in its destructor.
 
-    Raises
-    ------
-    AddressError
-        If it is no address, or no scheduler answers there within `CONNECT_TIMEOUT`.
+    Raises `AddressError` if it is no address, or no scheduler answers there within `CONNECT_TIMEOUT`.
     """
     try:
         # a closed port is refused at once here; dask would retry
@@ -188,9 +182,7 @@ def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
 def _check_address_space() -> None:
     """Refuse a limit with which libraries fail one by one as they are loaded, each in its own words, or hang.
 
-    Raises
-    ------
-    ScheduleError
+    Raises `ScheduleError`.
     """
     most = resource.getrlimit(resource.RLIMIT_AS)[0]
     if most != resource.RLIM_INFINITY and most < _LEAST_SPACE:
@@ -204,10 +196,7 @@ def _check_address_space() -> None:
 def _files_for(workers: int) -> Iterator[None]:
     """Within: this process may open as many files as workers take, 23 and 12 for each; without them dask hangs.
 
-    Raises
-    ------
-    ScheduleError
-        If it may not.
+    Raises `ScheduleError` if it may not.
     """
     needed = 32 + 16 * workers
     most = max(needed, _MOST_FILES)  # others on this machine may open connections too, which are then refused
@@ -228,9 +217,7 @@ def _files_for(workers: int) -> Iterator[None]:
 def _look_at(client: Client) -> None:
     """Refuse workers that are there and run another version; warn of a setup that is slow or that others may enter.
 
-    Raises
-    ------
-    ScheduleError
+    Raises `ScheduleError`.
     """
     several = [address for address, count in client.nthreads().items() if count > 1]
     if several:
@@ -287,10 +274,7 @@ def _setup(dask_worker: Worker) -> _Setup:
 def _wait_for(starting: Future[SpecCluster], loop: LoopRunner, workers: int, errors: ErrorStream) -> SpecCluster:
     """The cluster, once its workers have started, which may take no longer than a limit.
 
-    Raises
-    ------
-    ScheduleError
-        If one cannot, with the last that it said.
+    Raises `ScheduleError` if one cannot, with the last that it said.
     """
     limit = _START_TIMEOUT + _START_EACH * workers
     end = time.monotonic() + limit

@@ -143,10 +143,7 @@ def run_ensemble(
 def _look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction]) -> None:
     """See that what members come from, and functions, are as they were: a word here, and not a row for each member.
 
-    Raises
-    ------
-    SceneError
-        If one is gone, or another.
+    Raises `SceneError` if one is gone, or another.
     """
     for origin in {member.source.origin for member in firsts} | set(functions):
         if origin is not None:
@@ -156,10 +153,7 @@ def _look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction])
 def _check_caller(workers: int, scheduler: Scheduling) -> None:
     """Refuse a number of workers that is none, and a worker that loads the caller's script.
 
-    Raises
-    ------
-    ValueError, ScheduleError
-        As `run_ensemble`.
+    Raises `ValueError` or `ScheduleError` as `run_ensemble`.
     """
     if workers < 0:
         raise ValueError(f"workers: expected a count >= 0, got {workers}; 0 runs in this process")
@@ -188,10 +182,8 @@ class _Filling:
 
     Parameters
     ----------
-    store : Store
     firsts : sequence of Member
         Those that are run: the first of each pair of an origin of systems and an engine.
-    workers : Workers
     on_progress : callable, optional
         As of `run_ensemble`.
     start : float
@@ -221,10 +213,7 @@ class _Filling:
     def __call__(self, order: Callable[[Task], Order]) -> None:
         """Compute and commit; `order` gives what of a task is sent to a worker, and is called when it is.
 
-        Raises
-        ------
-        SceneError, StoreError, ScheduleError
-            As `run_ensemble`.
+        Raises `SceneError` or `StoreError` or `ScheduleError` as `run_ensemble`.
         """
         self._report()
         self._store.note(f"began {time.time():.3f}")

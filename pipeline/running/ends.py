@@ -31,10 +31,7 @@ _ALIKE: tuple[Callable[[Member], Any], ...] = (
 def check(scene: Scene) -> None:
     """See that each member of a scene has an end to start at; asked before a scene is run, not when it is read.
 
-    Raises
-    ------
-    SceneError
-        If one has none, or several.
+    Raises `SceneError` if one has none, or several.
     """
     if scene.ends is None:
         return
@@ -52,10 +49,7 @@ def check(scene: Scene) -> None:
 def end_of(member: Member) -> State | None:
     """z and w, each of shape (n,), at the end at which a member starts; None if it starts at none.
 
-    Raises
-    ------
-    SceneError
-        If the dataset is gone or has changed; or as `check`.
+    Raises `SceneError` if the dataset is gone or has changed; or as `check`.
     """
     ends = member.begin.ends
     if ends is None:

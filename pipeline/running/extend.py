@@ -52,12 +52,8 @@ def with_records(opened: Opened, record: Mapping[str, Any]) -> Scene:
     """The scene of a dataset with more keys under [record].
 
     Where a scene leaves tolerances out, records of paths pick finer ones. Here the runs stay what they are: what the
-    tolerances were picked for is written down as the scene's `purpose`.
-
-    Raises
-    ------
-    SceneError
-        If a key is unknown or does not apply, or adds nothing.
+    tolerances were picked for is written down as the scene's `purpose`. Raises `SceneError` if a key is unknown or
+    does not apply, or adds nothing.
     """
     scene, folder = opened.scene, opened.folder
     tables = parse_toml(scene.source, "scene")

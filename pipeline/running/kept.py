@@ -33,14 +33,7 @@ _SHARDS = 8
 class KeptRows:
     """The rows of a dataset, for a scene of which some members are the same.
 
-    Parameters
-    ----------
-    opened : Opened
-
-    Raises
-    ------
-    StoreError
-        If a shard is damaged.
+    Raises `StoreError` if a shard is damaged.
     """
 
     def __init__(self, opened: Opened) -> None:
@@ -105,7 +98,6 @@ class Kept:
 
     Attributes
     ----------
-    table : pyarrow.Table
     places : tuple of int
         Those of the members in the batch, one a row.
     records : tuple of Record

@@ -51,7 +51,8 @@ _TIME = re.compile(r"(?:(\d+)-)?(\d+)(?::(\d+))?(?::(\d+))?")
 def jobs(workers: int, settings: dict[str, Any]) -> Iterator[Callable[[], Client]]:
     """Jobs of Slurm for the time of a with-block: a function that submits them, and returns their workers' client.
 
-    Called again, it returns the same client; if it is not called, no job is submitted.
+    Called again, it returns the same client; if it is not called, no job is submitted. Raises `ScheduleError` if
+    dask-jobqueue is not installed.
 
     Parameters
     ----------
@@ -59,11 +60,6 @@ def jobs(workers: int, settings: dict[str, Any]) -> Iterator[Callable[[], Client
         Processes in all, of one thread each.
     settings : dict
         As of `job_settings`.
-
-    Raises
-    ------
-    ScheduleError
-        If dask-jobqueue is not installed.
     """
     kind, n_jobs = cluster_of_jobs(), -(-workers // settings["processes"])
     with contextlib.ExitStack() as opened:
@@ -73,6 +69,8 @@ def jobs(workers: int, settings: dict[str, Any]) -> Iterator[Callable[[], Client
 def job_settings(workers: int, options: Sequence[str]) -> dict[str, Any]:
     """Settings of dask-jobqueue: jobs of single-threaded processes that leave before their time is over.
 
+    Raises `ValueError` if an option cannot be read.
+
     Parameters
     ----------
     workers : int
@@ -80,11 +78,6 @@ def job_settings(workers: int, options: Sequence[str]) -> dict[str, Any]:
     options : sequence of str
         Options of `sbatch` for each job, as ``partition=long`` or ``exclusive``. Those that are not given are
         `PROCESSES` (cpus-per-task, one process each), `TIME` (time) and `MEMORY` (mem-per-cpu).
-
-    Raises
-    ------
-    ValueError
-        If an option cannot be read.
     """
     asked = {"cpus-per-task": str(min(PROCESSES, workers)), "time": TIME, "mem-per-cpu": MEMORY}
     for option in options:

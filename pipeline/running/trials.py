@@ -21,12 +21,8 @@ def check_functions(scene: Scene, todo: Sequence[Task]) -> None:
 
     One process has measured the next cheapest before, the other measures it afterwards: that shows what is kept from
     call to call. A number that is not finite is no mistake, for it may be of this run, and neither is anything that
-    goes wrong with the next cheapest; a run that fails says so itself.
-
-    Raises
-    ------
-    SceneError
-        If a function raises, returns what it does not declare, or not the same each time, or takes too long.
+    goes wrong with the next cheapest; a run that fails says so itself. Raises `SceneError` if a function raises,
+    returns what it does not declare, or not the same each time, or takes too long.
     """
     record = scene.own_record
     if record is None or not todo:

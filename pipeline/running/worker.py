@@ -45,8 +45,6 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
 
     Parameters
     ----------
-    batch : Batch
-    recording : Recording
     kept : Kept, optional
         What another dataset has of them, which is not computed again.
     run : callable, optional

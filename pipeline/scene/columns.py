@@ -177,7 +177,6 @@ class Recording:
     ----------
     parts : tuple of str
         Of `PARTS`.
-    records : tuple of Record
     parameters : tuple of str
         Of a function, each a column.
     """

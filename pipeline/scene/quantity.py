@@ -191,10 +191,8 @@ Velocity = Annotated[Quantity, Key(tuple(DISTRIBUTIONS), words=(FILE, BELT, END)
 def axes(quantities: Mapping[str, Quantity | None], together: Sequence[Sequence[str]] = ()) -> tuple[Axis, ...]:
     """The axes of the grid that some keys span, in their order: one for each list; those named together share one.
 
-    Raises
-    ------
-    ValueError
-        If a name in `together` has no list or is there twice, or lists that go together differ in length.
+    Raises `ValueError` if a name in `together` has no list or is there twice, or lists that go together differ in
+    length.
     """
     lists = {key: value for key, value in quantities.items() if isinstance(value, tuple)}
     named = list(itertools.chain.from_iterable(together))

@@ -98,10 +98,7 @@ class Scene(StrictTable):
     def __init__(self, **tables: Any) -> None:
         """A scene from its tables, as a file has them; files that it names are looked for in the working directory.
 
-        Raises
-        ------
-        SceneError
-            If they are no scene; one line a problem.
+        Raises `SceneError` if they are no scene; one line a problem.
         """
         tables = plain(tables)
         with explained(type(self), ""):
@@ -147,10 +144,7 @@ class Scene(StrictTable):
     def from_source(self) -> Scene:
         """The scene as its `source` gives it: itself if it was read from there.
 
-        Raises
-        ------
-        ValueError
-            If its source is that of other data.
+        Raises `ValueError` if its source is that of other data.
         """
         if self._source is not None:
             return self
@@ -307,12 +301,8 @@ class Scene(StrictTable):
     def check_engines(self) -> None:
         """Refuse engines that cannot run what the scene asks; for a file or a function, its runs tell.
 
-        Called before a scene is run, not when it is read: data with members that failed so can still be read.
-
-        Raises
-        ------
-        SceneError
-            If one cannot.
+        Called before a scene is run, not when it is read: data with members that failed so can still be read. Raises
+        `SceneError` if one cannot.
         """
         system, known = self.system, self.system.quantities
         pushes = [one for force in system.forces for one in (force.amplitude, force.course) if one is not None]
@@ -434,9 +424,7 @@ class Scene(StrictTable):
     def check_size(self, yes: bool) -> None:
         """Refuse a scene of many members, before anything is expanded, unless the user says yes.
 
-        Raises
-        ------
-        SceneError
+        Raises `SceneError`.
         """
         if self.n_members > MANY_MEMBERS and not yes:
             raise SceneError(

@@ -28,10 +28,7 @@ _DOTTED = re.compile(
 def read_source(path: str | Path) -> bytes:
     """The bytes of a scene file.
 
-    Raises
-    ------
-    SceneError
-        If it cannot be read.
+    Raises `SceneError` if it cannot be read.
     """
     path = Path(path)
     try:
@@ -50,10 +47,7 @@ def read_source(path: str | Path) -> bytes:
 def parse_toml(source: bytes | str, name: str) -> dict[str, Any]:
     """The tables that a scene file holds, as they are written; `name` is what errors call it.
 
-    Raises
-    ------
-    SceneError
-        If it is not TOML.
+    Raises `SceneError` if it is not TOML.
     """
     if len(source) > MAX_SOURCE:
         raise SceneError(f"{name}: expected at most {MAX_SOURCE} bytes, got more; shorten its lists and texts")

@@ -55,16 +55,9 @@ def arrays_of(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
 
     Numbers beside them are `parameters`, by name.
 
-    The readers of Python and NumPy raise exceptions of many kinds for damaged files; none of them crashes.
-
-    Raises
-    ------
-    OtherKind
-        If it is a file of another kind that K can be read from.
-    ValueError
-        If it is no such file, or does not hold what it claims.
-    Exception
-        If it is damaged.
+    The readers of Python and NumPy raise exceptions of many kinds for damaged files; none of them crashes. Raises
+    `OtherKind` if it is a file of another kind that K can be read from; `ValueError` if it is no such file, or does
+    not hold what it claims; `Exception` if it is damaged.
     """
     readers = {b"PK": _npz, b"\x93NUMPY": _npy_alone, b"%%MatrixMarket": _matrix_market}
     other = kind_of(content)

@@ -109,10 +109,7 @@ def located(names: Iterable[str], folder: Path) -> dict[str, str]:
 def read(file: SystemFile) -> Mapping[str, Any]:
     """What a file holds, by name.
 
-    Raises
-    ------
-    SceneError
-        If it is gone, or not what it was.
+    Raises `SceneError` if it is gone, or not what it was.
     """
     return _read(file.at, file.sha256)
 
@@ -132,10 +129,7 @@ def _read(at: str, sha256: str) -> Mapping[str, Any]:
 def look_again(origin: SystemFile | OwnFunction) -> None:
     """See that a file or a function of the user's own is as it was when the scene was read.
 
-    Raises
-    ------
-    SceneError
-        If it is gone, or another.
+    Raises `SceneError` if it is gone, or another.
     """
     if isinstance(origin, SystemFile):
         read(origin)
@@ -188,12 +182,8 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
 def look_at_files(pattern: str, folder: Path) -> dict[str, dict[str, Any]]:
     """Digest and facts of each file that a pattern matches, by its name beside the scene, as plain values.
 
-    From then on the scene can be read without them, and a changed file makes another scene.
-
-    Raises
-    ------
-    SceneError
-        If there is no such file, or it holds no system.
+    From then on the scene can be read without them, and a changed file makes another scene. Raises `SceneError` if
+    there is no such file, or it holds no system.
     """
     found = [folder / pattern] if os.path.isfile(folder / pattern) else _glob(folder, pattern)
     if not found and os.path.isdir(folder / pattern):
@@ -264,11 +254,8 @@ def make(
 ) -> System:
     """A system of n blocks by a function of the user's; one that takes `realisation` is given its number.
 
-    Raises
-    ------
-    SceneError
-        If the module or the function is gone or has changed, it returned no system of n blocks, or it loads a module
-        beside the scene that it did not load when it was tried.
+    Raises `SceneError` if the module or the function is gone or has changed, it returned no system of n blocks, or it
+    loads a module beside the scene that it did not load when it was tried.
     """
 
     def work(found: Callable[..., Any]) -> Any:
@@ -285,10 +272,8 @@ def make(
 def tried_function(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> dict[str, Any]:
     """What a scene says of a function that has made a system, twice and in another process too, as plain values.
 
-    Raises
-    ------
-    SceneError
-        If that goes wrong, the systems differ, or it takes longer than `pipeline.own.trial.LONGEST_TRIAL`.
+    Raises `SceneError` if that goes wrong, the systems differ, or it takes longer than
+    `pipeline.own.trial.LONGEST_TRIAL`.
     """
     return tried(
         Trial(

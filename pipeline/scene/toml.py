@@ -102,10 +102,7 @@ def listed(one: dict[str, Any]) -> WithJsonSchema:
 def as_scene(kind: type[Table], tables: dict[str, Any], name: str) -> Table:
     """A scene of one kind from what its file holds.
 
-    Raises
-    ------
-    SceneError
-        If that is no scene; one line a problem.
+    Raises `SceneError` if that is no scene; one line a problem.
     """
     with explained(kind, f"{name}: "):
         return kind.model_validate(tables)
@@ -123,10 +120,7 @@ def explained(kind: type[BaseModel], head: str) -> Iterator[None]:
 def plain(value: Any, path: str = "") -> Any:
     """Tables from Python as a file has them: arrays, ranges, and tables that are objects, written out.
 
-    Raises
-    ------
-    SceneError
-        If a text at `path`, or below it, cannot be written.
+    Raises `SceneError` if a text at `path`, or below it, cannot be written.
     """
     if isinstance(value, str):
         return _text(value, path)
