@@ -25,7 +25,7 @@ from fsspec.implementations.memory import MemoryFileSystem
 
 from stickslip.pipeline import Progress, parse_scene, run_ensemble
 from stickslip.pipeline.dataset.program import program
-from stickslip.pipeline.dataset.result import Result
+from stickslip.pipeline.dataset.schema import Result
 from stickslip.pipeline.ensemble import pack
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.object_store import Prefix

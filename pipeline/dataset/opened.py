@@ -39,15 +39,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Opened:
-    """A dataset at one moment: where it lies, its scene, and its manifest with what the record adds to it.
-
-    With `is_part` the manifest lists some shards of a dataset whose packing and design were checked as a whole.
-    """
+    """A dataset at one moment: where it lies, its scene, and its manifest with what the record adds to it."""
 
     place: Place
     scene: Scene
     manifest: Manifest
-    is_part: bool = False
 
     def __getstate__(self) -> dict[str, Any]:
         """What goes to another process: its tasks, that a worker gets without their numbering, are planned there."""
@@ -72,7 +68,7 @@ class Opened:
         for name in shards:
             batch, _ = self.tasks[number_of(name)]
             assert batch.numbering is not None
-            parts.append(last.of(last.places_of(batch.numbering)[batch.members.places]))
+            parts.append(last.of(last.here(batch.numbering, batch.members.places)))
         return Coordinates.joined(parts)
 
     @property
@@ -111,8 +107,6 @@ class Opened:
         import pyarrow.dataset as ds  # it loads pandas
 
         names = sorted(self.manifest.shards) if names is None else list(names)
-        if not self.is_part:
-            self.tasks  # noqa: B018  refuses a manifest that says something else than its scene
         self.check(names)
         checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
         with reading(self.place):
@@ -230,7 +224,9 @@ def open_dataset(path: Where | Opened) -> Opened:
             f"{place.named(SCENE)}: expected the scene of these data (hash {manifest.scene_hash[:12]}), "
             f"got another (hash {scene.hash[:12]}); restore the file"
         )
-    return Opened(place, scene, manifest)
+    opened = Opened(place, scene, manifest)
+    opened.tasks  # noqa: B018  refuses a manifest that says something else than its scene
+    return opened
 
 
 def stored_scene(place: Place) -> Scene:

@@ -14,7 +14,7 @@ from typing import Self
 
 from stickslip.pipeline.dataset.opened import Opened, numbering_of, planned, stored_scene
 from stickslip.pipeline.dataset.program import program
-from stickslip.pipeline.dataset.result import Result
+from stickslip.pipeline.dataset.schema import Result
 from stickslip.pipeline.ensemble.pack import Task, grows, lacked, pack, tasks
 from stickslip.pipeline.errors import SceneError, StoreError, command, remedy
 from stickslip.pipeline.machine.signals import last_act, unbroken
@@ -197,10 +197,12 @@ class Store:
             columns = [] if stored is None else lacked(stored, self.scene)
             if columns:
                 again = command("extend", str(self.place), "--scene", "SCENE", "--out", "DIR")
+                remedy = f"run it into another directory: `{again}` takes over what is here"
+                if self._programs:  # it is `extend` that asks
+                    remedy = "choose another directory than that of other data"
                 raise StoreError(
                     f"{self.place}: expected runs with the columns of the data on disk, got a scene that adds some "
-                    f"with {', '.join(columns)}, which these data lack; run it into another directory: "
-                    f"`{again}` takes over what is here"
+                    f"with {', '.join(columns)}, which these data lack; {remedy}"
                 )
             raise StoreError(
                 f"{self.place}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of "

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import accumulate, groupby, product
 from operator import eq
+from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import numpy as np
@@ -18,7 +19,7 @@ from stickslip.pipeline.design.design import Axis, Coordinates, Design, Unit
 from stickslip.pipeline.design.values import BELT, END, FILE, Distribution, Ratio, Value, short, word
 from stickslip.pipeline.ensemble.member import Change, Member, Method, Source, Start
 from stickslip.pipeline.records.record import Sharing
-from stickslip.pipeline.scene.scene import Scene
+from stickslip.pipeline.scene.scene import Scene, parse_scene
 from stickslip.pipeline.scene.system_table import OF_FILE, QUANTITIES, ForceTable
 from stickslip.pipeline.scene.systems import REALISATION, SystemFile, SystemFunction
 from stickslip.sim.systems.couplings import READINGS
@@ -54,8 +55,8 @@ class Members(Sequence[Member]):
     Slices and `at` select members of the same ensemble. Ids and costs are found without making a member.
     """
 
-    def __init__(self, ensemble: _Numbered, places: Sequence[int]) -> None:
-        self._ensemble, self._places = ensemble, places
+    def __init__(self, ensemble: Ensemble, places: Sequence[int]) -> None:
+        self.ensemble, self._places = ensemble, places
 
     def __len__(self) -> int:
         return len(self._places)
@@ -66,43 +67,39 @@ class Members(Sequence[Member]):
     def __getitem__(self, k: slice) -> Members: ...
     def __getitem__(self, k: int | slice) -> Member | Members:
         if isinstance(k, slice):
-            return Members(self._ensemble, self._places[k])
-        return self._ensemble.member(self._places[k])
+            return Members(self.ensemble, self._places[k])
+        return self.ensemble.member(self._places[k])
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Members) and len(self) == len(other) and all(map(eq, self, other))
 
     __hash__ = None  # type: ignore[assignment]
 
-    def __reduce__(self) -> tuple[Callable[..., Members], tuple[_Numbered, Sequence[int]]]:
-        return Members, (self._ensemble.part(self._places), self._places)
+    def __reduce__(self) -> tuple[Callable[..., Members], tuple[str, Path, Sequence[int]]]:
+        """Pickled as the scene and their numbers."""
+        scene = self.ensemble.scene
+        return _members, (scene.source, scene.folder.resolve(), self._places)
 
     def at(self, which: Sequence[int]) -> Members:
         """The members at some places of this sequence."""
-        return Members(self._ensemble, [self._places[k] for k in which])
+        return Members(self.ensemble, [self._places[k] for k in which])
 
     def ids(self) -> Iterator[str]:
         """The `member_id` of each."""
-        return self._ensemble.ids(self._places)
+        return self.ensemble.ids(self._places)
 
     def costs(self) -> Iterator[float]:
         """The `cost` of each."""
-        return self._ensemble.costs(self._places)
+        return self.ensemble.costs(self._places)
 
     @property
     def places(self) -> np.ndarray:
         """The numbers of each in the expansion of its scene, int64, shape (R,)."""
         return np.asarray(self._places, dtype=np.int64)
 
-    @property
-    def ensemble(self) -> Ensemble:
-        """All members of their scene; only where it was expanded."""
-        assert isinstance(self._ensemble, Ensemble)
-        return self._ensemble
-
     def rows(self) -> Iterator[tuple[dict[str, Any], str, int, int | None]]:
         """The `row` of each, as one of its kind has it, and what is its own: name, matrix and draw of the start."""
-        return self._ensemble.rows(self._places)
+        return self.ensemble.rows(self._places)
 
     def firsts(self) -> list[Member]:
         """The first member of each pair of an origin of systems and an engine."""
@@ -113,7 +110,17 @@ class Members(Sequence[Member]):
 
     def by_variant(self) -> list[Members]:
         """Those that are run the same way, of systems from one source, together: they have one cost."""
-        return [Members(self._ensemble, places) for places in self._ensemble.by_variant(self._places)]
+        return [Members(self.ensemble, places) for places in self.ensemble.by_variant(self._places)]
+
+
+@lru_cache(maxsize=2)
+def _ensemble(source: str, folder: Path) -> Ensemble:
+    """The ensemble of a scene that came from another process."""
+    return Ensemble(parse_scene(source, folder=folder))
+
+
+def _members(source: str, folder: Path, places: Sequence[int]) -> Members:
+    return Members(_ensemble(source, folder), places)
 
 
 @dataclass(frozen=True)
@@ -126,26 +133,24 @@ class _Variant:
     words: tuple[str, ...]
 
 
-class _Numbered:
-    """Members by number: source, matrix, place (a point of the grid with a draw of the start), variant."""
+class Ensemble:
+    """Members of a scene by number: source, matrix, place (point with draw of the start), variant; their design."""
 
-    def __init__(self, sources: Sequence[tuple[int, SystemFile | SystemFunction | None]], *sizes: int) -> None:
-        self.sources = sources
-        self.n_matrices, self.n_places, self.n_variants = sizes
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.points = [_Point(swept, at) for swept, at in scene.points()]
+        self.draws = [scene.start_draws(point.at) for point in self.points]
+        self.ends = list(accumulate(map(len, self.draws)))
+        self.variants = list(_variants(scene))
+        self.sources, self.n_matrices = scene.sources, scene.run.matrices
+        self.n_places, self.n_variants = self.ends[-1], len(self.variants)
         self.a_matrix = self.n_places * self.n_variants
         self.a_source = self.n_matrices * self.a_matrix
+        self.kind = lru_cache(_KINDS)(self._kind)
+        self.of_run = lru_cache(_KINDS)(self._of_run)
 
-    def kind(self, source: int, point: int, variant: int) -> Member:
-        """A member without its id, its matrix and the draw of its start."""
-        raise NotImplementedError
-
-    def at(self, place: int) -> tuple[int, int | None]:
-        """The point of a place, and the draw of the start."""
-        raise NotImplementedError
-
-    def of_run(self, place: int, variant: int) -> str:
-        """The last part of a member's name."""
-        raise NotImplementedError
+    def __len__(self) -> int:
+        return len(self.sources) * self.a_source
 
     def split(self, k: _Number) -> tuple[_Number, _Number, _Number, _Number]:
         """The numbers of a member's source, matrix, place and variant; of several members as arrays."""
@@ -158,20 +163,6 @@ class _Numbered:
         name = self._of_system(source, matrix) + self.of_run(place, variant)
         of = kind.source._replace(matrix=matrix if origin is None else origin.matrix(matrix))
         return replace(kind, member_id=name, source=of, begin=kind.begin._replace(draw=draw))
-
-    def part(self, numbers: Sequence[int]) -> _Part:
-        """What makes some members: each kind once, however many matrices and starts there are of it."""
-        kinds: dict[tuple[int, int, int], Member] = {}
-        at: dict[int, tuple[int, int | None]] = {}
-        words: dict[tuple[int, int], str] = {}
-        for k in numbers:
-            source, _, place, variant = self.split(k)
-            if (place, variant) not in words:
-                at[place], words[place, variant] = self.at(place), self.of_run(place, variant)
-            for which in ((source, point, variant) for point in (0, at[place][0])):  # the first has the cost
-                if which not in kinds:
-                    kinds[which] = self.kind(*which)
-        return _Part(kinds, at, words, self.sources, self.n_matrices, self.n_places, self.n_variants)
 
     def ids(self, numbers: Sequence[int]) -> Iterator[str]:
         """The `member_id` of each; the runs of a matrix are handled together."""
@@ -220,49 +211,6 @@ class _Numbered:
         """The first part of a member's name."""
         n, origin = self.sources[source]
         return f"n{n}-{'' if origin is None else origin.word + '-'}m{matrix:03d}"
-
-
-class _Part(_Numbered):
-    """Some members of an ensemble, for another process: the scene stays where it is."""
-
-    def __init__(
-        self,
-        kinds: Mapping[tuple[int, int, int], Member],
-        at: Mapping[int, tuple[int, int | None]],
-        words: Mapping[tuple[int, int], str],
-        *of_ensemble: Any,
-    ) -> None:
-        super().__init__(*of_ensemble)
-        self._kinds, self._at, self._words = kinds, at, words
-
-    def kind(self, source: int, point: int, variant: int) -> Member:
-        return self._kinds[source, point, variant]
-
-    def at(self, place: int) -> tuple[int, int | None]:
-        return self._at[place]
-
-    def of_run(self, place: int, variant: int) -> str:
-        return self._words[place, variant]
-
-
-class Ensemble(_Numbered):
-    """The members of a scene, and their design."""
-
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
-        self.points = [_Point(swept, at) for swept, at in scene.points()]
-        self.draws = [scene.start_draws(point.at) for point in self.points]
-        self.ends = list(accumulate(map(len, self.draws)))
-        self.variants = list(_variants(scene))
-        super().__init__(scene.sources, scene.run.matrices, self.ends[-1], len(self.variants))
-        self._kinds = lru_cache(_KINDS)(self._kind)
-        self._of_runs = lru_cache(_KINDS)(self._of_run)
-
-    def __len__(self) -> int:
-        return len(self.sources) * self.a_source
-
-    def kind(self, source: int, point: int, variant: int) -> Member:
-        return self._kinds(source, point, variant)
 
     @cached_property
     def unit(self) -> Unit:
@@ -416,13 +364,12 @@ class Ensemble(_Numbered):
         return sources, [point.words for point in self.points], [variant.words for variant in self.variants]
 
     def at(self, place: int) -> tuple[int, int | None]:
+        """The point of a place, and the draw of the start."""
         k = bisect_right(self.ends, place)
         return k, self.draws[k][place - self.ends[k] + len(self.draws[k])]
 
-    def of_run(self, place: int, variant: int) -> str:
-        return self._of_runs(place, variant)
-
     def _of_run(self, place: int, variant: int) -> str:
+        """The last part of a member's name."""
         number, draw = self.at(place)
         point = self.points[number]
         drawn = () if draw is None else (f"s{draw}",)
@@ -431,6 +378,7 @@ class Ensemble(_Numbered):
         return "".join(f"-{word}" for word in (*point.words, *drawn, *started, *self.variants[variant].words))
 
     def _kind(self, source: int, number: int, variant: int) -> Member:
+        """A member without its id, its matrix and the draw of its start."""
         scene, (n, origin), chosen = self.scene, self.sources[source], self.variants[variant]
         point = self.points[number]
         given = point.at | _of_file(origin)

@@ -43,11 +43,9 @@ class Numbering:
         """The places in the scene's expansion of the members that are new."""
         return np.delete(np.arange(len(self.ensemble)), self.kept)
 
-    def places_of(self, earlier: Numbering) -> np.ndarray:
-        """The places in the scene's expansion of the members of an earlier one, in the order of theirs."""
-        if earlier is self or self.before is None:
-            return np.arange(len(self.ensemble))
-        return self.kept[self.before.places_of(earlier)]
+    def here(self, earlier: Numbering, places: np.ndarray) -> np.ndarray:
+        """The places in the scene's expansion of members of an earlier one, by theirs."""
+        return places if earlier is self or self.before is None else self.kept[self.before.here(earlier, places)]
 
     @cached_property
     def _of_design(self) -> Mapping[str, _Table]:

@@ -84,46 +84,45 @@ def _meaning(where: str, field: str, column: Mapping[str, Any], notes: Sequence[
             f"{where}: expected 'least', 'most', 'absent' or 'since' for {field}, got {odd!r:.80}; remove it"
         )
     found: dict[str, Any] = {}
+
+    def take(key: str, is_right: bool, expected: str, got: str, value: object) -> None:
+        if not is_right:
+            raise SceneError(f"{where}: expected {expected}, got {got}; change it")
+        found[key] = value
+
     if "least" in given:
-        least: Any = given["least"]
-        is_number = column["type"] in ("float", "int")
-        is_least = (
-            isinstance(least, numbers.Real) and not isinstance(least, bool) and abs(cast("float", least)) <= _MOST
-        )
-        if not (is_number and is_least):
-            got = f"{least!r:.80}" if is_number else f"a {column['type']}"
-            raise SceneError(
-                f"{where}: expected a finite number as 'least' of {field}, a number, got {got}; change it"
-            )
-        found["least"] = float(least)
+        least, is_number = given["least"], column["type"] in ("float", "int")
+        got = f"{least!r:.80}" if is_number else f"a {column['type']}"
+        expected = f"a finite number as 'least' of {field}, a number"
+        take("least", is_number and _is_number(least, -_MOST), expected, got, _float(least))
     if "most" in given:
-        most: Any = given["most"]
-        is_most = isinstance(most, numbers.Real) and not isinstance(most, bool) and 0 < cast("float", most) <= _MOST
-        if not (is_most and found.get("least") == 0.0):
-            got = f"{most!r:.80}" if found.get("least") == 0.0 else "another 'least', or none"
-            raise SceneError(
-                f"{where}: expected a number > 0 as 'most' of {field}, with 'least' 0, got {got}; change it"
-            )
-        found["most"] = float(most)
+        most, is_from_0 = given["most"], found.get("least") == 0.0
+        got = f"{most!r:.80}" if is_from_0 else "another 'least', or none"
+        is_right = is_from_0 and _is_number(most) and most > 0
+        take("most", is_right, f"a number > 0 as 'most' of {field}, with 'least' 0", got, _float(most))
     if "absent" in given:
-        absent = given["absent"]
-        if not (column["is_optional"] and isinstance(absent, str) and absent.strip() and absent.isprintable()):
-            got = f"{absent!r:.80}" if column["is_optional"] else "a type without it"
-            raise SceneError(
-                f"{where}: expected words as 'absent' of {field}, whose type has `| None`, got {got}; change it"
-            )
-        found["absent"] = " ".join(absent.split())
+        absent, is_optional = given["absent"], column["is_optional"]
+        got = f"{absent!r:.80}" if is_optional else "a type without it"
+        is_right = is_optional and isinstance(absent, str) and bool(absent.strip()) and absent.isprintable()
+        expected = f"words as 'absent' of {field}, whose type has `| None`"
+        take("absent", is_right, expected, got, " ".join(str(absent).split()))
     if "since" in given:
-        since: Any = given["since"]
-        is_time = column["type"] == "float" and column["is_optional"]
-        is_start = since == "t_burn" or (
-            isinstance(since, numbers.Real) and not isinstance(since, bool) and 0 <= cast("float", since) <= _MOST
+        since, is_time = given["since"], column["type"] == "float" and column["is_optional"]
+        got = f"{since!r:.80}" if is_time else "another type"
+        expected = f"a time >= 0, or \"t_burn\", as 'since' of {field}, of type float | None"
+        is_start = isinstance(since, str) and since == "t_burn"
+        take(
+            "since", is_time and (is_start or _is_number(since)), expected, got, since if is_start else _float(since)
         )
-        if not (is_time and is_start):
-            got = f"{since!r:.80}" if is_time else "another type"
-            raise SceneError(
-                f"{where}: expected a time >= 0, or \"t_burn\", as 'since' of {field}, of type float | None, got"
-                f" {got}; change it"
-            )
-        found |= {"since": since if since == "t_burn" else float(since), "least": found.get("least", 0.0)}
+        found.setdefault("least", 0.0)
     return found
+
+
+def _is_number(value: object, least: float = 0.0) -> bool:
+    is_real = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    return is_real and least <= cast("float", value) <= _MOST
+
+
+def _float(value: object) -> float | None:
+    """A number as a float; None if it is none."""
+    return float(cast("float", value)) if _is_number(value, -_MOST) else None

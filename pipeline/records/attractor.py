@@ -28,7 +28,6 @@ class AttractorRecord(WindowRecord):
         "whether to keep what a run of the exact law settles on: rest, sliding, a cycle with its period and"
         " multiplier, a torus, irregular motion"
     )
-    asked_by = "`attractor = true` under [record]"
     columns = (
         Column(
             "text",

@@ -15,7 +15,6 @@ class CollapseRecord(Record):
     words = (
         "whether each run is tested for collapse whenever all blocks slip, even where that costs more than it saves"
     )
-    asked_by = "`collapse = true` under [record]"
     is_certified = True
     columns = (
         Column(

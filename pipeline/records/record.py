@@ -160,7 +160,7 @@ class Record(ABC):
     name: ClassVar[str]
     words: ClassVar[str]
     example: ClassVar[object] = True
-    asked_by: ClassVar[str] = ""
+    asked_by: ClassVar[str]
     columns: ClassVar[tuple[Column, ...]]
     is_step: ClassVar[bool] = False
     is_named: ClassVar[bool] = False
@@ -171,6 +171,10 @@ class Record(ABC):
     needs_stills: ClassVar[bool] = False
     is_of_contacts: ClassVar[bool] = False
     needs: ClassVar[frozenset[str]] = frozenset({"run"})
+
+    def __init_subclass__(cls) -> None:
+        if "name" in vars(cls) and "asked_by" not in vars(cls):
+            cls.asked_by = f"`{cls.name} = true` under [record]"
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from distributed import Client, fire_and_forget
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
-from stickslip.pipeline.dataset.result import Result
+from stickslip.pipeline.dataset.schema import Result
 from stickslip.pipeline.dataset.status import Pace, Status, Tally, counted
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.ensemble.expand import expand
@@ -26,11 +26,18 @@ from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.running import ends
 from stickslip.pipeline.running.cluster import Scheduling, check_address, check_memory, connect
 from stickslip.pipeline.running.executor import Executor, Here
-from stickslip.pipeline.running.isolation import compute_alone
 from stickslip.pipeline.running.kept import KeptRows
 from stickslip.pipeline.running.submit import LOST, Dask
 from stickslip.pipeline.running.trials import check_functions
-from stickslip.pipeline.running.worker import Order, cold_engines, compute, compute_there, load_kernels, row
+from stickslip.pipeline.running.worker import (
+    Order,
+    cold_engines,
+    compute,
+    compute_alone,
+    compute_there,
+    load_kernels,
+    row,
+)
 from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.sim.numerics.session import numpy_defaults

@@ -12,6 +12,7 @@ from bisect import bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Any
 
 from stickslip.pipeline.dataset.schema import encode, schema_of
@@ -40,43 +41,21 @@ class Estimate:
     failures: dict[str, int]  #: members of the pilot that failed, by reason
 
 
-class _Kind:
-    """Members whose work grows by one formula, each made when it is asked for."""
-
-    def __init__(self) -> None:
-        self._parts: list[Members] = []
-        self._ends: list[int] = []
-        self.cost = 0.0
-
-    def add(self, some: Members) -> None:
-        """Add some that have one cost."""
-        self._parts.append(some)
-        self._ends.append(len(self) + len(some))
-        self.cost += len(some) * some[0].cost
-
-    def __len__(self) -> int:
-        return self._ends[-1] if self._ends else 0
-
-    def __getitem__(self, k: int) -> Member:
-        part = bisect_right(self._ends, k)
-        return self._parts[part][k - self._ends[part] + len(self._parts[part])]
-
-
 def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
     """Estimate a run of some batches of a scene, at least one, on local processes."""
-    kinds: dict[tuple[Any, ...], _Kind] = {}
-    for some in (some for batch in packed for some in batch.members.by_variant()):
-        first = some[0]
+    kinds: dict[tuple[Any, ...], list[Members]] = {}  # whose work grows by one formula
+    for members in (members for batch in packed for members in batch.members.by_variant()):
+        first = members[0]
         is_coupled = first.change.reading == "damping matrix"
-        kinds.setdefault((first.n, first.engine, first.settings, is_coupled), _Kind()).add(some)
+        kinds.setdefault((first.n, first.engine, first.settings, is_coupled), []).append(members)
     # what is shared between members is known by its formula; the pilot runs them alone
     recording = replace(scene.recording, records=tuple(record for record in scene.records if not record.is_shared))
     core_seconds = n_bytes = head = 0.0
     failures: Counter[str] = Counter()
-    for members in kinds.values():
-        factor, a_head, a_row, reasons = _pilot(members, PILOT / len(kinds), recording)
-        core_seconds += factor * members.cost
-        head, n_bytes = max(head, a_head), n_bytes + len(members) * a_row
+    for parts in kinds.values():
+        factor, a_head, a_row, reasons = _pilot(parts, PILOT / len(kinds), recording)
+        core_seconds += factor * sum(len(members) * members[0].cost for members in parts)
+        head, n_bytes = max(head, a_head), n_bytes + sum(map(len, parts)) * a_row
         failures.update(reasons)
     count = max(1, min(workers, len(packed), n_cores()))
     # the last batch may run alone
@@ -85,11 +64,13 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
     return Estimate(count, core_seconds, seconds, n_bytes + head * len(packed), dict(failures.most_common()))
 
 
-def _pilot(members: _Kind, seconds: float, recording: Recording) -> tuple[float, float, float, list[str]]:
+def _pilot(parts: Sequence[Members], seconds: float, recording: Recording) -> tuple[float, float, float, list[str]]:
     """Of one kind: seconds of a core for a unit of cost, bytes of a first row and of a further one, failures."""
     # the golden section spreads any number of places evenly over matrices and changes
-    places = [int(k * 0.6180339887498949 % 1.0 * len(members)) for k in range(min(_ENOUGH, len(members)))]
-    some = [replace(members[k], shared_cost=0.0) for k in places]
+    ends = [*accumulate(map(len, parts))]
+    places = [int(k * 0.6180339887498949 % 1.0 * ends[-1]) for k in range(min(_ENOUGH, ends[-1]))]
+    chosen = ((parts[at := bisect_right(ends, k)], k - ends[at]) for k in places)
+    some = [replace(members[k + len(members)], shared_cost=0.0) for members, k in chosen]
     # each point of a sweep may need kernels of its own, and to compile or load them is no part of the work
     points = {_point(one): one for one in some}
     run_members([replace(point, t_end=1e-6) for point in points.values()], recording)

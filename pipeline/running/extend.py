@@ -73,5 +73,8 @@ def with_records(opened: Opened, record: Mapping[str, Any]) -> Scene:
     if extended.engines != scene.engines:
         extended = parsed(tables | {"run": tables["run"] | {"purpose": scene.purpose}})
     if all(record in scene.records for record in extended.records):
-        raise SceneError("record: expected a record that the data lack, got none; name one, as in `waiting = true`")
+        raise SceneError(
+            f"record: expected a record that the data lack, got {', '.join(more) or 'none'}, which they have; name"
+            " another, as in `waiting = true`"
+        )
     return extended

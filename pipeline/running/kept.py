@@ -46,43 +46,43 @@ class KeptRows:
             for row, member_id in enumerate(batch.members.ids())
         }
         self._read = lru_cache(_SHARDS)(self._read_shard)
+        self._failed = lru_cache(None)(self._failed_rows)
 
     def of(self, task: Task) -> Kept:
         """The rows of a shard's members that did not fail."""
         shards: dict[str, dict[int, int]] = {}
         for place, (name, row) in self._there(task[0].members).items():
             shards.setdefault(name, {})[place] = row
-        tables = [schema_of(self.opened.scene.recording).empty_table()]
-        places: list[int] = []
-        for name, rows in shards.items():
-            table = self._read(name).take(pa.array(rows.values(), pa.int64()))
-            places += rows
-            tables.append(table)
-        table = pa.concat_tables(tables)
-        is_run = [outcome != "failed" for outcome in table["outcome"].to_pylist()]
-        table = table.filter(pa.array(is_run, pa.bool_())).combine_chunks()
-        return Kept(table, tuple(np.array(places, int)[is_run].tolist()), self.opened.scene.records)
+        tables = [self._read(name).take(pa.array(rows.values(), pa.int64())) for name, rows in shards.items()]
+        table = pa.concat_tables([schema_of(self.opened.scene.recording).empty_table(), *tables])
+        places = tuple(place for rows in shards.values() for place in rows)
+        return Kept(table.combine_chunks(), places, self.opened.scene.records)
 
     def left(self, task: Task) -> Members:
-        """The members of a shard that are run, unless what is kept of them failed."""
+        """The members of a shard that are run."""
         batch, recording = task
-        there = self._there(batch.members)
-        return batch.members.at(
-            [
-                place
-                for place, member in enumerate(batch.members)
-                if place not in there or must_run(member, recording.records, self.opened.scene.records)
-            ]
+        there, records = self._there(batch.members), self.opened.scene.records
+        places = (
+            k
+            for k, member in enumerate(batch.members)
+            if k not in there or must_run(member, recording.records, records)
         )
+        return batch.members.at([*places])
 
     def _there(self, members: Members) -> dict[int, tuple[str, int]]:
-        """Where the dataset has members, by their places."""
+        """Where the dataset has members, by their places, but for those that failed."""
         there = {}
         for place, member in enumerate(members):
             name, row = self._place.get(member.member_id, ("", 0))
-            if name and self._batches[name].members[row] == member:
+            if name and self._batches[name].members[row] == member and row not in self._failed(name):
                 there[place] = (name, row)
         return there
+
+    def _failed_rows(self, name: str) -> frozenset[int]:
+        if not self.opened.manifest.shards[name].n_failed:
+            return frozenset()
+        outcomes = self._read(name)["outcome"].to_pylist()
+        return frozenset(row for row, outcome in enumerate(outcomes) if outcome == "failed")
 
     def _read_shard(self, name: str) -> pa.Table:
         source = self.opened.shards([name])

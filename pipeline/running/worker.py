@@ -17,11 +17,11 @@ import numpy as np
 
 from stickslip import sim
 from stickslip.pipeline.dataset.program import program
-from stickslip.pipeline.dataset.result import Result
-from stickslip.pipeline.dataset.schema import Values, encode, schema_of
+from stickslip.pipeline.dataset.schema import Result, Values, encode, schema_of
 from stickslip.pipeline.ensemble.member import NO_NUMBER, Member
 from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.errors import command, foreign
+from stickslip.pipeline.machine.processes import Child, ChildDied
 from stickslip.pipeline.records import ALWAYS
 from stickslip.pipeline.records.record import Made, Record, stop_early
 from stickslip.pipeline.running.ends import end_of
@@ -83,6 +83,35 @@ def compute_there(order: Order) -> Result:
     batch, recording, kept = order
     load_kernels(batch.members if kept is None else kept.left(batch.members, recording))
     return compute(batch, recording, kept)
+
+
+def compute_alone(order: Order) -> Result:
+    """As `compute`, with members that run in a process of their own.
+
+    When it dies, the member it was at is run again, in another; if that dies too, the member's row says so.
+    """
+    return compute(*order, _run_alone)
+
+
+def _run_alone(members: Sequence[Member], recording: Recording) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = []
+    process: Child | None = None
+    with contextlib.ExitStack() as started:
+        for member in members:
+            for is_second in (False, True):
+                process = process or started.enter_context(Child(_run_members))
+                try:
+                    found += process(([member], recording))
+                    break
+                except ChildDied as death:
+                    process = None
+                    if is_second:
+                        found.append(failed(member, f"its worker died ({death})"))
+    return found
+
+
+def _run_members(task: tuple[list[Member], Recording]) -> list[dict[str, Any]]:
+    return run_members(*task)
 
 
 def columns(members: Sequence[Member], found: Sequence[dict[str, Any]], recording: Recording) -> dict[str, list[Any]]:

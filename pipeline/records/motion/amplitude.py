@@ -20,7 +20,6 @@ class Amplitude(StateRecord):
 
     name = "amplitude"
     words = "whether to keep the amplitude of motion after t_burn: half of peak to peak of z"
-    asked_by = "`amplitude = true` under [record]"
     columns = (
         Column(
             "number",

@@ -21,7 +21,6 @@ class EnergyRecord(Record):
         "whether to keep the energy at both ends of a run by the exact law, and what came in and went out between; it"
         " costs some ten runs"
     )
-    asked_by = "`energy = true` under [record]"
     columns = (
         Column(
             "number",
@@ -50,17 +49,14 @@ class EnergyRecord(Record):
         found = _balance(made)
         if found is None:
             return {}
-        return {
-            "kinetic_energy_start": found.kinetic[0],
-            "kinetic_energy_end": found.kinetic[-1],
-            "elastic_energy_start": found.elastic[0],
-            "elastic_energy_end": found.elastic[-1],
-            "belt_work": found.belt[-1],
-            "force_work": found.outside[-1],
-            "coupling_work": found.coupling[-1],
-            "damping_loss": found.damping[-1],
-            "friction_loss": found.heat[-1],
-        }
+        ends = {"kinetic_energy": found.kinetic, "elastic_energy": found.elastic}
+        sums = {"belt_work": found.belt, "force_work": found.outside, "coupling_work": found.coupling}
+        sums |= {"damping_loss": found.damping, "friction_loss": found.heat}
+        return (
+            {f"{name}_start": values[0] for name, values in ends.items()}
+            | {f"{name}_end": values[-1] for name, values in ends.items()}
+            | {name: values[-1] for name, values in sums.items()}
+        )
 
 
 class EpisodeEnergy(Record):

@@ -21,7 +21,6 @@ class GrowthRate(Record):
     name = "growth_rate"
     words = "whether to keep the growth rate of the all-slip state; its eigenvalues cost as much as a run"
     example = None
-    asked_by = "`growth_rate = true` under [record]"
     columns = (
         Column(
             "number",

@@ -19,7 +19,6 @@ class SlipSpeed(StateRecord):
 
     name = "slip_speed"
     words = "whether to keep the speed of slip after t_burn, over blocks and time"
-    asked_by = "`slip_speed = true` under [record]"
     columns = (
         Column(
             "number",

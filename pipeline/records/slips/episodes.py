@@ -18,7 +18,6 @@ class EpisodesRecord(Record):
 
     name = "episodes"
     words = "whether to keep the episodes: from all blocks stuck to all stuck again"
-    asked_by = "`episodes = true` under [record]"
     columns = (
         _of_each(
             "numbers",

@@ -14,7 +14,6 @@ class Events(Record):
     name = "events"
     words = "whether to keep every event"
     example = None
-    asked_by = "`events = true` under [record]"
     columns = (
         Column(
             "numbers", "event_t", "times of the events, never decreasing", along="event", repeats=False, is_time=True

@@ -15,7 +15,6 @@ class FirstExit(Record):
 
     name = "first_exit"
     words = "whether to keep when the first block that sticks lets go, and which"
-    asked_by = "`first_exit = true` under [record]"
     columns = (
         Column(
             "number",

@@ -19,7 +19,6 @@ class StickShare(WindowRecord):
     words = (
         "whether to keep the share of time that blocks stick after t_burn, and the share of blocks that never slip"
     )
-    asked_by = "`stick_share = true` under [record]"
     columns = (
         Column(
             "number",

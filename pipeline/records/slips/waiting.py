@@ -17,7 +17,6 @@ class Waiting(WindowRecord):
 
     name = "waiting"
     words = "whether to keep the mean and the scatter of times between exits of the same block after t_burn"
-    asked_by = "`waiting = true` under [record]"
     columns = (
         Column(
             "count",
