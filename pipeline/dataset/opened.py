@@ -64,12 +64,12 @@ class Opened:
 
     def coordinates(self, shards: Sequence[str]) -> Coordinates:
         """Where the members of some shards stand in the design, in order."""
-        last, parts = numbering_of(self.tasks), []
+        numbering, coordinates = numbering_of(self.tasks), []
         for name in shards:
             batch, _ = self.tasks[number_of(name)]
             assert batch.numbering is not None
-            parts.append(last.of(last.here(batch.numbering, batch.members.places)))
-        return Coordinates.joined(parts)
+            coordinates.append(numbering.of(numbering.here(batch.numbering, batch.members.places)))
+        return Coordinates.joined(coordinates)
 
     @property
     def n_members(self) -> int:
@@ -81,17 +81,17 @@ class Opened:
         """How many of them are done."""
         return sum(shard.rows for shard in self.manifest.shards.values())
 
-    def in_parts(self, least: int) -> list[list[str]]:
+    def in_parts(self, n_least: int) -> list[list[str]]:
         """The shards that the manifest lists, neighbours together, of so many members at least but for the last."""
-        parts: list[list[str]] = []
-        n_rows = least
+        groups: list[list[str]] = []
+        n_rows = n_least
         for name, shard in sorted(self.manifest.shards.items()):
-            if n_rows >= least:
-                parts.append([])
+            if n_rows >= n_least:
+                groups.append([])
                 n_rows = 0
-            parts[-1].append(name)
+            groups[-1].append(name)
             n_rows += shard.rows
-        return parts
+        return groups
 
     @property
     def folder(self) -> Path:
@@ -129,10 +129,10 @@ class Opened:
 
         Raises `StoreError` if one is not what was written, was changed since the dataset was opened, or is not there.
         """
-        place, known = self.place, self.manifest.shards
-        files = {name: f"{DATA}/{name}" for name in (known if names is None else names)}
+        place, shards = self.place, self.manifest.shards
+        files = {name: f"{DATA}/{name}" for name in (shards if names is None else names)}
         marks = dict(zip(files, place.marks(list(files.values())), strict=True))
-        unknown = next((name for name in files if name not in known), None)
+        unknown = next((name for name in files if name not in shards), None)
         if unknown is not None:
             raise StoreError(
                 f"{place.named(files[unknown])}: not in the manifest any more; rerun the scene to rebuild it"
@@ -140,24 +140,24 @@ class Opened:
 
         def is_checked(name: str) -> bool:
             return marks[name] is not None and _checked.get(place.named(files[name])) == (
-                known[name].sha256,
+                shards[name].sha256,
                 marks[name],
             )
 
-        new = {name: known[name] for name in files if not is_checked(name)}
+        new = {name: shards[name] for name in files if not is_checked(name)}
         with reading(place):
             for name, content, mark, problem in read_shards(place, new):
-                if problem and read_manifest(place).shards.get(name) != known[name]:
+                if problem and read_manifest(place).shards.get(name) != shards[name]:
                     raise StoreError(
                         f"{place.named(files[name])}: expected the shard that was listed when the dataset was "
                         f"opened, got what a run has changed since; rerun the command"
                     )
                 if problem:
                     raise StoreError(f"{place.named(files[name])}: {problem}; rerun the scene to rebuild it")
-                problem = fault_of_file(content, schema_of(self.scene.recording), known[name].rows)
+                problem = fault_of_file(content, schema_of(self.scene.recording), shards[name].rows)
                 if problem:
                     raise StoreError(f"{place.named(files[name])}: {problem}; {NOT_OURS}")
-                _checked[place.named(files[name])] = (known[name].sha256, mark)
+                _checked[place.named(files[name])] = (shards[name].sha256, mark)
 
     @cached_property
     def sound(self) -> Sound:
@@ -180,12 +180,12 @@ class Opened:
 
         Raises `StoreError` if they are not.
         """
-        first = 0
+        row = 0
         for name in shards:
             batch, _ = self.tasks[number_of(name)]
             n_rows = len(batch.members)
-            problem = fault_of_members(table.slice(first, n_rows), batch.members, batch.coordinates)
-            first += n_rows
+            problem = fault_of_members(table.slice(row, n_rows), batch.members, batch.coordinates)
+            row += n_rows
             if problem:
                 raise StoreError(f"{self.place.named(f'{DATA}/{name}')}: {printable(problem)}; {NOT_OURS}")
 
@@ -250,21 +250,21 @@ def planned(place: Place, scene: Scene, manifest: Manifest) -> list[Task]:
     Raises `DamagedManifest` if the manifest's packing is not of the scene's members.
     """
     try:
-        found = tasks(scene, manifest.earlier, manifest.packing)
+        plan = tasks(scene, manifest.earlier, manifest.packing)
     except PlanError as error:
         raise DamagedManifest(
             f"{place.named(MANIFEST)}: expected the packing of the scene's members, got {error}; use the "
             f"version of stickslip that began it, or choose another directory"
         ) from None
-    if problem := fault_of_design(manifest.design, numbering_of(found).design):
+    if problem := fault_of_design(manifest.design, numbering_of(plan).design):
         raise DamagedManifest(f"{place.named(MANIFEST)}: {problem}; use the version of stickslip that began it")
-    return found
+    return plan
 
 
-def numbering_of(found: Sequence[Task]) -> Numbering:
+def numbering_of(plan: Sequence[Task]) -> Numbering:
     """How the members of shards are numbered, by the last scene that they grew to."""
-    assert found[-1][0].numbering is not None
-    return found[-1][0].numbering
+    assert plan[-1][0].numbering is not None
+    return plan[-1][0].numbering
 
 
 def dataset_scene(path: Where | Opened) -> Scene:
@@ -286,8 +286,8 @@ def rows_that_failed(opened: Opened, shards: Sequence[str]) -> list[tuple[str, s
     with reading(opened.place):
         import pyarrow.compute as pc  # takes a while to load; a run without failures does not need it
 
-        found = source.to_table(["member_id", "reason"], filter=pc.field("outcome") == "failed")
-    return list(zip(*(found[name].to_pylist() for name in ("member_id", "reason")), strict=True))
+        rows = source.to_table(["member_id", "reason"], filter=pc.field("outcome") == "failed")
+    return list(zip(*(rows[name].to_pylist() for name in ("member_id", "reason")), strict=True))
 
 
 @contextlib.contextmanager
@@ -303,9 +303,9 @@ def reading(place: Place) -> Iterator[None]:
 
 def unreadable(place: Place, error: Exception) -> StoreError:
     """The error for a dataset with a shard that cannot be read."""
-    first = "" if isinstance(place, Directory) else f"{place.remedy(error)}, or "
+    remedy = "" if isinstance(place, Directory) else f"{place.remedy(error)}, or "
     words = shortened(str(error).partition(" Detail: Python exception")[0], 400)  # of Arrow: a traceback follows
-    return StoreError(f"{place}: a shard cannot be read ({words}); {first}rerun the scene to rebuild it")
+    return StoreError(f"{place}: a shard cannot be read ({words}); {remedy}rerun the scene to rebuild it")
 
 
 @cache
@@ -331,11 +331,11 @@ def frame(table: pa.Table, nullable: Sequence[str] | None = None) -> pd.DataFram
     return table.to_pandas(types_mapper=_nullable().get).astype(kinds)
 
 
-def not_recorded(part: str) -> QueryError:
+def not_recorded(name: str) -> QueryError:
     """The error for a table, a key of `TABLES`, that the scene does not record."""
-    return QueryError(f"{part}: expected a dataset with {part}, got one without; set {TABLES[part]}")
+    return QueryError(f"{name}: expected a dataset with {name}, got one without; set {TABLES[name]}")
 
 
-def near(word: str, known: Sequence[str]) -> str:
+def near(word: str, names: Sequence[str]) -> str:
     """What `word` may stand for, as the end of a message."""
-    return did_you_mean(word, known) or f"; there are {', '.join(known[:10])}{', ...' * (len(known) > 10)}"
+    return did_you_mean(word, names) or f"; there are {', '.join(names[:10])}{', ...' * (len(names) > 10)}"

@@ -140,8 +140,8 @@ class Store:
 
     def _leftovers(self, manifest: Manifest) -> list[str]:
         """What a crash may have left: files that were being written, and shards that were not committed."""
-        known = {f"{DATA}/{name}" for name in manifest.shards}
-        return [name for name in self.place.names() if name not in known and _LEFT.fullmatch(name)]
+        names = {f"{DATA}/{name}" for name in manifest.shards}
+        return [name for name in self.place.names() if name not in names and _LEFT.fullmatch(name)]
 
     def _remove(self, name: str) -> None:
         with contextlib.suppress(OSError):
@@ -196,8 +196,8 @@ class Store:
         if stored is None or stored.hash != manifest.scene_hash or not grows(stored, self.scene):
             columns = [] if stored is None else lacked(stored, self.scene)
             if columns:
-                again = command("extend", str(self.place), "--scene", "SCENE", "--out", "DIR")
-                remedy = f"run it into another directory: `{again}` takes over what is here"
+                command_line = command("extend", str(self.place), "--scene", "SCENE", "--out", "DIR")
+                remedy = f"run it into another directory: `{command_line}` takes over what is here"
                 if self._programs:  # it is `extend` that asks
                     remedy = "choose another directory than that of other data"
                 raise StoreError(
@@ -221,23 +221,25 @@ class Store:
         """What to do for longer runs, if that is what the scene asks for."""
         if stored is None or self.scene.run.t_end <= stored.run.t_end:
             return ""
-        kept = "" if stored.keeps(End) else " of a dataset that keeps them (`end = true` under [record])"
+        condition = "" if stored.keeps(End) else " of a dataset that keeps them (`end = true` under [record])"
         return (
             "; a run that goes on is not, to the last bit, one in one piece, so these are not lengthened: another"
-            f" scene can start at their ends, with `dataset` under [start]{kept}"
+            f" scene can start at their ends, with `dataset` under [start]{condition}"
         )
 
-    def _difference(self, other: Scene | None) -> str:
+    def _difference(self, stored_scene: Scene | None) -> str:
         """How the stored scene differs, if it can be read."""
-        if other is None:
+        if stored_scene is None:
             return ""
-        stored, wanted = (_flat(scene.data_keys()) for scene in (other, self.scene))
-        written = {key for scene in (self.scene, other) for key in _flat(parse_toml(scene.source, ""))}
-        differing = [key for key in stored | wanted if stored.get(key) != wanted.get(key)]
+        stored, keys_here = (_flat(scene.data_keys()) for scene in (stored_scene, self.scene))
+        explicit = {key for scene in (self.scene, stored_scene) for key in _flat(parse_toml(scene.source, ""))}
+        differing = [key for key in stored | keys_here if stored.get(key) != keys_here.get(key)]
         # keys that were written first, then those that follow from them
-        keys = sorted(differing, key=lambda key: (key not in written, key))
-        shown = [f"; {key}: {_told(wanted.get(key))} here, {_told(stored.get(key))} there" for key in keys[:_SHOWN]]
-        return "".join(shown) + (f"; and {len(keys) - _SHOWN} keys more" if len(keys) > _SHOWN else "")
+        keys = sorted(differing, key=lambda key: (key not in explicit, key))
+        lines = [
+            f"; {key}: {_told(keys_here.get(key))} here, {_told(stored.get(key))} there" for key in keys[:_SHOWN]
+        ]
+        return "".join(lines) + (f"; and {len(keys) - _SHOWN} keys more" if len(keys) > _SHOWN else "")
 
     def look(self) -> tuple[list[Task], list[Task]]:
         """All shards, and those that a run would compute; the dataset is neither taken nor changed.
@@ -260,8 +262,8 @@ class Store:
             )
         manifest.design = numbering_of(self.tasks).design.as_json()
         self._forget_damaged(manifest.shards)
-        again = {name for name, shard in manifest.shards.items() if self._retry_failed and shard.n_failed}
-        self.todo = [task for task in self.tasks if task[0].name not in manifest.shards or task[0].name in again]
+        failed = {name for name, shard in manifest.shards.items() if self._retry_failed and shard.n_failed}
+        self.todo = [task for task in self.tasks if task[0].name not in manifest.shards or task[0].name in failed]
         if self.todo:
             manifest.programs = self._with_this_program(manifest)
 
@@ -274,16 +276,16 @@ class Store:
 
     def _with_this_program(self, manifest: Manifest) -> list[str]:
         """The programs whose numbers a dataset may hold, once this one adds to it; or a refusal."""
-        known = [*dict.fromkeys([*(manifest.programs if manifest.shards else []), *self._programs])]
-        if program() in known:
-            return known
+        programs = [*dict.fromkeys([*(manifest.programs if manifest.shards else []), *self._programs])]
+        if program() in programs:
+            return programs
         if (manifest.shards or self._programs) and not self._accept_version:
             raise StoreError(
                 f"{self.place}: expected data of this version of the program ({program()}), got data of another "
-                f"({', '.join(known) or 'unknown'}), whose numbers may differ; use that version, "
+                f"({', '.join(programs) or 'unknown'}), whose numbers may differ; use that version, "
                 f"choose another directory, or mix them with --accept-version"
             )
-        return [*known, program()]
+        return [*programs, program()]
 
     def _open(self) -> None:
         manifest = self._manifest

@@ -66,7 +66,7 @@ def name_beside(file: str, root: Path) -> str | None:
     for path in (Path(file), Path(file).parent.resolve() / Path(file).name):
         if path.is_relative_to(root):
             name = path.relative_to(root)
-            return None if any(part.startswith(".") for part in name.parts) else name.as_posix()
+            return None if any(folder.startswith(".") for folder in name.parts) else name.as_posix()
     return None
 
 
@@ -77,12 +77,12 @@ def is_installed(file: Path) -> bool:
     return is_package or any(file.is_relative_to(place.resolve()) for place in places)
 
 
-def check_beside(root: Path, beside: Iterable[tuple[str, str]], key: str) -> None:
+def check_beside(root: Path, files: Iterable[tuple[str, str]], key: str) -> None:
     """See that files that a function reads are as they were.
 
     Raises `ChangedError` if one has changed; `SceneError` if one is gone.
     """
-    for name, sha256 in beside:
+    for name, sha256 in files:
         file = root / name
         if not file.is_file() or _digest_now(file, key) != sha256:
             raise (ChangedError if file.is_file() else SceneError)(

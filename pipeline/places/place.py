@@ -186,15 +186,15 @@ class Place(ABC):
 
     def _parts(self, name: str) -> list[bytes]:
         """An object cannot grow: in a store, and in a copy of one, a file of lines may have many parts."""
-        parts: list[bytes] = []
+        contents: list[bytes] = []
         while True:
-            n_before = len(parts)
+            n_before = len(contents)
             for content in self.read_each([part(name, n_before + k) for k in range(AT_ONCE)]):
                 if content is not None:
-                    parts.append(content)
-                    check_size(sum(map(len, parts)))
-            if len(parts) < n_before + AT_ONCE:
-                return parts
+                    contents.append(content)
+                    check_size(sum(map(len, contents)))
+            if len(contents) < n_before + AT_ONCE:
+                return contents
 
     @property
     @abstractmethod

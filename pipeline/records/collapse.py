@@ -27,5 +27,5 @@ class CollapseRecord(Record):
         ),
     )
 
-    def of(self, made: Made) -> dict[str, Any]:
-        return {"t_collapse": made.run.t_collapse}
+    def of(self, result: Made) -> dict[str, Any]:
+        return {"t_collapse": result.run.t_collapse}

@@ -47,10 +47,10 @@ class Constants(Record):
         _of_block("constant_w0", "velocity of each block at t = 0"),
     )
 
-    def of(self, made: Made) -> dict[str, Any]:
-        system, member = made.system, made.member
+    def of(self, result: Made) -> dict[str, Any]:
+        system, member = result.system, result.member
         row, column = system.stiffness.nonzero()
-        (z, w), waves = made.start, [term for term in system.force if isinstance(term, Harmonic)]
+        (z, w), waves = result.start, [term for term in system.force if isinstance(term, Harmonic)]
         lists = {
             "damping": system.damping,
             "friction": system.friction,
@@ -63,10 +63,13 @@ class Constants(Record):
         }
         if len(waves) == 1:
             lists |= {f"force_{name}": getattr(waves[0], name) for name in _HARMONIC}
-        cross, known = system.cross_damping, {name: one for name, one in lists.items() if one is not None}
+        cross, lists_there = (
+            system.cross_damping,
+            {name: values for name, values in lists.items() if values is not None},
+        )
         return {
             "constant_row": row.astype(np.int32),
             "constant_column": column.astype(np.int32),
             "constant_stiffness": np.asarray(system.stiffness[row, column]).ravel(),
             "constant_cross_damping": None if cross is None else cross.ravel(),
-        } | {f"constant_{name}": np.broadcast_to(value, system.n) for name, value in known.items()}
+        } | {f"constant_{name}": np.broadcast_to(value, system.n) for name, value in lists_there.items()}

@@ -92,9 +92,9 @@ class Made:
 
     def samples(self, times: Floats) -> Samples:
         """The run's state at times that a record asked for, as far as the run goes."""
-        taken = self.run.samples
-        rows = np.searchsorted(taken.t, times[times <= taken.t[-1]] if len(taken) else times[:0])
-        return Samples(taken.t[rows], taken.z[rows], taken.w[rows])
+        samples = self.run.samples
+        rows = np.searchsorted(samples.t, times[times <= samples.t[-1]] if len(samples) else times[:0])
+        return Samples(samples.t[rows], samples.z[rows], samples.w[rows])
 
 
 class Sharing(NamedTuple):
@@ -224,7 +224,7 @@ class Record(ABC):
         return None
 
     @abstractmethod
-    def of(self, made: Made) -> dict[str, Any]:
+    def of(self, result: Made) -> dict[str, Any]:
         """The values of its columns; those left out are null."""
 
 
@@ -256,9 +256,9 @@ class StateRecord(WindowRecord):
     def times(self, member: Member) -> Floats:
         return steps(self.t_burn, member.t_end, self.dt)
 
-    def of(self, made: Made) -> dict[str, Any]:
-        samples = made.samples(self.times(made.member))
-        return self.of_states(samples, made.system) if len(samples) > 1 else {}
+    def of(self, result: Made) -> dict[str, Any]:
+        samples = result.samples(self.times(result.member))
+        return self.of_states(samples, result.system) if len(samples) > 1 else {}
 
     @abstractmethod
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:

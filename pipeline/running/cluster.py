@@ -228,14 +228,14 @@ def _look_at(client: Client) -> None:
             several[0],
         )
     # by names that every Python knows: a worker that cannot load a function of ours ends, and only its log says why
-    for address, found in (client.run(eval, _PROGRAM, on_error="return") or {}).items():
-        if found != program():
+    for address, version in (client.run(eval, _PROGRAM, on_error="return") or {}).items():
+        if version != program():
             raise ScheduleError(
-                f"expected workers with this version of the program ({program()}), got {address} with {found!r}; "
+                f"expected workers with this version of the program ({program()}), got {address} with {version!r}; "
                 "install the same there, then try again"
             )
     setups: dict[str, _Setup] = client.run(_setup, on_error="ignore") or {}
-    unset = [address for address, one in setups.items() if not one.threads & {"1"}]
+    unset = [address for address, setup in setups.items() if not setup.threads & {"1"}]
     if unset:
         log.warning(
             "expected workers whose libraries have one thread each, got %d that do not say so, %s first: last digits "
@@ -243,7 +243,7 @@ def _look_at(client: Client) -> None:
             len(unset),
             unset[0],
         )
-    open_to_others = [(address, one.shared) for address, one in setups.items() if one.shared]
+    open_to_others = [(address, setup.shared) for address, setup in setups.items() if setup.shared]
     if open_to_others:
         log.warning(
             "expected workers in a directory in which nobody else may write, as they run what lies there, got %s of "
@@ -266,9 +266,11 @@ class _Setup(NamedTuple):
 
 def _setup(dask_worker: Worker) -> _Setup:
     threads = {value for name in ONE_THREAD if (value := os.environ.get(name)) is not None}
-    at = Path(dask_worker.local_directory)
-    is_shared = any(not is_ours(found) or others_write(found) for found in (at.stat(), at.parent.stat()))
-    return _Setup(threads, str(at.parent) if is_shared else "")
+    directory = Path(dask_worker.local_directory)
+    is_shared = any(
+        not is_ours(facts) or others_write(facts) for facts in (directory.stat(), directory.parent.stat())
+    )
+    return _Setup(threads, str(directory.parent) if is_shared else "")
 
 
 def _wait_for(starting: Future[SpecCluster], loop: LoopRunner, workers: int, errors: ErrorStream) -> SpecCluster:

@@ -207,8 +207,8 @@ class _Filling:
     ) -> None:
         self._store, self._workers, self._on_progress, self._start = store, workers, on_progress, start
         self._costs = {batch.name: batch.cost for batch, _ in store.todo}
-        there = {name: shard for name, shard in store.done.items() if name not in self._costs}
-        self._tally = Tally.of(store.tasks, there)
+        shards = {name: shard for name, shard in store.done.items() if name not in self._costs}
+        self._tally = Tally.of(store.tasks, shards)
         self._by_engine = {member.engine: member for member in reversed(firsts)}
         self._cold = cold_engines(self._by_engine) if workers.scheduler is None else ()
         self._dashboard: str | None = None

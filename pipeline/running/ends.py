@@ -70,8 +70,8 @@ class _WithEnds:
     def match(self, member: Member) -> str:
         """The id of the one at whose end a member starts."""
         candidates = self.like.get(_same(member), ())
-        for of in _ALIKE:
-            candidates = [candidate for candidate in candidates if of(candidate) == of(member)] or candidates
+        for trait in _ALIKE:
+            candidates = [candidate for candidate in candidates if trait(candidate) == trait(member)] or candidates
         draw = member.begin.draw
         if not candidates or (draw is not None and candidates[0].begin.draw != draw):
             raise SceneError(
@@ -112,5 +112,5 @@ def _with_ends(at: str, sha256: str) -> _WithEnds:
     like: dict[tuple[Any, ...], list[Member]] = {}
     for member in expand(opened.scene):
         like.setdefault(_same(member), []).append(member)
-    done = query.table(opened, ["member_id", "outcome"]).to_pydict()
-    return _WithEnds(at, like, dict(zip(done["member_id"], done["outcome"], strict=True)), query.ends(opened))
+    columns = query.table(opened, ["member_id", "outcome"]).to_pydict()
+    return _WithEnds(at, like, dict(zip(columns["member_id"], columns["outcome"], strict=True)), query.ends(opened))

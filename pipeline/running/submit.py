@@ -126,8 +126,8 @@ class Dask(Executor):
             # measured each time, as clusters grow and shrink
             for task in itertools.islice(waiting, max(0, window() - running.count())):
                 # in bytes: the scheduler, in this process, would unpack and pack the members one by one
-                part = pickle.dumps(task[1])
-                future = self._client.submit(call_there, function, part, self._version, pure=False)
+                content = pickle.dumps(task[1])
+                future = self._client.submit(call_there, function, content, self._version, pure=False)
                 task_of[future] = task
                 running.add(future)
             if running.is_empty():

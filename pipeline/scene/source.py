@@ -85,16 +85,16 @@ def _check_sizes(tables: dict[str, Any], head: str, path: str = "") -> None:
     _check_size(tables, "keys", MAX_FILES if path == "system.files" else _MAX_KEYS, f"{head}{path or 'a scene'}")
     for key, value in tables.items():
         inner = f"{path}.{key}".lstrip(".")
-        each = [one for one in value if isinstance(one, dict)] if isinstance(value, list) else [value]
+        tables_here = [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else [value]
         if isinstance(value, list):
-            _check_size(each, "tables", _MAX_KEYS, f"{head}{inner}")
-        for table in each:
+            _check_size(tables_here, "tables", _MAX_KEYS, f"{head}{inner}")
+        for table in tables_here:
             if isinstance(table, dict):
                 _check_sizes(table, head, inner)
 
 
-def _check_size(entries: Sized, what: str, most: int, where: str) -> None:
-    if len(entries) > most:
+def _check_size(entries: Sized, what: str, limit: int, where: str) -> None:
+    if len(entries) > limit:
         raise SceneError(
-            f"{shortened(where, 120)}: expected at most {most} {what}, got {len(entries)}; remove the others"
+            f"{shortened(where, 120)}: expected at most {limit} {what}, got {len(entries)}; remove the others"
         )

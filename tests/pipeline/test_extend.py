@@ -192,16 +192,8 @@ def test_workers_get_the_rows_and_give_the_same_bytes(plain, tmp_path):
         assert here.shard == there.shard == alone.shard
 
 
-def test_members_that_failed_are_run_again(tmp_path, monkeypatch, content):
-    task = Member.task
-
-    def fragile(member, *rest):
-        if member.engine == "coulomb":
-            raise ZeroDivisionError
-        return task(member, *rest)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Member, "task", fragile)
+def test_members_that_failed_are_run_again(tmp_path, fragile, content):
+    with fragile(ZeroDivisionError(), lambda member: member.engine == "coulomb"):
         assert run_ensemble(parse_scene(source()), tmp_path / "part", workers=0).n_failed == 4
     opened = open_dataset(tmp_path / "part")
     rows, tasks = KeptRows(opened), Store(tmp_path / "out", with_records(opened, KEYS)).look()[1]

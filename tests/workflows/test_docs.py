@@ -277,7 +277,7 @@ def test_matrices_from_files(tmp_path, monkeypatch):
 
 
 def test_from_a_function_to_a_report(here, tmp_path, monkeypatch, capsys):
-    """What becomes of the script without its second last line, `tests/pipeline/test_driver.py` has."""
+    """The module and the script that the guide shows."""
     module, script = (block("systems", "python", words) for words in ("pull * np.triu", "run_scene"))
     (tmp_path / "own.py").write_text(module)
     (tmp_path / "mine.py").write_text(script)

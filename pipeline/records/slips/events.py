@@ -24,8 +24,8 @@ class Events(Record):
     )
     is_of_paths = True
 
-    def of(self, made: Made) -> dict[str, Any]:
-        series = made.run.events
+    def of(self, result: Made) -> dict[str, Any]:
+        series = result.run.events
         return {
             "event_t": series.t,
             "event_block": series.block,

@@ -30,8 +30,8 @@ class FirstExit(Record):
     )
     needs = frozenset({"events"})
 
-    def of(self, made: Made) -> dict[str, Any]:
-        events = made.events
+    def of(self, result: Made) -> dict[str, Any]:
+        events = result.events
         exits = np.flatnonzero(events.is_exit)
         if not len(exits):
             return {}

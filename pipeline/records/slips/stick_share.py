@@ -41,8 +41,8 @@ class StickShare(WindowRecord):
     is_of_contacts = True
     needs = frozenset({"events", "system"})
 
-    def of(self, made: Made) -> dict[str, Any]:
-        events = made.contact_events
+    def of(self, result: Made) -> dict[str, Any]:
+        events = result.contact_events
         end = events.t_end
         if end <= self.t_burn or not events.n:
             return {}
