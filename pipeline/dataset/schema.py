@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -104,18 +104,3 @@ def _leaves(field: pa.Field, above: str = "") -> list[str]:
     if pa.types.is_struct(field.type):
         return [leaf for part in field.type for leaf in _leaves(part, f"{path}.")]
     return [path]
-
-
-class Result(NamedTuple):
-    """A computed batch: the shard's bytes, what the manifest says of it, and facts of its computation."""
-
-    name: str
-    shard: bytes
-    rows: int
-    first: str  #: ids of the first member and of the last
-    last: str
-    outcomes: dict[str, int]
-    program: str
-    seconds: float
-    host: str
-    pid: int

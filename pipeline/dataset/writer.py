@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import logging
 import re
 import threading
@@ -14,16 +13,15 @@ from typing import Self
 
 from stickslip.pipeline.dataset.opened import Opened, numbering_of, planned, stored_scene
 from stickslip.pipeline.dataset.program import program
-from stickslip.pipeline.dataset.schema import Result
 from stickslip.pipeline.ensemble.pack import Task, grows, lacked, pack, tasks
 from stickslip.pipeline.errors import SceneError, StoreError, command, remedy
 from stickslip.pipeline.machine.signals import last_act, unbroken
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import (
-    Commit,
     DamagedManifest,
     Manifest,
+    Result,
     Shard,
     read_commits,
     read_manifest,
@@ -314,41 +312,19 @@ class Store:
         Raises `StoreError` if one cannot be written, or the right to write was lost; the dataset is then as it was
         before.
         """
-        shards = {result.name: _shard(result) for result in results}
-        lines = b"".join(
-            Commit(
-                shard=result.name,
-                entry=shards[result.name],
-                program=result.program,
-                seconds=result.seconds,
-                host=result.host,
-                pid=result.pid,
-            ).line
-            for result in results
-        )
+        shards = {result.name: result.commit.entry for result in results}
         assert self._record is not None  # there is something to do
         with unbroken(), _explained(self.place):
             self._hold.check()
             try:
                 self.place.replace_each({f"{DATA}/{result.name}": result.shard for result in results})
-                self._record(lines)
+                self._record(b"".join(result.commit.line for result in results))
                 self._manifest.shards.update(shards)
             except BaseException:
                 for name in shards.keys() - self._manifest.shards.keys():
                     self._remove(f"{DATA}/{name}")
                 raise
         return list(shards.values())
-
-
-def _shard(result: Result) -> Shard:
-    return Shard(
-        sha256=hashlib.sha256(result.shard).hexdigest(),
-        rows=result.rows,
-        bytes=len(result.shard),
-        first=result.first,
-        last=result.last,
-        outcomes=result.outcomes,
-    )
 
 
 def _told(value: object) -> str:

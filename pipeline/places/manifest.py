@@ -18,7 +18,7 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
@@ -147,6 +147,18 @@ class Commit(BaseModel):
             commit = cls.model_validate({key: value for key, value in json.loads(line).items() if key != "check"})
             return commit if json.loads(commit.line) == json.loads(line) else None
         return None
+
+
+class Result(NamedTuple):
+    """A computed batch: the bytes of its shard, and the line of the record that says so."""
+
+    shard: builtins.bytes
+    commit: Commit
+
+    @property
+    def name(self) -> str:
+        """The name of the shard."""
+        return self.commit.shard
 
 
 def read_commits(path: Where) -> Iterator[Commit]:

@@ -14,7 +14,6 @@ from typing import NamedTuple
 from distributed import Client, fire_and_forget
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
-from stickslip.pipeline.dataset.schema import Result
 from stickslip.pipeline.dataset.status import Pace, Status, Tally, counted
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.ensemble.expand import expand
@@ -22,6 +21,7 @@ from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.ensemble.pack import Task
 from stickslip.pipeline.errors import ScheduleError
 from stickslip.pipeline.own.function import OwnFunction
+from stickslip.pipeline.places.manifest import Result
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.running import ends
 from stickslip.pipeline.running.cluster import Scheduling, check_address, check_memory, connect

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import socket
 import time
@@ -17,7 +18,7 @@ import numpy as np
 
 from stickslip import sim
 from stickslip.pipeline.dataset.program import program
-from stickslip.pipeline.dataset.schema import Result, Values, encode, schema_of
+from stickslip.pipeline.dataset.schema import Values, encode, schema_of
 from stickslip.pipeline.ensemble.member import NO_NUMBER, Member
 from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.errors import command, foreign
@@ -60,18 +61,18 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
         rows = kept.completed(members, recording, run)
     if batch.coordinates is not None:
         rows = {**rows, **dict(zip((column.name for column in DESIGN), batch.coordinates, strict=True))}
-    return Result(
-        name=batch.name,
-        shard=encode(rows, schema_of(recording)),
+    shard = encode(rows, schema_of(recording))
+    entry = Shard(
+        sha256=hashlib.sha256(shard).hexdigest(),
         rows=len(members),
+        bytes=len(shard),
         first=members[0].member_id,
         last=members[-1].member_id,
         outcomes=dict(Counter(map(str, rows["outcome"]))),
-        program=program(),
-        seconds=time.perf_counter() - start,
-        host=socket.gethostname(),
-        pid=os.getpid(),
     )
+    seconds, host = time.perf_counter() - start, socket.gethostname()
+    commit = Commit(shard=batch.name, entry=entry, program=program(), seconds=seconds, host=host, pid=os.getpid())
+    return Result(shard, commit)
 
 
 #: A shard to be computed, with the rows that another dataset has, if there is one.
