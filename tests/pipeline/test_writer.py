@@ -440,7 +440,7 @@ def test_what_is_written_beside_the_shards_grows_as_their_number(where, source, 
     monkeypatch.setattr(object_store.Prefix, "replace", counting(object_store.Prefix.replace, 2))
     monkeypatch.setattr(directory, "_append", counting(directory._append, 1))
     overhead = {}
-    for matrices in (1, 2, 4):
+    for matrices in (2, 4, 8):
         written.clear()
         grown = source.replace(b"matrices = 3", f"matrices = {matrices}".encode())
         found = run_ensemble(parse_scene(grown), f"{where.format(tmp_path=tmp_path)}{matrices}", workers=0)
