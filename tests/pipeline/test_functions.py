@@ -153,11 +153,9 @@ def test_blocks_may_start_on_the_belt_that_a_function_made(tmp_path):
     assert (table.w0 == -0.3).all()  # one number fits every block
 
 
-def test_a_dataset_of_a_function_is_the_same_on_workers_and_has_its_parameters(tmp_path, content):
+def test_a_dataset_of_a_function_has_its_parameters_and_grows_from_another_folder(tmp_path, content):
     file = written(tmp_path / "here")
     run_ensemble(load_scene(file), tmp_path / "out", workers=0)
-    run_ensemble(load_scene(file), tmp_path / "on_one", workers=1)
-    assert content(tmp_path / "on_one") == content(tmp_path / "out")
     assert str(tmp_path) not in (tmp_path / "out" / "scene.toml").read_text()
     table = query.members(tmp_path / "out")
     assert table.groupby(["n", "gap"]).size().tolist() == [2] * 4
