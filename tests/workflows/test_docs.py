@@ -168,7 +168,7 @@ def test_first_scene_in_python(first, monkeypatch):
 @pytest.mark.long
 def test_first_scene_as_a_script(first, tmp_path):
     script = tmp_path / "script.py"
-    script.write_text(block("first-run", "python", "__main__"))
+    script.write_text(block("first-run", "python", "run_scene("))
     (tmp_path / "mine.toml").write_bytes((first / "mine.toml").read_bytes())
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
