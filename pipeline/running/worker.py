@@ -23,6 +23,7 @@ from stickslip.pipeline.ensemble.member import NO_NUMBER, Member
 from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.errors import command, foreign
 from stickslip.pipeline.machine.processes import Child, ChildDied
+from stickslip.pipeline.places.manifest import Commit, Result, Shard
 from stickslip.pipeline.records import ALWAYS
 from stickslip.pipeline.records.record import Made, Record, stop_early
 from stickslip.pipeline.running.ends import end_of
