@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import hashlib
 import json
 import logging
 import os
@@ -25,9 +26,9 @@ from fsspec.implementations.memory import MemoryFileSystem
 
 from stickslip.pipeline import Progress, parse_scene, run_ensemble
 from stickslip.pipeline.dataset.program import program
-from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.ensemble import pack
 from stickslip.pipeline.places.locate import place_of
+from stickslip.pipeline.places.manifest import Commit, Result, Shard
 from stickslip.pipeline.places.object_store import Prefix
 from stickslip.pipeline.running import worker
 from stickslip.pipeline.running.cluster import QuietWorker
@@ -103,14 +104,16 @@ def _farm(address: str, n_workers: int, seconds: float, size: int) -> None:
     files = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (files, files))
     shard = os.urandom(size)
+    sha256 = hashlib.sha256(shard).hexdigest()
 
     def wait(order: worker.Order) -> Result:
         batch, *_ = order
         first, *_, last = batch.members.ids()
         time.sleep(seconds)
-        done = {"finished": len(batch.members)}
+        outcomes = {"finished": len(batch.members)}
+        entry = Shard(sha256=sha256, rows=len(batch.members), bytes=size, first=first, last=last, outcomes=outcomes)
         return Result(
-            batch.name, shard, len(batch.members), first, last, done, program(), seconds, "farm", os.getpid()
+            shard, Commit(shard=batch.name, entry=entry, program=program(), seconds=seconds, host="farm", pid=0)
         )
 
     worker.compute_there = wait  # the driver names it, and sends no code

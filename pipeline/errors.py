@@ -36,19 +36,19 @@ def printable(text: str) -> str:
     return "".join(c if c.isprintable() or c in "\n " else ascii(c)[1:-1] for c in text)
 
 
-def foreign(error: BaseException, most: int = 300) -> str:
+def foreign(error: BaseException, width: int = 300) -> str:
     """An error of code that is not ours, in one line of at most `most` characters for terminals and tables."""
     try:
         words = str(error)
     except BaseException as another:  # noqa: BLE001  its own words are foreign code too
         words = f"its message cannot be had ({type(another).__name__})"
-    return shortened(f"{type(error).__name__}: {words}".strip().removesuffix(":"), most)
+    return shortened(f"{type(error).__name__}: {words}".strip().removesuffix(":"), width)
 
 
-def shortened(text: str, most: int) -> str:
+def shortened(text: str, width: int) -> str:
     """A text, of which a part may be foreign, in one line of at most `most` characters."""
     line = printable(" ".join(text.split()))
-    return line if len(line) <= most else f"{line[: most - 3]}..."
+    return line if len(line) <= width else f"{line[: width - 3]}..."
 
 
 def command(*words: str) -> str:
@@ -57,8 +57,8 @@ def command(*words: str) -> str:
 
 
 def _escaped(word: str) -> str:
-    kept = word.replace("\\", "\\\\").replace("'", "\\'")
-    return "$'" + "".join(c if c.isprintable() else ascii(c)[1:-1] for c in kept) + "'"
+    text = word.replace("\\", "\\\\").replace("'", "\\'")
+    return "$'" + "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text) + "'"
 
 
 class SceneError(ValueError):

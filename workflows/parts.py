@@ -81,4 +81,4 @@ def _only(opened: Opened, names: Sequence[str]) -> Opened:
     """A dataset of some shards: what is sent with each task does not grow with the number of shards."""
     shards = {name: opened.manifest.shards[name] for name in names}
     alone = {"shards": shards, "packing": [[shard.rows for shard in shards.values()]], "earlier": []}
-    return replace(opened, manifest=opened.manifest.model_copy(update=alone), is_part=True)
+    return replace(opened, manifest=opened.manifest.model_copy(update=alone))

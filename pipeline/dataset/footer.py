@@ -56,7 +56,6 @@ class Chunk(NamedTuple):
     ----------
     path : str
         The column, with a point between the levels of lists.
-    n_rows, n_values : int
     first, end : int
         Bytes of the file.
     n_bytes : int
@@ -81,10 +80,7 @@ class Chunk(NamedTuple):
 def chunks(content: bytes, schema: pq.ParquetSchema) -> list[Chunk]:
     """The columns of each group of rows of a file that Arrow can open.
 
-    Raises
-    ------
-    ValueError
-        If its footer is not as this program writes it.
+    Raises `ValueError` if its footer is not as this program writes it.
     """
     start = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
     leaves = [schema.column(k) for k in range(len(schema))]
@@ -100,27 +96,27 @@ def chunks(content: bytes, schema: pq.ParquetSchema) -> list[Chunk]:
 
 
 def _chunk(column: _Struct, leaf: pq.ColumnSchema, n_rows: int) -> Chunk:
-    told = column[3, _STRUCT]
-    statistics, lengths = (told.get((field, _STRUCT), {}) for field in (12, 16))
+    facts = column[3, _STRUCT]
+    statistics, lengths = (facts.get((field, _STRUCT), {}) for field in (12, 16))
     bounds = [_value_of(statistics.get((field, _BINARY)), leaf.physical_type) for field in (2, 6, 1, 5)]
     levels = {(2, _LIST): leaf.max_repetition_level, (3, _LIST): leaf.max_definition_level}
     is_ours = (
         {field for field, _ in column} <= {2, 3}  # else it is in another file, or encrypted
-        and {field for field, _ in told} <= _FIELDS
-        and _TYPES[told[1, _INT32]] == leaf.physical_type
+        and {field for field, _ in facts} <= _FIELDS
+        and _TYPES[facts[1, _INT32]] == leaf.physical_type
         and ((1, _INT64) not in lengths or leaf.physical_type == "BYTE_ARRAY")
         and all(len(lengths.get(field, ())) in (0, level + 1) for field, level in levels.items())
     )
     if not is_ours:
         raise ValueError
-    first = min(start for start in (told[9, _INT64], told.get((11, _INT64), 0)) if start)
+    first = min(start for start in (facts[9, _INT64], facts.get((11, _INT64), 0)) if start)
     return Chunk(
         leaf.path,
         n_rows,
-        told[5, _INT64],
+        facts[5, _INT64],
         first,
-        first + told[7, _INT64],
-        told[6, _INT64],
+        first + facts[7, _INT64],
+        facts[6, _INT64],
         statistics.get((3, _INT64)),
         [low for low in bounds[:2] if low is not None],
         [high for high in bounds[2:] if high is not None],
@@ -151,14 +147,14 @@ def fault_of_pages(content: bytes, chunk: Chunk) -> str:
 def _sizes(content: bytes, chunk: Chunk) -> tuple[int, int]:
     """Values of a column's pages, and their bytes before they were compressed, with their heads."""
     n_values = n_bytes = 0
-    at, end = chunk.first, chunk.end
-    if not 0 < at < end <= len(content):
+    place, end = chunk.first, chunk.end
+    if not 0 < place < end <= len(content):
         raise ValueError
-    while at < end:
-        head, n_head = _struct(content[at : min(at + _HEAD, end)])
+    while place < end:
+        head, n_head = _struct(content[place : min(place + _HEAD, end)])
         kind, uncompressed, compressed = (head[field, _INT32] for field in (1, 2, 3))
-        part = head[_PARTS[kind]]
-        n_own, encoding = part[1, _INT32], part[2, _INT32]
+        detail = head[_PARTS[kind]]
+        n_own, encoding = detail[1, _INT32], detail[2, _INT32]
         if min(uncompressed, compressed, n_own) < 0 or encoding not in _ENCODINGS:
             raise ValueError
         if kind == _VALUES:
@@ -166,78 +162,78 @@ def _sizes(content: bytes, chunk: Chunk) -> tuple[int, int]:
         elif n_own > chunk.n_values:
             raise ValueError
         n_bytes += n_head + uncompressed
-        at += n_head + compressed
-    if at > end:
+        place += n_head + compressed
+    if place > end:
         raise ValueError
     return n_values, n_bytes
 
 
-def _struct(content: bytes, at: int = 0, depth: int = 0) -> tuple[_Struct, int]:
+def _struct(content: bytes, place: int = 0, depth: int = 0) -> tuple[_Struct, int]:
     """The fields of a struct, and where it ends."""
     fields: _Struct = {}
     number = 0
-    while kind := content[at] & 15:
-        step = content[at] >> 4
-        at += 1
+    while kind := content[place] & 15:
+        step = content[place] >> 4
+        place += 1
         if step:
             number += step
         else:
-            number, at = _whole(content, at, 16)
+            number, place = _whole(content, place, 16)
         if (number, kind) in fields or depth > _DEPTH:
             raise ValueError
         if kind == _LIST:
-            fields[number, kind], at = _list(content, at, depth, _ELEMENTS.get((depth, number)))
+            fields[number, kind], place = _list(content, place, depth, _ELEMENTS.get((depth, number)))
         elif kind in _TRUTHS:
             fields[number, kind] = kind
         else:
-            fields[number, kind], at = _value(content, at, depth, kind)
-    return fields, at + 1
+            fields[number, kind], place = _value(content, place, depth, kind)
+    return fields, place + 1
 
 
-def _list(content: bytes, at: int, depth: int, expected: int | None) -> tuple[list[Any], int]:
-    kind, n = content[at] & 15, content[at] >> 4
-    at += 1
+def _list(content: bytes, place: int, depth: int, expected: int | None) -> tuple[list[Any], int]:
+    kind, n = content[place] & 15, content[place] >> 4
+    place += 1
     if n == 15:
-        n, at = _varint(content, at)
+        n, place = _varint(content, place)
     if kind != expected:
         raise ValueError
     values = []
     for _ in range(n):
-        value, at = _value(content, at, depth, kind)
+        value, place = _value(content, place, depth, kind)
         values.append(value)
-    return values, at
+    return values, place
 
 
-def _value(content: bytes, at: int, depth: int, kind: int) -> tuple[Any, int]:
+def _value(content: bytes, place: int, depth: int, kind: int) -> tuple[Any, int]:
     if kind in _WIDTHS:
-        return _whole(content, at, _WIDTHS[kind])
+        return _whole(content, place, _WIDTHS[kind])
     if kind == _STRUCT:
-        return _struct(content, at, depth + 1)
+        return _struct(content, place, depth + 1)
     if kind == _BINARY:
-        length, at = _varint(content, at)
-        return content[at : at + length], at + length
+        length, place = _varint(content, place)
+        return content[place : place + length], place + length
     if kind == _BYTE:
-        return content[at], at + 1
+        return content[place], place + 1
     raise ValueError
 
 
-def _whole(content: bytes, at: int, n_bits: int) -> tuple[int, int]:
+def _whole(content: bytes, place: int, n_bits: int) -> tuple[int, int]:
     """A whole number with its sign, and where it ends."""
-    value, at = _varint(content, at)
+    value, place = _varint(content, place)
     if value >> n_bits:  # a reader would leave out the rest
         raise ValueError
-    return (value >> 1) ^ -(value & 1), at
+    return (value >> 1) ^ -(value & 1), place
 
 
-def _varint(content: bytes, at: int) -> tuple[int, int]:
+def _varint(content: bytes, place: int) -> tuple[int, int]:
     """A number whose bytes have seven bits each, ten bytes at most, and where it ends."""
-    byte = content[at]
+    byte = content[place]
     value, n_bits = byte & 127, 7
     while byte > 127 and n_bits < 70:
-        at += 1
-        byte = content[at]
+        place += 1
+        byte = content[place]
         value |= (byte & 127) << n_bits
         n_bits += 7
     if byte > 127:
         raise ValueError
-    return value, at + 1
+    return value, place + 1

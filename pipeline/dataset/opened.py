@@ -39,15 +39,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Opened:
-    """A dataset at one moment: where it lies, its scene, and its manifest with what the record adds to it.
-
-    With `is_part` the manifest lists some shards of a dataset whose packing and design were checked as a whole.
-    """
+    """A dataset at one moment: where it lies, its scene, and its manifest with what the record adds to it."""
 
     place: Place
     scene: Scene
     manifest: Manifest
-    is_part: bool = False
 
     def __getstate__(self) -> dict[str, Any]:
         """What goes to another process: its tasks, that a worker gets without their numbering, are planned there."""
@@ -57,10 +53,7 @@ class Opened:
     def tasks(self) -> list[Task]:
         """The shards that it consists of, done or not.
 
-        Raises
-        ------
-        DamagedManifest
-            If the manifest's packing is not of the scene's members.
+        Raises `DamagedManifest` if the manifest's packing is not of the scene's members.
         """
         return planned(self.place, self.scene, self.manifest)
 
@@ -71,12 +64,12 @@ class Opened:
 
     def coordinates(self, shards: Sequence[str]) -> Coordinates:
         """Where the members of some shards stand in the design, in order."""
-        last, parts = numbering_of(self.tasks), []
+        numbering, coordinates = numbering_of(self.tasks), []
         for name in shards:
             batch, _ = self.tasks[number_of(name)]
             assert batch.numbering is not None
-            parts.append(last.of(last.places_of(batch.numbering)[batch.members.places]))
-        return Coordinates.joined(parts)
+            coordinates.append(numbering.of(numbering.here(batch.numbering, batch.members.places)))
+        return Coordinates.joined(coordinates)
 
     @property
     def n_members(self) -> int:
@@ -88,17 +81,17 @@ class Opened:
         """How many of them are done."""
         return sum(shard.rows for shard in self.manifest.shards.values())
 
-    def in_parts(self, least: int) -> list[list[str]]:
+    def in_parts(self, n_least: int) -> list[list[str]]:
         """The shards that the manifest lists, neighbours together, of so many members at least but for the last."""
-        parts: list[list[str]] = []
-        n_rows = least
+        groups: list[list[str]] = []
+        n_rows = n_least
         for name, shard in sorted(self.manifest.shards.items()):
-            if n_rows >= least:
-                parts.append([])
+            if n_rows >= n_least:
+                groups.append([])
                 n_rows = 0
-            parts[-1].append(name)
+            groups[-1].append(name)
             n_rows += shard.rows
-        return parts
+        return groups
 
     @property
     def folder(self) -> Path:
@@ -108,16 +101,12 @@ class Opened:
     def shards(self, names: Sequence[str] | None = None) -> ds.Dataset:
         """The shards that the manifest lists, or some of them, as one Arrow dataset, in the order of their names.
 
-        Raises
-        ------
-        StoreError
-            If a shard is not what was written, or the manifest's packing or design is not that of its scene.
+        Raises `StoreError` if a shard is not what was written, or the manifest's packing or design is not that of its
+        scene.
         """
         import pyarrow.dataset as ds  # it loads pandas
 
         names = sorted(self.manifest.shards) if names is None else list(names)
-        if not self.is_part:
-            self.tasks  # noqa: B018  refuses a manifest that says something else than its scene
         self.check(names)
         checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
         with reading(self.place):
@@ -138,15 +127,12 @@ class Opened:
     def check(self, names: Sequence[str] | None = None) -> None:
         """Check some shards, or all, against the manifest; a checked one is read again only if its file has changed.
 
-        Raises
-        ------
-        StoreError
-            If one is not what was written, was changed since the dataset was opened, or is not there.
+        Raises `StoreError` if one is not what was written, was changed since the dataset was opened, or is not there.
         """
-        place, known = self.place, self.manifest.shards
-        files = {name: f"{DATA}/{name}" for name in (known if names is None else names)}
+        place, shards = self.place, self.manifest.shards
+        files = {name: f"{DATA}/{name}" for name in (shards if names is None else names)}
         marks = dict(zip(files, place.marks(list(files.values())), strict=True))
-        unknown = next((name for name in files if name not in known), None)
+        unknown = next((name for name in files if name not in shards), None)
         if unknown is not None:
             raise StoreError(
                 f"{place.named(files[unknown])}: not in the manifest any more; rerun the scene to rebuild it"
@@ -154,24 +140,24 @@ class Opened:
 
         def is_checked(name: str) -> bool:
             return marks[name] is not None and _checked.get(place.named(files[name])) == (
-                known[name].sha256,
+                shards[name].sha256,
                 marks[name],
             )
 
-        new = {name: known[name] for name in files if not is_checked(name)}
+        new = {name: shards[name] for name in files if not is_checked(name)}
         with reading(place):
             for name, content, mark, problem in read_shards(place, new):
-                if problem and read_manifest(place).shards.get(name) != known[name]:
+                if problem and read_manifest(place).shards.get(name) != shards[name]:
                     raise StoreError(
                         f"{place.named(files[name])}: expected the shard that was listed when the dataset was "
                         f"opened, got what a run has changed since; rerun the command"
                     )
                 if problem:
                     raise StoreError(f"{place.named(files[name])}: {problem}; rerun the scene to rebuild it")
-                problem = fault_of_file(content, schema_of(self.scene.recording), known[name].rows)
+                problem = fault_of_file(content, schema_of(self.scene.recording), shards[name].rows)
                 if problem:
                     raise StoreError(f"{place.named(files[name])}: {problem}; {NOT_OURS}")
-                _checked[place.named(files[name])] = (known[name].sha256, mark)
+                _checked[place.named(files[name])] = (shards[name].sha256, mark)
 
     @cached_property
     def sound(self) -> Sound:
@@ -181,10 +167,7 @@ class Opened:
     def checked(self, table: pa.Table) -> pa.Table:
         """Columns of some rows, once they are found to be what the scene can give.
 
-        Raises
-        ------
-        StoreError
-            If they are not.
+        Raises `StoreError` if they are not.
         """
         problem = self.sound.fault(table)
         if problem:
@@ -195,27 +178,21 @@ class Opened:
     def check_members(self, table: pa.Table, shards: Sequence[str]) -> None:
         """See that rows of some shards, all of them, are of the members that the scene gives these.
 
-        Raises
-        ------
-        StoreError
-            If they are not.
+        Raises `StoreError` if they are not.
         """
-        first = 0
+        row = 0
         for name in shards:
             batch, _ = self.tasks[number_of(name)]
             n_rows = len(batch.members)
-            problem = fault_of_members(table.slice(first, n_rows), batch.members, batch.coordinates)
-            first += n_rows
+            problem = fault_of_members(table.slice(row, n_rows), batch.members, batch.coordinates)
+            row += n_rows
             if problem:
                 raise StoreError(f"{self.place.named(f'{DATA}/{name}')}: {printable(problem)}; {NOT_OURS}")
 
     def again(self) -> Opened:
         """The dataset as it is now; its scene is read again only if it is another.
 
-        Raises
-        ------
-        StoreError
-            As `open_dataset`.
+        Raises `StoreError` as `open_dataset`.
         """
         manifest = read_manifest(self.place)
         same = manifest.scene_hash == self.manifest.scene_hash
@@ -232,10 +209,7 @@ _checked: dict[str, tuple[str, object]] = {}
 def open_dataset(path: Where | Opened) -> Opened:
     """The dataset at `path`; one that is open already is returned as it is.
 
-    Raises
-    ------
-    StoreError
-        If there is none, its scene cannot be read, or it is not the one of the data.
+    Raises `StoreError` if there is none, its scene cannot be read, or it is not the one of the data.
     """
     if isinstance(path, Opened):
         return path
@@ -250,16 +224,15 @@ def open_dataset(path: Where | Opened) -> Opened:
             f"{place.named(SCENE)}: expected the scene of these data (hash {manifest.scene_hash[:12]}), "
             f"got another (hash {scene.hash[:12]}); restore the file"
         )
-    return Opened(place, scene, manifest)
+    opened = Opened(place, scene, manifest)
+    opened.tasks  # noqa: B018  refuses a manifest that says something else than its scene
+    return opened
 
 
 def stored_scene(place: Place) -> Scene:
     """The scene that lies at a place.
 
-    Raises
-    ------
-    SceneError
-        If there is none, or it is not a scene.
+    Raises `SceneError` if there is none, or it is not a scene.
     """
     file = place.named(SCENE)
     try:
@@ -274,27 +247,24 @@ def stored_scene(place: Place) -> Scene:
 def planned(place: Place, scene: Scene, manifest: Manifest) -> list[Task]:
     """The shards that a dataset of a scene consists of, done or not.
 
-    Raises
-    ------
-    DamagedManifest
-        If the manifest's packing is not of the scene's members.
+    Raises `DamagedManifest` if the manifest's packing is not of the scene's members.
     """
     try:
-        found = tasks(scene, manifest.earlier, manifest.packing)
+        plan = tasks(scene, manifest.earlier, manifest.packing)
     except PlanError as error:
         raise DamagedManifest(
             f"{place.named(MANIFEST)}: expected the packing of the scene's members, got {error}; use the "
             f"version of stickslip that began it, or choose another directory"
         ) from None
-    if problem := fault_of_design(manifest.design, numbering_of(found).design):
+    if problem := fault_of_design(manifest.design, numbering_of(plan).design):
         raise DamagedManifest(f"{place.named(MANIFEST)}: {problem}; use the version of stickslip that began it")
-    return found
+    return plan
 
 
-def numbering_of(found: Sequence[Task]) -> Numbering:
+def numbering_of(plan: Sequence[Task]) -> Numbering:
     """How the members of shards are numbered, by the last scene that they grew to."""
-    assert found[-1][0].numbering is not None
-    return found[-1][0].numbering
+    assert plan[-1][0].numbering is not None
+    return plan[-1][0].numbering
 
 
 def dataset_scene(path: Where | Opened) -> Scene:
@@ -305,10 +275,7 @@ def dataset_scene(path: Where | Opened) -> Scene:
 def dataset(path: Where | Opened, shards: Sequence[str] | None = None) -> ds.Dataset:
     """The shards that the manifest lists, or some of them, as one Arrow dataset, in the order of their names.
 
-    Raises
-    ------
-    StoreError
-        If there is no readable dataset at `path`, or a shard is not what was written.
+    Raises `StoreError` if there is no readable dataset at `path`, or a shard is not what was written.
     """
     return open_dataset(path).shards(shards)
 
@@ -319,8 +286,8 @@ def rows_that_failed(opened: Opened, shards: Sequence[str]) -> list[tuple[str, s
     with reading(opened.place):
         import pyarrow.compute as pc  # takes a while to load; a run without failures does not need it
 
-        found = source.to_table(["member_id", "reason"], filter=pc.field("outcome") == "failed")
-    return list(zip(*(found[name].to_pylist() for name in ("member_id", "reason")), strict=True))
+        rows = source.to_table(["member_id", "reason"], filter=pc.field("outcome") == "failed")
+    return list(zip(*(rows[name].to_pylist() for name in ("member_id", "reason")), strict=True))
 
 
 @contextlib.contextmanager
@@ -336,9 +303,9 @@ def reading(place: Place) -> Iterator[None]:
 
 def unreadable(place: Place, error: Exception) -> StoreError:
     """The error for a dataset with a shard that cannot be read."""
-    first = "" if isinstance(place, Directory) else f"{place.remedy(error)}, or "
+    remedy = "" if isinstance(place, Directory) else f"{place.remedy(error)}, or "
     words = shortened(str(error).partition(" Detail: Python exception")[0], 400)  # of Arrow: a traceback follows
-    return StoreError(f"{place}: a shard cannot be read ({words}); {first}rerun the scene to rebuild it")
+    return StoreError(f"{place}: a shard cannot be read ({words}); {remedy}rerun the scene to rebuild it")
 
 
 @cache
@@ -364,11 +331,11 @@ def frame(table: pa.Table, nullable: Sequence[str] | None = None) -> pd.DataFram
     return table.to_pandas(types_mapper=_nullable().get).astype(kinds)
 
 
-def not_recorded(part: str) -> QueryError:
+def not_recorded(name: str) -> QueryError:
     """The error for a table, a key of `TABLES`, that the scene does not record."""
-    return QueryError(f"{part}: expected a dataset with {part}, got one without; set {TABLES[part]}")
+    return QueryError(f"{name}: expected a dataset with {name}, got one without; set {TABLES[name]}")
 
 
-def near(word: str, known: Sequence[str]) -> str:
+def near(word: str, names: Sequence[str]) -> str:
     """What `word` may stand for, as the end of a message."""
-    return did_you_mean(word, known) or f"; there are {', '.join(known[:10])}{', ...' * (len(known) > 10)}"
+    return did_you_mean(word, names) or f"; there are {', '.join(names[:10])}{', ...' * (len(names) > 10)}"

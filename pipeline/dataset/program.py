@@ -53,16 +53,16 @@ def version_of(places: tuple[str, ...]) -> str:
     makes = __version__, sys.version, Path(__file__).read_bytes(), sources
     files, key = CacheFiles(cache_directory(), "program"), hashlib.sha256(repr(makes).encode()).hexdigest()
     with contextlib.suppress(CacheError):  # where it could be another's it is found anew
-        if isinstance(kept := files.load(key), str):
-            return kept
+        if isinstance(version := files.load(key), str):
+            return version
     digest = hashlib.sha256()
     for name, source in sources:
         words = _words(source) if name.endswith(".py") else [source.decode()]
         digest.update("\0".join((name, *words, "")).encode())
-    found = f"{__version__}-{digest.hexdigest()[:16]}"
+    version = f"{__version__}-{digest.hexdigest()[:16]}"
     with contextlib.suppress(CacheError, OSError):
-        files.save(key, found)
-    return found
+        files.save(key, version)
+    return version
 
 
 def _sources(root: Path, places: Iterable[str]) -> Iterator[tuple[str, Path]]:

@@ -38,7 +38,10 @@ _KINDS = {
 
 def as_fields(columns: Iterable[Column]) -> list[pa.Field]:
     """Columns as fields of Arrow."""
-    return [pa.field(one.name, _KINDS[one.kind], one.nullable, {"description": one.description}) for one in columns]
+    return [
+        pa.field(column.name, _KINDS[column.kind], column.nullable, {"description": column.description})
+        for column in columns
+    ]
 
 
 #: One row a member; null where a value does not apply. All quantities are dimensionless.
@@ -54,10 +57,10 @@ def schema_of(recording: Recording) -> pa.Schema:
 _LATER = frozenset(column.name for column in COLUMNS if column.is_later)
 
 
-def is_of(found: pa.Schema, schema: pa.Schema) -> bool:
+def is_of(columns: pa.Schema, schema: pa.Schema) -> bool:
     """Whether a shard's columns are those of a scene, but for what data of an earlier version lack, and for words."""
-    lacked = _LATER - {*found.names}
-    return bool(found.equals(pa.schema([field for field in schema if field.name not in lacked])))
+    lacked = _LATER - {*columns.names}
+    return bool(columns.equals(pa.schema([field for field in schema if field.name not in lacked])))
 
 
 def scalars(schema: pa.Schema) -> tuple[str, ...]:

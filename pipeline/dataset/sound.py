@@ -50,44 +50,44 @@ def fault_of_file(content: bytes, schema: pa.Schema, n_rows: int) -> str:
     """
     try:
         with pq.ParquetFile(pa.BufferReader(content)) as file:
-            found, head = file.schema_arrow, file.metadata
-            if not is_of(found, schema):
-                return wrong_columns(found, schema)
-            told = chunks(content, file.schema)
-        if head.num_rows != n_rows or n_rows * len(file.schema) != sum(chunk.n_rows for chunk in told):
+            columns, head = file.schema_arrow, file.metadata
+            if not is_of(columns, schema):
+                return wrong_columns(columns, schema)
+            pages = chunks(content, file.schema)
+        if head.num_rows != n_rows or n_rows * len(file.schema) != sum(chunk.n_rows for chunk in pages):
             return f"expected {n_rows} rows, got {head.num_rows}"
-        problem = next(filter(None, (fault_of_pages(content, chunk) for chunk in told)), "")
-        return problem or _too_large(told, len(content)) or _too_long_texts(content, told, schema)
+        problem = next(filter(None, (fault_of_pages(content, chunk) for chunk in pages)), "")
+        return problem or _too_large(pages, len(content)) or _too_long_texts(content, pages, schema)
     except (*DAMAGE, ValueError) as error:
         return f"cannot be read ({shortened(str(error), 200)})"
 
 
-def wrong_columns(found: pa.Schema, schema: pa.Schema) -> str:
+def wrong_columns(columns: pa.Schema, schema: pa.Schema) -> str:
     """How columns differ from those of a scene."""
-    differing = next((field.name for field in schema if field.name not in found.names), None)
-    pairs = zip(found, schema, strict=False)
-    differing = differing or next((one.name for one, other in pairs if not one.equals(other)), "more")
+    differing = next((field.name for field in schema if field.name not in columns.names), None)
+    pairs = zip(columns, schema, strict=False)
+    differing = differing or next((column.name for column, expected in pairs if not column.equals(expected)), "more")
     name = shortened(differing, 60)
     return f"expected the columns of schema version {SCHEMA_VERSION} and this scene, got others ({name} first)"
 
 
-def _too_large(told: Sequence[Chunk], n_bytes: int) -> str:
+def _too_large(pages: Sequence[Chunk], n_bytes: int) -> str:
     """Whether values and pages take more than a shard of this size can, or than this machine has."""
-    return _beyond(sum(max(8 * chunk.n_values, chunk.n_bytes) for chunk in told), n_bytes)
+    return _beyond(sum(max(8 * chunk.n_values, chunk.n_bytes) for chunk in pages), n_bytes)
 
 
 def _beyond(needed: int, n_bytes: int) -> str:
-    most = max(_SMALL, _RATIO * n_bytes)
-    if needed > most:
-        return f"expected at most {most / 1e6:.0f} MB in {n_bytes} bytes, got what takes {needed / 1e6:.0f} MB"
+    limit = max(_SMALL, _RATIO * n_bytes)
+    if needed > limit:
+        return f"expected at most {limit / 1e6:.0f} MB in {n_bytes} bytes, got what takes {needed / 1e6:.0f} MB"
     return lack(COPIES * needed, "what takes")
 
 
-def _too_long_texts(content: bytes, told: Sequence[Chunk], schema: pa.Schema) -> str:
+def _too_long_texts(content: bytes, pages: Sequence[Chunk], schema: pa.Schema) -> str:
     """Whether texts, each stored once, take too much where they are repeated."""
     texts = [field.name for field in schema if pa.types.is_string(field.type)]
-    n_rows = sum(chunk.n_rows for chunk in told if chunk.path == texts[0])
-    if n_rows * sum(chunk.n_bytes for chunk in told if chunk.path in texts) <= _SMALL:
+    n_rows = sum(chunk.n_rows for chunk in pages if chunk.path == texts[0])
+    if n_rows * sum(chunk.n_bytes for chunk in pages if chunk.path in texts) <= _SMALL:
         return ""
     with pq.ParquetFile(pa.BufferReader(content), read_dictionary=texts) as file:
         table = file.read(texts, use_threads=False)
@@ -103,9 +103,9 @@ def _said(check: Callable[_Checked, str]) -> Callable[_Checked, str]:
     """Have a check say what is wrong with values with which Arrow can do nothing."""
 
     @wraps(check)
-    def fault(*values: _Checked.args, **named: _Checked.kwargs) -> str:
+    def fault(*values: _Checked.args, **options: _Checked.kwargs) -> str:
         try:
-            return check(*values, **named)
+            return check(*values, **options)
         except pa.ArrowException as error:
             return shortened(str(error), 200)
 
@@ -144,12 +144,12 @@ class Sound:
         values = _flat(array) if column.is_list else array
         if pa.types.is_floating(values.type) and pc.all(pc.is_finite(values)).as_py() is False:
             return f"{column.name}: expected finite numbers, got others"
-        least, most = self._range(column)
+        lower, upper = self._range(column)
         if len(values) > values.null_count:
             low, high = pc.min_max(values).as_py().values()
-            if (least is not None and low < least) or (most is not None and high > most):
-                bounds = f"from {least:g}" + ("" if most is None else f" to {most:g}") if least is not None else ""
-                return f"{column.name}: expected values {bounds}, got {low if low < (least or 0) else high:g}"
+            if (lower is not None and low < lower) or (upper is not None and high > upper):
+                bounds = f"from {lower:g}" + ("" if upper is None else f" to {upper:g}") if lower is not None else ""
+                return f"{column.name}: expected values {bounds}, got {low if low < (lower or 0) else high:g}"
         if column.along == "block" and n is not None:
             lengths = pc.list_value_length(array)
             if pc.all(pc.equal(lengths, n)).as_py() is False:
@@ -177,20 +177,20 @@ class Sound:
 
     def _unequal(self, columns: Sequence[Column], arrays: Mapping[str, pa.Array]) -> str:
         """Whether lists that go together differ in length."""
-        first: dict[str, Column] = {}
+        by_dimension: dict[str, Column] = {}
         for column in columns:
             if column.along in ("", "block", "exit"):
                 continue
-            other = first.setdefault(column.along, column)
-            lengths = [pc.list_value_length(arrays[one.name]) for one in (other, column)]
+            sibling = by_dimension.setdefault(column.along, column)
+            lengths = [pc.list_value_length(arrays[field.name]) for field in (sibling, column)]
             if pc.all(pc.equal(*lengths)).as_py() is False:
-                return f"{column.name}: expected as many values as of {other.name} in each row, got more or fewer"
+                return f"{column.name}: expected as many values as of {sibling.name} in each row, got more or fewer"
         return ""
 
 
-def fault_of_design(said: object, design: Design) -> str:
+def fault_of_design(stated: object, design: Design) -> str:
     """What is wrong with what a manifest says of the design; "" if nothing is, or it is of an earlier version."""
-    if said is None or said == design.as_json():
+    if stated is None or stated == design.as_json():
         return ""
     return "expected the design of its scene, got another"
 
@@ -206,27 +206,31 @@ def fault_of_members(table: pa.Table, members: Members, coordinates: Coordinates
     kinds, names, matrices, draws = zip(*members.rows(), strict=True)
     distinct = {id(kind): kind for kind in kinds}
     index = pa.array(map({key: k for k, key in enumerate(distinct)}.__getitem__, map(id, kinds)), pa.int32())
-    own = {"member_id": names, "matrix": matrices, "start_draw": draws}
+    columns = {"member_id": names, "matrix": matrices, "start_draw": draws}
     if coordinates is not None:
-        said = zip((column.name for column in DESIGN), coordinates, strict=True)
-        own |= {
+        numbers_of = zip((column.name for column in DESIGN), coordinates, strict=True)
+        columns |= {
             name: numbers
-            for name, numbers in said
+            for name, numbers in numbers_of
             if name in table.schema.names and table[name].null_count < len(table)
         }
     for field in table.schema:
-        if field.name in own:
-            expected = pa.array(own[field.name], field.type)
+        if field.name in columns:
+            expected = pa.array(columns[field.name], field.type)
         elif any(field.name in kind for kind in distinct.values()):
             expected = pa.array([kind.get(field.name) for kind in distinct.values()], field.type).take(index)
         else:
             continue
-        found = joined(table[field.name])
+        values = joined(table[field.name])
         if field.name in ("z0", "w0"):  # drawn ones may be told by the run
-            found = pc.if_else(pc.is_null(expected), expected, found)
-        if not found.equals(expected):
-            k = next(k for k, (one, other) in enumerate(zip(found, expected, strict=True)) if one != other)
-            return f"{field.name} of {names[k]}: expected {expected[k]}, got {shortened(str(found[k]), 60)}"
+            values = pc.if_else(pc.is_null(expected), expected, values)
+        if not values.equals(expected):
+            k = next(
+                k
+                for k, (value, wanted_value) in enumerate(zip(values, expected, strict=True))
+                if value != wanted_value
+            )
+            return f"{field.name} of {names[k]}: expected {expected[k]}, got {shortened(str(values[k]), 60)}"
     return ""
 
 
@@ -234,29 +238,29 @@ def fault_of_members(table: pa.Table, members: Members, coordinates: Coordinates
 def fault_of_counts(table: pa.Table) -> str:
     """Whether numbers that say the same of a run differ; "" if they do not."""
     column = {name: joined(table[name]) for name in table.column_names}
-    parts = [column[name] for name in ("n_entries", "n_exits", "n_crossings")]
-    if not pc.add(pc.add(parts[0], parts[1]), parts[2]).equals(column["n_events"]):
+    counts = [column[name] for name in ("n_entries", "n_exits", "n_crossings")]
+    if not pc.add(pc.add(counts[0], counts[1]), counts[2]).equals(column["n_events"]):
         return "n_events: expected the sum of entries, exits and crossings, got another"
-    kept = pc.list_value_length(column["event_t"]) if "event_t" in column else None
-    if kept is not None and not kept.cast(pa.int64()).equals(column["n_events"]):
+    n_recorded = pc.list_value_length(column["event_t"]) if "event_t" in column else None
+    if n_recorded is not None and not n_recorded.cast(pa.int64()).equals(column["n_events"]):
         return "n_events: expected the number of the events that are kept, got another"
     ends, levels = _offsets(column["n_stick"])[1:], _flat(column["n_stick"])
     of_runs = pc.is_valid(column["n_stick"])
-    last = levels.take(pa.array(ends - 1).filter(of_runs))
-    if not last.equals(column["n_stick_end"].filter(of_runs)):
+    ends_of_runs = levels.take(pa.array(ends - 1).filter(of_runs))
+    if not ends_of_runs.equals(column["n_stick_end"].filter(of_runs)):
         return "n_stick_end: expected the last of n_stick, got another"
     return ""
 
 
 @_said
-def fault_of_statistics(table: pa.Table, told: Sequence[Chunk]) -> str:
+def fault_of_statistics(table: pa.Table, pages: Sequence[Chunk]) -> str:
     """Whether what the file says of its values, by which readers skip them, is wrong; "" if it is not."""
-    first: Counter[str] = Counter()
-    for chunk in told:
+    rows: Counter[str] = Counter()
+    for chunk in pages:
         if chunk.path not in table.column_names:
             continue
-        values = table[chunk.path].slice(first[chunk.path], chunk.n_rows)
-        first[chunk.path] += chunk.n_rows
+        values = table[chunk.path].slice(rows[chunk.path], chunk.n_rows)
+        rows[chunk.path] += chunk.n_rows
         if chunk.n_nulls not in (None, values.null_count):
             return f"{chunk.path}: expected {values.null_count} nulls in its statistics, got {chunk.n_nulls}"
         if values.null_count < len(values):
@@ -313,5 +317,5 @@ def _flat(array: pa.Array) -> pa.Array:
 
 def joined(column: pa.ChunkedArray) -> pa.Array:
     """A column as one array, in which rows are found at once; ArrowInvalid if an array cannot hold so much."""
-    found = column.combine_chunks()
-    return found if isinstance(found, pa.Array) else pa.concat_arrays(found.chunks)
+    array = column.combine_chunks()
+    return array if isinstance(array, pa.Array) else pa.concat_arrays(array.chunks)

@@ -32,12 +32,12 @@ class Tally:
     cost_done: float
 
     @classmethod
-    def of(cls, tasks: Sequence[Task], done: Mapping[str, Shard]) -> Tally:
+    def of(cls, tasks: Sequence[Task], shards: Mapping[str, Shard]) -> Tally:
         """Count those of the shards to be that are done."""
         costs = {number: batch.cost for number, (batch, _) in enumerate(tasks)}
         n_members = sum(len(batch.members) for batch, _ in tasks)
         tally = cls(n_members, 0, {}, len(costs), 0, 0, sum(costs.values()), 0.0)
-        for name, shard in done.items():
+        for name, shard in shards.items():
             tally = tally.plus(shard, costs.get(number_of(name), 0.0))
         return tally
 
@@ -94,8 +94,8 @@ class Pace(NamedTuple):
     @classmethod
     def parse(cls, words: str) -> Pace:
         """Read what the line says; ValueError if it cannot be read."""
-        at, n_members, cost, n_shards, n_workers = words.split()
-        return cls(float(at), int(n_members), float(cost), int(n_shards), int(n_workers))
+        time_of, n_members, cost, n_shards, n_workers = words.split()
+        return cls(float(time_of), int(n_members), float(cost), int(n_shards), int(n_workers))
 
 
 @dataclass(frozen=True)
@@ -137,10 +137,7 @@ def status(path: Where | Opened) -> Status:
 class Follower:
     """Looks at a dataset whenever it is asked to, and opens it once.
 
-    Raises
-    ------
-    StoreError
-        Here and on looking, as `status`.
+    Raises `StoreError`: here and on looking, as `status`.
     """
 
     def __init__(self, path: Where) -> None:
@@ -149,8 +146,8 @@ class Follower:
 
     def look(self) -> Status:
         """How far it is now."""
-        before, self._opened = self._opened, self._opened.again()
-        if self._opened.manifest.packing != before.manifest.packing:  # the scene has grown
+        earlier, self._opened = self._opened, self._opened.again()
+        if self._opened.manifest.packing != earlier.manifest.packing:  # the scene has grown
             self._tasks = self._opened.tasks
         return counted(self._opened, self._tasks)
 
@@ -161,8 +158,8 @@ def counted(opened: Opened, tasks: Sequence[Task]) -> Status:
     tally = Tally.of(tasks, shards)
     # after the manifest was read: a shard is there before it is listed
     lost = opened.lost
-    there = [name for name, shard in sorted(shards.items()) if shard.n_failed and name not in lost]
-    failed = rows_that_failed(opened, there) if there else []
+    whole_shards = [name for name, shard in sorted(shards.items()) if shard.n_failed and name not in lost]
+    failed = rows_that_failed(opened, whole_shards) if whole_shards else []
     current = running(place)
     rate = eta = None
     if current is not None:
@@ -187,8 +184,8 @@ def running(path: Where) -> Running | None:
         lock = Lock.parse(place.read(LOCK))
     except OSError:
         return None
-    here = re.fullmatch(r"process (\d+) on (.*)", lock.owner)
-    if here is None or (here[2] == socket.gethostname() and not is_alive(int(here[1]))) or not lock.is_held:
+    owner = re.fullmatch(r"process (\d+) on (.*)", lock.owner)
+    if owner is None or (owner[2] == socket.gethostname() and not is_alive(int(owner[1]))) or not lock.is_held:
         return None
     try:
         pace = Pace.parse(lock.notes["pace"]) if "pace" in lock.notes else None

@@ -42,11 +42,11 @@ def verify(path: Where | Opened) -> list[str]:
     StoreError
         If there is no readable dataset.
     """
-    found = open_dataset(path)
-    place, shards = found.place, dict(sorted(found.manifest.shards.items()))
-    expected = {batch.name: (batch, recording) for batch, recording in found.tasks}
+    opened = open_dataset(path)
+    place, shards = opened.place, dict(sorted(opened.manifest.shards.items()))
+    expected = {batch.name: (batch, recording) for batch, recording in opened.tasks}
     problems = []
-    for function in found.scene.own_functions if isinstance(place, Directory) else ():
+    for function in opened.scene.own_functions if isinstance(place, Directory) else ():
         try:
             look_again(replace(function, at=str(Path(str(place)).resolve())))
         except ChangedError as error:
@@ -65,11 +65,11 @@ def verify(path: Where | Opened) -> list[str]:
                 entry = (shard.rows, shard.first, shard.last)
                 if entry != (len(ids), ids[0], ids[-1]):
                     problem = f"expected {len(ids)} rows, {ids[0]} to {ids[-1]}, in the manifest, got {entry}"
-                problem = problem or _content(found, content, schema_of(recording), batch, shard.outcomes)
+                problem = problem or _content(opened, content, schema_of(recording), batch, shard.outcomes)
             if problem:
                 problems.append(printable(f"{place.named(f'{DATA}/{name}')}: {problem}"))
-    known = {f"{DATA}/{name}" for name in found.manifest.shards}
-    strays = [name for name in files if name.startswith((f"{DATA}/", TEMPORARY)) and name not in known]
+    names = {f"{DATA}/{name}" for name in opened.manifest.shards}
+    strays = [name for name in files if name.startswith((f"{DATA}/", TEMPORARY)) and name not in names]
     return problems + [
         printable(f"{place.named(name)}: stray file, not in the manifest: nothing reads it; delete it")
         for name in strays

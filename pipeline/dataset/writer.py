@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import logging
 import re
 import threading
@@ -14,16 +13,15 @@ from typing import Self
 
 from stickslip.pipeline.dataset.opened import Opened, numbering_of, planned, stored_scene
 from stickslip.pipeline.dataset.program import program
-from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.ensemble.pack import Task, grows, lacked, pack, tasks
 from stickslip.pipeline.errors import SceneError, StoreError, command, remedy
 from stickslip.pipeline.machine.signals import last_act, unbroken
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.manifest import (
-    Commit,
     DamagedManifest,
     Manifest,
+    Result,
     Shard,
     read_commits,
     read_manifest,
@@ -48,9 +46,11 @@ _SHOWN = 5
 class Store:
     """The right to write the dataset at `path`, for the length of a with-block.
 
-    Creates the dataset, resumes it, or extends it by what its scene has grown by: leftovers of a crash are removed,
-    a lost manifest is rebuilt from the record of the commits, damaged shards are forgotten (and so computed
-    again), and `todo` says what is to be computed.
+    Creates the dataset, resumes it, or extends it by what its scene has grown by: leftovers of a crash are removed, a
+    lost manifest is rebuilt from the record of the commits, damaged shards are forgotten (and so computed again), and
+    `todo` says what is to be computed. Raises `ValueError` if the scene's source is that of other data; `StoreError`
+    on entering: the directory belongs to another scene, to something else, to another version or to a running
+    process; or it cannot be written. Nothing is changed then.
 
     Parameters
     ----------
@@ -64,14 +64,6 @@ class Store:
         Whether to resume data that another version of the program began, or take rows over; numbers may differ.
     programs : sequence of str
         Those that wrote data of which rows are taken over.
-
-    Raises
-    ------
-    ValueError
-        If the scene's source is that of other data.
-    StoreError
-        On entering: the directory belongs to another scene, to something else, to another version or to a running
-        process; or it cannot be written. Nothing is changed then.
     """
 
     def __init__(
@@ -146,8 +138,8 @@ class Store:
 
     def _leftovers(self, manifest: Manifest) -> list[str]:
         """What a crash may have left: files that were being written, and shards that were not committed."""
-        known = {f"{DATA}/{name}" for name in manifest.shards}
-        return [name for name in self.place.names() if name not in known and _LEFT.fullmatch(name)]
+        names = {f"{DATA}/{name}" for name in manifest.shards}
+        return [name for name in self.place.names() if name not in names and _LEFT.fullmatch(name)]
 
     def _remove(self, name: str) -> None:
         with contextlib.suppress(OSError):
@@ -202,11 +194,13 @@ class Store:
         if stored is None or stored.hash != manifest.scene_hash or not grows(stored, self.scene):
             columns = [] if stored is None else lacked(stored, self.scene)
             if columns:
-                again = command("extend", str(self.place), "--scene", "SCENE", "--out", "DIR")
+                command_line = command("extend", str(self.place), "--scene", "SCENE", "--out", "DIR")
+                remedy = f"run it into another directory: `{command_line}` takes over what is here"
+                if self._programs:  # it is `extend` that asks
+                    remedy = "choose another directory than that of other data"
                 raise StoreError(
                     f"{self.place}: expected runs with the columns of the data on disk, got a scene that adds some "
-                    f"with {', '.join(columns)}, which these data lack; run it into another directory: "
-                    f"`{again}` takes over what is here"
+                    f"with {', '.join(columns)}, which these data lack; {remedy}"
                 )
             raise StoreError(
                 f"{self.place}: expected the dataset of this scene (hash {self.scene.hash[:12]}), or of a part of "
@@ -225,31 +219,30 @@ class Store:
         """What to do for longer runs, if that is what the scene asks for."""
         if stored is None or self.scene.run.t_end <= stored.run.t_end:
             return ""
-        kept = "" if stored.keeps(End) else " of a dataset that keeps them (`end = true` under [record])"
+        condition = "" if stored.keeps(End) else " of a dataset that keeps them (`end = true` under [record])"
         return (
             "; a run that goes on is not, to the last bit, one in one piece, so these are not lengthened: another"
-            f" scene can start at their ends, with `dataset` under [start]{kept}"
+            f" scene can start at their ends, with `dataset` under [start]{condition}"
         )
 
-    def _difference(self, other: Scene | None) -> str:
+    def _difference(self, stored_scene: Scene | None) -> str:
         """How the stored scene differs, if it can be read."""
-        if other is None:
+        if stored_scene is None:
             return ""
-        stored, wanted = (_flat(scene.data_keys()) for scene in (other, self.scene))
-        written = {key for scene in (self.scene, other) for key in _flat(parse_toml(scene.source, ""))}
-        differing = [key for key in stored | wanted if stored.get(key) != wanted.get(key)]
+        stored, keys_here = (_flat(scene.data_keys()) for scene in (stored_scene, self.scene))
+        explicit = {key for scene in (self.scene, stored_scene) for key in _flat(parse_toml(scene.source, ""))}
+        differing = [key for key in stored | keys_here if stored.get(key) != keys_here.get(key)]
         # keys that were written first, then those that follow from them
-        keys = sorted(differing, key=lambda key: (key not in written, key))
-        shown = [f"; {key}: {_told(wanted.get(key))} here, {_told(stored.get(key))} there" for key in keys[:_SHOWN]]
-        return "".join(shown) + (f"; and {len(keys) - _SHOWN} keys more" if len(keys) > _SHOWN else "")
+        keys = sorted(differing, key=lambda key: (key not in explicit, key))
+        lines = [
+            f"; {key}: {_told(keys_here.get(key))} here, {_told(stored.get(key))} there" for key in keys[:_SHOWN]
+        ]
+        return "".join(lines) + (f"; and {len(keys) - _SHOWN} keys more" if len(keys) > _SHOWN else "")
 
     def look(self) -> tuple[list[Task], list[Task]]:
         """All shards, and those that a run would compute; the dataset is neither taken nor changed.
 
-        Raises
-        ------
-        StoreError
-            As on entering, if a run would be refused.
+        Raises `StoreError` as on entering, if a run would be refused.
         """
         with _explained(self.place):
             self._manifest = self._check()
@@ -267,8 +260,8 @@ class Store:
             )
         manifest.design = numbering_of(self.tasks).design.as_json()
         self._forget_damaged(manifest.shards)
-        again = {name for name, shard in manifest.shards.items() if self._retry_failed and shard.n_failed}
-        self.todo = [task for task in self.tasks if task[0].name not in manifest.shards or task[0].name in again]
+        failed = {name for name, shard in manifest.shards.items() if self._retry_failed and shard.n_failed}
+        self.todo = [task for task in self.tasks if task[0].name not in manifest.shards or task[0].name in failed]
         if self.todo:
             manifest.programs = self._with_this_program(manifest)
 
@@ -281,16 +274,16 @@ class Store:
 
     def _with_this_program(self, manifest: Manifest) -> list[str]:
         """The programs whose numbers a dataset may hold, once this one adds to it; or a refusal."""
-        known = [*dict.fromkeys([*(manifest.programs if manifest.shards else []), *self._programs])]
-        if program() in known:
-            return known
+        programs = [*dict.fromkeys([*(manifest.programs if manifest.shards else []), *self._programs])]
+        if program() in programs:
+            return programs
         if (manifest.shards or self._programs) and not self._accept_version:
             raise StoreError(
                 f"{self.place}: expected data of this version of the program ({program()}), got data of another "
-                f"({', '.join(known) or 'unknown'}), whose numbers may differ; use that version, "
+                f"({', '.join(programs) or 'unknown'}), whose numbers may differ; use that version, "
                 f"choose another directory, or mix them with --accept-version"
             )
-        return [*known, program()]
+        return [*programs, program()]
 
     def _open(self) -> None:
         manifest = self._manifest
@@ -316,46 +309,22 @@ class Store:
     def commit(self, *results: Result) -> list[Shard]:
         """Make shards part of the dataset: their bytes, each in one step, then their lines of the record in another.
 
-        Raises
-        ------
-        StoreError
-            If one cannot be written, or the right to write was lost; the dataset is then as it was before.
+        Raises `StoreError` if one cannot be written, or the right to write was lost; the dataset is then as it was
+        before.
         """
-        shards = {result.name: _shard(result) for result in results}
-        lines = b"".join(
-            Commit(
-                shard=result.name,
-                entry=shards[result.name],
-                program=result.program,
-                seconds=result.seconds,
-                host=result.host,
-                pid=result.pid,
-            ).line
-            for result in results
-        )
+        shards = {result.name: result.commit.entry for result in results}
         assert self._record is not None  # there is something to do
         with unbroken(), _explained(self.place):
             self._hold.check()
             try:
                 self.place.replace_each({f"{DATA}/{result.name}": result.shard for result in results})
-                self._record(lines)
+                self._record(b"".join(result.commit.line for result in results))
                 self._manifest.shards.update(shards)
             except BaseException:
                 for name in shards.keys() - self._manifest.shards.keys():
                     self._remove(f"{DATA}/{name}")
                 raise
         return list(shards.values())
-
-
-def _shard(result: Result) -> Shard:
-    return Shard(
-        sha256=hashlib.sha256(result.shard).hexdigest(),
-        rows=result.rows,
-        bytes=len(result.shard),
-        first=result.first,
-        last=result.last,
-        outcomes=result.outcomes,
-    )
 
 
 def _told(value: object) -> str:

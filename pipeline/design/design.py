@@ -58,9 +58,9 @@ class Axis:
     @property
     def x(self) -> list[float] | None:
         """The values of the first key as numbers; None where one is something else."""
-        found = [row[0] for row in self.rows]
-        numbers = [value for value in found if isinstance(value, float)]
-        return numbers if len(numbers) == len(found) else None
+        values = [row[0] for row in self.rows]
+        numbers = [value for value in values if isinstance(value, float)]
+        return numbers if len(numbers) == len(values) else None
 
     @property
     def texts(self) -> list[str]:
@@ -145,9 +145,9 @@ class Coordinates(NamedTuple):
         return Coordinates(*(column[rows] for column in self))
 
     @classmethod
-    def joined(cls, parts: Iterable[Coordinates]) -> Coordinates:
+    def joined(cls, pieces: Iterable[Coordinates]) -> Coordinates:
         """Those of members one after the other."""
-        return cls(*map(np.concatenate, zip(*parts, strict=True)))
+        return cls(*map(np.concatenate, zip(*pieces, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -164,8 +164,6 @@ class Design:
         The grid is run for each.
     fixed : frozenset of int
         Points of the grid, by number, whose start is not drawn although the units are starts: there, matrices are.
-    methods : tuple of Method
-    changes : tuple of Change
     numbers : tuple of int
         The number of each point in the order of the grid, if that is another order: what was numbered before a scene
         grew keeps its number.

@@ -18,11 +18,11 @@ class Label(str):
     parts: tuple[Part, ...] = ()
 
     @classmethod
-    def of(cls, parts: Sequence[Part]) -> Label:
+    def of(cls, pairs: Sequence[Part]) -> Label:
         """From its parts."""
-        found = cls(", ".join(f"{name} = {value}" if name else value for name, value in parts))
-        found.parts = tuple(parts)
-        return found
+        label = cls(", ".join(f"{name} = {value}" if name else value for name, value in pairs))
+        label.parts = tuple(pairs)
+        return label
 
 
 def engine_name(engine: str) -> str:
@@ -34,7 +34,7 @@ def apart(labels: Sequence[Label], always: int = 0) -> list[Label]:
     """What tells each of some groups from the others, after so many of the first parts of its name."""
     shared = set.intersection(*(set(label.parts) for label in labels)) if labels else set()
     return [
-        Label.of([*label.parts[:always], *(part for part in label.parts[always:] if part not in shared)])
+        Label.of([*label.parts[:always], *(pair for pair in label.parts[always:] if pair not in shared)])
         for label in labels
     ]
 
@@ -52,7 +52,7 @@ def labels(keys: Sequence[Mapping[str, Any]]) -> list[Label]:
         for name, value in _settings(key):
             values.setdefault((key["engine"], name), []).append(value)
     n_groups = Counter(key["engine"] for key in keys)
-    differ = {place for place, some in values.items() if len(set(some)) > 1 or len(some) < n_groups[place[0]]}
+    differ = {place for place, texts in values.items() if len(set(texts)) > 1 or len(texts) < n_groups[place[0]]}
     if all("w0" in key and key["w0"] == key["belt_speed"] for key in keys):
         differ -= {(key["engine"], "w0") for key in keys}  # all start on the belt
     return [_label(key, differ) for key in keys]
@@ -67,7 +67,7 @@ def _settings(key: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 def _label(key: Mapping[str, Any], differ: Collection[tuple[str, str]]) -> Label:
     """Name of a group; `differ` holds engine and name of each setting in which groups of that engine differ."""
-    parts = [("n", str(key["n"])), ("", engine_name(key["engine"]))]
+    pairs = [("n", str(key["n"])), ("", engine_name(key["engine"]))]
     defaults = ENGINES[key["engine"]].defaults()
     for name, value in _settings(key):
         if name in ("n", "engine", "perturbation_size"):
@@ -75,7 +75,7 @@ def _label(key: Mapping[str, Any], differ: Collection[tuple[str, str]]) -> Label
         rule = SETTINGS[name].in_label if name in SETTINGS else "if it differs"
         is_said = rule == "always" or (rule == "unless default" and value != defaults[name])
         if is_said or (key["engine"], name) in differ:
-            parts.append((name, text(value)))
+            pairs.append((name, text(value)))
     if key["perturbation_size"] > 0:
-        parts.append(("", f"perturbed by {text(key['perturbation_size'])}"))
-    return Label.of(parts)
+        pairs.append(("", f"perturbed by {text(key['perturbation_size'])}"))
+    return Label.of(pairs)

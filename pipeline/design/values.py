@@ -83,7 +83,7 @@ class Push:
     blocks: OnBlocks | None
 
     def __str__(self) -> str:
-        words = [str(one) if isinstance(one, Distribution) else short(one) for one in self.harmonic]
+        words = [str(number) if isinstance(number, Distribution) else short(number) for number in self.harmonic]
         shape = f"({self.course})" if self.course else "{} cos({} t + {})".format(*words)
         return shape + (f" on blocks {self.blocks}" if self.blocks else "")
 
@@ -183,13 +183,13 @@ def as_written(quantity: Quantity) -> Any:
 def order(row: tuple[Value, ...]) -> list[tuple[str, float, float]]:
     """Sorts members: numbers before distributions, and ratios last. Never change it: stored data have this order."""
 
-    def place(one: Value) -> tuple[str, float, float]:
-        if isinstance(one, Ratio):
-            name, *numbers = place(one.factor)
+    def place(value: Value) -> tuple[str, float, float]:
+        if isinstance(value, Ratio):
+            name, *numbers = place(value.factor)
             return f"~{name}", numbers[0], numbers[1]
-        if isinstance(one, Distribution):
-            return one.name, one.first, one.second
-        return "", one if isinstance(one, float | int) else 0.0, 0.0
+        if isinstance(value, Distribution):
+            return value.name, value.first, value.second
+        return "", value if isinstance(value, float | int) else 0.0, 0.0
 
     return [place(one) for one in row]
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import accumulate, groupby, product
 from operator import eq
+from pathlib import Path
 from typing import Any, TypeVar, overload
 
 import numpy as np
@@ -18,7 +19,7 @@ from stickslip.pipeline.design.design import Axis, Coordinates, Design, Unit
 from stickslip.pipeline.design.values import BELT, END, FILE, Distribution, Ratio, Value, short, word
 from stickslip.pipeline.ensemble.member import Change, Member, Method, Source, Start
 from stickslip.pipeline.records.record import Sharing
-from stickslip.pipeline.scene.scene import Scene
+from stickslip.pipeline.scene.scene import Scene, parse_scene
 from stickslip.pipeline.scene.system_table import OF_FILE, QUANTITIES, ForceTable
 from stickslip.pipeline.scene.systems import REALISATION, SystemFile, SystemFunction
 from stickslip.sim.systems.couplings import READINGS
@@ -54,8 +55,8 @@ class Members(Sequence[Member]):
     Slices and `at` select members of the same ensemble. Ids and costs are found without making a member.
     """
 
-    def __init__(self, ensemble: _Numbered, places: Sequence[int]) -> None:
-        self._ensemble, self._places = ensemble, places
+    def __init__(self, ensemble: Ensemble, places: Sequence[int]) -> None:
+        self.ensemble, self._places = ensemble, places
 
     def __len__(self) -> int:
         return len(self._places)
@@ -66,54 +67,60 @@ class Members(Sequence[Member]):
     def __getitem__(self, k: slice) -> Members: ...
     def __getitem__(self, k: int | slice) -> Member | Members:
         if isinstance(k, slice):
-            return Members(self._ensemble, self._places[k])
-        return self._ensemble.member(self._places[k])
+            return Members(self.ensemble, self._places[k])
+        return self.ensemble.member(self._places[k])
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Members) and len(self) == len(other) and all(map(eq, self, other))
+    def __eq__(self, members: object) -> bool:
+        return isinstance(members, Members) and len(self) == len(members) and all(map(eq, self, members))
 
     __hash__ = None  # type: ignore[assignment]
 
-    def __reduce__(self) -> tuple[Callable[..., Members], tuple[_Numbered, Sequence[int]]]:
-        return Members, (self._ensemble.part(self._places), self._places)
+    def __reduce__(self) -> tuple[Callable[..., Members], tuple[str, Path, Sequence[int]]]:
+        """Pickled as the scene and their numbers."""
+        scene = self.ensemble.scene
+        return _members, (scene.source, scene.folder.resolve(), self._places)
 
     def at(self, which: Sequence[int]) -> Members:
         """The members at some places of this sequence."""
-        return Members(self._ensemble, [self._places[k] for k in which])
+        return Members(self.ensemble, [self._places[k] for k in which])
 
     def ids(self) -> Iterator[str]:
         """The `member_id` of each."""
-        return self._ensemble.ids(self._places)
+        return self.ensemble.ids(self._places)
 
     def costs(self) -> Iterator[float]:
         """The `cost` of each."""
-        return self._ensemble.costs(self._places)
+        return self.ensemble.costs(self._places)
 
     @property
     def places(self) -> np.ndarray:
         """The numbers of each in the expansion of its scene, int64, shape (R,)."""
         return np.asarray(self._places, dtype=np.int64)
 
-    @property
-    def ensemble(self) -> Ensemble:
-        """All members of their scene; only where it was expanded."""
-        assert isinstance(self._ensemble, Ensemble)
-        return self._ensemble
-
     def rows(self) -> Iterator[tuple[dict[str, Any], str, int, int | None]]:
         """The `row` of each, as one of its kind has it, and what is its own: name, matrix and draw of the start."""
-        return self._ensemble.rows(self._places)
+        return self.ensemble.rows(self._places)
 
     def firsts(self) -> list[Member]:
         """The first member of each pair of an origin of systems and an engine."""
         firsts: dict[Hashable, Member] = {}
-        for member in (some[0] for some in self.by_variant()):
+        for member in (members[0] for members in self.by_variant()):
             firsts.setdefault((member.source.origin, member.engine), member)
         return list(firsts.values())
 
     def by_variant(self) -> list[Members]:
         """Those that are run the same way, of systems from one source, together: they have one cost."""
-        return [Members(self._ensemble, places) for places in self._ensemble.by_variant(self._places)]
+        return [Members(self.ensemble, places) for places in self.ensemble.by_variant(self._places)]
+
+
+@lru_cache(maxsize=2)
+def _ensemble(source: str, folder: Path) -> Ensemble:
+    """The ensemble of a scene that came from another process."""
+    return Ensemble(parse_scene(source, folder=folder))
+
+
+def _members(source: str, folder: Path, places: Sequence[int]) -> Members:
+    return Members(_ensemble(source, folder), places)
 
 
 @dataclass(frozen=True)
@@ -126,26 +133,24 @@ class _Variant:
     words: tuple[str, ...]
 
 
-class _Numbered:
-    """Members by number: source, matrix, place (a point of the grid with a draw of the start), variant."""
+class Ensemble:
+    """Members of a scene by number: source, matrix, place (point with draw of the start), variant; their design."""
 
-    def __init__(self, sources: Sequence[tuple[int, SystemFile | SystemFunction | None]], *sizes: int) -> None:
-        self.sources = sources
-        self.n_matrices, self.n_places, self.n_variants = sizes
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.points = [_Point(swept, at) for swept, at in scene.points()]
+        self.draws = [scene.start_draws(point.at) for point in self.points]
+        self.ends = list(accumulate(map(len, self.draws)))
+        self.variants = list(_variants(scene))
+        self.sources, self.n_matrices = scene.sources, scene.run.matrices
+        self.n_places, self.n_variants = self.ends[-1], len(self.variants)
         self.a_matrix = self.n_places * self.n_variants
         self.a_source = self.n_matrices * self.a_matrix
+        self.kind = lru_cache(_KINDS)(self._kind)
+        self.of_run = lru_cache(_KINDS)(self._of_run)
 
-    def kind(self, source: int, point: int, variant: int) -> Member:
-        """A member without its id, its matrix and the draw of its start."""
-        raise NotImplementedError
-
-    def at(self, place: int) -> tuple[int, int | None]:
-        """The point of a place, and the draw of the start."""
-        raise NotImplementedError
-
-    def of_run(self, place: int, variant: int) -> str:
-        """The last part of a member's name."""
-        raise NotImplementedError
+    def __len__(self) -> int:
+        return len(self.sources) * self.a_source
 
     def split(self, k: _Number) -> tuple[_Number, _Number, _Number, _Number]:
         """The numbers of a member's source, matrix, place and variant; of several members as arrays."""
@@ -156,36 +161,22 @@ class _Numbered:
         point, draw = self.at(place)
         kind, origin = self.kind(source, point, variant), self.sources[source][1]
         name = self._of_system(source, matrix) + self.of_run(place, variant)
-        of = kind.source._replace(matrix=matrix if origin is None else origin.matrix(matrix))
-        return replace(kind, member_id=name, source=of, begin=kind.begin._replace(draw=draw))
-
-    def part(self, numbers: Sequence[int]) -> _Part:
-        """What makes some members: each kind once, however many matrices and starts there are of it."""
-        kinds: dict[tuple[int, int, int], Member] = {}
-        at: dict[int, tuple[int, int | None]] = {}
-        words: dict[tuple[int, int], str] = {}
-        for k in numbers:
-            source, _, place, variant = self.split(k)
-            if (place, variant) not in words:
-                at[place], words[place, variant] = self.at(place), self.of_run(place, variant)
-            for which in ((source, point, variant) for point in (0, at[place][0])):  # the first has the cost
-                if which not in kinds:
-                    kinds[which] = self.kind(*which)
-        return _Part(kinds, at, words, self.sources, self.n_matrices, self.n_places, self.n_variants)
+        system_source = kind.source._replace(matrix=matrix if origin is None else origin.matrix(matrix))
+        return replace(kind, member_id=name, source=system_source, begin=kind.begin._replace(draw=draw))
 
     def ids(self, numbers: Sequence[int]) -> Iterator[str]:
         """The `member_id` of each; the runs of a matrix are handled together."""
         n_variants, a_matrix = self.n_variants, self.a_matrix
-        for of_matrix, some in groupby(numbers, lambda k: k // a_matrix):
+        for of_matrix, group in groupby(numbers, lambda k: k // a_matrix):
             system = self._of_system(*divmod(of_matrix, self.n_matrices))
-            for k in some:
+            for k in group:
                 yield system + self.of_run(*divmod(k - of_matrix * a_matrix, n_variants))
 
     def costs(self, numbers: Sequence[int]) -> Iterator[float]:
         """The `cost` of each: that of its source and its variant at the first point."""
-        for source, some in groupby(numbers, lambda k: k // self.a_source):
+        for source, group in groupby(numbers, lambda k: k // self.a_source):
             of_variant: dict[int, float] = {}
-            for variant in (k % self.n_variants for k in some):
+            for variant in (k % self.n_variants for k in group):
                 if variant not in of_variant:
                     of_variant[variant] = self.kind(source, 0, variant).cost
                 yield of_variant[variant]
@@ -206,10 +197,10 @@ class _Numbered:
         """The numbers of those with one source and one variant together, without going through all of a range."""
         n_variants, a_source = self.n_variants, self.a_source
         if not isinstance(numbers, range) or numbers.step != 1:
-            found: dict[tuple[int, int], list[int]] = {}
+            groups: dict[tuple[int, int], list[int]] = {}
             for k in numbers:
-                found.setdefault((k // a_source, k % n_variants), []).append(k)
-            yield from found.values()
+                groups.setdefault((k // a_source, k % n_variants), []).append(k)
+            yield from groups.values()
             return
         for source in range(numbers.start // a_source, -(-numbers.stop // a_source)):
             begin, end = max(numbers.start, source * a_source), min(numbers.stop, (source + 1) * a_source)
@@ -220,49 +211,6 @@ class _Numbered:
         """The first part of a member's name."""
         n, origin = self.sources[source]
         return f"n{n}-{'' if origin is None else origin.word + '-'}m{matrix:03d}"
-
-
-class _Part(_Numbered):
-    """Some members of an ensemble, for another process: the scene stays where it is."""
-
-    def __init__(
-        self,
-        kinds: Mapping[tuple[int, int, int], Member],
-        at: Mapping[int, tuple[int, int | None]],
-        words: Mapping[tuple[int, int], str],
-        *of_ensemble: Any,
-    ) -> None:
-        super().__init__(*of_ensemble)
-        self._kinds, self._at, self._words = kinds, at, words
-
-    def kind(self, source: int, point: int, variant: int) -> Member:
-        return self._kinds[source, point, variant]
-
-    def at(self, place: int) -> tuple[int, int | None]:
-        return self._at[place]
-
-    def of_run(self, place: int, variant: int) -> str:
-        return self._words[place, variant]
-
-
-class Ensemble(_Numbered):
-    """The members of a scene, and their design."""
-
-    def __init__(self, scene: Scene) -> None:
-        self.scene = scene
-        self.points = [_Point(swept, at) for swept, at in scene.points()]
-        self.draws = [scene.start_draws(point.at) for point in self.points]
-        self.ends = list(accumulate(map(len, self.draws)))
-        self.variants = list(_variants(scene))
-        super().__init__(scene.sources, scene.run.matrices, self.ends[-1], len(self.variants))
-        self._kinds = lru_cache(_KINDS)(self._kind)
-        self._of_runs = lru_cache(_KINDS)(self._of_run)
-
-    def __len__(self) -> int:
-        return len(self.sources) * self.a_source
-
-    def kind(self, source: int, point: int, variant: int) -> Member:
-        return self._kinds(source, point, variant)
 
     @cached_property
     def unit(self) -> Unit:
@@ -292,14 +240,16 @@ class Ensemble(_Numbered):
     @cached_property
     def _of_files(self) -> tuple[Axis, ...]:
         """An axis for each number that the files carry, but that of their realisations."""
-        known = [dict(origin.parameters) for _, origin in self.sources if isinstance(origin, SystemFile)]
-        names = [name for name in (known[0] if known else ()) if name != REALISATION]
-        return tuple(Axis((name,), tuple((x,) for x in sorted({one[name] for one in known}))) for name in names)
+        parameters = [dict(origin.parameters) for _, origin in self.sources if isinstance(origin, SystemFile)]
+        names = [name for name in (parameters[0] if parameters else ()) if name != REALISATION]
+        return tuple(
+            Axis((name,), tuple((x,) for x in sorted({numbers[name] for numbers in parameters}))) for name in names
+        )
 
     def _of_file(self, origin: SystemFile | SystemFunction | None) -> tuple[int, ...]:
         """The place of a file on each of its axes."""
-        known = dict(origin.parameters) if isinstance(origin, SystemFile) else {}
-        return tuple(axis.rows.index((known[axis.keys[0]],)) for axis in self._of_files)
+        parameters = dict(origin.parameters) if isinstance(origin, SystemFile) else {}
+        return tuple(axis.rows.index((parameters[axis.keys[0]],)) for axis in self._of_files)
 
     @property
     def _constants(self) -> Iterator[tuple[str, Value]]:
@@ -321,11 +271,11 @@ class Ensemble(_Numbered):
     @cached_property
     def _axes(self) -> tuple[Axis, ...]:
         """Those of the scene, without seeds."""
-        kept = [[k for k, key in enumerate(axis.keys) if key != "seed"] for axis in self.scene.axes]
+        unseeded = [[k for k, key in enumerate(axis.keys) if key != "seed"] for axis in self.scene.axes]
         return tuple(
-            Axis(tuple(axis.keys[k] for k in some), tuple(tuple(row[k] for k in some) for row in axis.rows))
-            for axis, some in zip(self.scene.axes, kept, strict=True)
-            if some
+            Axis(tuple(axis.keys[k] for k in columns), tuple(tuple(row[k] for k in columns) for row in axis.rows))
+            for axis, columns in zip(self.scene.axes, unseeded, strict=True)
+            if columns
         )
 
     @cached_property
@@ -333,8 +283,8 @@ class Ensemble(_Numbered):
         """The number of each point of the scene's grid on that of the design, which has no axis of seeds."""
         shape = (1, *(len(axis.rows) for axis in self.scene.axes))
         places = np.unravel_index(np.arange(len(self.points)), shape)
-        kept = [k for k, axis in enumerate(((), *(axis.keys for axis in self.scene.axes))) if axis != ("seed",)]
-        return np.ravel_multi_index([places[k] for k in kept], [shape[k] for k in kept])
+        unseeded = [k for k, axis in enumerate(((), *(axis.keys for axis in self.scene.axes))) if axis != ("seed",)]
+        return np.ravel_multi_index([places[k] for k in unseeded], [shape[k] for k in unseeded])
 
     @cached_property
     def _seed(self) -> np.ndarray:
@@ -356,23 +306,27 @@ class Ensemble(_Numbered):
         """Where members stand in the design, by their numbers, shape (R,)."""
         design = self.design
         source, matrix, place, variant = self.split(places)
-        at, draw = self.start_of(place)
-        grid = self._grid[at]
+        point, draw = self.start_of(place)
+        grid = self._grid[point]
         shape = (len(design.sources), *(len(axis.rows) for axis in self._of_files))
         of_files = [self._of_file(origin) for _, origin in self.sources]
         places_of = zip(_numbers(design.sources, self._origins), of_files, strict=True)
-        group = np.ravel_multi_index(np.array([(first, *rest) for first, rest in places_of]).T, shape)[source]
+        group = np.ravel_multi_index(
+            np.array([(number, *places_on_axes) for number, places_on_axes in places_of]).T, shape
+        )[source]
         matrices = self._matrices
         unit = matrices[source % len(matrices), matrix]
-        unit = unit if self.unit is Unit.FILE else unit + self.n_matrices * self._seed[at]
+        unit = unit if self.unit is Unit.FILE else unit + self.n_matrices * self._seed[point]
         if self.unit is Unit.START:
             # what is drawn depends on the content of a file: starts of two share nothing
-            n_files, most = (len(matrices) if self._of_files else 1), max(map(len, self.draws))
+            n_files, n_draws = (len(matrices) if self._of_files else 1), max(map(len, self.draws))
             file = source % n_files
             is_fixed = np.isin(grid, [*design.fixed])
-            unit = np.where(is_fixed, most * n_files + file, most * file + draw)
-        unchanged = {one.method: k for k, one in enumerate(self.variants) if one.change == Change()}
-        base = np.array([unchanged[one.method] for one in self.variants])
+            unit = np.where(is_fixed, n_draws * n_files + file, n_draws * file + draw)
+        unchanged = {
+            of_variant.method: k for k, of_variant in enumerate(self.variants) if of_variant.change == Change()
+        }
+        base = np.array([unchanged[of_variant.method] for of_variant in self.variants])
         return Coordinates(
             group * math.prod(design.shape[len(shape) :]) + grid,
             unit,
@@ -389,28 +343,25 @@ class Ensemble(_Numbered):
         systems = sources[:, None, None] * self.n_matrices
         return ((systems * self.n_places + points[:, None]) * self.n_variants + variants).ravel()
 
-    def places_of(self, other: Ensemble) -> np.ndarray:
+    def places_of(self, ensemble: Ensemble) -> np.ndarray:
         """The places here of the members of another scene, in the order of theirs.
 
-        Raises
-        ------
-        KeyError
-            If one is not here.
+        Raises `KeyError` if one is not here.
         """
-        source, matrix, place, variant = other.split(np.arange(len(other)))
-        sources, points, variants = map(_numbers, self._words, other._words)
-        at, draw = other.start_of(place)
+        source, matrix, place, variant = ensemble.split(np.arange(len(ensemble)))
+        sources, points, variants = map(_numbers, self._words, ensemble._words)
+        point, draw = ensemble.start_of(place)
         firsts = np.array([0, *self.ends])
-        place = firsts[points[at]] + draw
-        if other.n_matrices > self.n_matrices or (place >= firsts[points[at] + 1]).any():
+        place = firsts[points[point]] + draw
+        if ensemble.n_matrices > self.n_matrices or (place >= firsts[points[point] + 1]).any():
             raise KeyError("matrices or draws of the start")
         systems = sources[source] * self.n_matrices + matrix
         return (systems * self.n_places + place) * self.n_variants + variants[variant]
 
     def start_of(self, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The point of the scene's grid of some places, and the number of the draw of the start."""
-        at = np.searchsorted(self.ends, place, side="right")
-        return at, place - np.array([0, *self.ends])[at]
+        point = np.searchsorted(self.ends, place, side="right")
+        return point, place - np.array([0, *self.ends])[point]
 
     @property
     def _words(self) -> tuple[Sequence[Hashable], ...]:
@@ -419,45 +370,45 @@ class Ensemble(_Numbered):
         return sources, [point.words for point in self.points], [variant.words for variant in self.variants]
 
     def at(self, place: int) -> tuple[int, int | None]:
+        """The point of a place, and the draw of the start."""
         k = bisect_right(self.ends, place)
         return k, self.draws[k][place - self.ends[k] + len(self.draws[k])]
 
-    def of_run(self, place: int, variant: int) -> str:
-        return self._of_runs(place, variant)
-
     def _of_run(self, place: int, variant: int) -> str:
+        """The last part of a member's name."""
         number, draw = self.at(place)
         point = self.points[number]
-        drawn = () if draw is None else (f"s{draw}",)
+        draw_word = () if draw is None else (f"s{draw}",)
         ends = self.scene.ends
         started = () if ends is None or not point.is_at_end else (ends.word,)
-        return "".join(f"-{word}" for word in (*point.words, *drawn, *started, *self.variants[variant].words))
+        return "".join(f"-{word}" for word in (*point.words, *draw_word, *started, *self.variants[variant].words))
 
     def _kind(self, source: int, number: int, variant: int) -> Member:
+        """A member without its id, its matrix and the draw of its start."""
         scene, (n, origin), chosen = self.scene, self.sources[source], self.variants[variant]
         point = self.points[number]
-        given = point.at | _of_file(origin)
-        z0, w0, seed = given.pop("z"), given.pop("w"), given.pop("seed")
-        if w0 == BELT and isinstance(given["belt_speed"], float) and _all_rub(given["friction"]):
-            w0 = given["belt_speed"]
-        given = {name: _multiplied(value, given) for name, value in given.items()}
-        parameters = tuple((name, given.pop(name)) for name in scene.system.parameters or ())
+        values_here = point.at | _of_file(origin)
+        z0, w0, seed = values_here.pop("z"), values_here.pop("w"), values_here.pop("seed")
+        if w0 == BELT and isinstance(values_here["belt_speed"], float) and _all_rub(values_here["friction"]):
+            w0 = values_here["belt_speed"]
+        values_here = {name: _multiplied(value, values_here) for name, value in values_here.items()}
+        parameters = tuple((name, values_here.pop(name)) for name in scene.system.parameters or ())
         parameters += origin.parameters if isinstance(origin, SystemFile) else ()
         if not scene.system.back_slip:
-            given["back_slip"] = "barred"
-        given["forces"] = scene.system.pushes
+            values_here["back_slip"] = "barred"
+        values_here["forces"] = scene.system.pushes
         if isinstance(scene.system.force, ForceTable):
-            given["force_blocks"] = scene.system.force.on_blocks
-        terms = tuple((name, given[name]) for name in _TERMS if given.get(name) is not None)
+            values_here["force_blocks"] = scene.system.force.on_blocks
+        terms = tuple((name, values_here[name]) for name in _TERMS if values_here.get(name) is not None)
         begin = Start(z0, w0, None, scene.ends if point.is_at_end else None)
-        of = Source(n, scene.system.coupling, 0, seed, origin, parameters)
-        kind = Member("", of, terms, chosen.change, begin, chosen.method, scene.run.t_end)
+        system_source = Source(n, scene.system.coupling, 0, seed, origin, parameters)
+        kind = Member("", system_source, terms, chosen.change, begin, chosen.method, scene.run.t_end)
         return replace(kind, shared_cost=sum(record.cost(kind, chosen.sharing) for record in scene.records))
 
 
-def _numbers(known: Sequence[Hashable], values: Iterable[Hashable]) -> np.ndarray:
+def _numbers(listed_values: Sequence[Hashable], values: Iterable[Hashable]) -> np.ndarray:
     """The place of each value among those that are known."""
-    place = {value: k for k, value in enumerate(known)}
+    place = {value: k for k, value in enumerate(listed_values)}
     return np.array([place[value] for value in values])
 
 
@@ -479,10 +430,10 @@ def _all_rub(friction: Value | None) -> bool:
     return isinstance(friction, Distribution) or (isinstance(friction, float) and friction > 0.0)
 
 
-def _multiplied(value: Any, given: Mapping[str, Any]) -> Any:
+def _multiplied(value: Any, numbers: Mapping[str, Any]) -> Any:
     """A ratio of one number to another as their product; anything else as it is."""
-    if isinstance(value, Ratio) and isinstance(value.factor, float) and isinstance(given[value.of], float):
-        return value.factor * given[value.of]
+    if isinstance(value, Ratio) and isinstance(value.factor, float) and isinstance(numbers[value.of], float):
+        return value.factor * numbers[value.of]
     return value
 
 
@@ -517,10 +468,10 @@ def _variants(scene: Scene) -> Iterator[_Variant]:
 class _Point:
     """A point of the grid: the value of all that may be swept, and the words of what is swept."""
 
-    def __init__(self, swept: dict[str, Value], at: dict[str, Any]) -> None:
-        self.at = at
+    def __init__(self, swept: dict[str, Value], values_here: dict[str, Any]) -> None:
+        self.at = values_here
         self.words = tuple(f"{key}={word(value)}" for key, value in swept.items())
-        self.is_at_end = END in (at["z"], at["w"])
+        self.is_at_end = END in (values_here["z"], values_here["w"])
 
 
 def _words_of(change: Change) -> list[str]:

@@ -96,13 +96,8 @@ class Member:
     ----------
     member_id : str
         Built from its own values alone: more matrices, sizes, draws or engines in the scene do not rename it.
-    source : Source
     terms : tuple of (str, value)
         What its system is given, by the names of `stickslip.sim.systems.terms.TERMS`.
-    change : Change
-    begin : Start
-    method : Method
-    t_end : float
     shared_cost : float
         What records take for it, and its part of what is computed once for several members.
     """
@@ -168,10 +163,10 @@ class Member:
     @property
     def scales(self) -> dict[str, Any]:
         """What its coupling is drawn by: arguments of `sim.draw_system`."""
-        given = {"kappa": self.term("kappa"), "leaf": self.term("leaf"), "degree": self.term("degree")}
+        values = {"kappa": self.term("kappa"), "leaf": self.term("leaf"), "degree": self.term("degree")}
         return {
             name: self._by_block(value, _PURPOSES.get(name, 0))
-            for name, value in given.items()
+            for name, value in values.items()
             if value is not None or name == "kappa"
         }
 
@@ -204,8 +199,8 @@ class Member:
         The matrix is the same under every engine, stiffness and perturbation. A perturbation's direction is the
         same for every size: draw 2 at size 0.05 goes five times as far as draw 2 at size 0.01, the same way.
         """
-        moved = self.change._replace(twin_size=None)
-        return _latest(_own_system if moved == _UNMOVED else _moved_system, self, (self.source, self.terms, moved))
+        change = self.change._replace(twin_size=None)
+        return _latest(_own_system if change == _UNMOVED else _moved_system, self, (self.source, self.terms, change))
 
     def start(self, end: State | None = None) -> tuple[float | np.ndarray, float | np.ndarray]:
         """z and w at t = 0; a twin's is moved by `twin_size`, the root of the mean over blocks of dz^2 + dw^2.
@@ -220,7 +215,7 @@ class Member:
         ValueError
             If it starts at an end, and none is given.
         """
-        given = (self.begin.z0, START_Z), (self.begin.w0, START_W)
+        starts = (self.begin.z0, START_Z), (self.begin.w0, START_W)
         if end is None and self.begin.ends is not None:
             raise ValueError(
                 f"end: expected the state that {self.member_id} starts from, got none; pass what"
@@ -228,13 +223,13 @@ class Member:
             )
         z, w = (
             end[k] if end is not None and value == END else self._by_block(value, purpose, self.begin.draw)
-            for k, (value, purpose) in enumerate(given)
+            for k, (value, purpose) in enumerate(starts)
         )
         if self.change.twin_size is None:
             return z, w
-        moved = np.random.default_rng(self._seed(TWIN, self.begin.draw)).standard_normal((2, self.n))
-        moved *= self.change.twin_size * math.sqrt(self.n) / np.linalg.norm(moved)
-        return z + moved[0], w + moved[1]
+        offsets = np.random.default_rng(self._seed(TWIN, self.begin.draw)).standard_normal((2, self.n))
+        offsets *= self.change.twin_size * math.sqrt(self.n) / np.linalg.norm(offsets)
+        return z + offsets[0], w + offsets[1]
 
     @property
     def base(self) -> Member | None:
@@ -306,12 +301,12 @@ def _engine(name: str, settings: tuple[tuple[str, Any], ...]) -> Engine:
 @lru_cache(maxsize=8)  # most members have the terms of their neighbours
 def _words_of(terms: tuple[tuple[str, Any], ...], z0: Value, w0: Value) -> str | None:
     """As `Member.drawn`."""
-    of = dict(terms)
-    own = {key: of[key] for key in _PURPOSES if key in of}
-    own |= {"force": of.get("forces", of.get("force_course")), "force_blocks": of.get("force_blocks")}
-    own |= {"z": z0, "w": w0}
-    given = {key: one for key, one in own.items() if isinstance(one, NO_NUMBER)}
-    return "; ".join(f"{key} = {one}" for key, one in given.items()) or None
+    values = dict(terms)
+    texts = {key: values[key] for key in _PURPOSES if key in values}
+    texts |= {"force": values.get("forces", values.get("force_course")), "force_blocks": values.get("force_blocks")}
+    texts |= {"z": z0, "w": w0}
+    special = {key: value for key, value in texts.items() if isinstance(value, NO_NUMBER)}
+    return "; ".join(f"{key} = {value}" for key, value in special.items()) or None
 
 
 @lru_cache(maxsize=8)  # engines follow on each other
@@ -328,41 +323,42 @@ _made: dict[Callable[[Member], sim.System], tuple[tuple[Any, ...], sim.System]] 
 
 def _latest(make: Callable[[Member], sim.System], member: Member, values: tuple[Any, ...]) -> sim.System:
     """A member's system, made once for the members that share it, which follow on each other."""
-    made = _made.get(make)
-    if made is None or made[0] != values:
-        made = _made[make] = values, make(member)
-    return made[1]
+    latest = _made.get(make)
+    if latest is None or latest[0] != values:
+        latest = _made[make] = values, make(member)
+    return latest[1]
 
 
 def _own_system(member: Member) -> sim.System:
     """The system of a member's matrix, not moved."""
     seed, terms, origin = member._seed(MATRIX), dict(member.terms), member.source.origin
-    given: dict[str, Any] = {
+    arguments: dict[str, Any] = {
         name: member._by_block(terms[name], _PURPOSES[name]) for name in OF_BLOCKS if terms.get(name) is not None
     }
     if terms.get("force_amplitude") is not None or terms.get("force_course") is not None:
         harmonic = tuple(terms.get(name) for name in _OF_FORCE)
-        given["force"] = _force(member, Push(harmonic, terms.get("force_course"), terms.get("force_blocks")))
+        arguments["force"] = _force(member, Push(harmonic, terms.get("force_course"), terms.get("force_blocks")))
     if isinstance(several := terms.get("forces"), Pushes):
-        given["force"] = [_force(member, push, k) for k, push in enumerate(several.parts)]
+        arguments["force"] = [_force(member, push, k) for k, push in enumerate(several.parts)]
     for law, keys in _OF_LAWS:
         numbers = {key: terms.get(f"weakening_{key}") for key in keys}
         if None not in numbers.values():
-            given["weakening"] = law(**numbers)
+            arguments["weakening"] = law(**numbers)
     if terms.get("back_slip") is not None:
-        given["back_slip"] = False
-    made = None
+        arguments["back_slip"] = False
+    base_system = None
     if isinstance(origin, SystemFunction):
-        made = make(origin, member.n, np.random.default_rng(seed), dict(member.source.parameters),
+        base_system = make(origin, member.n, np.random.default_rng(seed), dict(member.source.parameters),
                     realisation=member.source.matrix)  # fmt: skip
     for name, value in terms.items():
         if isinstance(value, Ratio):
-            given[name] = given[name] * (given[value.of] if value.of in given else getattr(made, value.of))
+            arguments[name] = arguments[name] * (
+                arguments[value.of] if value.of in arguments else getattr(base_system, value.of)
+            )
     if (of_mass := terms.get("rayleigh_mass")) is not None:
-        return _with_rayleigh(
-            _of_source(member, made, {**given, "damping": 0.0}), of_mass, terms["rayleigh_stiffness"]
-        )
-    return _of_source(member, made, given)
+        undamped = _of_source(member, base_system, {**arguments, "damping": 0.0})
+        return _with_rayleigh(undamped, of_mass, terms["rayleigh_stiffness"])
+    return _of_source(member, base_system, arguments)
 
 
 def _with_rayleigh(system: sim.System, of_mass: float, of_stiffness: float) -> sim.System:
@@ -377,16 +373,16 @@ def _with_rayleigh(system: sim.System, of_mass: float, of_stiffness: float) -> s
     return system.changed(damping=damping)
 
 
-def _of_source(member: Member, made: sim.System | None, given: dict[str, Any]) -> sim.System:
-    """The system of a member's source, a function's that is made, with these arguments."""
-    if made is not None:
-        return made.changed(**given)
+def _of_source(member: Member, base_system: sim.System | None, arguments: dict[str, Any]) -> sim.System:
+    """The system of a member's source, from the one that its function made if it has one, with these arguments."""
+    if base_system is not None:
+        return base_system.changed(**arguments)
     origin, seed, rho = member.source.origin, member._seed(MATRIX), member.term("rho")
     if isinstance(origin, SystemFile):
         if rho is not None:
-            given["damping"] = np.random.default_rng(seed).uniform(rho, 2 * rho, member.n)
-        return sim.System(read(origin)["stiffness"], **given)
-    return sim.draw_system(member.source.coupling, member.n, seed, **member.scales, rho=rho, **given)
+            arguments["damping"] = np.random.default_rng(seed).uniform(rho, 2 * rho, member.n)
+        return sim.System(read(origin)["stiffness"], **arguments)
+    return sim.draw_system(member.source.coupling, member.n, seed, **member.scales, rho=rho, **arguments)
 
 
 def _force(member: Member, push: Push, *number: int) -> sim.Harmonic | sim.Piecewise:

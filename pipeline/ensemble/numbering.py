@@ -23,7 +23,6 @@ class Numbering:
 
     Attributes
     ----------
-    ensemble : Ensemble
     before : Numbering, optional
         Of the scene that it grew from.
     """
@@ -35,10 +34,7 @@ class Numbering:
     def kept(self) -> np.ndarray:
         """The places in the scene's expansion of the members that it grew from, in the order of theirs.
 
-        Raises
-        ------
-        KeyError
-            If it lacks some of them.
+        Raises `KeyError` if it lacks some of them.
         """
         return np.zeros(0, np.int64) if self.before is None else self.ensemble.places_of(self.before.ensemble)
 
@@ -47,11 +43,9 @@ class Numbering:
         """The places in the scene's expansion of the members that are new."""
         return np.delete(np.arange(len(self.ensemble)), self.kept)
 
-    def places_of(self, earlier: Numbering) -> np.ndarray:
-        """The places in the scene's expansion of the members of an earlier one, in the order of theirs."""
-        if earlier is self or self.before is None:
-            return np.arange(len(self.ensemble))
-        return self.kept[self.before.places_of(earlier)]
+    def here(self, earlier: Numbering, places: np.ndarray) -> np.ndarray:
+        """The places in the scene's expansion of members of an earlier one, by theirs."""
+        return places if earlier is self or self.before is None else self.kept[self.before.here(earlier, places)]
 
     @cached_property
     def _of_design(self) -> Mapping[str, _Table]:
@@ -67,19 +61,19 @@ class Numbering:
         if self.before is None:
             return {}
         places = np.arange(len(self.ensemble))
-        known = {"unit": np.unique(self.ensemble.coordinates(places).unit), "base": places}
+        numbers = {"unit": np.unique(self.ensemble.coordinates(places).unit), "base": places}
         # the starts of one system are no units any more once there are more systems
         if self.ensemble.unit != self.before.ensemble.unit:
-            del known["unit"]
-        return self._tables(known, np.arange(len(self.kept)))
+            del numbers["unit"]
+        return self._tables(numbers, np.arange(len(self.kept)))
 
-    def _tables(self, known: Mapping[str, np.ndarray], places: np.ndarray) -> Mapping[str, _Table]:
+    def _tables(self, listed_numbers: Mapping[str, np.ndarray], places: np.ndarray) -> Mapping[str, _Table]:
         """Of coordinates whose numbers are not those of the scene alone: these, ascending, and what they become."""
         if self.before is None:
             return {}
         now, then = self.ensemble.coordinates(self.kept[places]), self.before.ensemble.coordinates(places)
         tables = {}
-        for name, numbers in known.items():
+        for name, numbers in listed_numbers.items():
             mine, theirs = getattr(now, name), self.before.renumbered(name, getattr(then, name))
             if name == "base":  # a copy may have lost its base, but each has its own number
                 mine, theirs = self.kept, self.before.renumbered(name, places)
@@ -92,34 +86,34 @@ class Numbering:
         tables = self._of_members if name in ("unit", "base") else self._of_design
         if name not in tables:
             return numbers
-        known, become = tables[name]
-        return become[np.searchsorted(known, numbers)]
+        old_numbers, become = tables[name]
+        return become[np.searchsorted(old_numbers, numbers)]
 
     def of(self, places: np.ndarray) -> Coordinates:
         """Where members stand in the design, by their places in the scene's expansion, shape (R,)."""
-        own = self.ensemble.coordinates(places)
-        return Coordinates(*map(self.renumbered, Coordinates._fields, own))
+        coordinates = self.ensemble.coordinates(places)
+        return Coordinates(*map(self.renumbered, Coordinates._fields, coordinates))
 
     @cached_property
     def design(self) -> Design:
         """That of the scene, by the numbers of the dataset."""
-        own = self.ensemble.design
+        design = self.ensemble.design
         return replace(
-            own,
-            methods=self._in_order("method", own.methods),
-            changes=self._in_order("change", own.changes),
+            design,
+            methods=self._in_order("method", design.methods),
+            changes=self._in_order("change", design.changes),
             numbers=tuple(self._of_design["point"][1].tolist()) if "point" in self._of_design else (),
         )
 
-    def _in_order(self, name: str, listed: tuple[_Listed, ...]) -> tuple[_Listed, ...]:
-        numbers = self.renumbered(name, np.arange(len(listed)))
-        return tuple(listed[k] for k in np.argsort(numbers))
+    def _in_order(self, name: str, entries: tuple[_Listed, ...]) -> tuple[_Listed, ...]:
+        numbers = self.renumbered(name, np.arange(len(entries)))
+        return tuple(entries[k] for k in np.argsort(numbers))
 
 
-def _continued(known: np.ndarray, some: np.ndarray, numbers: np.ndarray) -> np.ndarray:
+def _continued(values: np.ndarray, old_values: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """A number for each of what is known: those of some are given, and the others follow on the largest of these."""
-    found = np.full(len(known), -1)
-    found[np.searchsorted(known, some)] = numbers
-    is_new = found < 0
-    found[is_new] = numbers.max() + 1 + np.arange(is_new.sum())
-    return found
+    continued = np.full(len(values), -1)
+    continued[np.searchsorted(values, old_values)] = numbers
+    is_new = continued < 0
+    continued[is_new] = numbers.max() + 1 + np.arange(is_new.sum())
+    return continued

@@ -34,8 +34,6 @@ class Batch:
     ----------
     number : int
         Its place among the dataset's shards.
-    members : Members
-    scene_hash : str
     numbering : Numbering, optional
         Of all members of their scene; in another process there are their coordinates alone.
     """
@@ -67,23 +65,23 @@ class Batch:
 
 def number_of(name: str) -> int:
     """The number of a shard, from its name; -1 if it is not the name of one."""
-    found = re.match(r"shard-(\d+)-", name)
-    return -1 if found is None else int(found[1])
+    match = re.match(r"shard-(\d+)-", name)
+    return -1 if match is None else int(match[1])
 
 
 def _sizes(members: Members) -> list[int]:
     """The numbers of members of the batches."""
-    rest = sum(members.costs())
-    largest = min(max(TARGET_COST, rest / _MANY), _LARGER * TARGET_COST)
+    remaining = sum(members.costs())
+    largest = min(max(TARGET_COST, remaining / _MANY), _LARGER * TARGET_COST)
     sizes: list[int] = []
     room = -math.inf
     for cost in members.costs():
         if cost > room:
             sizes.append(0)
-            room = min(largest, max(_OF_REST * rest, _SMALLEST * largest))
+            room = min(largest, max(_OF_REST * remaining, _SMALLEST * largest))
         sizes[-1] += 1
         room -= cost
-        rest -= cost
+        remaining -= cost
     return sizes
 
 
@@ -98,19 +96,15 @@ class PlanError(ValueError):
 def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[int]] | None = None) -> list[Task]:
     """The shards of a dataset, in order.
 
+    Raises `PlanError` if the numbers are not those of the scenes' members, or an earlier scene cannot be read.
+
     Parameters
     ----------
-    scene : Scene
     earlier : sequence of str
         Sources of the scenes that it grew from, the first one first.
     packing : sequence of sequences of int
         For each of these and for `scene`: the number of members of each shard that it added; left out, as `pack`
         packs `scene` alone.
-
-    Raises
-    ------
-    PlanError
-        If the numbers are not those of the scenes' members, or an earlier scene cannot be read.
     """
     try:
         scenes = [*(parse_scene(source.encode(), folder=scene.folder) for source in earlier), scene]
@@ -122,61 +116,58 @@ def tasks(scene: Scene, earlier: Sequence[str] = (), packing: Sequence[Sequence[
         new = expand(stage).at(numbering.added.tolist()) if numbering.before else expand(stage)
         if sum(sizes) != len(new):
             raise PlanError(f"expected shards of {len(new)} members together, got {sum(sizes)}")
-        recording, first = stage.recording, 0
+        recording, start = stage.recording, 0
         for size in sizes:
-            batch = Batch(len(planned), new[first : first + size], recording.scene_hash, numbering)
+            batch = Batch(len(planned), new[start : start + size], recording.scene_hash, numbering)
             planned.append((batch, recording))
-            first += size
+            start += size
     return planned
 
 
 def numberings(scenes: Sequence[Scene]) -> list[Numbering]:
     """How the members of scenes that grew from each other are numbered.
 
-    Raises
-    ------
-    PlanError
-        If one lacks members of the scene before it.
+    Raises `PlanError` if one lacks members of the scene before it.
     """
-    found: list[Numbering] = []
+    chain: list[Numbering] = []
     for scene in scenes:
-        found.append(Numbering(expand(scene).ensemble, found[-1] if found else None))
+        chain.append(Numbering(expand(scene).ensemble, chain[-1] if chain else None))
         try:
-            found[-1].kept  # noqa: B018
+            chain[-1].kept  # noqa: B018
         except KeyError as error:
             raise PlanError(f"expected all members of the scene that it grew from, got none of {error}") from None
-    return found
+    return chain
 
 
-def added(scene: Scene, before: Scene | None) -> Members:
+def added(scene: Scene, earlier: Scene | None) -> Members:
     """The members that a scene adds to the one that it grew from; all of them if it grew from none."""
     members = expand(scene)
-    return members if before is None else members.at(numberings([before, scene])[-1].added.tolist())
+    return members if earlier is None else members.at(numberings([earlier, scene])[-1].added.tolist())
 
 
-def pack(scene: Scene, before: Scene | None) -> tuple[int, ...]:
+def pack(scene: Scene, earlier: Scene | None) -> tuple[int, ...]:
     """The number of members of each shard that a scene adds to the one that it grew from."""
-    return tuple(_sizes(added(scene, before)))
+    return tuple(_sizes(added(scene, earlier)))
 
 
-def grows(stored: Scene, wanted: Scene) -> bool:
+def grows(stored: Scene, larger: Scene) -> bool:
     """Whether the wanted scene has all members of the stored one, unchanged, and more, and keeps the same of them."""
-    one, other = stored.recording, wanted.recording
-    return one == replace(other, scene_hash=one.scene_hash) and _adds_to(stored, wanted)
+    recording, larger_recording = stored.recording, larger.recording
+    return recording == replace(larger_recording, scene_hash=recording.scene_hash) and _adds_to(stored, larger)
 
 
-def lacked(stored: Scene, wanted: Scene) -> list[str]:
+def lacked(stored: Scene, larger: Scene) -> list[str]:
     """Columns that data of the stored scene lack, in words, if it is these that keep it from being the wanted one."""
-    there = {column.name: column for column in stored.recording.columns}
-    columns = [column for column in wanted.recording.columns if there.get(column.name) != column]
-    new = [column.name for column in columns if column.name not in there]
+    stored_columns = {column.name: column for column in stored.recording.columns}
+    columns = [column for column in larger.recording.columns if stored_columns.get(column.name) != column]
+    new = [column.name for column in columns if column.name not in stored_columns]
     names = new or [f"{column.name} of another kind" for column in columns]
-    return names if names and (_adds_to(stored, wanted) or expand(stored) == expand(wanted)) else []
+    return names if names and (_adds_to(stored, larger) or expand(stored) == expand(larger)) else []
 
 
-def _adds_to(stored: Scene, wanted: Scene) -> bool:
-    if wanted.n_members <= stored.n_members:
+def _adds_to(stored: Scene, larger: Scene) -> bool:
+    if larger.n_members <= stored.n_members:
         return False
-    members = expand(wanted)
+    members = expand(larger)
     place = {name: k for k, name in enumerate(members.ids())}
-    return all(one.member_id in place and members[place[one.member_id]] == one for one in expand(stored))
+    return all(member.member_id in place and members[place[member.member_id]] == member for member in expand(stored))

@@ -14,9 +14,9 @@ _SMALL = 2**27
 _RATIO = 100
 
 
-def is_hollow(found: os.stat_result) -> bool:
+def is_hollow(status: os.stat_result) -> bool:
     """Whether a file has far more bytes than its disk keeps of it, as a sparse one."""
-    return found.st_size > max(_SMALL, _RATIO * 512 * found.st_blocks)
+    return status.st_size > max(_SMALL, _RATIO * 512 * status.st_blocks)
 
 
 def lack(n_bytes: int, what: str) -> str:

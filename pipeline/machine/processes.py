@@ -28,15 +28,15 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 @contextlib.contextmanager
 def environment_kept() -> Iterator[None]:
     """Undo what the with-block changes in this process's environment, and nothing else."""
-    before = dict(os.environ)
+    variables = dict(os.environ)
     try:
         yield
     finally:
-        for name in os.environ.keys() | before.keys():
-            if name not in before:
+        for name in os.environ.keys() | variables.keys():
+            if name not in variables:
                 del os.environ[name]
-            elif os.environ.get(name) != before[name]:
-                os.environ[name] = before[name]
+            elif os.environ.get(name) != variables[name]:
+                os.environ[name] = variables[name]
 
 
 @contextlib.contextmanager
@@ -116,9 +116,9 @@ class ErrorStream:
     def pass_on(self) -> None:
         """Pass on what was held, and from now on all that comes."""
         with self._turn:
-            held, self._held = self._held, None
-            for part in held or ():
-                self._pass(part)
+            chunks, self._held = self._held, None
+            for chunk in chunks or ():
+                self._pass(chunk)
 
     def last_lines(self) -> list[str]:
         """The last lines of what was held, once the processes have ended; of a traceback, its end."""
@@ -134,16 +134,16 @@ class ErrorStream:
 
     def _copy(self, reading: int) -> None:
         with open(reading, "rb", buffering=0) as stream:
-            while part := stream.read(_PART):
+            while chunk := stream.read(_PART):
                 with self._turn:
                     if self._held is None:
-                        self._pass(part)
+                        self._pass(chunk)
                     else:
-                        self._held.append(part)
+                        self._held.append(chunk)
 
-    def _pass(self, part: bytes) -> None:
+    def _pass(self, chunk: bytes) -> None:
         with contextlib.suppress(OSError):  # nobody reads it any more
-            os.write(self._error, part)
+            os.write(self._error, chunk)
 
 
 #: Of an `ErrorStream`: bytes that are read at once, parts that are held, lines that are shown, seconds to its end.
@@ -268,10 +268,7 @@ class Child:
     def __call__(self, argument: object) -> Any:
         """The function's result for an argument.
 
-        Raises
-        ------
-        ChildDied
-            If the process ends first, as it does when the function raises, or does not start.
+        Raises `ChildDied` if the process ends first, as it does when the function raises, or does not start.
         """
         assert self._process.stdin is not None
         assert self._process.stdout is not None
@@ -313,13 +310,13 @@ def serve(module: str, name: str) -> None:
     """Be a child: call a function with each argument that comes in, until no more can come."""
     arguments, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    asked: queue.SimpleQueue[Any] = queue.SimpleQueue()
+    questions: queue.SimpleQueue[Any] = queue.SimpleQueue()
     function = getattr(importlib.import_module(module), name)
 
     def listen() -> None:
         try:
             while True:
-                asked.put(pickle.load(arguments))
+                questions.put(pickle.load(arguments))
         except EOFError:  # the parent is dead, or has no more use for this process
             pass
         finally:
@@ -330,4 +327,4 @@ def serve(module: str, name: str) -> None:
     while True:
         pickle.dump(answer, answers)
         answers.flush()
-        answer = function(asked.get())
+        answer = function(questions.get())

@@ -30,28 +30,24 @@ class Scratch(NamedTuple):
 def scratch(parent: str | None = None) -> Iterator[Scratch]:
     """A directory of this process alone, which goes with the with-block; those that killed processes left go first.
 
-    A process holds a lock on its directory, which lasts no longer than the process.
+    A process holds a lock on its directory, which lasts no longer than the process. Raises `OSError` if it cannot be
+    created.
 
     Parameters
     ----------
     parent : str, optional
         Where it lies: the system's directory for temporary files if left out.
-
-    Raises
-    ------
-    OSError
-        If it cannot be created.
     """
     parent = parent or tempfile.gettempdir()
     _sweep(parent)
     with contextlib.ExitStack() as opened:
         with unbroken():  # a signal waits until it is known what is to be removed
-            made = _locked(parent)
-            remove = partial(shutil.rmtree, made.path, ignore_errors=True)
-            opened.callback(os.close, made.descriptor)
+            directory = _locked(parent)
+            remove = partial(shutil.rmtree, directory.path, ignore_errors=True)
+            opened.callback(os.close, directory.descriptor)
             opened.callback(remove)
             opened.enter_context(last_act(remove))
-        yield made
+        yield directory
 
 
 def _locked(parent: str) -> Scratch:
@@ -86,14 +82,14 @@ def _sweep(parent: str) -> None:
 
 def _remove_left(folder: int, name: str) -> None:
     with contextlib.suppress(OSError):
-        left = os.open(name, _FOLDER, dir_fd=folder)
+        descriptor = os.open(name, _FOLDER, dir_fd=folder)
         try:
-            if os.fstat(left).st_uid == os.geteuid():
-                fcntl.flock(left, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                _clear(left)  # by its descriptor: whatever has its name by now is not followed
+            if os.fstat(descriptor).st_uid == os.geteuid():
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _clear(descriptor)  # by its descriptor: whatever has its name by now is not followed
                 os.rmdir(name, dir_fd=folder)
         finally:
-            os.close(left)
+            os.close(descriptor)
 
 
 def _clear(folder: int) -> None:

@@ -80,19 +80,19 @@ def _watch() -> Callable[[], None]:
     """
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
-    before = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    earlier = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     threading.Thread(target=_end_after_grace, args=(reading,), daemon=True).start()
 
     def unwatch() -> None:
-        signal.set_wakeup_fd(before)
+        signal.set_wakeup_fd(earlier)
         os.close(writing)
 
     return unwatch
 
 
 def _end_after_grace(reading: int) -> None:
-    with open(reading, "rb", buffering=0) as told:
-        while number := told.read(1):
+    with open(reading, "rb", buffering=0) as signals:
+        while number := signals.read(1):
             if number[0] in _SIGNALS:
                 time.sleep(_GRACE)
                 end_at_once(number[0])

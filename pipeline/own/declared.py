@@ -26,31 +26,27 @@ _FORM = (
 )
 
 
-def declared(function: OwnFunction, found: Callable[..., Any]) -> dict[str, Any]:
+def declared(function: OwnFunction, measure: Callable[..., Any]) -> dict[str, Any]:
     """The columns of a function that measures runs, as plain values, and whether it asks for states.
+
+    Raises `SceneError` if it takes other arguments, or does not declare what it returns.
 
     Parameters
     ----------
-    function : OwnFunction
     found : callable
         The function itself, as `use` hands it to its work.
-
-    Raises
-    ------
-    SceneError
-        If it takes other arguments, or does not declare what it returns.
     """
-    where, parameters = f"{function.key}: {function.name}", inspect.signature(found).parameters
+    where, parameters = f"{function.key}: {function.name}", inspect.signature(measure).parameters
     is_sampled = SAMPLES in parameters
     try:
-        inspect.signature(found).bind(*"rsw", **({SAMPLES: ()} if is_sampled else {}))
+        inspect.signature(measure).bind(*"rsw", **({SAMPLES: ()} if is_sampled else {}))
     except TypeError:
         raise SceneError(
             f"{where}: expected the arguments (run, system, window), and `{SAMPLES}` or none, got"
             f" ({', '.join(parameters)}); change them"
         ) from None
     try:
-        returned = typing.get_type_hints(found, include_extras=True).get("return")
+        returned = typing.get_type_hints(measure, include_extras=True).get("return")
         fields = getattr(returned, "_fields", ())
         hints = typing.get_type_hints(returned, include_extras=True) if returned and fields else {}
     except (NameError, TypeError, AttributeError) as error:  # names that only a checker of types has
@@ -68,11 +64,11 @@ def _column(where: str, field: str, hint: Any) -> dict[str, Any]:
     if not words or not words.isprintable():
         raise SceneError(f"{where}: expected words for {field}, got {words or 'none'!a}; {_FORM}")
     kinds = typing.get_args(kind) if typing.get_origin(kind) in (typing.Union, types.UnionType) else (kind,)
-    plain = [one for one in kinds if one is not type(None)]
+    plain = [kind_name for kind_name in kinds if kind_name is not type(None)]
     if len(plain) != 1 or plain[0] not in TYPES:
-        known = ", ".join(one.__name__ for one in TYPES)
+        names = ", ".join(kind_name.__name__ for kind_name in TYPES)
         raise SceneError(
-            f"{where}: expected one of {known} for {field}, with `| None` if it may have no value, got"
+            f"{where}: expected one of {names} for {field}, with `| None` if it may have no value, got"
             f" {getattr(kind, '__name__', kind)}; change it"
         )
     column = {"type": plain[0].__name__, "words": words, "is_optional": len(kinds) > 1}
@@ -81,53 +77,52 @@ def _column(where: str, field: str, hint: Any) -> dict[str, Any]:
 
 def _meaning(where: str, field: str, column: Mapping[str, Any], notes: Sequence[Mapping[Any, Any]]) -> dict[str, Any]:
     """What a field says of its values besides its words: below what they never are, and why a run may have none."""
-    given = {key: value for note in notes for key, value in note.items()}
-    odd = next((key for key in given if key not in ("least", "most", "absent", "since")), None)
+    meaning = {key: value for note in notes for key, value in note.items()}
+    odd = next((key for key in meaning if key not in ("least", "most", "absent", "since")), None)
     if odd is not None:
         raise SceneError(
             f"{where}: expected 'least', 'most', 'absent' or 'since' for {field}, got {odd!r:.80}; remove it"
         )
-    found: dict[str, Any] = {}
-    if "least" in given:
-        least: Any = given["least"]
-        is_number = column["type"] in ("float", "int")
-        is_least = (
-            isinstance(least, numbers.Real) and not isinstance(least, bool) and abs(cast("float", least)) <= _MOST
+    column_facts: dict[str, Any] = {}
+
+    def take(key: str, is_right: bool, expected: str, got: str, value: object) -> None:
+        if not is_right:
+            raise SceneError(f"{where}: expected {expected}, got {got}; change it")
+        column_facts[key] = value
+
+    if "least" in meaning:
+        lower, is_number = meaning["least"], column["type"] in ("float", "int")
+        got = f"{lower!r:.80}" if is_number else f"a {column['type']}"
+        expected = f"a finite number as 'least' of {field}, a number"
+        take("least", is_number and _is_number(lower, -_MOST), expected, got, _float(lower))
+    if "most" in meaning:
+        upper, is_from_0 = meaning["most"], column_facts.get("least") == 0.0
+        got = f"{upper!r:.80}" if is_from_0 else "another 'least', or none"
+        is_right = is_from_0 and _is_number(upper) and upper > 0
+        take("most", is_right, f"a number > 0 as 'most' of {field}, with 'least' 0", got, _float(upper))
+    if "absent" in meaning:
+        absent, is_optional = meaning["absent"], column["is_optional"]
+        got = f"{absent!r:.80}" if is_optional else "a type without it"
+        is_right = is_optional and isinstance(absent, str) and bool(absent.strip()) and absent.isprintable()
+        expected = f"words as 'absent' of {field}, whose type has `| None`"
+        take("absent", is_right, expected, got, " ".join(str(absent).split()))
+    if "since" in meaning:
+        since, is_time = meaning["since"], column["type"] == "float" and column["is_optional"]
+        got = f"{since!r:.80}" if is_time else "another type"
+        expected = f"a time >= 0, or \"t_burn\", as 'since' of {field}, of type float | None"
+        is_start = isinstance(since, str) and since == "t_burn"
+        take(
+            "since", is_time and (is_start or _is_number(since)), expected, got, since if is_start else _float(since)
         )
-        if not (is_number and is_least):
-            got = f"{least!r:.80}" if is_number else f"a {column['type']}"
-            raise SceneError(
-                f"{where}: expected a finite number as 'least' of {field}, a number, got {got}; change it"
-            )
-        found["least"] = float(least)
-    if "most" in given:
-        most: Any = given["most"]
-        is_most = isinstance(most, numbers.Real) and not isinstance(most, bool) and 0 < cast("float", most) <= _MOST
-        if not (is_most and found.get("least") == 0.0):
-            got = f"{most!r:.80}" if found.get("least") == 0.0 else "another 'least', or none"
-            raise SceneError(
-                f"{where}: expected a number > 0 as 'most' of {field}, with 'least' 0, got {got}; change it"
-            )
-        found["most"] = float(most)
-    if "absent" in given:
-        absent = given["absent"]
-        if not (column["is_optional"] and isinstance(absent, str) and absent.strip() and absent.isprintable()):
-            got = f"{absent!r:.80}" if column["is_optional"] else "a type without it"
-            raise SceneError(
-                f"{where}: expected words as 'absent' of {field}, whose type has `| None`, got {got}; change it"
-            )
-        found["absent"] = " ".join(absent.split())
-    if "since" in given:
-        since: Any = given["since"]
-        is_time = column["type"] == "float" and column["is_optional"]
-        is_start = since == "t_burn" or (
-            isinstance(since, numbers.Real) and not isinstance(since, bool) and 0 <= cast("float", since) <= _MOST
-        )
-        if not (is_time and is_start):
-            got = f"{since!r:.80}" if is_time else "another type"
-            raise SceneError(
-                f"{where}: expected a time >= 0, or \"t_burn\", as 'since' of {field}, of type float | None, got"
-                f" {got}; change it"
-            )
-        found |= {"since": since if since == "t_burn" else float(since), "least": found.get("least", 0.0)}
-    return found
+        column_facts.setdefault("least", 0.0)
+    return column_facts
+
+
+def _is_number(value: object, lower: float = 0.0) -> bool:
+    is_real = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    return is_real and lower <= cast("float", value) <= _MOST
+
+
+def _float(value: object) -> float | None:
+    """A number as a float; None if it is none."""
+    return float(cast("float", value)) if _is_number(value, -_MOST) else None

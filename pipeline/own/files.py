@@ -27,10 +27,7 @@ def digest(content: bytes) -> str:
 def content_of(path: Path, key: str) -> bytes:
     """The bytes of a plain file; `key` is what errors begin with.
 
-    Raises
-    ------
-    SceneError
-        If it cannot be read, is no plain file or is being written.
+    Raises `SceneError` if it cannot be read, is no plain file or is being written.
     """
     try:
         # a pipe that nobody writes to would block
@@ -69,7 +66,7 @@ def name_beside(file: str, root: Path) -> str | None:
     for path in (Path(file), Path(file).parent.resolve() / Path(file).name):
         if path.is_relative_to(root):
             name = path.relative_to(root)
-            return None if any(part.startswith(".") for part in name.parts) else name.as_posix()
+            return None if any(folder.startswith(".") for folder in name.parts) else name.as_posix()
     return None
 
 
@@ -80,17 +77,12 @@ def is_installed(file: Path) -> bool:
     return is_package or any(file.is_relative_to(place.resolve()) for place in places)
 
 
-def check_beside(root: Path, beside: Iterable[tuple[str, str]], key: str) -> None:
+def check_beside(root: Path, files: Iterable[tuple[str, str]], key: str) -> None:
     """See that files that a function reads are as they were.
 
-    Raises
-    ------
-    ChangedError
-        If one has changed.
-    SceneError
-        If one is gone.
+    Raises `ChangedError` if one has changed; `SceneError` if one is gone.
     """
-    for name, sha256 in beside:
+    for name, sha256 in files:
         file = root / name
         if not file.is_file() or _digest_now(file, key) != sha256:
             raise (ChangedError if file.is_file() else SceneError)(

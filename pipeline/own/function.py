@@ -74,10 +74,7 @@ class OwnFunction:
 def resolve(name: str, folder: Path, key: str) -> OwnFunction:
     """The function `module:function` of a module beside a scene, or installed; nothing is loaded, none is `beside`.
 
-    Raises
-    ------
-    SceneError
-        If there is no such module.
+    Raises `SceneError` if there is no such module.
     """
     module = name.partition(":")[0]
     file = file_of(module, folder)
@@ -98,12 +95,7 @@ def look_again(function: OwnFunction) -> None:
 def module_file(function: OwnFunction) -> Path:
     """The file of a function's module as it was: in its folder, above it, or installed.
 
-    Raises
-    ------
-    ChangedError
-        If it is another.
-    SceneError
-        If it is gone.
+    Raises `ChangedError` if it is another; `SceneError` if it is gone.
     """
     module, key = function.module, function.key
     folders = dict.fromkeys((Path(function.at), *Path(function.at).parents, Path()))
@@ -120,28 +112,22 @@ def module_file(function: OwnFunction) -> Path:
 
 def call(function: OwnFunction, *arguments: Any, is_trial: bool = False, **by_name: Any) -> Any:
     """What a function returns; only where code of the user's may run. Raises as `use`, and what it raises itself."""
-    return use(function, lambda found: found(*arguments, **by_name), is_trial)
+    return use(function, lambda target: target(*arguments, **by_name), is_trial)
 
 
 def use(function: OwnFunction, work: Callable[[Callable[..., Any]], Any], is_trial: bool = False) -> Any:
     """What some work with a function gives; only where code of the user's may run.
 
-    Its module is loaded once a process, from the file on disk. What it prints goes to the standard error.
-
-    Raises
-    ------
-    LateError
-        If it loads a module beside the scene that it did not load when it was tried.
-    SceneError
-        If the module or the function is gone, or has changed.
-    Exception
-        Whatever the work raises; what would end the process, as SystemExit, as a RuntimeError that names it.
+    Its module is loaded once a process, from the file on disk. What it prints goes to the standard error. Raises
+    `LateError` if it loads a module beside the scene that it did not load when it was tried; `SceneError` if the
+    module or the function is gone, or has changed; `Exception`: whatever the work raises; what would end the process,
+    as SystemExit, as a RuntimeError that names it.
     """
     process = os.getpid()
     with _alone:
         with own_modules(function.root, function.beside, is_trial) as late, np.errstate(), _aside():
             try:
-                found = work(_found(function))
+                result = work(_found(function))
             except Exception:
                 raise
             except BaseException as error:  # it would end a worker
@@ -157,8 +143,8 @@ def use(function: OwnFunction, work: Callable[[Callable[..., Any]], Any], is_tri
                 f"it loaded later; import it at the top of the module"
             )
     # modules stay as they were loaded; other files are read again
-    check_beside(function.root, [one for one in function.beside if not module_of(one[0])], function.key)
-    return found
+    check_beside(function.root, [file for file in function.beside if not module_of(file[0])], function.key)
+    return result
 
 
 def _aside() -> contextlib.AbstractContextManager[object]:
@@ -169,12 +155,12 @@ def _aside() -> contextlib.AbstractContextManager[object]:
 def _found(function: OwnFunction) -> Callable[..., Any]:
     """The function, of its module as it was."""
     module, attribute = _module(replace(function, name=f"{function.module}:"), function.at), function.attribute
-    found = getattr(module, attribute, None)
-    if not callable(found):
-        known = [name for name, value in vars(module).items() if isinstance(value, types.FunctionType)]
-        near = did_you_mean(attribute, known) or f"; it has {', '.join(known) or 'none'}"
-        raise SceneError(f"{function.key}: expected a function {attribute!r} in {module.__file__}, found none{near}")
-    return found
+    target = getattr(module, attribute, None)
+    if not callable(target):
+        names = [name for name, value in vars(module).items() if isinstance(value, types.FunctionType)]
+        hint = did_you_mean(attribute, names) or f"; it has {', '.join(names) or 'none'}"
+        raise SceneError(f"{function.key}: expected a function {attribute!r} in {module.__file__}, found none{hint}")
+    return target
 
 
 @lru_cache(maxsize=64)

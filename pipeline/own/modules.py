@@ -23,16 +23,18 @@ def folder_with(module: str, folder: Path) -> Path:
     """Where a module of a scene lies: in a folder, above it, or where the command was given; else the folder."""
     folder = folder.resolve()
     places = dict.fromkeys((folder, *folder.parents, Path().resolve()))
-    beside = ((place, file_of(module, place)) for place in places)
-    return next((place for place, file in beside if file is not None and file.is_relative_to(place)), folder)
+    candidates = ((place, file_of(module, place)) for place in places)
+    return next((place for place, file in candidates if file is not None and file.is_relative_to(place)), folder)
 
 
 def file_of(module: str, folder: Path) -> Path | None:
     """The file of a module in a folder, or where Python finds it. Nothing is loaded, not even its package."""
     path = folder / module.replace(".", "/")
-    beside = next((one for one in (path.with_suffix(".py"), path / "__init__.py") if one.is_file()), None)
-    if beside is not None:
-        return beside
+    local = next(
+        (candidate for candidate in (path.with_suffix(".py"), path / "__init__.py") if candidate.is_file()), None
+    )
+    if local is not None:
+        return local
     top, *below = module.split(".")
     try:
         spec = importlib.util.find_spec(top)
@@ -45,10 +47,10 @@ def file_of(module: str, folder: Path) -> Path | None:
     return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
 
 
-def root_of(at: str, beside: tuple[tuple[str, str], ...]) -> Path:
+def root_of(folder: str, beside: tuple[tuple[str, str], ...]) -> Path:
     """The folder of the modules beside a scene: the scene's, or one above it, as its copy may lie deeper."""
-    places = (Path(at), *Path(at).parents)
-    return next((place for place in places if all((place / name).is_file() for name, _ in beside)), Path(at))
+    places = (Path(folder), *Path(folder).parents)
+    return next((place for place in places if all((place / name).is_file() for name, _ in beside)), Path(folder))
 
 
 def module_of(file: str) -> str:
@@ -114,10 +116,10 @@ def own_modules(root: Path, beside: tuple[tuple[str, str], ...], is_trial: bool 
         Empty; after it the files of modules there that are not among `beside`, by name, which are unloaded. None in
         a trial, which finds out what is beside.
     """
-    own, finder = _modules(root, beside), _FromSource(root)
-    names, before = _names(name for name, _ in beside), set(sys.modules)
-    aside = {name: sys.modules.pop(name) for name in names & before}
-    sys.modules.update(own)
+    modules, finder = _modules(root, beside), _FromSource(root)
+    names, loaded = _names(name for name, _ in beside), set(sys.modules)
+    aside = {name: sys.modules.pop(name) for name in names & loaded}
+    sys.modules.update(modules)
     sys.path.insert(0, str(root))
     sys.meta_path.insert(sys.meta_path.index(importlib.machinery.PathFinder), finder)
     late: dict[str, str] = {}
@@ -127,10 +129,10 @@ def own_modules(root: Path, beside: tuple[tuple[str, str], ...], is_trial: bool 
         sys.path.remove(str(root))
         sys.meta_path.remove(finder)
         if not is_trial:
-            late |= _loaded_beside(set(sys.modules) - before - names, root)
+            late |= _loaded_beside(set(sys.modules) - loaded - names, root)
         for name in late:
             sys.modules.pop(name, None)
-        own.update((name, sys.modules.pop(name)) for name in names & set(sys.modules))
+        modules.update((name, sys.modules.pop(name)) for name in names & set(sys.modules))
         sys.modules.update(aside)
 
 
@@ -142,8 +144,8 @@ def hiding(root: Path, files: Iterable[str]) -> str:
     loaded = set(_loaded_beside(set(sys.modules), root))
     for name in sorted(loaded.union(*(_imported(root / file) for file in files if file.endswith(".py")))):
         top = name.partition(".")[0]
-        beside = (Path(f"{top}.py"), Path(top, "__init__.py"))
-        file = next((file for file in beside if (root / file).is_file()), None)
+        candidates = (Path(f"{top}.py"), Path(top, "__init__.py"))
+        file = next((file for file in candidates if (root / file).is_file()), None)
         if file is not None and _is_elsewhere(top, root):
             return file.as_posix()
     return ""
@@ -168,7 +170,9 @@ def _is_elsewhere(top: str, root: Path) -> bool:
     """Whether a module is Python's, or of an installed package."""
     if top in sys.stdlib_module_names:
         return True
-    spec = importlib.machinery.PathFinder.find_spec(top, [at for at in sys.path if Path(at).resolve() != root])
+    spec = importlib.machinery.PathFinder.find_spec(
+        top, [entry for entry in sys.path if Path(entry).resolve() != root]
+    )
     return spec is not None and spec.origin is not None and is_installed(Path(spec.origin).resolve())
 
 
@@ -183,6 +187,6 @@ def _names(files: Iterable[str]) -> set[str]:
     names: set[str] = set()
     for file in files:
         path = Path(module_of(file))
-        parts = path.parts[:-1] if path.name == "__init__" else path.parts
-        names.update(".".join(parts[:k]) for k in range(1, len(parts) + 1))
+        steps = path.parts[:-1] if path.name == "__init__" else path.parts
+        names.update(".".join(steps[:k]) for k in range(1, len(steps) + 1))
     return names

@@ -57,18 +57,15 @@ class Trial(NamedTuple):
 def tried(trial: Trial) -> dict[str, Any]:
     """The facts of what was called twice, and in another process too; with `beside`, the files that it reads.
 
-    Raises
-    ------
-    SceneError
-        If that goes wrong, what it gives differs, or it takes longer than `LONGEST_TRIAL`.
+    Raises `SceneError` if that goes wrong, what it gives differs, or it takes longer than `LONGEST_TRIAL`.
     """
     # what a module draws when it is loaded, or what depends on the order of a set, differs between processes
-    with ThreadPoolExecutor(1) as aside, Child(_try) as child, Child(_try) as other:
-        again = aside.submit(_answer, other, trial._replace(attempt=trial.elsewhere or trial.attempt), 1)
-        problem, found = _answer(child, trial, 2)
-        if not problem and found.pop("digest") != again.result()[1].get("digest"):
-            problem, found = again.result()[0] or trial.differs, {}
-    return _judged(trial, problem, found)
+    with ThreadPoolExecutor(1) as aside, Child(_try) as child, Child(_try) as second:
+        answer_of_second = aside.submit(_answer, second, trial._replace(attempt=trial.elsewhere or trial.attempt), 1)
+        problem, facts = _answer(child, trial, 2)
+        if not problem and facts.pop("digest") != answer_of_second.result()[1].get("digest"):
+            problem, facts = answer_of_second.result()[0] or trial.differs, {}
+    return _judged(trial, problem, facts)
 
 
 def tried_once(trial: Trial) -> dict[str, Any]:
@@ -77,13 +74,13 @@ def tried_once(trial: Trial) -> dict[str, Any]:
         return _judged(trial, *_answer(child, trial, 1))
 
 
-def _judged(trial: Trial, problem: str, found: dict[str, Any]) -> dict[str, Any]:
+def _judged(trial: Trial, problem: str, facts: dict[str, Any]) -> dict[str, Any]:
     if problem:
         key = trial.key
         raise SceneError(
             problem if problem.startswith(key) else f"{key}: {trial.called}: {problem}; correct the function"
         )
-    return found
+    return facts
 
 
 def _answer(child: Child, trial: Trial, times: int) -> tuple[str, dict[str, Any]]:
@@ -108,25 +105,25 @@ def _try(task: tuple[Trial, int]) -> tuple[str, dict[str, Any]]:
         return "", {}
     audit = _Audit()
     sys.addaudithook(audit)
-    found, problem = [], ""
+    answers, problem = [], ""
     try:
-        found = [trial.attempt() for _ in range(times)]
+        answers = [trial.attempt() for _ in range(times)]
     except SceneError as error:
         problem = str(error)
     except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
         problem = f"expected {trial.expected}, got {foreign(error)}"
-    beside = _beside(trial, audit)
-    if hides := hiding(Path(trial.at), beside):  # which may be why it went wrong
+    files = _beside(trial, audit)
+    if hides := hiding(Path(trial.at), files):  # which may be why it went wrong
         problem = (
             f"{trial.key}: expected no file beside the scene with the name of an installed module that is imported,"
             f" got {hides}; rename it"
         )
     if problem:
         return problem, {}
-    digests = {digest(given) for given, _ in found}
+    digests = {digest(content) for content, _ in answers}
     if len(digests) > 1:
         return trial.differs, {}
-    return "", {**found[0][1], "beside": beside, "digest": digests.pop()}
+    return "", {**answers[0][1], "beside": files, "digest": digests.pop()}
 
 
 class _Audit:
@@ -155,8 +152,8 @@ class _Audit:
 
 def _beside(trial: Trial, audit: _Audit) -> dict[str, str]:
     """The sha256 of each file that was read and lies in the scene's folder or below, by its path there."""
-    root, found = Path(trial.at), {}
+    root, digests = Path(trial.at), {}
     for name in {name for file in audit.files if (name := name_beside(file, root)) is not None}:
         with contextlib.suppress(SceneError):  # it is gone, or no plain file
-            found[name] = digest(content_of(root / name, trial.key))
-    return dict(sorted(found.items()))
+            digests[name] = digest(content_of(root / name, trial.key))
+    return dict(sorted(digests.items()))

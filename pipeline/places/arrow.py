@@ -20,11 +20,11 @@ class _Files(FSSpecHandler):  # type: ignore[misc]  # whose other methods, which
     def __init__(self, place: Directory) -> None:
         self._place = place
 
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Files) and str(self._place) == str(other._place)
+    def __eq__(self, files: object) -> bool:
+        return isinstance(files, _Files) and str(self._place) == str(files._place)
 
-    def __ne__(self, other: object) -> bool:
-        return not self == other
+    def __ne__(self, files: object) -> bool:
+        return not self == files
 
     def get_type_name(self) -> str:
         return "plain files"

@@ -46,7 +46,6 @@ class Directory(Place):
 
     Parameters
     ----------
-    path : Path
     inner : tuple of str
         Folders below it, in which the files are.
     """
@@ -84,14 +83,14 @@ class Directory(Place):
     @contextlib.contextmanager
     def _holding(self, name: str, is_made: bool = False) -> Iterator[tuple[str, int]]:
         """A file's last name, and a descriptor of the folder that it is in."""
-        *inner, last = name.split("/")
+        *inner, name_there = name.split("/")
         with self._folder(inner, is_made) as directory:
-            yield last, directory
+            yield name_there, directory
 
     def opened(self, name: str) -> int:
         """Descriptor of a plain file, to read."""
-        with self._holding(name) as (last, directory):
-            return plain.opened(last, directory, self.path / name)
+        with self._holding(name) as (name_there, directory):
+            return plain.opened(name_there, directory, self.path / name)
 
     def read(self, name: str) -> bytes:
         with open(self.opened(name), "rb") as stream, plain.filename(self.path / name):
@@ -112,11 +111,11 @@ class Directory(Place):
         return [self._mark(name) for name in names]
 
     def _mark(self, name: str) -> Mark | None:
-        with contextlib.suppress(OSError), self._holding(name) as (last, directory):
-            found = plain.status(last, directory)
-            if found is not None:
-                plain.check(found, self.path / name)
-                return _mark(found)
+        with contextlib.suppress(OSError), self._holding(name) as (name_there, directory):
+            status = plain.status(name_there, directory)
+            if status is not None:
+                plain.check(status, self.path / name)
+                return _mark(status)
         return None
 
     def replace(self, name: str, content: bytes) -> None:
@@ -124,27 +123,27 @@ class Directory(Place):
 
     def replace_all(self, files: Mapping[str, Callable[[], bytes]]) -> None:
         """All are written before the first old one is replaced: a disk that is full leaves these."""
-        begun: list[plain.Replacement] = []
-        with contextlib.ExitStack() as held:
+        replacements: list[plain.Replacement] = []
+        with contextlib.ExitStack() as stack:
             inner = dict.fromkeys(tuple(name.split("/")[:-1]) for name in files)
-            folders = {names: held.enter_context(self._folder(names, is_made=True)) for names in inner}
+            folders = {names: stack.enter_context(self._folder(names, is_made=True)) for names in inner}
             try:
                 for name, content in files.items():
-                    *above, last = name.split("/")
-                    begun.append(plain.Replacement(last, folders[tuple(above)], self.path / name))
-                    begun[-1].write(content())
-                for directory, some in groupby(begun, lambda new: new.directory):
-                    for new in some:
+                    *above, name_there = name.split("/")
+                    replacements.append(plain.Replacement(name_there, folders[tuple(above)], self.path / name))
+                    replacements[-1].write(content())
+                for directory, group in groupby(replacements, lambda new: new.directory):
+                    for new in group:
                         new.put()
                     os.fsync(directory)
             except BaseException:
-                for new in begun:
+                for new in replacements:
                     new.give_up()
                 raise
 
     def remove(self, name: str) -> None:
-        with contextlib.suppress(FileNotFoundError), self._holding(name) as (last, directory):
-            os.unlink(last, dir_fd=directory)
+        with contextlib.suppress(FileNotFoundError), self._holding(name) as (name_there, directory):
+            os.unlink(name_there, dir_fd=directory)
 
     def make(self) -> None:
         """Create the directory, and those above it, if it is not there."""
@@ -166,8 +165,8 @@ class Directory(Place):
             return []
         if not self.path.is_dir():
             raise StoreError(f"{self.path}: expected a directory, got a file; choose another directory")
-        found = self._listed()
-        return sorted([*found, *(f"{DATA}/{name}" for name in (self._listed(DATA) if DATA in found else ()))])
+        names = self._listed()
+        return sorted([*names, *(f"{DATA}/{name}" for name in (self._listed(DATA) if DATA in names else ()))])
 
     def _listed(self, *inner: str) -> list[str]:
         with self._folder(inner) as directory:
@@ -176,9 +175,9 @@ class Directory(Place):
     def check_parts(self) -> None:
         with contextlib.suppress(FileNotFoundError, NotADirectoryError), self._folder() as directory:
             for name, kind in _PARTS.items():
-                found = plain.status(name, directory)
-                if found is not None:
-                    plain.check(found, self.path / name, kind)
+                status = plain.status(name, directory)
+                if status is not None:
+                    plain.check(status, self.path / name, kind)
 
     @contextlib.contextmanager
     def own(self) -> Iterator[Hold]:
@@ -197,28 +196,28 @@ class Directory(Place):
     @contextlib.contextmanager
     def record(self, name: str) -> Iterator[Callable[[bytes], None]]:
         name = part(name, max(len(self._parts(name)) - 1, 0))
-        with self._holding(name) as (last, directory):
-            descriptor = plain.opened(last, directory, self.path / name, os.O_RDWR | os.O_APPEND | os.O_CREAT)
+        with self._holding(name) as (name_there, directory):
+            descriptor = plain.opened(name_there, directory, self.path / name, os.O_RDWR | os.O_APPEND | os.O_CREAT)
         with open(descriptor, "rb+", buffering=0) as stream:
             with plain.filename(self.path / name):
-                whole = _content(stream).rpartition(b"\n")
-                stream.truncate(len(whole[0]) + len(whole[1]))
+                lines = _content(stream).rpartition(b"\n")
+                stream.truncate(len(lines[0]) + len(lines[1]))
             yield lambda line: _append(descriptor, line)
 
 
 def _content(stream: IO[bytes], is_shard: bool = False) -> bytes:
     """All of an open file, if this machine can hold it, and a part that is no shard if it can be so large."""
-    found = os.fstat(stream.fileno())
+    status = os.fstat(stream.fileno())
     if not is_shard:
-        check_size(found.st_size)
+        check_size(status.st_size)
     with contextlib.suppress(MemoryError):
-        if not is_hollow(found) and not lack(COPIES * found.st_size, ""):
-            return stream.read(found.st_size)
+        if not is_hollow(status) and not lack(COPIES * status.st_size, ""):
+            return stream.read(status.st_size)
     raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
 
 
-def _mark(found: os.stat_result) -> Mark:
-    return Mark(found.st_size, (found.st_ino, found.st_mtime_ns, found.st_ctime_ns))
+def _mark(status: os.stat_result) -> Mark:
+    return Mark(status.st_size, (status.st_ino, status.st_mtime_ns, status.st_ctime_ns))
 
 
 @dataclass
@@ -249,8 +248,8 @@ def _acquire(directory: int, path: Path) -> int:
                 f"{path}: expected to be its only writer, got a lock held by "
                 f"{printable(owner) or 'another process'}; wait for it to end, or choose another directory"
             )
-        found = plain.status(LOCK, directory)
-        if found is not None and os.path.samestat(os.fstat(descriptor), found):
+        status = plain.status(LOCK, directory)
+        if status is not None and os.path.samestat(os.fstat(descriptor), status):
             os.truncate(descriptor, 0)
             with contextlib.suppress(OSError):  # a full disk: the lock then does not name its owner
                 os.write(descriptor, f"{this_process()}\n".encode())

@@ -12,10 +12,7 @@ from stickslip.pipeline.places.place import Place, Where
 def place_of(where: Where) -> Place:
     """The place at a path or an address.
 
-    Raises
-    ------
-    StoreError
-        If the address is of no store that fsspec knows, or the package for it is missing.
+    Raises `StoreError` if the address is of no store that fsspec knows, or the package for it is missing.
     """
     if isinstance(where, Place):
         return where

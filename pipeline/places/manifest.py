@@ -18,7 +18,7 @@ import contextlib
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
@@ -109,13 +109,13 @@ class Manifest(BaseModel):
         head = self.model_dump(exclude={"shards"}, exclude_none=True)
         lines = [f"{json.dumps(key)}: {json.dumps(head[key], separators=(',', ':'))}" for key in sorted(head)]
         shards = [f"{json.dumps(name)}: {_json(self.shards[name].model_dump())}" for name in sorted(self.shards)]
-        listed = "{\n" + ",\n".join(shards) + "\n}" if shards else "{}"
-        rest = (",\n".join([*lines, f'"shards": {listed}']) + "\n}\n").encode()
-        return _checked(rest) + rest
+        table = "{\n" + ",\n".join(shards) + "\n}" if shards else "{}"
+        body = (",\n".join([*lines, f'"shards": {table}']) + "\n}\n").encode()
+        return _checked(body) + body
 
 
-def _checked(rest: bytes) -> bytes:
-    return f'{{\n"check": "{hashlib.sha256(rest).hexdigest()}",\n'.encode()
+def _checked(body: bytes) -> bytes:
+    return f'{{\n"check": "{hashlib.sha256(body).hexdigest()}",\n'.encode()
 
 
 def _json(values: dict[str, object]) -> str:
@@ -144,9 +144,21 @@ class Commit(BaseModel):
     def parse(cls, line: bytes) -> Commit | None:
         """The commit in a line; None if it is damaged, or of a version that kept only times."""
         with contextlib.suppress(ValueError, AttributeError):  # no JSON, no table; pydantic's is a ValueError too
-            found = cls.model_validate({key: value for key, value in json.loads(line).items() if key != "check"})
-            return found if json.loads(found.line) == json.loads(line) else None
+            commit = cls.model_validate({key: value for key, value in json.loads(line).items() if key != "check"})
+            return commit if json.loads(commit.line) == json.loads(line) else None
         return None
+
+
+class Result(NamedTuple):
+    """A computed batch: the bytes of its shard, and the line of the record that says so."""
+
+    shard: builtins.bytes
+    commit: Commit
+
+    @property
+    def name(self) -> str:
+        """The name of the shard."""
+        return self.commit.shard
 
 
 def read_commits(path: Where) -> Iterator[Commit]:
@@ -167,15 +179,13 @@ class DamagedManifest(StoreError):
 def read_manifest(path: Where, is_forgiving: bool = False) -> Manifest:
     """The manifest of the dataset at `path`, with what the record adds to it.
 
+    Raises `StoreError` if there is none or it cannot be read; `DamagedManifest` if it, or the record, cannot be
+    understood.
+
     Parameters
     ----------
     is_forgiving : bool
         Whether to leave out damaged lines of the record, for a caller that recomputes what they confirmed.
-
-    Raises
-    ------
-    StoreError
-        If there is none or it cannot be read; `DamagedManifest` if it, or the record, cannot be understood.
     """
     place = place_of(path)
     manifest = _manifest(place)
@@ -187,14 +197,14 @@ def read_manifest(path: Where, is_forgiving: bool = False) -> Manifest:
         raise StoreError(
             f"{place.named(TIMINGS)}: cannot be read ({error.strerror}); {place.remedy(error)}"
         ) from error
-    *lines, rest = content[manifest.recorded_from :].split(b"\n")
+    *lines, tail = content[manifest.recorded_from :].split(b"\n")
     commits = [Commit.parse(line) for line in lines]
     if (None in commits or len(content) < manifest.recorded_from) and not is_forgiving:
         raise DamagedManifest(
             f"{place.named(TIMINGS)}: expected the commits of a run that goes on or was killed, got damaged lines; "
             f"{_HEALED_BY_RUNNING}"
         )
-    commits.append(Commit.parse(rest))  # most often nothing, or what a crash cut short
+    commits.append(Commit.parse(tail))  # most often nothing, or what a crash cut short
     manifest.shards.update({commit.shard: commit.entry for commit in commits if commit is not None})
     return manifest
 
@@ -206,31 +216,31 @@ def _manifest(place: Place) -> Manifest:
     try:
         content = place.read(MANIFEST)
     except (FileNotFoundError, NotADirectoryError):
-        found, remedy = f"no {MANIFEST}", f"name the directory of a run, or {_HEALED_BY_RUNNING}"
+        state, remedy = f"no {MANIFEST}", f"name the directory of a run, or {_HEALED_BY_RUNNING}"
         if isinstance(place, Directory) and not place.path.is_dir():
-            found = "a file" if place.path.exists() else "no such directory"
+            state = "a file" if place.path.exists() else "no such directory"
             remedy = "name the directory of a run"
-        raise StoreError(f"{place}: expected a dataset, found {found}; {remedy}") from None
+        raise StoreError(f"{place}: expected a dataset, found {state}; {remedy}") from None
     except OSError as error:
         raise StoreError(f"{file}: cannot be read ({error.strerror}); {place.remedy(error)}") from error
-    rest = content[len(_checked(b"")) :]
-    is_whole = content == _checked(rest) + rest
+    body = content[len(_checked(b"")) :]
+    is_whole = content == _checked(body) + body
     _same_version(file, content, is_whole)
     try:
         if is_whole:
-            return Manifest.model_validate_json(b"{" + rest)
+            return Manifest.model_validate_json(b"{" + body)
         problem = "its check does not fit"
     except ValidationError as error:
-        first = error.errors()[0]
-        problem = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
+        fault = error.errors()[0]
+        problem = f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}"
     raise DamagedManifest(f"{file}: expected a manifest, got something damaged ({problem}); {_HEALED_BY_RUNNING}")
 
 
 def _same_version(file: str, content: bytes, is_whole: bool) -> None:
     """Refuse an undamaged manifest of another version of the schema."""
     try:
-        found = json.loads(content)
-        version, is_checked = found["schema_version"], "check" in found
+        document = json.loads(content)
+        version, is_checked = document["schema_version"], "check" in document
     except (ValueError, TypeError, LookupError, RecursionError):
         return
     if version != SCHEMA_VERSION and (is_whole or not is_checked):

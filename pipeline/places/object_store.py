@@ -95,15 +95,15 @@ class Prefix(Place):
 
     def read_each(self, names: Sequence[str]) -> Iterator[bytes | None]:
         with ThreadPoolExecutor(AT_ONCE) as pool:  # most of the time of a request is waiting
-            for first in range(0, len(names), AT_ONCE):
-                yield from pool.map(self._read_if_there, names[first : first + AT_ONCE])
+            for start in range(0, len(names), AT_ONCE):
+                yield from pool.map(self._read_if_there, names[start : start + AT_ONCE])
 
     def marks(self, names: Sequence[str]) -> list[Mark | None]:
-        found = {}
+        marks = {}
         with contextlib.suppress(FileNotFoundError):
             for entry in self._patiently(DATA, lambda: self.system.ls(self.key(DATA), detail=True)):
-                found[entry["name"].strip("/")] = Mark(int(entry["size"] or 0), sorted(map(str, entry.items())))
-        return [found.get(self.key(name).strip("/")) for name in names]
+                marks[entry["name"].strip("/")] = Mark(int(entry["size"] or 0), sorted(map(str, entry.items())))
+        return [marks.get(self.key(name).strip("/")) for name in names]
 
     def replace(self, name: str, content: bytes) -> None:
         self._patiently(name, lambda: self.system.pipe_file(self.key(name), content))
@@ -113,11 +113,11 @@ class Prefix(Place):
             self._patiently(name, lambda: self.system.rm_file(self.key(name)))
 
     def names(self) -> list[str]:
-        found = []
+        listed_keys = []
         for folder in (self.root, self.key(DATA)):
             with contextlib.suppress(FileNotFoundError):
-                found += self._patiently(DATA, partial(self.system.ls, folder, detail=False))
-        keys = {key.strip("/").removeprefix(self.root.strip("/")).strip("/") for key in found}
+                listed_keys += self._patiently(DATA, partial(self.system.ls, folder, detail=False))
+        keys = {key.strip("/").removeprefix(self.root.strip("/")).strip("/") for key in listed_keys}
         return sorted(keys - {""})
 
     @contextlib.contextmanager
@@ -211,25 +211,25 @@ class _Lease(Hold):
 
     def _create(self) -> None:
         until = time.time() + LEASE
-        found = self._found()
-        is_taken_over = found is not None
-        if found is not None:
-            if found.remaining:
-                raise self._refusal(found)
+        lock = self._found()
+        is_taken_over = lock is not None
+        if lock is not None:
+            if lock.remaining:
+                raise self._refusal(lock)
             self.place.remove(LOCK)
         try:
             self.place.create(LOCK, self._content(until))
         except OSError as error:  # also if only the answer to our put was lost
-            found = self._found()
-            if found is None and not isinstance(error, FileExistsError):
+            lock = self._found()
+            if lock is None and not isinstance(error, FileExistsError):
                 raise
-            if found is None or found.token != self.token:  # none: it was there, and has been given back since
-                raise self._refusal(found) from error
+            if lock is None or lock.token != self.token:  # none: it was there, and has been given back since
+                raise self._refusal(lock) from error
         if is_taken_over:
             time.sleep(SETTLE)
-            found = self._found()
-            if found is None or found.token != self.token:
-                raise self._refusal(found)
+            lock = self._found()
+            if lock is None or lock.token != self.token:
+                raise self._refusal(lock)
         self._until = until
 
     def probe(self) -> None:
@@ -250,8 +250,8 @@ class _Lease(Hold):
             f"update the store or its package (s3fs: 2024.12 or newer), or choose a directory"
         )
 
-    def _refusal(self, found: Lock | None) -> StoreError:
-        owner, remaining = (found.owner, found.remaining) if found is not None else ("another process", LEASE)
+    def _refusal(self, lock: Lock | None) -> StoreError:
+        owner, remaining = (lock.owner, lock.remaining) if lock is not None else ("another process", LEASE)
         return StoreError(
             f"{self.place}: expected to be its only writer, got a lock held by {owner}; wait for it to end, or "
             f"choose another directory; if it has died, its lease ends in {remaining:.0f} s: run the same scene "
@@ -277,9 +277,9 @@ class _Lease(Hold):
         with self._turn:
             if self._ended.is_set() or self._lost is not None:
                 return
-            found = self._found()
-            if found is None or found.token != self.token:
-                self._lost = found.owner if found is not None else "a process that has ended"
+            lock = self._found()
+            if lock is None or lock.token != self.token:
+                self._lost = lock.owner if lock is not None else "a process that has ended"
                 return
             until = time.time() + LEASE
             self.place.replace(LOCK, self._content(until))
@@ -303,6 +303,6 @@ class _Lease(Hold):
     def give_back(self) -> None:
         self._ended.set()
         with self._turn, contextlib.suppress(OSError):
-            found = self._found()
-            if found is not None and found.token == self.token:
+            lock = self._found()
+            if lock is not None and lock.token == self.token:
                 self.place.remove(LOCK)

@@ -133,10 +133,7 @@ class Place(ABC):
     def check_parts(self) -> None:
         """Refuse a dataset of which a part is no plain file or folder, without opening any.
 
-        Raises
-        ------
-        StoreError
-            If one is something else, as a link, which leads out of it.
+        Raises `StoreError` if one is something else, as a link, which leads out of it.
         """
 
     def _read_if_there(self, name: str) -> bytes | None:
@@ -176,10 +173,7 @@ class Place(ABC):
     def own(self) -> contextlib.AbstractContextManager[Hold]:
         """The right to write here, for the length of a with-block.
 
-        Raises
-        ------
-        StoreError
-            If another process has it.
+        Raises `StoreError` if another process has it.
         """
 
     @abstractmethod
@@ -192,15 +186,15 @@ class Place(ABC):
 
     def _parts(self, name: str) -> list[bytes]:
         """An object cannot grow: in a store, and in a copy of one, a file of lines may have many parts."""
-        parts: list[bytes] = []
+        contents: list[bytes] = []
         while True:
-            n_before = len(parts)
+            n_before = len(contents)
             for content in self.read_each([part(name, n_before + k) for k in range(AT_ONCE)]):
                 if content is not None:
-                    parts.append(content)
-                    check_size(sum(map(len, parts)))
-            if len(parts) < n_before + AT_ONCE:
-                return parts
+                    contents.append(content)
+                    check_size(sum(map(len, contents)))
+            if len(contents) < n_before + AT_ONCE:
+                return contents
 
     @property
     @abstractmethod

@@ -35,8 +35,10 @@ _KINDS = {
 _SAFELY = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_NOCTTY
 
 
-def check(found: os.stat_result, shown: Path, kind: int = stat.S_IFREG) -> None:
+def check(facts: os.stat_result, path: Path, kind: int = stat.S_IFREG) -> None:
     """Refuse what is no plain file, or no folder.
+
+    Raises `StoreError` if it is another kind.
 
     Parameters
     ----------
@@ -46,15 +48,10 @@ def check(found: os.stat_result, shown: Path, kind: int = stat.S_IFREG) -> None:
         What the error calls it.
     kind : int
         `stat.S_IFREG` or `stat.S_IFDIR`.
-
-    Raises
-    ------
-    StoreError
-        If it is another kind.
     """
-    if stat.S_IFMT(found.st_mode) != kind:
-        what = _KINDS.get(stat.S_IFMT(found.st_mode), "something else")
-        raise StoreError(f"{shown}: expected {_KINDS[kind]}, got {what}; remove it, or choose another directory")
+    if stat.S_IFMT(facts.st_mode) != kind:
+        what = _KINDS.get(stat.S_IFMT(facts.st_mode), "something else")
+        raise StoreError(f"{path}: expected {_KINDS[kind]}, got {what}; remove it, or choose another directory")
 
 
 def status(name: str, directory: int) -> os.stat_result | None:
@@ -65,27 +62,23 @@ def status(name: str, directory: int) -> os.stat_result | None:
         return None
 
 
-def opened(name: str, directory: int, shown: Path, flags: int = os.O_RDONLY, kind: int = stat.S_IFREG) -> int:
+def opened(name: str, directory: int, path: Path, flags: int = os.O_RDONLY, kind: int = stat.S_IFREG) -> int:
     """Descriptor of a plain file, or a folder, in an open folder.
 
-    Raises
-    ------
-    StoreError
-        If it is something else; or, where it would be written, has a second name, which may be another's.
-    OSError
-        If it cannot be opened.
+    Raises `StoreError` if it is something else; or, where it would be written, has a second name, which may be
+    another's; `OSError` if it cannot be opened.
     """
-    found = status(name, directory)
-    if found is not None:
-        check(found, shown, kind)
-    with filename(shown):
+    facts = status(name, directory)
+    if facts is not None:
+        check(facts, path, kind)
+    with filename(path):
         descriptor = os.open(name, flags | _SAFELY, 0o666, dir_fd=directory)
     try:
-        found = os.fstat(descriptor)
-        check(found, shown, kind)
-        if flags & (os.O_WRONLY | os.O_RDWR) and found.st_nlink > 1:
+        facts = os.fstat(descriptor)
+        check(facts, path, kind)
+        if flags & (os.O_WRONLY | os.O_RDWR) and facts.st_nlink > 1:
             raise StoreError(
-                f"{shown}: expected a file with one name, got one of {found.st_nlink} (hard links), which would"
+                f"{path}: expected a file with one name, got one of {facts.st_nlink} (hard links), which would"
                 " change under all; put a copy in its place"
             )
     except BaseException:
@@ -99,57 +92,52 @@ def way(path: Path, refusal: Callable[[str], Exception], is_made: bool = False) 
     """The folder in which a path ends, to pass through, the path's last name, and the folder's path without links.
 
     A link of another user may lead only to what is that user's, or lies in what is: not to what is this user's alone.
+    Raises `OSError` if it cannot be passed.
 
     Parameters
     ----------
-    path : Path
     refusal : callable
         The error for a link, which it is told, that leads elsewhere.
     is_made : bool
         Whether folders on the way that are missing are created.
-
-    Raises
-    ------
-    OSError
-        If it cannot be passed.
     """
-    parts, at = [*reversed(path.parts)] or ["."], Path("/") if path.is_absolute() else Path.cwd()
-    others: list[tuple[int, int, Path]] = []  # another user's links: how many parts follow, whose, where
+    steps, place = [*reversed(path.parts)] or ["."], Path("/") if path.is_absolute() else Path.cwd()
+    foreign_links: list[tuple[int, int, Path]] = []  # another user's links: how many parts follow, whose, where
     n_links = 0
-    held = os.open(path.anchor or ".", PASS)
+    descriptor = os.open(path.anchor or ".", PASS)
     try:
         with filename(path):
             while True:
-                name = parts.pop()
-                found = status(name, held)
-                if found is not None and stat.S_ISLNK(found.st_mode):
-                    if not is_ours(found):
-                        others.append((len(parts), found.st_uid, at / name))
-                    target = Path(os.readlink(name, dir_fd=held))
+                name = steps.pop()
+                facts = status(name, descriptor)
+                if facts is not None and stat.S_ISLNK(facts.st_mode):
+                    if not is_ours(facts):
+                        foreign_links.append((len(steps), facts.st_uid, place / name))
+                    target = Path(os.readlink(name, dir_fd=descriptor))
                     n_links += 1
-                    if n_links > MOST_LINKS or not _is_same(found, status(name, held)):
+                    if n_links > MOST_LINKS or not _is_same(facts, status(name, descriptor)):
                         raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
-                    parts += reversed(target.parts)
+                    steps += reversed(target.parts)
                     continue
-                while others and others[-1][0] == len(parts):  # it leads here
-                    _, user, link = others.pop()
-                    if user not in {one.st_uid for one in (os.fstat(held), found) if one is not None}:
+                while foreign_links and foreign_links[-1][0] == len(steps):  # it leads here
+                    _, user, link = foreign_links.pop()
+                    if user not in {entry.st_uid for entry in (os.fstat(descriptor), facts) if entry is not None}:
                         raise refusal(f"the link {link} of the user with the id {user}")
-                if not parts:
+                if not steps:
                     break
-                if found is None and is_made:
+                if facts is None and is_made:
                     with contextlib.suppress(FileExistsError):
-                        os.mkdir(name, dir_fd=held)
-                inner = os.open(name, PASS, dir_fd=held)
-                os.close(held)
-                held, at = inner, at.parent if name == ".." else at / name
-        yield held, name, at
+                        os.mkdir(name, dir_fd=descriptor)
+                inner = os.open(name, PASS, dir_fd=descriptor)
+                os.close(descriptor)
+                descriptor, place = inner, place.parent if name == ".." else place / name
+        yield descriptor, name, place
     finally:
-        os.close(held)
+        os.close(descriptor)
 
 
-def _is_same(found: os.stat_result, now: os.stat_result | None) -> bool:
-    return now is not None and os.path.samestat(found, now) and found.st_ctime_ns == now.st_ctime_ns
+def _is_same(earlier: os.stat_result, now: os.stat_result | None) -> bool:
+    return now is not None and os.path.samestat(earlier, now) and earlier.st_ctime_ns == now.st_ctime_ns
 
 
 def refusal_of(root: Path) -> Callable[[str], StoreError]:
@@ -159,23 +147,18 @@ def refusal_of(root: Path) -> Callable[[str], StoreError]:
 
 @contextlib.contextmanager
 def folder(
-    root: Path, inner: Sequence[str] = (), is_made: bool = False, known: os.stat_result | None = None
+    root: Path, inner: Sequence[str] = (), is_made: bool = False, expected: os.stat_result | None = None
 ) -> Iterator[int]:
     """Descriptor of a folder: `root` may be reached through links as of `way`, the folders `inner` below it may not.
 
-    What has taken the place of a root that was `known` counts as none.
-
-    Raises
-    ------
-    StoreError
-        If an inner one is something else, or a link of another user leads to the root.
-    OSError
-        If it cannot be opened; with `is_made`, inner ones that are missing are created.
+    What has taken the place of a root that was `known` counts as none. Raises `StoreError` if an inner one is
+    something else, or a link of another user leads to the root; `OSError` if it cannot be opened; with `is_made`,
+    inner ones that are missing are created.
     """
     with way(root, refusal_of(root)) as (passed, name, _), filename(root):
         descriptor = os.open(name, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=passed)
     try:
-        if known is not None and not os.path.samestat(os.fstat(descriptor), known):
+        if expected is not None and not os.path.samestat(os.fstat(descriptor), expected):
             raise FileNotFoundError(errno.ENOENT, "another directory is in its place", str(root))
         for name in inner:
             root /= name
@@ -191,12 +174,12 @@ def folder(
 
 
 @contextlib.contextmanager
-def filename(shown: Path) -> Iterator[None]:
+def filename(path: Path) -> Iterator[None]:
     """Have errors of the system name a file by its path, not by its name in an open folder."""
     try:
         yield
     except OSError as error:
-        error.filename, error.filename2 = str(shown), None
+        error.filename, error.filename2 = str(path), None
         raise
 
 
@@ -211,13 +194,13 @@ class Replacement:
         Descriptor of the folder, which has to stay open.
     """
 
-    def __init__(self, name: str, directory: int, shown: Path) -> None:
-        found = status(name, directory)
-        if found is not None:
-            check(found, shown)
-        self._name, self.directory, self._shown = name, directory, shown
+    def __init__(self, name: str, directory: int, path: Path) -> None:
+        facts = status(name, directory)
+        if facts is not None:
+            check(facts, path)
+        self._name, self.directory, self._shown = name, directory, path
         self._temporary = f"{_begun(name)}{os.getpid()}-{secrets.token_hex(8)}"
-        with filename(shown):
+        with filename(path):
             how = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
             descriptor = os.open(self._temporary, how, 0o666, dir_fd=directory)
         self.stream: BinaryIO = open(descriptor, "w+b")  # noqa: SIM115  until it is in place or given up
@@ -268,16 +251,18 @@ def _begun(name: str) -> str:
 
 def remove_left(directory: int, name: str = "") -> None:
     """Remove the unfinished copies that killed processes of this user left in a folder, of one file or of all."""
-    of = re.escape(name) if name else ".*"
-    left = re.compile(rf"{re.escape(TEMPORARY)}{of}-{re.escape(socket.gethostname())}-(\d{{1,9}})-[0-9a-f]{{16}}")
-    for one in os.listdir(directory):
-        match = left.fullmatch(one)
+    stem = re.escape(name) if name else ".*"
+    pattern = re.compile(
+        rf"{re.escape(TEMPORARY)}{stem}-{re.escape(socket.gethostname())}-(\d{{1,9}})-[0-9a-f]{{16}}"
+    )
+    for entry in os.listdir(directory):
+        match = pattern.fullmatch(entry)
         if match is None or is_alive(int(match[1])):
             continue
-        found = status(one, directory)
-        if found is not None and stat.S_ISREG(found.st_mode) and found.st_uid == os.geteuid():
+        facts = status(entry, directory)
+        if facts is not None and stat.S_ISREG(facts.st_mode) and facts.st_uid == os.geteuid():
             with contextlib.suppress(OSError):
-                os.unlink(one, dir_fd=directory)
+                os.unlink(entry, dir_fd=directory)
 
 
 def is_alive(pid: int) -> bool:

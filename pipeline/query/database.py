@@ -58,32 +58,32 @@ def quoted(name: str) -> str:
 
 def views(schema: pa.Schema, step: float | None) -> dict[str, str]:
     """The views of a dataset, each as the SELECT from its shards; `step` is the scene's ``record.separation``."""
-    found = {
+    selections = {
         "members": f"SELECT {', '.join(map(quoted, scalars(schema)))} FROM shards",
         "n_stick": "SELECT member_id, unnest(t) AS t, unnest(n_stick) AS n_stick FROM shards",
         "cascades": _CASCADES,
     }
     if "event_t" in schema.names:
-        found["events"] = (
+        selections["events"] = (
             "SELECT member_id, unnest(event_t) AS t, unnest(event_block) AS block, unnest(event_mode) AS mode"
             " FROM shards"
         )
     if "episode_start" in schema.names:
         of_episode = [field.name for field in schema if field.name.startswith("episode_")]
         columns = (f"unnest({quoted(name)}) AS {quoted(name.removeprefix('episode_'))}" for name in of_episode)
-        found["episodes"] = f"SELECT member_id, {', '.join(columns)} FROM shards"
+        selections["episodes"] = f"SELECT member_id, {', '.join(columns)} FROM shards"
     if "separation" in schema.names:
-        found["separation"] = (
+        selections["separation"] = (
             f"SELECT member_id, {step!r}::DOUBLE * unnest(range(len(separation))) AS t,"
             " unnest(separation) AS distance FROM shards"
         )
     if "by_threshold" in schema.names:
-        found["thresholds"] = (
+        selections["thresholds"] = (
             "WITH runs AS (SELECT member_id, unnest(by_threshold) AS run FROM shards)"
             " SELECT member_id, run.threshold AS threshold, unnest(run.t) AS t, unnest(run.n_stick) AS n_stick"
             " FROM runs"
         )
-    return found
+    return selections
 
 
 def sql(path: Where | Opened, query: str) -> pd.DataFrame:
@@ -132,10 +132,10 @@ def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
         batches = ask(lambda: _reader(connection.sql(query)))
         schema = _named_apart(batches.schema)
         # the first rows come here: what is wrong with a query shows before anything is handed over
-        first = ask(lambda: next(iter(batches), None))
+        first_batch = ask(lambda: next(iter(batches), None))
 
         def rest() -> Iterator[pa.RecordBatch]:
-            batch = first
+            batch = first_batch
             while batch is not None:
                 yield pa.RecordBatch.from_arrays(batch.columns, schema=schema)
                 batch = ask(lambda: next(iter(batches), None))
@@ -179,11 +179,11 @@ def _prepare(connection: Any, source: Any, selections: dict[str, str]) -> None:
 
 def _named_apart(schema: pa.Schema) -> pa.Schema:
     """The columns of an answer; of those that share a name, the second is `name_1`, as DuckDB calls it in a table."""
-    taken, names = set(schema.names), list[str]()
+    used, names = set(schema.names), list[str]()
     for name in schema.names:
         free = (f"{name}_{k}" for k in count(1))
-        names.append(name if name not in names else next(other for other in free if other not in taken))
-        taken.add(names[-1])
+        names.append(name if name not in names else next(candidate for candidate in free if candidate not in used))
+        used.add(names[-1])
     return pa.schema([field.with_name(name) for field, name in zip(schema, names, strict=True)])
 
 
@@ -195,8 +195,8 @@ def _aside(connection: Any) -> Iterator[Executor]:
         try:
             yield aside
         finally:
-            last = aside.submit(lambda: None)
-            while wait([last], timeout=0.1).not_done:
+            final = aside.submit(lambda: None)
+            while wait([final], timeout=0.1).not_done:
                 connection.interrupt()  # again, if it came before the query had begun
 
 
@@ -204,8 +204,8 @@ def _reader(relation: Any) -> pa.RecordBatchReader:
     if relation is None:
         raise QueryError("query: expected a statement that returns rows, got one that returns none")
     # the name changed on the way from DuckDB 1 to 2
-    read = getattr(relation, "to_arrow_reader", None) or relation.fetch_record_batch
-    return read(_ROWS)
+    reader = getattr(relation, "to_arrow_reader", None) or relation.fetch_record_batch
+    return reader(_ROWS)
 
 
 def _check(statements: list[Any]) -> None:
@@ -231,9 +231,9 @@ def _explained(duckdb: Any, place: Place, names: list[str]) -> Iterator[None]:
         is_of_system = isinstance(error, OSError) and not re.match(r"[A-Z][\w ]* Error: ", str(error))
         if is_of_system or _OF_SHARDS.search(str(error)):
             raise unreadable(place, error) from error
-        asked = re.search(r"Table with name (\w+) does not exist", str(error))
-        if asked and asked[1].lower() in TABLES and asked[1].lower() not in names:
-            raise not_recorded(asked[1].lower()) from error
+        match = re.search(r"Table with name (\w+) does not exist", str(error))
+        if match and match[1].lower() in TABLES and match[1].lower() not in names:
+            raise not_recorded(match[1].lower()) from error
         unknown = isinstance(error, duckdb.PermissionException | duckdb.CatalogException)
         words = f"; a query reads {', '.join(['shards', *names])}, and nothing else" if unknown else ""
         raise QueryError(f"query: {printable(str(error).strip())}{words}") from error

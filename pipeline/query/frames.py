@@ -122,10 +122,10 @@ def members_in_parts(path: Where | Opened, columns: Sequence[str]) -> Iterator[t
     A column has a nullable type where it holds nulls in that part.
     """
     opened = open_dataset(path)
-    for part in opened.in_parts(_ROWS):
-        table = _chosen(opened, opened.shards(part), list(columns), None)
-        opened.check_members(table, part)
-        yield frame(table), opened.coordinates(part)
+    for shards in opened.in_parts(_ROWS):
+        table = _chosen(opened, opened.shards(shards), list(columns), None)
+        opened.check_members(table, shards)
+        yield frame(table), opened.coordinates(shards)
 
 
 def dask_members(
@@ -146,34 +146,34 @@ def dask_members(
     schema = pa.schema([source.schema.field(name) for name in names])
     address = str(opened.place)
     empty = _part((), address, names, condition, schema)
-    parts = _parts({name: shard.bytes for name, shard in sorted(opened.manifest.shards.items())})
+    groups = _parts({name: shard.bytes for name, shard in sorted(opened.manifest.shards.items())})
     return dask.dataframe.from_map(
-        _part, parts, path=address, names=names, condition=condition, schema=schema, meta=empty, label="members"
+        _part, groups, path=address, names=names, condition=condition, schema=schema, meta=empty, label="members"
     )
 
 
 def _parts(sizes: dict[str, int]) -> list[tuple[str, ...]]:
     """Consecutive shards together, up to `_PART` bytes."""
-    parts: list[list[str]] = [[]]
+    groups: list[list[str]] = [[]]
     filled = 0
     for name, size in sizes.items():
-        if parts[-1] and filled + size > _PART:
-            parts.append([])
+        if groups[-1] and filled + size > _PART:
+            groups.append([])
             filled = 0
-        parts[-1].append(name)
+        groups[-1].append(name)
         filled += size
-    return [tuple(part) for part in parts]
+    return [tuple(group) for group in groups]
 
 
 def _part(
-    part: tuple[str, ...], path: str, names: list[str], condition: pc.Expression | None, schema: pa.Schema
+    shards: tuple[str, ...], path: str, names: list[str], condition: pc.Expression | None, schema: pa.Schema
 ) -> pd.DataFrame:
     """One part of a dask frame; of no shards: its columns and their types."""
     nullable = [field.name for field in schema if field.nullable]
-    if not part:
+    if not shards:
         return frame(schema.empty_table(), nullable)
     opened = open_dataset(path)
-    return frame(_chosen(opened, opened.shards(part), names, condition), nullable)
+    return frame(_chosen(opened, opened.shards(shards), names, condition), nullable)
 
 
 def _known(schema: pa.Schema, columns: Sequence[str] | None) -> list[str]:
@@ -272,16 +272,16 @@ def episodes(path: Where | Opened) -> pd.DataFrame:
     if not names:
         raise not_recorded("episodes")
     with reading(opened.place):
-        found = source.to_table(["member_id", *names], filter=pc.field(names[0]).is_valid())
-        found = opened.checked(found).combine_chunks()
-    of = pc.list_parent_indices(found[names[0]].combine_chunks()) if len(found) else pa.array([], pa.int64())
+        rows = source.to_table(["member_id", *names], filter=pc.field(names[0]).is_valid())
+        rows = opened.checked(rows).combine_chunks()
+    row_numbers = pc.list_parent_indices(rows[names[0]].combine_chunks()) if len(rows) else pa.array([], pa.int64())
     columns = {
-        name.removeprefix("episode_"): pc.list_flatten(found[name])
-        if found[name].null_count < len(found)
-        else pa.nulls(len(of), found[name].type.value_type)
+        name.removeprefix("episode_"): pc.list_flatten(rows[name])
+        if rows[name].null_count < len(rows)
+        else pa.nulls(len(row_numbers), rows[name].type.value_type)
         for name in names
     }
-    return frame(pa.table({"member_id": found["member_id"].take(of), **columns}))
+    return frame(pa.table({"member_id": rows["member_id"].take(row_numbers), **columns}))
 
 
 def _member_row(opened: Opened, source: ds.Dataset, member_id: str, columns: list[str]) -> dict[str, pa.Scalar]:
@@ -289,9 +289,9 @@ def _member_row(opened: Opened, source: ds.Dataset, member_id: str, columns: lis
         raise QueryError(f"member_id: expected the name of a member, got {member_id!r}; `members` lists them")
     with reading(opened.place):
         rows = opened.checked(source.to_table([*columns, "reason"], filter=pc.field("member_id") == member_id))
-        known = [] if rows.num_rows else source.to_table(["member_id"])["member_id"].to_pylist()
+        names = [] if rows.num_rows else source.to_table(["member_id"])["member_id"].to_pylist()
     if rows.num_rows == 0:
-        raise QueryError(f"member_id: expected a member that is done, got {member_id!r}{near(member_id, known)}")
+        raise QueryError(f"member_id: expected a member that is done, got {member_id!r}{near(member_id, names)}")
     if not rows[columns[0]][0].is_valid:
         raise QueryError(
             f"member_id: expected a member that ran, got {member_id!r}, which failed: {rows['reason'][0]}"
@@ -344,8 +344,8 @@ def by_threshold(path: Where | Opened) -> Recorded[dict[float, tuple[NDArray[np.
     """t and n_stick by threshold, for further definitions of sticking, by member_id; empty without `thresholds`."""
 
     def entry(row: _Row) -> dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]:
-        found = row("by_threshold").values  # noqa: PD011  an Arrow scalar, no data frame
-        return {one["threshold"].as_py(): (_array(one["t"]), _array(one["n_stick"])) for one in found}
+        entries = row("by_threshold").values  # noqa: PD011  an Arrow scalar, no data frame
+        return {series["threshold"].as_py(): (_array(series["t"]), _array(series["n_stick"])) for series in entries}
 
     return Recorded(open_dataset(path), "by_threshold", ["by_threshold"], entry)
 
@@ -369,10 +369,10 @@ class Recorded(Mapping[str, _Value]):
 
     def _shard(self, k: int) -> _Shard:
         if k not in self._kept:
-            known = ["member_id", "n", "outcome"]
+            fixed_columns = ["member_id", "n", "outcome"]
             with reading(self._opened.place):
-                table = self._fragments[k].to_table(columns=[*known, *self._columns])
-            table = self._opened.checked(table).drop_columns(known[1:])
+                table = self._fragments[k].to_table(columns=[*fixed_columns, *self._columns])
+            table = self._opened.checked(table).drop_columns(fixed_columns[1:])
             table = table.filter(pc.is_valid(table[self._recorded]))
             while len(self._kept) >= _SHARDS_KEPT and self._n_bytes() + table.nbytes > _KEPT:
                 del self._kept[next(iter(self._kept))]
@@ -389,7 +389,7 @@ class Recorded(Mapping[str, _Value]):
     def _place(self) -> dict[str, tuple[int, int]]:
         """Shard and row of each member."""
         names = (self._shard(k).member_ids for k in range(len(self._fragments)))
-        return {name: (k, row) for k, listed in enumerate(names) for row, name in enumerate(listed)}
+        return {name: (k, row) for k, ids in enumerate(names) for row, name in enumerate(ids)}
 
     def __getitem__(self, key: str) -> _Value:
         k, row = self._next  # in the order of the members no place has to be looked up
@@ -424,32 +424,29 @@ class Series(Recorded[tuple[NDArray[np.float64], NDArray[np.int32]]]):
     ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int32]]]:
         """t and n_stick of some members, in their order, one after the other: a part for each shard that is read.
 
+        Raises `KeyError` if a member is unknown or failed; its argument is the member.
+
         Yields
         ------
         first : int64, shape (m + 1,)
             Where the members of the part begin, and the length of what follows.
         t : float64, shape (first[-1],)
         n_stick : int32, shape (first[-1],)
-
-        Raises
-        ------
-        KeyError
-            If a member is unknown or failed; its argument is the member.
         """
-        done = 0
-        while done < len(member_ids):
-            k = next((k for k in self._likely() if member_ids[done] in self._shard(k).rows), None)
+        n_done = 0
+        while n_done < len(member_ids):
+            k = next((k for k in self._likely() if member_ids[n_done] in self._shard(k).rows), None)
             if k is None:
-                k, _ = self._place[member_ids[done]]
+                k, _ = self._place[member_ids[n_done]]
             self._next = k, 0
             shard, rows = self._shard(k), list[int]()
-            for name in itertools.islice(member_ids, done, None):
+            for name in itertools.islice(member_ids, n_done, None):
                 if name not in shard.rows:
                     break
                 rows.append(shard.rows[name])
-            first, t, level = shard.together(np.array(rows))
-            yield first, t, level
-            done += len(rows)
+            starts, t, level = shard.together(np.array(rows))
+            yield starts, t, level
+            n_done += len(rows)
 
     def _likely(self) -> range:
         """The shard that was read last and the one after it: in the order of the members no place is looked up."""
@@ -462,10 +459,10 @@ class _Items(ItemsView[str, _Value]):
     _mapping: Recorded[_Value]
 
     def __iter__(self) -> Iterator[tuple[str, _Value]]:
-        found = self._mapping
-        for k in range(len(found._fragments)):
-            for row, name in enumerate(found._shard(k).member_ids):
-                yield name, found._at(k, row)
+        mapping = self._mapping
+        for k in range(len(mapping._fragments)):
+            for row, name in enumerate(mapping._shard(k).member_ids):
+                yield name, mapping._at(k, row)
 
 
 class _Shard:
@@ -491,21 +488,18 @@ class _Shard:
     def together(self, rows: NDArray[np.int64]) -> list[np.ndarray]:
         """Where lists of some rows begin, if they lie one after the other, their length, and the lists of each name.
 
-        Raises
-        ------
-        pyarrow.ArrowInvalid
-            If lists of one row differ in length.
+        Raises `pyarrow.ArrowInvalid` if lists of one row differ in length.
         """
-        first, places, found = np.zeros(1, np.int64), np.zeros(0, np.int64), list[np.ndarray]()
+        starts, places, arrays = np.zeros(1, np.int64), np.zeros(0, np.int64), list[np.ndarray]()
         for name, (values, begins) in self._lists.items():
             lengths = begins[rows + 1] - begins[rows]
-            own = np.concatenate(([0], np.cumsum(lengths)))
-            if found and not np.array_equal(own, first):
+            bounds = np.concatenate(([0], np.cumsum(lengths)))
+            if arrays and not np.array_equal(bounds, starts):
                 raise pa.ArrowInvalid(f"Parquet: lists of one row differ in length: {name}")
-            first = own
-            places = np.repeat(begins[rows] - own[:-1], lengths) + np.arange(own[-1])
-            found.append(values[places])
-        return [first, *found]
+            starts = bounds
+            places = np.repeat(begins[rows] - bounds[:-1], lengths) + np.arange(bounds[-1])
+            arrays.append(values[places])
+        return [starts, *arrays]
 
     def row(self, k: int) -> _Row:
         def at(name: str) -> Any:

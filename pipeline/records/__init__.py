@@ -51,4 +51,4 @@ RECORDS: tuple[type[Record], ...] = (
 Contacts.keep_beside(RECORDS)
 
 #: What are tables of their own in SQL and frames, and the lines that ask for them.
-TABLES = {one.name: one.asked_by for one in (Events, EpisodesRecord, Separation, Thresholds)}
+TABLES = {record.name: record.asked_by for record in (Events, EpisodesRecord, Separation, Thresholds)}

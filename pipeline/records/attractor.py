@@ -28,7 +28,6 @@ class AttractorRecord(WindowRecord):
         "whether to keep what a run of the exact law settles on: rest, sliding, a cycle with its period and"
         " multiplier, a torus, irregular motion"
     )
-    asked_by = "`attractor = true` under [record]"
     columns = (
         Column(
             "text",
@@ -107,34 +106,36 @@ class AttractorRecord(WindowRecord):
     def cost(self, member: Member, sharing: Sharing) -> float:
         return 0.5 * member.cost if self.applies(member) else 0.0
 
-    def of(self, made: Made) -> dict[str, Any]:
+    def of(self, result: Made) -> dict[str, Any]:
         from stickslip.sim.attractors import attractor  # it loads numba, which who reads a dataset does not need
 
         # a run that is certain to escape may end before
-        t_burn = min(self.t_burn, made.run.t_end)
-        found = attractor(made.run, made.system, t_burn, engine=made.member.engine, **dict(made.member.settings))
-        kept: dict[str, Any] = {
-            "attractor": found.kind,
-            "attractor_reason": found.reason or None,
-            "period": found.period,
-            **_per_period(found, made.system),
-            "multiplier": found.multiplier,
-            "deviation_rate": found.growth_rate,
+        t_burn = min(self.t_burn, result.run.t_end)
+        settled = attractor(
+            result.run, result.system, t_burn, engine=result.member.engine, **dict(result.member.settings)
+        )
+        values: dict[str, Any] = {
+            "attractor": settled.kind,
+            "attractor_reason": settled.reason or None,
+            "period": settled.period,
+            **_per_period(settled, result.system),
+            "multiplier": settled.multiplier,
+            "deviation_rate": settled.growth_rate,
             **{
-                name: np.broadcast_to(np.asarray(one, dtype=np.float64), made.system.n)
-                for name, one in zip(("start_z", "start_w"), made.start, strict=True)
+                name: np.broadcast_to(np.asarray(state, dtype=np.float64), result.system.n)
+                for name, state in zip(("start_z", "start_w"), result.start, strict=True)
             },
         }
-        if found.section is not None:
-            kept["section_z"], kept["section_w"] = found.section
-        if found.busiest is not None:
-            kept["exits_block"], kept["exits_z"] = found.busiest, found.at_exits()[-_MOST:]
-        return kept
+        if settled.section is not None:
+            values["section_z"], values["section_w"] = settled.section
+        if settled.busiest is not None:
+            values["exits_block"], values["exits_z"] = settled.busiest, settled.at_exits()[-_MOST:]
+        return values
 
 
-def _per_period(found: Attractor, system: System) -> dict[str, int]:
+def _per_period(settled: Attractor, system: System) -> dict[str, int]:
     """Exits and events in a period of blocks with friction: others only pass the speeds of their belts."""
-    if found.kind != "periodic" or found.events is None:
+    if settled.kind != "periodic" or settled.events is None:
         return {}
-    events = found.events.of_blocks(system.has_friction)
+    events = settled.events.of_blocks(system.has_friction)
     return {"exits_per_period": events.counts()["n_exits"], "events_per_period": len(events)}

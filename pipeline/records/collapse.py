@@ -15,7 +15,6 @@ class CollapseRecord(Record):
     words = (
         "whether each run is tested for collapse whenever all blocks slip, even where that costs more than it saves"
     )
-    asked_by = "`collapse = true` under [record]"
     is_certified = True
     columns = (
         Column(
@@ -28,5 +27,5 @@ class CollapseRecord(Record):
         ),
     )
 
-    def of(self, made: Made) -> dict[str, Any]:
-        return {"t_collapse": made.run.t_collapse}
+    def of(self, result: Made) -> dict[str, Any]:
+        return {"t_collapse": result.run.t_collapse}

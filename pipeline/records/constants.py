@@ -22,7 +22,6 @@ class Constants(Record):
 
     name = "constants"
     words = "whether to keep every constant of the system, and the start, as lists"
-    asked_by = "`constants = true` under [record]"
     needs = frozenset({"system"})
     columns = (
         _of_entry("wholes", "constant_row", "i of each entry of K that is not zero, from 0", is_index=True),
@@ -48,10 +47,10 @@ class Constants(Record):
         _of_block("constant_w0", "velocity of each block at t = 0"),
     )
 
-    def of(self, made: Made) -> dict[str, Any]:
-        system, member = made.system, made.member
+    def of(self, result: Made) -> dict[str, Any]:
+        system, member = result.system, result.member
         row, column = system.stiffness.nonzero()
-        (z, w), waves = made.start, [term for term in system.force if isinstance(term, Harmonic)]
+        (z, w), waves = result.start, [term for term in system.force if isinstance(term, Harmonic)]
         lists = {
             "damping": system.damping,
             "friction": system.friction,
@@ -65,10 +64,10 @@ class Constants(Record):
         if len(waves) == 1:
             lists |= {f"force_{name}": getattr(waves[0], name) for name in _HARMONIC}
         cross = None if system.cross_damping is None else system.damping_matrix - np.diag(system.damping)
-        known = {name: one for name, one in lists.items() if one is not None}
+        lists = {name: values for name, values in lists.items() if values is not None}
         return {
             "constant_row": row.astype(np.int32),
             "constant_column": column.astype(np.int32),
             "constant_stiffness": np.asarray(system.stiffness[row, column]).ravel(),
             "constant_cross_damping": None if cross is None else np.asarray(cross).ravel(),
-        } | {f"constant_{name}": np.broadcast_to(value, system.n) for name, value in known.items()}
+        } | {f"constant_{name}": np.broadcast_to(values, system.n) for name, values in lists.items()}

@@ -40,5 +40,5 @@ class Contacts(Record):
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
         return cls() if any(keys[name] for name in cls.beside) else None
 
-    def of(self, made: Made) -> dict[str, Any]:
-        return {"n_contacts": int(np.count_nonzero(made.system.has_friction))}
+    def of(self, result: Made) -> dict[str, Any]:
+        return {"n_contacts": int(np.count_nonzero(result.system.has_friction))}

@@ -51,8 +51,8 @@ class OutcomeRecord(Record):
         ),
     )
 
-    def of(self, made: Made) -> dict[str, Any]:
-        run = made.run
+    def of(self, result: Made) -> dict[str, Any]:
+        run = result.run
         return {
             "outcome": run.outcome,
             "reason": run.reason or None,

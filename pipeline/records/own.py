@@ -41,8 +41,6 @@ class Own(NamedTuple):
 
     Attributes
     ----------
-    function : OwnFunction
-    columns : tuple of Column
     optional : tuple of str
         Those of the columns that it may leave without a value, by returning None.
     is_sampled : bool
@@ -69,9 +67,9 @@ class Measured(NamedTuple):
     is_wrong: bool = False
 
     @classmethod
-    def none(cls, own: Own, problem: str, is_wrong: bool = True) -> Measured:
+    def none(cls, measure: Own, problem: str, is_wrong: bool = True) -> Measured:
         """No value at all, for one reason."""
-        return cls({}, dict.fromkeys((column.name for column in own.columns), problem), is_wrong)
+        return cls({}, dict.fromkeys((column.name for column in measure.columns), problem), is_wrong)
 
     @property
     def problem(self) -> str:
@@ -101,18 +99,20 @@ class OwnRecord(WindowRecord):
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
         if not keys[cls.name]:
             return None
-        known, at = keys["functions"], str(keys["folder"].resolve())
-        functions = tuple(_own(name, at, **known[name]) for name in keys[cls.name])
-        return cls(keys["t_burn"], functions, keys["dt"] if any(own.is_sampled for own in functions) else None)
+        tables, folder = keys["functions"], str(keys["folder"].resolve())
+        functions = tuple(_own(name, folder, **tables[name]) for name in keys[cls.name])
+        return cls(
+            keys["t_burn"], functions, keys["dt"] if any(measure.is_sampled for measure in functions) else None
+        )
 
     @property
     def kept(self) -> tuple[Column, ...]:
-        return (*(column for own in self.functions for column in own.columns), *self.columns)
+        return (*(column for measure in self.functions for column in measure.columns), *self.columns)
 
     @property
     def is_sampled(self) -> bool:
         """Whether some function asks for states."""
-        return any(own.is_sampled for own in self.functions)
+        return any(measure.is_sampled for measure in self.functions)
 
     def times(self, member: Member) -> Floats:
         if not self.is_sampled:
@@ -123,48 +123,52 @@ class OwnRecord(WindowRecord):
     def memory(self, facts: Facts) -> Memory | None:
         return sampling(facts, self.t_burn, self.dt) if self.is_sampled and self.dt is not None else None
 
-    def of(self, made: Made) -> dict[str, Any]:
-        found = [self.measured(own, made) for own in self.functions]
-        kept = {name: value for one in found for name, value in one.values.items()}
+    def of(self, result: Made) -> dict[str, Any]:
+        measurements = [self.measured(measure, result) for measure in self.functions]
+        values = {name: value for measured in measurements for name, value in measured.values.items()}
         problems = [
-            f"{own.function.name}: {one.problem}"
-            for own, one in zip(self.functions, found, strict=True)
-            if one.problems
+            f"{measure.function.name}: {measured.problem}"
+            for measure, measured in zip(self.functions, measurements, strict=True)
+            if measured.problems
         ]
         if not problems:
-            return kept
+            return values
         # words of an exception may hold what Parquet's text cannot
         why = "; ".join(problems).encode(errors="replace").decode()
-        return kept | {"own_problem": why, "own_lost": ",".join(name for one in found for name in one.problems)}
+        return values | {
+            "own_problem": why,
+            "own_lost": ",".join(name for measured in measurements for name in measured.problems),
+        }
 
-    def measured(self, own: Own, made: Made) -> Measured:
+    def measured(self, measure: Own, result: Made) -> Measured:
         """What one of its functions measures of a run.
 
-        Raises
-        ------
-        SceneError
-            If its module is gone, or has changed.
+        Raises `SceneError` if its module is gone, or has changed.
         """
-        run, window = made.run, (self.t_burn, made.run.t_end)
+        run, window = result.run, (self.t_burn, result.run.t_end)
         if window[1] <= window[0]:
-            return Measured.none(own, f"the run ends before t_burn = {window[0]:g}", False)
+            return Measured.none(measure, f"the run ends before t_burn = {window[0]:g}", False)
         # whatever else is recorded, it is given the same; nor does it change what others are given
         samples = (
-            made.samples(self.times(made.member)) if own.is_sampled else Samples.blank(np.empty(0), run.events.n)
+            result.samples(self.times(result.member))
+            if measure.is_sampled
+            else Samples.blank(np.empty(0), run.events.n)
         )
         run = read_only(replace(run, events=replace(run.events), samples=samples))
-        system, given = read_only(made.system), {SAMPLES: run.samples} if own.is_sampled else {}
+        system, options = read_only(result.system), {SAMPLES: run.samples} if measure.is_sampled else {}
         try:
-            return _checked(own, use(own.function, lambda measure: measure(run, system, window, **given)), window)
+            return _checked(
+                measure, use(measure.function, lambda target: target(run, system, window, **options)), window
+            )
         except LateError as error:
-            return Measured.none(own, str(error))
+            return Measured.none(measure, str(error))
         except (SceneError, NotKeptError):
             raise
         except Exception as error:  # of code that is not ours: the run has its other columns
-            if not made.is_whole:  # it may have read what is not there
+            if not result.is_whole:  # it may have read what is not there
                 raise NotKeptError from error
             # where an object lies in memory is another place each time
-            return Measured.none(own, re.sub(r"\b0x[0-9a-fA-F]{6,}", "0x...", foreign(error)))
+            return Measured.none(measure, re.sub(r"\b0x[0-9a-fA-F]{6,}", "0x...", foreign(error)))
 
 
 def read_only(value: _T) -> _T:
@@ -173,52 +177,52 @@ def read_only(value: _T) -> _T:
     Objects are copied, not their arrays; the value itself stays as it is.
     """
     if isinstance(value, np.ndarray):
-        found: Any = value.view()
-        found.flags.writeable = False
+        view: Any = value.view()
+        view.flags.writeable = False
     elif isinstance(value, tuple | list) and type(value) in (tuple, list):
-        found = type(value)(map(read_only, value))
+        view = type(value)(map(read_only, value))
     elif isinstance(value, Mapping):
-        found = {key: read_only(one) for key, one in value.items()}
+        view = {key: read_only(entry) for key, entry in value.items()}
     elif is_dataclass(value) or is_sparse(value):
-        found = copy(value)
+        view = copy(value)
         for name in vars(value):
-            object.__setattr__(found, name, read_only(getattr(value, name)))
+            object.__setattr__(view, name, read_only(getattr(value, name)))
     else:
-        found = value
-    return cast("_T", found)
+        view = value
+    return cast("_T", view)
 
 
 # ---------------------------------------------------------------------------------------------- what it returned
 
 
-def _checked(own: Own, returned: object, window: tuple[float, float]) -> Measured:
+def _checked(measure: Own, returned: object, window: tuple[float, float]) -> Measured:
     """The values that a function returned of a run, as its columns hold them."""
-    names = tuple(column.name for column in own.columns)
+    names = tuple(column.name for column in measure.columns)
     fields = getattr(returned, "_fields", names)
     if not isinstance(returned, tuple) or len(returned) != len(names) or fields != names:
         got = type(returned).__name__ + (f" of {len(returned)}" if isinstance(returned, tuple) else "")
-        return Measured.none(own, f"expected ({', '.join(names)}), got {got}")
+        return Measured.none(measure, f"expected ({', '.join(names)}), got {got}")
     values: dict[str, Any] = {}
     problems: dict[str, str] = {}
     t_burn, t_end = window
     is_wrong = False
-    for column, value in zip(own.columns, returned, strict=True):
-        if value is None and column.name in own.optional:
+    for column, value in zip(measure.columns, returned, strict=True):
+        if value is None and column.name in measure.optional:
             continue
         plain = _plain(column.kind, value)
         if isinstance(plain, float) and not math.isfinite(plain):
             problems[column.name] = f"expected a finite number for {column.name}, got {plain}"
         elif column.least is not None and plain is not None and plain < column.least:
-            least, got = apart(column.least, plain)
-            problems[column.name] = f"expected at least {least} for {column.name}, got {got}"
+            bound, got = apart(column.least, plain)
+            problems[column.name] = f"expected at least {bound} for {column.name}, got {got}"
         elif column.most is not None and plain is not None and plain > column.most:
-            most, got = apart(column.most, plain)
-            problems[column.name] = f"expected at most {most} for {column.name}, got {got}"
+            bound, got = apart(column.most, plain)
+            problems[column.name] = f"expected at most {bound} for {column.name}, got {got}"
         elif plain is not None and column.until is not None and plain > t_end - column.until.start(t_burn):
             start = column.until.start(t_burn)
-            most, got = apart(t_end - start, plain)
+            bound, got = apart(t_end - start, plain)
             problems[column.name] = (
-                f"expected at most {most} for {column.name}, a time since t = {start:g}, got {got}; subtract "
+                f"expected at most {bound} for {column.name}, a time since t = {start:g}, got {got}; subtract "
                 f"{start:g}"
             )
         elif plain is None:
@@ -262,33 +266,33 @@ def _float(number: numbers.Real) -> float:
 
 
 def _own(
-    name: str, at: str, sha256: str, is_sampled: bool, columns: Mapping[str, Mapping[str, Any]],
+    name: str, folder: str, sha256: str, is_sampled: bool, columns: Mapping[str, Mapping[str, Any]],
     beside: Mapping[str, str],
 ) -> Own:  # fmt: skip
     """A function from what a scene keeps of it."""
     return Own(
-        OwnFunction(KEY, name, sha256, at, tuple(sorted(beside.items()))),
+        OwnFunction(KEY, name, sha256, folder, tuple(sorted(beside.items()))),
         tuple(
             Column(
-                _KINDS[one["type"]],
+                _KINDS[facts["type"]],
                 key,
-                one["words"],
-                least=one["least"],
-                most=one["most"],
-                absent=one["absent"],
-                title=one["words"] if len(one["words"].split()) <= FEW_WORDS else "",
-                until=None if one["since"] is None else Until(one["since"]),
+                facts["words"],
+                least=facts["least"],
+                most=facts["most"],
+                absent=facts["absent"],
+                title=facts["words"] if len(facts["words"].split()) <= FEW_WORDS else "",
+                until=None if facts["since"] is None else Until(facts["since"]),
             )
-            for key, one in columns.items()
+            for key, facts in columns.items()
         ),
-        tuple(key for key, one in columns.items() if one["is_optional"]),
+        tuple(key for key, facts in columns.items() if facts["is_optional"]),
         is_sampled,
     )
 
 
-def named_functions(own: object) -> list[str]:
+def named_functions(value: object) -> list[str]:
     """The functions that a scene names by the value of its key, before it is checked; none if one is no name."""
-    names = own if isinstance(own, list | tuple) else [own]
+    names = value if isinstance(value, list | tuple) else [value]
     are_names = all(isinstance(name, str) and re.match(PATTERN, name) for name in names)
     return [*dict.fromkeys(names)] if are_names else []
 
@@ -296,21 +300,21 @@ def named_functions(own: object) -> list[str]:
 def look_at_functions(names: Iterable[str], folder: Path) -> dict[str, dict[str, Any]]:
     """What a scene keeps of functions beside it, by name, as plain values. Their modules are loaded in children.
 
-    Raises
-    ------
-    SceneError
-        If there is none of that name, it cannot be loaded, or does not declare what it returns.
+    Raises `SceneError` if there is none of that name, it cannot be loaded, or does not declare what it returns.
     """
     functions = [resolve(name, folder, KEY) for name in names]
-    seen: dict[str, dict[str, Any]] = {}
-    for module in dict.fromkeys(one.module for one in functions):
-        some = [one for one in functions if one.module == module]
-        attempt = partial(_declared, some)
-        facts = tried_once(Trial(KEY, some[0].at, attempt, module, "a module that can be loaded"))
-        seen |= {one.name: {"sha256": one.sha256, **facts[one.name], "beside": facts["beside"]} for one in some}
-    return {one.name: seen[one.name] for one in functions}
+    facts_of: dict[str, dict[str, Any]] = {}
+    for module in dict.fromkeys(function.module for function in functions):
+        of_module = [function for function in functions if function.module == module]
+        attempt = partial(_declared, of_module)
+        facts = tried_once(Trial(KEY, of_module[0].at, attempt, module, "a module that can be loaded"))
+        facts_of |= {
+            function.name: {"sha256": function.sha256, **facts[function.name], "beside": facts["beside"]}
+            for function in of_module
+        }
+    return {function.name: facts_of[function.name] for function in functions}
 
 
 def _declared(functions: list[OwnFunction]) -> tuple[bytes, dict[str, Any]]:
     """In a child: what functions of a module declare, by their names."""
-    return b"", {one.name: use(one, partial(declared, one), is_trial=True) for one in functions}
+    return b"", {function.name: use(function, partial(declared, function), is_trial=True) for function in functions}

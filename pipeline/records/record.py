@@ -57,8 +57,6 @@ class Made:
 
     Attributes
     ----------
-    member : Member
-    system : System
     run : Run
         Sampled at the times that the records' `times` ask for.
     start : tuple of two
@@ -94,9 +92,9 @@ class Made:
 
     def samples(self, times: Floats) -> Samples:
         """The run's state at times that a record asked for, as far as the run goes."""
-        taken = self.run.samples
-        rows = np.searchsorted(taken.t, times[times <= taken.t[-1]] if len(taken) else times[:0])
-        return Samples(taken.t[rows], taken.z[rows], taken.w[rows])
+        samples = self.run.samples
+        rows = np.searchsorted(samples.t, times[times <= samples.t[-1]] if len(samples) else times[:0])
+        return Samples(samples.t[rows], samples.z[rows], samples.w[rows])
 
 
 class Sharing(NamedTuple):
@@ -141,7 +139,6 @@ class Record(ABC):
         Of that key, for schemas and the guide.
     asked_by : str
         The line by which a scene asks for it.
-    columns : tuple of Column
     is_of_paths : bool
         Whether it is about each run's own path, so that tolerances are picked for paths.
     needs : frozenset of str
@@ -163,7 +160,7 @@ class Record(ABC):
     name: ClassVar[str]
     words: ClassVar[str]
     example: ClassVar[object] = True
-    asked_by: ClassVar[str] = ""
+    asked_by: ClassVar[str]
     columns: ClassVar[tuple[Column, ...]]
     is_step: ClassVar[bool] = False
     is_named: ClassVar[bool] = False
@@ -174,6 +171,10 @@ class Record(ABC):
     needs_stills: ClassVar[bool] = False
     is_of_contacts: ClassVar[bool] = False
     needs: ClassVar[frozenset[str]] = frozenset({"run"})
+
+    def __init_subclass__(cls) -> None:
+        if "name" in vars(cls) and "asked_by" not in vars(cls):
+            cls.asked_by = f"`{cls.name} = true` under [record]"
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
@@ -223,7 +224,7 @@ class Record(ABC):
         return None
 
     @abstractmethod
-    def of(self, made: Made) -> dict[str, Any]:
+    def of(self, result: Made) -> dict[str, Any]:
         """The values of its columns; those left out are null."""
 
 
@@ -255,9 +256,9 @@ class StateRecord(WindowRecord):
     def times(self, member: Member) -> Floats:
         return steps(self.t_burn, member.t_end, self.dt)
 
-    def of(self, made: Made) -> dict[str, Any]:
-        samples = made.samples(self.times(made.member))
-        return self.of_states(samples, made.system) if len(samples) > 1 else {}
+    def of(self, result: Made) -> dict[str, Any]:
+        samples = result.samples(self.times(result.member))
+        return self.of_states(samples, result.system) if len(samples) > 1 else {}
 
     @abstractmethod
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:

@@ -82,10 +82,7 @@ _LOCAL_CLUSTER = {
 def check_memory(scene: Scene, workers: int) -> None:
     """See that a worker of this machine can hold the scene's largest system, from the numbers alone.
 
-    Raises
-    ------
-    SceneError
-        If it cannot.
+    Raises `SceneError` if it cannot.
     """
     n = max(scene.system.n)
     room = MEMORY_LIMIT / max(1, min(workers, scene.n_members))
@@ -103,10 +100,7 @@ def check_memory(scene: Scene, workers: int) -> None:
 def check_address(address: str) -> None:
     """See that a scheduler answers at an address: with a wrong one `Client` hangs in its destructor.
 
-    Raises
-    ------
-    AddressError
-        If it is no address, or no scheduler answers there within `CONNECT_TIMEOUT`.
+    Raises `AddressError` if it is no address, or no scheduler answers there within `CONNECT_TIMEOUT`.
     """
     try:
         # a closed port is refused at once here; dask would retry
@@ -188,9 +182,7 @@ def local(workers: int, dashboard: bool = False) -> Iterator[Client]:
 def _check_address_space() -> None:
     """Refuse a limit with which libraries fail one by one as they are loaded, each in its own words, or hang.
 
-    Raises
-    ------
-    ScheduleError
+    Raises `ScheduleError`.
     """
     most = resource.getrlimit(resource.RLIMIT_AS)[0]
     if most != resource.RLIM_INFINITY and most < _LEAST_SPACE:
@@ -204,10 +196,7 @@ def _check_address_space() -> None:
 def _files_for(workers: int) -> Iterator[None]:
     """Within: this process may open as many files as workers take, 23 and 12 for each; without them dask hangs.
 
-    Raises
-    ------
-    ScheduleError
-        If it may not.
+    Raises `ScheduleError` if it may not.
     """
     needed = 32 + 16 * workers
     most = max(needed, _MOST_FILES)  # others on this machine may open connections too, which are then refused
@@ -228,9 +217,7 @@ def _files_for(workers: int) -> Iterator[None]:
 def _look_at(client: Client) -> None:
     """Refuse workers that are there and run another version; warn of a setup that is slow or that others may enter.
 
-    Raises
-    ------
-    ScheduleError
+    Raises `ScheduleError`.
     """
     several = [address for address, count in client.nthreads().items() if count > 1]
     if several:
@@ -241,14 +228,14 @@ def _look_at(client: Client) -> None:
             several[0],
         )
     # by names that every Python knows: a worker that cannot load a function of ours ends, and only its log says why
-    for address, found in (client.run(eval, _PROGRAM, on_error="return") or {}).items():
-        if found != program():
+    for address, version in (client.run(eval, _PROGRAM, on_error="return") or {}).items():
+        if version != program():
             raise ScheduleError(
-                f"expected workers with this version of the program ({program()}), got {address} with {found!r}; "
+                f"expected workers with this version of the program ({program()}), got {address} with {version!r}; "
                 "install the same there, then try again"
             )
     setups: dict[str, _Setup] = client.run(_setup, on_error="ignore") or {}
-    unset = [address for address, one in setups.items() if not one.threads & {"1"}]
+    unset = [address for address, setup in setups.items() if not setup.threads & {"1"}]
     if unset:
         log.warning(
             "expected workers whose libraries have one thread each, got %d that do not say so, %s first: last digits "
@@ -256,7 +243,7 @@ def _look_at(client: Client) -> None:
             len(unset),
             unset[0],
         )
-    open_to_others = [(address, one.shared) for address, one in setups.items() if one.shared]
+    open_to_others = [(address, setup.shared) for address, setup in setups.items() if setup.shared]
     if open_to_others:
         log.warning(
             "expected workers in a directory in which nobody else may write, as they run what lies there, got %s of "
@@ -279,18 +266,17 @@ class _Setup(NamedTuple):
 
 def _setup(dask_worker: Worker) -> _Setup:
     threads = {value for name in ONE_THREAD if (value := os.environ.get(name)) is not None}
-    at = Path(dask_worker.local_directory)
-    is_shared = any(not is_ours(found) or others_write(found) for found in (at.stat(), at.parent.stat()))
-    return _Setup(threads, str(at.parent) if is_shared else "")
+    directory = Path(dask_worker.local_directory)
+    is_shared = any(
+        not is_ours(facts) or others_write(facts) for facts in (directory.stat(), directory.parent.stat())
+    )
+    return _Setup(threads, str(directory.parent) if is_shared else "")
 
 
 def _wait_for(starting: Future[SpecCluster], loop: LoopRunner, workers: int, errors: ErrorStream) -> SpecCluster:
     """The cluster, once its workers have started, which may take no longer than a limit.
 
-    Raises
-    ------
-    ScheduleError
-        If one cannot, with the last that it said.
+    Raises `ScheduleError` if one cannot, with the last that it said.
     """
     limit = _START_TIMEOUT + _START_EACH * workers
     end = time.monotonic() + limit

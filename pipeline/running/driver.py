@@ -14,7 +14,6 @@ from typing import NamedTuple
 from distributed import Client, fire_and_forget
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
-from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.dataset.status import Pace, Status, Tally, counted
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.ensemble.expand import expand
@@ -22,15 +21,23 @@ from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.ensemble.pack import Task
 from stickslip.pipeline.errors import ScheduleError
 from stickslip.pipeline.own.function import OwnFunction
+from stickslip.pipeline.places.manifest import Result
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.running import ends
 from stickslip.pipeline.running.cluster import Scheduling, check_address, check_memory, connect
 from stickslip.pipeline.running.executor import Executor, Here
-from stickslip.pipeline.running.isolation import compute_alone
 from stickslip.pipeline.running.kept import KeptRows
 from stickslip.pipeline.running.submit import LOST, Dask
 from stickslip.pipeline.running.trials import check_functions
-from stickslip.pipeline.running.worker import Order, cold_engines, compute, compute_there, load_kernels, row
+from stickslip.pipeline.running.worker import (
+    Order,
+    cold_engines,
+    compute,
+    compute_alone,
+    compute_there,
+    load_kernels,
+    row,
+)
 from stickslip.pipeline.scene import systems
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.sim.numerics.session import numpy_defaults
@@ -143,10 +150,7 @@ def run_ensemble(
 def _look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction]) -> None:
     """See that what members come from, and functions, are as they were: a word here, and not a row for each member.
 
-    Raises
-    ------
-    SceneError
-        If one is gone, or another.
+    Raises `SceneError` if one is gone, or another.
     """
     for origin in {member.source.origin for member in firsts} | set(functions):
         if origin is not None:
@@ -156,10 +160,7 @@ def _look_at_origins(firsts: Iterable[Member], functions: Iterable[OwnFunction])
 def _check_caller(workers: int, scheduler: Scheduling) -> None:
     """Refuse a number of workers that is none, and a worker that loads the caller's script.
 
-    Raises
-    ------
-    ValueError, ScheduleError
-        As `run_ensemble`.
+    Raises `ValueError` or `ScheduleError` as `run_ensemble`.
     """
     if workers < 0:
         raise ValueError(f"workers: expected a count >= 0, got {workers}; 0 runs in this process")
@@ -188,10 +189,8 @@ class _Filling:
 
     Parameters
     ----------
-    store : Store
     firsts : sequence of Member
         Those that are run: the first of each pair of an origin of systems and an engine.
-    workers : Workers
     on_progress : callable, optional
         As of `run_ensemble`.
     start : float
@@ -208,8 +207,8 @@ class _Filling:
     ) -> None:
         self._store, self._workers, self._on_progress, self._start = store, workers, on_progress, start
         self._costs = {batch.name: batch.cost for batch, _ in store.todo}
-        there = {name: shard for name, shard in store.done.items() if name not in self._costs}
-        self._tally = Tally.of(store.tasks, there)
+        shards = {name: shard for name, shard in store.done.items() if name not in self._costs}
+        self._tally = Tally.of(store.tasks, shards)
         self._by_engine = {member.engine: member for member in reversed(firsts)}
         self._cold = cold_engines(self._by_engine) if workers.scheduler is None else ()
         self._dashboard: str | None = None
@@ -221,10 +220,7 @@ class _Filling:
     def __call__(self, order: Callable[[Task], Order]) -> None:
         """Compute and commit; `order` gives what of a task is sent to a worker, and is called when it is.
 
-        Raises
-        ------
-        SceneError, StoreError, ScheduleError
-            As `run_ensemble`.
+        Raises `SceneError` or `StoreError` or `ScheduleError` as `run_ensemble`.
         """
         self._report()
         self._store.note(f"began {time.time():.3f}")

@@ -31,10 +31,7 @@ _ALIKE: tuple[Callable[[Member], Any], ...] = (
 def check(scene: Scene) -> None:
     """See that each member of a scene has an end to start at; asked before a scene is run, not when it is read.
 
-    Raises
-    ------
-    SceneError
-        If one has none, or several.
+    Raises `SceneError` if one has none, or several.
     """
     if scene.ends is None:
         return
@@ -52,10 +49,7 @@ def check(scene: Scene) -> None:
 def end_of(member: Member) -> State | None:
     """z and w, each of shape (n,), at the end at which a member starts; None if it starts at none.
 
-    Raises
-    ------
-    SceneError
-        If the dataset is gone or has changed; or as `check`.
+    Raises `SceneError` if the dataset is gone or has changed; or as `check`.
     """
     ends = member.begin.ends
     if ends is None:
@@ -76,8 +70,8 @@ class _WithEnds:
     def match(self, member: Member) -> str:
         """The id of the one at whose end a member starts."""
         candidates = self.like.get(_same(member), ())
-        for of in _ALIKE:
-            candidates = [candidate for candidate in candidates if of(candidate) == of(member)] or candidates
+        for trait in _ALIKE:
+            candidates = [candidate for candidate in candidates if trait(candidate) == trait(member)] or candidates
         draw = member.begin.draw
         if not candidates or (draw is not None and candidates[0].begin.draw != draw):
             raise SceneError(
@@ -118,5 +112,5 @@ def _with_ends(at: str, sha256: str) -> _WithEnds:
     like: dict[tuple[Any, ...], list[Member]] = {}
     for member in expand(opened.scene):
         like.setdefault(_same(member), []).append(member)
-    done = query.table(opened, ["member_id", "outcome"]).to_pydict()
-    return _WithEnds(at, like, dict(zip(done["member_id"], done["outcome"], strict=True)), query.ends(opened))
+    columns = query.table(opened, ["member_id", "outcome"]).to_pydict()
+    return _WithEnds(at, like, dict(zip(columns["member_id"], columns["outcome"], strict=True)), query.ends(opened))

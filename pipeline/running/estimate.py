@@ -12,6 +12,7 @@ from bisect import bisect_right
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import Any
 
 from stickslip.pipeline.dataset.schema import encode, schema_of
@@ -40,43 +41,21 @@ class Estimate:
     failures: dict[str, int]  #: members of the pilot that failed, by reason
 
 
-class _Kind:
-    """Members whose work grows by one formula, each made when it is asked for."""
-
-    def __init__(self) -> None:
-        self._parts: list[Members] = []
-        self._ends: list[int] = []
-        self.cost = 0.0
-
-    def add(self, some: Members) -> None:
-        """Add some that have one cost."""
-        self._parts.append(some)
-        self._ends.append(len(self) + len(some))
-        self.cost += len(some) * some[0].cost
-
-    def __len__(self) -> int:
-        return self._ends[-1] if self._ends else 0
-
-    def __getitem__(self, k: int) -> Member:
-        part = bisect_right(self._ends, k)
-        return self._parts[part][k - self._ends[part] + len(self._parts[part])]
-
-
 def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
     """Estimate a run of some batches of a scene, at least one, on local processes."""
-    kinds: dict[tuple[Any, ...], _Kind] = {}
-    for some in (some for batch in packed for some in batch.members.by_variant()):
-        first = some[0]
-        is_coupled = first.change.reading == "damping matrix"
-        kinds.setdefault((first.n, first.engine, first.settings, is_coupled), _Kind()).add(some)
+    kinds: dict[tuple[Any, ...], list[Members]] = {}  # whose work grows by one formula
+    for members in (members for batch in packed for members in batch.members.by_variant()):
+        example = members[0]
+        is_coupled = example.change.reading == "damping matrix"
+        kinds.setdefault((example.n, example.engine, example.settings, is_coupled), []).append(members)
     # what is shared between members is known by its formula; the pilot runs them alone
     recording = replace(scene.recording, records=tuple(record for record in scene.records if not record.is_shared))
     core_seconds = n_bytes = head = 0.0
     failures: Counter[str] = Counter()
-    for members in kinds.values():
-        factor, a_head, a_row, reasons = _pilot(members, PILOT / len(kinds), recording)
-        core_seconds += factor * members.cost
-        head, n_bytes = max(head, a_head), n_bytes + len(members) * a_row
+    for groups in kinds.values():
+        factor, a_head, a_row, reasons = _pilot(groups, PILOT / len(kinds), recording)
+        core_seconds += factor * sum(len(members) * members[0].cost for members in groups)
+        head, n_bytes = max(head, a_head), n_bytes + sum(map(len, groups)) * a_row
         failures.update(reasons)
     count = max(1, min(workers, len(packed), n_cores()))
     # the last batch may run alone
@@ -85,26 +64,30 @@ def estimate(scene: Scene, packed: Sequence[Batch], workers: int) -> Estimate:
     return Estimate(count, core_seconds, seconds, n_bytes + head * len(packed), dict(failures.most_common()))
 
 
-def _pilot(members: _Kind, seconds: float, recording: Recording) -> tuple[float, float, float, list[str]]:
+def _pilot(groups: Sequence[Members], seconds: float, recording: Recording) -> tuple[float, float, float, list[str]]:
     """Of one kind: seconds of a core for a unit of cost, bytes of a first row and of a further one, failures."""
     # the golden section spreads any number of places evenly over matrices and changes
-    places = [int(k * 0.6180339887498949 % 1.0 * len(members)) for k in range(min(_ENOUGH, len(members)))]
-    some = [replace(members[k], shared_cost=0.0) for k in places]
+    ends = [*accumulate(map(len, groups))]
+    places = [int(k * 0.6180339887498949 % 1.0 * ends[-1]) for k in range(min(_ENOUGH, ends[-1]))]
+    chosen = ((groups[group := bisect_right(ends, k)], k - ends[group]) for k in places)
+    chosen_members = [replace(members[k + len(members)], shared_cost=0.0) for members, k in chosen]
     # each point of a sweep may need kernels of its own, and to compile or load them is no part of the work
-    points = {_point(one): one for one in some}
+    points = {_point(member): member for member in chosen_members}
     run_members([replace(point, t_end=1e-6) for point in points.values()], recording)
-    tried, rows, factor = _run(some[:1], min(0.2 * seconds / some[0].cost, 1.0), recording)
+    tried, rows, factor = _run(chosen_members[:1], min(0.2 * seconds / chosen_members[0].cost, 1.0), recording)
     # as many as there is time for, run together as in a batch
-    expected = factor * some[0].cost
+    expected = factor * chosen_members[0].cost
     share = min(0.4 * seconds / expected, 1.0)
-    more = some[1 : 1 + max(1, int(seconds / (share * expected)))]
-    if more:
-        further, found, factor = _run(more, share, recording)
-        tried, rows = tried + further, rows + found
+    sample = chosen_members[1 : 1 + max(1, int(seconds / (share * expected)))]
+    if sample:
+        further, sample_rows, factor = _run(sample, share, recording)
+        tried, rows = tried + further, rows + sample_rows
     # the first row of a shard takes more than the next ones, which are like it
-    first, whole = (_size(of, recording) for of in (rows[:1], rows))
-    a_row = (whole - first) / (tried * (1.0 - 1.0 / len(rows))) if len(rows) > 1 else first / tried
-    return factor, first, a_row, [row["reason"] for row in rows if row["outcome"] == "failed"]
+    n_first_bytes, n_all_bytes = (_size(part_of_rows, recording) for part_of_rows in (rows[:1], rows))
+    a_row = (
+        (n_all_bytes - n_first_bytes) / (tried * (1.0 - 1.0 / len(rows))) if len(rows) > 1 else n_first_bytes / tried
+    )
+    return factor, n_first_bytes, a_row, [row["reason"] for row in rows if row["outcome"] == "failed"]
 
 
 def _point(member: Member) -> Member:
@@ -115,15 +98,15 @@ def _point(member: Member) -> Member:
 
 def _run(members: Sequence[Member], share: float, recording: Recording) -> tuple[float, list[dict[str, Any]], float]:
     """Run a share of each member: how many whole ones that makes, their rows, core-seconds for a unit of cost."""
-    parts = [replace(member, t_end=max(share * member.t_end, min(10.0, member.t_end))) for member in members]
-    begun = time.process_time()
-    found = columns(parts, run_members(parts, recording), recording)
-    took = max(time.process_time() - begun, 1e-6)
-    rows = [dict(zip(found, values, strict=True)) for values in zip(*found.values(), strict=True)]
+    shortened = [replace(member, t_end=max(share * member.t_end, min(10.0, member.t_end))) for member in members]
+    start = time.process_time()
+    table = columns(shortened, run_members(shortened, recording), recording)
+    took = max(time.process_time() - start, 1e-6)
+    rows = [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
     # one that ended early would also have done so if it were run whole
-    done = [part.cost / one.cost if row["outcome"] == "finished" else 1.0
-            for part, one, row in zip(parts, members, rows, strict=True)]  # fmt: skip
-    return sum(done), rows, took / sum(a * one.cost for a, one in zip(done, members, strict=True))
+    shares = [short_member.cost / member.cost if row["outcome"] == "finished" else 1.0
+            for short_member, member, row in zip(shortened, members, rows, strict=True)]  # fmt: skip
+    return sum(shares), rows, took / sum(a * member.cost for a, member in zip(shares, members, strict=True))
 
 
 def _size(rows: Sequence[dict[str, Any]], recording: Recording) -> int:

@@ -52,20 +52,16 @@ def with_records(opened: Opened, record: Mapping[str, Any]) -> Scene:
     """The scene of a dataset with more keys under [record].
 
     Where a scene leaves tolerances out, records of paths pick finer ones. Here the runs stay what they are: what the
-    tolerances were picked for is written down as the scene's `purpose`.
-
-    Raises
-    ------
-    SceneError
-        If a key is unknown or does not apply, or adds nothing.
+    tolerances were picked for is written down as the scene's `purpose`. Raises `SceneError` if a key is unknown or
+    does not apply, or adds nothing.
     """
     scene, folder = opened.scene, opened.folder
     tables = parse_toml(scene.source, "scene")
-    there = tables.get("record", {})
-    more = plain(record)
-    keys = there | more
-    if names := named_functions(more.get(OwnRecord.name)):
-        names = [*dict.fromkeys([*named_functions(there.get(OwnRecord.name)), *names])]
+    old_keys = tables.get("record", {})
+    new_keys = plain(record)
+    keys = old_keys | new_keys
+    if names := named_functions(new_keys.get(OwnRecord.name)):
+        names = [*dict.fromkeys([*named_functions(old_keys.get(OwnRecord.name)), *names])]
         folder = folder_with(names[0].partition(":")[0], folder)
         keys |= {OwnRecord.name: names, "functions": look_at_functions(names, folder)}
 
@@ -77,5 +73,8 @@ def with_records(opened: Opened, record: Mapping[str, Any]) -> Scene:
     if extended.engines != scene.engines:
         extended = parsed(tables | {"run": tables["run"] | {"purpose": scene.purpose}})
     if all(record in scene.records for record in extended.records):
-        raise SceneError("record: expected a record that the data lack, got none; name one, as in `waiting = true`")
+        raise SceneError(
+            f"record: expected a record that the data lack, got {', '.join(new_keys) or 'none'}, which they have;"
+            " name another, as in `waiting = true`"
+        )
     return extended

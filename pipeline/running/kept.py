@@ -33,14 +33,7 @@ _SHARDS = 8
 class KeptRows:
     """The rows of a dataset, for a scene of which some members are the same.
 
-    Parameters
-    ----------
-    opened : Opened
-
-    Raises
-    ------
-    StoreError
-        If a shard is damaged.
+    Raises `StoreError` if a shard is damaged.
     """
 
     def __init__(self, opened: Opened) -> None:
@@ -53,43 +46,43 @@ class KeptRows:
             for row, member_id in enumerate(batch.members.ids())
         }
         self._read = lru_cache(_SHARDS)(self._read_shard)
+        self._failed = lru_cache(None)(self._failed_rows)
 
     def of(self, task: Task) -> Kept:
         """The rows of a shard's members that did not fail."""
         shards: dict[str, dict[int, int]] = {}
         for place, (name, row) in self._there(task[0].members).items():
             shards.setdefault(name, {})[place] = row
-        tables = [schema_of(self.opened.scene.recording).empty_table()]
-        places: list[int] = []
-        for name, rows in shards.items():
-            table = self._read(name).take(pa.array(rows.values(), pa.int64()))
-            places += rows
-            tables.append(table)
-        table = pa.concat_tables(tables)
-        is_run = [outcome != "failed" for outcome in table["outcome"].to_pylist()]
-        table = table.filter(pa.array(is_run, pa.bool_())).combine_chunks()
-        return Kept(table, tuple(np.array(places, int)[is_run].tolist()), self.opened.scene.records)
+        tables = [self._read(name).take(pa.array(rows.values(), pa.int64())) for name, rows in shards.items()]
+        table = pa.concat_tables([schema_of(self.opened.scene.recording).empty_table(), *tables])
+        places = tuple(place for rows in shards.values() for place in rows)
+        return Kept(table.combine_chunks(), places, self.opened.scene.records)
 
     def left(self, task: Task) -> Members:
-        """The members of a shard that are run, unless what is kept of them failed."""
+        """The members of a shard that are run."""
         batch, recording = task
-        there = self._there(batch.members)
-        return batch.members.at(
-            [
-                place
-                for place, member in enumerate(batch.members)
-                if place not in there or must_run(member, recording.records, self.opened.scene.records)
-            ]
+        stored, records = self._there(batch.members), self.opened.scene.records
+        places = (
+            k
+            for k, member in enumerate(batch.members)
+            if k not in stored or must_run(member, recording.records, records)
         )
+        return batch.members.at([*places])
 
     def _there(self, members: Members) -> dict[int, tuple[str, int]]:
-        """Where the dataset has members, by their places."""
-        there = {}
+        """Where the dataset has members, by their places, but for those that failed."""
+        stored = {}
         for place, member in enumerate(members):
             name, row = self._place.get(member.member_id, ("", 0))
-            if name and self._batches[name].members[row] == member:
-                there[place] = (name, row)
-        return there
+            if name and self._batches[name].members[row] == member and row not in self._failed(name):
+                stored[place] = (name, row)
+        return stored
+
+    def _failed_rows(self, name: str) -> frozenset[int]:
+        if not self.opened.manifest.shards[name].n_failed:
+            return frozenset()
+        outcomes = self._read(name)["outcome"].to_pylist()
+        return frozenset(row for row, outcome in enumerate(outcomes) if outcome == "failed")
 
     def _read_shard(self, name: str) -> pa.Table:
         source = self.opened.shards([name])
@@ -105,7 +98,6 @@ class Kept:
 
     Attributes
     ----------
-    table : pyarrow.Table
     places : tuple of int
         Those of the members in the batch, one a row.
     records : tuple of Record
@@ -118,8 +110,8 @@ class Kept:
 
     def left(self, members: Sequence[Member], recording: Recording) -> list[Member]:
         """The members that are run."""
-        kept = {k for k in self.places if not must_run(members[k], recording.records, self.records)}
-        return [member for k, member in enumerate(members) if k not in kept]
+        places = {k for k in self.places if not must_run(members[k], recording.records, self.records)}
+        return [member for k, member in enumerate(members) if k not in places]
 
     def completed(self, members: Sequence[Member], recording: Recording, run: Runs) -> dict[str, Values]:
         """The columns of all members: kept, computed from what is kept, or of runs.
@@ -135,19 +127,19 @@ class Kept:
                 with suppress(NotKeptError):
                     computed.append(member.row() | self._computed(member, row, new))
                     rows[place] = row
-        again = [place for place in range(len(members)) if place not in rows]
-        results = run([members[place] for place in again], recording)
-        ran = [members[place].row() | result for place, result in zip(again, results, strict=True)]
+        rerun = [place for place in range(len(members)) if place not in rows]
+        results = run([members[place] for place in rerun], recording)
+        ran = [members[place].row() | result for place, result in zip(rerun, results, strict=True)]
         changed = {
             column.name for record in self.records if record not in recording.records for column in record.kept
         }
-        table, order = self.table.take(pa.array(rows.values(), pa.int64())), np.argsort([*rows, *again])
+        table, order = self.table.take(pa.array(rows.values(), pa.int64())), np.argsort([*rows, *rerun])
 
         def values(field: pa.Field) -> pa.Array:
             name, kind = field.name, field.type
             is_kept = name in table.column_names and name not in changed
-            kept = table[name].combine_chunks().cast(kind) if is_kept else _array(computed, name, kind)
-            return pa.concat_arrays([kept, _array(ran, name, kind)]).take(pa.array(order, pa.int64()))
+            stored = table[name].combine_chunks().cast(kind) if is_kept else _array(computed, name, kind)
+            return pa.concat_arrays([stored, _array(ran, name, kind)]).take(pa.array(order, pa.int64()))
 
         return {field.name: values(field) for field in schema_of(recording)}
 
@@ -160,22 +152,22 @@ class Kept:
     def _computed(self, member: Member, row: int, new: Sequence[Record]) -> dict[str, Any]:
         """The columns of new records of a member, from its row."""
         values = {name: _value(column[row]) for name, column in self._of_runs.items() if column[row].is_valid}
-        made = _OfRow(member, values, self.records)
+        result = _OfRow(member, values, self.records)
         computed: dict[str, Any] = {}
         for record in new:
             if record.applies(member):
-                computed |= record.of(made)
-                made.found.update(computed)
+                computed |= record.of(result)
+                result.found.update(computed)
         return computed
 
 
-def must_run(member: Member, records: Sequence[Record], kept: Sequence[Record]) -> bool:
+def must_run(member: Member, records: Sequence[Record], stored: Sequence[Record]) -> bool:
     """Whether a row with the records that are kept holds too little of a member's run for others."""
-    held = {"system", *(record.name for record in kept)}
-    return stop_early(records) != stop_early(kept) or any(
-        record.is_sampled or not record.needs <= held
+    names = {"system", *(record.name for record in stored)}
+    return stop_early(records) != stop_early(stored) or any(
+        record.is_sampled or not record.needs <= names
         for record in records
-        if record not in kept and record.applies(member)
+        if record not in stored and record.applies(member)
     )
 
 
@@ -198,8 +190,8 @@ class _OfRow(Made):
     _held: set[str]
 
     def __init__(self, member: Member, values: dict[str, Any], records: Sequence[Record]) -> None:
-        held = {record.name for record in records}
-        vars(self).update(member=member, found=values, stop_early=stop_early(records), _member=member, _held=held)
+        names = {record.name for record in records}
+        vars(self).update(member=member, found=values, stop_early=stop_early(records), _member=member, _held=names)
 
     @cached_property
     def system(self) -> sim.System:

@@ -51,7 +51,8 @@ _TIME = re.compile(r"(?:(\d+)-)?(\d+)(?::(\d+))?(?::(\d+))?")
 def jobs(workers: int, settings: dict[str, Any]) -> Iterator[Callable[[], Client]]:
     """Jobs of Slurm for the time of a with-block: a function that submits them, and returns their workers' client.
 
-    Called again, it returns the same client; if it is not called, no job is submitted.
+    Called again, it returns the same client; if it is not called, no job is submitted. Raises `ScheduleError` if
+    dask-jobqueue is not installed.
 
     Parameters
     ----------
@@ -59,11 +60,6 @@ def jobs(workers: int, settings: dict[str, Any]) -> Iterator[Callable[[], Client
         Processes in all, of one thread each.
     settings : dict
         As of `job_settings`.
-
-    Raises
-    ------
-    ScheduleError
-        If dask-jobqueue is not installed.
     """
     kind, n_jobs = cluster_of_jobs(), -(-workers // settings["processes"])
     with contextlib.ExitStack() as opened:
@@ -73,6 +69,8 @@ def jobs(workers: int, settings: dict[str, Any]) -> Iterator[Callable[[], Client
 def job_settings(workers: int, options: Sequence[str]) -> dict[str, Any]:
     """Settings of dask-jobqueue: jobs of single-threaded processes that leave before their time is over.
 
+    Raises `ValueError` if an option cannot be read.
+
     Parameters
     ----------
     workers : int
@@ -80,27 +78,26 @@ def job_settings(workers: int, options: Sequence[str]) -> dict[str, Any]:
     options : sequence of str
         Options of `sbatch` for each job, as ``partition=long`` or ``exclusive``. Those that are not given are
         `PROCESSES` (cpus-per-task, one process each), `TIME` (time) and `MEMORY` (mem-per-cpu).
-
-    Raises
-    ------
-    ValueError
-        If an option cannot be read.
     """
-    asked = {"cpus-per-task": str(min(PROCESSES, workers)), "time": TIME, "mem-per-cpu": MEMORY}
+    options_of_job = {"cpus-per-task": str(min(PROCESSES, workers)), "time": TIME, "mem-per-cpu": MEMORY}
     for option in options:
         name, is_valued, value = option.lstrip("-").partition("=")
         if not re.fullmatch(r"[a-z][a-z0-9-]+", name) or not value.isprintable() or (is_valued and not value):
             raise ValueError(f"expected a long option of sbatch, such as partition=long, got {option!r}")
-        asked[name] = value
+        options_of_job[name] = value
         if name == "mem":
-            asked.pop("mem-per-cpu", None)
-    processes = asked["cpus-per-task"]
+            options_of_job.pop("mem-per-cpu", None)
+    processes = options_of_job["cpus-per-task"]
     if not processes.isdecimal() or int(processes) < 1:
         raise ValueError(f"cpus-per-task: expected the number of processes of a job, got {processes!r}")
     n_processes = int(processes)
-    memory = _bytes(asked["mem"]) if "mem" in asked else n_processes * _bytes(asked["mem-per-cpu"])
-    seconds = _seconds(asked["time"])
-    margin, stagger = (min(most, int(part * seconds)) for most, part in (MARGIN, STAGGER))
+    memory = (
+        _bytes(options_of_job["mem"])
+        if "mem" in options_of_job
+        else n_processes * _bytes(options_of_job["mem-per-cpu"])
+    )
+    seconds = _seconds(options_of_job["time"])
+    margin, stagger = (min(limit, int(share * seconds)) for limit, share in (MARGIN, STAGGER))
     how_long = ["--lifetime", f"{seconds - margin - stagger}s", "--lifetime-stagger", f"{stagger}s"]
     no_pages = ["--no-dashboard", "--worker-class", f"{QuietWorker.__module__}.{QuietWorker.__qualname__}"]
     prologue = [f"export {name}={value}" for name, value in ONE_THREAD.items()]
@@ -114,7 +111,7 @@ def job_settings(workers: int, options: Sequence[str]) -> dict[str, Any]:
         # each is said below, with the others
         "job_directives_skip": ["--mem=", "--cpus-per-task=", "-t "],
         "job_extra_directives": [
-            f"--{name}={shlex.quote(value)}" if value else f"--{name}" for name, value in asked.items()
+            f"--{name}={shlex.quote(value)}" if value else f"--{name}" for name, value in options_of_job.items()
         ],
         "job_script_prologue": prologue,
         "worker_extra_args": [*how_long, *no_pages],
@@ -125,26 +122,26 @@ def job_settings(workers: int, options: Sequence[str]) -> dict[str, Any]:
 
 
 def _bytes(memory: str) -> int:
-    found = _MEMORY.fullmatch(memory)
-    if found is None:
+    match = _MEMORY.fullmatch(memory)
+    if match is None:
         raise ValueError(f"mem, mem-per-cpu: expected a size such as 2G, got {memory!r}")
-    return int(found[1]) * 1024 ** ("KMGT".index((found[2] or "M").upper()) + 1)
+    return int(match[1]) * 1024 ** ("KMGT".index((match[2] or "M").upper()) + 1)
 
 
 def _seconds(time: str) -> int:
-    found = _TIME.fullmatch(time)
-    if found is None or not any(map(int, filter(None, found.groups()))):
+    match = _TIME.fullmatch(time)
+    if match is None or not any(map(int, filter(None, match.groups()))):
         raise ValueError(f"time: expected a limit such as 120, in minutes, 2:00:00 or 1-12, got {time!r}")
-    days, *parts = (int(part or 0) for part in found.groups())
-    if found[1] is None and found[4] is None:  # minutes come first
-        parts = [0, *parts[:2]]
-    return sum(unit * part for unit, part in zip((86_400, 3600, 60, 1), (days, *parts), strict=True))
+    days, *numbers = (int(number or 0) for number in match.groups())
+    if match[1] is None and match[4] is None:  # minutes come first
+        numbers = [0, *numbers[:2]]
+    return sum(unit * number for unit, number in zip((86_400, 3600, 60, 1), (days, *numbers), strict=True))
 
 
 def _start(kind: type[Any], settings: dict[str, Any], n_jobs: int, opened: contextlib.ExitStack) -> Client:
     # of its own, as above: this process, which has the scheduler, looks for modules there too
-    own = opened.enter_context(scratch())
-    opened.enter_context(dask.config.set({"temporary-directory": own.path}))
+    directory = opened.enter_context(scratch())
+    opened.enter_context(dask.config.set({"temporary-directory": directory.path}))
     with unbroken():  # a cluster that is half built, or half closed, would leave its jobs behind
         cluster = kind(**settings)
         opened.callback(_close, cluster)
@@ -203,10 +200,10 @@ class Jobs(SpecCluster):
         if op != "remove":
             super()._update_worker_status(op, message)  # type: ignore[no-untyped-call]
             return
-        left = self.scheduler_info["workers"].pop(message, None)
-        if left is not None:  # else it left before it was seen to come
+        worker = self.scheduler_info["workers"].pop(message, None)
+        if worker is not None:  # else it left before it was seen to come
             delay = parse_timedelta(dask.config.get("distributed.deploy.lost-worker-timeout"))
-            asyncio.get_running_loop().call_later(delay, self._forget, self._job_of(left))
+            asyncio.get_running_loop().call_later(delay, self._forget, self._job_of(worker))
 
     def _forget(self, job: str) -> None:
         """Give up a job without workers: one is then missing, and is submitted."""

@@ -65,7 +65,6 @@ class Dask(Executor):
 
     Parameters
     ----------
-    client : Client
     scheduler : str, Client, callable or None
         As of `connect`.
     again : str
@@ -93,12 +92,8 @@ class Dask(Executor):
     def map(self, function: Callable[[T], R], parts: Iterable[T]) -> Results[R]:
         """As `Executor.map`, with some parts in flight for each worker.
 
-        Raises
-        ------
-        ScheduleError
-            If the scheduler or its workers are lost, do not come up, or run another version.
-        Exception
-            Whatever the function raises.
+        Raises `ScheduleError` if the scheduler or its workers are lost, do not come up, or run another version;
+        `Exception`: whatever the function raises.
         """
         tasks: Iterable[tuple[int, T]] = enumerate(parts)
         lost: list[tuple[int, T]] = []
@@ -131,8 +126,8 @@ class Dask(Executor):
             # measured each time, as clusters grow and shrink
             for task in itertools.islice(waiting, max(0, window() - running.count())):
                 # in bytes: the scheduler, in this process, would unpack and pack the members one by one
-                part = pickle.dumps(task[1])
-                future = self._client.submit(call_there, function, part, self._version, pure=False)
+                content = pickle.dumps(task[1])
+                future = self._client.submit(call_there, function, content, self._version, pure=False)
                 task_of[future] = task
                 running.add(future)
             if running.is_empty():

@@ -21,20 +21,16 @@ def check_functions(scene: Scene, todo: Sequence[Task]) -> None:
 
     One process has measured the next cheapest before, the other measures it afterwards: that shows what is kept from
     call to call. A number that is not finite is no mistake, for it may be of this run, and neither is anything that
-    goes wrong with the next cheapest; a run that fails says so itself.
-
-    Raises
-    ------
-    SceneError
-        If a function raises, returns what it does not declare, or not the same each time, or takes too long.
+    goes wrong with the next cheapest; a run that fails says so itself. Raises `SceneError` if a function raises,
+    returns what it does not declare, or not the same each time, or takes too long.
     """
     record = scene.own_record
     if record is None or not todo:
         return
-    firsts = (one for batch, _ in todo for one in batch.members.firsts())
-    members = nsmallest(2, firsts, key=lambda one: one.cost)
-    names = ", ".join(own.function.name for own in record.functions)
-    found = tried(
+    firsts = (member for batch, _ in todo for member in batch.members.firsts())
+    members = nsmallest(2, firsts, key=lambda member: member.cost)
+    names = ", ".join(measure.function.name for measure in record.functions)
+    facts = tried(
         Trial(
             KEY,
             str(scene.folder.resolve()),
@@ -47,8 +43,8 @@ def check_functions(scene: Scene, todo: Sequence[Task]) -> None:
             partial(_attempt, record, members[0], members[::-1]),
         )
     )
-    known = {name for own in record.functions for name, _ in own.function.beside}
-    late = sorted(found["beside"].keys() - known)
+    loaded = {name for measure in record.functions for name, _ in measure.function.beside}
+    late = sorted(facts["beside"].keys() - loaded)
     if late:
         raise SceneError(
             f"{KEY}: {names}: expected {late[0]} to be read when the module is loaded, so that a change of it is"
@@ -73,21 +69,21 @@ def _runs(record: OwnRecord, members: Sequence[Member]) -> None:
 
 def _attempt(record: OwnRecord, strict: Member, members: Sequence[Member]) -> tuple[bytes, dict[str, str]]:
     """In a child: what all functions of a record measure of members in turn; of one, nothing may go wrong."""
-    found = [
+    values = [
         (member.member_id, _measured(record, member, member.member_id == strict.member_id)) for member in members
     ]
-    return repr(sorted(found)).encode(), {}
+    return repr(sorted(values)).encode(), {}
 
 
 def _measured(record: OwnRecord, member: Member, is_strict: bool) -> str:
     run = _run(record, member)
     if run is None:
         return ""
-    for own in record.functions if is_strict else ():
-        found = record.measured(own, run)
-        if found.is_wrong:
-            words = found.problem.removeprefix(f"{KEY}: {own.function.name}: ")
+    for measure in record.functions if is_strict else ():
+        measured = record.measured(measure, run)
+        if measured.is_wrong:
+            words = measured.problem.removeprefix(f"{KEY}: {measure.function.name}: ")
             raise SceneError(
-                f"{KEY}: {own.function.name}, on the run {member.member_id}: {words}; correct the function"
+                f"{KEY}: {measure.function.name}, on the run {member.member_id}: {words}; correct the function"
             )
     return repr(record.of(run))

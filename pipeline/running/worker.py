@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import socket
 import time
@@ -17,11 +18,12 @@ import numpy as np
 
 from stickslip import sim
 from stickslip.pipeline.dataset.program import program
-from stickslip.pipeline.dataset.result import Result
 from stickslip.pipeline.dataset.schema import Values, encode, schema_of
 from stickslip.pipeline.ensemble.member import NO_NUMBER, Member
 from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.errors import command, foreign
+from stickslip.pipeline.machine.processes import Child, ChildDied
+from stickslip.pipeline.places.manifest import Commit, Result, Shard
 from stickslip.pipeline.records import ALWAYS
 from stickslip.pipeline.records.record import Made, Record, stop_early
 from stickslip.pipeline.running.ends import end_of
@@ -45,8 +47,6 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
 
     Parameters
     ----------
-    batch : Batch
-    recording : Recording
     kept : Kept, optional
         What another dataset has of them, which is not computed again.
     run : callable, optional
@@ -62,18 +62,18 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
         rows = kept.completed(members, recording, run)
     if batch.coordinates is not None:
         rows = {**rows, **dict(zip((column.name for column in DESIGN), batch.coordinates, strict=True))}
-    return Result(
-        name=batch.name,
-        shard=encode(rows, schema_of(recording)),
+    shard = encode(rows, schema_of(recording))
+    entry = Shard(
+        sha256=hashlib.sha256(shard).hexdigest(),
         rows=len(members),
+        bytes=len(shard),
         first=members[0].member_id,
         last=members[-1].member_id,
         outcomes=dict(Counter(map(str, rows["outcome"]))),
-        program=program(),
-        seconds=time.perf_counter() - start,
-        host=socket.gethostname(),
-        pid=os.getpid(),
     )
+    seconds, host = time.perf_counter() - start, socket.gethostname()
+    commit = Commit(shard=batch.name, entry=entry, program=program(), seconds=seconds, host=host, pid=os.getpid())
+    return Result(shard, commit)
 
 
 #: A shard to be computed, with the rows that another dataset has, if there is one.
@@ -82,31 +82,62 @@ Order = tuple[Batch, Recording, Kept | None]
 
 def compute_there(order: Order) -> Result:
     """As `compute`, on a worker, which loads this module and no driver."""
-    batch, recording, kept = order
-    load_kernels(batch.members if kept is None else kept.left(batch.members, recording))
-    return compute(batch, recording, kept)
+    batch, recording, stored = order
+    load_kernels(batch.members if stored is None else stored.left(batch.members, recording))
+    return compute(batch, recording, stored)
 
 
-def columns(members: Sequence[Member], found: Sequence[dict[str, Any]], recording: Recording) -> dict[str, list[Any]]:
+def compute_alone(order: Order) -> Result:
+    """As `compute`, with members that run in a process of their own.
+
+    When it dies, the member it was at is run again, in another; if that dies too, the member's row says so.
+    """
+    return compute(*order, _run_alone)
+
+
+def _run_alone(members: Sequence[Member], recording: Recording) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = []
+    process: Child | None = None
+    with contextlib.ExitStack() as started:
+        for member in members:
+            for is_second in (False, True):
+                process = process or started.enter_context(Child(_run_members))
+                try:
+                    rows += process(([member], recording))
+                    break
+                except ChildDied as death:
+                    process = None
+                    if is_second:
+                        rows.append(failed(member, f"its worker died ({death})"))
+    return rows
+
+
+def _run_members(task: tuple[list[Member], Recording]) -> list[dict[str, Any]]:
+    return run_members(*task)
+
+
+def columns(
+    members: Sequence[Member], results: Sequence[dict[str, Any]], recording: Recording
+) -> dict[str, list[Any]]:
     """The rows of some members, by column: what they are, and what came of them."""
-    rows = [member.row() | one for member, one in zip(members, found, strict=True)]
+    rows = [member.row() | outcome for member, outcome in zip(members, results, strict=True)]
     return {column.name: [row.get(column.name) for row in rows] for column in recording.columns}
 
 
 def row(member: Member, recording: Recording) -> dict[str, Any]:
     """Run a member: its row, by column; one that raised has a row that says so."""
-    return {name: one for name, (one,) in columns([member], run_members([member], recording), recording).items()}
+    return {name: value for name, (value,) in columns([member], run_members([member], recording), recording).items()}
 
 
 def run_members(members: Sequence[Member], recording: Recording) -> list[dict[str, Any]]:
     """Run members: what came of each, by column; of one that raised, the words that say so."""
-    found = [_result(one, recording) for one in _prepared(members, recording)]
-    summarised = iter(summaries([events for events, _ in found if events is not None]))
-    for events, result in found:
+    results = [_result(prepared, recording) for prepared in _prepared(members, recording)]
+    summarised = iter(summaries([events for events, _ in results if events is not None]))
+    for events, result in results:
         if events is not None:
             t, n_stick, counts = next(summarised)
             result |= {"t": t, "n_stick": n_stick, "n_stick_end": n_stick[-1], **counts}
-    return [result for _, result in found]
+    return [result for _, result in results]
 
 
 class _Prepared(NamedTuple):
@@ -123,8 +154,8 @@ def _prepared(members: Sequence[Member], recording: Recording) -> Iterator[_Prep
     """The members in order, set up some at a time: one by one, small systems take longer to set up than to run."""
     for n, of_size in groupby(members, key=lambda member: member.n):
         size = min(_TOGETHER, max(1, _ENTRIES // n**2))
-        while some := list(islice(of_size, size)):
-            yield from _set_up(some, recording)
+        while group := list(islice(of_size, size)):
+            yield from _set_up(group, recording)
 
 
 def _set_up(members: Sequence[Member], recording: Recording) -> list[_Prepared]:
@@ -155,56 +186,56 @@ def _raise(error: Exception) -> sim.Run:
     raise error
 
 
-def _result(one: _Prepared, recording: Recording) -> tuple[sim.EventSeries | None, dict[str, Any]]:
+def _result(prepared: _Prepared, recording: Recording) -> tuple[sim.EventSeries | None, dict[str, Any]]:
     """A member's events and what else came of it."""
     try:
-        return _kept(_made(one), recording)
+        return _kept(_made(prepared), recording)
     except CacheError:  # no member of this machine can be run
         raise
     except Exception as error:  # noqa: BLE001  whatever went wrong is this member's outcome, not its neighbours'
-        return None, failed(one.member, foreign(error))
+        return None, failed(prepared.member, foreign(error))
 
 
 def failed(member: Member, reason: str) -> dict[str, Any]:
     """The result of a member that could not be run."""
     # words of an exception may hold what Parquet's text cannot
     reason = reason.encode(errors="replace").decode()
-    again = command("run", "scene.toml", "--only", member.member_id)
-    return {"outcome": "failed", "reason": reason, "reproduce": again}
+    command_line = command("run", "scene.toml", "--only", member.member_id)
+    return {"outcome": "failed", "reason": reason, "reproduce": command_line}
 
 
-def _kept(made: Made, recording: Recording) -> tuple[sim.EventSeries, dict[str, Any]]:
+def _kept(result: Made, recording: Recording) -> tuple[sim.EventSeries, dict[str, Any]]:
     """What is kept of a run."""
-    if not np.isfinite(made.run.events.t).all():
+    if not np.isfinite(result.run.events.t).all():
         raise FloatingPointError("the engine returned an event at a time that is not finite")
     for record in (ALWAYS, *recording.records):
-        if record.applies(made.member):
-            made.found.update(record.of(made))
-    return made.run.events, made.found
+        if record.applies(result.member):
+            result.found.update(record.of(result))
+    return result.run.events, result.found
 
 
 def made(member: Member, record: Record) -> Made:
     """A member that was run for one record, which has computed nothing yet."""
-    (one,) = _prepared([member], Recording("", records=(record,)))
-    return _made(one)
+    (prepared,) = _prepared([member], Recording("", records=(record,)))
+    return _made(prepared)
 
 
-def _made(one: _Prepared) -> Made:
-    run = one.run()
-    assert one.system is not None  # else that has raised
-    assert one.start is not None
-    found = _drawn_start(one.member, one.start)
-    return Made(one.member, one.system, run, one.start, _again, found, one.stop_early)
+def _made(prepared: _Prepared) -> Made:
+    run = prepared.run()
+    assert prepared.system is not None  # else that has raised
+    assert prepared.start is not None
+    values = _drawn_start(prepared.member, prepared.start)
+    return Made(prepared.member, prepared.system, run, prepared.start, _again, values, prepared.stop_early)
 
 
 def _drawn_start(member: Member, start: tuple[Any, Any]) -> dict[str, Any]:
     """z0 and w0 of a start that is drawn or read, before it is moved, where all blocks have the same number."""
-    if not any(isinstance(one, NO_NUMBER) for one in (member.begin.z0, member.begin.w0)):
+    if not any(isinstance(value, NO_NUMBER) for value in (member.begin.z0, member.begin.w0)):
         return {}
     if member.change.twin_size is not None:
         start = replace(member, change=member.change._replace(twin_size=None)).start(end_of(member))
-    found = zip(("z0", "w0"), map(np.ravel, start), strict=True)
-    return {name: float(one[0]) for name, one in found if (one == one[0]).all()}
+    pairs = zip(("z0", "w0"), map(np.ravel, start), strict=True)
+    return {name: float(value[0]) for name, value in pairs if (value == value[0]).all()}
 
 
 def _again(member: Member, times: tuple[float, ...]) -> sim.Samples:

@@ -46,10 +46,10 @@ _OF_TERMS = {
 }
 
 
-def _of_term(part: str) -> Part:
+def _of_term(name: str) -> Part:
     """The part that a scene has with a term of that part."""
-    term = next(term for term in TERMS if term.part == part)
-    return Part(f"`{term.table or term.key}` under [system]", _OF_TERMS[part])
+    term = next(term for term in TERMS if term.part == name)
+    return Part(f"`{term.table or term.key}` under [system]", _OF_TERMS[name])
 
 
 #: Settings of engines whose columns are in the datasets that have such an engine.
@@ -178,7 +178,6 @@ class Recording:
     ----------
     parts : tuple of str
         Of `PARTS`.
-    records : tuple of Record
     parameters : tuple of str
         Of a function, each a column.
     """
@@ -195,10 +194,10 @@ class Recording:
         fixed = [column._replace(nullable=column.nullable or column.name in null) for column in FIXED]
         if "long_matrix" in self.parts:
             fixed = [column._replace(kind="count") if column.name == "matrix" else column for column in fixed]
-        own = [Column("number", name, "parameter of the function or the file that systems come from", False)
-               for name in self.parameters]  # fmt: skip
+        words = "parameter of the function or the file that systems come from"
+        parameter_columns = [Column("number", name, words, False) for name in self.parameters]
         of_parts = [column for part in self.parts for column in PARTS[part].columns]
-        return (*fixed, *own, *of_parts, *(column for record in self.records for column in record.kept))
+        return (*fixed, *parameter_columns, *of_parts, *(column for record in self.records for column in record.kept))
 
 
 # ---------------------------------------------------------------------------------------------- names
@@ -222,13 +221,13 @@ _LONGEST_NAME = 255
 
 
 def misnamed(
-    names: Iterable[str], others: Iterable[str] = (), twin: str = "another parameter"
+    names: Iterable[str], parameters: Iterable[str] = (), twin: str = "another parameter"
 ) -> tuple[str, str] | None:
     """The first name that no column of a scene's own can have, and why; None: all are good.
 
     `others` are parameters beside them, and `twin` is what has a name that comes twice.
     """
-    known = TAKEN | {name.lower(): "a parameter of the function" for name in others}
+    owners = TAKEN | {name.lower(): "a parameter of the function" for name in parameters}
     for name in names:
         if not name.isidentifier() or keyword.iskeyword(name) or unicodedata.normalize("NFKC", name) != name:
             return name, "it is no name for an argument in Python"
@@ -238,7 +237,7 @@ def misnamed(
             return name, "names with this beginning are reserved for Arrow"
         if name.lower().endswith("_row_size"):
             return name, "names with this ending are reserved for counts in NetCDF"
-        if name.lower() in known:
-            return name, f"{known[name.lower()]} has it, in upper or lower case"
-        known[name.lower()] = twin
+        if name.lower() in owners:
+            return name, f"{owners[name.lower()]} has it, in upper or lower case"
+        owners[name.lower()] = twin
     return None

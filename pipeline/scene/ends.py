@@ -34,10 +34,7 @@ def place_beside(name: str, folder: Path) -> str:
 def look_at_dataset(name: str, folder: Path) -> str:
     """The digest of the data of a dataset.
 
-    Raises
-    ------
-    SceneError
-        If there is no such dataset.
+    Raises `SceneError` if there is no such dataset.
     """
     try:
         return read_manifest(place_beside(name, folder)).digest

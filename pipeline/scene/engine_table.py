@@ -30,7 +30,7 @@ TOLERANCES: dict[Purpose, dict[str, float]] = {
 Readings = Annotated[
     tuple[Reading, ...],
     BeforeValidator(as_tuple, json_schema_input_type=Reading | list[Reading]),
-    AfterValidator(partial(once, least=0)),
+    AfterValidator(partial(once, n_least=0)),
 ]
 
 
@@ -72,12 +72,12 @@ class EngineTable(StrictTable):
     @property
     def settings(self) -> dict[str, Any]:
         """The engine's settings that apply, given the others, by name."""
-        found = {}
-        for name, one in self.engine.settings().items():
-            if one.only_with is None or getattr(self, one.only_with[0]) == one.only_with[1]:
+        values = {}
+        for name, setting in self.engine.settings().items():
+            if setting.only_with is None or getattr(self, setting.only_with[0]) == setting.only_with[1]:
                 value = getattr(self, name)
-                found[name] = self.engine.defaults()[name] if value is None else value
-        return found
+                values[name] = self.engine.defaults()[name] if value is None else value
+        return values
 
     @property
     def picked_for(self) -> Purpose | None:
@@ -106,16 +106,16 @@ class EngineTable(StrictTable):
         picked = {key: value for key, value in TOLERANCES[purpose].items() if key in type(self).model_fields}
         if len(self.tolerances) == len(picked):
             return self
-        found = self.model_copy(update=picked | self.tolerances)
-        found.__pydantic_fields_set__ = self.model_fields_set  # what was picked was not written
-        found._picked_for = purpose
-        return found
+        table = self.model_copy(update=picked | self.tolerances)
+        table.__pydantic_fields_set__ = self.model_fields_set  # what was picked was not written
+        table._picked_for = purpose
+        return table
 
     @model_validator(mode="after")
     def _only_what_applies(self) -> Self:
-        for name, one in self.engine.settings().items():
-            key, (owner, value) = name, one.only_with or ("", None)
-            if isinstance(one, Ratios):
+        for name, setting in self.engine.settings().items():
+            key, (owner, value) = name, setting.only_with or ("", None)
+            if isinstance(setting, Ratios):
                 key, owner, value = "ratio_draws", "ratio", "uniform"
             if owner and key in self.model_fields_set and getattr(self, owner) != value:
                 raise ValueError(
@@ -127,21 +127,21 @@ class EngineTable(StrictTable):
         return self
 
 
-def _keys(name: str, one: Setting, default: Any) -> dict[str, Any]:
+def _keys(name: str, setting: Setting, default: Any) -> dict[str, Any]:
     """The keys of a scene that are for one setting of an engine, as pydantic's fields."""
-    example = [default if one.example is None else one.example]
-    match one:
+    example = [default if setting.example is None else setting.example]
+    match setting:
         case Number(picked=picked):
-            low, high = (bound if math.isfinite(bound) else None for bound in (one.above, one.below))
+            low, high = (bound if math.isfinite(bound) else None for bound in (setting.above, setting.below))
             bounds = {"exclusiveMinimum": low, "exclusiveMaximum": high}
             schema = {"type": "number"} | {name: bound for name, bound in bounds.items() if bound is not None}
             kind = Annotated[float, Field(gt=low, lt=high), listed(schema)]
-            key = Field(default=None if picked else default, description=one.words, examples=example)
+            key = Field(default=None if picked else default, description=setting.words, examples=example)
             return {name: (kind | None if picked else kind, key)}
         case Choice():
-            return {name: (Literal[one.choices], Field(default=default, description=one.words))}
+            return {name: (Literal[setting.choices], Field(default=default, description=setting.words))}
         case Numbers():
-            return {name: (PositiveNumbers | None, Field(default=None, description=one.words, examples=example))}
+            return {name: (PositiveNumbers | None, Field(default=None, description=setting.words, examples=example))}
         case Ratios():
             about = "the r_i: 1, or drawn uniform in (0, 1]"
             draws = "number of draws of the r_i for each system"
@@ -149,30 +149,30 @@ def _keys(name: str, one: Setting, default: Any) -> dict[str, Any]:
                 "ratio": (Literal["one", "uniform"], Field(default="one", description=about)),
                 "ratio_draws": (Count, Field(default=1, description=draws)),
             }
-    raise TypeError(f"{name}: expected a setting of a known kind, got {type(one).__name__}")
+    raise TypeError(f"{name}: expected a setting of a known kind, got {type(setting).__name__}")
 
 
 def _table(engine: type[Engine]) -> type[EngineTable]:
     """The table [[engine]] of one engine, with the keys that its settings ask for."""
     keys: dict[str, Any] = {"name": (Literal[engine.name], ...)}
-    for name, one in engine.settings().items():
-        keys |= _keys(name, one, engine.defaults()[name])
+    for name, setting in engine.settings().items():
+        keys |= _keys(name, setting, engine.defaults()[name])
     about = f'[[engine]] name = "{engine.name}": {engine.about}'
     return create_model(engine.__name__, __base__=EngineTable, __doc__=about, **keys)
 
 
-def _each_of_lists(given: Any, read: Callable[[Any], EngineTable]) -> tuple[EngineTable, ...]:
+def _each_of_lists(table: Any, parse: Callable[[Any], EngineTable]) -> tuple[EngineTable, ...]:
     """The tables that a table [[engine]] stands for: where numbers of the engine are lists, one for each choice."""
-    engine = ENGINES.get(given["name"]) if isinstance(given, dict) and isinstance(given.get("name"), str) else None
-    numbers = [name for name, one in engine.settings().items() if isinstance(one, Number)] if engine else []
-    lists = {name: given[name] for name in numbers if isinstance(given.get(name), list | tuple)}
+    engine = ENGINES.get(table["name"]) if isinstance(table, dict) and isinstance(table.get("name"), str) else None
+    numbers = [name for name, setting in engine.settings().items() if isinstance(setting, Number)] if engine else []
+    lists = {name: table[name] for name in numbers if isinstance(table.get(name), list | tuple)}
     for name, several in lists.items():
         try:
             once(several)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
     choices = itertools.product(*lists.values())
-    return tuple(read({**given, **dict(zip(lists, choice, strict=True))} if lists else given) for choice in choices)
+    return tuple(parse({**table, **dict(zip(lists, choice, strict=True))} if lists else table) for choice in choices)
 
 
 if TYPE_CHECKING:

@@ -47,56 +47,56 @@ class Key:
     in_time: bool = False
     ratio_of: str = ""
 
-    def read(self, given: object) -> Quantity:
+    def read(self, value: object) -> Quantity:
         """A quantity from what the file holds."""
-        if not isinstance(given, list | tuple):
-            return self._value(given, given)
-        return once([self._value(value, given) for value in given], as_toml=as_written)
+        if not isinstance(value, list | tuple):
+            return self._value(value, value)
+        return once([self._value(entry, value) for entry in value], as_toml=as_written)
 
-    def _value(self, given: object, whole: object) -> Value:
-        if isinstance(given, Distribution | Course | Named | Ratio):
-            given = as_written(given)
+    def _value(self, entry: object, value: object) -> Value:
+        if isinstance(entry, Distribution | Course | Named | Ratio):
+            entry = as_written(entry)
         for word in self.words:
-            if given == word.word and given is whole:
+            if entry == word.word and entry is value:
                 return word
-        number = _number(given)
+        number = _number(entry)
         if number is not None and self._allows(number):
             return number
-        if self.in_time and isinstance(given, dict) and given.keys() & {"times", "values"}:
-            if given is not whole:
-                raise ValueError(f"expected no course in a list, got {shown(given)}; write one, without brackets")
-            return course(given)
-        if self.ratio_of and isinstance(given, dict) and "ratio" in given:
-            return self._ratio(given)
-        if isinstance(given, dict) and self.names:
-            return self._distribution(given)
-        within = f" in {shown(whole)}" if given is not whole else ""
-        remedy = unquoted(given) or f"; {self._write}"
-        raise ValueError(f"expected {self._expected}, got {shown(given)}{within}{remedy}")
+        if self.in_time and isinstance(entry, dict) and entry.keys() & {"times", "values"}:
+            if entry is not value:
+                raise ValueError(f"expected no course in a list, got {shown(entry)}; write one, without brackets")
+            return course(entry)
+        if self.ratio_of and isinstance(entry, dict) and "ratio" in entry:
+            return self._ratio(entry)
+        if isinstance(entry, dict) and self.names:
+            return self._distribution(entry)
+        within = f" in {shown(value)}" if entry is not value else ""
+        remedy = unquoted(entry) or f"; {self._write}"
+        raise ValueError(f"expected {self._expected}, got {shown(entry)}{within}{remedy}")
 
-    def _ratio(self, given: dict[str, object]) -> Ratio:
-        factor, found = given["ratio"], None
-        if len(given) == 1 and not isinstance(factor, list | tuple):
+    def _ratio(self, table: dict[str, object]) -> Ratio:
+        factor, value = table["ratio"], None
+        if len(table) == 1 and not isinstance(factor, list | tuple):
             with contextlib.suppress(ValueError):  # one message says what may stand here
-                found = Key(self.names, 1.0)._value(factor, factor)
-        if not isinstance(found, float | Distribution):
+                value = Key(self.names, 1.0)._value(factor, factor)
+        if not isinstance(value, float | Distribution):
             raise ValueError(
                 f"expected a ratio to {self.ratio_of} of at least 1, a number or a distribution, got"
-                f" {shown(given)}; write e.g. {{ratio = 1.2}} or {{ratio = {{uniform = [1.1, 1.4]}}}}, or a list"
+                f" {shown(table)}; write e.g. {{ratio = 1.2}} or {{ratio = {{uniform = [1.1, 1.4]}}}}, or a list"
             )
-        return Ratio(found, self.ratio_of)
+        return Ratio(value, self.ratio_of)
 
-    def _distribution(self, given: dict[str, object]) -> Distribution:
-        name = next(iter(given), "")
-        if len(given) != 1 or name not in self.names:
-            unknown = next((one for one in given if one not in DISTRIBUTIONS), "")
+    def _distribution(self, table: dict[str, object]) -> Distribution:
+        name = next(iter(table), "")
+        if len(table) != 1 or name not in self.names:
+            unknown = next((key for key in table if key not in DISTRIBUTIONS), "")
             meant = did_you_mean(unknown, self.names) or f"; {self._write}"
             bound = "" if self.least is None else f", which draw nothing below {self.least}"
             raise ValueError(
-                f"expected a distribution with one of the keys {', '.join(self.names)}{bound}, got {shown(given)}"
+                f"expected a distribution with one of the keys {', '.join(self.names)}{bound}, got {shown(table)}"
                 + meant
             )
-        numbers = given[name]
+        numbers = table[name]
         match [_number(number) for number in numbers] if isinstance(numbers, list | tuple) else []:
             case [float(first), float(second)] if math.isfinite(second - first):
                 if second > 0 if name == "normal" else self._allows(first) and first < second:
@@ -113,35 +113,35 @@ class Key:
     @property
     def _expected(self) -> str:
         number = "a finite number" + ("" if self.least is None else f" {'>' if self.above else '>='} {self.least}")
-        others = ", or times and values" * self.in_time + f", or a ratio to {self.ratio_of}" * bool(self.ratio_of)
+        forms = ", or times and values" * self.in_time + f", or a ratio to {self.ratio_of}" * bool(self.ratio_of)
         return (
-            f"{number}, a list of numbers or a distribution{others}"
+            f"{number}, a list of numbers or a distribution{forms}"
             if self.names
             else f"{number} or a list of numbers"
         )
 
     @property
     def _write(self) -> str:
-        drawn = " or ".join(f"{{{name} = [0.8, 1.2]}}" for name in self.names)
-        return f"write e.g. 1.0, or [1.0, 2.0] to run each{f', or {drawn} to draw each block' if drawn else ''}"
+        examples = " or ".join(f"{{{name} = [0.8, 1.2]}}" for name in self.names)
+        return f"write e.g. 1.0, or [1.0, 2.0] to run each{f', or {examples} to draw each block' if examples else ''}"
 
     def __get_pydantic_core_schema__(self, _source: Any, _handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-        written = core_schema.plain_serializer_function_ser_schema(as_written)
-        return core_schema.no_info_plain_validator_function(self.read, serialization=written)
+        serialization = core_schema.plain_serializer_function_ser_schema(as_written)
+        return core_schema.no_info_plain_validator_function(self.read, serialization=serialization)
 
     def __get_pydantic_json_schema__(
         self, _schema: core_schema.CoreSchema, _handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
         bound = "exclusiveMinimum" if self.above else "minimum"
-        one: dict[str, Any] = {"type": "number"} | ({} if self.least is None else {bound: self.least})
+        number: dict[str, Any] = {"type": "number"} | ({} if self.least is None else {bound: self.least})
         pair = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
-        drawn = [
+        tables = [
             {"type": "object", "properties": {name: pair}, "required": [name], "additionalProperties": False}
             for name in self.names
         ]
         if self.ratio_of:
-            factor = {"anyOf": [{"type": "number", "minimum": 1}, *drawn]}
-            drawn.append(
+            factor = {"anyOf": [{"type": "number", "minimum": 1}, *tables]}
+            tables.append(
                 {
                     "type": "object",
                     "properties": {"ratio": factor},
@@ -149,33 +149,33 @@ class Key:
                     "additionalProperties": False,
                 }
             )
-        items = {"anyOf": [one, *drawn]} if drawn else one
-        named = [{"const": word.word} for word in self.words]
+        items = {"anyOf": [number, *tables]} if tables else number
+        words = [{"const": word.word} for word in self.words]
         row = {"type": "array", "items": {"type": "number"}, "minItems": 1}
         course = {"type": "object", "properties": {"times": row, "values": row}, "required": ["times", "values"]}
         timed = [course | {"additionalProperties": False}] if self.in_time else []
-        return {"anyOf": [one, {"type": "array", "items": items, "minItems": 1}, *drawn, *timed, *named]}
+        return {"anyOf": [number, {"type": "array", "items": items, "minItems": 1}, *tables, *timed, *words]}
 
 
-def course(given: dict[str, Any]) -> Course:
+def course(table: dict[str, Any]) -> Course:
     """What changes in time, from the table of its times and values."""
-    rows = [row if isinstance(row, list | tuple) else [] for row in (given.get("times"), given.get("values"))]
-    times, found = (tuple(one for one in map(_number, row) if one is not None) for row in rows)
-    whole = len(given) == 2 and len(rows[0]) == len(rows[1]) == len(times) == len(found) > 0
-    if not whole or any(later <= earlier for earlier, later in itertools.pairwise(times)):
+    rows = [row if isinstance(row, list | tuple) else [] for row in (table.get("times"), table.get("values"))]
+    times, row_values = (tuple(number for number in map(_number, row) if number is not None) for row in rows)
+    is_whole = len(table) == 2 and len(rows[0]) == len(rows[1]) == len(times) == len(row_values) > 0
+    if not is_whole or any(later <= earlier for earlier, later in itertools.pairwise(times)):
         raise ValueError(
-            f"expected times that increase and as many values, finite numbers, got {shown(given)}; write e.g."
+            f"expected times that increase and as many values, finite numbers, got {shown(table)}; write e.g."
             " {times = [0.0, 100.0], values = [-0.1, -0.2]}"
         )
-    return Course(times, found)
+    return Course(times, row_values)
 
 
-def _number(given: object) -> float | None:
+def _number(value: object) -> float | None:
     """A finite number as a float; None for anything else."""
-    if isinstance(given, bool) or not isinstance(given, int | float):
+    if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:
-        return float(given) if math.isfinite(given) else None
+        return float(value) if math.isfinite(value) else None
     except OverflowError:  # an integer beyond float64
         return None
 
@@ -191,36 +191,36 @@ Velocity = Annotated[Quantity, Key(tuple(DISTRIBUTIONS), words=(FILE, BELT, END)
 def axes(quantities: Mapping[str, Quantity | None], together: Sequence[Sequence[str]] = ()) -> tuple[Axis, ...]:
     """The axes of the grid that some keys span, in their order: one for each list; those named together share one.
 
-    Raises
-    ------
-    ValueError
-        If a name in `together` has no list or is there twice, or lists that go together differ in length.
+    Raises `ValueError` if a name in `together` has no list or is there twice, or lists that go together differ in
+    length.
     """
     lists = {key: value for key, value in quantities.items() if isinstance(value, tuple)}
-    named = list(itertools.chain.from_iterable(together))
-    alone = [names for names in together if len(names) < 2]
-    if alone:
-        raise ValueError(f'expected two keys or more to go together, as [["kappa", "rho"]], got {list(alone[0])!r}')
-    for key in once(named, least=0):
+    keys_together = list(itertools.chain.from_iterable(together))
+    singles = [names for names in together if len(names) < 2]
+    if singles:
+        raise ValueError(f'expected two keys or more to go together, as [["kappa", "rho"]], got {list(singles[0])!r}')
+    for key in once(keys_together, n_least=0):
         if key not in lists:
-            known = f"; lists are there for {', '.join(lists)}" if lists else "; write lists, or remove it"
-            raise ValueError(f"expected keys that hold lists, got {key!r}{did_you_mean(key, lists) or known}")
-    found: list[Axis] = []
+            hint = f"; lists are there for {', '.join(lists)}" if lists else "; write lists, or remove it"
+            raise ValueError(f"expected keys that hold lists, got {key!r}{did_you_mean(key, lists) or hint}")
+    grid: list[Axis] = []
     for key in lists:
         keys = next((tuple(sorted(names, key=list(lists).index)) for names in together if key in names), (key,))
         if keys[0] != key:
             continue
         lengths = [len(lists[name]) for name in keys]
         if len(set(lengths)) > 1:
-            said = ", ".join(f"{length} of {name}" for name, length in zip(keys, lengths, strict=True))
-            raise ValueError(f"expected lists of one length to go together, got {said} values; make them equal")
-        found.append(Axis(keys, tuple(sorted(zip(*(lists[name] for name in keys), strict=True), key=order))))
-    return tuple(found)
+            lengths_of = ", ".join(f"{length} of {name}" for name, length in zip(keys, lengths, strict=True))
+            raise ValueError(f"expected lists of one length to go together, got {lengths_of} values; make them equal")
+        grid.append(Axis(keys, tuple(sorted(zip(*(lists[name] for name in keys), strict=True), key=order))))
+    return tuple(grid)
 
 
-def points(of: Sequence[Axis]) -> Iterator[dict[str, Value]]:
+def points(grid: Sequence[Axis]) -> Iterator[dict[str, Value]]:
     """Each point of a grid: the value that each of the swept keys has there."""
-    for rows in itertools.product(*(axis.rows for axis in of)):
+    for rows in itertools.product(*(axis.rows for axis in grid)):
         yield {
-            key: value for axis, row in zip(of, rows, strict=True) for key, value in zip(axis.keys, row, strict=True)
+            key: value
+            for axis, row in zip(grid, rows, strict=True)
+            for key, value in zip(axis.keys, row, strict=True)
         }

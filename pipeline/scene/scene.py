@@ -98,10 +98,7 @@ class Scene(StrictTable):
     def __init__(self, **tables: Any) -> None:
         """A scene from its tables, as a file has them; files that it names are looked for in the working directory.
 
-        Raises
-        ------
-        SceneError
-            If they are no scene; one line a problem.
+        Raises `SceneError` if they are no scene; one line a problem.
         """
         tables = plain(tables)
         with explained(type(self), ""):
@@ -117,16 +114,18 @@ class Scene(StrictTable):
         SceneError
             If that is no scene; one line a problem.
         """
-        own = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
-        own["system"] = {key: value for key, value in own["system"].items() if key not in ("files", "module")}
-        own["start"] = {key: value for key, value in own["start"].items() if key != "ends"}
-        own.get("record", {}).pop("functions", None)
-        for name, given in tables.items():
-            old = own.get(name)
-            own[name] = {**old, **given} if isinstance(old, dict) and isinstance(given, dict) else given
-        own = plain(own)
+        tables_here = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+        tables_here["system"] = {
+            key: value for key, value in tables_here["system"].items() if key not in ("files", "module")
+        }
+        tables_here["start"] = {key: value for key, value in tables_here["start"].items() if key != "ends"}
+        tables_here.get("record", {}).pop("functions", None)
+        for name, changes in tables.items():
+            old = tables_here.get(name)
+            tables_here[name] = {**old, **changes} if isinstance(old, dict) and isinstance(changes, dict) else changes
+        tables_here = plain(tables_here)
         with explained(type(self), ""):
-            scene = type(self).model_validate(_merged(own, _look(own, self._folder, "")))
+            scene = type(self).model_validate(_merged(tables_here, _look(tables_here, self._folder, "")))
         scene._folder = self._folder
         return scene
 
@@ -147,20 +146,17 @@ class Scene(StrictTable):
     def from_source(self) -> Scene:
         """The scene as its `source` gives it: itself if it was read from there.
 
-        Raises
-        ------
-        ValueError
-            If its source is that of other data.
+        Raises `ValueError` if its source is that of other data.
         """
         if self._source is not None:
             return self
-        found = parse_scene(self.source, "source", self._folder)
-        if found.hash != self.hash:
+        scene = parse_scene(self.source, "source", self._folder)
+        if scene.hash != self.hash:
             raise ValueError(
                 f"source: expected the file of the scene (hash {self.hash[:12]}), got that of another (hash "
-                f"{found.hash[:12]}); write the scene as a file"
+                f"{scene.hash[:12]}); write the scene as a file"
             )
-        return found
+        return scene
 
     @property
     def purpose(self) -> Purpose:
@@ -174,13 +170,15 @@ class Scene(StrictTable):
         """What is kept of a run, in addition to n_stick."""
         keys = self.record.model_dump() | {"t_burn": self.record_t_burn, "folder": self._folder}
         settings = {name: value for engine in self.engines for name, value in engine.settings.items() if value}
-        return tuple(one for record in RECORDS if (one := record.asked(keys, settings)) is not None)
+        return tuple(chosen for record in RECORDS if (chosen := record.asked(keys, settings)) is not None)
 
     @property
     def records_in_order(self) -> list[Record]:
         """`records`, in the order in which the scene asks for them."""
-        asked = [*parse_toml(self.source, "scene").get("record", {})]
-        return sorted(self.records, key=lambda one: asked.index(one.name) if one.name in asked else len(asked))
+        names = [*parse_toml(self.source, "scene").get("record", {})]
+        return sorted(
+            self.records, key=lambda record: names.index(record.name) if record.name in names else len(names)
+        )
 
     @property
     def record_t_burn(self) -> float:
@@ -201,16 +199,16 @@ class Scene(StrictTable):
 
     def keeps(self, record: type[Record]) -> bool:
         """Whether a record is asked for."""
-        return any(isinstance(one, record) for one in self.records)
+        return any(isinstance(kept_record, record) for kept_record in self.records)
 
     @property
     def parts(self) -> tuple[str, ...]:
         """Which of `pipeline.scene.columns.PARTS` its datasets have."""
-        system, known = self.system, self.system.quantities
+        system, quantities = self.system, self.system.quantities
         several = isinstance(system.force, tuple) or any(force.blocks for force in system.forces)
-        drawn = (value for quantity in self.quantities.values() for value in values(quantity) if value != BELT)
+        draws = (value for quantity in self.quantities.values() for value in values(quantity) if value != BELT)
         in_files = any(file.arrays for file in system.known_files.values())
-        asked = {
+        conditions = {
             "file": system.coupling == OF_FILE,
             "long_matrix": any(file.version > 1 for file in system.known_files.values()),
             "function": system.is_own,
@@ -218,23 +216,23 @@ class Scene(StrictTable):
             "belts": any(not isinstance(value, float) for value in values(system.belt_speed)) or in_files,
             "force": system.force is not None,
             "back_slip": not system.back_slip,
-            "drawn": any(not isinstance(one, float) for one in drawn) or in_files or several,
+            "drawn": any(not isinstance(draw, float) for draw in draws) or in_files or several,
             **{name: any(name in engine.settings for engine in self.engines) for name in OF_SETTINGS},
         }
-        of_terms = {term.part for term in TERMS if term.part and known.get(term.name) is not None}
-        return tuple(name for name in PARTS if asked.get(name) or name in of_terms)
+        of_terms = {term.part for term in TERMS if term.part and quantities.get(term.name) is not None}
+        return tuple(name for name in PARTS if conditions.get(name) or name in of_terms)
 
     @model_validator(mode="after")
     def _consistent(self) -> Scene:
         # frozen for everybody else: a scene that exists has all its tolerances
         object.__setattr__(self, "engines", tuple(engine.complete(self.purpose) for engine in self.engines))
-        named = [engine.words(engine.draws[0]) for engine in self.engines]
-        for i, words in enumerate(named):
-            if words in named[:i]:
+        words_of = [engine.words(engine.draws[0]) for engine in self.engines]
+        for i, words in enumerate(words_of):
+            if words in words_of[:i]:
                 raise ValueError(
                     f"engine[{i}]: expected settings that give its members other names than those of"
-                    f" engine[{named.index(words)}], got none; remove it, put both into one table, or change eps or a"
-                    " tolerance"
+                    f" engine[{words_of.index(words)}], got none; remove it, put both into one table, or change eps"
+                    " or a tolerance"
                 )
         for table, t_burn in (("analysis", self.analysis.t_burn), ("record", self.record_t_burn)):
             if t_burn >= self.run.t_end:
@@ -243,14 +241,14 @@ class Scene(StrictTable):
                     f"got {t_burn}; shorten the burn-in or lengthen the runs"
                 )
         readings = self.perturbation.readings if self.perturbation is not None else ()
-        kept = self.system.readings
-        if set(readings) - set(kept):
-            remedy = f"write readings = {json.dumps(kept)}" if kept else "remove [perturbation]"
+        allowed = self.system.readings
+        if set(readings) - set(allowed):
+            remedy = f"write readings = {json.dumps(allowed)}" if allowed else "remove [perturbation]"
             also = [f"`{key}`" for key in ("damping", "rayleigh") if getattr(self.system, key) is not None]
             what = " with ".join([f'coupling = "{self.system.coupling}"', *also])
             raise ValueError(
                 f"perturbation.readings: expected those that keep what {what} is,"
-                f" {json.dumps(kept)}, got {json.dumps(readings)}; {remedy}"
+                f" {json.dumps(allowed)}, got {json.dumps(readings)}; {remedy}"
             )
         for key, array in (("z", "z0"), ("w", "w0")):
             lacking = [name for name, file in self.system.known_files.items() if array not in file.arrays]
@@ -278,16 +276,16 @@ class Scene(StrictTable):
 
     def _static_holds(self) -> None:
         """Static friction is at least the kinetic at every point of the grid; for files and functions, runs tell."""
-        for _, at in self.points() if self.system.static is not None else ():
-            held, kinetic = at["static"], at["friction"]
+        for _, values_here in self.points() if self.system.static is not None else ():
+            static, kinetic = values_here["static"], values_here["friction"]
             if (
-                held is not None
-                and not isinstance(held, Ratio)
+                static is not None
+                and not isinstance(static, Ratio)
                 and kinetic is not None
-                and lowest(held) < size(kinetic)
+                and lowest(static) < size(kinetic)
             ):
                 raise ValueError(
-                    f"system.static: expected at least the kinetic friction at each point of the grid, got {held}"
+                    f"system.static: expected at least the kinetic friction at each point of the grid, got {static}"
                     f" with friction = {kinetic}; raise it, or name both in `zip`, whose lists go together"
                 )
 
@@ -295,47 +293,43 @@ class Scene(StrictTable):
         """Each parameter of a function, and each field that one returns, is a column like the others."""
         parameters = self.parameters
         fields = [field for function in self.record.own_functions.values() for field in function.columns]
-        for key, found, where in (
+        for key, clash, where in (
             ("system.parameters", misnamed(parameters), "here and in the function"),
             ("record.own", misnamed(fields, parameters, "another field"), "in the module"),
         ):
-            if found is not None:
+            if clash is not None:
                 raise ValueError(
-                    f"{key}: expected names for columns of their own, got {shown(found[0])}: {found[1]}; choose"
+                    f"{key}: expected names for columns of their own, got {shown(clash[0])}: {clash[1]}; choose"
                     f" another, {where}"
                 )
 
     def check_engines(self) -> None:
         """Refuse engines that cannot run what the scene asks; for a file or a function, its runs tell.
 
-        Called before a scene is run, not when it is read: data with members that failed so can still be read.
-
-        Raises
-        ------
-        SceneError
-            If one cannot.
+        Called before a scene is run, not when it is read: data with members that failed so can still be read. Raises
+        `SceneError` if one cannot.
         """
-        system, known = self.system, self.system.quantities
-        pushes = [one for force in system.forces for one in (force.amplitude, force.course) if one is not None]
+        system, quantities = self.system, self.system.quantities
+        pushes = [push for force in system.forces for push in (force.amplitude, force.course) if push is not None]
         belts = [
             value
-            for value in values(known["belt_speed"])
+            for value in values(quantities["belt_speed"])
             if isinstance(value, Distribution) or (isinstance(value, Course) and len(set(value.values)) > 1)
         ]
         forces = [force.model_dump(exclude_none=True) for force in system.forces] if any(map(size, pushes)) else None
-        asked = (
+        demands = (
             ("force", forces and (forces if isinstance(system.force, tuple) else forces[0]), "none"),
             ("belt_speed", belts[0] if belts else None, "one number for all blocks and times"),
             ("rayleigh", system.rayleigh, "none"),
             ("weakening", system.weakening, "none"),
             ("back_slip", None if system.back_slip else "false", "true"),
-            *((term.name, known[term.name], "none") for term in TERMS if term.argument and term.default is None),
+            *((term.name, quantities[term.name], "none") for term in TERMS if term.argument and term.default is None),
         )
         for engine in self.engines:
-            for key, found, expected in asked:
+            for key, demand, expected in demands:
                 beyond = "damping matrix" if key == "rayleigh" else key
-                if found is not None and beyond in BEYOND and beyond not in engine.engine.taken():
-                    got = found.model_dump(exclude_none=True) if isinstance(found, BaseModel) else found
+                if demand is not None and beyond in BEYOND and beyond not in engine.engine.taken():
+                    got = demand.model_dump(exclude_none=True) if isinstance(demand, BaseModel) else demand
                     raise SceneError(
                         f'system.{key}: expected {expected}, all that [[engine]] name = "{engine.name}" takes, got'
                         f" {got}; change it, or remove that engine"
@@ -354,41 +348,45 @@ class Scene(StrictTable):
     @property
     def extent(self) -> str:
         """How many values there are of what is swept, and of starts that are drawn; "" if nothing is."""
-        drawn = any(isinstance(value, Distribution) for key in ("z", "w") for value in values(self.quantities[key]))
+        is_drawn = any(
+            isinstance(value, Distribution) for key in ("z", "w") for value in values(self.quantities[key])
+        )
         draws = self.start.draws or 1
-        starts = [f"{draws} draw{'s' * (draws > 1)} of the start"] if drawn else []
+        starts = [f"{draws} draw{'s' * (draws > 1)} of the start"] if is_drawn else []
         tables = [f"{len(self.engines)} engines"] if len(self.engines) > 1 else []
-        parts = [*map(str, self.axes), *starts]
-        return " x ".join(parts + tables) if parts else ""
+        words = [*map(str, self.axes), *starts]
+        return " x ".join(words + tables) if words else ""
 
     def points(self) -> Iterator[tuple[dict[str, Value], dict[str, Value | None]]]:
         """Each point of the grid: the swept keys there, and all `quantities`."""
         all_keys = self.quantities | {"seed": self.run.seed}
-        single: dict[str, Any] = {name: one for name, one in all_keys.items() if not isinstance(one, tuple)}
+        single: dict[str, Any] = {
+            name: quantity for name, quantity in all_keys.items() if not isinstance(quantity, tuple)
+        }
         for swept in points(self.axes):
             yield swept, single | swept
 
-    def start_draws(self, at: Mapping[str, Value | None]) -> Sequence[int | None]:
+    def start_draws(self, values_here: Mapping[str, Value | None]) -> Sequence[int | None]:
         """The draws of the start, by number, that are run at a point of the grid; None: nothing is drawn."""
-        is_drawn = isinstance(at["z"], Distribution) or isinstance(at["w"], Distribution)
-        is_drawn = is_drawn or (self.start.draws is not None and END in (at["z"], at["w"]))
+        is_drawn = isinstance(values_here["z"], Distribution) or isinstance(values_here["w"], Distribution)
+        is_drawn = is_drawn or (self.start.draws is not None and END in (values_here["z"], values_here["w"]))
         return range(self.start.draws or 1) if is_drawn else (None,)
 
     def _changes_apply(self) -> None:
         """What is changed must be what the engines can run, and what is recorded of changes must have some."""
-        known = self.perturbation.readings if self.perturbation is not None else ()
+        readings = self.perturbation.readings if self.perturbation is not None else ()
         for i, engine in enumerate(self.engines):
-            unknown = sorted(set(engine.readings or ()) - set(known))
+            unknown = sorted(set(engine.readings or ()) - set(readings))
             if unknown:
                 raise ValueError(
-                    f"engine[{i}].readings: expected some of [perturbation]'s readings, {list(known)}, got"
+                    f"engine[{i}].readings: expected some of [perturbation]'s readings, {list(readings)}, got"
                     f" {unknown[0]!r}; add it there, or remove it here"
                 )
             if "damping matrix" in self.readings_of(engine) and "damping matrix" not in engine.engine.takes:
-                others = [reading for reading in known if reading != "damping matrix"]
+                remaining = [reading for reading in readings if reading != "damping matrix"]
                 raise ValueError(
                     f'engine[{i}].readings: expected no "damping matrix" with the engine "{engine.name}", whose'
-                    f" dampings are diagonal; list the others there, as readings = {others}"
+                    f" dampings are diagonal; list the others there, as readings = {remaining}"
                 )
         facts = self.facts
         for record in self.records:
@@ -407,7 +405,7 @@ class Scene(StrictTable):
         """Changes must be more than rounding, and steps of time not so short that their series fill a memory."""
         twins = max(math.ulp(max(size(self.start.z), size(self.start.w))), math.sqrt(sys.float_info.min))  # squared
         step, steps = self.run.t_end / MAX_SAMPLES, f"run.t_end / {MAX_SAMPLES}"
-        for key, known, least, why in (
+        for key, numbers, resolution, why in (
             ("twins.sizes", self.twins and self.twins.sizes, twins, "what float64 resolves beside [start]"),
             (
                 "perturbation.sizes",
@@ -419,14 +417,14 @@ class Scene(StrictTable):
             ("record.dt", self.record.dt and (self.record.dt,), step, steps),
             ("analysis.map_dt", self.analysis.map_dt, step, steps),
         ):
-            if known and known[0] < least:
-                bound, smallest = apart(least, known[0], digits=2)
+            if numbers and numbers[0] < resolution:
+                bound, smallest = apart(resolution, numbers[0], digits=2)
                 raise ValueError(f"{key}: expected at least {bound}, {why}, got {smallest}; enlarge it")
 
     @property
     def n_members(self) -> int:
         """Number of members, counted without expanding the scene."""
-        starts = sum(len(self.start_draws(at)) for _, at in self.points())
+        starts = sum(len(self.start_draws(values_here)) for _, values_here in self.points())
         return len(self.system.files or self.system.n) * self.run.matrices * starts * self._n_runs
 
     @property
@@ -437,9 +435,7 @@ class Scene(StrictTable):
     def check_size(self, yes: bool) -> None:
         """Refuse a scene of many members, before anything is expanded, unless the user says yes.
 
-        Raises
-        ------
-        SceneError
+        Raises `SceneError`.
         """
         if self.n_members > MANY_MEMBERS and not yes:
             raise SceneError(
@@ -454,16 +450,16 @@ class Scene(StrictTable):
         system = self.system
         if system.coupling == OF_FILE:
             files = system.known_files
-            named = sorted(files, key=lambda name: (files[name].n, name))
-            at = located(named, self._folder)
-            found: list[tuple[int, SystemFile | SystemFunction | None]] = []
-            before = Counter[str]()
-            for name in named:
+            names = sorted(files, key=lambda name: (files[name].n, name))
+            paths = located(names, self._folder)
+            files_there: list[tuple[int, SystemFile | SystemFunction | None]] = []
+            n_copies = Counter[str]()
+            for name in names:
                 facts = files[name].model_dump(exclude={"n", "parameters"})
-                facts |= {"parameters": tuple(files[name].parameters.items()), "copy": before[files[name].sha256]}
-                found.append((files[name].n, SystemFile(name=name, at=at[name], **facts)))
-                before[files[name].sha256] += 1
-            return found
+                facts |= {"parameters": tuple(files[name].parameters.items()), "copy": n_copies[files[name].sha256]}
+                files_there.append((files[name].n, SystemFile(name=name, at=paths[name], **facts)))
+                n_copies[files[name].sha256] += 1
+            return files_there
         return [(n, self._function) for n in system.n]
 
     @property
@@ -472,8 +468,10 @@ class Scene(StrictTable):
         module = self.system.module
         if module is None:
             return None
-        at, beside = str(self._folder.resolve()), tuple(sorted(module.beside.items()))
-        return SystemFunction(KEY, self.system.coupling, module.sha256, at, beside, is_sparse=module.is_sparse)
+        folder, files_read = str(self._folder.resolve()), tuple(sorted(module.beside.items()))
+        return SystemFunction(
+            KEY, self.system.coupling, module.sha256, folder, files_read, is_sparse=module.is_sparse
+        )
 
     @property
     def own_record(self) -> OwnRecord | None:
@@ -483,9 +481,9 @@ class Scene(StrictTable):
     @property
     def own_functions(self) -> list[OwnFunction]:
         """All functions of the user's own that it names."""
-        own = self.own_record
-        made = [] if self._function is None else [self._function]
-        return made + ([] if own is None else [function.function for function in own.functions])
+        record = self.own_record
+        functions = [] if self._function is None else [self._function]
+        return functions + ([] if record is None else [function.function for function in record.functions])
 
     @property
     def ends(self) -> Ends | None:
@@ -533,7 +531,8 @@ class Scene(StrictTable):
         keys["record"].pop("functions", None)
         if self.record.own:
             keys["record"]["functions"] = {
-                name: {"sha256": one.sha256, "beside": one.beside} for name, one in self.record.own_functions.items()
+                name: {"sha256": function.sha256, "beside": function.beside}
+                for name, function in self.record.own_functions.items()
             }
         for record in RECORDS:
             if keys["record"].get(record.name) in (False, []) and record.name not in _OLDEST_RECORDS:
@@ -569,35 +568,35 @@ def load_scene(path: str | Path) -> Scene:
     path = Path(path)
     source, name = read_source(path), str(path)
     tables = parse_toml(source, name)
-    seen = _look(tables, path.parent, name)
-    if seen:
-        text = "".join(written(found, f"{table}.") for table, found in seen.items())
+    facts = _look(tables, path.parent, name)
+    if facts:
+        text = "".join(written(facts_of_table, f"{table}.") for table, facts_of_table in facts.items())
         source = source.rstrip() + f"\n\n# What was there when this was read; written by stickslip.{text}".encode()
     try:
         scene = parse_scene(source, name, path.parent)
     except SceneError:
-        if not seen:
+        if not facts:
             raise
         # to a table within a line nothing can be added
-        scene = parse_scene(written(_merged(tables, seen)), name, path.parent)
+        scene = parse_scene(written(_merged(tables, facts)), name, path.parent)
     return scene
 
 
-def _merged(tables: Mapping[str, Any], seen: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    return {**tables, **{table: {**tables[table], **found} for table, found in seen.items()}}
+def _merged(tables: Mapping[str, Any], facts: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    return {**tables, **{table: {**tables[table], **facts_of_table} for table, facts_of_table in facts.items()}}
 
 
 def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, dict[str, Any]]:
     """What a scene keeps of the files and datasets that it names, by table and key."""
-    seen: dict[str, dict[str, Any]] = {}
+    facts: dict[str, dict[str, Any]] = {}
     start, record = tables.get("start"), tables.get("record")
     if isinstance(record, dict) and "functions" not in record and (names := named_functions(record.get("own"))):
-        seen["record"] = {"functions": look_at_functions(names, folder)}
+        facts["record"] = {"functions": look_at_functions(names, folder)}
     if isinstance(start, dict) and isinstance(start.get("dataset"), str) and "ends" not in start:
-        seen["start"] = {"ends": {"sha256": look_at_dataset(start["dataset"], folder)}}
+        facts["start"] = {"ends": {"sha256": look_at_dataset(start["dataset"], folder)}}
     # a function is tried in a scene, which has its ends then
-    seen["system"] = _look_at_systems(_merged(tables, seen), folder, name)
-    return {table: found for table, found in seen.items() if found}
+    facts["system"] = _look_at_systems(_merged(tables, facts), folder, name)
+    return {table: facts_of_table for table, facts_of_table in facts.items() if facts_of_table}
 
 
 def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, Any]:
@@ -610,13 +609,13 @@ def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict
     if not isinstance(coupling, str) or not is_function(coupling):
         return {}
     sha256 = resolve(coupling, folder, KEY).sha256
-    seen: dict[str, Any] = {"sha256": sha256, "is_sparse": False, "entries_by_block": 0.0}
-    scene = as_scene(Scene, {**tables, "system": system | {"module": seen}}, name)
+    facts: dict[str, Any] = {"sha256": sha256, "is_sparse": False, "entries_by_block": 0.0}
+    scene = as_scene(Scene, {**tables, "system": system | {"module": facts}}, name)
     scene._folder = folder
-    own: dict[str, Any] = {key: values(value)[0] for key, value in (scene.system.parameters or {}).items()}
+    parameters: dict[str, Any] = {key: values(value)[0] for key, value in (scene.system.parameters or {}).items()}
     n, function = min(scene.system.n), scene._function
     assert function is not None
-    return {"module": seen | tried_function(function, n, own)}
+    return {"module": facts | tried_function(function, n, parameters)}
 
 
 def parse_scene(source: bytes | str, name: str = "scene", folder: Path = Path()) -> Scene:

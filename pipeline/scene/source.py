@@ -28,10 +28,7 @@ _DOTTED = re.compile(
 def read_source(path: str | Path) -> bytes:
     """The bytes of a scene file.
 
-    Raises
-    ------
-    SceneError
-        If it cannot be read.
+    Raises `SceneError` if it cannot be read.
     """
     path = Path(path)
     try:
@@ -50,10 +47,7 @@ def read_source(path: str | Path) -> bytes:
 def parse_toml(source: bytes | str, name: str) -> dict[str, Any]:
     """The tables that a scene file holds, as they are written; `name` is what errors call it.
 
-    Raises
-    ------
-    SceneError
-        If it is not TOML.
+    Raises `SceneError` if it is not TOML.
     """
     if len(source) > MAX_SOURCE:
         raise SceneError(f"{name}: expected at most {MAX_SOURCE} bytes, got more; shorten its lists and texts")
@@ -91,16 +85,16 @@ def _check_sizes(tables: dict[str, Any], head: str, path: str = "") -> None:
     _check_size(tables, "keys", MAX_FILES if path == "system.files" else _MAX_KEYS, f"{head}{path or 'a scene'}")
     for key, value in tables.items():
         inner = f"{path}.{key}".lstrip(".")
-        each = [one for one in value if isinstance(one, dict)] if isinstance(value, list) else [value]
+        tables_here = [entry for entry in value if isinstance(entry, dict)] if isinstance(value, list) else [value]
         if isinstance(value, list):
-            _check_size(each, "tables", _MAX_KEYS, f"{head}{inner}")
-        for table in each:
+            _check_size(tables_here, "tables", _MAX_KEYS, f"{head}{inner}")
+        for table in tables_here:
             if isinstance(table, dict):
                 _check_sizes(table, head, inner)
 
 
-def _check_size(entries: Sized, what: str, most: int, where: str) -> None:
-    if len(entries) > most:
+def _check_size(entries: Sized, what: str, limit: int, where: str) -> None:
+    if len(entries) > limit:
         raise SceneError(
-            f"{shortened(where, 120)}: expected at most {most} {what}, got {len(entries)}; remove the others"
+            f"{shortened(where, 120)}: expected at most {limit} {what}, got {len(entries)}; remove the others"
         )

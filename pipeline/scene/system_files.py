@@ -50,29 +50,22 @@ _FIELDS = {"real": "f8", "double": "f8", "integer": "i8", "unsigned-integer": "u
 _SYMMETRIES = {"general": None, "symmetric": 1, "skew-symmetric": -1}
 
 
-def arrays_of(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
+def arrays_of(content: bytes, names: Sequence[str]) -> dict[str, Any]:
     """The arrays that a system file holds, by name: `stiffness`, dense or sparse, and some of those in `beside`.
 
     Numbers beside them are `parameters`, by name.
 
-    The readers of Python and NumPy raise exceptions of many kinds for damaged files; none of them crashes.
-
-    Raises
-    ------
-    OtherKind
-        If it is a file of another kind that K can be read from.
-    ValueError
-        If it is no such file, or does not hold what it claims.
-    Exception
-        If it is damaged.
+    The readers of Python and NumPy raise exceptions of many kinds for damaged files; none of them crashes. Raises
+    `OtherKind` if it is a file of another kind that K can be read from; `ValueError` if it is no such file, or does
+    not hold what it claims; `Exception` if it is damaged.
     """
     readers = {b"PK": _npz, b"\x93NUMPY": _npy_alone, b"%%MatrixMarket": _matrix_market}
-    other = kind_of(content)
-    if other is not None:
-        raise OtherKind(other)
+    kind = kind_of(content)
+    if kind is not None:
+        raise OtherKind(kind)
     for magic, reader in readers.items():
         if content.startswith(magic):
-            return reader(content, beside)
+            return reader(content, names)
     raise ValueError("something else" if content else "it is empty")
 
 
@@ -91,9 +84,9 @@ def _npy(name: str, stream: IO[bytes], size: int, kinds: str = "iuf") -> np.ndar
     if kind.kind not in kinds:
         raise ValueError(f"{name}: expected an array of {'text' if kinds == 'S' else 'real numbers'}, got one of type"
                          f" {kind}; pickles are not read")  # fmt: skip
-    claimed, there = math.prod(shape) * kind.itemsize, size - stream.tell()
-    if min(shape, default=0) < 0 or claimed != there:
-        raise ValueError(f"{name}: expected {claimed} bytes, for the shape {shape} of {kind}, got {there}")
+    claimed, n_bytes = math.prod(shape) * kind.itemsize, size - stream.tell()
+    if min(shape, default=0) < 0 or claimed != n_bytes:
+        raise ValueError(f"{name}: expected {claimed} bytes, for the shape {shape} of {kind}, got {n_bytes}")
     _fits(name, math.prod(shape) * max(_BYTES_OF_ENTRY, 3 * kind.itemsize))
     array = np.frombuffer(stream.read(), kind).reshape(shape, order="F" if is_fortran else "C")
     _check_whole(name, array)
@@ -114,7 +107,7 @@ def _fits(name: str, needed: int) -> None:
         raise ValueError(f"{name}: {problem}")
 
 
-def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
+def _npz(content: bytes, allowed: Sequence[str]) -> dict[str, Any]:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         members: dict[str, zipfile.ZipInfo] = {}
         for info in archive.infolist():
@@ -129,10 +122,12 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
             size = members[key].file_size
             if n_most is not None and size > 16 * n_most + _MAX_HEADER:
                 raise ValueError(f"{key}: expected at most {n_most} of them, got {size} bytes")
-            most = max(_SMALL, _RATIO * members[key].compress_size)
-            if size > most:
-                raise ValueError(f"{key}: expected at most {most / 1e6:.0f} MB in {members[key].compress_size} bytes,"
-                                 f" got {size / 1e6:.0f} MB; save a sparse K, by scipy.sparse.save_npz")  # fmt: skip
+            limit = max(_SMALL, _RATIO * members[key].compress_size)
+            if size > limit:
+                raise ValueError(
+                    f"{key}: expected at most {limit / 1e6:.0f} MB in {members[key].compress_size} bytes, got"
+                    f" {size / 1e6:.0f} MB; save a sparse K, by scipy.sparse.save_npz"
+                )
             with archive.open(members[key]) as stream:
                 return _npy(key, stream, size, kinds)
 
@@ -141,14 +136,14 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
         form = _format(read("format", "S", 1)) if members.keys() >= _SPARSE else ""
         is_sparse = members.keys() >= {*_PLACES[form]} if form else False
         names = members.keys() - ({*_SPARSE, *_PLACES[form], "_is_array"} if is_sparse else {"stiffness"})
-        others = [name for name in sorted(names - {*beside}) if name.isidentifier()]
-        numbers = {name: read(name) for name in others if members[name].file_size <= _MAX_HEADER + 16}
+        parameter_names = [name for name in sorted(names - {*allowed}) if name.isidentifier()]
+        numbers = {name: read(name) for name in parameter_names if members[name].file_size <= _MAX_HEADER + 16}
         parameters = {name: float(number.item()) for name, number in numbers.items() if number.size == 1}
         names -= parameters.keys()
-        if not names <= {*beside} or not (is_sparse or "stiffness" in members):
+        if not names <= {*allowed} or not (is_sparse or "stiffness" in members):
             raise ValueError(
                 f"expected an array `stiffness`, or a sparse K as scipy.sparse.save_npz writes it, and of "
-                f"{', '.join(beside)}, and numbers by other names, got {', '.join(sorted(members)) or 'nothing'}"
+                f"{', '.join(allowed)}, and numbers by other names, got {', '.join(sorted(members)) or 'nothing'}"
             )
         if is_sparse:
             n = _square(read("shape", "i", 2).tolist())
@@ -163,12 +158,12 @@ def _npz(content: bytes, beside: Sequence[str]) -> dict[str, Any]:
         return arrays | {"stiffness": stiffness} | ({"parameters": parameters} if parameters else {})
 
 
-def _format(part: np.ndarray) -> str:
+def _format(array: np.ndarray) -> str:
     """The format that a sparse matrix was saved in."""
-    found: str = part.item().decode("ascii", "replace")
-    if found not in _PLACES:
-        raise ValueError(f"format: expected one of {', '.join(_PLACES)}, got {found}; save K.tocsc()")
-    return found
+    form: str = array.item().decode("ascii", "replace")
+    if form not in _PLACES:
+        raise ValueError(f"format: expected one of {', '.join(_PLACES)}, got {form}; save K.tocsc()")
+    return form
 
 
 def _sparse(form: str, data: np.ndarray, places: Mapping[str, np.ndarray], n: int) -> Any:
@@ -177,10 +172,10 @@ def _sparse(form: str, data: np.ndarray, places: Mapping[str, np.ndarray], n: in
 
     if form == "dia":
         return _by_diagonals(data, places["offsets"], n)
-    for key, part in (("data", data), *places.items()):
+    for key, array in (("data", data), *places.items()):
         expected = (n + 1,) if key == "indptr" else (data.size,)
-        if part.shape != expected:
-            raise ValueError(f"{key}: expected the shape {expected}, got {part.shape}")
+        if array.shape != expected:
+            raise ValueError(f"{key}: expected the shape {expected}, got {array.shape}")
     if form == "coo":
         row, column = (place.astype(np.int64) + 1 for place in places.values())
         return _of_entries(row, column, data, n, None, "entry {}".format)

@@ -49,11 +49,11 @@ def is_function(coupling: str) -> bool:
 
 
 def _coupling(name: str) -> str:
-    known = (*COUPLINGS, *GRAPHS, OF_FILE)
-    if name not in known and not is_function(name):
+    names = (*COUPLINGS, *GRAPHS, OF_FILE)
+    if name not in names and not is_function(name):
         if ":" in name:
             raise ValueError(f"expected module:function, as in own:draw, got {name!r}; name a file own.py so")
-        raise ValueError(f"expected one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
+        raise ValueError(f"expected one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}")
     return name
 
 
@@ -115,21 +115,21 @@ class ForceTable(_with_terms("force")):  # type: ignore[misc]
 
     @model_validator(mode="before")
     @classmethod
-    def _one_form(cls, given: Any) -> Any:
-        keys = set(given) if isinstance(given, dict) else set()
+    def _one_form(cls, table: Any) -> Any:
+        keys = set(table) if isinstance(table, dict) else set()
         if keys - set(cls.model_fields):
-            return given  # unknown keys are refused by name
+            return table  # unknown keys are refused by name
         keys.discard("blocks")
         if keys - {"phase"} not in map(set, _FORCES) or keys == {"phase", *_FORCES[1]}:
             raise ValueError(
-                f"expected amplitude and frequency, or times and values, and `blocks` or none, got {shown(given)};"
+                f"expected amplitude and frequency, or times and values, and `blocks` or none, got {shown(table)};"
                 " write e.g. {amplitude = 0.5, frequency = 1.0, phase = 0.0} or {times = [0.0, 100.0], values = [0.0,"
                 " 0.5]}"
             )
         if "times" not in keys:
-            return given
-        found = course({key: given[key] for key in _FORCES[1]})
-        return {**given, **as_written(found), "phase": None}
+            return table
+        timed = course({key: table[key] for key in _FORCES[1]})
+        return {**table, **as_written(timed), "phase": None}
 
     @property
     def course(self) -> Course | None:
@@ -146,35 +146,35 @@ class _Forces:
     """Reads a force, or a list of forces, of which none is swept: a table, or a tuple of tables."""
 
     @staticmethod
-    def _read(given: Any, read: Callable[..., ForceTable]) -> ForceTable | tuple[ForceTable, ...]:
-        if not isinstance(given, list | tuple):
-            return read(given)
-        if not given:
+    def _read(value: Any, parse: Callable[..., ForceTable]) -> ForceTable | tuple[ForceTable, ...]:
+        if not isinstance(value, list | tuple):
+            return parse(value)
+        if not value:
             raise ValueError("expected one force or more, got []; write e.g. {amplitude = 0.5, frequency = 1.0}")
-        found = tuple(read(one, k) for k, one in enumerate(given))
-        for k, one in enumerate(found):
+        forces = tuple(parse(force, k) for k, force in enumerate(value))
+        for k, force in enumerate(forces):
             for key in _HARMONIC:
-                if isinstance(getattr(one, key), tuple):
+                if isinstance(getattr(force, key), tuple):
                     raise ValueError(
                         f"expected one value of each key where there are several forces, got a list for {key} of"
                         f" force {k}; a sweep takes one force"
                     )
-        return found
+        return forces
 
     @staticmethod
-    def _write(given: Any, write: Callable[[Any], Any]) -> Any:
-        return [write(one) for one in given] if isinstance(given, tuple) else write(given)
+    def _write(value: Any, write: Callable[[Any], Any]) -> Any:
+        return [write(force) for force in value] if isinstance(value, tuple) else write(value)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         inner = handler(source)
-        written = core_schema.wrap_serializer_function_ser_schema(self._write, schema=inner)
-        return core_schema.no_info_wrap_validator_function(self._read, inner, serialization=written)
+        serialization = core_schema.wrap_serializer_function_ser_schema(self._write, schema=inner)
+        return core_schema.no_info_wrap_validator_function(self._read, inner, serialization=serialization)
 
     def __get_pydantic_json_schema__(
         self, schema: core_schema.CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        one = handler(schema["schema"])
-        return {"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]}
+        force = handler(schema["schema"])
+        return {"anyOf": [force, {"type": "array", "items": force, "minItems": 1}]}
 
 
 if TYPE_CHECKING:
@@ -194,13 +194,13 @@ class WeakeningTable(_with_terms("weakening", _Law)):  # type: ignore[misc]
 
     @model_validator(mode="after")
     def _its_own_number(self) -> Self:
-        own = LAWS[self.law].parameters()
-        others = [key for law in LAWS.values() for key in law.parameters() if key not in own]
-        given = [key for key in others if getattr(self, key) is not None]
-        for key, said in own.items():
-            if getattr(self, key) is None or given:
-                none = " and no ".join(f"`{other}`" for other in given or others)
-                example = f"`{key} = {said['example']}`"
+        parameters = LAWS[self.law].parameters()
+        foreign = [key for law in LAWS.values() for key in law.parameters() if key not in parameters]
+        surplus = [key for key in foreign if getattr(self, key) is not None]
+        for key, parameter in parameters.items():
+            if getattr(self, key) is None or surplus:
+                none = " and no ".join(f"`{name}`" for name in surplus or foreign)
+                example = f"`{key} = {parameter['example']}`"
                 raise ValueError(f'{key}: expected with law = "{self.law}", and no {none}; write e.g. {example}')
         return self
 
@@ -282,9 +282,11 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
     @property
     def quantities(self) -> dict[str, Quantity | None]:
         """What may be a list or a distribution: by the names in `QUANTITIES`, and parameters by their own."""
-        given = self.parameters or {}
-        own = {name: place for name, place in QUANTITIES.items() if name not in given}
-        return {name: getattr(getattr(self, t) if t else self, key, None) for name, (t, key) in own.items()} | given
+        parameters = self.parameters or {}
+        places = {name: place for name, place in QUANTITIES.items() if name not in parameters}
+        return {
+            name: getattr(getattr(self, t) if t else self, key, None) for name, (t, key) in places.items()
+        } | parameters
 
     @property
     def forces(self) -> tuple[ForceTable, ...]:
@@ -298,7 +300,8 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
             return None
         return Pushes(
             tuple(
-                Push(tuple(getattr(one, key) for key in _HARMONIC), one.course, one.on_blocks) for one in self.force
+                Push(tuple(getattr(force, key) for key in _HARMONIC), force.course, force.on_blocks)
+                for force in self.force
             )
         )
 
@@ -311,8 +314,8 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
     def readings(self) -> tuple[str, ...]:
         """The readings of a perturbation that keep what the system is."""
         is_drawn = self.coupling in COUPLINGS and self.rayleigh is None  # else C is no longer drawn
-        kept = COUPLINGS[self.coupling].readings if is_drawn else ()
-        return kept if self.damping is None else tuple(set(kept) & {"relative"})  # there is no scale of R
+        names = COUPLINGS[self.coupling].readings if is_drawn else ()
+        return names if self.damping is None else tuple(set(names) & {"relative"})  # there is no scale of R
 
     @property
     def bytes_of_system(self) -> float:
@@ -341,32 +344,32 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
             raise ValueError('path: expected the file of K, found nothing; add `path = "K.npz"`')
         if not self.files:
             raise ValueError("files: expected what `load_scene` and the command write here, found nothing; use these")
-        first, seen = next(iter(self.files.values())), dict[str, str]()
+        reference, names_by_digest = next(iter(self.files.values())), dict[str, str]()
         if not self.n:
             object.__setattr__(self, "n", distinct(tuple({file.n for file in self.files.values()})))
         for name, file in self.files.items():
             if file.n not in self.n:
                 raise ValueError(f"n: expected that of {name}, {file.n}, got {list(self.n)}; write `n = {file.n}`")
-            given = {key for key in self.model_fields_set if getattr(self, key) is not None}
+            written_keys = {key for key in self.model_fields_set if getattr(self, key) is not None}
             for array in OF_BLOCKS:
                 keys = {array, "rho", "rayleigh"} if array == "damping" else {array}
-                if array in file.arrays and keys & given:
-                    key = sorted(keys & given)[0]
+                if array in file.arrays and keys & written_keys:
+                    key = sorted(keys & written_keys)[0]
                     raise ValueError(f"{key}: expected none beside the array `{array}` of {name}, got one; remove it")
-            other = seen.setdefault(file.sha256, name)
-            if other != name and not file.parameters:  # else realisations that came out the same
+            twin = names_by_digest.setdefault(file.sha256, name)
+            if twin != name and not file.parameters:  # else realisations that came out the same
                 raise ValueError(
-                    f"path: expected files that differ, got {other} and {name}, which are equal; remove one"
+                    f"path: expected files that differ, got {twin} and {name}, which are equal; remove one"
                 )
-            if file.parameters.keys() != first.parameters.keys():
-                odd = sorted(file.parameters.keys() ^ first.parameters.keys())[0]
+            if file.parameters.keys() != reference.parameters.keys():
+                odd = sorted(file.parameters.keys() ^ reference.parameters.keys())[0]
                 raise ValueError(
                     f"path: expected the same numbers in each file, got one without `{odd}`; add it there"
                 )
-        alone = set(self.n) - {file.n for file in self.files.values()}
-        if alone:
+        unmatched = set(self.n) - {file.n for file in self.files.values()}
+        if unmatched:
             raise ValueError(
-                f"n: expected the numbers of blocks of the files, got {min(alone)}, which no file has; remove it"
+                f"n: expected the numbers of blocks of the files, got {min(unmatched)}, which no file has; remove it"
             )
 
     def _function_applies(self) -> None:
@@ -403,8 +406,8 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
             LAWS[self.weakening.law].require_static(self.static)
         if not self.back_slip:
             for speed in values(self.belt_speed):
-                known = speed.values if isinstance(speed, Course) else (speed,) if isinstance(speed, float) else ()
-                if known and not direction(np.array(known)):
+                speeds = speed.values if isinstance(speed, Course) else (speed,) if isinstance(speed, float) else ()
+                if speeds and not direction(np.array(speeds)):
                     raise ValueError(
                         f"belt_speed: expected with back_slip = false a belt that neither rests nor turns, got"
                         f" {speed}, which loads to neither side, or to both; change it, or remove `back_slip`"
@@ -424,6 +427,6 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
                     " leave it out"
                 )
         if self.degree is not None and size(self.degree) > min(self.n) - 1:
-            most = f"n - 1 = {min(self.n) - 1}, all the others"
-            raise ValueError(f"degree: expected at most {most}, got {size(self.degree):g}; lower it")
+            bound = f"n - 1 = {min(self.n) - 1}, all the others"
+            raise ValueError(f"degree: expected at most {bound}, got {size(self.degree):g}; lower it")
         return self

@@ -98,21 +98,18 @@ class SystemFunction(OwnFunction):
 def located(names: Iterable[str], folder: Path) -> dict[str, str]:
     """The paths of files that a scene names: beside it, or above, as its copy in a dataset may lie deeper."""
     places = (folder, *folder.resolve().parents)
-    at = {}
+    paths_by_name = {}
     for name in names:
         paths = [os.path.join(place, name) for place in places]
         # absolute: a worker may have been started in another directory; `resolve` raises where links are a circle
-        at[name] = os.path.realpath(next(filter(os.path.isfile, paths), paths[0]))
-    return at
+        paths_by_name[name] = os.path.realpath(next(filter(os.path.isfile, paths), paths[0]))
+    return paths_by_name
 
 
 def read(file: SystemFile) -> Mapping[str, Any]:
     """What a file holds, by name.
 
-    Raises
-    ------
-    SceneError
-        If it is gone, or not what it was.
+    Raises `SceneError` if it is gone, or not what it was.
     """
     return _read(file.at, file.sha256)
 
@@ -120,11 +117,11 @@ def read(file: SystemFile) -> Mapping[str, Any]:
 @lru_cache(maxsize=2)
 def _read(at: str, sha256: str) -> Mapping[str, Any]:
     content = content_of(Path(at), _PATH)
-    found = digest(content)
-    if found != sha256:
+    actual = digest(content)
+    if actual != sha256:
         raise SceneError(
             f"system.path: expected {at} as it was when the scene was read (sha256 {sha256[:12]}), got another "
-            f"(sha256 {found[:12]}); restore the file, or run the scene with it into another directory"
+            f"(sha256 {actual[:12]}); restore the file, or run the scene with it into another directory"
         )
     return _arrays(at, content)
 
@@ -132,10 +129,7 @@ def _read(at: str, sha256: str) -> Mapping[str, Any]:
 def look_again(origin: SystemFile | OwnFunction) -> None:
     """See that a file or a function of the user's own is as it was when the scene was read.
 
-    Raises
-    ------
-    SceneError
-        If it is gone, or another.
+    Raises `SceneError` if it is gone, or another.
     """
     if isinstance(origin, SystemFile):
         read(origin)
@@ -188,65 +182,65 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
 def look_at_files(pattern: str, folder: Path) -> dict[str, dict[str, Any]]:
     """Digest and facts of each file that a pattern matches, by its name beside the scene, as plain values.
 
-    From then on the scene can be read without them, and a changed file makes another scene.
-
-    Raises
-    ------
-    SceneError
-        If there is no such file, or it holds no system.
+    From then on the scene can be read without them, and a changed file makes another scene. Raises `SceneError` if
+    there is no such file, or it holds no system.
     """
-    found = [folder / pattern] if os.path.isfile(folder / pattern) else _glob(folder, pattern)
-    if not found and os.path.isdir(folder / pattern):
+    files = [folder / pattern] if os.path.isfile(folder / pattern) else _glob(folder, pattern)
+    if not files and os.path.isdir(folder / pattern):
         raise SceneError(f"system.path: expected a file, got the directory {pattern!r}; name a file in it")
-    if not found:
+    if not files:
         raise SceneError(
             f"system.path: expected a file, or several by a pattern such as K*.npz, got {shown(pattern)}, which names"
             f" none in {folder.resolve()}; correct the path"
         )
     is_beside = not Path(pattern).is_absolute()
-    names = [file.relative_to(folder).as_posix() if is_beside else file.as_posix() for file in found]
+    names = [file.relative_to(folder).as_posix() if is_beside else file.as_posix() for file in files]
     odd = next((name for name in names if not name.isprintable()), None)
     if odd is not None:  # what is no UTF-8 a scene could not name
         raise SceneError(f"system.path: expected files with printable names, got {odd!a}; rename it")
-    return {name: _checked(str(file), content_of(file, _PATH)) for name, file in zip(names, found, strict=True)}
+    return {name: _checked(str(file), content_of(file, _PATH)) for name, file in zip(names, files, strict=True)}
 
 
 def _glob(folder: Path, pattern: str) -> list[Path]:
     """The files that a pattern names, as Python's glob finds them, of a bounded number of entries of directories."""
-    found: set[Path] = set()
-    left, places = _MAX_ENTRIES, [(folder, Path(pattern).parts)]
-    while places and left >= 0 and len(found) <= MAX_FILES:
-        place, parts = places.pop()
-        if not parts:
-            found.update([place] if os.path.isfile(place) else [])
+    files: set[Path] = set()
+    n_left, places = _MAX_ENTRIES, [(folder, Path(pattern).parts)]
+    while places and n_left >= 0 and len(files) <= MAX_FILES:
+        place, patterns = places.pop()
+        if not patterns:
+            files.update([place] if os.path.isfile(place) else [])
             continue
-        first, rest = parts[0], parts[1:]
-        if not glob.has_magic(first):
-            places.append((place / first, rest))
+        pattern_part, later_parts = patterns[0], patterns[1:]
+        if not glob.has_magic(pattern_part):
+            places.append((place / pattern_part, later_parts))
             continue
-        entries = _entries(place, left + 1)
-        left -= len(entries)
-        is_folder = {name: is_folder for name, is_folder in entries.items() if name[0] != "." or first[0] == "."}
-        if first == "**":
-            places.append((place, rest))
+        entries = _entries(place, n_left + 1)
+        n_left -= len(entries)
+        is_folder = {
+            name: is_folder for name, is_folder in entries.items() if name[0] != "." or pattern_part[0] == "."
+        }
+        if pattern_part == "**":
+            places.append((place, later_parts))
             places += [
-                (place / name, parts if is_folder[name] else ()) for name in is_folder if is_folder[name] or not rest
+                (place / name, patterns if is_folder[name] else ())
+                for name in is_folder
+                if is_folder[name] or not later_parts
             ]
         else:
-            places += [(place / name, rest) for name in fnmatch.filter(is_folder, first)]
-    if left < 0 or len(found) > MAX_FILES:
-        what = f"more than {MAX_FILES}" if left >= 0 else f"for which more than {_MAX_ENTRIES} would be looked at"
+            places += [(place / name, later_parts) for name in fnmatch.filter(is_folder, pattern_part)]
+    if n_left < 0 or len(files) > MAX_FILES:
+        what = f"more than {MAX_FILES}" if n_left >= 0 else f"for which more than {_MAX_ENTRIES} would be looked at"
         raise SceneError(
             f"system.path: expected at most {MAX_FILES} files, got {what}, by {shown(pattern)}; narrow it"
         )
-    return sorted(found)
+    return sorted(files)
 
 
-def _entries(place: Path, most: int) -> dict[str, bool]:
+def _entries(place: Path, limit: int) -> dict[str, bool]:
     """Names in a directory, at most so many, and whether each is a directory itself; none if it cannot be read."""
     try:
         with os.scandir(place) as entries:
-            return {entry.name: entry.is_dir() for entry in islice(entries, most)}
+            return {entry.name: entry.is_dir() for entry in islice(entries, limit)}
     except OSError:
         return {}
 
@@ -264,31 +258,26 @@ def make(
 ) -> System:
     """A system of n blocks by a function of the user's; one that takes `realisation` is given its number.
 
-    Raises
-    ------
-    SceneError
-        If the module or the function is gone or has changed, it returned no system of n blocks, or it loads a module
-        beside the scene that it did not load when it was tried.
+    Raises `SceneError` if the module or the function is gone or has changed, it returned no system of n blocks, or it
+    loads a module beside the scene that it did not load when it was tried.
     """
 
-    def work(found: Callable[..., Any]) -> Any:
-        asks = REALISATION in inspect.signature(found).parameters
-        return found(n, rng, **{**({REALISATION: realisation} if asks else {}), **parameters})
+    def work(systemt: Callable[..., Any]) -> Any:
+        asks = REALISATION in inspect.signature(systemt).parameters
+        return systemt(n, rng, **{**({REALISATION: realisation} if asks else {}), **parameters})
 
-    found = own.use(function, work, is_trial)
-    if not isinstance(found, System) or found.n != n:
-        got = f"one of {found.n}" if isinstance(found, System) else type(found).__name__
+    system = own.use(function, work, is_trial)
+    if not isinstance(system, System) or system.n != n:
+        got = f"one of {system.n}" if isinstance(system, System) else type(system).__name__
         raise SceneError(f"{KEY}: {function.name}: expected it to return a stickslip.System of {n} blocks, got {got}")
-    return found
+    return system
 
 
 def tried_function(function: SystemFunction, n: int, parameters: Mapping[str, float]) -> dict[str, Any]:
     """What a scene says of a function that has made a system, twice and in another process too, as plain values.
 
-    Raises
-    ------
-    SceneError
-        If that goes wrong, the systems differ, or it takes longer than `pipeline.own.trial.LONGEST_TRIAL`.
+    Raises `SceneError` if that goes wrong, the systems differ, or it takes longer than
+    `pipeline.own.trial.LONGEST_TRIAL`.
     """
     return tried(
         Trial(

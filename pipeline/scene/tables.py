@@ -38,10 +38,10 @@ from stickslip.pipeline.scene.toml import (
 from stickslip.sim.engines.contract import Purpose
 
 
-def _seeds(given: Any, read: Callable[[Any], int]) -> int | tuple[int, ...]:
-    if not isinstance(given, list | tuple):
-        return read(given)
-    return once([read(seed) for seed in given])  # in the order of the file, for `zip`
+def _seeds(value: Any, parse: Callable[[Any], int]) -> int | tuple[int, ...]:
+    if not isinstance(value, list | tuple):
+        return parse(value)
+    return once([parse(seed) for seed in value])  # in the order of the file, for `zip`
 
 
 if TYPE_CHECKING:
@@ -91,8 +91,8 @@ class StartTable(StrictTable):
 
     @model_validator(mode="before")
     @classmethod
-    def _ends_of_a_dataset(cls, given: Any) -> Any:
-        return {"z": "end", "w": "end", **given} if isinstance(given, dict) and "dataset" in given else given
+    def _ends_of_a_dataset(cls, table: Any) -> Any:
+        return {"z": "end", "w": "end", **table} if isinstance(table, dict) and "dataset" in table else table
 
     @model_validator(mode="after")
     def _only_what_applies(self) -> Self:
@@ -112,12 +112,12 @@ class StartTable(StrictTable):
         return self
 
 
-def _rest(given: object) -> object:
-    if isinstance(given, str) and given != "rest":
+def _rest(value: object) -> object:
+    if isinstance(value, str) and value != "rest":
         raise ValueError(
-            f'expected "rest" or a table, got {given!r}; write `start = "rest"`, or [start] and its keys'
+            f'expected "rest" or a table, got {value!r}; write `start = "rest"`, or [start] and its keys'
         )
-    return {"z": 0.0, "w": "belt"} if given == "rest" else given
+    return {"z": 0.0, "w": "belt"} if value == "rest" else value
 
 
 Start = Annotated[StartTable, BeforeValidator(_rest, json_schema_input_type=Literal["rest"] | StartTable)]
@@ -189,7 +189,7 @@ def _functions(names: tuple[str, ...]) -> tuple[str, ...]:
             raise ValueError(
                 f"expected module:function, as in mine:quiet_share, got {name!r}; name a file mine.py so"
             )
-    return once(names, least=0)
+    return once(names, n_least=0)
 
 
 _Name = Annotated[str, WithJsonSchema({"type": "string", "pattern": PATTERN})]
@@ -250,12 +250,16 @@ class RecordTable(_Records):  # type: ignore[misc]
                 f"functions: expected what `load_scene` and the command write here for {lacking[0]}, found nothing;"
                 " remove the key, and use these"
             )
-        sampled = [f"own = {name!r}" for name, one in self.own_functions.items() if one.is_sampled]
-        for key, kind, others in (("t_burn", WindowRecord, []), ("dt", StateRecord, sampled)):
-            if getattr(self, key) is not None and not others and not any(issubclass(one, kind) for one in self.of):
-                known = ", ".join(one.name for one in RECORDS if issubclass(one, kind))
-                raise ValueError(f"{key}: expected only with some of {known}, found none; remove it")
-        taking = [one.name for one in self.of if issubclass(one, StateRecord)] + sampled
+        sampled = [f"own = {name!r}" for name, record in self.own_functions.items() if record.is_sampled]
+        for key, kind, alternatives in (("t_burn", WindowRecord, []), ("dt", StateRecord, sampled)):
+            if (
+                getattr(self, key) is not None
+                and not alternatives
+                and not any(issubclass(record, kind) for record in self.of)
+            ):
+                names = ", ".join(record.name for record in RECORDS if issubclass(record, kind))
+                raise ValueError(f"{key}: expected only with some of {names}, found none; remove it")
+        taking = [record.name for record in self.of if issubclass(record, StateRecord)] + sampled
         if taking and self.dt is None:
             raise ValueError(f"dt: expected with `{taking[0]}`, found nothing; write e.g. dt = 0.1")
         return self

@@ -52,10 +52,12 @@ def as_tuple(value: object) -> object:
     return value if isinstance(value, tuple) else (value,)
 
 
-def once(values: Sequence[Any], least: int = 1, as_toml: Callable[[Any], Any] = lambda one: one) -> tuple[Any, ...]:
+def once(
+    values: Sequence[Any], n_least: int = 1, as_toml: Callable[[Any], Any] = lambda value: value
+) -> tuple[Any, ...]:
     """The values of a key, not too many and none of them twice; `as_toml` gives one as a file has it."""
-    if not least <= len(values) <= MAX_VALUES:
-        between = f"{least} to" if least else "at most"
+    if not n_least <= len(values) <= MAX_VALUES:
+        between = f"{n_least} to" if n_least else "at most"
         raise ValueError(f"expected {between} {MAX_VALUES} values, got {len(values)}; write some, or fewer")
     twice = [value for k, value in enumerate(values) if value in values[:k]]
     if twice:
@@ -67,7 +69,7 @@ def once(values: Sequence[Any], least: int = 1, as_toml: Callable[[Any], Any] = 
 
 def distinct(values: tuple[Value, ...]) -> tuple[Value, ...]:
     """Ascending and without duplicates: the order in the file means nothing."""
-    return tuple(sorted(once(values, least=0)))
+    return tuple(sorted(once(values, n_least=0)))
 
 
 #: A list of the file; frozen models hold tuples.
@@ -91,9 +93,9 @@ PositiveNumbers = Annotated[
 ]
 
 
-def listed(one: dict[str, Any]) -> WithJsonSchema:
+def listed(schema: dict[str, Any]) -> WithJsonSchema:
     """The schema of a value, or of a list of values."""
-    return WithJsonSchema({"anyOf": [one, {"type": "array", "items": one, "minItems": 1}]})
+    return WithJsonSchema({"anyOf": [schema, {"type": "array", "items": schema, "minItems": 1}]})
 
 
 # ---------------------------------------------------------------------------------------------- reading
@@ -102,10 +104,7 @@ def listed(one: dict[str, Any]) -> WithJsonSchema:
 def as_scene(kind: type[Table], tables: dict[str, Any], name: str) -> Table:
     """A scene of one kind from what its file holds.
 
-    Raises
-    ------
-    SceneError
-        If that is no scene; one line a problem.
+    Raises `SceneError` if that is no scene; one line a problem.
     """
     with explained(kind, f"{name}: "):
         return kind.model_validate(tables)
@@ -123,10 +122,7 @@ def explained(kind: type[BaseModel], head: str) -> Iterator[None]:
 def plain(value: Any, path: str = "") -> Any:
     """Tables from Python as a file has them: arrays, ranges, and tables that are objects, written out.
 
-    Raises
-    ------
-    SceneError
-        If a text at `path`, or below it, cannot be written.
+    Raises `SceneError` if a text at `path`, or below it, cannot be written.
     """
     if isinstance(value, str):
         return _text(value, path)
@@ -135,10 +131,10 @@ def plain(value: Any, path: str = "") -> Any:
     if isinstance(value, BaseModel):
         return plain(value.model_dump(mode="json", by_alias=True, exclude_unset=True), path)
     if isinstance(value, Mapping):
-        below = {_text(str(key), path or "a key"): one for key, one in value.items() if one is not None}
-        return {key: plain(one, f"{path}.{key}" if path else key) for key, one in below.items()}
+        below = {_text(str(key), path or "a key"): entry for key, entry in value.items() if entry is not None}
+        return {key: plain(entry, f"{path}.{key}" if path else key) for key, entry in below.items()}
     if isinstance(value, list | tuple | range):
-        return [plain(one, f"{path}[{k}]") for k, one in enumerate(value)]
+        return [plain(entry, f"{path}[{k}]") for k, entry in enumerate(value)]
     return value
 
 
@@ -160,14 +156,14 @@ def written(tables: Mapping[str, Any], above: str = "") -> str:
     lines = _pairs({key: value for key, value in tables.items() if key not in arrays | inner})
     for key, table in inner.items():
         lines += ["", f"[{above}{_name(key)}]", *_pairs(table)]
-    for key, each in arrays.items():
-        for table in each:
+    for key, entries in arrays.items():
+        for table in entries:
             lines += ["", f"[[{above}{_name(key)}]]", *_pairs(table)]
     return "\n".join([*lines, ""])
 
 
 def _is_array_of_tables(value: object) -> bool:
-    return isinstance(value, list | tuple) and bool(value) and all(isinstance(one, Mapping) for one in value)
+    return isinstance(value, list | tuple) and bool(value) and all(isinstance(entry, Mapping) for entry in value)
 
 
 def _pairs(table: Mapping[str, Any]) -> list[str]:
@@ -198,10 +194,10 @@ class _OfToml(GenerateJsonSchema):
         return self.generate_inner(schema["schema"])
 
     def default_schema(self, schema: core_schema.WithDefaultSchema) -> JsonSchemaValue:
-        found = super().default_schema(schema)
-        if isinstance(found.get("default"), dict | None):  # of a table the keys have their own
-            found.pop("default", None)
-        return found
+        property_schema = super().default_schema(schema)
+        if isinstance(property_schema.get("default"), dict | None):  # of a table the keys have their own
+            property_schema.pop("default", None)
+        return property_schema
 
     def field_title_should_be_set(self, schema: Any) -> bool:
         return False  # the names of the keys with a capital
@@ -243,27 +239,27 @@ def _tables(annotation: Any) -> dict[str, type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         name = annotation.model_fields.get("name")
         return dict.fromkeys(get_args(name.annotation) if name else ("",), annotation)
-    found: dict[str, type[BaseModel]] = {}
-    for part in get_args(annotation):
-        found |= _tables(part)
-    return found
+    tables: dict[str, type[BaseModel]] = {}
+    for argument in get_args(annotation):
+        tables |= _tables(argument)
+    return tables
 
 
 def _place(location: tuple[int | str, ...], table: type[BaseModel]) -> tuple[str, type[BaseModel], str | None]:
     """Path as the file has it, the table it is in, and the key there (None: the table itself is meant)."""
     path, key = "", None
     choices: dict[str, type[BaseModel]] = {}
-    for part in location:
-        if isinstance(part, int):
-            path += f"[{part}]"
-        elif part in choices:  # the name that chose among several is no part of the path
-            table, key, choices = choices[part], None, {}
+    for step in location:
+        if isinstance(step, int):
+            path += f"[{step}]"
+        elif step in choices:  # the name that chose among several is no part of the path
+            table, key, choices = choices[step], None, {}
         else:
-            name = shortened(part, 60) or "''"  # as TOML writes an empty key
+            name = shortened(step, 60) or "''"  # as TOML writes an empty key
             path += f".{name}" if path else name
-            field = _keys(table).get(part)
+            field = _keys(table).get(step)
             choices = _tables(field.annotation) if field else {}
-            table, key = (choices.pop(""), None) if "" in choices else (table, part)
+            table, key = (choices.pop(""), None) if "" in choices else (table, step)
     return path, table, key
 
 
@@ -319,8 +315,8 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
         remedy = unquoted(value, int if kind == "int_type" else float) or remedy
     if isinstance(value, list) and kind.endswith("_type") and not path.endswith("]"):
         array = re.fullmatch(rf"(\w+)\[\d+\]\.{key}", path)
-        others = (
+        advice = (
             f" here, and a table [[{array[1]}]] of its own for each other" if array else ": this key takes no list"
         )
-        remedy = f"; write one value{others}"
+        remedy = f"; write one value{advice}"
     return f"{path}: expected {expected}, got {got}{remedy}"

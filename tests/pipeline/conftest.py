@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 
 import pytest
 
 from stickslip.pipeline import parse_scene, run_ensemble
 from stickslip.pipeline.ensemble import pack
+from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.own import trial
 from tests.pipeline import trials
 from tests.scenes import COULOMB, SIGMOID, ensemble
@@ -65,6 +67,26 @@ def finished(scene, source, tmp_path_factory):
 def copy(finished, tmp_path):
     """A copy of the finished dataset, to be spoilt."""
     return shutil.copytree(finished, tmp_path / "copy")
+
+
+@pytest.fixture
+def fragile(monkeypatch):
+    """Within: some members fail with an error."""
+
+    @contextlib.contextmanager
+    def failing(error, fails=lambda member: member.n == 5 and member.engine == "coulomb"):
+        task = Member.task
+
+        def fragile_task(member, *rest):
+            if fails(member):
+                raise error
+            return task(member, *rest)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Member, "task", fragile_task)
+            yield
+
+    return failing
 
 
 @pytest.fixture(scope="session")

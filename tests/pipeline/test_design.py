@@ -188,7 +188,7 @@ SAID = [
     ("pipeline/records/motion/end.py", '    """', '    """Another docstring. '),
 ]
 DONE = [
-    ("pipeline/scene/toml.py", "tuple(sorted(once(values, least=0)))", "tuple(sorted(once(values, least=0))[::-1])"),
+    ("pipeline/scene/toml.py", "sorted(once(values, n_least=0))", "sorted(once(values, n_least=0))[::-1]"),
     ("pipeline/records/motion/end.py", '"z_end": run.z', '"z_end": run.w'),
 ]
 

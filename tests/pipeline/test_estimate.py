@@ -10,9 +10,13 @@ import pytest
 
 from stickslip.pipeline import status
 from stickslip.pipeline.ensemble import pack
-from stickslip.pipeline.ensemble.member import Member
 from stickslip.pipeline.running import worker
 from stickslip.pipeline.running.estimate import estimate
+
+
+@pytest.fixture(autouse=True)
+def short_pilot(monkeypatch):
+    monkeypatch.setattr("stickslip.pipeline.running.estimate.PILOT", 0.5)
 
 
 @pytest.fixture
@@ -48,16 +52,9 @@ def test_what_a_first_run_compiles_is_not_counted(scene, monkeypatch):
     assert len(met) > 3
 
 
-def test_members_that_fail_are_told_by_reason(scene, batches, monkeypatch):
-    task = Member.task
-
-    def fragile(member, *args):
-        if member.n == 5 and member.engine == "coulomb":
-            raise MemoryError("no room for K")
-        return task(member, *args)
-
-    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", fragile)
-    assert list(estimate(scene, batches, 2).failures) == ["MemoryError: no room for K"]
+def test_members_that_fail_are_told_by_reason(scene, batches, fragile):
+    with fragile(MemoryError("no room for K")):
+        assert list(estimate(scene, batches, 2).failures) == ["MemoryError: no room for K"]
 
 
 @pytest.mark.parametrize(("count", "workers", "expected"), [(1, 4, 1), (2, 3, 2), (3, 1, 1), (3, 2, 2), (3, 8, 2)])

@@ -26,8 +26,8 @@ from stickslip.pipeline.records.record import Record
 from stickslip.pipeline.records.slips.first_exit import FirstExit
 from stickslip.pipeline.running import worker
 from stickslip.pipeline.running.extend import with_records
-from stickslip.pipeline.running.isolation import compute_alone
 from stickslip.pipeline.running.kept import KeptRows
+from stickslip.pipeline.running.worker import compute_alone
 from tests.scenes import COULOMB, SIGMOID, ensemble
 
 
@@ -192,17 +192,12 @@ def test_workers_get_the_rows_and_give_the_same_bytes(plain, tmp_path):
         assert here.shard == there.shard == alone.shard
 
 
-def test_members_that_failed_are_run_again(tmp_path, monkeypatch, content):
-    task = Member.task
-
-    def fragile(member, *rest):
-        if member.engine == "coulomb":
-            raise ZeroDivisionError
-        return task(member, *rest)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Member, "task", fragile)
+def test_members_that_failed_are_run_again(tmp_path, fragile, content):
+    with fragile(ZeroDivisionError(), lambda member: member.engine == "coulomb"):
         assert run_ensemble(parse_scene(source()), tmp_path / "part", workers=0).n_failed == 4
+    opened = open_dataset(tmp_path / "part")
+    rows, tasks = KeptRows(opened), Store(tmp_path / "out", with_records(opened, KEYS)).look()[1]
+    assert sum(len(rows.left(task)) for task in tasks) == 4
     run_ensemble(parse_scene(source("waiting = true")), tmp_path / "whole", workers=0)
     assert extend(tmp_path / "part", KEYS, tmp_path / "out", workers=0).n_failed == 0
     assert data(content(tmp_path / "out")) == data(content(tmp_path / "whole"))
@@ -248,7 +243,10 @@ def test_from_an_object_store_into_a_directory_and_back(plain, tmp_path):
         ({"waitings": True}, r"record\.waitings: unknown key of \[record\].*did you mean 'waiting'"),
         ({"waiting": True, "dt": 0.1}, r"record\.dt: expected only with some of"),
         ({"amplitude": True}, r"record\.dt: expected with `amplitude`, found nothing"),
-        ({"events": True}, r"record: expected a record that the data lack, got none; name one"),
+        (
+            {"events": True},
+            r"record: expected a record that the data lack, got events, which they have; name",
+        ),
         ({"waiting": True, "t_burn": 90.0}, r"record\.t_burn: expected less than run\.t_end"),
     ],
 )
@@ -264,7 +262,7 @@ def test_a_damaged_dataset_is_refused_and_one_is_not_extended_in_place(plain, tm
     before = content(plain)
     with pytest.raises(
         StoreError,
-        match=rf"n_contacts, which these data lack; run it into another directory: `stickslip extend {plain}",
+        match=r"n_contacts, which these data lack; choose another directory than that of other data",
     ):
         run_ensemble(scene, plain, workers=0, kept=plain)
     assert content(plain) == before

@@ -19,7 +19,6 @@ from stickslip.pipeline.own.files import name_beside
 from stickslip.pipeline.running.ends import end_of
 from stickslip.workflows.commands import main
 from stickslip.workflows.reporting import study_of
-from tests.processes import computed_here
 from tests.scenes import ENDING, own_law
 
 OWN = """\
@@ -154,11 +153,9 @@ def test_blocks_may_start_on_the_belt_that_a_function_made(tmp_path):
     assert (table.w0 == -0.3).all()  # one number fits every block
 
 
-def test_a_dataset_of_a_function_is_the_same_on_workers_and_has_its_parameters(tmp_path, content):
+def test_a_dataset_of_a_function_has_its_parameters_and_grows_from_another_folder(tmp_path, content):
     file = written(tmp_path / "here")
     run_ensemble(load_scene(file), tmp_path / "out", workers=0)
-    run_ensemble(load_scene(file), tmp_path / "on_one", workers=1)
-    assert content(tmp_path / "on_one") == content(tmp_path / "out")
     assert str(tmp_path) not in (tmp_path / "out" / "scene.toml").read_text()
     table = query.members(tmp_path / "out")
     assert table.groupby(["n", "gap"]).size().tolist() == [2] * 4
@@ -173,16 +170,6 @@ def test_a_dataset_of_a_function_is_the_same_on_workers_and_has_its_parameters(t
     run_ensemble(load_scene(moved / "mine.toml"), tmp_path / "out", workers=0)
     assert before.items() <= content(tmp_path / "out" / "data").items()
     assert (verify(tmp_path / "out"), status(tmp_path / "out").n_done) == ([], 12)
-
-
-def test_a_function_that_changed_is_another_scene(tmp_path, content):
-    run_ensemble(load_scene(written(tmp_path)), tmp_path / "out", workers=0)
-    before = content(tmp_path / "out")
-    file = written(tmp_path, own=OWN.replace("-0.3", "-0.2"))
-    with pytest.raises(StoreError, match=r"system\.module: sha256 [0-9a-f]{12} here, sha256 [0-9a-f]{12} there"):
-        run_ensemble(load_scene(file), tmp_path / "out", workers=0)
-    assert content(tmp_path / "out") == before
-    assert {member.system().belt_speed for member in expand(load_scene(file))} == {-0.2}
 
 
 def test_a_module_that_changes_while_it_runs_is_said_by_who_needs_it(tmp_path):
@@ -255,24 +242,6 @@ def test_what_is_no_function_of_systems_is_refused_in_a_line_and_nothing_is_writ
     assert all(word in line for word in words), line
     print(line)
     assert sorted(one.name for one in tmp_path.iterdir() if one.name != "__pycache__") == before
-
-
-def test_a_scene_is_code_and_its_dataset_is_not(tmp_path, monkeypatch, capsys):
-    """As the README says: whatever `run` does runs the module; reading what came of it does not."""
-    file, mark = written(tmp_path, own=f"{OWN}\nopen(__file__ + '.run', 'a').close()\n"), tmp_path / "own.py.run"
-    member = expand(load_scene(file))[0].member_id
-    monkeypatch.chdir(tmp_path)
-    computed_here(monkeypatch)
-    for more in (["--dry-run"], ["--only", member], ["--no-report"]):
-        mark.unlink()
-        function._module.cache_clear()
-        assert main(["run", "mine.toml", *more]) == 0
-        assert mark.exists(), more
-    mark.unlink()
-    function._module.cache_clear()
-    for read in (["status"], ["verify"], ["report"], ["query"]):
-        assert main([*read, "runs/mine", *["SELECT n FROM members"][: read == ["query"]]]) == 0
-    assert not mark.exists()
 
 
 @pytest.mark.long

@@ -24,7 +24,7 @@ from stickslip.pipeline import (
     run_member,
     verify,
 )
-from stickslip.pipeline.own import function, trial
+from stickslip.pipeline.own import function
 from stickslip.pipeline.own.modules import file_of
 from stickslip.pipeline.records.own import OwnRecord
 from stickslip.pipeline.running.worker import row
@@ -140,12 +140,11 @@ def test_what_a_function_measures_is_a_column_like_others(text, tmp_path):
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("n_workers", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_the_bytes_are_the_same_on_workers_and_of_a_scene_that_grew(n_workers, text, tmp_path, content):
+def test_the_bytes_are_the_same_on_workers_and_of_a_scene_that_grew(text, tmp_path, content):
     file = written(tmp_path / "here", text)
-    for workers in (0, n_workers):
+    for workers in (0, 1):
         run_ensemble(load_scene(file), tmp_path / f"on_{workers}", workers=workers)
-    assert content(tmp_path / "on_0") == content(tmp_path / f"on_{n_workers}")
+    assert content(tmp_path / "on_0") == content(tmp_path / "on_1")
     assert str(tmp_path) not in (tmp_path / "on_0" / "scene.toml").read_text()
     before = content(tmp_path / "on_0" / "data")
     file.write_text(text.replace("matrices = 3", "matrices = 4"))
@@ -404,15 +403,11 @@ def test_a_parameter_and_a_column_have_one_name_space(text, tmp_path):
 #: What the trial refuses, and words of the refusal.
 TRIED = {
     "raises": ("raise KeyError('a\\nb')", ["KeyError", "mine:one", "n3-m000"]),
-    "a text": ("return Measured('wide')", ["expected a number for own, got str"]),
-    "longer": ("return (1.0, 2.0)", ["expected (own), got tuple of 2"]),
     "random": ("return Measured(float(np.random.default_rng().random()))", ["got values that differ"]),
-    "a set's order": ("return Measured(float(hash('a') % 1000))", ["got values that differ"]),
     "keeps the most": (
         "one.k = max(getattr(one, 'k', 0), system.n)\nreturn Measured(one.k)",
         ["got values that differ", "keep nothing from call to call"],
     ),
-    "sleeps": ("import time; time.sleep(60)", ["within 1 s, its process died (signal SIGKILL)"]),
     "imports late": ("import late; return Measured(1.0)", ["late.py", "import it at the top of the module"]),
     "reads late": ("return Measured(len(open(__file__[:-7] + 'data.txt').read()))", ["data.txt", "at the top"]),
 }
@@ -420,14 +415,13 @@ TRIED = {
 
 @pytest.mark.parametrize("case", TRIED)
 def test_a_function_that_misbehaves_on_the_first_run_is_refused_before_anything_is_written(
-    case, text, tmp_path, monkeypatch, capsys
+    case, text, tmp_path, capsys
 ):
     line, words = TRIED[case]
     file = written(tmp_path, short(text), one(line))
     (tmp_path / "late.py").write_text("")
     (tmp_path / "data.txt").write_text("")
     scene = load_scene(file)
-    monkeypatch.setattr(trial, "LONGEST_TRIAL", 1.0 if case == "sleeps" else 40.0)
     with pytest.raises(SceneError) as refusal:
         run_ensemble(scene, tmp_path / "out", workers=0)
     assert all(word in str(refusal.value) for word in ["record.own", *words]), str(refusal.value)

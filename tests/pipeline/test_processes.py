@@ -20,8 +20,7 @@ from stickslip.pipeline.ensemble.pack import Batch
 from stickslip.pipeline.machine import processes
 from stickslip.pipeline.machine.processes import Child, ChildDied, ErrorStream, environment_kept
 from stickslip.pipeline.machine.scratch import scratch
-from stickslip.pipeline.running.isolation import compute_alone
-from stickslip.pipeline.running.worker import compute
+from stickslip.pipeline.running.worker import compute, compute_alone
 from tests.processes import is_running, until
 
 

@@ -194,12 +194,6 @@ def test_separation_needs_a_change():
         parse_scene((text[:start] + text[end:]).encode())
 
 
-def test_the_purpose_can_be_said(scene):
-    assert scene.purpose == "paths"
-    said = parse_scene(SOURCE.replace(b"seed = 5", b'seed = 5\npurpose = "statistics"'))
-    assert {engine.picked_for for engine in said.engines} == {"statistics"}
-
-
 def test_the_growth_rate_is_that_of_the_member_s_own_system(tmp_path):
     text = SOURCE.replace(b"events = true", b"growth_rate = true")
     run_ensemble(parse_scene(text), tmp_path / "out", workers=0)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from stickslip.pipeline import Scene, SceneError, expand, load_scene, parse_scene, run_ensemble
+from stickslip.pipeline import SceneError, expand, load_scene, parse_scene, run_ensemble
 
 SCENES = Path(str(resources.files("stickslip.workflows"))) / "scenes"
 
@@ -330,13 +330,6 @@ def test_members_are_counted_without_expanding(scene, source):
     assert scene.n_members == 2 * 3 * 3 * (1 + 2) == len(expand(scene))
     plain = parse_scene(edit(source, "[perturbation]\nsizes = [0.05, 0.01]", ""))
     assert plain.n_members == 2 * 3 * 1 * (1 + 2) == len(expand(plain))
-
-
-def test_json_schema_takes_what_the_reader_takes():
-    schema = Scene.model_json_schema()
-    assert "engine" in schema["properties"]
-    kinds = {option["type"] for option in schema["$defs"]["SystemTable"]["properties"]["n"]["anyOf"]}
-    assert kinds == {"integer", "array"}
 
 
 def test_a_scene_of_many_members_is_run_if_the_user_says_yes(tmp_path, source):

@@ -30,7 +30,6 @@ from stickslip.pipeline import (
 )
 from stickslip.pipeline.dataset.schema import SCHEMA, scalars, schema_of
 from stickslip.pipeline.dataset.writer import Store
-from stickslip.pipeline.ensemble import member
 from stickslip.pipeline.places import directory, object_store
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.manifest import read_manifest
@@ -96,44 +95,6 @@ def test_without_recording_there_are_no_event_columns(source, tmp_path):
     text = source.replace(b"events = true", b"events = false").replace(b"matrices = 3", b"matrices = 1")
     run_ensemble(parse_scene(text), tmp_path / "out", workers=0)
     assert all(table.schema.names == SCHEMA.names for table in tables(tmp_path / "out"))
-
-
-def test_scene_is_kept_byte_for_byte(finished, source):
-    assert (finished / "scene.toml").read_bytes() == source
-
-
-def test_a_member_that_raises_is_a_row_and_its_neighbours_are_untouched(
-    scene, source, tmp_path, finished, monkeypatch
-):
-    task = member.Member.task
-
-    def fragile(member, *args):
-        if member.n == 5 and member.engine == "coulomb":
-            raise ZeroDivisionError("one\n  two")
-        return task(member, *args)
-
-    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", fragile)
-    result = run_ensemble(scene, tmp_path / "out", workers=0)
-    assert result.is_complete
-    assert result.outcomes["failed"] == 9
-    assert result.failures == {"ZeroDivisionError: one two": 9}
-    assert sum(result.outcomes.values()) == scene.n_members
-    ids = [member_id for table in tables(tmp_path / "out") for member_id in table["member_id"].to_pylist()]
-    assert ids == [member.member_id for member in expand(scene)]
-    assert verify(tmp_path / "out") == []
-    before = {row["member_id"]: row for table in tables(finished) for row in table.to_pylist()}
-    for table in tables(tmp_path / "out"):
-        for row in table.to_pylist():
-            if row["outcome"] == "failed":
-                assert row["n"] == 5
-                assert row["engine"] == "coulomb"
-                assert row["t"] is None
-                assert row["n_events"] is None
-            else:
-                assert row == before[row["member_id"]]
-    with pytest.raises(query.QueryError, match="which failed: ZeroDivisionError: one two"):
-        query.n_stick(tmp_path / "out", "n5-m000-coulomb-1e-10")
-    assert len(list(query.series(tmp_path / "out"))) == scene.n_members - 9
 
 
 # ------------------------------------------------------------------------------------------ crashes
@@ -497,7 +458,7 @@ def test_a_run_that_was_killed_is_told_by_manifest_and_record_together(copy, sce
     (copy / "timings.jsonl").write_bytes(record[:-20])  # cut short by a crash
     assert set(read_manifest(copy).shards) == {json.loads(line)["shard"] for line in lines[1:-1]}
     assert len(query.members(copy)) == sum(shard.rows for shard in read_manifest(copy).shards.values())
-    for spoilt in (record.replace(b'"rows"', b'"rowz"'), lines[0][:-5]):
+    for spoilt in (record.replace(b'"rows"', b'"rowz"'), record.replace(b'"rows": 3', b'"rows": 2'), lines[0][:-5]):
         (copy / "timings.jsonl").write_bytes(spoilt)
         for look in (status, verify, query.members):
             with pytest.raises(StoreError, match=r"timings\.jsonl: expected the commits .*; rerun the scene"):
@@ -560,9 +521,9 @@ def test_data_that_are_all_gone_are_none_to_mix_with(copy, scene, monkeypatch):
 
 GROWTH = {
     "matrices": (b"matrices = 3", b"matrices = 4"),
-    "sizes of the system": (b"n = [5, 3]", b"n = [4, 5, 3]"),
+    "sizes of the system": (b"n = [5, 3]", b"n = [2, 5, 3]"),
     "sizes of the change": (b"sizes = [0.05, 0.01]", b"sizes = [0.05, 0.02, 0.01]"),
-    "draws of the change": (b"sizes = [0.05, 0.01]", b"sizes = [0.05, 0.01]\ndraws = 2"),
+    "draws of the change": (b"sizes = [0.05, 0.02, 0.01]", b"sizes = [0.05, 0.02, 0.01]\ndraws = 2"),
     "draws of the ratios": (b"ratio_draws = 2", b"ratio_draws = 3"),
     "an engine": (b"[perturbation]", b'[[engine]]\nname = "coulomb"\ntol = 1e-6\n\n[perturbation]'),
     "twins": (b"[perturbation]", b"[twins]\nsizes = [1e-3]\n\n[perturbation]"),
@@ -575,22 +536,24 @@ def rows(path):
     return {row["member_id"]: row for row in kept}
 
 
-@pytest.mark.parametrize("name", GROWTH)
-def test_a_scene_that_grows_extends_its_dataset(name, copy, scene, source, tmp_path):
-    old, new = GROWTH[name]
-    assert old in source
-    text = source.replace(old, new)
-    grown = parse_scene(text)
-    kept = {file: (file.stat().st_mtime_ns, file.read_bytes()) for file in shards(copy)}
-    seen: list[Progress] = []
-    assert run_ensemble(grown, copy, workers=0, on_progress=seen.append).is_complete
-    assert seen[0].n_done == scene.n_members < grown.n_members == seen[-1].n_done
-    assert {file: (file.stat().st_mtime_ns, file.read_bytes()) for file in kept} == kept
+def test_a_scene_that_grows_extends_its_dataset(copy, scene, source, tmp_path):
+    """By one thing after the other; in the end it has the rows of one that was run anew."""
+    text, smaller = source, scene
+    for old, new in GROWTH.values():
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+        grown = parse_scene(text)
+        kept = {file: (file.stat().st_mtime_ns, file.read_bytes()) for file in shards(copy)}
+        seen: list[Progress] = []
+        assert run_ensemble(grown, copy, workers=0, on_progress=seen.append).is_complete
+        assert seen[0].n_done == smaller.n_members < grown.n_members == seen[-1].n_done
+        assert {file: (file.stat().st_mtime_ns, file.read_bytes()) for file in kept} == kept
+        with pytest.raises(StoreError, match="or restore what differs"):  # it does not shrink
+            run_ensemble(smaller, copy, workers=0)
+        smaller = grown
     assert verify(copy) == []
     run_ensemble(grown, tmp_path / "anew", workers=0)
     assert rows(copy) == rows(tmp_path / "anew")
-    with pytest.raises(StoreError, match="or restore what differs"):  # it does not shrink
-        run_ensemble(scene, copy, workers=0)
     shards(copy)[-1].unlink()
     shards(copy)[0].unlink()
     assert run_ensemble(grown, copy, workers=0).is_complete
@@ -624,30 +587,34 @@ def test_a_scene_that_somebody_put_there_is_not_what_a_dataset_grew_from(copy, s
     assert listing(copy) == before
 
 
-def test_failed_members_say_how_to_run_them_alone_and_are_tried_again_when_told(
-    scene, source, tmp_path, finished, content, monkeypatch
+def test_a_member_that_raises_is_a_row_and_is_tried_again_when_told(
+    scene, tmp_path, finished, content, fragile, monkeypatch
 ):
-    task, calls = member.Member.task, []
-
-    def fragile(member, *args):
-        calls.append(member)
-        if member.n == 5 and member.engine == "coulomb":
-            raise ZeroDivisionError
-        return task(member, *args)
-
-    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", fragile)
+    """Its neighbours are untouched."""
     out = tmp_path / "out"
-    run_ensemble(scene, out, workers=0)
-    failed = [row for row in rows(out).values() if row["outcome"] == "failed"]
-    for row in failed:
-        assert row["reproduce"] == f"stickslip run scene.toml --only {row['member_id']}"
-        assert run_member(scene, row["member_id"])["reason"] == row["reason"] == "ZeroDivisionError"
+    with fragile(ZeroDivisionError("one\n  two")):
+        result = run_ensemble(scene, out, workers=0)
+        name = next(name for name, row in rows(out).items() if row["outcome"] == "failed")
+        assert run_member(scene, name)["reason"] == "ZeroDivisionError: one two"
+    assert result.is_complete
+    assert (result.failures, result.outcomes["failed"]) == ({"ZeroDivisionError: one two": 9}, 9)
+    assert verify(out) == []
+    before, after = rows(finished), rows(out)
+    assert list(after) == list(before) == [member.member_id for member in expand(scene)]
+    for member_id, row in after.items():
+        if row["outcome"] == "failed":
+            assert (row["n"], row["engine"], row["t"], row["n_events"]) == (5, "coulomb", None, None)
+            assert row["reproduce"] == f"stickslip run scene.toml --only {member_id}"
+        else:
+            assert row == before[member_id]
+    with pytest.raises(query.QueryError, match="which failed: ZeroDivisionError: one two"):
+        query.n_stick(out, name)
+    assert len(list(query.series(out))) == scene.n_members - 9
     with pytest.raises(ValueError, match="expected a member of the scene, such as 'n3-m000"):
         run_member(scene, "n9")
-    calls.clear()
-    run_ensemble(scene, out, workers=0)
-    assert calls == []  # a failed member is done
-    monkeypatch.setattr("stickslip.pipeline.ensemble.member.Member.task", task)
+    with monkeypatch.context() as patch:
+        patch.setattr("stickslip.pipeline.ensemble.member.Member.task", None)
+        run_ensemble(scene, out, workers=0)  # a failed member is done
     touched = {file: file.stat().st_mtime_ns for file in shards(out)}
     with_failed = {name for name, shard in read_manifest(out).shards.items() if shard.n_failed}
     seen: list[Progress] = []

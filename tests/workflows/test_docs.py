@@ -168,7 +168,7 @@ def test_first_scene_in_python(first, monkeypatch):
 @pytest.mark.long
 def test_first_scene_as_a_script(first, tmp_path):
     script = tmp_path / "script.py"
-    script.write_text(block("first-run", "python", "__main__"))
+    script.write_text(block("first-run", "python", "run_scene("))
     (tmp_path / "mine.toml").write_bytes((first / "mine.toml").read_bytes())
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
@@ -277,7 +277,7 @@ def test_matrices_from_files(tmp_path, monkeypatch):
 
 
 def test_from_a_function_to_a_report(here, tmp_path, monkeypatch, capsys):
-    """What becomes of the script without its second last line, `tests/pipeline/test_driver.py` has."""
+    """The module and the script that the guide shows."""
     module, script = (block("systems", "python", words) for words in ("pull * np.triu", "run_scene"))
     (tmp_path / "own.py").write_text(module)
     (tmp_path / "mine.py").write_text(script)

@@ -55,7 +55,10 @@ def test_a_dry_run_says_what_is_run_again_and_writes_nothing(dataset, tmp_path, 
     ("words", "said"),
     [
         (["waitings"], "record.waitings: unknown key of [record]; did you mean 'waiting'?"),
-        (["events"], "record: expected a record that the data lack, got none; name one, as in `waiting = true`"),
+        (
+            ["events"],
+            "record: expected a record that the data lack, got events, which they have; name another, as in `wait",
+        ),
         (["waiting", "t_burn=soon"], "--record: expected a value as a scene has it, such as t_burn=50, got 't_burn="),
         (["waiting", "waiting"], "--record: expected each key once, got waiting twice; leave one out"),
     ],

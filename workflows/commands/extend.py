@@ -6,6 +6,7 @@ import argparse
 import tomllib
 from typing import Any
 
+from stickslip.pipeline.errors import printable
 from stickslip.workflows.commands.command import Command, Wrong, add_places
 from stickslip.workflows.commands.run import add_options, check_directory, check_name, run, say_estimate
 
@@ -62,6 +63,9 @@ class Extend(Command):
             file, asked = find(arguments.scene), ["--scene", arguments.scene]
             scene = load(file)
         check_directory(out, file)
+        if opened.n_done < opened.n_members:
+            where = printable(str(opened.place))
+            print(f"from    {where}: {opened.n_done} of {opened.n_members} members; the others are run", flush=True)
         if arguments.dry_run:
             return say_estimate(arguments, scene, file, out, opened)
         words = ("extend", arguments.directory, *asked, "--out", str(out))

@@ -20,7 +20,6 @@ class Amplitude(StateRecord):
 
     name = "amplitude"
     words = "whether to keep the amplitude of motion after t_burn: half of peak to peak of z"
-    asked_by = "`amplitude = true` under [record]"
     columns = (
         Column(
             "number",
@@ -50,7 +49,7 @@ def _turns(samples: Samples) -> Floats:
     The cubic through z and w at both, at the zero of the line through w: an error of order dt^4 between events.
     """
     step = np.diff(samples.t)[:, None]
-    (z0, z1), (w0, w1) = ((one[:-1], one[1:]) for one in (samples.z, samples.w))
+    (z0, z1), (w0, w1) = ((states[:-1], states[1:]) for states in (samples.z, samples.w))
     does = w0 * w1 < 0
     x = np.divide(w0, w0 - w1, out=np.zeros_like(w0), where=does)
     y = 1 - x

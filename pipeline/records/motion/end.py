@@ -15,7 +15,6 @@ class End(Record):
 
     name = "end"
     words = "whether to keep the state at the end, at which runs of another scene can start"
-    asked_by = "`end = true` under [record]"
     columns = (
         Column(
             "numbers", "z_end", "displacement of each block at the end of the run, t_end or earlier", along="block"
@@ -24,8 +23,8 @@ class End(Record):
         Column("modes", "mode_end", "mode of each block then: -1 or +1 slips, 0 sticks", along="block"),
     )
 
-    def of(self, made: Made) -> dict[str, Any]:
-        run, mode = made.run, made.run.events.mode_after(len(made.run.events))
+    def of(self, result: Made) -> dict[str, Any]:
+        run, mode = result.run, result.run.events.mode_after(len(result.run.events))
         # a block that slips after a collapse may have turned round without an event
-        side = np.where(run.w > made.system.belt_speed_at(run.t_end), 1, -1)
+        side = np.where(run.w > result.system.belt_speed_at(run.t_end), 1, -1)
         return {"z_end": run.z, "w_end": run.w, "mode_end": np.where(mode == 0, 0, side).astype(np.int8)}

@@ -21,7 +21,6 @@ class EnergyRecord(Record):
         "whether to keep the energy at both ends of a run by the exact law, and what came in and went out between; it"
         " costs some ten runs"
     )
-    asked_by = "`energy = true` under [record]"
     columns = (
         Column(
             "number",
@@ -46,21 +45,18 @@ class EnergyRecord(Record):
     def cost(self, member: Member, sharing: Sharing) -> float:
         return 10.0 * member.cost if self.applies(member) else 0.0
 
-    def of(self, made: Made) -> dict[str, Any]:
-        found = _balance(made)
-        if found is None:
+    def of(self, result: Made) -> dict[str, Any]:
+        balance = _balance(result)
+        if balance is None:
             return {}
-        return {
-            "kinetic_energy_start": found.kinetic[0],
-            "kinetic_energy_end": found.kinetic[-1],
-            "elastic_energy_start": found.elastic[0],
-            "elastic_energy_end": found.elastic[-1],
-            "belt_work": found.belt[-1],
-            "force_work": found.outside[-1],
-            "coupling_work": found.coupling[-1],
-            "damping_loss": found.damping[-1],
-            "friction_loss": found.heat[-1],
-        }
+        ends = {"kinetic_energy": balance.kinetic, "elastic_energy": balance.elastic}
+        sums = {"belt_work": balance.belt, "force_work": balance.outside, "coupling_work": balance.coupling}
+        sums |= {"damping_loss": balance.damping, "friction_loss": balance.heat}
+        return (
+            {f"{name}_start": values[0] for name, values in ends.items()}
+            | {f"{name}_end": values[-1] for name, values in ends.items()}
+            | {name: values[-1] for name, values in sums.items()}
+        )
 
 
 class EpisodeEnergy(Record):
@@ -84,32 +80,37 @@ class EpisodeEnergy(Record):
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
         return cls() if keys["episodes"] and keys["energy"] else None
 
-    def of(self, made: Made) -> dict[str, Any]:
-        start, end = made.found["episode_start"], made.found["episode_end"]
-        found = _balance(made)
-        if found is None:
+    def of(self, result: Made) -> dict[str, Any]:
+        start, end = result.found["episode_start"], result.found["episode_end"]
+        balance = _balance(result)
+        if balance is None:
             return {"episode_energy": [None] * len(start)}
-        lost = found.damping + found.heat
-        return {"episode_energy": lost[np.searchsorted(found.t, end)] - lost[np.searchsorted(found.t, start)]}
+        lost = balance.damping + balance.heat
+        return {"episode_energy": lost[np.searchsorted(balance.t, end)] - lost[np.searchsorted(balance.t, start)]}
 
 
 _LATEST: list[tuple[Made, Energy | None]] = []
 
 
-def _balance(made: Made) -> Energy | None:
+def _balance(result: Made) -> Energy | None:
     """The energy balance of a run, computed once for both records; None if it has none."""
-    if not _LATEST or _LATEST[0][0] is not made:
-        _LATEST[:] = [(made, _sum(made))]
+    if not _LATEST or _LATEST[0][0] is not result:
+        _LATEST[:] = [(result, _sum(result))]
     return _LATEST[0][1]
 
 
-def _sum(made: Made) -> Energy | None:
-    member, run = made.member, made.run
+def _sum(result: Made) -> Energy | None:
+    member, run = result.member, result.run
     if run.outcome == "diverged" or not ENGINES[member.engine].is_exact:
         return None
     try:
         return energy(
-            made.system, run, *made.start, engine=member.engine, stop_early=made.stop_early, **dict(member.settings)
+            result.system,
+            run,
+            *result.start,
+            engine=member.engine,
+            stop_early=result.stop_early,
+            **dict(member.settings),
         )
     except TooLongError:  # the run itself is right
         return None

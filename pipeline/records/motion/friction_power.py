@@ -19,7 +19,6 @@ class FrictionPower(StateRecord):
 
     name = "friction_power"
     words = "whether to keep the power that friction turns into heat after t_burn, by the exact law"
-    asked_by = "`friction_power = true` under [record]"
     columns = (
         Column(
             "number",

@@ -21,7 +21,6 @@ class GrowthRate(Record):
     name = "growth_rate"
     words = "whether to keep the growth rate of the all-slip state; its eigenvalues cost as much as a run"
     example = None
-    asked_by = "`growth_rate = true` under [record]"
     columns = (
         Column(
             "number",
@@ -42,8 +41,8 @@ class GrowthRate(Record):
     def cost(self, member: Member, sharing: Sharing) -> float:
         return 1e-8 * member.n**3 / (sharing.engines * sharing.draws)
 
-    def of(self, made: Made) -> dict[str, Any]:
-        system = made.system
+    def of(self, result: Made) -> dict[str, Any]:
+        system = result.system
         if system.weakening is not None and isinstance(system.belt_speed, Piecewise):
             return {}
         if system not in _KNOWN:

@@ -53,8 +53,8 @@ class Separation(Record):
             )
         if self.step < facts.least_step:
             steps = f"run.t_end / {round(facts.t_end / facts.least_step)}"
-            least, step = apart(facts.least_step, self.step, digits=2)
-            return f"expected at least {least}, {steps}, got {step}; enlarge it"
+            bound, step = apart(facts.least_step, self.step, digits=2)
+            return f"expected at least {bound}, {steps}, got {step}; enlarge it"
         return ""
 
     def memory(self, facts: Facts) -> Memory:
@@ -75,12 +75,12 @@ class Separation(Record):
             return 0.0
         return base.cost / (sharing.copies if base.ratio_draw == member.ratio_draw else sharing.draws)
 
-    def of(self, made: Made) -> dict[str, Any]:
-        base = made.member.base
+    def of(self, result: Made) -> dict[str, Any]:
+        base = result.member.base
         if base is None:
             return {}
-        times = self.times(made.member)
-        one, other = made.samples(times), made.again(base, tuple(times))
-        m = min(len(one), len(other))  # both reached these
-        squares = (one.z[:m] - other.z[:m]) ** 2 + (one.w[:m] - other.w[:m]) ** 2
+        times = self.times(result.member)
+        mine, base_samples = result.samples(times), result.again(base, tuple(times))
+        m = min(len(mine), len(base_samples))  # both reached these
+        squares = (mine.z[:m] - base_samples.z[:m]) ** 2 + (mine.w[:m] - base_samples.w[:m]) ** 2
         return {"separation": np.sqrt(squares.mean(axis=1))}

@@ -19,7 +19,6 @@ class SlipSpeed(StateRecord):
 
     name = "slip_speed"
     words = "whether to keep the speed of slip after t_burn, over blocks and time"
-    asked_by = "`slip_speed = true` under [record]"
     columns = (
         Column(
             "number",
@@ -43,5 +42,5 @@ class SlipSpeed(StateRecord):
         if not rubs.any():
             return {}
         slip = np.abs(samples.w - system.belt_speed_at(samples.t))[:, rubs]
-        mean, square = (mean_in_time(one.mean(1), samples) for one in (slip, slip**2))
+        mean, square = (mean_in_time(values.mean(1), samples) for values in (slip, slip**2))
         return {"slip_speed": mean, "slip_speed_rms": np.sqrt(square)}

@@ -18,7 +18,6 @@ class EpisodesRecord(Record):
 
     name = "episodes"
     words = "whether to keep the episodes: from all blocks stuck to all stuck again"
-    asked_by = "`episodes = true` under [record]"
     columns = (
         _of_each(
             "numbers",
@@ -49,6 +48,6 @@ class EpisodesRecord(Record):
     )
     needs_stills = True
 
-    def of(self, made: Made) -> dict[str, Any]:
-        whole = episodes(made.run, made.system.belt_speed)
-        return {f"episode_{one.name}": getattr(whole, one.name) for one in fields(whole)}
+    def of(self, result: Made) -> dict[str, Any]:
+        series = episodes(result.run, result.system.belt_speed)
+        return {f"episode_{field.name}": getattr(series, field.name) for field in fields(series)}

@@ -14,7 +14,6 @@ class Events(Record):
     name = "events"
     words = "whether to keep every event"
     example = None
-    asked_by = "`events = true` under [record]"
     columns = (
         Column(
             "numbers", "event_t", "times of the events, never decreasing", along="event", repeats=False, is_time=True
@@ -25,8 +24,8 @@ class Events(Record):
     )
     is_of_paths = True
 
-    def of(self, made: Made) -> dict[str, Any]:
-        series = made.run.events
+    def of(self, result: Made) -> dict[str, Any]:
+        series = result.run.events
         return {
             "event_t": series.t,
             "event_block": series.block,

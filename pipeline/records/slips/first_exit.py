@@ -15,7 +15,6 @@ class FirstExit(Record):
 
     name = "first_exit"
     words = "whether to keep when the first block that sticks lets go, and which"
-    asked_by = "`first_exit = true` under [record]"
     columns = (
         Column(
             "number",
@@ -31,8 +30,8 @@ class FirstExit(Record):
     )
     needs = frozenset({"events"})
 
-    def of(self, made: Made) -> dict[str, Any]:
-        events = made.events
+    def of(self, result: Made) -> dict[str, Any]:
+        events = result.events
         exits = np.flatnonzero(events.is_exit)
         if not len(exits):
             return {}

@@ -19,7 +19,6 @@ class StickShare(WindowRecord):
     words = (
         "whether to keep the share of time that blocks stick after t_burn, and the share of blocks that never slip"
     )
-    asked_by = "`stick_share = true` under [record]"
     columns = (
         Column(
             "number",
@@ -42,8 +41,8 @@ class StickShare(WindowRecord):
     is_of_contacts = True
     needs = frozenset({"events", "system"})
 
-    def of(self, made: Made) -> dict[str, Any]:
-        events = made.contact_events
+    def of(self, result: Made) -> dict[str, Any]:
+        events = result.contact_events
         end = events.t_end
         if end <= self.t_burn or not events.n:
             return {}

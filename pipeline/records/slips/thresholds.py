@@ -35,9 +35,11 @@ class Thresholds(Record):
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
         return cls() if has_several(settings) else None
 
-    def of(self, made: Made) -> dict[str, Any]:
-        by_threshold = made.run.by_threshold
+    def of(self, result: Made) -> dict[str, Any]:
+        by_threshold = result.run.by_threshold
         if not by_threshold:
             return {}
         changes = zip(by_threshold, summaries([*by_threshold.values()]), strict=True)
-        return {"by_threshold": [{"threshold": c, "t": one.t, "n_stick": one.n_stick} for c, one in changes]}
+        return {
+            "by_threshold": [{"threshold": c, "t": summary.t, "n_stick": summary.n_stick} for c, summary in changes]
+        }

@@ -17,7 +17,6 @@ class Waiting(WindowRecord):
 
     name = "waiting"
     words = "whether to keep the mean and the scatter of times between exits of the same block after t_burn"
-    asked_by = "`waiting = true` under [record]"
     columns = (
         Column(
             "count",
@@ -51,14 +50,14 @@ class Waiting(WindowRecord):
     is_of_contacts = True
     needs = frozenset({"events", "system"})
 
-    def of(self, made: Made) -> dict[str, Any]:
-        events = made.contact_events
+    def of(self, result: Made) -> dict[str, Any]:
+        events = result.contact_events
         exits = np.flatnonzero(events.is_exit & (events.t >= self.t_burn))
         order = exits[np.argsort(events.block[exits], kind="stable")]  # in time within a block
         gaps = np.diff(events.t[order])[np.diff(events.block[order]) == 0]
-        kept: dict[str, Any] = {"waiting_count": len(gaps)}
+        values: dict[str, Any] = {"waiting_count": len(gaps)}
         if len(gaps):
-            kept["waiting_mean"] = gaps.mean()
+            values["waiting_mean"] = gaps.mean()
         if len(gaps) > 1:
-            kept["waiting_cv"] = gaps.std(ddof=1) / gaps.mean()
-        return kept
+            values["waiting_cv"] = gaps.std(ddof=1) / gaps.mean()
+        return values
