@@ -13,6 +13,7 @@ from pathlib import Path
 
 import stickslip
 from stickslip.sim.kernels.cache import CacheError, CacheFiles, cache_directory
+from stickslip.sim.kernels.digest import is_compiled
 from stickslip.version import __version__
 
 #: Packages and modules that determine numbers: a system and its run, which draws and settings a member has, what is
@@ -37,8 +38,11 @@ _OUTSIDE = ("sim/runs/show.py",)
 
 
 def program() -> str:
-    """What numbers come from: the version of stickslip, and a digest of its code, as this process loaded it."""
-    return version_of(_DETERMINING)
+    """What numbers come from: the version of stickslip, and a digest of its code, as this process loaded it.
+
+    Where kernels are not compiled, it says so.
+    """
+    return version_of(_DETERMINING) + ("" if is_compiled() else "-not-compiled")
 
 
 @cache

@@ -14,6 +14,7 @@ import numpy as np
 from stickslip.sim.engines import loop
 from stickslip.sim.engines.stacks import note_slice, rest_of, run_of
 from stickslip.sim.kernels.compile import inner
+from stickslip.sim.kernels.emit import by_reference
 
 
 class Way(NamedTuple):
@@ -80,8 +81,9 @@ def frame(way: Way) -> Any:
     @inner
     def take_all(stack, events, precheck, first, slices):  # type: ignore[no-untyped-def]
         for row in range(len(slices)):
-            run = run_of(stack, first + row)
-            status, n_recorded = take(run, rest_of(events, slices, row), precheck)
+            run = by_reference(run_of(stack, first + row))
+            buffers = by_reference(rest_of(events, slices, row))
+            status, n_recorded = take(run, buffers, by_reference(precheck))
             note_slice(slices, row, status, n_recorded, run.state.counters)
 
     return take_all

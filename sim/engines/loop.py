@@ -253,7 +253,7 @@ def note_all_stuck_at(is_all_stuck, t, z, events, counters):  # type: ignore[no-
         total = 0.0
         for i in range(len(z)):
             total += z[i]
-        _, _, _, _, all_stuck = events
+        all_stuck = events.all_stuck
         all_stuck[0, counters[N_ALL_STUCK]], all_stuck[1, counters[N_ALL_STUCK]] = t, total
         counters[N_ALL_STUCK] += 1
 

@@ -22,9 +22,11 @@ Decisions, and why:
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -36,7 +38,7 @@ from numba.core.compiler import Compiler, CompileResult
 from numba.core.runtime import rtsys
 
 from stickslip.sim.kernels.cache import CacheFiles, cache_directory
-from stickslip.sim.kernels.emit import IS_COMPILED
+from stickslip.sim.kernels.emit import IS_COMPILED, is_reference
 
 
 def _jit(function: Callable[..., Any], counts: bool, **options: Any) -> Any:
@@ -69,7 +71,18 @@ class _KernelCache:
             _warn_uncached(error)
 
 
-class _Whole(JITCodeLibrary):
+class _Library(JITCodeLibrary):
+    """Code whose named tuples, which are passed on by address, nothing else changes."""
+
+    def add_ir_module(self, module: Any) -> None:
+        for function in module.functions:
+            for argument in function.args:
+                if is_reference(argument):
+                    argument.add_attribute("noalias")
+        super().add_ir_module(module)
+
+
+class _Whole(_Library):
     """The code of a kernel, with that of all that it calls.
 
     What is linked into it is private, so that LLVM knows all calls of a function: one that is called in one place
@@ -89,8 +102,32 @@ class _Whole(JITCodeLibrary):
                 function.linkage = "private"
         super()._optimize_final_module()
 
+    def _finalize_final_module(self) -> None:
+        with _interrupts():
+            super()._finalize_final_module()
 
-class _Part(JITCodeLibrary):
+
+@contextlib.contextmanager
+def _interrupts() -> Iterator[None]:
+    """Raise at the end an interrupt that comes while LLVM calls Python, where it would be printed and lost."""
+    before, interrupts = sys.unraisablehook, list[BaseException]()
+
+    def keep(event: Any) -> None:
+        if isinstance(event.exc_value, KeyboardInterrupt):
+            interrupts.append(event.exc_value)
+        else:
+            before(event)
+
+    sys.unraisablehook = keep
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+    if interrupts:
+        raise interrupts[0]
+
+
+class _Part(_Library):
     """The code of an `inner` function, which is linked into that of a kernel and optimised there."""
 
     def _optimize_final_module(self) -> None:

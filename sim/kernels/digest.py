@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import sys
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -33,6 +34,11 @@ def source_digest() -> str:
 def kernel_digest() -> str:
     """Digest of the sources and the version of numba (numba itself adds the CPU to its keys)."""
     return hashlib.sha256(f"{version('numba')} {source_digest()}".encode()).hexdigest()[:16]
+
+
+def is_compiled() -> bool:
+    """Whether kernels are compiled; else they are run as Python, and sums have other last digits."""
+    return os.environ.get("NUMBA_DISABLE_JIT", "0") in ("", "0")
 
 
 def code_digest(*functions: Callable[..., Any] | None) -> str:

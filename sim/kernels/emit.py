@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
+from hashlib import sha256
 from inspect import Parameter, Signature, signature
 from typing import Any, ClassVar, NamedTuple, TypeAlias, cast
 
@@ -398,6 +399,70 @@ def _array(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any], s
 
 #: ``room(rows, columns)``, two literals: a float64 array on the stack, gone when the function returns.
 room: Any = intrinsic(prefer_literal=True)(_room) if IS_COMPILED else lambda rows, columns: np.empty((rows, columns))
+
+
+# ---------------------------------------------------------------------------------------------- named tuples
+
+
+_ADDRESS = ir.IntType(8).as_pointer()
+
+
+class Reference(types.Type):
+    """A named tuple by its address: passed by value, each of its words would be an argument of each call."""
+
+    def __init__(self, whole: Any) -> None:
+        self.whole, self.class_name = whole, whole.instance_class.__name__
+        # not by its fields: names of functions have those of the types of their arguments
+        super().__init__(name=f"{self.class_name}.{sha256(str(whole).encode()).hexdigest()[:16]}")
+
+    def kind_of(self, name: str) -> Any:
+        """The type of a field, which, if it is a tuple, is by reference too."""
+        kind = self.whole.types[self.whole.fields.index(name)]
+        return Reference(kind) if isinstance(kind, types.BaseTuple) and len(kind) > 0 else kind
+
+
+@register_model(Reference)
+class _ReferenceModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Reference) -> None:
+        super().__init__(manager, kind, _ADDRESS)  # type: ignore[no-untyped-call]
+
+
+@infer_getattr
+class _FieldsOfReference(AttributeTemplate):
+    key = Reference
+
+    def generic_resolve(self, kind: Reference, name: str) -> Any:  # type: ignore[override]
+        return kind.kind_of(name) if name in kind.whole.fields else None
+
+
+@lower_getattr_generic(Reference)  # type: ignore[untyped-decorator]
+def _field(context: Any, builder: Any, kind: Reference, value: Any, name: str) -> Any:
+    place = builder.bitcast(value, context.get_value_type(kind.whole).as_pointer())
+    place = cgutils.gep_inbounds(builder, place, 0, kind.whole.fields.index(name))
+    if isinstance(kind.kind_of(name), Reference):
+        return builder.bitcast(place, _ADDRESS)
+    return builder.load(place)
+
+
+def _refer(_: Any, whole: Any) -> Any:
+    def codegen(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place = cgutils.alloca_once(builder, arguments[0].type)
+        builder.store(arguments[0], place)
+        return builder.bitcast(place, _ADDRESS)
+
+    return Reference(whole)(whole), codegen
+
+
+def is_reference(argument: Any) -> bool:
+    """Whether an argument of a function is a `Reference`: numba numbers the words of all others with a pointer."""
+    return bool(argument.type == _ADDRESS and argument.name.count(".") == 1)
+
+
+#: ``by_reference(whole)``: a named tuple on the stack, by its address, which no function returns.
+by_reference: Any = intrinsic(_refer) if IS_COMPILED else lambda whole: whole
+
+
+# ---------------------------------------------------------------------------------------------- tables
 
 
 class Named(types.Type):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
 import os
 import sys
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 
 from stickslip.sim.kernels import cache as kept
+from stickslip.sim.kernels import compile as compiling
 from stickslip.sim.kernels import digest
 from stickslip.sim.kernels.cache import CacheFiles, cache_directory
 from stickslip.sim.kernels.compile import inner, kernel
@@ -147,3 +149,22 @@ def test_a_part_of_a_kernel_is_whole_for_what_is_compiled_after_it():
 
     rest = np.array([7.0, 0.5])
     assert whole(rest, 0.25)[1] == other(rest, 0.5)
+
+
+@pytest.mark.usefixtures("uncached")
+def test_an_interrupt_of_a_callback_from_the_compiler_is_not_lost(monkeypatch):
+    """ctypes prints what its callbacks raise, and goes on."""
+
+    @ctypes.CFUNCTYPE(None)
+    def interrupted():
+        raise KeyboardInterrupt
+
+    @kernel
+    def double(x):
+        return 2 * x
+
+    with monkeypatch.context() as patch:
+        patch.setattr(compiling.JITCodeLibrary, "_finalize_final_module", lambda self: interrupted())
+        with pytest.raises(KeyboardInterrupt):
+            double(3)
+    assert double(3) == 6

@@ -5,6 +5,7 @@ Only large systems are run so; here small ones are too, by `by_waves`, so that t
 
 import numpy as np
 import pytest
+from scipy.sparse import csc_array
 
 from stickslip.sim import Harmonic, IntegrationError, Piecewise, Rational, System, draw_system, simulate
 from stickslip.sim.engines import loop
@@ -258,6 +259,19 @@ def test_what_it_does_not_take_is_run_by_series(kind):
     system = OTHERS[kind](draw_system("antisymmetric", 64, 1, kappa=0.2))
     assert not settings.Coulomb(tol=1e-5).is_by_waves(system)
     assert simulate(system, 0.1, "belt", 0.5, tol=1e-5).stats.method == SERIES
+
+
+def test_a_sparse_array_of_many_entries_a_row_is_run_as_the_dense_one(rng):
+    """Their products differ by rounding, and those of the dense one are in single precision after the first."""
+    system, z0, w0 = large(rng, 128)
+    stiffness = np.where(rng.random((128, 128)) < 0.1, system.stiffness, 0.0) + np.diag(system.stiffness.diagonal())
+    sparse = system.changed(stiffness=csc_array(stiffness))
+    runs = [simulate(one, z0, w0, 2.0, tol=1e-6) for one in (system.changed(stiffness=stiffness), sparse)]
+    assert [run.stats.method for run in runs] == [WAVES, WAVES]
+    assert len(runs[0].events) == len(runs[1].events) > 50
+    assert error(*runs) < 10 * 1e-6 * scale(system, runs[0], w0)
+    few = np.diag(system.stiffness.diagonal()) + np.diag(np.full(127, 0.1), 1)
+    assert not settings.Coulomb(tol=1e-6).is_by_waves(system.changed(stiffness=csc_array(few)))
 
 
 def test_tighter_tolerances_take_more_blocks():

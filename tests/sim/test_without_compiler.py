@@ -1,5 +1,6 @@
 """Kernels that are run as Python, as a debugger and coverage see them, find what compiled ones find."""
 
+import json
 import os
 import pickle
 import subprocess
@@ -8,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 
+from stickslip.pipeline.dataset.program import program
 from stickslip.sim import Harmonic, Rational, draw_system, simulate
 from tests.scenes import ensemble
 
@@ -57,7 +59,7 @@ def test_a_run_is_the_same_without_a_compiler(name, as_python):
 
 
 def test_a_scene_is_run_without_a_compiler(tmp_path):
-    """By the command, whose worker inherits the environment."""
+    """By the command, whose worker inherits the environment; its rows are not mixed with others unsaid."""
     (tmp_path / "small.toml").write_text(ensemble(2, 2.0, 1))
     done = subprocess.run(
         [sys.executable, "-m", "stickslip", "run", "small.toml", "--workers", "1", "--no-report"],
@@ -68,3 +70,5 @@ def test_a_scene_is_run_without_a_compiler(tmp_path):
         check=False,
     )
     assert done.returncode == 0, done.stderr
+    (manifest,) = tmp_path.rglob("manifest.json")
+    assert json.loads(manifest.read_text())["programs"] == [f"{program()}-not-compiled"]
