@@ -36,7 +36,7 @@ from stickslip.pipeline.design.labels import Label
 from stickslip.sim.engines import place
 
 ONE_MOMENT = "most episodes have one moment"  # why there is no b
-_READ = ["start", "end", "size", "moment", "first_block", "z_sum"]
+_READ = ["start", "end", "size", "moment", "z_sum"]
 
 
 @dataclass
@@ -119,6 +119,10 @@ class Catalogues:
         """Magnitudes of all episodes, run by run."""
         return np.concatenate([one.magnitude for one in self.each()] or [np.zeros(0)])
 
+    def magnitudes_of(self, unit: int) -> np.ndarray:
+        """Magnitudes of the episodes of a unit."""
+        return np.concatenate([run.magnitude for run in self.runs[unit]])
+
     def atom(self, magnitude: float) -> float:
         """`models.episodes.atom` of the episodes of at least that magnitude."""
         magnitudes = self.magnitudes()
@@ -145,8 +149,11 @@ class Catalogues:
         }  # fmt: skip
 
 
-def read(study: Study, episodes: pd.DataFrame) -> list[Catalogues]:
-    """The catalogues of each group with a run that reached t_end, in the order of `fineness`."""
+def read(study: Study) -> list[Catalogues]:
+    """The catalogues of each group with a run that reached t_end, in the order of `fineness`; none if unrecorded."""
+    episodes = study.data.episodes
+    if episodes is None:
+        return []
     of_member = {str(name): some for name, some in episodes.groupby("member_id", sort=False)}
     groups = sorted(study.groups, key=fineness)
     found = [Catalogues(group, _by_unit(study, group, of_member), study.settings.confidence) for group in groups]
@@ -175,13 +182,13 @@ def _by_unit(study: Study, group: Group, of_member: Mapping[str, pd.DataFrame]) 
         if member_id in of_member:
             columns = of_member[member_id].reindex(columns=_READ).to_numpy(np.float64, na_value=np.nan).T
             columns = columns[:, (columns[0] >= t_start) & (columns[3] != 0)]
-        start, end, size, moment, first_block, z_sum = columns
+        start, end, size, moment, z_sum = columns
         slip = np.nan if not v else n * abs(float(v)) * (float(t_end) - t_start)
-        whole = (size.astype(np.int64), moment, slip, first_block.astype(np.int64))
         moving = _moving(*study.runs.points(member_id), n, t_start, float(t_end))
         carried = np.sign(float(v)) * z_sum if v else None
-        one = Catalogue(t_start, float(t_end), start, end - start, *whole, moving, carried)
-        found.setdefault(int(unit), []).append(one)
+        sizes = size.astype(np.int64)
+        run = Catalogue(t_start, float(t_end), start, end - start, sizes, moment, slip, moving, carried)
+        found.setdefault(int(unit), []).append(run)
     return found
 
 
@@ -216,7 +223,7 @@ def summarise(group: Catalogues) -> None:
 
 def classes(one: Catalogues) -> np.ndarray:
     """Histogram of magnitudes of each unit, from `least` to the largest, shape (G, K)."""
-    by_unit = [np.concatenate([run.magnitude for run in runs]) for runs in one.runs.values()]
+    by_unit = [one.magnitudes_of(unit) for unit in one.runs]
     n_classes = int(np.floor((one.magnitudes().max() - one.least) / FITTED + 1e-9)) + 1
     return np.array([in_classes(some, one.least, max(n_classes, 0)) for some in by_unit], dtype=np.float64)
 

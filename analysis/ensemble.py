@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -179,9 +179,18 @@ class Study:
     data: Data
     settings: AnalysisSettings
     put: Put | None = None
+    _made: dict[tuple[object, str], Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check(self.data.table, self.settings)
+
+    def once(self, of: Callable[..., T], group: Group | None = None) -> T:
+        """What a function gives of the study, or of it and a group, made when it is first asked for."""
+        key = of, "" if group is None else group.label
+        if key not in self._made:
+            self._made[key] = of(self) if group is None else of(self, group)
+        made: T = self._made[key]
+        return made
 
     @cached_property
     def groups(self) -> list[Group]:

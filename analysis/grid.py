@@ -12,15 +12,15 @@ from stickslip.analysis.contrast import Statistic
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
-from stickslip.analysis.measures import AT_MOST, IN_MOTION, MOTION, PERHAPS, Measure, Values, measures
+from stickslip.analysis.measures import MOTION, Measure, Values, measures
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
-from stickslip.analysis.models.fates import FAILED, WATCHED, bounded_share
+from stickslip.analysis.models.fates import FAILED, WATCHED
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.pipeline.design.design import Axis
 from stickslip.pipeline.design.design import Row as KeyValues
 from stickslip.pipeline.design.labels import Label, apart, labels
-from stickslip.pipeline.design.values import Rank, ranks
+from stickslip.pipeline.design.values import Rank, Value, ranks
 
 #: What the name of a setting says, beside its method.
 FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
@@ -39,9 +39,9 @@ class Point:
 
     @classmethod
     def of(cls, group: Group, axes: Sequence[Axis], asked: Sequence[Measure]) -> Point:
-        """The point of a group, with what its runs give, whether they are in motion too."""
+        """The point of a group, with what its runs give, whether they stick late too."""
         fates = {name: int((group.fates == name).sum()) for name in (*WATCHED, FAILED)}
-        values = {measure.name: measure.of(group) for measure in (*asked, MOTION, PERHAPS)}
+        values = {measure.name: measure.of(group) for measure in (*asked, MOTION)}
         swept = group.table.design.swept(group.point)
         place = {axis: tuple(swept[key] for key in axis.keys) for axis in axes}
         return cls(group, place, fates, values)
@@ -76,13 +76,12 @@ def axes_of(groups: Sequence[Group]) -> list[Axis]:
 
 def estimate(statistic: Statistic, points: Iterable[Point], confidence: float) -> Estimate:
     """A statistic over some points of a grid, taken together."""
-    together = list(points)
-    sums = UnitSums.together(point.sums(statistic.name) for point in together)
-    if statistic.name != IN_MOTION or not len(sums):
-        return statistic.estimate(sums, confidence)
-    moving, n_runs = sums.rows.T
-    at_most = UnitSums.together(point.sums(AT_MOST) for point in together).rows[:, 0]
-    return bounded_share(np.column_stack([moving, at_most - moving, n_runs]), confidence)
+    return statistic.estimate(UnitSums.together(point.sums(statistic.name) for point in points), confidence)
+
+
+def is_negative(*values: Value) -> bool:
+    """Whether all values are negative numbers, which are said by their size: a belt's speed is how fast it is."""
+    return all(isinstance(value, float) and value < 0.0 for value in values)
 
 
 def points_at(points: Iterable[Point], axis: Axis, value: KeyValues) -> list[Point]:

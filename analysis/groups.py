@@ -23,7 +23,7 @@ import pandas as pd
 
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET
-from stickslip.analysis.models.motion import COLUMNS, EFFECTIVE, Motion
+from stickslip.analysis.models.motion import COLUMNS, Motion
 from stickslip.analysis.series.runs import by_number
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
@@ -34,7 +34,7 @@ from stickslip.pipeline.design.values import rank, ranks
 from stickslip.sim.engines import ENGINES, place
 
 #: Columns of motion whose sums a group keeps for each unit.
-_TOTALS = tuple(name for name in COLUMNS if name not in (*EFFECTIVE, "short"))
+_TOTALS = tuple(name for name in COLUMNS if name != "short")
 
 
 @dataclass
@@ -57,9 +57,7 @@ class Group:
     units : ndarray of int, shape (G,)
         Units of the members in motion, ascending: the rows of all arrays.
     totals : dict of str to ndarray, shape (G,)
-        Sums over runs of each of `motion.COLUMNS`, by name, but of those in `effective` and `n_short`.
-    effective : ndarray, shape (4,)
-        Sums over units of their means over runs of `effective.rows`.
+        Sums over runs of each of `motion.COLUMNS`, by name, but of `n_short`.
     counts : ndarray of int, shape (G, K)
         Number of cascades of each size from 1 on, by the definition `events`.
     fates : ndarray of str, shape (R,)
@@ -78,7 +76,6 @@ class Group:
     rows: np.ndarray
     units: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     totals: dict[str, np.ndarray] = field(default_factory=lambda: {name: np.zeros(0) for name in _TOTALS})
-    effective: np.ndarray = field(default_factory=lambda: np.zeros(4))
     counts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int64))
     fates: np.ndarray = field(default_factory=lambda: np.zeros(0, object))
     last: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
@@ -203,11 +200,6 @@ class Group:
         """Mean n_stick."""
         return within(over_matrices(ratio, self.by_unit("mean", "runs"), confidence), 0.0)
 
-    def drift(self, confidence: float) -> Estimate:
-        """Mean n_stick in the second half of the window minus that in the first, paired over units."""
-        first, second, runs = self.by_unit("first_half", "second_half", "runs").T
-        return over_matrices(ratio, np.column_stack([second - first, runs]), confidence)
-
     def basis(self, confidence: float) -> enough.Basis:
         """Whether a statistic that assumes a stationary law may be judged."""
         n_cascades = int(self.of("cascades").sum())
@@ -302,7 +294,4 @@ class _Filling:
         group.n_short = int(self._sums.pop("short").sum())
         for name in [*self._sums]:  # each is given up as it is handed over: they take most of the memory
             group.totals[name] = self._sums.pop(name)[moves]
-        group.effective = group.by_unit("variance", *EFFECTIVE).sum(axis=0)
-        for name in EFFECTIVE:
-            del group.totals[name]
         group.n_quiet = int((group.fates == QUIET).sum())

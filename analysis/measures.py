@@ -21,7 +21,7 @@ from stickslip.analysis.ensemble import Recorded, Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
 from stickslip.analysis.models.episodes import ATOM, B_VALUE, QUANTITIES, RATE, SIZE
-from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, QUIET, UNMOVED, is_all_slip
+from stickslip.analysis.models.fates import DIVERGED, FAILED, SUSTAINED, UNMOVED, is_all_slip
 from stickslip.analysis.models.times import Times
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import UnitSums, per_event, ratio
@@ -111,8 +111,8 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
     """
     if study.data.episodes is None or (beside is not None and beside.data.episodes is None):
         return
-    groups = read(study, study.data.episodes)
-    rivals = [] if beside is None or beside.data.episodes is None else read(beside, beside.data.episodes)
+    groups = study.once(read)
+    rivals = [] if beside is None else beside.once(read)
     full = [group for group in (*groups, *rivals) if group.n_from(group.least) >= enough.LEAST_CASCADES]
     least = max((group.least for group in full), default=None)
     if least is not None and any(group.n_from(least) < enough.LEAST_CASCADES for group in full):
@@ -369,10 +369,11 @@ ENDS = (
     Measure(ALL_SLIP, "all_slip", _without_late_stick),
     Measure(RUN_AWAY, "run_away", partial(_with_fate, (DIVERGED,))),
 )
-IN_MOTION, AT_MOST = "share in motion", "share in motion or quiet"
-#: Whether runs are in motion, and whether they may be: of a quiet run that cannot be told.
-MOTION = Measure(Share(IN_MOTION, title="share of runs in motion"), "motion", partial(_with_fate, MOVING))
-PERHAPS = Measure(Share(AT_MOST), "perhaps", partial(_with_fate, (*MOVING, QUIET)))
+STICKING = "share of runs that stick late"
+#: Whether runs still stick and slip, which is known of each that did not fail.
+MOTION = Measure(
+    Share(STICKING, title="share of runs that still stick and slip"), "motion", partial(_with_fate, (SUSTAINED,))
+)
 
 #: What an ensemble may hold that can be measured, in the order in which measures lead.
 SOURCES: tuple[Callable[[Study, Study | None], Iterator[Measure]], ...] = (_of_episodes, _of_columns, _of_n_stick)

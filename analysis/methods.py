@@ -1,53 +1,24 @@
-"""Methods compared: each setting of the same systems with the finest, by statistics and by whole laws."""
+"""Methods compared: each setting of the same systems with the finest, by statistics and by the law of magnitudes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from stickslip.analysis.catalogues import Catalogues
 from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Comparison, Family
 from stickslip.analysis.members import STEPS, WIDTHS
-from stickslip.analysis.models.episodes import DURATION, QUANTITIES, QUIET, RATE, SIZE, SLIP, Catalogue
-from stickslip.analysis.models.laws import Difference, difference_of_order, distance_of_shares, largest_gap
+from stickslip.analysis.models.episodes import DURATION, QUANTITIES, QUIET, RATE, SIZE, SLIP
+from stickslip.analysis.models.laws import Difference, largest_gap
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.steps import Kind, Setting, Step
 from stickslip.pipeline.design.labels import Label, Part, engine_name
 from stickslip.pipeline.design.labels import apart as labels_apart
 
-
-@dataclass(frozen=True)
-class Compared:
-    """A law by which methods are compared.
-
-    Attributes
-    ----------
-    of : callable
-        From the catalogue of a run and the number of blocks to values.
-    difference : callable
-        Of the values of pairs of runs, one of `models.laws`.
-    join : callable
-        Joins the values of the runs of one system.
-    """
-
-    of: Callable[[Catalogue, int], np.ndarray]
-    difference: Callable[[list[tuple[np.ndarray, np.ndarray]], float, np.random.Generator], Difference]
-    join: Callable[[list[np.ndarray]], np.ndarray] = np.concatenate
-
-
 MAGNITUDES = "magnitudes"
-LAWS: Mapping[str, Compared] = {
-    MAGNITUDES: Compared(lambda run, _: run.magnitude, largest_gap),
-    "sizes": Compared(lambda run, _: run.size, largest_gap),
-    "quiet times": Compared(lambda run, _: run.quiet, largest_gap),
-    "first blocks": Compared(Catalogue.first_blocks, distance_of_shares, lambda runs: np.sum(runs, axis=0)),
-    "order in time": Compared(lambda run, _: run.sizes_and_quiets, difference_of_order),
-}
 #: Statistics by which methods are compared, by name; their differences are relative.
 STATISTICS: Mapping[str, Statistic] = {
     name: Statistic(name, QUANTITIES[name].of) for name in (RATE, SIZE, DURATION, QUIET, SLIP)
@@ -57,15 +28,15 @@ PRIMARY = (RATE, MAGNITUDES)  # how often and how large: tested before the other
 
 @dataclass(frozen=True)
 class Apart:
-    """How far a statistic or a law of one setting lies from that of the finest of the same systems.
+    """How far a statistic or the magnitudes of one setting lie from those of the finest of the same systems.
 
     Attributes
     ----------
     setting, reference : Catalogues
     name : str
-        One of `STATISTICS` or `LAWS`.
+        One of `STATISTICS` or `MAGNITUDES`.
     found : Contrast, laws.Difference or str
-        Of a statistic; of a law, or why there is none.
+        Of a statistic; of magnitudes, or why there is none.
     family : Family, optional
         The comparisons that it is judged together with, if it is tested: the primary ones, or the others.
     """
@@ -108,7 +79,7 @@ class Apart:
 
 
 def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apart]:
-    """Every setting beside the first of the same systems, by statistics and by whole laws."""
+    """Every setting beside the first of the same systems."""
     level = study.settings.confidence
     alone = [
         apart
@@ -117,7 +88,7 @@ def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apa
         for apart in (
             *(Apart(other, reference, name, contrast(one, reference.sums[name], other.sums[name], True, level))
               for name, one in STATISTICS.items()),
-            *(Apart(other, reference, name, _law(study, reference, other, name)) for name in LAWS),
+            Apart(other, reference, MAGNITUDES, _of_magnitudes(study, reference, other)),
         )
     ]  # fmt: skip
     for is_primary in (True, False):
@@ -130,18 +101,12 @@ def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apa
     return alone
 
 
-def _law(study: Study, first: Catalogues, second: Catalogues, name: str) -> Difference | str:
-    """How far a law of two groups lies apart on the systems that both ran."""
-    law, n = LAWS[name], int(first.group.key["n"])
-    pairs = [
-        (
-            law.join([law.of(run, n) for run in first.runs[unit]]),
-            law.join([law.of(run, n) for run in second.runs[unit]]),
-        )
-        for unit in sorted(first.runs.keys() & second.runs.keys())
-    ]
+def _of_magnitudes(study: Study, first: Catalogues, second: Catalogues) -> Difference | str:
+    """How far the magnitudes of two groups lie apart on the systems that both ran, or why that is not known."""
+    units = sorted(first.runs.keys() & second.runs.keys())
+    pairs = [(first.magnitudes_of(unit), second.magnitudes_of(unit)) for unit in units]
     try:
-        return law.difference(pairs, study.settings.confidence, study.generator(f"{name} {second.label}"))
+        return largest_gap(pairs, study.settings.confidence, study.generator(f"{MAGNITUDES} {second.label}"))
     except Undefined as why:
         return str(why)
 

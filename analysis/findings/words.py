@@ -254,7 +254,7 @@ def _change(change: Change) -> str:
 
 def _along(change: Change) -> str:
     """What goes from where to where; of keys that are swept together, each."""
-    first, *others = (key.of_size for key in change.keys)
+    first, *others = (key.said for key in change.keys)
     return listed([
         f"{first.key} goes from {first.first} to {first.second}",
         *(f"{key.key} from {key.first} to {key.second}" for key in others),

@@ -85,10 +85,3 @@ def law(n: int, mean: float, k_max: int) -> np.ndarray:
         found[k] = after @ entry
         after = np.append((after * (1 - entry))[1:], 0.0)
     return found
-
-
-def excess(n: int, mean: float) -> float:
-    """Variance of the pool's sizes over m (m - 1), minus one: the value of `dispersion.excess` in the pool."""
-    sizes, shares = np.arange(1, n + 1), law(n, mean, n)
-    m = sizes @ shares
-    return float((sizes**2 @ shares - m**2) / (m * (m - 1)) - 1)

@@ -17,7 +17,7 @@ import numpy as np
 
 from stickslip.analysis.models.fates import median, risks
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.compare import correlation
+from stickslip.analysis.stats.compare import Compared, correlation
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
 
 _QUANTILE = student.quantile(0.975, np.inf)
@@ -152,10 +152,8 @@ class Times(UnitSums):
         return UnitSums(self.units, np.column_stack([values, np.ones(len(values))]))
 
 
-def median_difference(
-    first: Times, second: Times, paired: bool, is_relative: bool = False
-) -> tuple[float, float, float]:
-    """The median of `second` minus that of `first`, or relative to it, its standard error and degrees of freedom.
+def median_difference(first: Times, second: Times, paired: bool, is_relative: bool = False) -> Compared:
+    """The median of `second` minus that of `first`, or relative to it.
 
     The error of a median is the width of its 95% interval in normal quantiles, which needs no density (Bonett and
     Price 2002, Psychol. Methods 7, 370). That interval is of the times at which the share left is one half, within
@@ -177,4 +175,4 @@ def median_difference(
         a, b = a * after / before**2, b / before
     error = float(np.sqrt(max(a * a - 2.0 * shared * a * b + b * b, 0.0)))
     difference = after / before - 1.0 if is_relative else after - before
-    return difference, error, min(len(first), len(second)) - 1.0
+    return Compared(difference, error, min(len(first), len(second)) - 1.0)

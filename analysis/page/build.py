@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pandas as pd
 
 from stickslip.analysis.ensemble import Data, Study
-from stickslip.analysis.findings.alerts import STOP, Alert, Code
+from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.words import plural
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
@@ -146,8 +146,8 @@ def build(
     by_key = {question.key: question for question in asked if question is not None}
     questions = [question for question in by_key.values() if not question.problem]
     parts = [part(question) for question in questions]
-    lacking = [part for part in parts if part.is_lack]
-    leading, others = _in_order(study, [part for part in parts if not part.is_lack])
+    lacking = [part for part in parts if part.answer.is_lack]
+    leading, others = _in_order(study, [part for part in parts if not part.answer.is_lack])
     lead, panels = _lead(leading), _panels(leading)
     paragraph, head = "", PageTable()
     if leading:
@@ -163,17 +163,16 @@ def build(
         *(part.section(panels, False, False) for part in others),
         _provenance(study, groups, lacking, sources, provenance),
     ]
-    stops = [str(alert) for part in parts for alert in part.answer.alerts if alert.code.rank == STOP]
     alerts = _alerts(study, leading, [part for part in parts if part not in leading])
     page = Page(
-        title, about, lead, stops, panels, head, alerts,
+        title, about, lead, panels, head, alerts,
         [*_notes(settings.question, by_key, {part.key: part for part in lacking})], sections,
         {"made-from": made_from} | ({"own-questions": "run"} if sources else {}), paragraph,
     )  # fmt: skip
     return Report(
         page.html,
         {"groups": groups} | {name: table for answer in questions for name, table in answer.answer.tables.items()},
-        [*stops, title, *lead],
+        [title, *lead],
         {name: drawn for question in questions for name, drawn in question.figures.items()},
         findings_json(title, lead, [*leading, *others, *lacking]),
         {key: text for key, question in by_key.items() if (text := question.problem or "; ".join(question.missing))},
@@ -262,8 +261,8 @@ def _in_order(study: Study, answered: list[Part]) -> tuple[list[Part], list[Part
 def _alerts(study: Study, leading: Sequence[Part], others: Sequence[Part]) -> list[str]:
     """The most important alerts: all of the answers that lead, and of the others those that are about the data."""
     alerts = [Alert.of(Code.ONE_SYSTEM)] if study.unit == START else []
-    alerts += [alert for part in leading for alert in part.answer.alerts if alert.code.rank != STOP]
-    alerts += [alert for part in others for alert in part.answer.alerts if STOP < alert.code.rank <= OF_DATA]
+    alerts += [alert for part in leading for alert in part.answer.alerts]
+    alerts += [alert for part in others for alert in part.answer.alerts if alert.code.rank <= OF_DATA]
     by_subject: dict[object, str] = {}
     for alert in sorted(alerts, key=lambda alert: alert.code.rank):
         by_subject.setdefault(alert.subject, str(alert))

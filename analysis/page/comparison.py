@@ -218,7 +218,7 @@ def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[s
     )
     capitals = [*map(capital, notes)]
     page = Page(
-        title, answered.title, answered.lead, (), answered.panels, inside.table, notes=capitals, sections=[origin]
+        title, answered.title, answered.lead, answered.panels, inside.table, notes=capitals, sections=[origin]
     )
     findings = parts.findings_json(title, answered.lead, [answered])
     return Report(page.html, answer.tables, answered.lead, question.figures, findings)

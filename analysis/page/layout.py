@@ -55,8 +55,6 @@ class Page(NamedTuple):
     title, about : str
     lead : sequence of str
         The answer.
-    stops : sequence of str
-        Why no number of the page must be used.
     panels : sequence of Panel
     table : Table
     alerts, notes : sequence of str
@@ -70,7 +68,6 @@ class Page(NamedTuple):
     title: str
     about: str = ""
     lead: Sequence[str] = ()
-    stops: Sequence[str] = ()
     panels: Sequence[Panel] = ()
     table: Table = Table()
     alerts: Sequence[str] = ()

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from stickslip.analysis.answer import Answer, Question, Recipe
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Basis, Lack, Level, levels
+from stickslip.analysis.findings.finding import Basis, Level, levels
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.page import FINDINGS
 from stickslip.analysis.page.data import data_table
@@ -98,11 +98,6 @@ class Part(NamedTuple):
     def lead(self) -> Sequence[str]:
         """Its first sentences: the answer, or why there is none."""
         return self.sentences[: max(self.answer.n_lead, 1)]
-
-    @property
-    def is_lack(self) -> bool:
-        """Whether there is no answer."""
-        return all(isinstance(finding, Lack) for finding in self.answer.findings)
 
     @property
     def head(self) -> Table:

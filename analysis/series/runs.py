@@ -58,7 +58,7 @@ class Ended:
 def by_number(numbers: np.ndarray) -> list[np.ndarray]:
     """The places of equal numbers, those of the smallest first, each in their order."""
     order = np.argsort(numbers, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1) if len(order) else []
+    return np.array_split(order, np.flatnonzero(np.diff(numbers[order])) + 1) if len(order) else []
 
 
 class Series(Protocol):

@@ -2,11 +2,8 @@
 
 A quantity of matrix i is known from its base run and from replicates: runs of the same matrix from other starts that
 have parted from the base. With y_ij = mu + b_i + e_ij, replicates separate the variance of b_i (between matrices)
-from that of e_ij (due to the finite window), and
-
-    intraclass correlation = var b / (var b + var e).
-
-A changed run c_i of the same matrix has y = mu + b_i + d_i + e_ic. Squared differences have the expectations
+from that of e_ij (due to the finite window). A changed run c_i of the same matrix has y = mu + b_i + d_i + e_ic.
+Squared differences have the expectations
 
     A  change      (c_i - y_ij)^2    E d^2 + 2 var e
     B  replicates  (y_ij - y_ik)^2           2 var e
@@ -26,34 +23,6 @@ from scipy import special
 
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Estimate
-
-
-def intraclass(values: np.ndarray, confidence: float) -> Estimate:
-    """Intraclass correlation of replicates, with an interval that is exact for normal values.
-
-    It is (F - 1) / (F + k - 1), with F the mean square between matrices over that within (Fisher 1925; interval of
-    Shrout and Fleiss 1979, Psychol. Bull. 86, 420). It may be negative, down to -1 / (k - 1).
-
-    Parameters
-    ----------
-    values : ndarray, shape (G, k)
-        k >= 2 replicates of each of G matrices.
-    confidence : float
-    """
-    y = np.asarray(values, dtype=np.float64)
-    g, k = y.shape
-    means = y.mean(axis=1)
-    between, within = k * means.var(ddof=1), np.sum((y - means[:, None]) ** 2) / (g * (k - 1))
-    if within == 0:
-        return Estimate(reason="the replicates are equal")
-    f, tail = between / within, (1 - confidence) / 2
-    low = f / special.fdtri(g - 1, g * (k - 1), 1 - tail)
-    high = f / special.fdtri(g - 1, g * (k - 1), tail)
-    return Estimate(_correlation(f, k), _correlation(low, k), _correlation(high, k))
-
-
-def _correlation(f: float, k: int) -> float:
-    return float((f - 1) / (f + k - 1))
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import pandas as pd
+
 from stickslip.analysis.answer import Answer, Picture, Question, Table
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Finding
 from stickslip.analysis.grid import axes_of
 from stickslip.analysis.pairs import settings
 from stickslip.analysis.questions.runs import engines, robustness, sweep
-from stickslip.analysis.steps import table_of
 
 MOST_LEADING, MOST_ALERTS = 3, 3
 
@@ -18,30 +19,31 @@ def answer(study: Study) -> Answer | None:
 
     The first kind of change leads with up to three findings, each other with one.
     """
-    sources = (sweep.section, robustness.section, engines.section)
-    sections = [section for source in sources if (section := source(study)) is not None]
-    if not sections:
+    sources = (sweep.answer, robustness.answer, engines.answer)
+    answers = [part for source in sources if (part := source(study)) is not None]
+    if not answers:
         return None
-    sections.sort(key=lambda section: not section.lead)
-    leading = [section for section in sections if section.lead]
+    answers.sort(key=lambda part: part.is_lack)
+    leading = [part for part in answers if not part.is_lack]
     lead: list[Finding] = []
-    for k, section in enumerate(leading):
-        lead += section.lead[: MOST_LEADING + 1 - len(leading) if k == 0 else 1]
-    below = [finding for section in leading for finding in (*section.lead, *section.rest) if finding not in lead]
-    lacks = [section.lack for section in sections if not section.lead]
-    alerts = sorted((alert for section in sections for alert in section.alerts), key=lambda alert: alert.code.rank)
-    tables: dict[str, Table] = {"changes": table_of(step for section in sections for step in section.steps)}
+    for k, part in enumerate(leading):
+        most = MOST_LEADING + 1 - len(leading) if k == 0 else 1
+        lead += part.findings[: min(part.n_lead, most)]
+    below = [finding for part in leading for finding in part.findings if finding not in lead]
+    lacks = [finding for part in answers if part.is_lack for finding in part.findings]
+    alerts = sorted((alert for part in answers for alert in part.alerts), key=lambda alert: alert.code.rank)
+    tables: dict[str, Table] = {"changes": pd.concat([part.tables["changes"] for part in answers], ignore_index=True)}
     figures: dict[str, Picture] = {}
-    for section in sections:
-        figures |= dict([*section.figures.items()][:1])
-    for section in sections:
-        tables |= section.tables
-        figures |= {name: picture for name, picture in section.figures.items() if name not in figures}
+    for part in answers:
+        figures |= dict([*part.figures.items()][:1])
+    for part in answers:
+        tables = {**part.tables, **tables}
+        figures |= {name: picture for name, picture in part.figures.items() if name not in figures}
     return Answer(
         [*lead, *below, *lacks],
         max(len(lead), 1),
         alerts[:MOST_ALERTS],
-        " ".join(section.method for section in leading if section.method),
+        " ".join(part.method for part in leading if part.method),
         tables=tables,
         figures=figures,
     )

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stickslip.analysis.answer import Answer
 from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Finding, Form, KeyChange, Level, Quantity, Share
@@ -25,7 +26,7 @@ from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
-from stickslip.analysis.steps import Kind, Section, Step, few, judged_together
+from stickslip.analysis.steps import Kind, Step, few, judged_together, table_of
 from stickslip.analysis.steps import Setting as Named
 from stickslip.pipeline.design import design
 from stickslip.pipeline.design.design import DEFAULT_READING, Change
@@ -40,7 +41,7 @@ _METHOD_OF_EFFECTS = (
 )
 
 
-def section(study: Study) -> Section | None:
+def answer(study: Study) -> Answer | None:
     """Effect of each change of constants or of stiffness ratios, by itself and beside that of another system."""
     all_copies = [copies for setting in settings(study.data.table) if (copies := _Copies.of(study, setting)).changes]
     if not all_copies:
@@ -61,14 +62,15 @@ def section(study: Study) -> Section | None:
             lead += [effect for quantity, effect in effects if quantity == PRIMARY[0]][-1:]
         rest += [step.level("the unchanged system", unit) for step in judged_steps]
         rest += [effect for _, effect in effects]
-        rest += _between(study, copies, where[copies.label], unit)
     for finding in (end for copies in all_copies for end in _ends(study, copies, where[copies.label], unit)):
         is_empty = isinstance(finding, Share) and finding.estimate.value == 0.0  # all end alike
         (rest if is_empty else lead).append(finding)
     in_figure = [step for step in steps if step.contrast.is_known]
     figures = forest(in_figure, "Differences from the unchanged systems", "robustness")
     lack = few("the effect of a changed system", len(all_copies[0].sums))
-    return Section(lack, steps, lead, rest, figures=figures, method=_METHOD + _METHOD_OF_EFFECTS * has_effects)
+    method = _METHOD + _METHOD_OF_EFFECTS * has_effects
+    findings = [*lead, *rest] if lead else [lack]
+    return Answer(findings, len(lead), method=method, tables={"changes": table_of(steps)}, figures=figures)
 
 
 class _Set(NamedTuple):
@@ -101,16 +103,16 @@ class _Copies:
     def label(self) -> Label:
         return self.setting.label
 
-    def complete(self, change: Comparison | None = None) -> list[_Set]:
+    def complete(self, change: Comparison) -> list[_Set]:
         """Those of each system whose runs all reached t_end in motion."""
         sets = []
         for unit, base in self.setting.bases.items():
             replicates = [row for comparison in self.replicates for row in comparison.of(unit)]
-            rows = _Set([base, *replicates], [] if change is None else change.of(unit))
+            rows = _Set([base, *replicates], change.of(unit))
             if all(row in self.sums for row in (*rows.unchanged, *rows.changed)):
                 sets.append(rows)
         full = [max((len(rows[side]) for rows in sets), default=0) for side in (0, 1)]
-        return [rows for rows in sets if [*map(len, rows)] == full and (change is None or rows.changed)]
+        return [rows for rows in sets if [*map(len, rows)] == full and rows.changed]
 
     def values(self, quantity: str, rows: Sequence[Sequence[int]]) -> np.ndarray:
         """A quantity of some runs, in the shape of `rows`."""
@@ -181,24 +183,11 @@ def _effects(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator
             if len(sets) < enough.LEAST_MATRICES:
                 continue
             before, after = (copies.values(quantity, [rows[side] for rows in sets]) for side in (0, 1))
-            effect = components.against_redraw(before, after, confidence)
-            if effect.is_bounded and effect.theta.value is not None:
+            effect = components.against_redraw(before, after, confidence).theta
+            if effect.high is not None and effect.value is not None:
                 name = f"effect of {comparison.change} on the {QUANTITIES[quantity].title} of one system"
                 theta = Quantity("theta", f"{name}, as a share of another system's", Form.SHARE)
-                yield quantity, Level(theta, effect.theta, where, None, Basis(len(sets), unit))
-
-
-def _between(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Level]:
-    """How much of the variance of each quantity is between systems."""
-    sets = [rows.unchanged for rows in copies.complete()]
-    if not copies.replicates or len(sets) < enough.LEAST_MATRICES:
-        return
-    for quantity in PRIMARY:
-        share = components.intraclass(copies.values(quantity, sets), study.settings.confidence)
-        if share.value is not None:
-            name = f"share of the variance of the {QUANTITIES[quantity].title} between systems"
-            correlation = Quantity("correlation", name, Form.SHARE)
-            yield Level(correlation, share, where, None, Basis(len(sets), unit))
+                yield quantity, Level(theta, effect, where, None, Basis(len(sets), unit))
 
 
 class _End(NamedTuple):

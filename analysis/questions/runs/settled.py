@@ -45,7 +45,8 @@ from stickslip.analysis.models.fates import (
 )
 from stickslip.analysis.stats.compare import wilson
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.pipeline.design.design import Axis, Row, Unit, in_words
+from stickslip.pipeline.design.design import Axis, Unit, in_words
+from stickslip.pipeline.design.design import Row as KeyValues
 from stickslip.pipeline.design.labels import Label, apart, labels
 from stickslip.pipeline.design.values import Named, Value, Values, ranks
 
@@ -112,7 +113,7 @@ class Setting:
         One for each start that is swept.
     label, method : Label
         What tells its system, and its engine, from those of other settings.
-    at : tuple of Row
+    at : tuple of KeyValues
         Its values along the axes of `Grid`.
     runs : Runs
     of_starts : bool
@@ -124,7 +125,7 @@ class Setting:
     groups: tuple[Group, ...]
     label: Label
     method: Label
-    at: tuple[Row, ...]
+    at: tuple[KeyValues, ...]
     runs: Runs
     of_starts: bool
     is_recorded: bool

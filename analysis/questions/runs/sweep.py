@@ -15,21 +15,22 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.contrast import Contrast, contrast
+from stickslip.analysis.answer import Answer
+from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, KeyChange, Lack, Level, Reason, Scale, Threshold
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
-from stickslip.analysis.grid import Grid, Point, axes_of, balanced, estimate, points_at
-from stickslip.analysis.measures import AT_MOST, IN_MOTION, MOTION, Measure
+from stickslip.analysis.grid import Grid, Point, axes_of, balanced, estimate, is_negative, points_at
+from stickslip.analysis.measures import MOTION, STICKING, Measure
 from stickslip.analysis.members import RELATIVE, noun
 from stickslip.analysis.models.fates import MOVING, QUIET, WATCHED
 from stickslip.analysis.questions.runs.sweep_figures import figures
 from stickslip.analysis.rows import Columns, frame_by
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
-from stickslip.analysis.steps import Kind, Section, Step, few, judged_together
+from stickslip.analysis.steps import Kind, Step, few, judged_together, table_of
 from stickslip.pipeline.design.design import Axis, in_words
 from stickslip.pipeline.design.design import Row as KeyValues
 from stickslip.pipeline.design.labels import Label
@@ -54,7 +55,7 @@ class KeyStep(Step):
     is_last: bool
 
 
-def section(study: Study) -> Section | None:
+def answer(study: Study) -> Answer | None:
     """How statistics change with each swept key; None where no key is swept."""
     if not axes_of(study.groups):
         return None
@@ -66,8 +67,10 @@ def section(study: Study) -> Section | None:
     lead = _lead(grid, order, judged, unit)
     rest = [finding for finding in _rest(grid, order, judged, unit) if finding not in lead]
     pictures = figures(grid, order, [*judged]) if judged else {}
-    tables = {"sweep_measures": _table(grid)}
-    return Section(_lack(grid, steps), steps, lead, rest, _alerts(grid), pictures, tables, _method(grid, steps, unit))
+    tables = {"changes": table_of(steps), "sweep_measures": _table(grid)}
+    findings = [*lead, *rest] if lead else [_lack(grid, steps)]
+    method = _method(grid, steps, unit)
+    return Answer(findings, len(lead), _alerts(grid), method, tables=tables, figures=pictures)
 
 
 def _lack(grid: Grid, steps: Sequence[Step]) -> Lack:
@@ -114,12 +117,11 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
             difference = contrast(
                 measure.statistic, common.first, common.second, True, grid.confidence, Scale.ABSOLUTE
             )
-            if measure is MOTION:
-                difference = _either_way(difference, common, _in_common(AT_MOST, pairs), grid.confidence)
-            elif _is_same(common, noise * _largest(measure.name, points)):
+            if measure is not MOTION and _is_same(common, noise * _largest(measure.name, points)):
                 # no test: what is the same in each of a few units may differ in others
-                difference = replace(difference, is_same=True, p_different=None, p_equivalent=None)
-            keys = tuple(map(KeyChange, axis.keys, _values(base), _values(value)))
+                difference = replace(difference, is_same=True, p_different=None)
+            both = zip(axis.keys, _values(base), _values(value), base, value, strict=True)
+            keys = tuple(KeyChange(key, first, second, is_negative(*ends)) for key, first, second, *ends in both)
             where = grid.where[setting] + _places(axis, pairs, common.counted)
             is_last = value == others[-1]
             yield KeyStep(Kind.KEY, setting, "", difference, keys, where, axis=axis, base=base, is_last=is_last)
@@ -191,41 +193,25 @@ def _differ(common: _Common) -> bool:
     return bool(0 < n_moving < n_runs)
 
 
-def _either_way(difference: Contrast, moving: _Common, at_most: _Common, confidence: float) -> Contrast:
-    """What holds of a contrast of shares in motion whatever quiet runs do: a weaker test and a wider interval."""
-    least = contrast(difference.statistic, at_most.first, moving.second, True, confidence)
-    most = contrast(difference.statistic, moving.first, at_most.second, True, confidence)
-    if difference.p_different is None or least.p_different is None or most.p_different is None:
-        return difference
-    is_open = (least.absolute.value or 0.0) <= 0.0 <= (most.absolute.value or 0.0)
-    return replace(
-        difference,
-        first=replace(difference.first, high=least.first.high),
-        second=replace(difference.second, high=most.second.high),
-        absolute=replace(difference.absolute, low=least.absolute.low, high=most.absolute.high),
-        p_different=1.0 if is_open else max(difference.p_different, least.p_different, most.p_different),
-    )
-
-
 # ---------------------------------------------------------------------------------------------------- what leads
 
 
 def _order(grid: Grid, steps: Sequence[Step]) -> list[str]:
-    """Measures in order: the share in motion first if it changes, and last what is the same everywhere."""
+    """Measures in order: the share that sticks late first if it changes, and last what is the same everywhere."""
     varied = {step.statistic for step in steps if not step.contrast.is_same}
     names = sorted((measure.name for measure in grid.asked), key=lambda name: name not in varied)
-    is_moved = any(step.statistic == IN_MOTION and step.contrast.is_shown for step in steps)
-    return [IN_MOTION, *names] if is_moved else [*names, IN_MOTION]
+    is_moved = any(step.statistic == STICKING and step.contrast.is_shown for step in steps)
+    return [STICKING, *names] if is_moved else [*names, STICKING]
 
 
 def _lead(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str) -> list[Finding]:
     """Where stick-slip ends, and changes of the leading measures."""
     thresholds = [threshold for setting in grid.settings for threshold in _thresholds(grid, setting, unit)]
-    leading = order[:2] if order[0] == IN_MOTION else order[:1]
+    leading = order[:2] if order[0] == STICKING else order[:1]
     chosen = [
         step
         for name in leading
-        if not (thresholds and name == IN_MOTION)
+        if not (thresholds and name == STICKING)
         for setting in grid.settings
         for step in _largest_changes([step for step in steps if (step.statistic, step.setting) == (name, setting)])
     ]
@@ -365,7 +351,7 @@ _COLUMNS: Columns[_Cell] = {
 
 
 def _table(grid: Grid) -> pd.DataFrame:
-    """Each measure, and the share of runs in motion, with its interval at each point."""
+    """Each measure, and the share of runs that stick late, with its interval at each point."""
     cells = [
         _Cell(setting, point, measure, estimate(measure.statistic, [point], grid.confidence))
         for setting, points in grid.points.items()

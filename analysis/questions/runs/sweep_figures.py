@@ -15,10 +15,8 @@ from stickslip.analysis.answer import Picture
 from stickslip.analysis.findings.finding import Verdict
 from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.words import capital, listed
-from stickslip.analysis.grid import Grid, points_at
-from stickslip.analysis.measures import IN_MOTION, KEYS, Measure
-from stickslip.analysis.models.fates import MOVING
-from stickslip.analysis.questions.runs.fate_figures import FATES, shares
+from stickslip.analysis.grid import Grid, is_negative, points_at
+from stickslip.analysis.measures import KEYS, STICKING, Measure
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.steps import Step
 from stickslip.analysis.style import EXACT, panel
@@ -39,37 +37,28 @@ def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step]) -> dict[str
     axes = sorted(grid.axes, key=lambda axis: axis.keys != leading[0].key_names)
     if len(axes) > 1 and len(axes[1].rows) > max(MOST_LINES, len(axes[0].rows)):
         axes[:2] = axes[1::-1]  # a line for each of the few values, not of the many
-    axis, points = axes[0], grid.points[lead]
+    axis = axes[0]
     tail = grid.where[lead].tail if len(axes) > 1 else ""
-    x, is_negative = axis.x, len(axis.keys) == 1 and axis.x is not None and max(axis.x) < 0.0
-    if x is not None and is_negative:  # a belt's speed is how fast it is
+    x, is_of_size = axis.x, len(axis.keys) == 1 and is_negative(*(row[0] for row in axis.rows))
+    if x is not None and is_of_size:
         x = [-value for value in x]
-    key = f"|{axis.name}|" if is_negative else axis.name
+    key = f"|{axis.name}|" if is_of_size else axis.name
     by_name = {measure.name: measure for measure in grid.asked}
     pictures: dict[str, Picture] = {}
-    for name in order[:MOST_FIGURES]:
-        if name == IN_MOTION:
-            at_values = [points_at(points, axis, value) for value in axis.rows]
-            counts = {end: [sum(point.fates[end] for point in at_value) for at_value in at_values] for end in FATES}
-            if any(any(numbers) for end, numbers in counts.items() if end not in MOVING):
-                recipe = partial(shares, axis.name, axis.texts, counts)
-                pictures["sweep_fates"] = Picture(
-                    recipe, f"How runs end, along {axis.name}{tail}: shares of all runs."
-                )
-            continue
+    for name in [name for name in order if name != STICKING][:MOST_FIGURES]:
         lines = _lines(grid, axes, by_name[name])
         if sum(estimate.value is not None for _, line in lines for estimate in line) > 1:
             title, file = by_name[name].statistic.quantity.name, by_name[name].key
             drawn = grid.settings[:1] if len(axes) > 1 else grid.settings[:MOST_LINES]
             along = [step for step in steps if (step.statistic, step.key_names) == (name, axis.keys)]
-            trend = _trend(grid, [step for step in along if step.setting in drawn], key, is_negative)
+            trend = _trend(grid, [step for step in along if step.setting in drawn], key, is_of_size)
             caption = f"{capital(title)} {trend}{tail}. Bars are {100 * grid.confidence:g}% intervals."
             recipe = partial(curves, title, key, x, axis.texts, lines)
             pictures[f"sweep_{file}" if name in KEYS else f"sweep_of_{file}"] = Picture(recipe, caption)
     return pictures
 
 
-def _trend(grid: Grid, steps: Sequence[Step], key: str, is_negative: bool) -> str:
+def _trend(grid: Grid, steps: Sequence[Step], key: str, is_of_size: bool) -> str:
     """What a figure of a statistic along a key shows; of negative values, with their size."""
     shown = [step for step in steps if step.contrast.is_shown]
     verdicts = {step.contrast.verdict for step in shown}
@@ -82,7 +71,7 @@ def _trend(grid: Grid, steps: Sequence[Step], key: str, is_negative: bool) -> st
     settings, changing = ({step.setting for step in some} for some in (steps, shown))
     names = [place.noun for label, place in grid.where.items() if str(label) in changing]
     only = f" {listed(names)} only" if len(names) < len(settings) else ""
-    return f"{'rises' if (verdicts == {Verdict.MORE}) != is_negative else 'falls'} with {key}{only}"
+    return f"{'rises' if (verdicts == {Verdict.MORE}) != is_of_size else 'falls'} with {key}{only}"
 
 
 def _lines(grid: Grid, axes: Sequence[Axis], measure: Measure) -> list[Line]:

@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from stickslip.analysis.findings.words import listed
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
 
@@ -98,19 +97,6 @@ def shown(laws: Mapping[str, Sequence[Size]]) -> dict[str, list[Size]]:
     return {
         label: [size for size in sizes if (size.is_known if split else size.is_seen)] for label, sizes in laws.items()
     }
-
-
-def misfit(laws: Mapping[str, Sequence[Size]]) -> str:
-    """Which sizes of the first group have intervals above the fit, and below."""
-    drawn = next(iter(shown(laws).values()))
-    sizes = [(size.size, size.share.low, size.share.high, size.fit) for size in drawn]
-    above = [str(size) for size, low, _, fit in sizes if low is not None and fit is not None and low > fit]
-    below = [str(size) for size, _, high, fit in sizes if high is not None and fit is not None and high < fit]
-    if not above and not below:
-        return "Sizes follow the fitted geometric distribution within their intervals."
-    sides = (("more", above), ("less", below))
-    told = [f"{side} frequent at s = {listed(sizes_of)}" for side, sizes_of in sides if sizes_of]
-    return f"Cascades are {' and '.join(told)} than in the fitted geometric distribution."
 
 
 def _size_law(

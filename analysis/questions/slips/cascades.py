@@ -165,11 +165,6 @@ def over_geometric(rows: np.ndarray) -> np.ndarray:
     return excess(rows[:, :3])
 
 
-def variance_over_shifted(rows: np.ndarray) -> np.ndarray:
-    """That variance relative to that of blocks shifted in time, less 1."""
-    return (1 + excess(rows[:, :3])) / (1 + excess(rows[:, 3:6])) - 1
-
-
 def gain(sums: Sums, confidence: float) -> Estimate:
     """By how much a geometric law up to n blocks is likelier than a power law, in nats per cascade (Vuong 1989)."""
     sizes = np.arange(sums.smallest, max(sums.n, sums.smallest + 1) + 1, dtype=np.float64)
@@ -182,20 +177,6 @@ def gain(sums: Sums, confidence: float) -> Estimate:
         return Estimate(reason=str(undefined))
     exponential, power = (log_shares(fit.family, sizes, fit.theta)[:n_seen] for fit in fits)
     total = sums.counts[:, :n_seen] @ (exponential - power)
-    return over_matrices(ratio, np.column_stack([total, sums.counts.sum(axis=1)]), confidence)
-
-
-def gain_of_pool(sums: Sums, confidence: float) -> Estimate:
-    """By how much two-state blocks are likelier than a geometric law, in nats in all; otherwise as `gain`."""
-    rate, mean, n_sizes = sums.estimate(gamma, confidence).value, sums.pool_mean, sums.counts.shape[1]
-    if rate is None or mean is None or n_sizes > sums.n:
-        return Estimate()
-    two_state = pool.law(sums.n, mean, n_sizes)
-    seen = sums.counts.sum(axis=0) > 0
-    if not (two_state[seen] > 0.0).all():
-        return Estimate()
-    geometric = np.log(-np.expm1(-rate)) - rate * np.flatnonzero(seen)
-    total = sums.counts.sum() * (sums.counts[:, seen] @ (np.log(two_state[seen]) - geometric))
     return over_matrices(ratio, np.column_stack([total, sums.counts.sum(axis=1)]), confidence)
 
 
@@ -226,13 +207,13 @@ def answer(study: Study) -> Answer:
     lead = known[0]
     beside = [one for one in known if _engine(one) == _engine(lead)][:MOST_SETTINGS]
     names = apart([one.group.name for one in beside], 2 * _has_several_engines(study))
-    leading, findings = _findings(study, lead, Place.of(names[0]))
-    for one, name in zip(beside[1:], names[1:], strict=True):
-        findings += _rates(study, one, Place.of(name))
+    leading = _findings(study, lead, Place.of(names[0]))
+    findings = [rate for sums, name in zip(beside[1:], names[1:], strict=True)
+                for rate in _rates(study, sums, Place.of(name))]  # fmt: skip
     drawn = [one for one in known if one.n == lead.n][:MOST_DRAWN]
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
-        findings=[*([] if drifting is None else [drifting]), *leading, *findings, *definitions.findings],
+        findings=[*([] if drifting is None else [drifting]), *leading, *findings],
         n_lead=min(3, len(leading) + (drifting is not None)),
         alerts=_alerts(study, lead, [one.group for one in known]),
         tables={**tables, **definitions.tables},
@@ -335,21 +316,16 @@ def _rates(study: Study, sums: Sums, where: Place) -> list[Level]:
     ]  # fmt: skip
 
 
-def _findings(study: Study, sums: Sums, where: Place) -> tuple[list[Finding], list[Finding]]:
-    """The law of a group and its decay rate beside other blocks'; and further findings."""
+def _findings(study: Study, sums: Sums, where: Place) -> list[Finding]:
+    """The law of a group, its decay rate beside other blocks', and how far it is from geometric."""
     level = study.settings.confidence
     rate, *others = _rates(study, sums, where)
-    spread = sums.estimate(variance, level)
-    departure, *more = (
-        Level(VARIANCE, spread, where, Comparison(null, Difference(sums.estimate(of, level))), rate.basis)
-        for null, of in ((GEOMETRIC, over_geometric), (SHIFTED, variance_over_shifted))
-        if null != SHIFTED or sums.is_shifted
-    )
+    beside = Comparison(GEOMETRIC, Difference(sums.estimate(over_geometric, level)))
+    departure = Level(VARIANCE, sums.estimate(variance, level), where, beside, rate.basis)
     fit = fit_of(departure, gain(sums, level))
     law = Law("cascade sizes", "fall off geometrically", rate, fit, departure, "fall off nearly geometrically",
               called="decay rate")  # fmt: skip
-    better = _better(sums, where, rate.basis, level) if fit is Fit.CLOSE else []
-    return [law, *others, departure], [*better, *more]
+    return [law, *others, departure]
 
 
 def fit_of(departure: Level, gain: Estimate) -> Fit:
@@ -361,21 +337,6 @@ def fit_of(departure: Level, gain: Estimate) -> Fit:
     assert departure.comparison is not None
     is_shown = departure.comparison.difference.verdict in (Verdict.MORE, Verdict.LESS)
     return Fit.CLOSE if is_shown else Fit.HOLDS
-
-
-def _better(sums: Sums, where: Place, basis: Basis | None, confidence: float) -> list[Level]:
-    """By how much sizes are likelier as those of two-state blocks than as geometric, where that is shown."""
-    gained = gain_of_pool(sums, confidence)
-    if gained.low is None or gained.low <= 0.0:
-        return []
-    n_cascades = int(sums.counts.sum())
-    better = Quantity(
-        "gain_pool",
-        "log likelihood of two-state blocks over a geometric distribution, in nats",
-        clause="sizes are nearer to independent two-state blocks than to a geometric distribution,"
-        f" by {{}} nats in {n_cascades:,} cascades",
-    )
-    return [Level(better, gained, where, basis=basis)]
 
 
 def of_systems(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -481,7 +442,7 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str
     return {
         "size_law": Picture(
             partial(cascade_figures.size_law, laws, rate),
-            f"{cascade_figures.misfit(laws)} Line and band: that fit, {level:.0%}.{below}",
+            f"Share of cascades of each size. Line and band: the fitted geometric distribution, {level:.0%}.{below}",
         ),
         "decay_rates": Picture(
             partial(forest, each, rate, "decay rate", (LN2, COIN)),

@@ -1,7 +1,7 @@
 """Episodes: how often, how large; the law of their moments; how much all this depends on the method.
 
 An episode lasts from all blocks stuck to all stuck again. Those that begin within [t_burn, t_end] count. Every method
-is compared with the finest on the same systems, by whole laws too, since a mean may be right where the law is not.
+is compared with the finest on the same systems, by the magnitudes too: a mean may be right where the law is not.
 """
 
 from __future__ import annotations
@@ -53,13 +53,12 @@ from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
 from stickslip.analysis.members import DRAWN
-from stickslip.analysis.methods import LAWS, PRIMARY, Apart, compare, names, settings_of
+from stickslip.analysis.methods import MAGNITUDES, PRIMARY, Apart, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
     BY_WAY,
     CLASS,
     CREEP,
     DURATION,
-    FANO,
     OCCUPANCY,
     QUANTITIES,
     QUIET,
@@ -78,7 +77,6 @@ from stickslip.analysis.stats.compare import UNKNOWN, relative_difference
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio, within
 from stickslip.analysis.stats.families import parameter
 from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, goodness
-from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.steps import table_of
 from stickslip.analysis.style import GREY, panel
 
@@ -115,7 +113,6 @@ WORDS: Mapping[str, Quantity] = {
     STORED: Quantity("stored", "share of the belt's travel that is stored as strain", Form.SHARE),
     CREEP: Quantity("creep", "share of the belt's travel that is creep of stuck blocks", Form.SHARE),
     OCCUPANCY: Quantity("occupancy", "share of the time in which at least one block slips", Form.SHARE),
-    FANO: Quantity("fano", "Fano factor of the number of episodes in windows of time between episodes"),
 }
 _SCOPE = "the rate and magnitudes of episodes"
 _COMPARED = (RATE, SIZE, DURATION, SLIP)
@@ -155,7 +152,6 @@ _GROUPS: Columns[Catalogues] = {
 _METHODS: Columns[Apart] = {
     "setting": (str, lambda apart: apart.setting.label),
     "reference": (str, lambda apart: apart.reference.label),
-    "law": (str, lambda apart: apart.name),
     "size": (Estimate, lambda apart: Estimate() if apart.law is None else apart.law.size),
     "p_floor": (float, lambda apart: apart.p_floor),
     "p_different": (float, lambda apart: apart.p),
@@ -194,7 +190,7 @@ def answer(study: Study) -> Answer | None:
     """What the episodes of an ensemble are like; None where none were recorded."""
     if study.data.episodes is None:
         return None
-    groups, level = read(study, study.data.episodes), study.settings.confidence
+    groups, level = study.once(read), study.settings.confidence
     if not any(len(group.magnitudes()) for group in groups):
         why = "at least one block slips all the time, or none ever does" if groups else ""
         return Answer(findings=[Lack("episodes", Reason.NOTHING_COUNTED, why)])
@@ -213,8 +209,8 @@ def answer(study: Study) -> Answer | None:
     rates = _rates(by_system, _drawn_from(lead, leaders), level)
     fitted = {group.label: _fits(study, group) for group in leaders}
     tables |= {
-        "episode_contrasts": table_of(one.step for one in apart if one.name not in LAWS),
-        "episode_methods": frame_by(_METHODS, [one for one in apart if one.name in LAWS]),
+        "episode_contrasts": table_of(one.step for one in apart if one.name != MAGNITUDES),
+        "episode_methods": frame_by(_METHODS, [one for one in apart if one.name == MAGNITUDES]),
         "episode_laws": frame_of(Fitted, [fit for fits in fitted.values() for fit in fits]),
         "episode_rates": frame_of(Frequency, rates),
     }
@@ -272,7 +268,7 @@ def _levels(groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apar
     primary = sorted((one for one in apart if one.name in PRIMARY), key=lambda one: not one.is_shown)
     findings: list[Finding] = [level for one in primary if (level := _beside(one, unit)) is not None]
     several = [(name, group) for name in _COMPARED for group in groups if name != RATE]
-    alone = [(name, lead) for name in (QUIET, STORED, OCCUPANCY, FANO)]
+    alone = [(name, lead) for name in (QUIET, STORED, OCCUPANCY)]
     compared = [id(one.setting) for one in apart]
     rates = [(RATE, group) for group in groups if group is not lead and id(group) not in compared]
     findings += [
@@ -502,11 +498,11 @@ def _rates(systems: Sequence[Sequence[Catalogues]], first_edge: float, level: fl
 
 def _over(first: np.ndarray, second: np.ndarray, level: float) -> Estimate:
     try:
-        value, error, dof = relative_difference(ratio, first, second, True)
+        test = relative_difference(ratio, first, second, True)
     except Undefined as why:
         return Estimate(reason=str(why))
-    half = half_width(level, dof) * error
-    return Estimate(1 + value, 1 + value - half, 1 + value + half)
+    low, high = test.interval(level)
+    return Estimate(1 + test.difference, 1 + low, 1 + high)
 
 
 # ------------------------------------------------------------------------------------------------- figures
