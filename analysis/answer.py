@@ -107,7 +107,7 @@ class Question:
     def is_asked_of(self, study: Study) -> bool:
         """Whether data of this kind can have an answer."""
         return not self.of_cascades or (
-            study.data.episodes is None and any(one["n"] > 2 for one in study.data.table.settings)
+            study.data.episodes is None and any(setting["n"] > 2 for setting in study.data.table.settings)
         )
 
 

@@ -82,8 +82,8 @@ def geweke(study: Study, groups: Sequence[Group]) -> list[Tested]:
         early, p, reason = _early(sums, level)
         rows.append(Tested(group.label, study.settings.t_burn, len(sums), len(members), len(group), early, p, None,
                            False, reason))  # fmt: skip
-    known = [k for k, row in enumerate(rows) if row.p_value is not None]
-    for k, p in zip(known, holm([rows[k].p_value or 0.0 for k in known]).tolist(), strict=True):
+    tested = [k for k, row in enumerate(rows) if row.p_value is not None]
+    for k, p in zip(tested, holm([rows[k].p_value or 0.0 for k in tested]).tolist(), strict=True):
         rows[k] = rows[k]._replace(p_adjusted=p, is_short=p < 1 - level)
     return rows
 
@@ -162,8 +162,8 @@ def _episodes(study: Study, members: np.ndarray, t_burn: float) -> np.ndarray:
 @panel()
 def by_t_burn(ax: Axes, rows: Sequence[AtBurn], t_burn: float) -> None:
     """The estimates of one group with several t_burn, with their intervals; the chosen one is dashed."""
-    known = [(row.t_burn, row.value.value, row.value.low, row.value.high) for row in rows]
-    t, value, low, high = np.array(known, dtype=np.float64).T
+    points = [(row.t_burn, row.value.value, row.value.low, row.value.high) for row in rows]
+    t, value, low, high = np.array(points, dtype=np.float64).T
     ax.axvline(t_burn, color=GREY, linewidth=0.8, linestyle="--")
     ax.errorbar(t, value, yerr=[value - low, high - value], fmt="o-", color=EXACT, markersize=3, linewidth=0.8)
     ax.set(xlabel="$t_{burn}$", ylabel=rows[0].quantity)

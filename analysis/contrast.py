@@ -150,10 +150,8 @@ class Contrast:
 
     Attributes
     ----------
-    statistic : Statistic
     n_first, n_second : int
         Units.
-    first, second : Estimate
     absolute, relative : Estimate
         The second less the first; and in units of the size of the first, where that is not zero within its interval.
     p_different : float, optional
@@ -245,11 +243,8 @@ def contrast(
 
     Parameters
     ----------
-    statistic : Statistic
     first, second : UnitSums
         Units in which nothing was counted are left out; of paired ones, all that not both have.
-    paired : bool
-    confidence : float
     scale : Scale
         In which the difference is said if no margin is declared.
     withheld : str
@@ -318,9 +313,9 @@ def _interval(test: Test, confidence: float) -> Estimate:
 
 def judged(contrasts: Sequence[Contrast], alpha: float) -> list[Contrast]:
     """Contrasts as a family: p-values of a difference are adjusted by Holm's rule over all."""
-    known = {k: contrast.p_different for k, contrast in enumerate(contrasts) if contrast.p_different is not None}
-    adjusted = dict(zip(known, holm([*known.values()]).tolist(), strict=True))
+    p_values = {k: contrast.p_different for k, contrast in enumerate(contrasts) if contrast.p_different is not None}
+    adjusted = dict(zip(p_values, holm([*p_values.values()]).tolist(), strict=True))
     return [
-        replace(contrast, family=Family(len(known), adjusted[k], alpha)) if k in known else contrast
+        replace(contrast, family=Family(len(p_values), adjusted[k], alpha)) if k in p_values else contrast
         for k, contrast in enumerate(contrasts)
     ]

@@ -95,12 +95,10 @@ class Grid:
 
     Attributes
     ----------
-    axes : list of Axis
     asked : list of Measure
         In the order in which they lead.
     points : dict of Label to list of Point
         By setting, in the order of the values of the axes.
-    confidence : float
     """
 
     axes: list[Axis]
@@ -111,12 +109,12 @@ class Grid:
     @classmethod
     def of(cls, study: Study) -> Grid:
         """That of a study."""
-        axes, asked = axes_of(study.groups), measures(study)
+        axes, measured = axes_of(study.groups), measures(study)
         points = {
-            name: sorted((Point.of(group, axes, asked) for group in groups), key=Point.rank)
+            name: sorted((Point.of(group, axes, measured) for group in groups), key=Point.rank)
             for name, groups in settings(study.groups).items()
         }
-        return cls(axes, asked, points, study.settings.confidence)
+        return cls(axes, measured, points, study.settings.confidence)
 
     @property
     def every(self) -> list[Point]:
@@ -148,11 +146,11 @@ def balanced(sums: Sequence[UnitSums]) -> tuple[list[int], UnitSums]:
     What lacks most is left out first, be it sums or a unit: a unit that lacks some would differ from others by what
     these are like. If too few units are left all count, with their gaps.
     """
-    units = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(one.units for one in sums)]))
-    has = np.array([np.isin(units, one.units) for one in sums]).reshape(len(sums), len(units))
+    units = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(unit_sums.units for unit_sums in sums)]))
+    has = np.array([np.isin(units, unit_sums.units) for unit_sums in sums]).reshape(len(sums), len(units))
     rows, columns = np.arange(len(sums)), np.arange(len(units))
-    while not (known := has[np.ix_(rows, columns)]).all():
-        of_row, of_column = known.mean(axis=1), known.mean(axis=0)
+    while not (is_known := has[np.ix_(rows, columns)]).all():
+        of_row, of_column = is_known.mean(axis=1), is_known.mean(axis=0)
         if of_row.min() <= of_column.min():
             rows = np.delete(rows, of_row.argmin())
         else:

@@ -191,9 +191,9 @@ class Group:
         numbers : ndarray
             Of each member of the ensemble, by its row. A run has none if it is not finite.
         """
-        found = numbers[self.rows]
-        known = np.isfinite(found)
-        sums = UnitSums.of(self.column("unit").to_numpy()[known], np.column_stack([found, known])[known])
+        values = numbers[self.rows]
+        is_known = np.isfinite(values)
+        sums = UnitSums.of(self.column("unit").to_numpy()[is_known], np.column_stack([values, is_known])[is_known])
         return replace(sums, rows=sums.rows / sums.rows[:, 1:])
 
     def mean(self, confidence: float) -> Estimate:
@@ -215,12 +215,12 @@ def groups(members: Members, some: np.ndarray) -> list[Group]:
             for setting in members.settings
         ]
     )
-    parts = [some[rows] for rows in by_number(of_setting[members.own["setting"].to_numpy()[some]])]
-    shared = [members.settings[members.own["setting"].iloc[rows[0]]] for rows in parts]
+    rows_of = [some[rows] for rows in by_number(of_setting[members.own["setting"].to_numpy()[some]])]
+    shared = [members.settings[members.own["setting"].iloc[rows[0]]] for rows in rows_of]
     keys = [{name: setting[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS)} for setting in shared]
-    listed = [Group(name, key, members, _by_unit(members, rows))
-              for name, key, rows in zip(labels(keys), keys, parts, strict=True)]  # fmt: skip
-    return sorted(listed, key=_place)
+    groups_of = [Group(name, key, members, _by_unit(members, rows))
+              for name, key, rows in zip(labels(keys), keys, rows_of, strict=True)]  # fmt: skip
+    return sorted(groups_of, key=_place)
 
 
 def _place(group: Group) -> tuple[Any, ...]:
@@ -252,12 +252,12 @@ def fill(found: Sequence[Group], given: Iterable[tuple[np.ndarray, Motion]]) -> 
     number, place = (np.zeros(len(found[0].table), dtype=np.int32) for _ in range(2))
     for k, group in enumerate(found):
         number[group.rows], place[group.rows] = k, np.arange(len(group))
-    for rows, part in given:
+    for rows, motion in given:
         order = np.argsort(number[rows], kind="stable")  # by group
-        rows, by_group = rows[order], part.in_order(order)
+        rows, by_group = rows[order], motion.in_order(order)
         ends = [*(np.flatnonzero(np.diff(number[rows])) + 1).tolist(), len(rows)]
-        for first, end in pairwise([0, *ends]):
-            filling[number[rows[first]]].add(place[rows[first:end]], by_group.part(first, end))
+        for start, end in pairwise([0, *ends]):
+            filling[number[rows[start]]].add(place[rows[start:end]], by_group.part(start, end))
     while filling:
         filling.pop(0).finish()
 
@@ -282,8 +282,8 @@ class _Filling:
         for name, k in COLUMNS.items():
             np.add.at(self._sums[name], rows, given.sums[moves, k])
         run, size, n_times = given.sizes.T
-        if (more := int(size.max(initial=0)) - self._counts.shape[1]) > 0:
-            self._counts = np.pad(self._counts, ((0, 0), (0, more)))
+        if (n_more := int(size.max(initial=0)) - self._counts.shape[1]) > 0:
+            self._counts = np.pad(self._counts, ((0, 0), (0, n_more)))
         np.add.at(self._counts, (self._row[places[run]], size - 1), n_times)
 
     def finish(self) -> None:

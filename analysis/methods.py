@@ -32,7 +32,6 @@ class Apart:
 
     Attributes
     ----------
-    setting, reference : Catalogues
     name : str
         One of `STATISTICS` or `MAGNITUDES`.
     found : Contrast, laws.Difference or str
@@ -81,24 +80,24 @@ class Apart:
 def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apart]:
     """Every setting beside the first of the same systems."""
     level = study.settings.confidence
-    alone = [
-        apart
-        for reference, *others in by_system if reference.is_judged
-        for other in others
-        for apart in (
-            *(Apart(other, reference, name, contrast(one, reference.sums[name], other.sums[name], True, level))
-              for name, one in STATISTICS.items()),
-            Apart(other, reference, MAGNITUDES, _of_magnitudes(study, reference, other)),
+    pairs = [
+        pair
+        for reference, *looser in by_system if reference.is_judged
+        for setting in looser
+        for pair in (
+            *(Apart(setting, reference, name, contrast(of, reference.sums[name], setting.sums[name], True, level))
+              for name, of in STATISTICS.items()),
+            Apart(setting, reference, MAGNITUDES, _of_magnitudes(study, reference, setting)),
         )
     ]  # fmt: skip
     for is_primary in (True, False):
-        tested = [k for k, one in enumerate(alone) if one.p is not None and (one.name in PRIMARY) is is_primary]
+        tested = [k for k, pair in enumerate(pairs) if pair.p is not None and (pair.name in PRIMARY) is is_primary]
         able = [
-            k for k in tested if alone[k].p_floor * len(tested) < 1 - level
+            k for k in tested if pairs[k].p_floor * len(tested) < 1 - level
         ]  # few systems: a test can show nothing
-        for k, p in zip(able, holm([alone[k].p or 0.0 for k in able]).tolist(), strict=True):
-            alone[k] = replace(alone[k], family=Family(len(able), p, alpha=1 - level))
-    return alone
+        for k, p in zip(able, holm([pairs[k].p or 0.0 for k in able]).tolist(), strict=True):
+            pairs[k] = replace(pairs[k], family=Family(len(able), p, alpha=1 - level))
+    return pairs
 
 
 def _of_magnitudes(study: Study, first: Catalogues, second: Catalogues) -> Difference | str:
@@ -119,12 +118,12 @@ def settings_of(groups: Sequence[Catalogues]) -> list[Setting]:
 
 def _setting(method: Label, shared: Collection[Part]) -> Setting:
     """A method, without what it shares with all others but its engine and the number that it is set by."""
-    numbers = [part for part in method.parts if part[0] in (*WIDTHS, *STEPS)]
-    others = [part for part in method.parts if part not in numbers and (not part[0] or part not in shared)]
+    numbers = [piece for piece in method.parts if piece[0] in (*WIDTHS, *STEPS)]
+    symbols = [piece for piece in method.parts if piece not in numbers and (not piece[0] or piece not in shared)]
     if len(numbers) != 1:
         return Setting(method)
     ((symbol, value),) = numbers
-    return Setting(Label.of(others), symbol, float(value))
+    return Setting(Label.of(symbols), symbol, float(value))
 
 
 def names(groups: Sequence[Catalogues]) -> list[Label]:

@@ -115,8 +115,8 @@ def _until(ended: Ended, t_end: float) -> np.ndarray:
 
 def follow(study: Study, comparisons: Sequence[Comparison], level: float, t_end: float) -> list[Followed]:
     """The pairs of each comparison, followed up to t_end at most; pairs with a failed run are left out."""
-    every = [(k, *astuple(pair)) for k, comparison in enumerate(comparisons) for pair in comparison.pairs]
-    number, matrix, base, changed = np.array(every).T
+    pairs_of = [(k, *astuple(pair)) for k, comparison in enumerate(comparisons) for pair in comparison.pairs]
+    number, matrix, base, changed = np.array(pairs_of).T
     outcomes = study.data.table.own["outcome"].to_numpy(object)
     has_run = (outcomes[base] != FAILED) & (outcomes[changed] != FAILED)
     number, matrix, base, changed = (column[has_run] for column in (number, matrix, base, changed))
@@ -145,10 +145,6 @@ def settings(members: Members) -> list[Setting]:
     A base is unchanged. For the sigmoid it has equal stiffness ratios or, if no member has, the first draw of the
     ratios. Changes of constants and of the start are compared under the same ratios. A member that was changed in two
     ways at once, or has no base, is in no comparison.
-
-    Parameters
-    ----------
-    members : Members
 
     Returns
     -------
@@ -195,15 +191,15 @@ def _compared(members: Members, rows: np.ndarray) -> tuple[dict[int, int], tuple
     runs = records(table.sort_values(["unit", "member_id"]))
     unchanged = [run for run in runs if not run["change"]]
     original = {run["base"]: run["row"] for run in unchanged}
-    least = min((run["ratios"] for run in unchanged), default=0)
-    of_draws = {(run["matrix"], run["start_draw"]): run["row"] for run in unchanged if run["ratios"] == least}
+    fewest = min((run["ratios"] for run in unchanged), default=0)
+    of_draws = {(run["matrix"], run["start_draw"]): run["row"] for run in unchanged if run["ratios"] == fewest}
     bases: dict[int, int] = {}
     pairs: dict[Change, list[Pair]] = {}
     for run in runs:
         change, base = design.changes[run["change"]], original.get(run["base"])
         if not run["change"]:
             change, base = Change(RATIOS), of_draws.get((run["matrix"], run["start_draw"]))
-            if run["ratios"] == least:
+            if run["ratios"] == fewest:
                 bases.setdefault(run["unit"], run["row"])
         if base is not None and base != run["row"]:
             pairs.setdefault(change, []).append(Pair(run["unit"], base, run["row"]))

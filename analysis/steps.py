@@ -66,10 +66,8 @@ class Step:
 
     Attributes
     ----------
-    kind : Kind
     setting, reference : str
         Labels of both; along a key, of what all its values share, and empty.
-    contrast : Contrast
     keys : tuple of KeyChange
         What both differ in, as far as the settings do not say it.
     where : Place

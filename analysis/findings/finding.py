@@ -347,8 +347,6 @@ class Threshold:
     ----------
     subject : str
         "stick-slip".
-    is_end : bool
-    key : str
     last, first : str
         The last value before, and the first value after.
     """

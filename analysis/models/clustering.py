@@ -20,7 +20,6 @@ def measure(steps: BlockSteps, taus: Sequence[float]) -> np.ndarray:
 
     Parameters
     ----------
-    steps : BlockSteps
     taus : sequence of float
         At most half the span.
 
@@ -52,7 +51,6 @@ class OwnGaps:
     gaps : ndarray
         Gaps between exits of one block, on the window closed to a circle; those below a reach of at most half the
         span.
-    span : float
     """
 
     counts: np.ndarray
@@ -74,16 +72,16 @@ def own_gaps(t: np.ndarray, block: np.ndarray, span: float, reach: float) -> Own
     """Gaps below `reach` between exits of the same block; `t` must be in order, and reach <= span / 2."""
     order = in_order(block)
     times, index, counts = t[order], block[order], np.bincount(block)
-    first, size = (np.cumsum(counts) - counts)[index], counts[index]
-    gaps, at = [np.zeros(0)], np.arange(len(times))
+    starts, size = (np.cumsum(counts) - counts)[index], counts[index]
+    gaps, places = [np.zeros(0)], np.arange(len(times))
     for lag in range(1, counts.max(initial=0)):
-        following = at + lag
-        is_next_round = following >= first[at] + size[at]
-        following -= size[at] * is_next_round
-        forward = times[following] - times[at] + span * is_next_round  # grows with the lag
-        near = np.flatnonzero((forward < reach) & (lag < size[at]))
-        if not len(near):
+        following = places + lag
+        is_next_round = following >= starts[places] + size[places]
+        following -= size[places] * is_next_round
+        forward = times[following] - times[places] + span * is_next_round  # grows with the lag
+        close = np.flatnonzero((forward < reach) & (lag < size[places]))
+        if not len(close):
             break
-        gaps.append(forward[near])
-        at = at[near]
+        gaps.append(forward[close])
+        places = places[close]
     return OwnGaps(counts, np.concatenate(gaps), span)

@@ -33,7 +33,6 @@ class Catalogue:
 
     Attributes
     ----------
-    t_start, t_stop : float
     start, duration, moment : ndarray, shape (m,)
         moment is never zero; it is negative where blocks slip on the whole with the belt, as forces can make them do.
     size : ndarray of int, shape (m,)
@@ -211,21 +210,18 @@ def b_values(
         The catalogues of each system.
     law : Fit
         One of `laws_of_moments`, fitted in the classes of `in_classes`.
-    least : float
-    fewest : int
-    confidence : float
     """
-    of, shares = QUANTITIES[B_VALUE], law.shares()
-    found: list[BValue] = []
+    quantity, shares = QUANTITIES[B_VALUE], law.shares()
+    values: list[BValue] = []
     for edge in itertools.count(least, B_STEP):
-        sums = np.array([np.sum([of.sums(run, edge) for run in some], axis=0) for some in runs])
+        sums = np.array([np.sum([quantity.sums(run, edge) for run in catalogues], axis=0) for catalogues in runs])
         n_above = round(float(sums[:, 0].sum()) / _LOG10_E)
         above = shares[round((edge - least) / FITTED) :]
         if n_above < fewest or not len(above):
             break
         mean = FITTED * float(np.average(np.arange(len(above)) + 0.5, weights=above))
-        found.append(BValue(float(edge), n_above, over_matrices(of.of, sums, confidence), _LOG10_E / mean))
-    return found
+        values.append(BValue(float(edge), n_above, over_matrices(quantity.of, sums, confidence), _LOG10_E / mean))
+    return values
 
 
 def follows(found: Sequence[BValue], n_systems: int, confidence: float) -> bool:
@@ -238,10 +234,10 @@ def follows(found: Sequence[BValue], n_systems: int, confidence: float) -> bool:
     dof = n_systems - 1
     wider = half_width(1 - (1 - confidence) / (len(found) - 1), dof) / half_width(confidence, dof)
     return all(
-        one.b.value is not None
-        and one.b.high is not None
-        and abs(one.b.value - one.predicted) <= wider * (one.b.high - one.b.value)
-        for one in found[1:]
+        value.b.value is not None
+        and value.b.high is not None
+        and abs(value.b.value - value.predicted) <= wider * (value.b.high - value.b.value)
+        for value in found[1:]
     )
 
 

@@ -71,7 +71,6 @@ def growth(
         Beginning of the range, and the shortest length that counts.
     bounds : (float, float)
         Floor, above the error of integration, and ceiling, below the distance at which pairs saturate.
-    confidence : float
     """
     t = times[times >= t_from]
     inside = np.zeros((len(distances), len(t)), dtype=bool)

@@ -52,7 +52,6 @@ def largest_gap(pairs: Pairs, confidence: float, rng: np.random.Generator) -> Di
     ----------
     pairs : sequence of two ndarray, shape (m,) and (m',)
         Values by the first and by the second method, for each system.
-    confidence : float
     rng : numpy.random.Generator
         For the swaps.
 
@@ -61,25 +60,25 @@ def largest_gap(pairs: Pairs, confidence: float, rng: np.random.Generator) -> Di
     Undefined
         If too few systems have values by both, or all values are the same.
     """
-    known = [(np.sort(a), np.sort(b)) for a, b in pairs if len(a) and len(b)]
-    if not flips.suffice(len(known), confidence):
+    sorted_pairs = [(np.sort(a), np.sort(b)) for a, b in pairs if len(a) and len(b)]
+    if not flips.suffice(len(sorted_pairs), confidence):
         raise Undefined(FEW_MATRICES)
-    pooled = np.sort(np.concatenate([x for pair in known for x in pair]))
-    at = np.unique(pooled[np.arange(POINTS) * len(pooled) // POINTS])
-    at = at[at < pooled[-1]]
-    if not len(at):
+    pooled = np.sort(np.concatenate([x for pair in sorted_pairs for x in pair]))
+    edges = np.unique(pooled[np.arange(POINTS) * len(pooled) // POINTS])
+    edges = edges[edges < pooled[-1]]
+    if not len(edges):
         raise Undefined("one value")
-    weights = np.array([len(a) * len(b) / (len(a) + len(b)) for a, b in known])
-    gaps = np.array([_below(b, at) - _below(a, at) for a, b in known])
-    n, weights = len(known), weights[:, None] / weights.sum()
-    parts = weights * gaps
-    seen = parts.sum(axis=0)
-    off = np.sqrt(n / (n - 1)) * weights * (gaps - seen)
+    weights = np.array([len(a) * len(b) / (len(a) + len(b)) for a, b in sorted_pairs])
+    gaps = np.array([_below(b, edges) - _below(a, edges) for a, b in sorted_pairs])
+    n, weights = len(sorted_pairs), weights[:, None] / weights.sum()
+    shares = weights * gaps
+    observed = shares.sum(axis=0)
+    off = np.sqrt(n / (n - 1)) * weights * (gaps - observed)
     signs, p_floor = flips.patterns(n, rng), flips.floor(n)
-    swapped = np.abs(signs @ parts).max(axis=1)
+    swapped = np.abs(signs @ shares).max(axis=1)
     p_different, gap = flips.p_value(swapped, p_floor), float(swapped[0])
     error = np.sqrt((off**2).sum(axis=0))
-    high = float(np.max(np.abs(seen) + student.quantile(confidence, n - 1) * error))
+    high = float(np.max(np.abs(observed) + student.quantile(confidence, n - 1) * error))
     low = 0.0
     if p_different < 1 - confidence:
         low = max(gap - float(np.quantile(np.abs(signs[1:] @ off).max(axis=1), confidence)), 0.0)

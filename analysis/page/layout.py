@@ -52,13 +52,8 @@ class Page(NamedTuple):
 
     Attributes
     ----------
-    title, about : str
     lead : sequence of str
         The answer.
-    panels : sequence of Panel
-    table : Table
-    alerts, notes : sequence of str
-    sections : sequence of Section
     meta : mapping of str to str
         At the head of the file, by name.
     paragraph : str
@@ -104,7 +99,6 @@ def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_RO
 
     Parameters
     ----------
-    levels : sequence of Level
     where : str
         The name of the file with all of them; empty if the others are shown elsewhere.
     most : int

@@ -31,7 +31,6 @@ class BlockSteps:
 
     Attributes
     ----------
-    t_start, t_stop : float
     t : ndarray, shape (m,)
     block : ndarray of int, shape (m,)
     step : ndarray of int, shape (m,)
@@ -85,7 +84,6 @@ def block_steps(
     t, block, mode : ndarray, shape (m,)
         Events in order of time: the block's mode (-1, 0, +1) from t on, 0 where it sticks.
     initial_mode : ndarray, shape (n,)
-    t_start, t_stop : float
 
     Raises
     ------
@@ -98,14 +96,14 @@ def block_steps(
         raise ValueError("t: expected times that do not decrease; sort the events by time")
     by_block = in_order(block)
     sticks = (np.asarray(mode) == 0).astype(np.int64)
-    before = np.empty_like(sticks)
-    before[by_block[1:]] = sticks[by_block[:-1]]
+    stuck = np.empty_like(sticks)
+    stuck[by_block[1:]] = sticks[by_block[:-1]]
     is_first = np.concatenate(([True], np.diff(block[by_block]) != 0))[: len(t)]
     firsts = by_block[is_first]
-    before[firsts] = np.asarray(initial_mode)[block[firsts]] == 0
-    step = sticks - before
-    kept = (step != 0) & (t > t_start) & (t <= t_stop)
-    return BlockSteps(float(t_start), float(t_stop), t[kept], block[kept], step[kept])
+    stuck[firsts] = np.asarray(initial_mode)[block[firsts]] == 0
+    step = sticks - stuck
+    is_inside = (step != 0) & (t > t_start) & (t <= t_stop)
+    return BlockSteps(float(t_start), float(t_stop), t[is_inside], block[is_inside], step[is_inside])
 
 
 def in_order(block: np.ndarray) -> np.ndarray:

@@ -61,11 +61,8 @@ def counts(bases: Iterable[ChangePoints], until: Iterable[float], n: int, t_from
 
     Parameters
     ----------
-    bases : iterable of ChangePoints
     until : iterable of float
         Until when each run is known, and counted.
-    n : int
-    t_from, t_stop : float
 
     Returns
     -------

@@ -59,7 +59,6 @@ def mean_difference(of: Statistic, first: np.ndarray, second: np.ndarray, paired
 
     Parameters
     ----------
-    of : callable
     first, second : ndarray, shape (G, 2) and (H, 2)
         Sums, one row a matrix; G = H where paired.
 
@@ -70,8 +69,8 @@ def mean_difference(of: Statistic, first: np.ndarray, second: np.ndarray, paired
     """
     if paired:
         return Compared(*jackknife(paired_difference(of), np.hstack([second, first])), len(first) - 1.0)
-    (before, error_a), (after, error_b) = jackknife(of, first), jackknife(of, second)
-    return Compared(after - before, *_welch(error_a, error_b, len(first), len(second)))
+    (start, error_a), (end, error_b) = jackknife(of, first), jackknife(of, second)
+    return Compared(end - start, *_welch(error_a, error_b, len(first), len(second)))
 
 
 def relative_difference(of: Statistic, first: np.ndarray, second: np.ndarray, paired: bool) -> Compared:
@@ -86,8 +85,8 @@ def relative_difference(of: Statistic, first: np.ndarray, second: np.ndarray, pa
         return (after / before - 1.0) * np.sign(before)
 
     if paired:
-        both = np.hstack([first, second])
-        return Compared(*jackknife(lambda s: quotient(of(s[:, 2:]), of(s[:, :2])), both), len(first) - 1.0)
+        side_by_side = np.hstack([first, second])
+        return Compared(*jackknife(lambda s: quotient(of(s[:, 2:]), of(s[:, :2])), side_by_side), len(first) - 1.0)
     (before, error_a), (after, error_b) = jackknife(of, first), jackknife(of, second)
     value = float(quotient(np.array([after]), np.array([before]))[0])
     return Compared(value, *_welch(error_a * after / before**2, error_b / before, len(first), len(second)))
@@ -95,10 +94,10 @@ def relative_difference(of: Statistic, first: np.ndarray, second: np.ndarray, pa
 
 def _welch(error_a: float, error_b: float, n_a: int, n_b: int) -> tuple[float, float]:
     """Standard error of a sum of two independent terms, and its degrees of freedom."""
-    parts = np.array([error_a**2, error_b**2])
-    if not parts.sum():
+    variances = np.array([error_a**2, error_b**2])
+    if not variances.sum():
         return 0.0, n_a + n_b - 2.0
-    return float(np.sqrt(parts.sum())), float(parts.sum() ** 2 / (parts**2 / [n_a - 1, n_b - 1]).sum())
+    return float(np.sqrt(variances.sum())), float(variances.sum() ** 2 / (variances**2 / [n_a - 1, n_b - 1]).sum())
 
 
 def against(of: Statistic, rows: np.ndarray) -> Compared:
@@ -123,13 +122,13 @@ def wilson(successes: float, trials: float, confidence: float) -> tuple[float, f
     ValueError
         If there are no trials, the successes are not between 0 and the trials, or the confidence is none.
     """
-    has, of = (arguments.number(name, value) for name, value in (("successes", successes), ("trials", trials)))
-    if not (0 < of < np.inf and 0 <= has <= of):
+    has, n_trials = (arguments.number(name, value) for name, value in (("successes", successes), ("trials", trials)))
+    if not (0 < n_trials < np.inf and 0 <= has <= n_trials):
         raise ValueError(
             f"successes, trials: expected 0 <= successes <= trials > 0, got {successes} of {trials}; give how many "
             "have the property, and how many there are"
         )
-    low, high = wilsons(np.array([has / of]), np.array([of]), confidence)
+    low, high = wilsons(np.array([has / n_trials]), np.array([n_trials]), confidence)
     return float(low[0]), float(high[0])
 
 
@@ -182,10 +181,10 @@ class Scatter(NamedTuple):
         most : float
             Trials that there are at most: runs, where runs have a property or not.
         """
-        n, least = len(sizes), float(sizes.sum() ** 2 / np.sum(sizes**2))
+        n, fewest = len(sizes), float(sizes.sum() ** 2 / np.sum(sizes**2))
         spread = np.asarray(share * (1 - share) * (1 - 1 / n))  # if 0, nothing says how far matrices scatter
         trials = np.divide(spread, squares, out=np.full_like(spread, np.inf), where=squares > 0)
-        return cls(np.where(spread > 0, trials, 0.0), student.dof_of_scatter(n, concentration), least, most)
+        return cls(np.where(spread > 0, trials, 0.0), student.dof_of_scatter(n, concentration), fewest, most)
 
     def at(self, z: float) -> Any:
         """The trials that the interval takes at a normal quantile, 1.96 for 95%."""
@@ -198,8 +197,6 @@ class Proportion:
 
     Attributes
     ----------
-    share : float
-    scatter : Scatter
     moved : ndarray, shape (G,)
         By how much each matrix moves it.
     """
@@ -216,11 +213,11 @@ class Proportion:
         """
         n = float(rows[:, 1].sum())
         share = min(max(float(rows[:, 0].sum()) / n, 0.0), 1.0)
-        moved = (rows[:, 0] - share * rows[:, 1]) / n
-        squares = float(np.sum(moved**2))
-        concentration = float(np.sum((moved**2 / squares) ** 2)) if squares else 0.0
-        most = n if is_counted else np.inf
-        return cls(share, Scatter.of(share, squares, concentration, rows[:, 1], most), moved)
+        shifts = (rows[:, 0] - share * rows[:, 1]) / n
+        squares = float(np.sum(shifts**2))
+        concentration = float(np.sum((shifts**2 / squares) ** 2)) if squares else 0.0
+        ceiling = n if is_counted else np.inf
+        return cls(share, Scatter.of(share, squares, concentration, rows[:, 1], ceiling), shifts)
 
     def ends(self, z: float) -> tuple[float, float]:
         """Wilson's interval at a normal quantile."""
@@ -271,7 +268,6 @@ def mean_within(rows: np.ndarray, most: float, confidence: float, is_counted: bo
     ----------
     rows : ndarray, shape (G, 2)
         One row a matrix: the total of the numbers, and how many.
-    most, confidence : float
     is_counted : bool
         Whether they are runs that have a property, of all runs: there are then no more trials than runs.
     """
@@ -289,7 +285,6 @@ class Inverted:
 
     Attributes
     ----------
-    difference : float
     ends : callable
         The ends of the interval at a normal quantile, 1.96 for 95%; the interval widens with it.
     """
@@ -304,12 +299,12 @@ class Inverted:
     @property
     def p_different(self) -> float:
         """p-value of the two-sided test of no difference: the interval excludes zero at all levels below 1 - p."""
-        least, most = 0.0, MOST_ERRORS
+        low_z, high_z = 0.0, MOST_ERRORS
         for _ in range(_HALVINGS):
-            middle = (least + most) / 2
+            middle = (low_z + high_z) / 2
             low, high = self.ends(middle)
-            least, most = (middle, most) if low > 0.0 or high < 0.0 else (least, middle)
-        return 2.0 * student.below(-least, np.inf)
+            low_z, high_z = (middle, high_z) if low > 0.0 or high < 0.0 else (low_z, middle)
+        return 2.0 * student.below(-low_z, np.inf)
 
 
 Test = Compared | Inverted

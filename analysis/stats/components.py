@@ -65,24 +65,23 @@ def against_redraw(values: np.ndarray, changed: np.ndarray, confidence: float) -
         Base and replicates; G >= 3, k >= 2.
     changed : ndarray, shape (G, c)
         Changed runs of the same matrices.
-    confidence : float
     """
     y, c = np.asarray(values, dtype=np.float64), np.asarray(changed, dtype=np.float64)
     g = len(y)
     change = np.mean((c[:, :, None] - y[:, None, :]) ** 2, axis=(1, 2))
     replicate = 2 * y.var(axis=1, ddof=1)
     # mean over pairs of different matrices of (y_ij - y_kl)^2, from first and second moments
-    first, second = y.mean(axis=1), (y**2).mean(axis=1)
+    means, second = y.mean(axis=1), (y**2).mean(axis=1)
 
     def redraw_of(keep: np.ndarray) -> float:
         m = keep.sum()
-        cross = (first[keep].sum() ** 2 - np.sum(first[keep] ** 2)) / (m * (m - 1))
+        cross = (means[keep].sum() ** 2 - np.sum(means[keep] ** 2)) / (m * (m - 1))
         return float(2 * second[keep].mean() - 2 * cross)
 
-    every = np.ones(g, dtype=bool)
-    left = [every & (np.arange(g) != i) for i in range(g)]
-    a, b, redraw = change.mean(), replicate.mean(), redraw_of(every)
-    without = np.array([[change[keep].mean(), replicate[keep].mean(), redraw_of(keep)] for keep in left])
+    all_units = np.ones(g, dtype=bool)
+    others_of = [all_units & (np.arange(g) != i) for i in range(g)]
+    a, b, redraw = change.mean(), replicate.mean(), redraw_of(all_units)
+    without = np.array([[change[keep].mean(), replicate[keep].mean(), redraw_of(keep)] for keep in others_of])
     top, bottom = a - b, redraw - b
     tops, bottoms = without[:, 0] - without[:, 1], without[:, 2] - without[:, 1]
     covariance = (g - 1) ** 2 / g * np.cov(tops, bottoms)
@@ -105,7 +104,6 @@ def between(values: np.ndarray, errors: np.ndarray, dof: int, confidence: float)
         Of each system its value, and the standard error from its own run alone.
     dof : int
         Degrees of freedom of each error.
-    confidence : float
     """
     g, within = len(values), float(np.mean(errors**2))
     if g < 2 or within == 0:

@@ -33,7 +33,6 @@ def over_null(of: Statistic, observed: np.ndarray, null: np.ndarray, confidence:
         Positive; raises `Undefined` with a reason.
     observed, null : ndarray, shape (G, c)
         Sums, one row a matrix; a matrix is compared with its own null.
-    confidence : float
     """
     columns = observed.shape[1]
 
@@ -53,6 +52,6 @@ def over_null(of: Statistic, observed: np.ndarray, null: np.ndarray, confidence:
 
 def together(effects: Sequence[Effect]) -> list[Effect]:
     """The effects with p-values adjusted by Holm's rule."""
-    known = {k: effect.p for k, effect in enumerate(effects) if effect.p is not None}
-    adjusted = dict(zip(known, holm([*known.values()]).tolist(), strict=True))
+    p_values = {k: effect.p for k, effect in enumerate(effects) if effect.p is not None}
+    adjusted = dict(zip(p_values, holm([*p_values.values()]).tolist(), strict=True))
     return [replace(effect, p_adjusted=adjusted.get(k)) for k, effect in enumerate(effects)]

@@ -64,7 +64,6 @@ def basis(rows: np.ndarray, n_cascades: int, confidence: float, of: Statistic = 
         `halves`, or the columns that `of` takes; one row a matrix.
     n_cascades : int
         Complete cascades of all runs.
-    confidence : float
     of : callable
         Computes the drift from summed rows, whose last column is their number.
     """

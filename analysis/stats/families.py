@@ -40,7 +40,6 @@ class Family:
 
     Attributes
     ----------
-    name : str
     terms : callable
         T, from sizes of shape (K,) to shape (K, p).
     bounded : tuple of int
@@ -66,7 +65,6 @@ class Fit:
 
     Attributes
     ----------
-    family : Family
     theta : ndarray, shape (p,)
     sizes : ndarray, shape (K,), float64
         k_min .. k_max.
@@ -109,7 +107,6 @@ def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
 
     Parameters
     ----------
-    family : Family
     sizes, counts : ndarray, shape (K,)
         Sizes k_min .. k_max as float64, and how many cascades have each.
 
@@ -165,7 +162,7 @@ def parameter(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Es
     value, n = float(fit.theta[which]), len(counts)
     if which not in fit.free or n < 2:
         return Estimate(value, reason="one matrix" if n < 2 else "on its bound")
-    rest = counts.sum() - counts.sum(axis=1)
-    shifts = -np.linalg.solve(fit.information(), fit.scores().T @ counts.T)[fit.free.index(which)] / rest
+    remainder = counts.sum() - counts.sum(axis=1)
+    shifts = -np.linalg.solve(fit.information(), fit.scores().T @ counts.T)[fit.free.index(which)] / remainder
     half = student.half_width(confidence, n - 1) * jackknife_error(shifts)
     return Estimate(value, value - half, value + half)

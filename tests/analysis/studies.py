@@ -1,7 +1,7 @@
 """Planted studies: bias of the estimators of `stickslip.analysis.stats`, and coverage of their 95% intervals.
 
 python -m tests.analysis.studies                      # all of them, some minutes; a new seed each time
-python -m tests.analysis.studies dispersion growth    # some
+python -m tests.analysis.studies gamma growth    # some
 python -m tests.analysis.studies --seed 1 --ensembles 500
 """
 
@@ -9,26 +9,22 @@ import argparse
 import secrets
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 from itertools import product
 
 import numpy as np
 from scipy import fft, linalg, signal, special, stats
 
-from stickslip.analysis.contrast import PerEvent
-from stickslip.analysis.models import clustering, common_motion, fates, growth, laws, pool, times
-from stickslip.analysis.series.cascades import Law, Window, sizes, window
+from stickslip.analysis.models import clustering, common_motion, fates, growth, pool, times
+from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.nulls import BlockSteps
-from stickslip.analysis.stats import compare, components, dispersion, enough
+from stickslip.analysis.stats import compare, components
 from stickslip.analysis.stats.effects import over_null
 from stickslip.analysis.stats.estimates import (
     LN2,
     Estimate,
     Undefined,
-    UnitSums,
     gamma,
     over_matrices,
-    per_event,
     ratio,
 )
 from stickslip.analysis.stats.goodness import goodness
@@ -65,11 +61,6 @@ def judged(study, planted, answer, estimates: list[Estimate], log=False):
     held = [one.low <= answer <= one.high for one in estimates]
     errors = np.log(values / answer) if log else values - answer
     return Row(study, planted, answer, errors.mean(), errors.std(ddof=1), float(np.mean(held)), len(held))
-
-
-def over_pool(n, sums):
-    """gamma less the pool's, from total size and number of cascades, the integral of n_stick, and time."""
-    return gamma(sums[:, :2]) - np.array([pool.gamma(n, mean) for mean in ratio(sums[:, 2:])])
 
 
 # ----------------------------------------------------------------------------------- planted laws of the sizes
@@ -162,28 +153,6 @@ def geometric(rate, k_max=400):
     return (1 - np.exp(-rate)) * np.exp(-rate * np.arange(k_max))
 
 
-#: By name: probabilities of sizes 1, 2, ...
-LAWS = {
-    "exponential, gamma 0.7": geometric(0.7),
-    "exponential, gamma 0.3": geometric(0.3),
-    "thinner: pool of 200 blocks": pool.law(200, 32.5, 200),
-    "thinner: pool of 40 blocks": pool.law(40, 6.5, 40),
-    "thicker: gamma 0.55 or 0.95": (geometric(0.55) + geometric(0.95)) / 2,
-}
-
-
-def dispersion_study(rng, ensembles):
-    """One-parameter test of the exponential; 20 matrices of 1,000 cascades, and 6 of 300."""
-    for name, shares in LAWS.items():
-        for g, count in ((MATRICES, 1000), (6, 300)):
-            found = []
-            for _ in range(ensembles):
-                k = of_law(rng, shares, (g, count)).astype(np.float64)
-                rows = np.column_stack([np.full(g, count), k.sum(axis=1), (k**2).sum(axis=1)])
-                found.append(over_matrices(dispersion.excess, rows, CONFIDENCE))
-            yield judged("dispersion", f"{name}; {g} x {count}", excess_of(shares), found)
-
-
 def gamma_study(rng, ensembles):
     """Rate of the exponential; sizes that depend on each other within a matrix, and rates that differ."""
     for name, make in TRUE.items():
@@ -194,35 +163,6 @@ def gamma_study(rng, ensembles):
                 sums = np.column_stack([k.sum(axis=1), np.full(g, k.shape[1])])
                 found.append(over_matrices(gamma, sums, CONFIDENCE))
             yield judged("gamma", f"{name}; {g} matrices", GAMMA, found)
-
-
-def pooled_runs(rng, n, mean, changes, runs):
-    """Pools of independent two-state blocks, event by event, from equilibrium."""
-    p, k = mean / n, rng.binomial(n, mean / n, runs)
-    level = k.copy()
-    step, gap = np.empty((changes, runs), dtype=np.int8), np.empty((changes, runs))
-    for row, wait in zip(step, gap, strict=True):
-        out, into = (1 - p) * k, p * (n - k)
-        wait[:] = rng.exponential(1.0, runs) / (out + into)
-        row[:] = np.where(rng.random(runs) * (out + into) < out, -1, 1)
-        k = k + row
-    t = np.cumsum(gap, axis=0)
-    return [Window(0.0, float(t[-1, i]), int(level[i]), t[:, i], step[:, i].astype(np.int64)) for i in range(runs)]
-
-
-def pool_study(rng, ensembles):
-    """Closed form of gamma of the finite pool against simulated pools."""
-    for n, mean in ((200, 32.5), (100, 3.0)):
-        windows = pooled_runs(rng, n, mean, 8000, ensembles)
-        runs = [sizes(win, Law("events")) for win in windows]
-        rates = np.array([[k.sum(), len(k), win.time_mean(), 1.0] for k, win in zip(runs, windows, strict=True)])
-        picks = rng.integers(len(runs), size=(ensembles, MATRICES))
-        for what, statistic, rows, answer in (
-            ("gamma", gamma, rates[:, :2], pool.gamma(n, mean)),
-            ("gamma less its closed form", partial(over_pool, n), rates, 0.0),
-        ):
-            found = [over_matrices(statistic, rows[some], CONFIDENCE) for some in picks]
-            yield judged(f"pool: {what}", f"{n} blocks, {mean:g} stick", answer, found)
 
 
 def two_state_blocks(rng, n, p, pull, changes, runs):
@@ -431,25 +371,6 @@ def rhythm_study(rng, ensembles):
         )
 
 
-# ------------------------------------------------------------------------------------------ effective samples
-
-FAST, DECAY, PERIOD = 5.0, 400.0, 500.0
-
-
-def wandering(rng, runs, t_end, fast=FAST, oscillation=0.0, slow=0.0):
-    """Series of variance one, dt = 1: a fast wander, a share that oscillates slowly, a share that is slow."""
-    m = int(t_end)
-
-    def wander(factor):
-        x = rng.standard_normal((runs, m)) + 1j * rng.standard_normal((runs, m))
-        x[:, 1:] *= np.sqrt(1 - abs(factor) ** 2)
-        return signal.lfilter([1.0], [1.0, -factor], x, axis=1).real
-
-    x = np.sqrt(1 - oscillation - slow) * wander(np.exp(-1 / fast))
-    x += np.sqrt(oscillation) * wander(np.exp(-1 / DECAY + 2j * np.pi / PERIOD))
-    return x + np.sqrt(slow) * wander(np.exp(-1 / 300.0))
-
-
 # ------------------------------------------------------------------------------------------- growth rates
 
 
@@ -509,7 +430,7 @@ def components_study(rng, ensembles):
         yield Row("change over redraw", name, theta, np.median(errors), errors.std(), np.mean(held), ensembles)
 
 
-# --------------------------------------------------------------------------------- two means, shares, parting
+# ------------------------------------------------------------------------------------------ two means, shares
 
 
 def agreeing(rng, share, correlation, n_trials, shape):
@@ -666,31 +587,7 @@ def renewals(rng, n_runs, n_blocks, mean, span):
     return [np.sort(run[(run >= 0.0) & (run < span)]) for run in exits.reshape(n_runs, -1)]
 
 
-def waiting_study(rng, ensembles):
-    """Mean time between exits of a block from their number, in windows of 10, 50 and 300; it is 19.2."""
-    for span in (10.0, 50.0, 300.0):
-        found = []
-        for _ in range(ensembles):
-            counts = np.array([len(run) for run in renewals(rng, MATRICES, 8, 19.2, span)], dtype=float)
-            rates = np.column_stack([counts / (8 * span), np.ones(MATRICES)])
-            found.append(PerEvent("", per_event, 0.1).estimate(UnitSums(np.arange(MATRICES), rates), CONFIDENCE))
-        yield judged("waiting", f"19.2, 8 blocks, windows of {span:g}", 19.2, found)
-
-
-def parting_study(rng, ensembles):
-    """Median time of parting, 20 and 60 pairs; some runs end before, some are never seen to part."""
-    for g in (MATRICES, 60):
-        for name, share, t_end in (("all part", 0, np.inf), ("a third run away", 0.33, np.inf), ("to 400", 0, 400)):
-            found = []
-            for _ in range(ensembles):
-                at = 300.0 * np.exp(0.5 * rng.standard_normal(g))
-                end = np.minimum(np.where(rng.random(g) < share, rng.uniform(0, 600, g), np.inf), t_end)
-                one = fates.median(np.minimum(at, end), at <= end, CONFIDENCE)
-                found.append(Estimate(one.value or t_end, one.low or 0.0, one.high or np.inf))
-            yield judged("parting: median", f"300, {g} pairs, {name}", 300.0, found)
-
-
-# ------------------------------------------------------------------------------ escape, many tests, stationarity
+# --------------------------------------------------------------------------------------------------- survival
 
 
 def survival(rng, n_runs, rate, t_end, delay):
@@ -720,23 +617,6 @@ def survival_study(rng, ensembles, delay=20.0):
                 k = np.searchsorted(t, at, side="right") - 1
                 found.append(Estimate(*(float(share[k]) for share in shares)))
             yield judged("survival", f"rate {rate:g}, t = {at:g}, {n_runs} runs", float(np.exp(-rate * at)), found)
-
-
-def drift_study(rng, ensembles, t_end=2400.0):
-    """Drift of the mean from half to half in standard deviations, 20 and 6 runs with slow motion."""
-    runs = max(ensembles // 4, 200)
-    for drift in (0.0, 0.3, 1.0):
-        x = wandering(rng, runs, t_end, oscillation=0.3)
-        x[:, int(t_end) // 2 :] += drift
-        x = np.rint(400 + 20 * x).astype(np.int64)
-        rows = np.concatenate([enough.halves(window(np.arange(t_end), one, 0.0, t_end).alone) for one in x])
-        answer = float(ratio(np.column_stack([rows[:, 1] - rows[:, 0], np.ones(runs)]).sum(axis=0, keepdims=True))[0])
-        answer /= np.sqrt(rows[:, 2].mean())
-        for g in (MATRICES, 6):
-            every = [enough.basis(rows[some], 10_000, CONFIDENCE) for some in rng.integers(runs, size=(ensembles, g))]
-            shares = {code: np.mean([one.code == code for one in every]) for code in enough.CODES}
-            told = ", ".join(f"{code} {share:.2f}" for code, share in shares.items() if share)
-            yield judged("drift", f"{drift:g}, {g} runs: {told}", answer, [one.drift for one in every])
 
 
 # ------------------------------------------------------------------------------------------ methods by whole laws
@@ -778,36 +658,16 @@ PLANTED_LAWS = {
 }  # fmt: skip
 
 
-def methods_study(rng, ensembles):
-    """Share of intervals that hold the difference of two laws, and, "power", of ensembles in which one is shown.
-
-    A law that is the same is said to differ in 5%.
-    """
-    ensembles //= 10
-    for name, (how, answer) in PLANTED_LAWS.items():
-        found = [laws.largest_gap(shifted(rng, *how), CONFIDENCE, rng) for _ in range(ensembles)]
-        yield judged("methods", name, answer, [one.size for one in found])
-        shown = float(np.mean([one.p_different < 1 - CONFIDENCE for one in found]))
-        study, share = ("methods: power", shown) if answer else ("methods: not told apart", 1 - shown)
-        yield Row(study, name, answer, np.nan, np.nan, share, ensembles)
-
-
 STUDIES = {
     "gamma": gamma_study,
-    "dispersion": dispersion_study,
-    "pool": pool_study,
     "triggering": triggering_study,
     "rhythm": rhythm_study,
     "growth": growth_study,
     "components": components_study,
-    "parting": parting_study,
-    "drift": drift_study,
     "survival": survival_study,
-    "methods": methods_study,
     "counting": counting_study,
     "truth": truth_study,
     "times": times_study,
-    "waiting": waiting_study,
     "blocks": blocks_study,
     "rare": rare_study,
 }

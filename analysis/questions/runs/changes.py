@@ -20,30 +20,32 @@ def answer(study: Study) -> Answer | None:
     The first kind of change leads with up to three findings, each other with one.
     """
     sources = (sweep.answer, robustness.answer, engines.answer)
-    answers = [part for source in sources if (part := source(study)) is not None]
+    answers = [section for source in sources if (section := source(study)) is not None]
     if not answers:
         return None
-    answers.sort(key=lambda part: part.is_lack)
-    leading = [part for part in answers if not part.is_lack]
+    answers.sort(key=lambda section: section.is_lack)
+    leading = [section for section in answers if not section.is_lack]
     lead: list[Finding] = []
-    for k, part in enumerate(leading):
-        most = MOST_LEADING + 1 - len(leading) if k == 0 else 1
-        lead += part.findings[: min(part.n_lead, most)]
-    below = [finding for part in leading for finding in part.findings if finding not in lead]
-    lacks = [finding for part in answers if part.is_lack for finding in part.findings]
-    alerts = sorted((alert for part in answers for alert in part.alerts), key=lambda alert: alert.code.rank)
-    tables: dict[str, Table] = {"changes": pd.concat([part.tables["changes"] for part in answers], ignore_index=True)}
+    for k, section in enumerate(leading):
+        n_most = MOST_LEADING + 1 - len(leading) if k == 0 else 1
+        lead += section.findings[: min(section.n_lead, n_most)]
+    below = [finding for section in leading for finding in section.findings if finding not in lead]
+    lacks = [finding for section in answers if section.is_lack for finding in section.findings]
+    alerts = sorted((alert for section in answers for alert in section.alerts), key=lambda alert: alert.code.rank)
+    tables: dict[str, Table] = {
+        "changes": pd.concat([section.tables["changes"] for section in answers], ignore_index=True)
+    }
     figures: dict[str, Picture] = {}
-    for part in answers:
-        figures |= dict([*part.figures.items()][:1])
-    for part in answers:
-        tables = {**part.tables, **tables}
-        figures |= {name: picture for name, picture in part.figures.items() if name not in figures}
+    for section in answers:
+        figures |= dict([*section.figures.items()][:1])
+    for section in answers:
+        tables = {**section.tables, **tables}
+        figures |= {name: picture for name, picture in section.figures.items() if name not in figures}
     return Answer(
         [*lead, *below, *lacks],
         max(len(lead), 1),
         alerts[:MOST_ALERTS],
-        " ".join(part.method for part in leading if part.method),
+        " ".join(section.method for section in leading if section.method),
         tables=tables,
         figures=figures,
     )

@@ -85,11 +85,11 @@ def answer(study: Study) -> Answer | None:
         for pair, step in judged:
             if pair.kind is kind:
                 by_other.setdefault(_other(pair, study.groups), []).append(step)
-        for other, steps_beside in by_other.items():
+        for reference, steps_beside in by_other.items():
             steps_beside.sort(key=lambda step: (step.name.name, step.name.symbol, step.name.value or 0.0))
-            lead += outcomes(other, steps_beside, unit, _NOUNS[kind], scope)
+            lead += outcomes(reference, steps_beside, unit, _NOUNS[kind], scope)
             steps_beside.sort(key=lambda step: not step.contrast.is_shown)
-            levels += [step.level(other, unit) for step in steps_beside]
+            levels += [step.level(reference, unit) for step in steps_beside]
             in_figure = in_figure or steps_beside
     figures = forest(in_figure, "Differences from the reference")
     lack = few("how far the engines differ", max(step.contrast.n_first for step in steps))
@@ -109,12 +109,12 @@ def _steps(study: Study, pair: _Pair, where: Place, thresholds: _Thresholds) -> 
         keys = (KeyChange(Kind.THRESHOLD.value, "", threshold),)
         where += Place.key(Kind.THRESHOLD.value, threshold)
     for measure in measures:
-        before, after = measure.of(pair.reference), measure.of(pair.group)
-        second, withheld = after.sums, before.withheld or after.withheld
+        reference, setting = measure.of(pair.reference), measure.of(pair.group)
+        second, withheld = setting.sums, reference.withheld or setting.withheld
         if pair.threshold is not None:
             second = thresholds[pair.group.label, pair.threshold][measure.key]
         difference = contrast(
-            measure.statistic, before.sums, second, True, study.settings.confidence, withheld=withheld
+            measure.statistic, reference.sums, second, True, study.settings.confidence, withheld=withheld
         )
         yield Step(pair.kind, pair.group.label, pair.reference.label, difference, keys, where, name)
 
@@ -145,8 +145,8 @@ def _engine(group: Group, groups: Sequence[Group]) -> Setting:
     """An engine, with the number that tells its settings apart, or several."""
     key = group.key
     engine = engine_name(key["engine"])
-    alike = [other.key for other in groups if other.key["engine"] == key["engine"]]
-    differ = [name for name in (*WIDTHS, *STEPS) if len({other[name] for other in alike}) > 1]
+    alike = [group_of.key for group_of in groups if group_of.key["engine"] == key["engine"]]
+    differ = [name for name in (*WIDTHS, *STEPS) if len({group_of[name] for group_of in alike}) > 1]
     if len(differ) == 1 and key[differ[0]] is not None:
         return Setting(engine, differ[0], float(key[differ[0]]))
     values = ", ".join(f"{name} = {text(key[name])}" for name in differ if key[name] is not None)
@@ -182,8 +182,8 @@ def _pairs(study: Study, thresholds: _Thresholds) -> Iterator[_Pair]:
             families.setdefault(engine, []).append(group)
         tightest = [family[0] for family in families.values()]
         yield from (_Pair(Kind.LAW, tightest[0], group) for group in tightest[1:])
-        for first, *looser in families.values():
-            yield from (_Pair(Kind.TOLERANCE, first, group) for group in looser)
-            exact = tightest[0] if tightest[0].is_exact else first
-            values = sorted(threshold for label, threshold in thresholds if label == first.label)
-            yield from (_Pair(Kind.THRESHOLD, exact, first, threshold) for threshold in values)
+        for tightest_one, *looser in families.values():
+            yield from (_Pair(Kind.TOLERANCE, tightest_one, group) for group in looser)
+            exact = tightest[0] if tightest[0].is_exact else tightest_one
+            values = sorted(threshold for label, threshold in thresholds if label == tightest_one.label)
+            yield from (_Pair(Kind.THRESHOLD, exact, tightest_one, threshold) for threshold in values)

@@ -80,8 +80,6 @@ def pictures(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> dict[st
 
     Parameters
     ----------
-    study : Study
-    grid : Grid
     curves : mapping of Place to Curve
         Survival of the runs of settings.
     """
@@ -151,8 +149,8 @@ def _maps(grid: Grid) -> dict[str, Picture]:
             counts = [runs.n_of(kind) for kind in OUTCOMES]
             place = up.rows.index(y), across.rows.index(x)
             what[place], is_mixed[place] = int(np.argmax(counts)), np.count_nonzero(counts) > 1
-        beside = zip(further, further_rows, strict=True)
-        where = Place(tuple((axis.name, in_words(row)) for axis, row in beside)) + Place.of(method)
+        further_by_row = zip(further, further_rows, strict=True)
+        where = Place(tuple((axis.name, in_words(row)) for axis, row in further_by_row)) + Place.of(method)
         caption = f"Dots mark settings where runs differ. What most runs do{f' ({where})' if where else ''}."
         name = f"fates_{len(figures) + 1}" if figures else "fates"
         figures[name] = Picture(partial(over_two_keys, across, up, what, is_mixed), caption)

@@ -323,11 +323,11 @@ def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[str]
 def _ends(study: Study, setting: Setting) -> Ends:
     """Until when the runs of a setting go on."""
     fates = np.concatenate([group.fates for group in setting.groups])
-    last = np.concatenate([group.last for group in setting.groups])
+    t_last = np.concatenate([group.last for group in setting.groups])
     ran = fates != FAILED
     t_stop = study.data.table.own["t_stop"].to_numpy(np.float64, na_value=np.nan)[setting.runs.rows]
     t_end = np.full(len(t_stop), setting.t_end)
-    runs = fates[ran], last[ran, 0], t_stop, t_end, study.settings.confidence, setting.runs.units
+    runs = fates[ran], t_last[ran, 0], t_stop, t_end, study.settings.confidence, setting.runs.units
     return Ends(setting, survival(*runs), half_ended(*runs))
 
 

@@ -52,7 +52,7 @@ def answer(study: Study) -> Answer | None:
     where = dict(zip(labels, map(Place.of, apart(labels)), strict=True))
     unjudged = [step for copies in all_copies for step in _steps(study, copies, where[copies.label])]
     steps = judged_together(unjudged, 1 - confidence)
-    lead, rest, has_effects = list[Finding](), list[Finding](), False
+    lead, further, has_effects = list[Finding](), list[Finding](), False
     for copies in all_copies:
         judged_steps = [step for step in steps if step.setting == copies.label and step.contrast.is_known]
         effects = list(_effects(study, copies, where[copies.label], unit))
@@ -60,16 +60,16 @@ def answer(study: Study) -> Answer | None:
         if judged := [step for step in judged_steps if not step.contrast.reason]:
             lead += outcomes("no change", judged, unit, "change")
             lead += [effect for quantity, effect in effects if quantity == PRIMARY[0]][-1:]
-        rest += [step.level("the unchanged system", unit) for step in judged_steps]
-        rest += [effect for _, effect in effects]
+        further += [step.level("the unchanged system", unit) for step in judged_steps]
+        further += [effect for _, effect in effects]
     for finding in (end for copies in all_copies for end in _ends(study, copies, where[copies.label], unit)):
         is_empty = isinstance(finding, Share) and finding.estimate.value == 0.0  # all end alike
-        (rest if is_empty else lead).append(finding)
+        (further if is_empty else lead).append(finding)
     in_figure = [step for step in steps if step.contrast.is_known]
     figures = forest(in_figure, "Differences from the unchanged systems", "robustness")
     lack = few("the effect of a changed system", len(all_copies[0].sums))
     method = _METHOD + _METHOD_OF_EFFECTS * has_effects
-    findings = [*lead, *rest] if lead else [lack]
+    findings = [*lead, *further] if lead else [lack]
     return Answer(findings, len(lead), method=method, tables={"changes": table_of(steps)}, figures=figures)
 
 
@@ -116,8 +116,8 @@ class _Copies:
 
     def values(self, quantity: str, rows: Sequence[Sequence[int]]) -> np.ndarray:
         """A quantity of some runs, in the shape of `rows`."""
-        k, of = PRIMARY.index(quantity), QUANTITIES[quantity].of
-        return np.array([of(np.array([self.sums[row][k] for row in of_unit])) for of_unit in rows])
+        k, statistic = PRIMARY.index(quantity), QUANTITIES[quantity].of
+        return np.array([statistic(np.array([self.sums[row][k] for row in of_unit])) for of_unit in rows])
 
     def of_units(self, quantity: str, rows: Sequence[Sequence[int]]) -> UnitSums:
         """The sums of a quantity, averaged over the runs of each unit."""
@@ -155,8 +155,8 @@ def _steps(study: Study, copies: _Copies, where: Place) -> Iterator[Step]:
         change, sets = comparison.change, copies.complete(comparison)
         place, keys = where + Place.words(str(change)), (KeyChange("", "", str(change)),)
         for measure in of_windows(study, PRIMARY):
-            before, after = (copies.of_units(measure.key, [rows[side] for rows in sets]) for side in (0, 1))
-            difference = contrast(measure.statistic, before, after, True, study.settings.confidence)
+            unchanged, changed = (copies.of_units(measure.key, [rows[side] for rows in sets]) for side in (0, 1))
+            difference = contrast(measure.statistic, unchanged, changed, True, study.settings.confidence)
             yield Step(Kind.COPY, copies.label, copies.label, difference, keys, place, _named(change))
 
 
@@ -182,8 +182,8 @@ def _effects(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator
             sets = copies.complete(comparison)
             if len(sets) < enough.LEAST_MATRICES:
                 continue
-            before, after = (copies.values(quantity, [rows[side] for rows in sets]) for side in (0, 1))
-            effect = components.against_redraw(before, after, confidence).theta
+            unchanged, changed = (copies.values(quantity, [rows[side] for rows in sets]) for side in (0, 1))
+            effect = components.against_redraw(unchanged, changed, confidence).theta
             if effect.high is not None and effect.value is not None:
                 name = f"effect of {comparison.change} on the {QUANTITIES[quantity].title} of one system"
                 theta = Quantity("theta", f"{name}, as a share of another system's", Form.SHARE)
@@ -234,7 +234,7 @@ def _ends(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Fi
                 share,
                 place,
                 basis=Basis(len(counts), unit),
-                n=sum(of for _, of in counts.values()),
+                n=sum(total for _, total in counts.values()),
             )
         if shifts:
             means = np.array([np.mean(of_unit) for of_unit in shifts.values()])

@@ -115,7 +115,6 @@ class Setting:
         What tells its system, and its engine, from those of other settings.
     at : tuple of KeyValues
         Its values along the axes of `Grid`.
-    runs : Runs
     of_starts : bool
         Whether its units are starts of one system.
     is_recorded : bool
@@ -225,7 +224,7 @@ def _values(group: Group) -> dict[str, Value]:
 def _setting(study: Study, name: Label, groups: Sequence[Group], axes: Sequence[Axis]) -> Setting:
     of_method = {"", *ENGINE_KEYS}
     method, label = (
-        Label.of([part for part in name.parts if (part[0] in of_method) == is_of_method])
+        Label.of([symbol for symbol in name.parts if (symbol[0] in of_method) == is_of_method])
         for is_of_method in (True, False)
     )
     rows = np.concatenate([group.rows for group in groups])
@@ -399,10 +398,10 @@ def regimes(
         in_order.sort(key=lambda outcome: len(outcome) > 1)
     rows: list[tuple[Regime, Sequence[Setting]]] = []
     for outcome in in_order:
-        parts = by_outcome[outcome]
-        settings = [setting for stretch in parts for setting in line[stretch]]
-        where = Place.key(axis.name, listed([text for stretch in parts for text in _span(line[stretch])]))
-        if len(parts) > MOST_STRETCHES:
+        stretches_of = by_outcome[outcome]
+        settings = [setting for stretch in stretches_of for setting in line[stretch]]
+        where = Place.key(axis.name, listed([text for stretch in stretches_of for text in _span(line[stretch])]))
+        if len(stretches_of) > MOST_STRETCHES:
             where = Place.words(f"at {len(settings)} of {len(line)} values of {axis.name}")
         rows.append((_regime(study, where + line_place, settings, outcome), settings))
     return rows

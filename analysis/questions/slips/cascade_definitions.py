@@ -53,9 +53,9 @@ def _rows(study: Study, group: Group) -> list[Defined]:
     flat = study.sums(group, partial(_of_run, dts), 2 * len(laws))
     rows = []
     for law, sums in zip(laws, np.hsplit(flat[:, :-1], len(laws)), strict=True):
-        known = sums[sums[:, 1] > 0]
-        rate = over_matrices(gamma, known, study.settings.confidence)
-        rows.append(Defined(group.label, law.definition, law.dt, int(known[:, 1].sum()), len(known), rate))
+        counted = sums[sums[:, 1] > 0]
+        rate = over_matrices(gamma, counted, study.settings.confidence)
+        rows.append(Defined(group.label, law.definition, law.dt, int(counted[:, 1].sum()), len(counted), rate))
     return rows
 
 
@@ -74,8 +74,8 @@ def by_step(ax: Axes, rows: Sequence[Defined]) -> None:
         if row.dt is None and row.gamma.low is not None and row.gamma.high is not None:
             ax.axhspan(row.gamma.low, row.gamma.high, color=GREY, alpha=0.3, linewidth=0, label="events")
     for k, definition in enumerate(SAMPLED):
-        known = [row for row in rows if row.definition == definition and row.gamma.low is not None]
-        ends = [(row.dt, row.gamma.value, row.gamma.low, row.gamma.high) for row in known]
+        points = [row for row in rows if row.definition == definition and row.gamma.low is not None]
+        ends = [(row.dt, row.gamma.value, row.gamma.low, row.gamma.high) for row in points]
         dt, value, low, high = np.array(ends, dtype=np.float64).reshape(-1, 4).T
         ax.errorbar(dt, value, [value - low, high - value], label=definition, color=CYCLE[k], fmt="oDs^"[k],
                     linestyle=("-", "-", "--", "--")[k], markersize=3, linewidth=0.9)  # fmt: skip

@@ -87,7 +87,6 @@ class Sums:
 
     Attributes
     ----------
-    group : Group
     smallest : int
         The least size that counts, as 1.
     rows : ndarray, shape (G, 8)
@@ -188,11 +187,11 @@ def answer(study: Study) -> Answer:
     level = study.settings.confidence
     judged = study.judged()
     labels = {group.label for group in judged}
-    every = [_sums(study, group, group.label in labels) for group in study.groups]
-    sums = {each.group.label: each for each in every}
-    sizes = {each.group.label: _sizes(each, level) for each in every}
+    sums_of_groups = [_sums(study, group, group.label in labels) for group in study.groups]
+    sums = {group_sums.group.label: group_sums for group_sums in sums_of_groups}
+    sizes = {group_sums.group.label: _sizes(group_sums, level) for group_sums in sums_of_groups}
     tables = {
-        "law": frame_of(LawRow, [_law_row(each, level) for each in every]),
+        "law": frame_of(LawRow, [_law_row(group_sums, level) for group_sums in sums_of_groups]),
         "sizes": frame_of(Size, [size for of_group in sizes.values() for size in of_group]),
     }
     drifting = _drifting(study, judged, sums)
@@ -200,33 +199,35 @@ def answer(study: Study) -> Answer:
         missing: Finding = drifting or lack(study, "the decay rate of cascade sizes")
         alerts = [] if drifting is None else [_drift(study)]
         return Answer(findings=[missing], alerts=alerts, tables=tables, method=_method(study))
-    known = [one for group in judged if (one := sums[group.label]).estimate(gamma, level).low is not None]
-    if not known:
+    with_rate = [
+        group_sums for group in judged if (group_sums := sums[group.label]).estimate(gamma, level).low is not None
+    ]
+    if not with_rate:
         return Answer(findings=[Lack("the decay rate of cascade sizes", Reason.ONE_VALUE)], tables=tables)
-    known.sort(key=lambda one: not _is_exact(one.group))
-    lead = known[0]
-    beside = [one for one in known if _engine(one) == _engine(lead)][:MOST_SETTINGS]
-    names = apart([one.group.name for one in beside], 2 * _has_several_engines(study))
+    with_rate.sort(key=lambda group_sums: not _is_exact(group_sums.group))
+    lead = with_rate[0]
+    alike = [group_sums for group_sums in with_rate if _engine(group_sums) == _engine(lead)][:MOST_SETTINGS]
+    names = apart([group_sums.group.name for group_sums in alike], 2 * _has_several_engines(study))
     leading = _findings(study, lead, Place.of(names[0]))
-    findings = [rate for sums, name in zip(beside[1:], names[1:], strict=True)
+    findings = [rate for sums, name in zip(alike[1:], names[1:], strict=True)
                 for rate in _rates(study, sums, Place.of(name))]  # fmt: skip
-    drawn = [one for one in known if one.n == lead.n][:MOST_DRAWN]
+    curves = [group_sums for group_sums in with_rate if group_sums.n == lead.n][:MOST_DRAWN]
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
         findings=[*([] if drifting is None else [drifting]), *leading, *findings],
         n_lead=min(3, len(leading) + (drifting is not None)),
-        alerts=_alerts(study, lead, [one.group for one in known]),
+        alerts=_alerts(study, lead, [group_sums.group for group_sums in with_rate]),
         tables={**tables, **definitions.tables},
-        figures={**_figures(study, lead, drawn, sizes), **definitions.figures},
+        figures={**_figures(study, lead, curves, sizes), **definitions.figures},
         method=_method(study),
     )
 
 
 def _method(study: Study) -> str:
-    least = study.settings.smallest
+    smallest = study.settings.smallest
     return (
         "A cascade is a run of slip onsets with no arrest in between, and s is their number. The geometric "
-        f"distribution f ∝ exp(−γ s){f' from {least} on' * (least > 1)} is fitted by maximum likelihood, with "
+        f"distribution f ∝ exp(−γ s){f' from {smallest} on' * (smallest > 1)} is fitted by maximum likelihood, with "
         f"intervals over {systems(study)}s; with p = 1/2, γ is ln 2. Independent two-state blocks are as many blocks "
         "without memory, with the same mean number sticking. Time-shifted blocks keep each block's own dynamics: "
         f"each is shifted by a random time ({min(study.settings.resamples, SHIFTS)} draws per run)."
@@ -271,16 +272,16 @@ def _engine(sums: Sums) -> list[object]:
 
 def _sums(study: Study, group: Group, is_judged: bool) -> Sums:
     """Of a group that is not judged, only what its counts say."""
-    least = study.settings.smallest
-    counts = group.counts[:, least - 1 :]
+    smallest = study.settings.smallest
+    counts = group.counts[:, smallest - 1 :]
     n_columns = 3 + 2 * PARTS
-    found = np.zeros((len(counts), n_columns))
+    totals = np.zeros((len(counts), n_columns))
     if is_judged:
-        found = study.sums(group, partial(_of_run, least, min(study.settings.resamples, SHIFTS)), n_columns)
-    shifted, parts = found[:, :3], found[:, 3:n_columns].reshape(-1, PARTS, 2)
-    seen = counts.sum(axis=1) > 0
+        totals = study.sums(group, partial(_of_run, smallest, min(study.settings.resamples, SHIFTS)), n_columns)
+    shifted, in_parts = totals[:, :3], totals[:, 3:n_columns].reshape(-1, PARTS, 2)
+    has_data = counts.sum(axis=1) > 0
     rows = np.hstack([moments(counts), shifted, group.stuck])
-    return Sums(group, least, rows[seen], parts[seen], counts[seen])
+    return Sums(group, smallest, rows[has_data], in_parts[has_data], counts[has_data])
 
 
 def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
@@ -288,10 +289,10 @@ def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
     shifted = np.zeros(3)
     if run.steps is not None:
         shifted = nulls.moments(run.steps, draws, run.generator(), least)
-    found = spans(run.win)
-    size = found.size - (least - 1)
-    part = (PARTS * (found.start - run.win.t_start) / (run.win.t_stop - run.win.t_start)).astype(np.int64)
-    columns = [np.bincount(part[size > 0], of[size > 0], PARTS) for of in (size, np.ones(len(size)))]
+    cascades = spans(run.win)
+    size = cascades.size - (least - 1)
+    part_of = (PARTS * (cascades.start - run.win.t_start) / (run.win.t_stop - run.win.t_start)).astype(np.int64)
+    columns = [np.bincount(part_of[size > 0], weights[size > 0], PARTS) for weights in (size, np.ones(len(size)))]
     return np.concatenate([shifted, np.column_stack(columns).ravel()])
 
 
@@ -310,22 +311,22 @@ def _rates(study: Study, sums: Sums, where: Place) -> list[Level]:
     return [
         Level(
             RATE if null == COIN else BESIDE, rate, where,
-            Comparison(null, Difference(sums.estimate(of, level), margin=margin)), basis,
+            Comparison(null, Difference(sums.estimate(statistic, level), margin=margin)), basis,
         )
-        for null, of in nulls.items()
+        for null, statistic in nulls.items()
     ]  # fmt: skip
 
 
 def _findings(study: Study, sums: Sums, where: Place) -> list[Finding]:
     """The law of a group, its decay rate beside other blocks', and how far it is from geometric."""
     level = study.settings.confidence
-    rate, *others = _rates(study, sums, where)
-    beside = Comparison(GEOMETRIC, Difference(sums.estimate(over_geometric, level)))
-    departure = Level(VARIANCE, sums.estimate(variance, level), where, beside, rate.basis)
+    rate, *further = _rates(study, sums, where)
+    geometric = Comparison(GEOMETRIC, Difference(sums.estimate(over_geometric, level)))
+    departure = Level(VARIANCE, sums.estimate(variance, level), where, geometric, rate.basis)
     fit = fit_of(departure, gain(sums, level))
     law = Law("cascade sizes", "fall off geometrically", rate, fit, departure, "fall off nearly geometrically",
               called="decay rate")  # fmt: skip
-    return [law, *others, departure]
+    return [law, *further, departure]
 
 
 def fit_of(departure: Level, gain: Estimate) -> Fit:
@@ -348,18 +349,18 @@ def of_systems(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     def rate(sums: np.ndarray) -> np.ndarray:
         total, n = np.moveaxis(sums, -1, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            found = -np.log1p(-n / total)
-        return np.where(np.isfinite(found), found, np.nan)
+            rates = -np.log1p(-n / total)
+        return np.where(np.isfinite(rates), rates, np.nan)
 
-    whole = parts.sum(axis=1, keepdims=True)
-    left = rate(whole - parts)
-    off = left - left.mean(axis=1, keepdims=True)
-    return rate(whole)[:, 0], np.sqrt((PARTS - 1) / PARTS * np.sum(off**2, axis=1))
+    in_all = parts.sum(axis=1, keepdims=True)
+    left_out = rate(in_all - parts)
+    off = left_out - left_out.mean(axis=1, keepdims=True)
+    return rate(in_all)[:, 0], np.sqrt((PARTS - 1) / PARTS * np.sum(off**2, axis=1))
 
 
 def _alerts(study: Study, lead: Sums, known: Sequence[Group]) -> list[Alert]:
     """How runs of the lead ended that have no cascades, of which groups survivors are known, where n_stick drifts."""
-    level, ends, of = study.settings.confidence, lead.group.fates, len(lead.group)
+    level, ends, n_runs = study.settings.confidence, lead.group.fates, len(lead.group)
     n = {fate: int(np.count_nonzero(ends == fate)) for fate in (fates.COLLAPSED, fates.QUIET)}
     grown = [group for group in known if fates.DIVERGED in group.fates]
     n_grown = sum(int(np.count_nonzero(group.fates == fates.DIVERGED)) for group in grown)
@@ -367,14 +368,14 @@ def _alerts(study: Study, lead: Sums, known: Sequence[Group]) -> list[Alert]:
     if grown and len(study.groups) > 1:
         where = f" at {grown[0].label}" if len(grown) == 1 else f" at {len(grown)} settings"
     alerts = [
-        Alert.of(Code.SETTLED, n=n[fates.COLLAPSED], of=of, what="the law of cascade sizes"),
+        Alert.of(Code.SETTLED, n=n[fates.COLLAPSED], of=n_runs, what="the law of cascade sizes"),
         Alert.of(Code.DIVERGED, n=n_grown, of=sum(map(len, grown)), where=where),
-        Alert.of(Code.UNCERTIFIED, n=n[fates.QUIET], of=of),
+        Alert.of(Code.UNCERTIFIED, n=n[fates.QUIET], of=n_runs),
     ]
-    found = [alert for alert in alerts if dict(alert.numbers)["n"]]
+    raised = [alert for alert in alerts if dict(alert.numbers)["n"]]
     if any(group.basis(level).code == enough.DRIFTS for group in study.groups):
-        found.insert(0, _drift(study))
-    return found[:3]
+        raised.insert(0, _drift(study))
+    return raised[:3]
 
 
 # ------------------------------------------------------------------------------------------------- tables and figures
@@ -419,21 +420,24 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str
     rate, system = lead.estimate(gamma, level), systems(study)
     values, errors = of_systems(lead.parts)
     half = student.half_width(level, PARTS - 1) * errors
-    each = [Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])[np.isfinite(errors)]]
-    labels: Sequence[Label] = apart([one.group.name for one in drawn])
+    of_each = [
+        Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])[np.isfinite(errors)]
+    ]
+    labels: Sequence[Label] = apart([group_sums.group.name for group_sums in drawn])
     of_which = f" ({labels[0]})" if labels[0] else ""
-    known = np.isfinite(errors)
-    lasting = between(values[known], errors[known], PARTS - 1, level)
+    is_known = np.isfinite(errors)
+    lasting = between(values[is_known], errors[is_known], PARTS - 1, level)
     scatter = ""
     if lasting.value is not None:
         share = with_interval(lasting, Form.SHARE)
         scatter = f" Fraction of the variance between systems not explained by sampling error: {share}."
     laws = {
-        str(label or lead.group.label): sizes[each.group.label] for label, each in zip(labels, drawn, strict=True)
+        str(label or lead.group.label): sizes[sums_of.group.label]
+        for label, sums_of in zip(labels, drawn, strict=True)
     }
-    first, largest, draw_run = _first_run(study, lead.group)
+    example, largest, draw_run = _first_run(study, lead.group)
     below = " Below: the same relative to p = 1/2." * cascade_figures.is_split(laws)
-    n_above = int(np.count_nonzero(values[known] > LN2))
+    n_above = int(np.count_nonzero(values[is_known] > LN2))
     cascade = (
         ""
         if largest is None
@@ -445,23 +449,23 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str
             f"Share of cascades of each size. Line and band: the fitted geometric distribution, {level:.0%}.{below}",
         ),
         "decay_rates": Picture(
-            partial(forest, each, rate, "decay rate", (LN2, COIN)),
-            f"{n_above} of {len(each)} {system}s{of_which} lie above {COIN} (dashed), expected if slip onset and "
+            partial(forest, of_each, rate, "decay rate", (LN2, COIN)),
+            f"{n_above} of {len(of_each)} {system}s{of_which} lie above {COIN} (dashed), expected if slip onset and "
             f"arrest were equally likely at each event. Decay rate of each, its interval from {PARTS} parts of its "
             f"run, and of all together (diamond, band).{scatter}",
         ),
-        "one_run": Picture(draw_run, f"{cascade}Line: the run of {system} {first}."),
+        "one_run": Picture(draw_run, f"{cascade}Line: the run of {system} {example}."),
     }
 
 
 def _first_run(study: Study, group: Group) -> tuple[int, cascade_figures.Largest | None, Recipe]:
     """Unit of the first run of a group, its largest cascade, and what draws it."""
     row, member_id, win = next(iter(study.windows(group)))
-    found = spans(win)
+    cascades = spans(win)
     largest = None
-    if len(found.size):
-        k = int(np.argmax(found.size))
-        largest = cascade_figures.Largest(int(found.size[k]), float(found.start[k]), float(found.stop[k]))
+    if len(cascades.size):
+        k = int(np.argmax(cascades.size))
+        largest = cascade_figures.Largest(int(cascades.size[k]), float(cascades.start[k]), float(cascades.stop[k]))
     t, n_stick = study.runs.points(member_id)
     draw = partial(cascade_figures.one_run, t, n_stick, win.t_stop, study.settings.t_burn, largest)
     return group.units[row], largest, draw

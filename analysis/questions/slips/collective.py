@@ -54,9 +54,11 @@ def answer(study: Study) -> Answer:
     if not motions:
         return Answer(findings=[Lack(WHAT, Reason.FEW_EVENTS)])
     level, lead = study.settings.confidence, motions[0]
-    exits = [found for motion in motions[:MOST_GROUPS] if (found := exits_of(study, motion.group)) is not None]
+    exits = [
+        group_exits for motion in motions[:MOST_GROUPS] if (group_exits := exits_of(study, motion.group)) is not None
+    ]
     bands = {motion.group.label: motion.bands(level) for motion in motions[:MOST_GROUPS]}
-    drawn = {label: group for label, group in bands.items() if group}
+    bands_drawn = {label: group for label, group in bands.items() if group}
     leading = _leading(study, lead, exits[:1])
     unit = systems(study)
     shares = [_share(motion, Place.of(motion.group.name), unit) for motion in motions[1:] if motion.is_shown]
@@ -76,7 +78,7 @@ def answer(study: Study) -> Answer:
             "clustering": frame_by(CLUSTERING, (pairs for group in exits for pairs in group.pairs)),
             "spectrum": frame_of(Band, (band for group in bands.values() for band in group)),
         },
-        figures={"collective": _picture(drawn, lead)} if drawn else {},
+        figures={"collective": _picture(bands_drawn, lead)} if bands_drawn else {},
     )
 
 
@@ -135,16 +137,16 @@ def _lacking(motion: Slow, where: Place, t_burn: float) -> Lack:
 def _picture(drawn: Mapping[str, Sequence[Band]], motion: Slow) -> Picture:
     """Power at long periods, with the fit of slow common motion and, of the group that leads, its goodness."""
     power = f"the power spectrum of {N_STICK}"
-    said = f"Dashed: time-shifted blocks; bars: intervals; periods over {CYCLES:g} of a block's own cycles"
+    words = f"Dashed: time-shifted blocks; bars: intervals; periods over {CYCLES:g} of a block's own cycles"
     if not motion.is_shown:
         shows = "does not rise above" if motion.shown is Shown.NONE else "takes longer runs to tell from"
-        caption = f"At long periods {power} {shows} that of time-shifted blocks. {said}."
+        caption = f"At long periods {power} {shows} that of time-shifted blocks. {words}."
         return Picture(partial(spectrum, drawn), caption)
-    fit, most = motion.goodness, max(drawn[motion.group.label], key=lambda band: band.ratio.value or 1.0)
+    fit, largest = motion.goodness, max(drawn[motion.group.label], key=lambda band: band.ratio.value or 1.0)
     return Picture(
         partial(spectrum, drawn),
-        f"At periods of about {number(most.middle, digits=0)} {power} is {number(most.ratio.value or 1.0)} times as"
-        f" large as for time-shifted blocks. {said}; lines through marks: a damped oscillator, which at"
+        f"At periods of about {number(largest.middle, digits=0)} {power} is {number(largest.ratio.value or 1.0)}"
+        f" times as large as for time-shifted blocks. {words}; lines through marks: a damped oscillator, which at"
         f" {motion.group.label} has Q = {number(motion.fit.values[Number.QUALITY][0], digits=2)} and a deviance of"
         f" {fit.deviance:.0f} on {fit.dof} degrees of freedom (p = {fit.p_value:.2g}).",
     )
@@ -156,8 +158,8 @@ def spectrum(ax: Axes, groups: Mapping[str, Sequence[Band]]) -> None:
     ax.axhline(1.0, linestyle="--", color=GREY, linewidth=1)
     for k, (label, bands) in enumerate(groups.items()):
         colour = (EXACT, SMOOTHED, GREEN)[k]
-        known = [band for band in bands if band.ratio.low is not None]
-        ends = [(band.middle, band.ratio.value, band.ratio.low, band.ratio.high) for band in known]
+        with_interval = [band for band in bands if band.ratio.low is not None]
+        ends = [(band.middle, band.ratio.value, band.ratio.low, band.ratio.high) for band in with_interval]
         period, ratio, low, high = np.array(ends, dtype=np.float64).reshape(-1, 4).T
         ax.errorbar(period, ratio, [ratio - low, high - ratio], color=colour, label=label, fmt="os^"[k],
                     markerfacecolor=(EXACT, "white", "white")[k], markersize=3, linewidth=0.9)  # fmt: skip

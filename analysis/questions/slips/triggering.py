@@ -53,10 +53,8 @@ class Exits(NamedTuple):
 
     Attributes
     ----------
-    group : Group
     pairs : list of Pairs
         By tau, ascending; judged together.
-    n_units : int
     n_exits, gap : float
         Mean number of exits of a unit, and mean time between exits.
     """
@@ -78,9 +76,9 @@ def triggered(exits: Exits, where: Place, unit: str) -> list[Share]:
     since data with few pairs by luck would exclude too much (Cowan, Cranmer, Gross and Vitells 2011,
     arXiv:1105.3166). There is none if no time is long enough.
     """
-    known = [pairs for pairs in exits.pairs if pairs.ratio.low is not None]
-    more = next((pairs for pairs in known if pairs.difference.verdict is Verdict.MORE), None)
-    chosen = more or next((pairs for pairs in known if pairs.tau >= SOON * exits.gap), None)
+    judged = [pairs for pairs in exits.pairs if pairs.ratio.low is not None]
+    larger = next((pairs for pairs in judged if pairs.difference.verdict is Verdict.MORE), None)
+    chosen = larger or next((pairs for pairs in judged if pairs.tau >= SOON * exits.gap), None)
     if chosen is None:
         return []
     per_exit = chosen.independent / exits.n_exits
@@ -88,7 +86,7 @@ def triggered(exits: Exits, where: Place, unit: str) -> list[Share]:
     assert value is not None
     assert low is not None
     assert high is not None
-    if more is not None:
+    if larger is not None:
         share = Estimate((value - 1) * per_exit, (low - 1) * per_exit, (high - 1) * per_exit)
         predicate = f"follow another within {chosen.tau:g} in excess of time-shifted blocks"
     else:
@@ -115,8 +113,8 @@ def exits_of(study: Study, group: Group) -> Exits | None:
 
 def compare(label: str, rows: np.ndarray, taus: Sequence[float], confidence: float) -> list[Pairs]:
     """Pairs beside those of time-shifted blocks, from `measure` of units, shape (G, len(taus), 2)."""
-    parts = (rows[:, k] for k in range(len(taus)))
-    effects = [over_null(lambda sums: sums[:, 0], part[:, :1], part[:, 1:], confidence) for part in parts]
+    by_tau = (rows[:, k] for k in range(len(taus)))
+    effects = [over_null(lambda sums: sums[:, 0], rows_of[:, :1], rows_of[:, 1:], confidence) for rows_of in by_tau]
     pairs = []
     for k, effect in enumerate(together(effects)):
         observed = over_matrices(ratio, np.column_stack([rows[:, k, 0], np.ones(len(rows))]), confidence)
