@@ -68,18 +68,6 @@ def _as_number(value: float | None) -> float:
     return np.nan if value is None or pd.isna(value) else float(value)
 
 
-class Until(NamedTuple):
-    """A time until something happens, which the end of a run may cut off: a run without one was followed to its end.
-
-    Attributes
-    ----------
-    since : float
-        The time of the run from which on it counts.
-    """
-
-    since: float = 0.0
-
-
 class Recorded(NamedTuple):
     """A number that a record keeps of every run.
 
@@ -103,8 +91,8 @@ class Recorded(NamedTuple):
         Whether that says what it is, without `words`.
     is_share : bool
         Whether it is a yes or a no, of which shares are taken.
-    until : Until, optional
-        If it is a time until something happens, which the end of a run may cut off.
+    since : float, optional
+        If it is a time until something happens, which the end of a run may cut off: from when on it counts.
     of_gaps : "mean" or "scatter", optional
         If it is of the times between exits of the same block that lie within a window, which cuts off the long ones.
     """
@@ -117,7 +105,7 @@ class Recorded(NamedTuple):
     called: str = ""
     says_it: bool = False
     is_share: bool = False
-    until: Until | None = None
+    since: float | None = None
     of_gaps: str = ""
     most: float | None = None
 
@@ -378,7 +366,7 @@ class Study:
         """
         if isinstance(numbers, str):
             recorded = self._recorded("numbers", numbers)
-            if recorded.until is not None:
+            if recorded.since is not None:
                 raise ValueError(
                     f"numbers: expected a number of which means are taken, got {numbers}, a time that the end of a"
                     f" run may cut off; ask for study.median(group, {numbers!r}) or study.restricted_mean(group,"
@@ -418,7 +406,7 @@ class Study:
             If no record keeps such a time.
         """
         recorded = self._recorded("name", name)
-        if recorded.until is None:
+        if recorded.since is None:
             raise ValueError(
                 f"name: expected a time that the end of a run may cut off, got {name!r}; ask for study.mean, or"
                 ' declare it with {"since": 0} if it is one'
@@ -427,7 +415,7 @@ class Study:
         has_ended = np.isfinite(times)
         t_stop = group.column("t_stop").to_numpy(np.float64, na_value=np.nan)
         # a run that is certain never to stick again is known to its end
-        followed = np.where(outcomes == DIVERGED, t_stop, float(group.key["t_end"])) - recorded.until.since
+        followed = np.where(outcomes == DIVERGED, t_stop, float(group.key["t_end"])) - recorded.since
         is_lost = (outcomes == FAILED) | group.column("member_id").isin([*recorded.problems]).to_numpy()
         is_known = has_ended | (~is_lost & (followed > 0.0))
         units = group.column("unit").to_numpy()
@@ -437,8 +425,7 @@ class Study:
 
     def limit(self, name: str) -> float:
         """The longest time that all groups are followed to, for means of a time up to it: see `restricted_mean`."""
-        until = self.data.recorded[name].until
-        return min(float(group.key["t_end"]) for group in self.groups) - (until.since if until else 0.0)
+        return min(float(group.key["t_end"]) for group in self.groups) - (self.data.recorded[name].since or 0.0)
 
     def median(self, group: Group, name: str) -> Estimate:
         """The median of a time that the end of a run may cut off, by Kaplan and Meier, with its interval over units.

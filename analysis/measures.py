@@ -193,7 +193,7 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
             numbers = np.where(is_smoothed[table.own["setting"]], np.nan, numbers)
         if (beside is not None and name not in beside.data.recorded) or (is_read and np.isnan(numbers).all()):
             continue
-        if column.until is not None:
+        if column.since is not None:
             yield from _of_times(study, beside, name, column)
         else:
             measure = _of_column(name, column, numbers, study.settings.t_burn)

@@ -78,15 +78,6 @@ class Series(Protocol):
         ...
 
 
-class Given(dict[str, ChangePoints]):
-    """Change points that are in memory, as `Series`."""
-
-    def stacks(self, member_ids: Sequence[str]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """As of `Series`: all together."""
-        stack = Stack.of([self[name] for name in member_ids])
-        yield stack.first, stack.t, stack.n_stick
-
-
 @dataclass(frozen=True)
 class Run:
     """A run, as a function that is put to each of them is given it.
