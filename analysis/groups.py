@@ -215,12 +215,12 @@ def groups(members: Members, some: np.ndarray) -> list[Group]:
             for setting in members.settings
         ]
     )
-    rows_of = [some[rows] for rows in by_number(of_setting[members.own["setting"].to_numpy()[some]])]
-    shared = [members.settings[members.own["setting"].iloc[rows[0]]] for rows in rows_of]
+    by_setting = [some[rows] for rows in by_number(of_setting[members.own["setting"].to_numpy()[some]])]
+    shared = [members.settings[members.own["setting"].iloc[rows[0]]] for rows in by_setting]
     keys = [{name: setting[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS)} for setting in shared]
-    groups_of = [Group(name, key, members, _by_unit(members, rows))
-              for name, key, rows in zip(labels(keys), keys, rows_of, strict=True)]  # fmt: skip
-    return sorted(groups_of, key=_place)
+    unordered = [Group(name, key, members, _by_unit(members, rows))
+              for name, key, rows in zip(labels(keys), keys, by_setting, strict=True)]  # fmt: skip
+    return sorted(unordered, key=_place)
 
 
 def _place(group: Group) -> tuple[Any, ...]:

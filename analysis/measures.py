@@ -122,11 +122,11 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
         (MEAN_SIZE, SIZE, "episode_size", "", "", "in blocks that slip"),
         (B, B_VALUE, "episode_b", "b-value of the episodes", "", f"by Aki {beyond}"),
     ):
-        values_of = partial(_episodes, by_label, quantity, edge, beyond, study.settings.confidence)
+        measured = partial(_episodes, by_label, quantity, edge, beyond, study.settings.confidence)
         statistic = Statistic(
             name, QUANTITIES[quantity].of, least=0.0, title=title, definition=definition, things=things
         )
-        yield Measure(statistic, key, values_of)
+        yield Measure(statistic, key, measured)
 
 
 def _episodes(

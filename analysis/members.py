@@ -95,14 +95,14 @@ class Members:
             If there is no member at all.
         """
         settings: dict[tuple[Any, ...], dict[str, Any]] = {}
-        tables_of = [_own(table, design, settings) for table in tables]
+        pieces = [_own(table, design, settings) for table in tables]
         if not settings:
             raise ValueError("members: expected at least one row, got none")
-        settings_of, table_all = [*settings.values()], joined(tables_of)
-        depends = np.array([any(setting[name] is not None for name in _SPEED_DEPENDENT) for setting in settings_of])
+        shared, entire = [*settings.values()], joined(pieces)
+        depends = np.array([any(setting[name] is not None for name in _SPEED_DEPENDENT) for setting in shared])
         # what grows need not stick where friction depends on speed, and smoothing changes the rate
-        table_all["growth_rate"] = table_all["growth_rate"].astype("float64").mask(depends[table_all["setting"]])
-        return cls(table_all, settings_of, design)
+        entire["growth_rate"] = entire["growth_rate"].astype("float64").mask(depends[entire["setting"]])
+        return cls(entire, shared, design)
 
     def __len__(self) -> int:
         return len(self.own)

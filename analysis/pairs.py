@@ -115,8 +115,8 @@ def _until(ended: Ended, t_end: float) -> np.ndarray:
 
 def follow(study: Study, comparisons: Sequence[Comparison], level: float, t_end: float) -> list[Followed]:
     """The pairs of each comparison, followed up to t_end at most; pairs with a failed run are left out."""
-    pairs_of = [(k, *astuple(pair)) for k, comparison in enumerate(comparisons) for pair in comparison.pairs]
-    number, matrix, base, changed = np.array(pairs_of).T
+    numbered = [(k, *astuple(pair)) for k, comparison in enumerate(comparisons) for pair in comparison.pairs]
+    number, matrix, base, changed = np.array(numbered).T
     outcomes = study.data.table.own["outcome"].to_numpy(object)
     has_run = (outcomes[base] != FAILED) & (outcomes[changed] != FAILED)
     number, matrix, base, changed = (column[has_run] for column in (number, matrix, base, changed))

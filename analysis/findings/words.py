@@ -61,8 +61,10 @@ def clause(finding: Finding) -> str:
         case Outcomes():
             return _outcomes(finding)
         case Threshold(subject, is_end, key, last, first, where, basis):
-            who = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
-            return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{where.tail}{who}"
+            in_all = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
+            return (
+                f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{where.tail}{in_all}"
+            )
         case Regime():
             return _regime(finding)
         case Lack(what, reason, detail):
@@ -358,8 +360,8 @@ def _parts(sum_of: Parts) -> str:
     texts = [(label, number(level, form, places, sign=True)) for label, level in values.items()]
     if abs(sum(values.values())) < min(error, *map(abs, values.values())):
         return f"{words}; {listed([f'{label} ({text})' for label, text in texts])} cancel"
-    (name_first, text), *tail = texts
-    return f"{words}; {listed([f'{name_first} contributes {text}', *(f'{label} {text}' for label, text in tail)])}"
+    (leader, text), *tail = texts
+    return f"{words}; {listed([f'{leader} contributes {text}', *(f'{label} {text}' for label, text in tail)])}"
 
 
 def _outcomes(outcomes: Outcomes) -> str:
@@ -436,10 +438,10 @@ def _signed(difference: Difference, form: Form) -> str:
 
 
 def _regime(regime: Regime) -> str:
-    head, things, (head_predicate, *predicates) = regime.where.head, regime.things, regime.predicates
+    head, things, (verb, *predicates) = regime.where.head, regime.things, regime.predicates
     if predicates:
-        groups = [f"some {things} {head_predicate}", *(f"some {predicate}" for predicate in predicates[:-1])]
+        groups = [f"some {things} {verb}", *(f"some {predicate}" for predicate in predicates[:-1])]
         return f"{head}{listed([*groups, f'others {predicates[-1]}'])}"
     if regime.n < regime.of:
-        return f"{head}all {regime.n:,} decided {things} (of {regime.of:,}) {head_predicate}"
-    return f"{head}{f'all {regime.n:,} ' * (regime.n > 1)}{things} {head_predicate}"
+        return f"{head}all {regime.n:,} decided {things} (of {regime.of:,}) {verb}"
+    return f"{head}{f'all {regime.n:,} ' * (regime.n > 1)}{things} {verb}"

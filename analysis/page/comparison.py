@@ -138,7 +138,7 @@ def _answer(first: str, second: str, steps: Sequence[Step], tables: Mapping[str,
     if not judged:
         lack = few(f"whether {first} and {second} agree", len(steps))
         return Answer(findings=[Decided(Truth.UNDECIDED, lack)], tables=tables)
-    by_setting = {step.name: [step_of for step_of in judged if step_of.name == step.name] for step in judged}
+    by_setting = {step.name: [beside_it for beside_it in judged if beside_it.name == step.name] for step in judged}
     grouped = judged
     if len({*map(outcome, by_setting.values())}) == 1:  # no setting to tell apart
         grouped = [replace(step, name=Setting(second)) for step in judged]

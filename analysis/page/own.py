@@ -172,10 +172,10 @@ def _valid(value: Any, hint: Any, name: str) -> Any:
     if issubclass(kind, Enum):
         return value
     hints = get_type_hints(kind)
-    members = {name_of: _valid(getattr(value, name_of), hints[name_of], f"{name}.{name_of}") for name_of in hints}
-    for name_of, item in members.items():
+    members = {field: _valid(getattr(value, field), hints[field], f"{name}.{field}") for field in hints}
+    for field, item in members.items():
         if isinstance(item, Estimate) and item.value is item.high is None and kind not in (Lifetime, Regime):
-            raise OwnError(f"{name}.{name_of}: expected a value, got {getattr(value, name_of)}; return a Lack")
+            raise OwnError(f"{name}.{field}: expected a value, got {getattr(value, field)}; return a Lack")
     return kind(**members)
 
 
@@ -201,8 +201,8 @@ def _drawn(picture: object, with_pdf: bool) -> Drawn:
             )
         return got
 
-    figure_of = draw(figure, with_pdf)
-    return replace(figure_of, svg=figure_of.svg.translate(_NO_XML), caption=picture.caption)
+    graph = draw(figure, with_pdf)
+    return replace(graph, svg=graph.svg.translate(_NO_XML), caption=picture.caption)
 
 
 def _plain(table: object) -> pd.DataFrame:
@@ -222,7 +222,7 @@ def _column(name: str, given: pd.Series) -> Any:
     values = given.astype(object).where(given.notna(), None).tolist()
     present = [value.item() if isinstance(value, np.generic) else value for value in values if value is not None]
     kinds = {*map(type, present)}
-    dtype = next((dtype for kinds_of, dtype in _DTYPES if kinds <= kinds_of), None)
+    dtype = next((dtype for allowed, dtype in _DTYPES if kinds <= allowed), None)
     if dtype is None:
         names = ", ".join(sorted(kind.__name__ for kind in kinds))
         raise OwnError(f"column {name!r}: expected numbers, true and false, or texts, got {names}")

@@ -202,7 +202,10 @@ class Windows:
         """`at`, by looking up each edge among the levels."""
         runs = zip(edges, self.first[:-1].tolist(), self.first[1:].tolist(), strict=True)
         return np.array(
-            [begin - 1 + np.searchsorted(self.t[begin:end], edges_of, side="right") for edges_of, begin, end in runs]
+            [
+                begin - 1 + np.searchsorted(self.t[begin:end], run_edges, side="right")
+                for run_edges, begin, end in runs
+            ]
         )
 
     def _counted(self, edges: np.ndarray) -> np.ndarray:

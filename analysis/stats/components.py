@@ -79,9 +79,9 @@ def against_redraw(values: np.ndarray, changed: np.ndarray, confidence: float) -
         return float(2 * second[keep].mean() - 2 * cross)
 
     all_units = np.ones(g, dtype=bool)
-    others_of = [all_units & (np.arange(g) != i) for i in range(g)]
+    but_one = [all_units & (np.arange(g) != i) for i in range(g)]
     a, b, redraw = change.mean(), replicate.mean(), redraw_of(all_units)
-    without = np.array([[change[keep].mean(), replicate[keep].mean(), redraw_of(keep)] for keep in others_of])
+    without = np.array([[change[keep].mean(), replicate[keep].mean(), redraw_of(keep)] for keep in but_one])
     top, bottom = a - b, redraw - b
     tops, bottoms = without[:, 0] - without[:, 1], without[:, 2] - without[:, 1]
     covariance = (g - 1) ** 2 / g * np.cov(tops, bottoms)

@@ -145,8 +145,8 @@ def _engine(group: Group, groups: Sequence[Group]) -> Setting:
     """An engine, with the number that tells its settings apart, or several."""
     key = group.key
     engine = engine_name(key["engine"])
-    alike = [group_of.key for group_of in groups if group_of.key["engine"] == key["engine"]]
-    differ = [name for name in (*WIDTHS, *STEPS) if len({group_of[name] for group_of in alike}) > 1]
+    alike = [sibling.key for sibling in groups if sibling.key["engine"] == key["engine"]]
+    differ = [name for name in (*WIDTHS, *STEPS) if len({sibling[name] for sibling in alike}) > 1]
     if len(differ) == 1 and key[differ[0]] is not None:
         return Setting(engine, differ[0], float(key[differ[0]]))
     values = ", ".join(f"{name} = {text(key[name])}" for name in differ if key[name] is not None)
@@ -182,8 +182,8 @@ def _pairs(study: Study, thresholds: _Thresholds) -> Iterator[_Pair]:
             families.setdefault(engine, []).append(group)
         tightest = [family[0] for family in families.values()]
         yield from (_Pair(Kind.LAW, tightest[0], group) for group in tightest[1:])
-        for tightest_one, *looser in families.values():
-            yield from (_Pair(Kind.TOLERANCE, tightest_one, group) for group in looser)
-            exact = tightest[0] if tightest[0].is_exact else tightest_one
-            values = sorted(threshold for label, threshold in thresholds if label == tightest_one.label)
-            yield from (_Pair(Kind.THRESHOLD, exact, tightest_one, threshold) for threshold in values)
+        for tight, *looser in families.values():
+            yield from (_Pair(Kind.TOLERANCE, tight, group) for group in looser)
+            exact = tightest[0] if tightest[0].is_exact else tight
+            values = sorted(threshold for label, threshold in thresholds if label == tight.label)
+            yield from (_Pair(Kind.THRESHOLD, exact, tight, threshold) for threshold in values)

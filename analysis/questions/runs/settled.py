@@ -398,10 +398,10 @@ def regimes(
         in_order.sort(key=lambda outcome: len(outcome) > 1)
     rows: list[tuple[Regime, Sequence[Setting]]] = []
     for outcome in in_order:
-        stretches_of = by_outcome[outcome]
-        settings = [setting for stretch in stretches_of for setting in line[stretch]]
-        where = Place.key(axis.name, listed([text for stretch in stretches_of for text in _span(line[stretch])]))
-        if len(stretches_of) > MOST_STRETCHES:
+        alike_stretches = by_outcome[outcome]
+        settings = [setting for stretch in alike_stretches for setting in line[stretch]]
+        where = Place.key(axis.name, listed([text for stretch in alike_stretches for text in _span(line[stretch])]))
+        if len(alike_stretches) > MOST_STRETCHES:
             where = Place.words(f"at {len(settings)} of {len(line)} values of {axis.name}")
         rows.append((_regime(study, where + line_place, settings, outcome), settings))
     return rows

@@ -172,7 +172,9 @@ def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], counted: Sequence[
     if len(counted) != 1:
         return Place.words(f"averaged over {len(counted)} of the {len(pairs)} settings of the other keys")
     place = pairs[counted[0]][0].place
-    return Place(tuple((axis_of.name, in_words(value)) for axis_of, value in place.items() if axis_of != axis))
+    return Place(
+        tuple((further_axis.name, in_words(value)) for further_axis, value in place.items() if further_axis != axis)
+    )
 
 
 def _is_same(common: _Common, noise: float) -> bool:
@@ -277,19 +279,19 @@ def _thresholds(grid: Grid, setting: Label, unit: str) -> Iterator[Threshold]:
     axis, *axes = grid.axes
     by_place: dict[tuple[KeyValues, ...], list[Point]] = {}
     for point in grid.points[setting]:
-        by_place.setdefault(tuple(point.place[axis_of] for axis_of in axes), []).append(point)
+        by_place.setdefault(tuple(point.place[further_axis] for further_axis in axes), []).append(point)
     for place, points in by_place.items():
         moves = [_all_or_none(point) for point in points]
         if None in (moves[0], moves[-1]) or moves[0] == moves[-1]:
             continue
-        place_last = max(k for k, is_moving in enumerate(moves) if is_moving == moves[0])
-        place_first = moves.index(moves[-1])
-        if place_last > place_first:
+        end = max(k for k, is_moving in enumerate(moves) if is_moving == moves[0])
+        begin = moves.index(moves[-1])
+        if end > begin:
             continue  # more than once
-        keys = tuple((axis_of.name, in_words(value)) for axis_of, value in zip(axes, place, strict=True))
+        keys = tuple((further_axis.name, in_words(value)) for further_axis, value in zip(axes, place, strict=True))
         where = grid.where[setting] + Place(keys)
         n_units = min(point.group.column("unit").nunique() for point in points)
-        ends = [in_words(points[k].place[axis]) for k in (place_last, place_first)]
+        ends = [in_words(points[k].place[axis]) for k in (end, begin)]
         yield Threshold("stick-slip", bool(moves[0]), axis.name, ends[0], ends[1], where, Basis(n_units, unit))
 
 

@@ -68,7 +68,7 @@ def _trend(grid: Grid, steps: Sequence[Step], key: str, is_of_size: bool) -> str
         return f"shows no significant change with {key}"
     if len(verdicts) > 1:
         return f"changes in both directions along {key}"
-    settings, changing = ({step.setting for step in steps_of} for steps_of in (steps, told_apart))
+    settings, changing = ({step.setting for step in steps_here} for steps_here in (steps, told_apart))
     names = [place.noun for label, place in grid.where.items() if str(label) in changing]
     only = f" {listed(names)} only" if len(names) < len(settings) else ""
     return f"{'rises' if (verdicts == {Verdict.MORE}) != is_of_size else 'falls'} with {key}{only}"
@@ -80,7 +80,7 @@ def _lines(grid: Grid, axes: Sequence[Axis], measure: Measure) -> list[Line]:
     Of more axes, at those of their values at which most points have the measure: averages over some values here and
     others there would differ by what these are like.
     """
-    curves_of = [(str(name), grid.points[name]) for name in grid.settings[:MOST_LINES]]
+    curves = [(str(name), grid.points[name]) for name in grid.settings[:MOST_LINES]]
     if len(axes) > 1:
         up, points = axes[1], grid.points[grid.settings[0]]
         places = [tuple(point.place[axis] for axis in axes[2:]) for point in points]
@@ -89,8 +89,8 @@ def _lines(grid: Grid, axes: Sequence[Axis], measure: Measure) -> list[Line]:
         points = [point for place, point in zip(places, points, strict=True) if n_known[place] == n_most]
         n_lines = min(len(up.rows), MOST_LINES)
         rows = [up.rows[k] for k in np.linspace(0, len(up.rows) - 1, n_lines).round().astype(int)]
-        curves_of = [(f"{up.name} = {in_words(row)}", points_at(points, up, row)) for row in rows]
-    return [(name, grid.along(measure, points, axes[0])) for name, points in curves_of]
+        curves = [(f"{up.name} = {in_words(row)}", points_at(points, up, row)) for row in rows]
+    return [(name, grid.along(measure, points, axes[0])) for name, points in curves]
 
 
 @panel()

@@ -115,12 +115,12 @@ def _size_law(
         over = coin if ax is not top else np.ones(len(grid))
         ends = [1.0]
         for k, (label, shares) in enumerate(drawn.items()):
-            sizes_at = np.array([law.size for law in shares], dtype=int)
+            k_sizes = np.array([law.size for law in shares], dtype=int)
             ends_of = [(law.share.value, law.share.low, law.share.high) for law in shares]
-            share, low, high = np.array(ends_of, dtype=float).reshape(-1, 3).T / over[sizes_at - smallest]
+            share, low, high = np.array(ends_of, dtype=float).reshape(-1, 3).T / over[k_sizes - smallest]
             form: Any = {"fmt": "os"[k % 2], "color": (EXACT, SMOOTHED)[k % 2], "markersize": 3, "linewidth": 0.8}
             form["markerfacecolor"] = form["color"] if k % 2 == 0 else "white"
-            ax.errorbar(sizes_at + 0.12 * k, share, yerr=[share - low, high - share], label=label, **form)
+            ax.errorbar(k_sizes + 0.12 * k, share, yerr=[share - low, high - share], label=label, **form)
             ends += [*low, *high]
         if rate.value is not None:
             ax.plot(sizes, fitted(rate.value) / over, color=EXACT, linewidth=1, label="geometric, fit")

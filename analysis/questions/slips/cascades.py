@@ -188,10 +188,10 @@ def answer(study: Study) -> Answer:
     judged = study.judged()
     labels = {group.label for group in judged}
     sums_of_groups = [_sums(study, group, group.label in labels) for group in study.groups]
-    sums = {group_sums.group.label: group_sums for group_sums in sums_of_groups}
-    sizes = {group_sums.group.label: _sizes(group_sums, level) for group_sums in sums_of_groups}
+    sums = {entry.group.label: entry for entry in sums_of_groups}
+    sizes = {entry.group.label: _sizes(entry, level) for entry in sums_of_groups}
     tables = {
-        "law": frame_of(LawRow, [_law_row(group_sums, level) for group_sums in sums_of_groups]),
+        "law": frame_of(LawRow, [_law_row(entry, level) for entry in sums_of_groups]),
         "sizes": frame_of(Size, [size for of_group in sizes.values() for size in of_group]),
     }
     drifting = _drifting(study, judged, sums)
@@ -199,24 +199,22 @@ def answer(study: Study) -> Answer:
         missing: Finding = drifting or lack(study, "the decay rate of cascade sizes")
         alerts = [] if drifting is None else [_drift(study)]
         return Answer(findings=[missing], alerts=alerts, tables=tables, method=_method(study))
-    with_rate = [
-        group_sums for group in judged if (group_sums := sums[group.label]).estimate(gamma, level).low is not None
-    ]
+    with_rate = [entry for group in judged if (entry := sums[group.label]).estimate(gamma, level).low is not None]
     if not with_rate:
         return Answer(findings=[Lack("the decay rate of cascade sizes", Reason.ONE_VALUE)], tables=tables)
-    with_rate.sort(key=lambda group_sums: not _is_exact(group_sums.group))
+    with_rate.sort(key=lambda entry: not _is_exact(entry.group))
     lead = with_rate[0]
-    alike = [group_sums for group_sums in with_rate if _engine(group_sums) == _engine(lead)][:MOST_SETTINGS]
-    names = apart([group_sums.group.name for group_sums in alike], 2 * _has_several_engines(study))
+    alike = [entry for entry in with_rate if _engine(entry) == _engine(lead)][:MOST_SETTINGS]
+    names = apart([entry.group.name for entry in alike], 2 * _has_several_engines(study))
     leading = _findings(study, lead, Place.of(names[0]))
     findings = [rate for sums, name in zip(alike[1:], names[1:], strict=True)
                 for rate in _rates(study, sums, Place.of(name))]  # fmt: skip
-    curves = [group_sums for group_sums in with_rate if group_sums.n == lead.n][:MOST_DRAWN]
+    curves = [entry for entry in with_rate if entry.n == lead.n][:MOST_DRAWN]
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
         findings=[*([] if drifting is None else [drifting]), *leading, *findings],
         n_lead=min(3, len(leading) + (drifting is not None)),
-        alerts=_alerts(study, lead, [group_sums.group for group_sums in with_rate]),
+        alerts=_alerts(study, lead, [entry.group for entry in with_rate]),
         tables={**tables, **definitions.tables},
         figures={**_figures(study, lead, curves, sizes), **definitions.figures},
         method=_method(study),
@@ -291,8 +289,8 @@ def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
         shifted = nulls.moments(run.steps, draws, run.generator(), least)
     cascades = spans(run.win)
     size = cascades.size - (least - 1)
-    part_of = (PARTS * (cascades.start - run.win.t_start) / (run.win.t_stop - run.win.t_start)).astype(np.int64)
-    columns = [np.bincount(part_of[size > 0], weights[size > 0], PARTS) for weights in (size, np.ones(len(size)))]
+    places = (PARTS * (cascades.start - run.win.t_start) / (run.win.t_stop - run.win.t_start)).astype(np.int64)
+    columns = [np.bincount(places[size > 0], weights[size > 0], PARTS) for weights in (size, np.ones(len(size)))]
     return np.concatenate([shifted, np.column_stack(columns).ravel()])
 
 
@@ -352,10 +350,10 @@ def of_systems(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             rates = -np.log1p(-n / total)
         return np.where(np.isfinite(rates), rates, np.nan)
 
-    in_all = parts.sum(axis=1, keepdims=True)
-    left_out = rate(in_all - parts)
+    over_parts = parts.sum(axis=1, keepdims=True)
+    left_out = rate(over_parts - parts)
     off = left_out - left_out.mean(axis=1, keepdims=True)
-    return rate(in_all)[:, 0], np.sqrt((PARTS - 1) / PARTS * np.sum(off**2, axis=1))
+    return rate(over_parts)[:, 0], np.sqrt((PARTS - 1) / PARTS * np.sum(off**2, axis=1))
 
 
 def _alerts(study: Study, lead: Sums, known: Sequence[Group]) -> list[Alert]:
@@ -423,7 +421,7 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str
     of_each = [
         Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])[np.isfinite(errors)]
     ]
-    labels: Sequence[Label] = apart([group_sums.group.name for group_sums in drawn])
+    labels: Sequence[Label] = apart([sums.group.name for sums in drawn])
     of_which = f" ({labels[0]})" if labels[0] else ""
     is_known = np.isfinite(errors)
     lasting = between(values[is_known], errors[is_known], PARTS - 1, level)
@@ -432,8 +430,7 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str
         share = with_interval(lasting, Form.SHARE)
         scatter = f" Fraction of the variance between systems not explained by sampling error: {share}."
     laws = {
-        str(label or lead.group.label): sizes[sums_of.group.label]
-        for label, sums_of in zip(labels, drawn, strict=True)
+        str(label or lead.group.label): sizes[curve.group.label] for label, curve in zip(labels, drawn, strict=True)
     }
     example, largest, draw_run = _first_run(study, lead.group)
     below = " Below: the same relative to p = 1/2." * cascade_figures.is_split(laws)

@@ -268,12 +268,12 @@ def _levels(groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apar
     primary = sorted((pair for pair in apart if pair.name in PRIMARY), key=lambda pair: not pair.is_shown)
     findings: list[Finding] = [level for pair in primary if (level := _beside(pair, unit)) is not None]
     several = [(name, group) for name in _COMPARED for group in groups if name != RATE]
-    of_lead = [(name, lead) for name in (QUIET, STORED, OCCUPANCY)]
+    lead_only = [(name, lead) for name in (QUIET, STORED, OCCUPANCY)]
     compared = [id(pair.setting) for pair in apart]
     rates = [(RATE, group) for group in groups if group is not lead and id(group) not in compared]
     findings += [
         _level(group, name, apart, unit)
-        for name, group in (*rates, *several, *of_lead)
+        for name, group in (*rates, *several, *lead_only)
         # without the strain, which may fall, slip in episodes is no share of the travel
         if group.estimates[name].value is not None and (name != SLIP or group.estimates[STORED].value is not None)
     ]
@@ -482,17 +482,19 @@ def _rates(systems: Sequence[Sequence[Catalogues]], first_edge: float, level: fl
     for finest, *settings in systems:
         reference = {edge: finest.at_least(edge) for edge in edges}
         for group, edge in itertools.product((finest, *settings), edges):
-            of_reference = reference[edge]
-            sums = of_reference if group is finest else group.at_least(edge)
+            reference_sums = reference[edge]
+            sums = reference_sums if group is finest else group.at_least(edge)
             n_episodes = int(sum(row[0] for row in sums.values()))
             if n_episodes < FEWEST:
                 continue
             rate = over_matrices(ratio, np.array([*sums.values()]), level)
             over = Estimate()
-            units = sorted(sums.keys() & of_reference.keys())
-            if group is not finest and len(units) > 1 and sum(row[0] for row in of_reference.values()) >= FEWEST:
+            units = sorted(sums.keys() & reference_sums.keys())
+            if group is not finest and len(units) > 1 and sum(row[0] for row in reference_sums.values()) >= FEWEST:
                 over = _over(
-                    np.array([of_reference[unit] for unit in units]), np.array([sums[unit] for unit in units]), level
+                    np.array([reference_sums[unit] for unit in units]),
+                    np.array([sums[unit] for unit in units]),
+                    level,
                 )
             rates.append(Frequency(group.label, float(edge), n_episodes, within(rate, 0.0), over))
     return rates

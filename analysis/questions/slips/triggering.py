@@ -114,7 +114,7 @@ def exits_of(study: Study, group: Group) -> Exits | None:
 def compare(label: str, rows: np.ndarray, taus: Sequence[float], confidence: float) -> list[Pairs]:
     """Pairs beside those of time-shifted blocks, from `measure` of units, shape (G, len(taus), 2)."""
     by_tau = (rows[:, k] for k in range(len(taus)))
-    effects = [over_null(lambda sums: sums[:, 0], rows_of[:, :1], rows_of[:, 1:], confidence) for rows_of in by_tau]
+    effects = [over_null(lambda sums: sums[:, 0], columns[:, :1], columns[:, 1:], confidence) for columns in by_tau]
     pairs = []
     for k, effect in enumerate(together(effects)):
         observed = over_matrices(ratio, np.column_stack([rows[:, k, 0], np.ones(len(rows))]), confidence)
