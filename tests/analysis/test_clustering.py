@@ -49,9 +49,9 @@ def test_gaps_are_those_on_the_circle_below_the_reach():
 # ------------------------------------------------------------------------------------------ the questions
 
 
-def study_of(planted, runs, with_events=True, thresholds=()):
+def study_of(planted, runs, with_events=True, t_burn=20.0):
     """Runs given as `BlockSteps` as an ensemble: a matrix each."""
-    rows, series, events, by_threshold = [], {}, {}, {}
+    rows, series, events = [], {}, {}
     for matrix, steps in enumerate(runs):
         member_id = f"run-{matrix:02d}"
         rows.append(planted.member(member_id, matrix, t_end=SPAN, t_stop=SPAN))
@@ -64,10 +64,7 @@ def study_of(planted, runs, with_events=True, thresholds=()):
         if with_events:
             mode = np.where(steps.step > 0, 0, 1).astype(np.int8)
             events[member_id] = (steps.t, steps.block, mode, np.where(sticks, 0, 1).astype(np.int8))
-        for c in thresholds:
-            by_threshold.setdefault(member_id, {})[c] = (t, n_stick)
-    settings = AnalysisSettings(20.0, (0.5, 2.0), 5, 0.95, 0)
-    return Study(Data(pd.DataFrame(rows), series, events, {}, by_threshold), settings)
+    return Study(Data(pd.DataFrame(rows), series, events), AnalysisSettings(t_burn, (0.5, 2.0), 5, 0.95, 0))
 
 
 def followers(rng, steps, share):
