@@ -77,8 +77,8 @@ def by_step(ax: Axes, rows: Sequence[Defined]) -> None:
         points = [row for row in rows if row.definition == definition and row.gamma.low is not None]
         ends = [(row.dt, row.gamma.value, row.gamma.low, row.gamma.high) for row in points]
         dt, value, low, high = np.array(ends, dtype=np.float64).reshape(-1, 4).T
-        ax.errorbar(dt, value, [value - low, high - value], label=definition, color=CYCLE[k], fmt="oDs^"[k],
-                    linestyle=("-", "-", "--", "--")[k], markersize=3, linewidth=0.9)  # fmt: skip
+        form, errors = ("o-", "D-", "s--", "^--")[k], [value - low, high - value]
+        ax.errorbar(dt, value, errors, fmt=form, label=definition, color=CYCLE[k], markersize=3, linewidth=0.9)
     steps = sorted({row.dt for row in rows if row.dt is not None})
     ax.set(xscale="log", xlabel="sampling step dt", ylabel="decay rate")
     ax.set_xticks(steps[:: max(1, -(-len(steps) // 5))])

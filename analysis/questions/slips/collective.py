@@ -161,8 +161,10 @@ def spectrum(ax: Axes, groups: Mapping[str, Sequence[Band]]) -> None:
         with_interval = [band for band in bands if band.ratio.low is not None]
         ends = [(band.middle, band.ratio.value, band.ratio.low, band.ratio.high) for band in with_interval]
         period, ratio, low, high = np.array(ends, dtype=np.float64).reshape(-1, 4).T
-        ax.errorbar(period, ratio, [ratio - low, high - ratio], color=colour, label=label, fmt="os^"[k],
-                    markerfacecolor=(EXACT, "white", "white")[k], markersize=3, linewidth=0.9)  # fmt: skip
+        face, errors = (EXACT, "white", "white")[k], [ratio - low, high - ratio]
+        ax.errorbar(
+            period, ratio, errors, fmt="os^"[k], color=colour, mfc=face, label=label, markersize=3, linewidth=0.9
+        )
         models = [band.model for band in bands if band.model is not None]
         if models:
             ax.plot([band.middle for band in bands], models, color=colour)
