@@ -282,6 +282,14 @@ def test_the_figures_along_a_key(swept, settings):
     figures = fates.answer(Study(swept, settings)).figures
     (ax,) = figures["fates"].recipe().axes
     assert [bar.get_width() for bar in ax.containers[0]] == [0.0] * 8 + [1.0] * 4  # sliding
+    above, middle, below = figures["bifurcation"].recipe().axes
+    (line,) = above.lines
+    expected = [(v, 0.5) for v in range(1, 5)] + [(v, 0.5 + s * v / 10) for v in range(5, 8) for s in (1, -1)]
+    np.testing.assert_allclose(sorted(zip(*line.get_data(), strict=True)), sorted(expected))  # five runs, one dot
+    np.testing.assert_allclose(middle.lines[0].get_ydata(), [0.3, 0.5, 0.7, 0.9, 0.5, 0.5, 0.5])
+    np.testing.assert_allclose(below.lines[0].get_ydata(), [3.0] * 4 + [6.0] * 3)
+    assert "Left out: 25 runs" in figures["bifurcation"].caption
+    assert [*figures][:2] == ["fates", "bifurcation"]
 
 
 def test_stretches_bridge_what_is_not_known_only_between_alikes():
@@ -323,6 +331,9 @@ def test_the_figures_over_two_keys(over_two, settings):
     cells = np.ma.filled(ax.collections[0].get_array(), -1).reshape(3, 5)
     assert [len(set(row[: k + 1])) for k, row in enumerate(cells)] == [1, 1, 1]
     assert [(row[k + 1 :] != row[0]).all() for k, row in enumerate(cells)] == [True] * 3
+    above, *_ = figures["bifurcation"].recipe().axes
+    drawn = {tuple(line.get_xdata()) for line in above.lines}
+    assert drawn == {(1.0,), (2.0, 3.0, 4.0, 5.0)}  # exits of the cycle, and the slides
 
 
 def test_what_is_certain_to_slide_for_ever_has_collapsed(over_two, settings):

@@ -46,12 +46,14 @@ from stickslip.analysis.models.fates import (
     QUIET,
     Curve,
     half_ended,
+    is_unstable,
     median,
     survival,
 )
-from stickslip.analysis.questions.runs import fate_figures
+from stickslip.analysis.questions.runs import bifurcations, fate_figures
 from stickslip.analysis.questions.runs.settled import (
     MOST_LEADING,
+    PREDICATES,
     Grid,
     Outcome,
     Portion,
@@ -60,6 +62,7 @@ from stickslip.analysis.questions.runs.settled import (
     portions,
     predicates,
     regimes,
+    share_of,
     stretches,
     things,
     together,
@@ -120,6 +123,7 @@ def answer(study: Study) -> Answer:
     recorded = {group.label for setting in grid.settings if setting.is_recorded for group in setting.groups}
     short = [row.group for row in tested if row.is_short and row.group not in recorded]
     figures = fate_figures.pictures(study, grid, {row.setting.where: row.curve for row in ends})
+    figures |= bifurcations.pictures(study, grid)
     figures |= _along_t_burn(study, by_t_burn, short, len(figures) > 1)
     return Answer(
         findings=[*leading, *secondary] or [Lack("what became of the runs", Reason.ALL_FAILED)],
@@ -172,7 +176,7 @@ def _findings(study: Study, grid: Grid, ends: Sequence[Ends]) -> tuple[list[Find
         leading += [_lifetime(study, row) for row in lifetimes if row is lead]
         secondary += [_lifetime(study, row) for row in lifetimes if row is not lead]
     with_ends = [row.setting for row in ends]
-    return leading, [*secondary, *_delays(study), *_means(study, with_ends)]
+    return leading, [*secondary, *_delays(study), *_stability(study, with_ends), *_means(study, with_ends)]
 
 
 def _outcomes(
@@ -262,8 +266,29 @@ def _delays(study: Study) -> Iterator[Level]:
 
 def _last_events(group: Group) -> pd.Series:
     """The mean time of the last events of each unit's runs; NaN if one of them goes on, or failed."""
-    times = pd.Series(np.where(np.isin(group.fates, (*ENDS, QUIET)), group.last[:, 0], np.nan))
-    return times.groupby(group.column("unit").to_numpy()).agg(lambda ends: ends.mean(skipna=False))
+    times = np.where(np.isin(group.fates, (*ENDS, QUIET)), group.last[:, 0], np.nan)
+    units, places = np.unique(group.column("unit").to_numpy(), return_inverse=True)
+    return pd.Series(np.bincount(places, times) / np.bincount(places), units)
+
+
+def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
+    """What runs do whose state in which all blocks slip is linearly stable, and those of which it is unstable."""
+    if not settings:
+        return
+    runs = together(settings)
+    rates = study.data.table.own["growth_rate"].to_numpy(np.float64)[runs.rows]
+    unstable = np.asarray(is_unstable(rates))
+    for state, chosen, kind in (
+        ("stable", ~np.isnan(rates) & ~unstable, SLIDING),
+        ("unstable", unstable, ESCAPING),
+    ):
+        subset = runs.at(chosen)
+        if len(subset.rows) and runs.n_of(kind):
+            nothing = np.zeros(len(subset.rows))
+            share = share_of(subset.kinds == kind, nothing, subset.units, study.settings.confidence)
+            basis = Basis(len(np.unique(subset.units)), noun(study.unit))
+            name = f"runs with a linearly {state} all-slip state"
+            yield Share(f"{state}_{kind}", name, PREDICATES[kind], share, EVERYWHERE, None, basis, len(subset.rows))
 
 
 def _means(study: Study, settings: Sequence[Setting]) -> list[Level]:
