@@ -9,7 +9,9 @@ import pytest
 from stickslip.analysis import Study
 from stickslip.analysis.burn_in import estimates, geweke
 from stickslip.analysis.ensemble import Recorded
+from stickslip.analysis.models.motion import early_and_late
 from stickslip.analysis.questions.runs import fates
+from stickslip.analysis.series.windows import Stack, windows
 from tests.analysis.designs import Data
 from tests.chance import SURE, agrees
 
@@ -46,6 +48,12 @@ def settings(settings):
 def of_groups(data, settings):
     study = Study(data, settings)
     return geweke(study, study.groups)
+
+
+def test_early_is_the_first_tenth_and_late_the_last_half():
+    """One more block sticks at each unit of time."""
+    ramp = windows(Stack.of([(np.arange(100.0), np.arange(100))]), 0.0, [100.0])
+    assert early_and_late(ramp).tolist() == [[4.5, 74.5]]
 
 
 def test_steady_series_are_called_too_short_at_the_nominal_rate(planted, settings, rng):
