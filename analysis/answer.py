@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -20,8 +19,6 @@ from stickslip.analysis.stats.estimates import Estimate
 
 #: Draws a figure from plain data when called.
 Recipe = Callable[[], Figure]
-Row = dict[Any, Any]
-
 Table = pd.DataFrame
 
 
@@ -61,6 +58,11 @@ class Answer:
     paragraph: str = ""
     tables: Mapping[str, Table] = field(default_factory=dict)
     figures: Mapping[str, Picture] = field(default_factory=dict)
+
+    @property
+    def is_lack(self) -> bool:
+        """Whether there is no answer."""
+        return all(isinstance(finding, Lack) for finding in self.findings)
 
 
 def _always(study: Study) -> bool:
@@ -105,7 +107,7 @@ class Question:
     def is_asked_of(self, study: Study) -> bool:
         """Whether data of this kind can have an answer."""
         return not self.of_cascades or (
-            study.data.episodes is None and any(one["n"] > 2 for one in study.data.table.settings)
+            study.data.episodes is None and any(setting["n"] > 2 for setting in study.data.table.settings)
         )
 
 
@@ -131,19 +133,7 @@ def lack(study: Study, what: str) -> Lack:
     return Lack(what, reason, detail * bool(basis.n_matrices))
 
 
-S, I, F, B = "string", "Int64", "Float64", "boolean"  # noqa: E741  nullable types: a null, never NaN
-
-
-def frame(schema: Mapping[str, str], rows: Iterable[Mapping[str, object]]) -> pd.DataFrame:
-    """Data frame of some rows, with the columns and nullable types of a schema; what a row lacks is null."""
-    listed = list(rows)
-    columns: dict[str, Any] = dict(schema)  # pandas' stubs know each dtype by its literal name only
-    return pd.DataFrame(
-        {column: pd.array([row.get(column) for row in listed], dtype=dtype) for column, dtype in columns.items()}
-    )
-
-
-def named(name: str, estimate: Estimate) -> Row:
+def named(name: str, estimate: Estimate) -> dict[str, float | None]:
     """Columns of an estimate: its value and the ends of its interval; raises a ValueError if it is none."""
     estimate = arguments.instance("estimate", estimate, Estimate)
     return {name: estimate.value, f"{name}_low": estimate.low, f"{name}_high": estimate.high}

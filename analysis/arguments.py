@@ -24,10 +24,10 @@ def number(name: str, value: object, expected: str = "a number") -> float:
 
 def numbers(name: str, values: ArrayLike, expected: str) -> np.ndarray:
     """An array of numbers, float64."""
-    found = np.asarray(values)
-    if found.dtype.kind not in "iuf":
+    array = np.asarray(values)
+    if array.dtype.kind not in "iuf":
         raise ValueError(f"{name}: expected {expected}, got {reprlib.repr(values)}; give numbers")
-    return found.astype(np.float64)
+    return array.astype(np.float64)
 
 
 def instance(name: str, value: object, kind: type[_Kind]) -> _Kind:

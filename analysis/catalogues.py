@@ -36,7 +36,7 @@ from stickslip.pipeline.design.labels import Label
 from stickslip.sim.engines import place
 
 ONE_MOMENT = "most episodes have one moment"  # why there is no b
-_READ = ["start", "end", "size", "moment", "first_block", "z_sum"]
+_READ = ["start", "end", "size", "moment", "z_sum"]
 
 
 @dataclass
@@ -45,7 +45,6 @@ class Catalogues:
 
     Attributes
     ----------
-    group : Group
     runs : dict of int to list of Catalogue
         By unit.
     confidence : float
@@ -112,12 +111,16 @@ class Catalogues:
 
     def each(self) -> Iterator[Catalogue]:
         """The catalogues of all runs."""
-        for some in self.runs.values():
-            yield from some
+        for runs in self.runs.values():
+            yield from runs
 
     def magnitudes(self) -> np.ndarray:
         """Magnitudes of all episodes, run by run."""
-        return np.concatenate([one.magnitude for one in self.each()] or [np.zeros(0)])
+        return np.concatenate([run.magnitude for run in self.each()] or [np.zeros(0)])
+
+    def magnitudes_of(self, unit: int) -> np.ndarray:
+        """Magnitudes of the episodes of a unit."""
+        return np.concatenate([run.magnitude for run in self.runs[unit]])
 
     def atom(self, magnitude: float) -> float:
         """`models.episodes.atom` of the episodes of at least that magnitude."""
@@ -145,17 +148,20 @@ class Catalogues:
         }  # fmt: skip
 
 
-def read(study: Study, episodes: pd.DataFrame) -> list[Catalogues]:
-    """The catalogues of each group with a run that reached t_end, in the order of `fineness`."""
-    of_member = {str(name): some for name, some in episodes.groupby("member_id", sort=False)}
+def read(study: Study) -> list[Catalogues]:
+    """The catalogues of each group with a run that reached t_end, in the order of `fineness`; none if unrecorded."""
+    episodes = study.data.episodes
+    if episodes is None:
+        return []
+    of_member = {str(name): table for name, table in episodes.groupby("member_id", sort=False)}
     groups = sorted(study.groups, key=fineness)
-    found = [Catalogues(group, _by_unit(study, group, of_member), study.settings.confidence) for group in groups]
-    found = [one for one in found if one.runs]
-    for some in systems(found):
-        least = next((float(one.magnitudes().min()) for one in some if len(one.magnitudes())), 0.0)
-        for one in some:
-            one.least = least
-    return found
+    filled = [Catalogues(group, _by_unit(study, group, of_member), study.settings.confidence) for group in groups]
+    filled = [entry for entry in filled if entry.runs]
+    for table in systems(filled):
+        smallest = next((float(entry.magnitudes().min()) for entry in table if len(entry.magnitudes())), 0.0)
+        for entry in table:
+            entry.least = smallest
+    return filled
 
 
 def fineness(group: Group) -> tuple[Any, ...]:
@@ -165,7 +171,7 @@ def fineness(group: Group) -> tuple[Any, ...]:
 
 def _by_unit(study: Study, group: Group, of_member: Mapping[str, pd.DataFrame]) -> dict[int, list[Catalogue]]:
     """The catalogues of a group's finished runs by unit; that of a run without episodes is empty."""
-    found: dict[int, list[Catalogue]] = {}
+    by_unit: dict[int, list[Catalogue]] = {}
     t_start = study.settings.t_burn
     n, v = int(group.key["n"]), group.key["belt_speed"]
     finished = group.finished
@@ -175,14 +181,14 @@ def _by_unit(study: Study, group: Group, of_member: Mapping[str, pd.DataFrame]) 
         if member_id in of_member:
             columns = of_member[member_id].reindex(columns=_READ).to_numpy(np.float64, na_value=np.nan).T
             columns = columns[:, (columns[0] >= t_start) & (columns[3] != 0)]
-        start, end, size, moment, first_block, z_sum = columns
+        start, end, size, moment, z_sum = columns
         slip = np.nan if not v else n * abs(float(v)) * (float(t_end) - t_start)
-        whole = (size.astype(np.int64), moment, slip, first_block.astype(np.int64))
         moving = _moving(*study.runs.points(member_id), n, t_start, float(t_end))
         carried = np.sign(float(v)) * z_sum if v else None
-        one = Catalogue(t_start, float(t_end), start, end - start, *whole, moving, carried)
-        found.setdefault(int(unit), []).append(one)
-    return found
+        sizes = size.astype(np.int64)
+        run = Catalogue(t_start, float(t_end), start, end - start, sizes, moment, slip, moving, carried)
+        by_unit.setdefault(int(unit), []).append(run)
+    return by_unit
 
 
 def _moving(t: np.ndarray, n_stick: np.ndarray, n: int, t_start: float, t_end: float) -> float:
@@ -194,8 +200,8 @@ def _moving(t: np.ndarray, n_stick: np.ndarray, n: int, t_start: float, t_end: f
 def systems(found: Sequence[Catalogues]) -> list[list[Catalogues]]:
     """Groups of the same systems together, in their order: the others are compared with the first."""
     by_key: dict[tuple[Any, ...], list[Catalogues]] = {}
-    for one in found:
-        by_key.setdefault(tuple(one.group.key[name] for name in SYSTEM_KEYS), []).append(one)
+    for entry in found:
+        by_key.setdefault(tuple(entry.group.key[name] for name in SYSTEM_KEYS), []).append(entry)
     return list(by_key.values())
 
 
@@ -204,8 +210,8 @@ def summarise(group: Catalogues) -> None:
     units = np.array([unit for unit, runs in group.runs.items() for _ in runs])
     for name, quantity in {**QUANTITIES, **REST, **SLOW_DRIVE}.items():
         rows = np.array([quantity.sums(run, group.least) for run in group.each()], dtype=np.float64)
-        known = np.isfinite(rows).all(axis=1) & (name != B_VALUE or not group.b_reason)
-        group.sums[name] = UnitSums.of(units[known], rows[known])
+        is_known = np.isfinite(rows).all(axis=1) & (name != B_VALUE or not group.b_reason)
+        group.sums[name] = UnitSums.of(units[is_known], rows[is_known])
         group.estimates[name] = over_matrices(quantity.of, group.sums[name].counted.rows, group.confidence)
     if group.is_judged:
         group.b, group.has_b = b_of_law(group, group.confidence), has_b(group, group.confidence)
@@ -216,9 +222,9 @@ def summarise(group: Catalogues) -> None:
 
 def classes(one: Catalogues) -> np.ndarray:
     """Histogram of magnitudes of each unit, from `least` to the largest, shape (G, K)."""
-    by_unit = [np.concatenate([run.magnitude for run in runs]) for runs in one.runs.values()]
+    by_unit = [one.magnitudes_of(unit) for unit in one.runs]
     n_classes = int(np.floor((one.magnitudes().max() - one.least) / FITTED + 1e-9)) + 1
-    return np.array([in_classes(some, one.least, max(n_classes, 0)) for some in by_unit], dtype=np.float64)
+    return np.array([in_classes(values, one.least, max(n_classes, 0)) for values in by_unit], dtype=np.float64)
 
 
 def fits_of(one: Catalogues, n_laws: int = 3) -> list[Fit]:

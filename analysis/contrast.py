@@ -30,10 +30,9 @@ from stickslip.analysis.models.times import Times, median_difference
 from stickslip.analysis.stats import estimates
 from stickslip.analysis.stats.compare import (
     Compared,
-    Inverted,
+    Test,
     bounded_difference,
     bounded_ratio,
-    equivalence_test,
     mean_difference,
     mean_within,
     relative_difference,
@@ -87,10 +86,10 @@ class Statistic:
         """Its value on some units, with an interval over these."""
         return within(over_matrices(self.of, sums.rows, confidence), self.least, self.most)
 
-    def test(self, first: UnitSums, second: UnitSums, paired: bool, is_relative: bool) -> Compared | Inverted:
+    def test(self, first: UnitSums, second: UnitSums, paired: bool, is_relative: bool) -> Test:
         """By how much the second is larger, or that in units of the first's size; may raise `Undefined`."""
         difference = relative_difference if is_relative else mean_difference
-        return equivalence_test(*difference(self.of, first.rows, second.rows, paired), self.margin or 0.0)
+        return difference(self.of, first.rows, second.rows, paired)
 
 
 @dataclass(frozen=True)
@@ -103,11 +102,10 @@ class Bounded(Statistic):
     def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
         return mean_within(sums.rows, self.most, confidence, self.is_counted)
 
-    def test(self, first: UnitSums, second: UnitSums, paired: bool, is_relative: bool) -> Compared | Inverted:
-        margin = self.margin or 0.0
+    def test(self, first: UnitSums, second: UnitSums, paired: bool, is_relative: bool) -> Test:
         if is_relative:
-            return bounded_ratio(first.rows, second.rows, paired, margin, self.most)
-        return bounded_difference(first.rows, second.rows, paired, margin, self.most, self.is_counted)
+            return bounded_ratio(first.rows, second.rows, paired, self.most)
+        return bounded_difference(first.rows, second.rows, paired, self.most, self.is_counted)
 
 
 @dataclass(frozen=True)
@@ -143,7 +141,7 @@ class Median(Statistic):
     def test(self, first: UnitSums, second: UnitSums, paired: bool, is_relative: bool) -> Compared:
         assert isinstance(first, Times)
         assert isinstance(second, Times)
-        return equivalence_test(*median_difference(first, second, paired, is_relative), self.margin or 0.0)
+        return median_difference(first, second, paired, is_relative)
 
 
 @dataclass(frozen=True)
@@ -152,14 +150,12 @@ class Contrast:
 
     Attributes
     ----------
-    statistic : Statistic
     n_first, n_second : int
         Units.
-    first, second : Estimate
     absolute, relative : Estimate
         The second less the first; and in units of the size of the first, where that is not zero within its interval.
-    p_different, p_equivalent : float, optional
-        p-values of the test of no difference, and of that of one beyond the margin, if a margin is declared.
+    p_different : float, optional
+        p-value of the test of no difference.
     scale : Scale
         In which the difference is said if no margin is declared.
     is_same : bool
@@ -178,7 +174,6 @@ class Contrast:
     absolute: Estimate = _NO_VALUE
     relative: Estimate = _NO_VALUE
     p_different: float | None = None
-    p_equivalent: float | None = None
     scale: Scale = Scale.RELATIVE
     is_same: bool = False
     family: Family | None = None
@@ -215,11 +210,6 @@ class Contrast:
         return self.difference.margin is not None
 
     @property
-    def p_equivalent_holm(self) -> float | None:
-        """That of a difference beyond the margin, adjusted for its family."""
-        return None if self.family is None or self.p_equivalent is None else self.family.p_equivalent
-
-    @property
     def weight(self) -> tuple[bool, float]:
         """Sorts contrasts: differences that are shown come last, and large ones."""
         estimate = self.difference.estimate
@@ -253,11 +243,8 @@ def contrast(
 
     Parameters
     ----------
-    statistic : Statistic
     first, second : UnitSums
         Units in which nothing was counted are left out; of paired ones, all that not both have.
-    paired : bool
-    confidence : float
     scale : Scale
         In which the difference is said if no margin is declared.
     withheld : str
@@ -294,13 +281,12 @@ def contrast(
         absolute=_interval(test, confidence),
         relative=relative,
         p_different=of_ratio.p_different if of_ratio is not None and is_relative else test.p_different,
-        p_equivalent=of_ratio.p_equivalent if of_ratio is not None and has_margin else None,
     )
 
 
 def _relative(
     bare: Contrast, reference: UnitSums, changed: UnitSums, paired: bool, confidence: float
-) -> tuple[Estimate, Compared | Inverted | None]:
+) -> tuple[Estimate, Test | None]:
     """The difference in units of the first, and its tests; without where there is none.
 
     There is none of what is zero within its interval, nor of shares of runs. What is not negative falls by all of it
@@ -321,23 +307,15 @@ def _relative(
     return relative, test
 
 
-def _interval(test: Compared | Inverted, confidence: float) -> Estimate:
+def _interval(test: Test, confidence: float) -> Estimate:
     return Estimate(test.difference, *test.interval(confidence))
 
 
 def judged(contrasts: Sequence[Contrast], alpha: float) -> list[Contrast]:
-    """Contrasts as a family: p-values of a difference and of equivalence are adjusted by Holm's rule over all."""
-    different = _adjusted([contrast.p_different for contrast in contrasts])
-    equivalent = _adjusted([contrast.p_equivalent for contrast in contrasts])
+    """Contrasts as a family: p-values of a difference are adjusted by Holm's rule over all."""
+    p_values = {k: contrast.p_different for k, contrast in enumerate(contrasts) if contrast.p_different is not None}
+    adjusted = dict(zip(p_values, holm([*p_values.values()]).tolist(), strict=True))
     return [
-        replace(contrast, family=Family(len(different), different[k], equivalent.get(k, 1.0), alpha))
-        if k in different
-        else contrast
+        replace(contrast, family=Family(len(p_values), adjusted[k], alpha)) if k in p_values else contrast
         for k, contrast in enumerate(contrasts)
     ]
-
-
-def _adjusted(p_values: Sequence[float | None]) -> dict[int, float]:
-    """Those that there are, by their place, adjusted by Holm's rule."""
-    known = {k: p for k, p in enumerate(p_values) if p is not None}
-    return dict(zip(known, holm([*known.values()]).tolist(), strict=True))

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -68,18 +68,6 @@ def _as_number(value: float | None) -> float:
     return np.nan if value is None or pd.isna(value) else float(value)
 
 
-class Until(NamedTuple):
-    """A time until something happens, which the end of a run may cut off: a run without one was followed to its end.
-
-    Attributes
-    ----------
-    since : float
-        The time of the run from which on it counts.
-    """
-
-    since: float = 0.0
-
-
 class Recorded(NamedTuple):
     """A number that a record keeps of every run.
 
@@ -103,8 +91,8 @@ class Recorded(NamedTuple):
         Whether that says what it is, without `words`.
     is_share : bool
         Whether it is a yes or a no, of which shares are taken.
-    until : Until, optional
-        If it is a time until something happens, which the end of a run may cut off.
+    since : float, optional
+        If it is a time until something happens, which the end of a run may cut off: from when on it counts.
     of_gaps : "mean" or "scatter", optional
         If it is of the times between exits of the same block that lie within a window, which cuts off the long ones.
     """
@@ -117,7 +105,7 @@ class Recorded(NamedTuple):
     called: str = ""
     says_it: bool = False
     is_share: bool = False
-    until: Until | None = None
+    since: float | None = None
     of_gaps: str = ""
     most: float | None = None
 
@@ -179,23 +167,32 @@ class Study:
     data: Data
     settings: AnalysisSettings
     put: Put | None = None
+    _made: dict[tuple[object, str], Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check(self.data.table, self.settings)
+
+    def once(self, of: Callable[..., T], group: Group | None = None) -> T:
+        """What a function gives of the study, or of it and a group, made when it is first asked for."""
+        key = of, "" if group is None else group.label
+        if key not in self._made:
+            self._made[key] = of(self) if group is None else of(self, group)
+        made: T = self._made[key]
+        return made
 
     @cached_property
     def groups(self) -> list[Group]:
         """Groups of the unchanged members, filled, by n and engine."""
         members = self.data.table
-        found = groups(members, members.unchanged)
-        fill(found, self._motion(motion, members.unchanged))
-        return found
+        filled = groups(members, members.unchanged)
+        fill(filled, self._motion(motion, members.unchanged))
+        return filled
 
     def _motion(self, of: Callable[..., Motion], rows: np.ndarray) -> Iterator[tuple[np.ndarray, Motion]]:
         for k in range(0, len(rows), _TOGETHER):
-            some = rows[k : k + _TOGETHER]
-            for places, part in self._put(of, self.ended(some)):
-                yield some[np.asarray(places)], part
+            batch = rows[k : k + _TOGETHER]
+            for places, motions in self._put(of, self.ended(batch)):
+                yield batch[np.asarray(places)], motions
 
     @cached_property
     def runs(self) -> Runs:
@@ -212,12 +209,12 @@ class Study:
     def ended(self, rows: np.ndarray) -> Ended:
         """How the runs of some members ended, by their rows and in their order."""
         table = self.data.table
-        own = pd.DataFrame({name: table.own[name].iloc[rows] for name in _ENDS if name in table.own})
-        settings = own["setting"].to_numpy()
+        columns = pd.DataFrame({name: table.own[name].iloc[rows] for name in _ENDS if name in table.own})
+        settings = columns["setting"].to_numpy()
         n, t_end = (np.array([setting[name] for setting in table.settings])[settings] for name in ("n", "t_end"))
-        t_stop, rates = (own[name].to_numpy(np.float64, na_value=np.nan) for name in ("t_stop", "growth_rate"))
-        names, outcomes = (column.to_numpy(object) for column in (own["member_id"], known_outcomes(own)))
-        return Ended(rows, names, own["unit"].to_numpy(), outcomes, t_end, t_stop, rates, n)
+        t_stop, rates = (columns[name].to_numpy(np.float64, na_value=np.nan) for name in ("t_stop", "growth_rate"))
+        names, outcomes = (column.to_numpy(object) for column in (columns["member_id"], known_outcomes(columns)))
+        return Ended(rows, names, columns["unit"].to_numpy(), outcomes, t_end, t_stop, rates, n)
 
     @cached_property
     def motion(self) -> Motion:
@@ -228,8 +225,8 @@ class Study:
         ValueError
             If a member that did not fail has no change points, or they are not a series; the error names the member.
         """
-        every = self._motion(partial(motion, is_brief=True), np.arange(len(self.data.table)))
-        return joined([part.in_order(np.argsort(rows)) for rows, part in every])
+        batches = self._motion(partial(motion, is_brief=True), np.arange(len(self.data.table)))
+        return joined([batch.in_order(np.argsort(rows)) for rows, batch in batches])
 
     def each(self, of: Callable[..., np.ndarray], rows: np.ndarray, beside: np.ndarray | None = None) -> np.ndarray:
         """What a function gives of some runs, by their rows and in their order: a row of an array each.
@@ -243,16 +240,16 @@ class Study:
         beside : ndarray of int, optional
             One run more for each of them.
         """
-        found: list[np.ndarray] = []
+        arrays: list[np.ndarray] = []
         places: list[int] = []
-        for own, given in self._put(of, self.ended(rows), None if beside is None else self.ended(beside)):
-            places += own
-            found.append(given)
-        return np.concatenate(found)[np.argsort(places, kind="stable")] if found else np.zeros((0, 0))
+        for numbers, values in self._put(of, self.ended(rows), None if beside is None else self.ended(beside)):
+            places += numbers
+            arrays.append(values)
+        return np.concatenate(arrays)[np.argsort(places, kind="stable")] if arrays else np.zeros((0, 0))
 
     def total(self, of: Callable[..., np.ndarray], rows: np.ndarray) -> np.ndarray:
         """The sum of arrays that a function gives of some runs together, by their rows, at least one; as `each`."""
-        return np.sum([given for _, given in self._put(of, self.ended(rows))], axis=0)
+        return np.sum([totals for _, totals in self._put(of, self.ended(rows))], axis=0)
 
     def sums(self, group: Group, of: Callable[[Run], np.ndarray | None], n_columns: int) -> np.ndarray:
         """The sums over runs of what a function gives of each run in motion of a group.
@@ -276,12 +273,12 @@ class Study:
             If the change points of a member are not a series; the error names the member.
         """
         row_of = {unit: row for row, unit in enumerate(group.units)}
-        found = np.zeros((len(group.units), n_columns + 1))
-        some = self.ended(np.sort(group.rows[group.is_moving]))
-        for _, given in self._put(partial(Runs.sums, of=of), some):
-            for unit, row in given.items():
-                found[row_of[unit]] += row
-        return found
+        totals = np.zeros((len(group.units), n_columns + 1))
+        moving = self.ended(np.sort(group.rows[group.is_moving]))
+        for _, by_unit in self._put(partial(Runs.sums, of=of), moving):
+            for unit, row in by_unit.items():
+                totals[row_of[unit]] += row
+        return totals
 
     @property
     def compared(self) -> set[str]:
@@ -310,16 +307,16 @@ class Study:
 
     def by_threshold(self, member_id: str, t_end: float) -> dict[float, Window]:
         """n_stick of a member on [t_burn, t_end] under each further threshold; raises as `window`."""
-        found = self.data.thresholds.get(member_id, {})
-        return {c: named_window(points, member_id, self.settings.t_burn, t_end) for c, points in found.items()}
+        by_factor = self.data.thresholds.get(member_id, {})
+        return {c: named_window(points, member_id, self.settings.t_burn, t_end) for c, points in by_factor.items()}
 
     def judged(self) -> list[Group]:
         """Groups whose runs allow a statistic of a steady state.
 
         Groups all of whose runs stay in motion come first, since the others hold survivors only; then the largest n.
         """
-        found = [one for one in self.groups if one.basis(self.settings.confidence).code in enough.JUDGED]
-        return sorted(found, key=lambda one: (one.n_moving < len(one), -int(one.key["n"])))
+        able = [group for group in self.groups if group.basis(self.settings.confidence).code in enough.JUDGED]
+        return sorted(able, key=lambda group: (group.n_moving < len(group), -int(group.key["n"])))
 
     def windows(self, group: Group) -> Iterator[tuple[int, str, Window]]:
         """Row of the unit, member_id and n_stick on [t_burn, t_end] of each run in motion of a filled group.
@@ -369,7 +366,7 @@ class Study:
         """
         if isinstance(numbers, str):
             recorded = self._recorded("numbers", numbers)
-            if recorded.until is not None:
+            if recorded.since is not None:
                 raise ValueError(
                     f"numbers: expected a number of which means are taken, got {numbers}, a time that the end of a"
                     f" run may cut off; ask for study.median(group, {numbers!r}) or study.restricted_mean(group,"
@@ -409,25 +406,26 @@ class Study:
             If no record keeps such a time.
         """
         recorded = self._recorded("name", name)
-        if recorded.until is None:
+        if recorded.since is None:
             raise ValueError(
                 f"name: expected a time that the end of a run may cut off, got {name!r}; ask for study.mean, or"
                 ' declare it with {"since": 0} if it is one'
             )
         times, outcomes = self.number(name)[group.rows], group.column("outcome").to_numpy(object)
-        ended = np.isfinite(times)
+        has_ended = np.isfinite(times)
         t_stop = group.column("t_stop").to_numpy(np.float64, na_value=np.nan)
         # a run that is certain never to stick again is known to its end
-        followed = np.where(outcomes == DIVERGED, t_stop, float(group.key["t_end"])) - recorded.until.since
+        followed = np.where(outcomes == DIVERGED, t_stop, float(group.key["t_end"])) - recorded.since
         is_lost = (outcomes == FAILED) | group.column("member_id").isin([*recorded.problems]).to_numpy()
-        known = ended | (~is_lost & (followed > 0.0))
+        is_known = has_ended | (~is_lost & (followed > 0.0))
         units = group.column("unit").to_numpy()
-        return Times.of_runs(units[known], np.where(ended, times, followed)[known], ended[known]), known
+        return Times.of_runs(
+            units[is_known], np.where(has_ended, times, followed)[is_known], has_ended[is_known]
+        ), is_known
 
     def limit(self, name: str) -> float:
         """The longest time that all groups are followed to, for means of a time up to it: see `restricted_mean`."""
-        until = self.data.recorded[name].until
-        return min(float(group.key["t_end"]) for group in self.groups) - (until.since if until else 0.0)
+        return min(float(group.key["t_end"]) for group in self.groups) - (self.data.recorded[name].since or 0.0)
 
     def median(self, group: Group, name: str) -> Estimate:
         """The median of a time that the end of a run may cut off, by Kaplan and Meier, with its interval over units.
@@ -463,8 +461,8 @@ class Study:
         times, _ = self.times(group, name)
         if not len(times):
             return Estimate(reason="no matrix has data")
-        most = self.limit(name) if limit is None else limit
-        return mean_within(times.restricted(most).rows, most, self.settings.confidence)
+        horizon = self.limit(name) if limit is None else limit
+        return mean_within(times.restricted(horizon).rows, horizon, self.settings.confidence)
 
     def number(self, name: str) -> np.ndarray:
         """A number that a record keeps, of each member by its row, shape (R,); NaN where a run has none."""
@@ -486,12 +484,14 @@ class Study:
         Estimate
             By `stats.compare.share_over_matrices`; without a value, and with the reason, if no run is known.
         """
-        found = [has.get(name) for name in group.column("member_id")]
-        known = np.array([not pd.isna(one) for one in found])
-        if not known.any():
+        values = [has.get(name) for name in group.column("member_id")]
+        is_told = np.array([not pd.isna(value) for value in values])
+        if not is_told.any():
             return Estimate(reason="no run has data")
-        ones = np.array([bool(one) for one, is_known in zip(found, known, strict=True) if is_known])
-        counts = UnitSums.of(group.column("unit").to_numpy()[known], np.column_stack([ones, np.ones(len(ones))])).rows
+        ones = np.array([bool(value) for value, is_known in zip(values, is_told, strict=True) if is_known])
+        counts = UnitSums.of(
+            group.column("unit").to_numpy()[is_told], np.column_stack([ones, np.ones(len(ones))])
+        ).rows
         share, low, high, _ = share_over_matrices(counts, self.settings.confidence)
         return Estimate(share, low, high)
 
@@ -511,7 +511,7 @@ def check(members: Members, settings: AnalysisSettings) -> None:
     names = members.own["member_id"]
     if not names.is_unique:
         raise ValueError(f"members: member_id {names[names.duplicated()].iloc[0]!r} occurs more than once")
-    t_end = min(one["t_end"] for one in members.settings)
+    t_end = min(setting["t_end"] for setting in members.settings)
     if settings.t_burn >= t_end:
         end, burn = apart(t_end, settings.t_burn)
         raise ValueError(f"t_burn: expected less than t_end = {end}, got {burn}; no time is left for statistics")

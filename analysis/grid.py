@@ -12,15 +12,15 @@ from stickslip.analysis.contrast import Statistic
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.groups import Group
-from stickslip.analysis.measures import AT_MOST, IN_MOTION, MOTION, PERHAPS, Measure, Values, measures
+from stickslip.analysis.measures import MOTION, Measure, Values, measures
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS
-from stickslip.analysis.models.fates import FAILED, WATCHED, bounded_share
+from stickslip.analysis.models.fates import FAILED, WATCHED
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.pipeline.design.design import Axis
 from stickslip.pipeline.design.design import Row as KeyValues
 from stickslip.pipeline.design.labels import Label, apart, labels
-from stickslip.pipeline.design.values import Rank, ranks
+from stickslip.pipeline.design.values import Rank, Value, ranks
 
 #: What the name of a setting says, beside its method.
 FIXED = ("n", "coupling", "file", "back_slip", "t_end", "perturbation_size")
@@ -39,9 +39,9 @@ class Point:
 
     @classmethod
     def of(cls, group: Group, axes: Sequence[Axis], asked: Sequence[Measure]) -> Point:
-        """The point of a group, with what its runs give, whether they are in motion too."""
+        """The point of a group, with what its runs give, whether they stick late too."""
         fates = {name: int((group.fates == name).sum()) for name in (*WATCHED, FAILED)}
-        values = {measure.name: measure.of(group) for measure in (*asked, MOTION, PERHAPS)}
+        values = {measure.name: measure.of(group) for measure in (*asked, MOTION)}
         swept = group.table.design.swept(group.point)
         place = {axis: tuple(swept[key] for key in axis.keys) for axis in axes}
         return cls(group, place, fates, values)
@@ -76,13 +76,12 @@ def axes_of(groups: Sequence[Group]) -> list[Axis]:
 
 def estimate(statistic: Statistic, points: Iterable[Point], confidence: float) -> Estimate:
     """A statistic over some points of a grid, taken together."""
-    together = list(points)
-    sums = UnitSums.together(point.sums(statistic.name) for point in together)
-    if statistic.name != IN_MOTION or not len(sums):
-        return statistic.estimate(sums, confidence)
-    moving, n_runs = sums.rows.T
-    at_most = UnitSums.together(point.sums(AT_MOST) for point in together).rows[:, 0]
-    return bounded_share(np.column_stack([moving, at_most - moving, n_runs]), confidence)
+    return statistic.estimate(UnitSums.together(point.sums(statistic.name) for point in points), confidence)
+
+
+def is_negative(*values: Value) -> bool:
+    """Whether all values are negative numbers, which are said by their size: a belt's speed is how fast it is."""
+    return all(isinstance(value, float) and value < 0.0 for value in values)
 
 
 def points_at(points: Iterable[Point], axis: Axis, value: KeyValues) -> list[Point]:
@@ -96,12 +95,10 @@ class Grid:
 
     Attributes
     ----------
-    axes : list of Axis
     asked : list of Measure
         In the order in which they lead.
     points : dict of Label to list of Point
         By setting, in the order of the values of the axes.
-    confidence : float
     """
 
     axes: list[Axis]
@@ -112,12 +109,12 @@ class Grid:
     @classmethod
     def of(cls, study: Study) -> Grid:
         """That of a study."""
-        axes, asked = axes_of(study.groups), measures(study)
+        axes, measured = axes_of(study.groups), measures(study)
         points = {
-            name: sorted((Point.of(group, axes, asked) for group in groups), key=Point.rank)
+            name: sorted((Point.of(group, axes, measured) for group in groups), key=Point.rank)
             for name, groups in settings(study.groups).items()
         }
-        return cls(axes, asked, points, study.settings.confidence)
+        return cls(axes, measured, points, study.settings.confidence)
 
     @property
     def every(self) -> list[Point]:
@@ -149,11 +146,11 @@ def balanced(sums: Sequence[UnitSums]) -> tuple[list[int], UnitSums]:
     What lacks most is left out first, be it sums or a unit: a unit that lacks some would differ from others by what
     these are like. If too few units are left all count, with their gaps.
     """
-    units = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(one.units for one in sums)]))
-    has = np.array([np.isin(units, one.units) for one in sums]).reshape(len(sums), len(units))
+    units = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(unit_sums.units for unit_sums in sums)]))
+    has = np.array([np.isin(units, unit_sums.units) for unit_sums in sums]).reshape(len(sums), len(units))
     rows, columns = np.arange(len(sums)), np.arange(len(units))
-    while not (known := has[np.ix_(rows, columns)]).all():
-        of_row, of_column = known.mean(axis=1), known.mean(axis=0)
+    while not (is_known := has[np.ix_(rows, columns)]).all():
+        of_row, of_column = is_known.mean(axis=1), is_known.mean(axis=0)
         if of_row.min() <= of_column.min():
             rows = np.delete(rows, of_row.argmin())
         else:

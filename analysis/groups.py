@@ -23,7 +23,7 @@ import pandas as pd
 
 from stickslip.analysis.members import ENGINE_KEYS, SYSTEM_KEYS, Members
 from stickslip.analysis.models.fates import FAILED, MOVING, QUIET
-from stickslip.analysis.models.motion import COLUMNS, EFFECTIVE, Motion
+from stickslip.analysis.models.motion import COLUMNS, Motion
 from stickslip.analysis.series.runs import by_number
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
@@ -34,7 +34,7 @@ from stickslip.pipeline.design.values import rank, ranks
 from stickslip.sim.engines import ENGINES, place
 
 #: Columns of motion whose sums a group keeps for each unit.
-_TOTALS = tuple(name for name in COLUMNS if name not in (*EFFECTIVE, "short"))
+_TOTALS = tuple(name for name in COLUMNS if name != "short")
 
 
 @dataclass
@@ -57,9 +57,7 @@ class Group:
     units : ndarray of int, shape (G,)
         Units of the members in motion, ascending: the rows of all arrays.
     totals : dict of str to ndarray, shape (G,)
-        Sums over runs of each of `motion.COLUMNS`, by name, but of those in `effective` and `n_short`.
-    effective : ndarray, shape (4,)
-        Sums over units of their means over runs of `effective.rows`.
+        Sums over runs of each of `motion.COLUMNS`, by name, but of `n_short`.
     counts : ndarray of int, shape (G, K)
         Number of cascades of each size from 1 on, by the definition `events`.
     fates : ndarray of str, shape (R,)
@@ -78,7 +76,6 @@ class Group:
     rows: np.ndarray
     units: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64))
     totals: dict[str, np.ndarray] = field(default_factory=lambda: {name: np.zeros(0) for name in _TOTALS})
-    effective: np.ndarray = field(default_factory=lambda: np.zeros(4))
     counts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int64))
     fates: np.ndarray = field(default_factory=lambda: np.zeros(0, object))
     last: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
@@ -194,19 +191,14 @@ class Group:
         numbers : ndarray
             Of each member of the ensemble, by its row. A run has none if it is not finite.
         """
-        found = numbers[self.rows]
-        known = np.isfinite(found)
-        sums = UnitSums.of(self.column("unit").to_numpy()[known], np.column_stack([found, known])[known])
+        values = numbers[self.rows]
+        is_known = np.isfinite(values)
+        sums = UnitSums.of(self.column("unit").to_numpy()[is_known], np.column_stack([values, is_known])[is_known])
         return replace(sums, rows=sums.rows / sums.rows[:, 1:])
 
     def mean(self, confidence: float) -> Estimate:
         """Mean n_stick."""
         return within(over_matrices(ratio, self.by_unit("mean", "runs"), confidence), 0.0)
-
-    def drift(self, confidence: float) -> Estimate:
-        """Mean n_stick in the second half of the window minus that in the first, paired over units."""
-        first, second, runs = self.by_unit("first_half", "second_half", "runs").T
-        return over_matrices(ratio, np.column_stack([second - first, runs]), confidence)
 
     def basis(self, confidence: float) -> enough.Basis:
         """Whether a statistic that assumes a stationary law may be judged."""
@@ -223,12 +215,12 @@ def groups(members: Members, some: np.ndarray) -> list[Group]:
             for setting in members.settings
         ]
     )
-    parts = [some[rows] for rows in by_number(of_setting[members.own["setting"].to_numpy()[some]])]
-    shared = [members.settings[members.own["setting"].iloc[rows[0]]] for rows in parts]
+    by_setting = [some[rows] for rows in by_number(of_setting[members.own["setting"].to_numpy()[some]])]
+    shared = [members.settings[members.own["setting"].iloc[rows[0]]] for rows in by_setting]
     keys = [{name: setting[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS)} for setting in shared]
-    listed = [Group(name, key, members, _by_unit(members, rows))
-              for name, key, rows in zip(labels(keys), keys, parts, strict=True)]  # fmt: skip
-    return sorted(listed, key=_place)
+    unordered = [Group(name, key, members, _by_unit(members, rows))
+              for name, key, rows in zip(labels(keys), keys, by_setting, strict=True)]  # fmt: skip
+    return sorted(unordered, key=_place)
 
 
 def _place(group: Group) -> tuple[Any, ...]:
@@ -260,12 +252,12 @@ def fill(found: Sequence[Group], given: Iterable[tuple[np.ndarray, Motion]]) -> 
     number, place = (np.zeros(len(found[0].table), dtype=np.int32) for _ in range(2))
     for k, group in enumerate(found):
         number[group.rows], place[group.rows] = k, np.arange(len(group))
-    for rows, part in given:
+    for rows, motion in given:
         order = np.argsort(number[rows], kind="stable")  # by group
-        rows, by_group = rows[order], part.in_order(order)
+        rows, by_group = rows[order], motion.in_order(order)
         ends = [*(np.flatnonzero(np.diff(number[rows])) + 1).tolist(), len(rows)]
-        for first, end in pairwise([0, *ends]):
-            filling[number[rows[first]]].add(place[rows[first:end]], by_group.part(first, end))
+        for start, end in pairwise([0, *ends]):
+            filling[number[rows[start]]].add(place[rows[start:end]], by_group.part(start, end))
     while filling:
         filling.pop(0).finish()
 
@@ -290,8 +282,8 @@ class _Filling:
         for name, k in COLUMNS.items():
             np.add.at(self._sums[name], rows, given.sums[moves, k])
         run, size, n_times = given.sizes.T
-        if (more := int(size.max(initial=0)) - self._counts.shape[1]) > 0:
-            self._counts = np.pad(self._counts, ((0, 0), (0, more)))
+        if (n_more := int(size.max(initial=0)) - self._counts.shape[1]) > 0:
+            self._counts = np.pad(self._counts, ((0, 0), (0, n_more)))
         np.add.at(self._counts, (self._row[places[run]], size - 1), n_times)
 
     def finish(self) -> None:
@@ -302,7 +294,4 @@ class _Filling:
         group.n_short = int(self._sums.pop("short").sum())
         for name in [*self._sums]:  # each is given up as it is handed over: they take most of the memory
             group.totals[name] = self._sums.pop(name)[moves]
-        group.effective = group.by_unit("variance", *EFFECTIVE).sum(axis=0)
-        for name in EFFECTIVE:
-            del group.totals[name]
         group.n_quiet = int((group.fates == QUIET).sum())

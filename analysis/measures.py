@@ -21,7 +21,7 @@ from stickslip.analysis.ensemble import Recorded, Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
 from stickslip.analysis.models.episodes import ATOM, B_VALUE, QUANTITIES, RATE, SIZE
-from stickslip.analysis.models.fates import DIVERGED, FAILED, MOVING, QUIET, UNMOVED, is_all_slip
+from stickslip.analysis.models.fates import DIVERGED, FAILED, SUSTAINED, UNMOVED, is_all_slip
 from stickslip.analysis.models.times import Times
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import UnitSums, per_event, ratio
@@ -45,7 +45,6 @@ class Values:
 
     Attributes
     ----------
-    sums : UnitSums
     missing : dict of str to str
         Why a run has no value, by member_id: its outcome, or a reason.
     n_censored : int
@@ -66,7 +65,6 @@ class Measure:
 
     Attributes
     ----------
-    statistic : Statistic
     key : str
         In names of figures.
     of : callable
@@ -111,24 +109,24 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
     """
     if study.data.episodes is None or (beside is not None and beside.data.episodes is None):
         return
-    groups = read(study, study.data.episodes)
-    rivals = [] if beside is None or beside.data.episodes is None else read(beside, beside.data.episodes)
+    groups = study.once(read)
+    rivals = [] if beside is None else beside.once(read)
     full = [group for group in (*groups, *rivals) if group.n_from(group.least) >= enough.LEAST_CASCADES]
-    least = max((group.least for group in full), default=None)
-    if least is not None and any(group.n_from(least) < enough.LEAST_CASCADES for group in full):
-        least = None
+    edge = max((group.least for group in full), default=None)
+    if edge is not None and any(group.n_from(edge) < enough.LEAST_CASCADES for group in full):
+        edge = None
     by_label = {group.label: group for group in groups}
-    beyond = "from each point's own least magnitude on" if least is None else f"from M = {least:.2f} on"
+    beyond = "from each point's own least magnitude on" if edge is None else f"from M = {edge:.2f} on"
     for name, quantity, key, title, things, definition in (
         (RATE, RATE, "episode_rate", "", "episodes", "per unit of time"),
         (MEAN_SIZE, SIZE, "episode_size", "", "", "in blocks that slip"),
         (B, B_VALUE, "episode_b", "b-value of the episodes", "", f"by Aki {beyond}"),
     ):
-        of = partial(_episodes, by_label, quantity, least, beyond, study.settings.confidence)
+        measured = partial(_episodes, by_label, quantity, edge, beyond, study.settings.confidence)
         statistic = Statistic(
             name, QUANTITIES[quantity].of, least=0.0, title=title, definition=definition, things=things
         )
-        yield Measure(statistic, key, of)
+        yield Measure(statistic, key, measured)
 
 
 def _episodes(
@@ -142,13 +140,13 @@ def _episodes(
     catalogues = by_label.get(group.label)
     if catalogues is None:
         return Values(missing=missing)
-    least = catalogues.least if common is None else common
-    if name == B_VALUE and (why := _why_no_b(catalogues, least, beyond, level)):
+    edge = catalogues.least if common is None else common
+    if name == B_VALUE and (why := _why_no_b(catalogues, edge, beyond, level)):
         return Values(missing=missing, withheld=why)
     units, rows, finished = list[int](), list[tuple[float, float]](), group.finished
     of_unit = {unit: iter(runs) for unit, runs in catalogues.runs.items()}  # in the order of the members
     for unit, member_id in zip(finished["unit"], finished["member_id"], strict=True):
-        row = QUANTITIES[name].sums(next(of_unit[int(unit)]), least)
+        row = QUANTITIES[name].sums(next(of_unit[int(unit)]), edge)
         if row[1] > 0:
             units.append(int(unit))
             rows.append(row)
@@ -195,7 +193,7 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
             numbers = np.where(is_smoothed[table.own["setting"]], np.nan, numbers)
         if (beside is not None and name not in beside.data.recorded) or (is_read and np.isnan(numbers).all()):
             continue
-        if column.until is not None:
+        if column.since is not None:
             yield from _of_times(study, beside, name, column)
         else:
             measure = _of_column(name, column, numbers, study.settings.t_burn)
@@ -313,12 +311,12 @@ def _times(study: Study, name: str, group: Group) -> tuple[Times, dict[str, str]
 
 def _of_n_stick(study: Study, _: Study | None) -> Iterator[Measure]:
     """Mean n_stick and gamma of what is in motion; without gamma where episodes are recorded."""
-    of: dict[str, Callable[[Group], Values]] = {
+    by_key: dict[str, Callable[[Group], Values]] = {
         "mean": lambda group: Values(UnitSums(group.units, group.by_unit("mean", "runs"))),
         "gamma": partial(_gamma, study.settings.confidence),
     }
-    for measure in of_windows(study, (*of,)):
-        yield replace(measure, of=of[measure.key], is_recorded=False)
+    for measure in of_windows(study, (*by_key,)):
+        yield replace(measure, of=by_key[measure.key], is_recorded=False)
 
 
 def _gamma(confidence: float, group: Group) -> Values:
@@ -369,10 +367,11 @@ ENDS = (
     Measure(ALL_SLIP, "all_slip", _without_late_stick),
     Measure(RUN_AWAY, "run_away", partial(_with_fate, (DIVERGED,))),
 )
-IN_MOTION, AT_MOST = "share in motion", "share in motion or quiet"
-#: Whether runs are in motion, and whether they may be: of a quiet run that cannot be told.
-MOTION = Measure(Share(IN_MOTION, title="share of runs in motion"), "motion", partial(_with_fate, MOVING))
-PERHAPS = Measure(Share(AT_MOST), "perhaps", partial(_with_fate, (*MOVING, QUIET)))
+STICKING = "share of runs that stick late"
+#: Whether runs still stick and slip, which is known of each that did not fail.
+MOTION = Measure(
+    Share(STICKING, title="share of runs that still stick and slip"), "motion", partial(_with_fate, (SUSTAINED,))
+)
 
 #: What an ensemble may hold that can be measured, in the order in which measures lead.
 SOURCES: tuple[Callable[[Study, Study | None], Iterator[Measure]], ...] = (_of_episodes, _of_columns, _of_n_stick)

@@ -79,7 +79,6 @@ class Members:
     settings : list of dict
         The values of `SHARED`, None for null, and of `POINT`. Where files are the units, `file` and `kappa`, the
         scale of a file's K, are None, and so are `z0` and `w0` where they are drawn.
-    design : Design
     """
 
     own: pd.DataFrame
@@ -96,14 +95,14 @@ class Members:
             If there is no member at all.
         """
         settings: dict[tuple[Any, ...], dict[str, Any]] = {}
-        parts = [_own(table, design, settings) for table in tables]
+        pieces = [_own(table, design, settings) for table in tables]
         if not settings:
             raise ValueError("members: expected at least one row, got none")
-        listed, own = [*settings.values()], joined(parts)
-        depends = np.array([any(setting[name] is not None for name in _SPEED_DEPENDENT) for setting in listed])
+        shared, entire = [*settings.values()], joined(pieces)
+        depends = np.array([any(setting[name] is not None for name in _SPEED_DEPENDENT) for setting in shared])
         # what grows need not stick where friction depends on speed, and smoothing changes the rate
-        own["growth_rate"] = own["growth_rate"].astype("float64").mask(depends[own["setting"]])
-        return cls(own, listed, design)
+        entire["growth_rate"] = entire["growth_rate"].astype("float64").mask(depends[entire["setting"]])
+        return cls(entire, shared, design)
 
     def __len__(self) -> int:
         return len(self.own)
@@ -128,8 +127,8 @@ class Members:
         """One row a member, with all columns."""
         shared = pd.DataFrame({name: _typed([setting[name] for setting in self.settings]) for name in SHARED})
         shared = shared.take(self.own["setting"].to_numpy()).set_axis(self.own.index)
-        own = self.own.drop(columns="setting").assign(outcome=self.own["outcome"].astype(str))
-        return pd.concat([own, shared], axis="columns")
+        table = self.own.drop(columns="setting").assign(outcome=self.own["outcome"].astype(str))
+        return pd.concat([table, shared], axis="columns")
 
     @property
     def unchanged(self) -> np.ndarray:
@@ -156,7 +155,7 @@ def _typed(values: Sequence[Any]) -> pd.api.extensions.ExtensionArray:
 def joined(parts: list[pd.DataFrame]) -> pd.DataFrame:
     """Tables with the same columns, one after the other; they lose theirs on the way, so that none is there twice."""
     names = [*parts[0]]
-    columns = {name: pd.concat([part.pop(name) for part in parts], ignore_index=True) for name in names}
+    columns = {name: pd.concat([table.pop(name) for table in parts], ignore_index=True) for name in names}
     return pd.DataFrame(columns, copy=False)
 
 
@@ -178,16 +177,16 @@ def _own(table: pd.DataFrame, design: Design, settings: dict[tuple[Any, ...], di
     of_seed, seeds = pd.factorize(table["seed"])  # -1 for null
     shape = design.n_points, len(design.methods), len(design.changes), len(seeds) + 1
     codes = np.ravel_multi_index((*(table[name].to_numpy() for name in POINT), of_seed + 1), shape)
-    _, first, code = np.unique(codes, return_index=True, return_inverse=True)
+    _, places, code = np.unique(codes, return_index=True, return_inverse=True)
     numbers = {key: k for k, key in enumerate(settings)}
     of_code = []
-    for row in records(table[[*SHARED, *POINT]].iloc[first]):
+    for row in records(table[[*SHARED, *POINT]].iloc[places]):
         key = tuple(row[name] for name in (*POINT, "seed"))
         settings.setdefault(key, row | _of_point(design, row))
         of_code.append(numbers.setdefault(key, len(numbers)))
     starts = {f"{key}_start": table[f"{key}0"].astype("float64") for key in ("z", "w")}
-    own = table.drop(columns=[*SHARED, *POINT])
-    return own.assign(**starts, setting=np.array(of_code, dtype=np.int32)[code])
+    table_own = table.drop(columns=[*SHARED, *POINT])
+    return table_own.assign(**starts, setting=np.array(of_code, dtype=np.int32)[code])
 
 
 def _of_point(design: Design, row: dict[str, Any]) -> dict[str, Any]:

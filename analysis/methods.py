@@ -1,53 +1,24 @@
-"""Methods compared: each setting of the same systems with the finest, by statistics and by whole laws."""
+"""Methods compared: each setting of the same systems with the finest, by statistics and by the law of magnitudes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from stickslip.analysis.catalogues import Catalogues
 from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Comparison, Family
 from stickslip.analysis.members import STEPS, WIDTHS
-from stickslip.analysis.models.episodes import DURATION, QUANTITIES, QUIET, RATE, SIZE, SLIP, Catalogue
-from stickslip.analysis.models.laws import Difference, difference_of_order, distance_of_shares, largest_gap
+from stickslip.analysis.models.episodes import DURATION, QUANTITIES, QUIET, RATE, SIZE, SLIP
+from stickslip.analysis.models.laws import Difference, largest_gap
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.steps import Kind, Setting, Step
 from stickslip.pipeline.design.labels import Label, Part, engine_name
 from stickslip.pipeline.design.labels import apart as labels_apart
 
-
-@dataclass(frozen=True)
-class Compared:
-    """A law by which methods are compared.
-
-    Attributes
-    ----------
-    of : callable
-        From the catalogue of a run and the number of blocks to values.
-    difference : callable
-        Of the values of pairs of runs, one of `models.laws`.
-    join : callable
-        Joins the values of the runs of one system.
-    """
-
-    of: Callable[[Catalogue, int], np.ndarray]
-    difference: Callable[[list[tuple[np.ndarray, np.ndarray]], float, np.random.Generator], Difference]
-    join: Callable[[list[np.ndarray]], np.ndarray] = np.concatenate
-
-
 MAGNITUDES = "magnitudes"
-LAWS: Mapping[str, Compared] = {
-    MAGNITUDES: Compared(lambda run, _: run.magnitude, largest_gap),
-    "sizes": Compared(lambda run, _: run.size, largest_gap),
-    "quiet times": Compared(lambda run, _: run.quiet, largest_gap),
-    "first blocks": Compared(Catalogue.first_blocks, distance_of_shares, lambda runs: np.sum(runs, axis=0)),
-    "order in time": Compared(lambda run, _: run.sizes_and_quiets, difference_of_order),
-}
 #: Statistics by which methods are compared, by name; their differences are relative.
 STATISTICS: Mapping[str, Statistic] = {
     name: Statistic(name, QUANTITIES[name].of) for name in (RATE, SIZE, DURATION, QUIET, SLIP)
@@ -57,15 +28,14 @@ PRIMARY = (RATE, MAGNITUDES)  # how often and how large: tested before the other
 
 @dataclass(frozen=True)
 class Apart:
-    """How far a statistic or a law of one setting lies from that of the finest of the same systems.
+    """How far a statistic or the magnitudes of one setting lie from those of the finest of the same systems.
 
     Attributes
     ----------
-    setting, reference : Catalogues
     name : str
-        One of `STATISTICS` or `LAWS`.
+        One of `STATISTICS` or `MAGNITUDES`.
     found : Contrast, laws.Difference or str
-        Of a statistic; of a law, or why there is none.
+        Of a statistic; of magnitudes, or why there is none.
     family : Family, optional
         The comparisons that it is judged together with, if it is tested: the primary ones, or the others.
     """
@@ -108,40 +78,34 @@ class Apart:
 
 
 def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apart]:
-    """Every setting beside the first of the same systems, by statistics and by whole laws."""
+    """Every setting beside the first of the same systems."""
     level = study.settings.confidence
-    alone = [
-        apart
-        for reference, *others in by_system if reference.is_judged
-        for other in others
-        for apart in (
-            *(Apart(other, reference, name, contrast(one, reference.sums[name], other.sums[name], True, level))
-              for name, one in STATISTICS.items()),
-            *(Apart(other, reference, name, _law(study, reference, other, name)) for name in LAWS),
+    pairs = [
+        pair
+        for reference, *looser in by_system if reference.is_judged
+        for setting in looser
+        for pair in (
+            *(Apart(setting, reference, name, contrast(of, reference.sums[name], setting.sums[name], True, level))
+              for name, of in STATISTICS.items()),
+            Apart(setting, reference, MAGNITUDES, _of_magnitudes(study, reference, setting)),
         )
     ]  # fmt: skip
     for is_primary in (True, False):
-        tested = [k for k, one in enumerate(alone) if one.p is not None and (one.name in PRIMARY) is is_primary]
+        tested = [k for k, pair in enumerate(pairs) if pair.p is not None and (pair.name in PRIMARY) is is_primary]
         able = [
-            k for k in tested if alone[k].p_floor * len(tested) < 1 - level
+            k for k in tested if pairs[k].p_floor * len(tested) < 1 - level
         ]  # few systems: a test can show nothing
-        for k, p in zip(able, holm([alone[k].p or 0.0 for k in able]).tolist(), strict=True):
-            alone[k] = replace(alone[k], family=Family(len(able), p, alpha=1 - level))
-    return alone
+        for k, p in zip(able, holm([pairs[k].p or 0.0 for k in able]).tolist(), strict=True):
+            pairs[k] = replace(pairs[k], family=Family(len(able), p, alpha=1 - level))
+    return pairs
 
 
-def _law(study: Study, first: Catalogues, second: Catalogues, name: str) -> Difference | str:
-    """How far a law of two groups lies apart on the systems that both ran."""
-    law, n = LAWS[name], int(first.group.key["n"])
-    pairs = [
-        (
-            law.join([law.of(run, n) for run in first.runs[unit]]),
-            law.join([law.of(run, n) for run in second.runs[unit]]),
-        )
-        for unit in sorted(first.runs.keys() & second.runs.keys())
-    ]
+def _of_magnitudes(study: Study, first: Catalogues, second: Catalogues) -> Difference | str:
+    """How far the magnitudes of two groups lie apart on the systems that both ran, or why that is not known."""
+    units = sorted(first.runs.keys() & second.runs.keys())
+    pairs = [(first.magnitudes_of(unit), second.magnitudes_of(unit)) for unit in units]
     try:
-        return law.difference(pairs, study.settings.confidence, study.generator(f"{name} {second.label}"))
+        return largest_gap(pairs, study.settings.confidence, study.generator(f"{MAGNITUDES} {second.label}"))
     except Undefined as why:
         return str(why)
 
@@ -154,12 +118,12 @@ def settings_of(groups: Sequence[Catalogues]) -> list[Setting]:
 
 def _setting(method: Label, shared: Collection[Part]) -> Setting:
     """A method, without what it shares with all others but its engine and the number that it is set by."""
-    numbers = [part for part in method.parts if part[0] in (*WIDTHS, *STEPS)]
-    others = [part for part in method.parts if part not in numbers and (not part[0] or part not in shared)]
+    numbers = [piece for piece in method.parts if piece[0] in (*WIDTHS, *STEPS)]
+    symbols = [piece for piece in method.parts if piece not in numbers and (not piece[0] or piece not in shared)]
     if len(numbers) != 1:
         return Setting(method)
     ((symbol, value),) = numbers
-    return Setting(Label.of(others), symbol, float(value))
+    return Setting(Label.of(symbols), symbol, float(value))
 
 
 def names(groups: Sequence[Catalogues]) -> list[Label]:

@@ -43,12 +43,12 @@ def outcomes(other: str, steps: Sequence[Step], unit: str, noun: str, scope: str
         if any(alike):
             best = max(next(filter(None, alike)), key=_size)
             (where,) = in_words({best.name: ""}, "")
-            others = in_words(by_setting | {best.name: ""}, DIFFERENT) if DIFFERENT in names else ()
+            further = in_words(by_setting | {best.name: ""}, DIFFERENT) if DIFFERENT in names else ()
             level = replace(best, where=EVERYWHERE).level(other, unit)
             words = {name: in_words(by_setting, name) for name in names}
             if len(alike[0]) == len(steps) and len(words.get(UNDECIDED, ())) > 1:
                 words[UNDECIDED] = (f"any {noun}",)
-            findings.append(Outcomes(other, **words, largest=level, at_largest=where, others=others, scope=scope))
+            findings.append(Outcomes(other, **words, largest=level, at_largest=where, others=further, scope=scope))
     return findings
 
 
@@ -63,11 +63,11 @@ def outcome(steps: Sequence[Step]) -> str:
 def _size(step: Step) -> tuple[bool, bool, float]:
     """Sorts steps: those that are shown come last, then those with a margin, then those that are large."""
     contrast = step.contrast
-    before, after = contrast.first.value, contrast.second.value
+    start, end = contrast.first.value, contrast.second.value
     size = 0.0
-    if not contrast.is_same and before is not None and after is not None:
-        is_absolute = contrast.statistic.is_share or not before
-        size = abs(after - before) if is_absolute else abs(after / before - 1.0)
+    if not contrast.is_same and start is not None and end is not None:
+        is_absolute = contrast.statistic.is_share or not start
+        size = abs(end - start) if is_absolute else abs(end / start - 1.0)
     return contrast.is_shown, contrast.has_margin, size
 
 
@@ -104,19 +104,19 @@ def forest(steps: Sequence[Step], what: str, name: str = "contrasts") -> dict[st
     rows = [step for step in steps if _in_per_cent(step) and step.contrast.difference.estimate.low is not None]
     if len(rows) < 2:
         return {}
-    drawn = rows[:MOST_ROWS]
-    n_shown = sum(step.contrast.is_shown for step in drawn)
-    ends, widest = _axis(drawn)
-    bands = " Bands: declared margins." * any(step.contrast.has_margin for step in drawn)
+    top = rows[:MOST_ROWS]
+    n_shown = sum(step.contrast.is_shown for step in top)
+    ends, widest = _axis(top)
+    bands = " Bands: declared margins." * any(step.contrast.has_margin for step in top)
     cut = " Arrowheads: beyond the axis." * bool((np.abs(ends) > widest).any())
-    caption = f"{what}: {n_shown} of {len(drawn)} are significant (filled marks).{bands}{cut}"
-    return {name: Picture(partial(differences, drawn), caption)}
+    caption = f"{what}: {n_shown} of {len(top)} are significant (filled marks).{bands}{cut}"
+    return {name: Picture(partial(differences, top), caption)}
 
 
 def _axis(steps: Sequence[Step]) -> tuple[np.ndarray, float]:
     """Differences with the ends of their intervals in per cent, shape (k, 3), and where the axis ends."""
     estimates = [step.contrast.difference.estimate for step in steps]
-    ends = 100.0 * np.array([(one.value, one.low, one.high) for one in estimates], dtype=float)
+    ends = 100.0 * np.array([(estimate.value, estimate.low, estimate.high) for estimate in estimates], dtype=float)
     reach = np.abs(ends).max(axis=1)
     return ends, 1.08 * min(reach.max(), 4.0 * float(np.median(reach))) or 1.0
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 from functools import partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,7 +24,6 @@ from stickslip.pipeline.design.labels import Label, labels
 from stickslip.sim.engines import place
 
 START, CONSTANTS, RATIOS = Kind.START, Kind.CONSTANTS, Kind.RATIOS
-CURVE_POINTS = 70  # of the means of gaps
 #: What all members of a setting share.
 _SETTING = tuple(name for name in (*SYSTEM_KEYS, *ENGINE_KEYS) if name not in ("perturbation_size", "ratio"))
 
@@ -77,15 +75,11 @@ class Followed:
         Until when.
     t : ndarray, shape (P,)
         When the changed run had parted from its base; NaN if it had not.
-    times, means : ndarray, shape (K,) and (P, K)
-        Middles of intervals that are longer later, and means of `parting.gap` over them; NaN beyond t_stop.
     """
 
     matrix: np.ndarray
     t_stop: np.ndarray
     t: np.ndarray
-    times: np.ndarray
-    means: np.ndarray
 
     def __len__(self) -> int:
         return len(self.t)
@@ -121,34 +115,28 @@ def _until(ended: Ended, t_end: float) -> np.ndarray:
 
 def follow(study: Study, comparisons: Sequence[Comparison], level: float, t_end: float) -> list[Followed]:
     """The pairs of each comparison, followed up to t_end at most; pairs with a failed run are left out."""
-    every = [(k, *astuple(pair)) for k, comparison in enumerate(comparisons) for pair in comparison.pairs]
-    number, matrix, base, changed = np.array(every).T
+    numbered = [(k, *astuple(pair)) for k, comparison in enumerate(comparisons) for pair in comparison.pairs]
+    number, matrix, base, changed = np.array(numbered).T
     outcomes = study.data.table.own["outcome"].to_numpy(object)
     has_run = (outcomes[base] != FAILED) & (outcomes[changed] != FAILED)
     number, matrix, base, changed = (column[has_run] for column in (number, matrix, base, changed))
     t_stop = np.minimum(*(_until(study.ended(rows), t_end) for rows in (base, changed)))
-    longest = parting.gap_times(parting.n_gaps(t_stop.max(initial=0.0)))
-    edges = np.unique(np.geomspace(1, len(longest) + 1, CURVE_POINTS).astype(int)) - 1
-    times = np.array([longest[begin:end].mean() for begin, end in pairwise(edges)])
     order = np.argsort(changed)  # shards are read one after the other
-    gaps = np.empty((len(changed), len(edges)))
-    in_order = study.each(partial(_gaps, level, t_end, edges), changed[order], base[order])
-    gaps[order] = in_order.reshape(gaps.shape)
+    t = np.empty(len(changed))
+    t[order] = study.each(partial(_parted_at, level, t_end), changed[order], base[order])
     of_comparison = [number == k for k in range(len(comparisons))]
-    return [Followed(matrix[rows], t_stop[rows], gaps[rows, 0], times, gaps[rows, 1:]) for rows in of_comparison]
+    return [Followed(matrix[rows], t_stop[rows], t[rows]) for rows in of_comparison]
 
 
-def _gaps(level: float, t_end: float, edges: np.ndarray, runs: Runs, changed: Ended, base: Ended) -> np.ndarray:
-    """When each run has parted from its base, NaN if it has not, and means of their gap between edges."""
-    means = np.full((len(changed), len(edges)), np.nan)
+def _parted_at(level: float, t_end: float, runs: Runs, changed: Ended, base: Ended) -> np.ndarray:
+    """When each run has parted from its base, NaN if it has not."""
     t_stop = np.minimum(_until(changed, t_end), _until(base, t_end)).tolist()
-    for row, name, original, t in zip(means, changed.member_id, base.member_id, t_stop, strict=True):
-        gaps = parting.gap(runs.points(original), runs.points(name), t)
-        t_parted = parting.parted_at(gaps, level)
-        row[0] = np.nan if t_parted is None else t_parted
-        for k, (begin, end) in enumerate(pairwise(edges[edges <= len(gaps)]), 1):
-            row[k] = gaps[begin:end].mean()
-    return means
+    times = np.full(len(changed), np.nan)
+    for k, (name, original, t) in enumerate(zip(changed.member_id, base.member_id, t_stop, strict=True)):
+        t_parted = parting.parted_at(parting.gap(runs.points(original), runs.points(name), t), level)
+        if t_parted is not None:
+            times[k] = t_parted
+    return times
 
 
 def settings(members: Members) -> list[Setting]:
@@ -157,10 +145,6 @@ def settings(members: Members) -> list[Setting]:
     A base is unchanged. For the sigmoid it has equal stiffness ratios or, if no member has, the first draw of the
     ratios. Changes of constants and of the start are compared under the same ratios. A member that was changed in two
     ways at once, or has no base, is in no comparison.
-
-    Parameters
-    ----------
-    members : Members
 
     Returns
     -------
@@ -207,15 +191,15 @@ def _compared(members: Members, rows: np.ndarray) -> tuple[dict[int, int], tuple
     runs = records(table.sort_values(["unit", "member_id"]))
     unchanged = [run for run in runs if not run["change"]]
     original = {run["base"]: run["row"] for run in unchanged}
-    least = min((run["ratios"] for run in unchanged), default=0)
-    of_draws = {(run["matrix"], run["start_draw"]): run["row"] for run in unchanged if run["ratios"] == least}
+    fewest = min((run["ratios"] for run in unchanged), default=0)
+    of_draws = {(run["matrix"], run["start_draw"]): run["row"] for run in unchanged if run["ratios"] == fewest}
     bases: dict[int, int] = {}
     pairs: dict[Change, list[Pair]] = {}
     for run in runs:
         change, base = design.changes[run["change"]], original.get(run["base"])
         if not run["change"]:
             change, base = Change(RATIOS), of_draws.get((run["matrix"], run["start_draw"]))
-            if run["ratios"] == least:
+            if run["ratios"] == fewest:
                 bases.setdefault(run["unit"], run["row"])
         if base is not None and base != run["row"]:
             pairs.setdefault(change, []).append(Pair(run["unit"], base, run["row"]))

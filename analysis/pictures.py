@@ -139,13 +139,13 @@ def space_time(
 
     since, until = _span(events, span)
     stays = _Stays(events, since, until)
-    seen = [mode for mode in _MODES if (stays.mode == mode).any()]
+    modes = [mode for mode in _MODES if (stays.mode == mode).any()]
     if len(stays.mode) > _VECTORS and since < until:
         image, per = stays.image()
         top = image.shape[0] * per - 0.5
         ax.imshow(image, extent=(since, until, -0.5, top), origin="lower", aspect="auto")
     else:
-        stays.rectangles(ax, seen)
+        stays.rectangles(ax, modes)
     ax.set(xlabel=_TIME, ylabel="block", xlim=_wide((since, until)), ylim=(-0.5, events.n - 0.5))
     if type(ax.xaxis.get_major_formatter()) is ScalarFormatter:  # not that of whoever gave the axes
         ax.xaxis.set_major_locator(MaxNLocator(_TIMES))
@@ -154,16 +154,18 @@ def space_time(
     ax.yaxis.set_major_formatter(lambda block, _: f"{block:.0f}" if block < events.n else "")
     if width is not None:
         _rows(ax, events.n, integer("width", width, 1, None))
-    return _explain(ax, [Patch(color=_MODES[mode][1], label=_MODES[mode][0]) for mode in seen])
+    return _explain(ax, [Patch(color=_MODES[mode][1], label=_MODES[mode][0]) for mode in modes])
 
 
 def _rows(ax: Axes, n: int, width: int) -> None:
     """Set the rows of a grid apart, and number them in the place of the blocks."""
     firsts = range(0, n, width)
-    for first in firsts[1:]:
-        ax.axhline(first - 0.5, color="white", linewidth=0.8)
-    every = -(-len(firsts) // _TICKS)
-    ax.set_yticks([first + (width - 1) / 2 for first in firsts[::every]], [*map(str, range(len(firsts))[::every])])
+    for start in firsts[1:]:
+        ax.axhline(start - 0.5, color="white", linewidth=0.8)
+    spacing = -(-len(firsts) // _TICKS)
+    ax.set_yticks(
+        [start + (width - 1) / 2 for start in firsts[::spacing]], [*map(str, range(len(firsts))[::spacing])]
+    )
     ax.set_ylabel(f"row of the grid, {width} blocks each")
 
 
@@ -221,7 +223,7 @@ def time(
     since, until = _span(events, span)
     chosen = range(min(events.n, _FIRST)) if blocks is None else np.atleast_1d(np.asarray(blocks, dtype=object))
     handles = []
-    for k, block in enumerate(_block("blocks", one, events.n) for one in chosen):
+    for k, block in enumerate(_block("blocks", block_number, events.n) for block_number in chosen):
         look = {"color": CYCLE[k % len(CYCLE)], "label": f"block {block}"} | style
         t, sticks = _with_ends(state.t, events, block, since, until)
         value = np.interp(t, state.t, (state.z if of == "z" else state.w)[:, block])
@@ -271,16 +273,16 @@ def spectrum(
 
     since, until = _span(events, span)
     if block is None:
-        every, value = (until - since) / _MEANS, _means(events, since, until)
+        step, value = (until - since) / _MEANS, _means(events, since, until)
         name = "$n_{stick}$"
     else:
         state, block = _state("spectrum", samples), _block("block", block, events.n)
         inside = (state.t >= since) & (state.t <= until)
-        every, value = _every(state.t[inside]), state.w[inside, block]
+        step, value = _every(state.t[inside]), state.w[inside, block]
         name = f"w of block {block}"
     if np.ptp(value) <= 1e-12 * np.abs(value).max():
         raise ValueError(f"kind: 'spectrum' is of what varies, and {name} does not on [{since:g}, {until:g}]")
-    frequency, density = welch(value, 1.0 / every, nperseg=len(value) // _WINDOW)
+    frequency, density = welch(value, 1.0 / step, nperseg=len(value) // _WINDOW)
     ax.loglog(frequency[1:-1], density[1:-1], **({"color": BLUE, "linewidth": 1.0} | style))
     ax.set(xlabel="frequency (cycles a unit of time)", ylabel=f"power density of {name}")
     return ax
@@ -334,13 +336,13 @@ class _Stays:
         from matplotlib.path import Path
 
         n_slips = int(np.count_nonzero(self.mode))
-        least = (self.until - self.since) * min(1.0 / _SEEN, _BUSY * self.n / max(n_slips, 1))
+        width = (self.until - self.since) * min(1.0 / _SEEN, _BUSY * self.n / max(n_slips, 1))
         for value in modes:
-            here = self.mode == value
-            left, right, low = self.start[here], self.stop[here], self.block[here] - 0.5
+            is_mode = self.mode == value
+            begin, right, low = self.start[is_mode], self.stop[is_mode], self.block[is_mode] - 0.5
             if value:
-                right = np.clip(right, left + least, self.until)  # over the stick that follows, drawn before
-            corners = np.stack([left, low, right, low, right, low + 1, left, low + 1], axis=-1).reshape(-1, 4, 2)
+                right = np.clip(right, begin + width, self.until)  # over the stick that follows, drawn before
+            corners = np.stack([begin, low, right, low, right, low + 1, begin, low + 1], axis=-1).reshape(-1, 4, 2)
             label, colour = _MODES[value]
             path = Path.make_compound_path_from_polys(corners)
             ax.add_patch(PathPatch(path, facecolor=colour, linewidth=0, label=label))
@@ -362,24 +364,24 @@ class _Stays:
         tone = _tone(either)
         for mode, share in shares.items():
             # those that a tone has spread to have the colour of the last slip before
-            of = np.divide(share, either, out=np.zeros_like(share), where=either > _NONE)
-            image += (tone * _carried(of, either))[..., None] * (colours[mode] - colours[0])
+            ratio = np.divide(share, either, out=np.zeros_like(share), where=either > _NONE)
+            image += (tone * _carried(ratio, either))[..., None] * (colours[mode] - colours[0])
         return np.clip(image, 0.0, 1.0), per
 
     def _share(self, mode: int, rows: int, per: int) -> Floats:
         """The sum over the blocks of a row of the share of a column's time that each spends in a mode."""
-        here = self.mode == mode
+        is_mode = self.mode == mode
         change = np.zeros(rows * (_COLUMNS + 2))
-        for sign, t in ((1.0, self.start[here]), (-1.0, self.stop[here])):
+        for sign, t in ((1.0, self.start[is_mode]), (-1.0, self.stop[is_mode])):
             x = (t - self.since) / (self.until - self.since) * _COLUMNS
-            first = np.minimum(
+            columns = np.minimum(
                 x.astype(np.int64), _COLUMNS
             )  # a step at x fills a part of this column, later ones whole
-            at = self.block[here] // per * (_COLUMNS + 2) + first
-            change += np.bincount(at, sign * (first + 1 - x), len(change))
-            change += np.bincount(at + 1, sign * (x - first), len(change))
-        found: Floats = np.cumsum(change.reshape(rows, -1), axis=1)[:, :_COLUMNS]
-        return found
+            cells = self.block[is_mode] // per * (_COLUMNS + 2) + columns
+            change += np.bincount(cells, sign * (columns + 1 - x), len(change))
+            change += np.bincount(cells + 1, sign * (x - columns), len(change))
+        shares: Floats = np.cumsum(change.reshape(rows, -1), axis=1)[:, :_COLUMNS]
+        return shares
 
 
 def _tone(share: Floats) -> Floats:
@@ -398,17 +400,17 @@ def _tone(share: Floats) -> Floats:
             wide[:, k:] |= has[:, :-k]
         return np.asarray(wide if wide.mean() <= _BUSY else has, dtype=np.float64)
     low, high = 0.0, 1.0
-    some, of_all = np.log(share[has]), _BUSY * share.size
+    logs, of_all = np.log(share[has]), _BUSY * share.size
     for _ in range(30):
         power = 0.5 * (low + high)
-        low, high = (power, high) if np.exp(power * some).sum() > of_all else (low, power)
+        low, high = (power, high) if np.exp(power * logs).sum() > of_all else (low, power)
     return np.where(has, np.maximum(share, _NONE) ** high, 0.0)
 
 
 def _carried(of: Floats, share: Floats) -> Floats:
     """In each row, the value at the last pixel that has a slip, up to there itself."""
-    at = np.where(share > _NONE, np.arange(share.shape[1]), 0)
-    return np.take_along_axis(of, np.maximum.accumulate(at, axis=1), axis=1)
+    places = np.where(share > _NONE, np.arange(share.shape[1]), 0)
+    return np.take_along_axis(of, np.maximum.accumulate(places, axis=1), axis=1)
 
 
 def _means(events: EventSeries, since: float, until: float) -> Floats:
@@ -418,9 +420,9 @@ def _means(events: EventSeries, since: float, until: float) -> Floats:
     t, count = events.change_points()
     ends = np.append(t, events.t_end)
     total = np.concatenate(([0.0], np.cumsum(count * np.diff(ends))))
-    at = np.linspace(since, until, _MEANS + 1)
-    found: Floats = np.diff(np.interp(at, ends, total)) / (at[1] - at[0])
-    return found
+    times = np.linspace(since, until, _MEANS + 1)
+    means: Floats = np.diff(np.interp(times, ends, total)) / (times[1] - times[0])
+    return means
 
 
 def _every(t: Floats) -> float:
@@ -443,20 +445,20 @@ def _with_ends(
     So a line that is left out where the block slips ends at the event, even if no sample lies in the slip.
     """
     stays = _Stays(events, since, min(until, sampled[-1]))
-    here = stays.block == block
-    mode, start, stop = stays.mode[here], stays.start[here], stays.stop[here]
+    is_block = stays.block == block
+    mode, start, stop = stays.mode[is_block], stays.start[is_block], stays.stop[is_block]
     ends = np.concatenate((start, stop, (start + stop)[mode != 0] / 2))
     t = np.unique(np.concatenate((sampled[(sampled >= since) & (sampled <= until)], ends)))
     t = t[t >= sampled[0]]
     if not len(t):
         raise ValueError(f"span: expected times with samples, which are kept on [{sampled[0]:g}, {sampled[-1]:g}]")
     start, stop = start[mode == 0], stop[mode == 0]
-    first, last = np.searchsorted(sampled, start), np.searchsorted(sampled, stop, side="right") - 1
-    inside = last > first  # from sample to sample: at the ends, interpolation has a part of the slip in it
-    start[inside], stop[inside] = sampled[first[inside]], sampled[last[inside]]
+    starts, place = np.searchsorted(sampled, start), np.searchsorted(sampled, stop, side="right") - 1
+    inside = place > starts  # from sample to sample: at the ends, interpolation has a part of the slip in it
+    start[inside], stop[inside] = sampled[starts[inside]], sampled[place[inside]]
     stop = np.append(stop, -np.inf)
-    last = np.searchsorted(start, t, side="right") - 1
-    return t, t <= stop[last]  # before the first, `last` is -1, and so is the last of `stop`
+    place = np.searchsorted(start, t, side="right") - 1
+    return t, t <= stop[place]  # before the first, `last` is -1, and so is the last of `stop`
 
 
 def _state(kind: str, samples: Samples | None) -> Samples:
@@ -474,11 +476,11 @@ def _span(events: EventSeries, span: Sequence[float] | None) -> tuple[float, flo
     if span is None:
         return events.t_start, events.t_end
     low, high = apart(events.t_start, events.t_end)
-    found = floats("span", span, f"two times, rising, within [{low}, {high}]")
-    if found.shape != (2,) or not events.t_start <= found[0] < found[1] <= events.t_end:
-        low, high, *times = apart(events.t_start, events.t_end, *found.flat)
+    ends = floats("span", span, f"two times, rising, within [{low}, {high}]")
+    if ends.shape != (2,) or not events.t_start <= ends[0] < ends[1] <= events.t_end:
+        low, high, *times = apart(events.t_start, events.t_end, *ends.flat)
         raise ValueError(f"span: expected two times, rising, within [{low}, {high}], got {', '.join(times)}")
-    return float(found[0]), float(found[1])
+    return float(ends[0]), float(ends[1])
 
 
 def _wide(span: tuple[float, float]) -> tuple[float, float]:
@@ -494,18 +496,18 @@ def _check_names(draw: Callable[..., Axes], kind: str, options: Mapping[str, Any
     """Refuse what is neither an option of a kind nor, where it draws lines, a property of a line."""
     parameters = inspect.signature(draw).parameters.values()
     takes = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
-    known, more = set(takes), ""
+    names, tail = set(takes), ""
     if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
         from matplotlib.artist import ArtistInspector
         from matplotlib.lines import Line2D
 
         properties = ArtistInspector(Line2D)
-        known |= {*properties.get_setters(), *(name for some in properties.aliasd.values() for name in some)}
-        more = " and properties of a line"
+        names |= {*properties.get_setters(), *(name for aliases in properties.aliasd.values() for name in aliases)}
+        tail = " and properties of a line"
     for name in options:
-        if name not in known:
-            remedy = did_you_mean(name, sorted(known)) or "; leave it out"
-            raise TypeError(f"{name}: unknown to the kind {kind!r}, which takes {', '.join(takes)}{more}{remedy}")
+        if name not in names:
+            remedy = did_you_mean(name, sorted(names)) or "; leave it out"
+            raise TypeError(f"{name}: unknown to the kind {kind!r}, which takes {', '.join(takes)}{tail}{remedy}")
 
 
 def _broad(line: Line2D, colour: str | None = None) -> dict[str, Any]:

@@ -40,10 +40,9 @@ def frame_of(kind: type[T], rows: Iterable[T]) -> pd.DataFrame:
     ----------
     kind : type
         Its fields are str, int, float, bool or `Estimate`.
-    rows : iterable of objects of that type
     """
     columns: dict[str, tuple[type, Callable[[T], object]]] = {}
     for name, hint in get_type_hints(kind).items():
-        field_type = next(part for part in (*get_args(hint), hint) if part is not type(None))
+        field_type = next(hinted for hinted in (*get_args(hint), hint) if hinted is not type(None))
         columns[name] = field_type, attrgetter(name)
     return frame_by(columns, rows)

@@ -22,8 +22,8 @@ _OPTIONS = {
 @contextmanager
 def defaults() -> Iterator[None]:
     """A context, and decorator, in which tables and numbers are those of a fresh session."""
-    with numpy_defaults(), ExitStack() as kept:
+    with numpy_defaults(), ExitStack() as stack:
         for name, value in _OPTIONS.items():
             with suppress(pd.errors.OptionError):  # another version of pandas may not have it
-                kept.enter_context(pd.option_context(name, value))
+                stack.enter_context(pd.option_context(name, value))
         yield

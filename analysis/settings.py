@@ -18,7 +18,7 @@ class AnalysisSettings:
     dt : tuple of float
         Sampling steps of the sampled definitions of a cascade (dimensionless), shown in tables.
     resamples : int
-        Largest number of surrogates a member, for the values under chance; `analysis.series.nulls.DRAWS` are enough.
+        Largest number of surrogates a member, for the values under chance.
     confidence : float
         Level of every interval, from 0.5 to 0.999999.
     seed : int

@@ -6,17 +6,15 @@ another dataset. What is compared with one reference is judged together.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import NamedTuple, TypeVar
 
 import pandas as pd
 
-from stickslip.analysis.answer import Picture, Table
 from stickslip.analysis.contrast import Contrast, judged
-from stickslip.analysis.findings.alerts import Alert
-from stickslip.analysis.findings.finding import Change, Finding, KeyChange, Lack, Level, Reason
+from stickslip.analysis.findings.finding import Change, KeyChange, Lack, Level, Reason
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.rows import Columns, frame_by
 from stickslip.analysis.stats.estimates import Estimate
@@ -68,10 +66,8 @@ class Step:
 
     Attributes
     ----------
-    kind : Kind
     setting, reference : str
         Labels of both; along a key, of what all its values share, and empty.
-    contrast : Contrast
     keys : tuple of KeyChange
         What both differ in, as far as the settings do not say it.
     where : Place
@@ -123,32 +119,6 @@ def judged_together(steps: Sequence[AnyStep], alpha: float) -> list[AnyStep]:
     return [replace(step, contrast=contrast) for step, contrast in zip(steps, contrasts, strict=True)]
 
 
-@dataclass(frozen=True)
-class Section:
-    """What one kind of change comes to.
-
-    Attributes
-    ----------
-    lack : Lack
-        Why nothing leads, where nothing does.
-    steps : sequence of Step
-    lead, rest : sequence of Finding
-        Those that may lead a page, in order, and the others.
-    alerts : sequence of Alert
-    figures, tables, method
-        As of `Answer`.
-    """
-
-    lack: Lack
-    steps: Sequence[Step]
-    lead: Sequence[Finding]
-    rest: Sequence[Finding] = ()
-    alerts: Sequence[Alert] = ()
-    figures: Mapping[str, Picture] = field(default_factory=dict)
-    tables: Mapping[str, Table] = field(default_factory=dict)
-    method: str = ""
-
-
 def few(what: str, n_units: int) -> Lack:
     """Why something, a noun phrase, cannot be told of so many units in motion."""
     return Lack(what, Reason.FEW_UNITS if n_units else Reason.NO_MOTION)
@@ -171,13 +141,11 @@ _COLUMNS: Columns[Step] = {
     "margin": (float, lambda step: step.contrast.difference.margin),
     "p_different": (float, lambda step: step.contrast.p_different),
     "p_different_holm": (float, lambda step: step.contrast.family and step.contrast.family.p_different),
-    "p_equivalent": (float, lambda step: step.contrast.p_equivalent),
-    "p_equivalent_holm": (float, lambda step: step.contrast.p_equivalent_holm),
     "verdict": (str, lambda step: step.contrast.verdict.value),
     "reason": (str, lambda step: step.contrast.reason),
 }
 
 
 def table_of(steps: Iterable[Step]) -> pd.DataFrame:
-    """The table of changes: a row a step, with both values, their difference, its tests and the verdict."""
+    """The table of changes: a row a step, with both values, their difference, its test and the verdict."""
     return frame_by(_COLUMNS, steps)

@@ -101,10 +101,10 @@ def subplots(rows: int, columns: int, height: float, **kwargs: Any) -> tuple[Fig
 
 def legend(figure: Figure, columns: int, axes: Iterable[Axes] | None = None) -> None:
     """Put one legend below a figure, for the curves of all axes or of some, with each name once."""
-    drawn: dict[str, Any] = {}
+    handles: dict[str, Any] = {}
     for ax in figure.axes if axes is None else axes:
-        drawn |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
-    figure.legend(drawn.values(), drawn, loc="outside lower center", ncols=columns)
+        handles |= dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
+    figure.legend(handles.values(), handles, loc="outside lower center", ncols=columns)
 
 
 PANEL = (4.2, 3.0)  # inches: half of the page, side by side on wide screens
@@ -155,8 +155,10 @@ def forest(
 
     Systems without a value are left out. `null` is a value to compare with, and its name: a dashed line.
     """
-    known = np.array([(one.value, one.low, one.high) for one in systems], dtype=np.float64).reshape(-1, 3)
-    by_size = known[np.argsort(known[:, 0])]  # None is NaN, which comes last and is not drawn
+    ends = np.array(
+        [(estimate.value, estimate.low, estimate.high) for estimate in systems], dtype=np.float64
+    ).reshape(-1, 3)
+    by_size = ends[np.argsort(ends[:, 0])]  # None is NaN, which comes last and is not drawn
     value, low, high = by_size[~np.isnan(by_size[:, 0])].T
     rows, is_image = np.arange(len(value)), len(value) > _MOST_MARKS
     ax.hlines(rows, low, high, color=EXACT, alpha=0.45, linewidth=0.9, rasterized=is_image)

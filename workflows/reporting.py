@@ -14,7 +14,7 @@ import pandas as pd
 import pyarrow as pa
 
 from stickslip.analysis import AnalysisSettings, Data, Report, Study, build
-from stickslip.analysis.ensemble import Numbers, Recorded, Until
+from stickslip.analysis.ensemble import Numbers, Recorded
 from stickslip.analysis.members import READ, Members
 from stickslip.analysis.page import FINDINGS, PAGE
 from stickslip.analysis.page.comparison import Ensemble, compare
@@ -96,7 +96,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             printable(one.words) if one in own else one.called,  # a user's own is called what they say it is
             bool(one.title),
             one.kind == "yes or no",
-            one.until and Until(one.until.start(scene.record_t_burn)),
+            None if one.until is None else one.until.start(scene.record_t_burn),
             one.of_gaps,
             one.most,
         )

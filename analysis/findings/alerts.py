@@ -5,16 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-STOP = 0  # the rank of what stops a reader
-
 
 class Code(Enum):
     """What may be wrong: the rank, by which alerts are sorted, and the words, with the names of their numbers.
 
-    Rank 0 stops the reader, 1 says what makes numbers wrong, 2 what they refer to, 3 what weakens them.
+    Rank 1 says what makes numbers wrong, 2 what they refer to, 3 what weakens them.
     """
 
-    SUSPECT = 0, "The numerics are suspect: {what} differs by more than smoothing explains ({where})."
     FAILED = 1, "{n} of {of} runs failed and are left out."
     DRIFT = 1, "{what}{where} still drifts after t_burn = {t_burn:g}: raise t_burn."
     DIVERGED = 2, "The motion grew without limit in {n} of {of} runs{where}; estimates are of the others."
@@ -29,7 +26,6 @@ class Code(Enum):
     WITHHELD = 2, "{what} is not given at {n} of {of} points: {why}."
     TEMPORARY = 2, "In {n} of {of} runs no block sticks at the end, but sliding is unstable there."
     UNDECIDED = 2, "{n} of {of} runs are undecided; the column attractor_reason says why."
-    SHORT = 3, "The runs are short: {what} rests on {n} {things} per run."
     FEW = 3, "Only {n} {units}: intervals are wide."
     OVERLAP = (
         1,

@@ -7,7 +7,6 @@ from nothing else: `findings.words` says each kind, `levels` lays each out as ro
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
 from typing import NamedTuple, TypeAlias
@@ -77,11 +76,10 @@ class Verdict(StrEnum):
 
 
 class Family(NamedTuple):
-    """The comparisons that a difference is judged together with, and its p-values adjusted for their number."""
+    """The comparisons that a difference is judged together with, and its p-value adjusted for their number."""
 
     n: int
     p_different: float
-    p_equivalent: float = 1.0
     alpha: float = 0.05
 
 
@@ -109,22 +107,17 @@ class Difference:
 
     @property
     def verdict(self) -> Verdict:
-        """By the interval alone; in a family, only if the adjusted p-value is below its level too."""
+        """By the interval; in a family a difference is shown only if the adjusted p-value is below its level too."""
         low, high = self.estimate.low, self.estimate.high
         if self.is_same:
             return Verdict.SAME
         if low is None or high is None:
             return Verdict.UNJUDGED
-        family = self.family or Family(1, 0.0, 0.0)
-        if (
-            self.margin is not None
-            and -self.margin < low <= high < self.margin
-            and family.p_equivalent < family.alpha
-        ):
+        if self.margin is not None and -self.margin < low <= high < self.margin:
             return Verdict.EQUAL
         if low <= 0.0 <= high:
             return Verdict.OPEN
-        if family.p_different >= family.alpha:
+        if self.family is not None and self.family.p_different >= self.family.alpha:
             return Verdict.OPEN_AMONG_MANY
         return Verdict.MORE if low > 0.0 else Verdict.LESS
 
@@ -163,18 +156,19 @@ class Level:
 
 
 class KeyChange(NamedTuple):
-    """A key and two of its values."""
+    """A key and two of its values; `is_of_size`: both are negative, and said by their sizes."""
 
     key: str
     first: str
     second: str
+    is_of_size: bool = False
 
     @property
-    def of_size(self) -> KeyChange:
-        """The same of absolute values, where both values are negative: |belt_speed| from 0.2 to 0.1."""
-        if not all(re.fullmatch(r"-[\d.]+(e[-+]?\d+)?", value) for value in (self.first, self.second)):
+    def said(self) -> KeyChange:
+        """As a sentence has it: |belt_speed| from 0.2 to 0.1."""
+        if not self.is_of_size:
             return self
-        return KeyChange(f"|{self.key}|", self.first[1:], self.second[1:])
+        return KeyChange(f"|{self.key}|", self.first.removeprefix("-"), self.second.removeprefix("-"))
 
 
 @dataclass(frozen=True)
@@ -353,8 +347,6 @@ class Threshold:
     ----------
     subject : str
         "stick-slip".
-    is_end : bool
-    key : str
     last, first : str
         The last value before, and the first value after.
     """
@@ -456,7 +448,7 @@ def levels(finding: Finding) -> list[Level]:
         case Share(key, things, predicate, estimate, where, comparison, basis):
             return [Level(_share(key, things, predicate), estimate, where, comparison, basis)]
         case Change(quantity, keys, _, after, difference, where, basis):
-            key, first, second = (" with ".join(texts) for texts in zip(*keys, strict=True))
+            key, first, second = (" with ".join(texts) for texts in zip(*(key[:3] for key in keys), strict=True))
             comparison = Comparison(f"{key} = {first}", difference)
             return [Level(quantity, after, Place.key(key, second) + where, comparison, basis)]
         case Law(parameter=parameter, departure=departure):

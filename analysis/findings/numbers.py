@@ -67,9 +67,9 @@ def bare(value: float, form: Form = Form.NUMBER, digits: int | None = None, sign
 
 def span(low: float, high: float, form: Form = Form.NUMBER, sign: bool = False, digits: int | None = None) -> str:
     """Two ends, "0.697 to 0.702" or "28.8 to 31.4%", by default with two digits of half their distance."""
-    least = decimals(Estimate(low=low, high=high), form)
-    places = least if digits is None else digits
-    while places < least and bare(low, form, places, sign) == bare(high, form, places, sign):
+    n_digits = decimals(Estimate(low=low, high=high), form)
+    places = n_digits if digits is None else digits
+    while places < n_digits and bare(low, form, places, sign) == bare(high, form, places, sign):
         places += 1
     ends = (bare(end, form, places, sign) for end in (low, high))
     return " to ".join(ends) + "%" * (form is Form.SHARE)

@@ -61,8 +61,10 @@ def clause(finding: Finding) -> str:
         case Outcomes():
             return _outcomes(finding)
         case Threshold(subject, is_end, key, last, first, where, basis):
-            every = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
-            return f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{where.tail}{every}"
+            in_all = "" if basis is None or basis.n == 1 else f", in all {plural(basis.n, basis.unit)}"
+            return (
+                f"{subject} {'ends' if is_end else 'begins'} between {key} = {last} and {first}{where.tail}{in_all}"
+            )
         case Regime():
             return _regime(finding)
         case Lack(what, reason, detail):
@@ -97,19 +99,19 @@ def _share(share: Share) -> str:
     if share.estimate.value in (0.0, 1.0) and (is_alone or (share.n is not None and share.comparison is None)):
         which = "all" if share.estimate.value else "none of the"
         n = f" {share.n:,}" if share.n is not None and share.n > 1 else ""
-        alone = f" ({plural(1, share.basis.unit)}, no interval)" if is_alone and share.basis is not None else ""
-        return f"{which}{n} {share.things} {share.predicate}{share.where.tail}{alone}{_compared(share.comparison)}"
-    said = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{share.where.tail}"
+        bracket = f" ({plural(1, share.basis.unit)}, no interval)" if is_alone and share.basis is not None else ""
+        return f"{which}{n} {share.things} {share.predicate}{share.where.tail}{bracket}{_compared(share.comparison)}"
+    words = f"{with_interval(share.estimate, Form.SHARE)} of {share.things} {share.predicate}{share.where.tail}"
     if share.comparison is None or share.comparison.difference.verdict is not Verdict.OPEN:
-        return said + _compared(share.comparison)
-    difference, other = share.comparison.difference, share.comparison.other
-    return f"{said}, consistent with {other}: difference {_signed(difference, Form.SHARE)}"
+        return words + _compared(share.comparison)
+    difference, reference = share.comparison.difference, share.comparison.other
+    return f"{words}, consistent with {reference}: difference {_signed(difference, Form.SHARE)}"
 
 
 def _level(level: Level) -> str:
-    said = level.quantity.clause and _in_clause(level)
-    if said:
-        return level.where.head + level.quantity.clause.format(said)
+    words = level.quantity.clause and _in_clause(level)
+    if words:
+        return level.where.head + level.quantity.clause.format(words)
     name = level.quantity.name + (f", {level.where}" if level.where else "")
     return (
         f"{name}: {with_interval(level.estimate, level.quantity.form)}{_compared(level.comparison, level.quantity)}"
@@ -120,42 +122,42 @@ def _in_clause(level: Level) -> str:
     """What stands in the clause of a quantity; empty where a comparison is undecided."""
     if level.comparison is None:
         return with_interval(level.estimate, level.quantity.form)
-    other, difference = level.comparison.other, level.comparison.difference
+    reference, difference = level.comparison.other, level.comparison.difference
     if difference.verdict is Verdict.EQUAL:
-        return f"the same as for {other} within {margin(difference, level.quantity.form)}"
+        return f"the same as for {reference} within {margin(difference, level.quantity.form)}"
     if difference.verdict not in (Verdict.MORE, Verdict.LESS):
         return ""
     if (times := ratio(difference)) is not None:
-        return f"{times} times as much as for {other}"
+        return f"{times} times as much as for {reference}"
     side = "more" if difference.verdict is Verdict.MORE else "less"
-    return f"{size(difference, level.quantity.form)} {side} than for {other}"
+    return f"{size(difference, level.quantity.form)} {side} than for {reference}"
 
 
 def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -> str:
     """What a comparison adds to a sentence about an estimate."""
     if comparison is None:
         return ""
-    other, difference = comparison.other, comparison.difference
-    more, less = ("above", "below") if quantity is None else (quantity.more, quantity.less)
+    reference, difference = comparison.other, comparison.difference
+    above, less = ("above", "below") if quantity is None else (quantity.more, quantity.less)
     form = Form.SHARE if quantity is None else quantity.form
     match difference.verdict:
         case Verdict.MORE if (times := ratio(difference)) is not None:
-            return f", {times} times that of {other}"
+            return f", {times} times that of {reference}"
         case Verdict.MORE:
-            return f", {size(difference, form)} {more} {other}"
+            return f", {size(difference, form)} {above} {reference}"
         case Verdict.LESS:
-            return f", {size(difference, form)} {less} {other}"
+            return f", {size(difference, form)} {less} {reference}"
         case Verdict.EQUAL:
-            return f", equal to {other} within {margin(difference, form)}"
+            return f", equal to {reference} within {margin(difference, form)}"
         case Verdict.SAME:
-            return f", the same as {other} in every run"
+            return f", the same as {reference} in every run"
         case Verdict.OPEN:
-            return f"; no difference from {other} is shown ({interval(difference, form)})"
+            return f"; no difference from {reference} is shown ({interval(difference, form)})"
         case Verdict.OPEN_AMONG_MANY:
-            apart = interval(difference, form)
-            return f"; difference from {other}: {apart}, not significant after adjustment for {_n_tests(difference)}"
+            distance = f"{reference}: {interval(difference, form)}"
+            return f"; difference from {distance}, not significant after adjustment for {_n_tests(difference)}"
         case Verdict.UNJUDGED:
-            return f", compared with {other}, without an interval"
+            return f", compared with {reference}, without an interval"
 
 
 def ratio(difference: Difference) -> str | None:
@@ -248,24 +250,24 @@ def _change(change: Change) -> str:
             tests = _n_tests(difference)
             return f"{quantity.name} {_open(change)}, not significant after adjustment for {tests}) {along}"
         case Verdict.UNJUDGED:
-            few = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)}, no interval"
-            return f"{quantity.name} goes {_from_to(change)} {along}{few}"
+            tail = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)}, no interval"
+            return f"{quantity.name} goes {_from_to(change)} {along}{tail}"
 
 
 def _along(change: Change) -> str:
     """What goes from where to where; of keys that are swept together, each."""
-    first, *others = (key.of_size for key in change.keys)
+    head, *tails = (key.said for key in change.keys)
     return listed([
-        f"{first.key} goes from {first.first} to {first.second}",
-        *(f"{key.key} from {key.first} to {key.second}" for key in others),
+        f"{head.key} goes from {head.first} to {head.second}",
+        *(f"{key.key} from {key.first} to {key.second}" for key in tails),
     ])  # fmt: skip
 
 
 def _open(change: Change) -> str:
     """Levels and the estimate of a change that is not shown, with a bracket that the caller closes."""
     form, difference = change.quantity.form, change.difference
-    before, after = _levels(change)
-    levels = f"stays at {after}" if before == after else f"goes from {before} to {after}"
+    start, end = _levels(change)
+    levels = f"stays at {end}" if start == end else f"goes from {start} to {end}"
     value = difference.estimate.value
     assert value is not None
     unit = form_of(difference, form)
@@ -287,34 +289,34 @@ def _from_to(change: Change) -> str:
 
 def _levels(change: Change) -> tuple[str, str]:
     """The quantity before and after."""
-    before, after = change.before.value, change.after.value
-    assert before is not None
-    assert after is not None
+    start, end = change.before.value, change.after.value
+    assert start is not None
+    assert end is not None
     form, difference = change.quantity.form, change.difference
     is_absolute = difference.scale is Scale.ABSOLUTE
-    places = decimals(difference.estimate if is_absolute else Estimate(max(abs(before), abs(after))), form)
+    places = decimals(difference.estimate if is_absolute else Estimate(max(abs(start), abs(end))), form)
     if is_absolute and difference.estimate.value is not None:
-        before, after = _adding_up(before, after, difference.estimate.value, places + 2 * (form is Form.SHARE))
-    return number(before, form, places), number(after, form, places)
+        start, end = _adding_up(start, end, difference.estimate.value, places + 2 * (form is Form.SHARE))
+    return number(start, form, places), number(end, form, places)
 
 
 def _adding_up(before: float, after: float, change: float, places: int) -> tuple[float, float]:
     """Two values rounded such that they differ by their rounded change: the one nearest to a tie moves."""
-    ends, by = (round(before, places), round(after, places)), round(change, places)
-    missing = round(by - (ends[1] - ends[0]), places)
+    ends, step = (round(before, places), round(after, places)), round(change, places)
+    missing = round(step - (ends[1] - ends[0]), places)
     if not missing or abs(missing) > 1.5 * 10.0**-places:
         return ends
-    moved = round(ends[0] - missing, places), round(ends[1] + missing, places)
-    if abs(moved[0] - before) < abs(moved[1] - after):
-        return moved[0], ends[1]
-    return ends[0], moved[1]
+    shifted = round(ends[0] - missing, places), round(ends[1] + missing, places)
+    if abs(shifted[0] - before) < abs(shifted[1] - after):
+        return shifted[0], ends[1]
+    return ends[0], shifted[1]
 
 
 def _lifetime(lifetime: Lifetime) -> str:
     if lifetime.estimate.value is None:
-        left = "all" if lifetime.share_left == 1.0 else f"{number(lifetime.share_left, Form.SHARE)} of"
-        at = Place.key("t", f"{lifetime.horizon:g}") + lifetime.where
-        return f"{left} {lifetime.things} {lifetime.predicate}{at.tail}"
+        share = "all" if lifetime.share_left == 1.0 else f"{number(lifetime.share_left, Form.SHARE)} of"
+        where = Place.key("t", f"{lifetime.horizon:g}") + lifetime.where
+        return f"{share} {lifetime.things} {lifetime.predicate}{where.tail}"
     name = lifetime.quantity.name + lifetime.where.tail
     return f"{name}: {with_interval(lifetime.estimate)}{_compared(lifetime.comparison, lifetime.quantity)}"
 
@@ -333,64 +335,63 @@ def _law(law: Law) -> str:
         case Fit.FAILS:
             p = "" if law.p_value is None else f"p \u2264 {limit(law.p_value)}"
             far = "" if law.departure is None else _level(replace(law.departure, where=EVERYWHERE))
-            apart = "; ".join(filter(None, (far, p)))
-            return f"{level.where.head}{law.subject} do not {law.predicate}" + f" ({apart})" * bool(apart)
+            details = "; ".join(filter(None, (far, p)))
+            return f"{level.where.head}{law.subject} do not {law.predicate}" + f" ({details})" * bool(details)
         case Fit.OPEN:
             return f"whether {law.subject}{level.where.tail} {law.predicate} is open; {_level(level)}"
 
 
 def _parts(sum_of: Parts) -> str:
     """What the last part does; the others cancel if their sum is less than each and than the error of the last."""
-    whole, *others, last = sum_of.whole, *sum_of.parts
-    form, places = whole.quantity.form, decimals(whole.estimate, whole.quantity.form)
-    name, subject = last.quantity.name, f"{sum_of.subject or whole.quantity.name}{whole.where.tail}"
-    value, low, high = last.estimate.value, last.estimate.low, last.estimate.high
+    total, *smaller, largest = sum_of.whole, *sum_of.parts
+    form, places = total.quantity.form, decimals(total.estimate, total.quantity.form)
+    name, subject = largest.quantity.name, f"{sum_of.subject or total.quantity.name}{total.where.tail}"
+    value, low, high = largest.estimate.value, largest.estimate.low, largest.estimate.high
     assert value is not None
     error = 0.0 if low is None or high is None else (high - low) / 2
     if low is not None and high is not None and low <= 0.0 <= high:
-        said = f"no effect of {name} on the {subject} is shown ({span(low, high, form, sign=True)})"
+        words = f"no effect of {name} on the {subject} is shown ({span(low, high, form, sign=True)})"
     else:
-        by = with_interval(_without_sign(last.estimate), form)
-        said = f"{name} {'raises' if value > 0.0 else 'lowers'} the {subject} by {by}"
-    values = {part.quantity.name: part.estimate.value for part in others if part.estimate.value is not None}
+        amount = with_interval(_without_sign(largest.estimate), form)
+        words = f"{name} {'raises' if value > 0.0 else 'lowers'} the {subject} by {amount}"
+    values = {level.quantity.name: level.estimate.value for level in smaller if level.estimate.value is not None}
     if not values:
-        return said
-    texts = [(other, number(part, form, places, sign=True)) for other, part in values.items()]
+        return words
+    texts = [(label, number(level, form, places, sign=True)) for label, level in values.items()]
     if abs(sum(values.values())) < min(error, *map(abs, values.values())):
-        return f"{said}; {listed([f'{other} ({text})' for other, text in texts])} cancel"
-    (first, text), *more = texts
-    return f"{said}; {listed([f'{first} contributes {text}', *(f'{other} {text}' for other, text in more)])}"
+        return f"{words}; {listed([f'{label} ({text})' for label, text in texts])} cancel"
+    (leader, text), *tail = texts
+    return f"{words}; {listed([f'{leader} contributes {text}', *(f'{label} {text}' for label, text in tail)])}"
 
 
 def _outcomes(outcomes: Outcomes) -> str:
     """Settings by outcome; if there is a largest difference that is shown, it is what the sentence says first."""
-    other, largest = outcomes.other, outcomes.largest
+    reference, largest = outcomes.other, outcomes.largest
     scope = f" in {outcomes.scope}" if outcomes.scope else ""
-    said = []
-    if outcomes.different and largest is not None and (apart := _larger(largest, other)):
-        said.append(f"{outcomes.at_largest} gives {apart}")
+    words = []
+    if outcomes.different and largest is not None and (distance := _larger(largest, reference)):
+        words.append(f"{outcomes.at_largest} gives {distance}")
         if outcomes.others:
-            said.append(f"{listed(outcomes.others)} also differ{'s' * (len(outcomes.others) == 1)}")
+            words.append(f"{listed(outcomes.others)} also differ{'s' * (len(outcomes.others) == 1)}")
     elif outcomes.different:
-        said.append(f"{listed(outcomes.different)} differ{'s' * (len(outcomes.different) == 1)} from {other}")
+        words.append(f"{listed(outcomes.different)} differ{'s' * (len(outcomes.different) == 1)} from {reference}")
     if outcomes.equal:
-        said.append(f"{listed(outcomes.equal)} agree{'s' * (len(outcomes.equal) == 1)} with {other}{scope}")
+        words.append(f"{listed(outcomes.equal)} agree{'s' * (len(outcomes.equal) == 1)} with {reference}{scope}")
     if outcomes.undecided:
         undecided = listed(outcomes.undecided, "or")
         if largest is None or largest.basis is None or largest.comparison is None:
-            said.append(f"{undecided} cannot be told from {other}{scope}")
+            words.append(f"{undecided} cannot be told from {reference}{scope}")
         else:
-            few = f"{plural(largest.basis.n, largest.basis.unit)} {'is' if largest.basis.n == 1 else 'are'} too few"
-            said.append(
-                f"{few} to {f'decide on {undecided}' if outcomes.equal else f'tell {undecided} from {other}{scope}'}"
-            )
+            n, verb = plural(largest.basis.n, largest.basis.unit), "is" if largest.basis.n == 1 else "are"
+            task = f"decide on {undecided}" if outcomes.equal else f"tell {undecided} from {reference}{scope}"
+            words.append(f"{n} {verb} too few to {task}")
         if outcomes.equal:
-            return "; ".join(said)
+            return "; ".join(words)
     is_distance = largest is not None and largest.comparison is None
-    apart = "" if largest is None or (outcomes.different and not is_distance) else _most_apart(largest)
-    if apart and outcomes.undecided and outcomes.at_largest not in ("", *outcomes.undecided):
-        apart += f", for {outcomes.at_largest}"
-    return "; ".join(said) + apart
+    distance = "" if largest is None or (outcomes.different and not is_distance) else _most_apart(largest)
+    if distance and outcomes.undecided and outcomes.at_largest not in ("", *outcomes.undecided):
+        distance += f", for {outcomes.at_largest}"
+    return "; ".join(words) + distance
 
 
 def _larger(level: Level, other: str) -> str:
@@ -401,10 +402,10 @@ def _larger(level: Level, other: str) -> str:
     is_more = difference.verdict is Verdict.MORE
     if (times := ratio(difference)) is not None:
         return f"{times} times as many {things} as {other}" if things else f"{times} times the {name} of {other}"
-    by = size(difference, level.quantity.form)
+    amount = size(difference, level.quantity.form)
     if things and difference.scale is Scale.RELATIVE:
-        return f"{by} {'more' if is_more else 'fewer'} {things} than {other}"
-    return f"a {name} {by} {'higher' if is_more else 'lower'} than {other}"
+        return f"{amount} {'more' if is_more else 'fewer'} {things} than {other}"
+    return f"a {name} {amount} {'higher' if is_more else 'lower'} than {other}"
 
 
 def _most_apart(level: Level) -> str:
@@ -414,8 +415,8 @@ def _most_apart(level: Level) -> str:
     if level.comparison.difference.verdict is Verdict.SAME:
         return ""
     difference, form, name = level.comparison.difference, level.quantity.form, level.quantity.name
-    value, after = difference.estimate.value, level.estimate.value
-    if value is None or after is None:
+    value, end = difference.estimate.value, level.estimate.value
+    if value is None or end is None:
         return ""
     if difference.verdict is Verdict.EQUAL:
         return f"; largest difference {_signed(difference, form)}, in the {name}"
@@ -423,8 +424,8 @@ def _most_apart(level: Level) -> str:
     n = f", not significant after adjustment for {_n_tests(difference)}" if is_one_of_many else ""
     if difference.scale is Scale.RELATIVE:
         return f"; largest difference {_signed(difference, form)}, in the {name}{n}"
-    places = 0 if form is Form.SHARE else decimals(Estimate(max(abs(after), abs(after - value))), form)
-    ends = f"{name} {number(after, form, places)} against {number(after - value, form, places)}"
+    places = 0 if form is Form.SHARE else decimals(Estimate(max(abs(end), abs(end - value))), form)
+    ends = f"{name} {number(end, form, places)} against {number(end - value, form, places)}"
     if difference.verdict is Verdict.UNJUDGED:
         return f": {ends}, without an interval"
     return f": {ends} (difference {interval(difference, form)}){n}"
@@ -437,10 +438,10 @@ def _signed(difference: Difference, form: Form) -> str:
 
 
 def _regime(regime: Regime) -> str:
-    head, things, (first, *others) = regime.where.head, regime.things, regime.predicates
-    if others:
-        some = [f"some {things} {first}", *(f"some {predicate}" for predicate in others[:-1])]
-        return f"{head}{listed([*some, f'others {others[-1]}'])}"
+    head, things, (verb, *predicates) = regime.where.head, regime.things, regime.predicates
+    if predicates:
+        groups = [f"some {things} {verb}", *(f"some {predicate}" for predicate in predicates[:-1])]
+        return f"{head}{listed([*groups, f'others {predicates[-1]}'])}"
     if regime.n < regime.of:
-        return f"{head}all {regime.n:,} decided {things} (of {regime.of:,}) {first}"
-    return f"{head}{f'all {regime.n:,} ' * (regime.n > 1)}{things} {first}"
+        return f"{head}all {regime.n:,} decided {things} (of {regime.of:,}) {verb}"
+    return f"{head}{f'all {regime.n:,} ' * (regime.n > 1)}{things} {verb}"

@@ -68,13 +68,13 @@ def periodogram(steps: BlockSteps, m: int) -> np.ndarray:
     order = steps.by_block
     firsts = np.flatnonzero(np.diff(steps.block[order], prepend=-1))
     turn = np.exp(-2j * np.pi * (steps.t[order] - steps.t_start) / steps.span)
-    phase, found = steps.step[order].astype(np.complex128), np.empty((2, m))
+    phase, powers = steps.step[order].astype(np.complex128), np.empty((2, m))
     net = np.add.reduceat(phase, firsts)
     for k in range(m):
         phase *= turn
         x = np.add.reduceat(phase, firsts) - net
-        found[:, k] = abs(x.sum()) ** 2, np.sum(x.real**2 + x.imag**2)
-    return found * (2 / steps.span) * (steps.span / (2 * np.pi * np.arange(1, m + 1))) ** 2
+        powers[:, k] = abs(x.sum()) ** 2, np.sum(x.real**2 + x.imag**2)
+    return powers * (2 / steps.span) * (steps.span / (2 * np.pi * np.arange(1, m + 1))) ** 2
 
 
 def expected(frequency: np.ndarray, span: float, period: np.ndarray, quality: np.ndarray) -> np.ndarray:
@@ -89,11 +89,11 @@ def expected(frequency: np.ndarray, span: float, period: np.ndarray, quality: np
     root = np.where(abs(root) < 1e-5 * g, 1e-5 * g, root)  # avoids the double root
     s1, s2 = -g + root, -g - root
     square = (2 * np.pi * frequency) ** 2  # exp(2 pi i f span) = 1
-    found = np.zeros(np.broadcast(square, root).shape)
+    power = np.zeros(np.broadcast(square, root).shape)
     for weight, s in ((s2 / (s2 - s1), s1), (s1 / (s1 - s2), s2)):
         poles = 1 / (s * s + square)
-        found = found - 4 * (weight * (s * poles + (1 - np.exp(s * span)) / span * (s * s - square) * poles**2)).real
-    return found
+        power = power - 4 * (weight * (s * poles + (1 - np.exp(s * span)) / span * (s * s - square) * poles**2)).real
+    return power
 
 
 # ------------------------------------------------------------------------------------------------ the fit
@@ -133,7 +133,6 @@ def fit(
 
     Parameters
     ----------
-    span : float
     observed, independent : ndarray, shape (b, m)
         Mean periodograms at the harmonics.
     start : ndarray, shape (b, 4)
@@ -159,11 +158,11 @@ def fit(
     value, around = loss(at), np.zeros((5, 1, 4))  # at a point, and beside it in period and in quality
     around[1:3, 0, 1] = around[3:, 0, 2] = 1e-4, -1e-4
     for _ in range(MOST_STEPS):
-        here, *beside = motion(at + around)
-        rest = np.exp(at[:, 3:]) * independent
-        slopes = [(above - below) / 2e-4 for above, below in (beside[:2], beside[2:])]
-        model = here + rest
-        gain = np.stack([here, *slopes, rest], axis=2) / model[:, :, None]
+        value_here, *gradients = motion(at + around)
+        noise = np.exp(at[:, 3:]) * independent
+        slopes = [(above - below) / 2e-4 for above, below in (gradients[:2], gradients[2:])]
+        model = value_here + noise
+        gain = np.stack([value_here, *slopes, noise], axis=2) / model[:, :, None]
         fisher = np.einsum("bki,bkj->bij", gain, gain)
         ridge = np.einsum("bii->bi", fisher) * damping[:, None] + 1e-9
         score = np.einsum("bki,bk->bi", gain, observed / model - 1)
@@ -189,10 +188,10 @@ def _bounds(frequency: np.ndarray, observed: np.ndarray) -> tuple[np.ndarray, np
 def best(span: float, observed: np.ndarray, independent: np.ndarray) -> np.ndarray:
     """The best fit, shape (4,), from a grid of initial periods and qualities, to spectra of shape (m,)."""
     low, high = _bounds(np.arange(1, len(observed) + 1) / span, observed)
-    left = max(np.median(observed[len(observed) // 2 :] / independent[len(observed) // 2 :]), 0.01)
-    above = max(np.sum(observed - left * independent), 0.01 * observed.sum()) / span
+    share = max(np.median(observed[len(observed) // 2 :] / independent[len(observed) // 2 :]), 0.01)
+    above = max(np.sum(observed - share * independent), 0.01 * observed.sum()) / span
     periods = np.linspace(low[1], high[1], 8)[1:-1]
-    start = np.array([[np.log(above), period, quality, np.log(left)]
+    start = np.array([[np.log(above), period, quality, np.log(share)]
                       for period in periods for quality in np.log([0.8, 3.0])])  # fmt: skip
     rows = len(start), len(observed)
     at, value = fit(span, np.broadcast_to(observed, rows), np.broadcast_to(independent, rows), start)
@@ -234,7 +233,6 @@ class CommonMotion:
 
     Attributes
     ----------
-    shown : Shown
     p : float
         The share of surrogates without coupling whose slow power is as concentrated.
     period : float, optional
@@ -262,7 +260,6 @@ def common_motion(data: Spectra, confidence: float, rng: np.random.Generator) ->
     ----------
     data : Spectra
         Spectra of at least two matrices with `LEAST_HARMONICS` harmonics or more.
-    confidence : float
     rng : numpy.random.Generator
         Draws the surrogates.
     """
@@ -270,36 +267,36 @@ def common_motion(data: Spectra, confidence: float, rng: np.random.Generator) ->
     if p > 1 - confidence:
         return CommonMotion(Shown.NONE, p)
     g = len(data.observed)
-    whole, own = data.observed.mean(axis=0), data.independent.mean(axis=0)
-    start = best(data.span, whole, own)
-    power, period, quality, left = np.exp(start)
+    mean_observed, mean_own = data.observed.mean(axis=0), data.independent.mean(axis=0)
+    start = best(data.span, mean_observed, mean_own)
+    power, period, quality, share = np.exp(start)
     if period > data.span / LEAST_PERIODS:
         return CommonMotion(Shown.SHORT, p, float(period))
     observed, independent = (
-        (g * mean - rows) / (g - 1) for mean, rows in ((whole, data.observed), (own, data.independent))
+        (g * mean - rows) / (g - 1) for mean, rows in ((mean_observed, data.observed), (mean_own, data.independent))
     )
     left_out, _ = fit(data.span, observed, independent, np.tile(start, (g, 1)))
     variance = np.append(data.variance.mean(), (data.variance.sum() - data.variance) / (g - 1))
     values = _values(np.exp(np.vstack([start, left_out])), data.span, variance)
     estimates = {number: _estimate(values[number], confidence, number is Number.SHARE) for number in Number}
-    model = power * expected(data.frequency, data.span, period, quality) + left * own
+    model = power * expected(data.frequency, data.span, period, quality) + share * mean_own
     n_runs = g**2 / np.sum(1 / data.n_runs)  # of a mean of means
-    return CommonMotion(Shown.SLOW, p, float(period), estimates, values, goodness(whole, model, n_runs))
+    return CommonMotion(Shown.SLOW, p, float(period), estimates, values, goodness(mean_observed, model, n_runs))
 
 
 def _values(fits: np.ndarray, span: float, variance: np.ndarray) -> dict[Number, np.ndarray]:
     """Numbers from fits, shape (b, 4), and the variances of n_stick within windows, shape (b,)."""
-    power, period, quality, left = fits.T
+    power, period, quality, rest_share = fits.T
     at_zero = expected(np.zeros(1), span, period[:, None], quality[:, None])[:, 0]
     total = variance + power * at_zero / (2 * span)  # adds the variance that the mean of a window removes
     share = np.minimum(power / total, 1 - 1e-6)
-    return dict(zip(Number, (period, quality, power, share, left), strict=True))
+    return dict(zip(Number, (period, quality, power, share, rest_share), strict=True))
 
 
 def _estimate(values: np.ndarray, confidence: float, is_share: bool) -> Estimate:
     """A number with its interval on the log or logit scale; values from all matrices, and with each left out."""
-    to, back = (special.logit, special.expit) if is_share else (np.log, np.exp)
-    scaled = to(values)
+    forth, back = (special.logit, special.expit) if is_share else (np.log, np.exp)
+    scaled = forth(values)
     half = student.half_width(confidence, len(values) - 2) * jackknife_error(scaled[1:])
     return Estimate(float(values[0]), float(back(scaled[0] - half)), float(back(scaled[0] + half)))
 
@@ -312,19 +309,19 @@ def p_value(data: Spectra, rng: np.random.Generator) -> float:
     between a resonance and the ratio of the power to this mean, over some periods and qualities. The total power is
     irrelevant.
     """
-    frequency, own = data.frequency, data.independent.sum(axis=0)
+    frequency, independent = data.frequency, data.independent.sum(axis=0)
     periods, qualities = np.meshgrid(np.geomspace(2 / frequency[-1], data.span / LEAST_PERIODS, 6), (1.0, 4.0))
-    shapes = expected(frequency, data.span, periods.reshape(-1, 1), qualities.reshape(-1, 1)) / own
+    shapes = expected(frequency, data.span, periods.reshape(-1, 1), qualities.reshape(-1, 1)) / independent
     shapes -= shapes.mean(axis=1, keepdims=True)
     shapes /= np.sqrt(np.sum(shapes**2, axis=1, keepdims=True))
 
     def largest(power: np.ndarray) -> np.ndarray:
-        ratio = power / own
+        ratio = power / independent
         return np.max(ratio @ shapes.T, axis=-1) / ratio.sum(axis=-1)
 
-    drawn = np.array([
+    surrogates = np.array([
         np.sum(data.independent * (rng.standard_gamma(data.n_runs, data.independent.T.shape) / data.n_runs).T, axis=0)
         for _ in range(SURROGATES)
     ])  # fmt: skip
-    n_as_far = int(np.sum(largest(drawn) >= largest(data.observed.sum(axis=0))))
+    n_as_far = int(np.sum(largest(surrogates) >= largest(data.observed.sum(axis=0))))
     return (1 + n_as_far) / (1 + SURROGATES)

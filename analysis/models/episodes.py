@@ -33,15 +33,12 @@ class Catalogue:
 
     Attributes
     ----------
-    t_start, t_stop : float
     start, duration, moment : ndarray, shape (m,)
         moment is never zero; it is negative where blocks slip on the whole with the belt, as forces can make them do.
     size : ndarray of int, shape (m,)
     slip : float
         Total slip of all blocks if they slipped as far as the belt travels, n |v| (t_stop - t_start); NaN if v is
         zero or differs between blocks.
-    first_block : ndarray of int, shape (m,)
-        The block that left first.
     moving : float
         The time in which some block slips, also in episodes that begin before t_start, or do not end.
     carried : ndarray, shape (m,), optional
@@ -56,7 +53,6 @@ class Catalogue:
     size: np.ndarray
     moment: np.ndarray
     slip: float
-    first_block: np.ndarray
     moving: float = np.nan
     carried: np.ndarray | None = None
 
@@ -91,22 +87,10 @@ class Catalogue:
         """
         return self.start[1:] - (self.start + self.duration)[:-1]
 
-    @property
-    def sizes_and_quiets(self) -> np.ndarray:
-        """Size of each episode but the last, and the quiet time after it, shape (m - 1, 2)."""
-        return np.column_stack([self.size[:-1], self.quiet])
-
-    def is_late(self) -> np.ndarray:
-        """Mask of the episodes that begin in the second half, shape (m,)."""
-        return np.asarray(self.start >= 0.5 * (self.t_start + self.t_stop))
-
     def halves(self) -> np.ndarray:
         """Number of episodes that begin in the first half and in the second, shape (2,)."""
-        return np.bincount(self.is_late().astype(np.int64), minlength=2).astype(np.float64)
-
-    def first_blocks(self, n: int) -> np.ndarray:
-        """Number of episodes in which each block leaves first, in the first half and the second, shape (2, n)."""
-        return np.bincount(self.is_late() * n + self.first_block, minlength=2 * n).reshape(2, n)
+        is_late = self.start >= 0.5 * (self.t_start + self.t_stop)
+        return np.bincount(is_late.astype(np.int64), minlength=2).astype(np.float64)
 
 
 def atom(magnitudes: np.ndarray) -> float:
@@ -143,16 +127,11 @@ def laws_of_moments(least: float, mean: float) -> tuple[Family, Family, Family]:
     def moments(k: np.ndarray) -> np.ndarray:
         return 10.0 ** (least + FITTED * (k - 0.5)) / mean
 
-    def over(p: float) -> float:
-        return mean / p if p else np.inf
-
     return (
-        Family("power law", lambda k: np.log(moments(k))[:, None], lambda p: {"b": float(p[0])}),
-        Family("cut-off power law", lambda k: np.column_stack([np.log(moments(k)), moments(k)]),
-               lambda p: {"b": float(p[0]), "cut-off": over(float(p[1]))}, bounded=(1,)),
-        Family("exponential", lambda k: moments(k)[:, None], lambda p: {"mean": over(float(p[0]))},
-               base=lambda k: np.log(moments(k))),
-    )  # fmt: skip
+        Family("power law", lambda k: np.log(moments(k))[:, None]),
+        Family("cut-off power law", lambda k: np.column_stack([np.log(moments(k)), moments(k)]), bounded=(1,)),
+        Family("exponential", lambda k: moments(k)[:, None], base=lambda k: np.log(moments(k))),
+    )
 
 
 # ---------------------------------------------------------------------------------------------- quantities
@@ -181,19 +160,10 @@ def _spread(found: Catalogue, _: float) -> tuple[float, float]:
     return float(n / (n - 1) * np.sum((gaps / gaps.mean() - 1.0) ** 2)), float(n)
 
 
-def _counts(found: Catalogue, _: float) -> tuple[float, float]:
-    """Variance and mean of the number of episodes in `WINDOWS` windows of equal quiet time, without dead time."""
-    took = np.cumsum(found.duration)
-    quiet = found.t_stop - found.t_start - float(found.duration.sum())
-    counts = np.histogram(found.start - found.t_start - took + found.duration, WINDOWS, (0.0, max(quiet, 0.0)))[0]
-    return float(counts.var(ddof=1)), float(counts.mean())
-
-
 RATE, SLIP, B_VALUE, QUIET = "rate of episodes", "share of slip in episodes", "b by Aki", "CV of quiet times"
 STORED, CREEP = "share of stored strain", "share of creep"
 SIZE, DURATION = "mean size", "mean duration"
-OCCUPANCY, BY_WAY, FANO = "share of time in episodes", "episodes by block and way", "Fano factor"
-WINDOWS = 20  # into which a run's quiet time is divided to count episodes
+OCCUPANCY, BY_WAY = "share of time in episodes", "episodes by block and way"
 
 
 @dataclass(frozen=True)
@@ -222,12 +192,10 @@ REST: Mapping[str, Quantity] = {
     CREEP: Quantity(lambda one, _: (one.travel - one.slipped - one.stored, one.travel)),
 }
 #: Quantities that show whether the drive is slow for the chain: episodes then fill little of the time, and their
-#: number is proportional to the belt's travel. `FANO` is the variance of counts over their mean: 1 for a Poisson
-#: process in windows of any length, which a CV does not test.
+#: number is proportional to the belt's travel.
 SLOW_DRIVE: Mapping[str, Quantity] = {
     OCCUPANCY: Quantity(lambda one, _: (one.moving, one.t_stop - one.t_start)),
     BY_WAY: Quantity(lambda one, _: (float(len(one.start)), one.slip)),
-    FANO: Quantity(_counts),
 }
 
 
@@ -242,21 +210,18 @@ def b_values(
         The catalogues of each system.
     law : Fit
         One of `laws_of_moments`, fitted in the classes of `in_classes`.
-    least : float
-    fewest : int
-    confidence : float
     """
-    of, shares = QUANTITIES[B_VALUE], law.shares()
-    found: list[BValue] = []
+    quantity, shares = QUANTITIES[B_VALUE], law.shares()
+    values: list[BValue] = []
     for edge in itertools.count(least, B_STEP):
-        sums = np.array([np.sum([of.sums(run, edge) for run in some], axis=0) for some in runs])
+        sums = np.array([np.sum([quantity.sums(run, edge) for run in catalogues], axis=0) for catalogues in runs])
         n_above = round(float(sums[:, 0].sum()) / _LOG10_E)
         above = shares[round((edge - least) / FITTED) :]
         if n_above < fewest or not len(above):
             break
         mean = FITTED * float(np.average(np.arange(len(above)) + 0.5, weights=above))
-        found.append(BValue(float(edge), n_above, over_matrices(of.of, sums, confidence), _LOG10_E / mean))
-    return found
+        values.append(BValue(float(edge), n_above, over_matrices(quantity.of, sums, confidence), _LOG10_E / mean))
+    return values
 
 
 def follows(found: Sequence[BValue], n_systems: int, confidence: float) -> bool:
@@ -269,10 +234,10 @@ def follows(found: Sequence[BValue], n_systems: int, confidence: float) -> bool:
     dof = n_systems - 1
     wider = half_width(1 - (1 - confidence) / (len(found) - 1), dof) / half_width(confidence, dof)
     return all(
-        one.b.value is not None
-        and one.b.high is not None
-        and abs(one.b.value - one.predicted) <= wider * (one.b.high - one.b.value)
-        for one in found[1:]
+        value.b.value is not None
+        and value.b.high is not None
+        and abs(value.b.value - value.predicted) <= wider * (value.b.high - value.b.value)
+        for value in found[1:]
     )
 
 

@@ -53,7 +53,6 @@ def kaplan_meier(times: np.ndarray, ended: np.ndarray, confidence: float, units:
     times : ndarray, shape (m,), float64
     ended : ndarray, shape (m,), bool
         Whether it ended then, or was only followed until then (censored).
-    confidence : float
     units : ndarray of int, shape (m,), optional
         The unit of each; left out, each is one by itself.
 
@@ -141,12 +140,12 @@ def survival(
     units : ndarray of int, shape (m,), optional
         As in `kaplan_meier`.
     """
-    times, ended, earliest = _ends(fates, t_last, t_stop, t_end)
+    times, has_ended, earliest = _ends(fates, t_last, t_stop, t_end)
     is_quiet = fates == QUIET
-    curve = kaplan_meier(earliest, ended | is_quiet, confidence, units)
+    curve = kaplan_meier(earliest, has_ended | is_quiet, confidence, units)
     if not is_quiet.any():
         return curve
-    upper = kaplan_meier(times, ended, confidence, units)
+    upper = kaplan_meier(times, has_ended, confidence, units)
     t = np.union1d(curve[0], upper[0])
     (share, low), (high,) = (
         [column[np.searchsorted(source[0], t, side="right") - 1] for column in columns]
@@ -167,17 +166,17 @@ def half_ended(
 
     Quiet runs count as ended at their last events; the upper end of the interval takes them as not ended.
     """
-    times, ended, earliest = _ends(fates, t_last, t_stop, t_end)
-    half = median(earliest, ended | (fates == QUIET), confidence, units)
-    return replace(half, high=median(times, ended, confidence, units).high)
+    times, has_ended, earliest = _ends(fates, t_last, t_stop, t_end)
+    half = median(earliest, has_ended | (fates == QUIET), confidence, units)
+    return replace(half, high=median(times, has_ended, confidence, units).high)
 
 
 def _ends(
     fates: np.ndarray, t_last: np.ndarray, t_stop: np.ndarray, t_end: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Results of `ends_at` of some runs, and the times with quiet runs taken as ended at their last events."""
-    times, ended = ends_at(fates, t_last, t_stop, t_end)
-    return times, ended, np.where(fates == QUIET, t_last, times)
+    times, has_ended = ends_at(fates, t_last, t_stop, t_end)
+    return times, has_ended, np.where(fates == QUIET, t_last, times)
 
 
 def median(times: np.ndarray, ended: np.ndarray, confidence: float, units: np.ndarray | None = None) -> Estimate:
@@ -314,7 +313,6 @@ def bounded_share(counts: np.ndarray, confidence: float) -> Estimate:
     ----------
     counts : ndarray, shape (G, 3)
         One row a matrix: runs with the property, runs for which it is unknown, and all runs.
-    confidence : float
     """
     has, untold, n_runs = np.asarray(counts, dtype=np.float64).T
     share, low, _, _ = share_over_matrices(np.column_stack([has, n_runs]), confidence)

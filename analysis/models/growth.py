@@ -32,21 +32,15 @@ class Growth:
         Mean over matrices of the slope of log distance (per unit of time), with a jackknife-t interval.
     t_from, t_to : float
         The range that was regressed.
-    n_pairs, n_floor, n_ceiling : int
-        Number of all pairs, and of those dropped at the floor and at the ceiling.
+    n_pairs, n_used : int
+        Number of all pairs, and of those that stay in their linear range.
     """
 
     rate: Estimate
     t_from: float
     t_to: float
     n_pairs: int
-    n_floor: int
-    n_ceiling: int
-
-    @property
-    def n_used(self) -> int:
-        """How many pairs stay in their linear range."""
-        return self.n_pairs - self.n_floor - self.n_ceiling
+    n_used: int
 
     @property
     def is_selected(self) -> bool:
@@ -77,29 +71,24 @@ def growth(
         Beginning of the range, and the shortest length that counts.
     bounds : (float, float)
         Floor, above the error of integration, and ceiling, below the distance at which pairs saturate.
-    confidence : float
     """
     t = times[times >= t_from]
     inside = np.zeros((len(distances), len(t)), dtype=bool)
     log = np.zeros(inside.shape)
-    at_floor = np.zeros(len(distances), dtype=bool)
     for k, distance in enumerate(distances):
         d = np.asarray(distance)[len(times) - len(t) :]
         inside[k, : len(d)] = (d > bounds[0]) & (d < bounds[1])
         log[k, : len(d)] = np.log(np.where(inside[k, : len(d)], d, 1.0))
-        n_inside = int(np.cumprod(inside[k], dtype=np.int64).sum())
-        at_floor[k] = n_inside < len(d) and d[n_inside] <= bounds[0]
     length = np.cumprod(inside, axis=1, dtype=np.int64).sum(axis=1)  # points up to the first outside
     needed = max(int(np.searchsorted(t, t_from + least, side="right")), LEAST_POINTS)
     is_long = length >= needed
-    n_floor, n_ceiling = int(np.sum(at_floor & ~is_long)), int(np.sum(~at_floor & ~is_long))
     if not is_long.any():
         none = Estimate(reason="no pair in range")
-        return Growth(none, t_from, t_from, len(is_long), n_floor, n_ceiling)
+        return Growth(none, t_from, t_from, len(is_long), 0)
     m = int(length[is_long].min())
     centred = t[:m] - t[:m].mean()
     slopes = log[is_long, :m] @ centred / (centred @ centred)
     _, index = np.unique(np.asarray(matrix)[is_long], return_inverse=True)
     rates = np.bincount(index, slopes) / np.bincount(index)
     rate = over_matrices(ratio, np.column_stack([rates, np.ones(len(rates))]), confidence)
-    return Growth(rate, float(t[0]), float(t[m - 1]), len(is_long), n_floor, n_ceiling)
+    return Growth(rate, float(t[0]), float(t[m - 1]), len(is_long), int(is_long.sum()))

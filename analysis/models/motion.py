@@ -16,15 +16,13 @@ from stickslip.analysis.stats.quantities import SUMS
 LULL = 20.0  # dimensionless: longer than a period of the slowest block of the paper's systems, about 15
 #: Change points and runs that are worked on at once.
 POINTS, RUNS = 1 << 19, 1 << 13
-#: Columns of `effective.rows` after the variance.
-EFFECTIVE = ("tens", "twenties", "sokal")
 #: Columns of `Motion.sums` by name: those of `quantities.SUMS`; n_stick in the two halves of the window, and
-#: `early_and_late`; its integral and the time without lulls; `EFFECTIVE`; and whether the window is too short for a
-#: correlation time or has none.
+#: `early_and_late`; its integral and the time without lulls; and whether the window is too short for a correlation
+#: time or has none.
 COLUMNS: Mapping[str, int] = {
     name: k for k, name in enumerate((
         *(name for names in SUMS for name in names),
-        "first_half", "second_half", "early", "late", "stuck", "active", *EFFECTIVE, "short",
+        "first_half", "second_half", "early", "late", "stuck", "active", "short",
     ))
 }  # fmt: skip
 
@@ -149,6 +147,5 @@ def _sums(runs: Windows, is_brief: bool) -> np.ndarray:
     put(("early", "late"), early_and_late(runs))
     tau = sums[:, COLUMNS["tau"]]
     put(("stuck", "active"), np.column_stack([halves.mean(axis=1) * runs.span, runs.span - runs.total(lulls(runs))]))
-    put(EFFECTIVE, effective.rows(runs, tau)[:, 1:])
     put(("short",), ((tau == 0) | effective.is_short(runs, tau))[:, None])
     return sums

@@ -78,17 +78,10 @@ def law(n: int, mean: float, k_max: int) -> np.ndarray:
     # cascade.
     stuck = np.arange(1, n + 1)
     exit_next = (1 - p) * stuck / (p * (n - stuck) + (1 - p) * stuck)
-    after = _others(n, p) * exit_next
-    after /= after.sum()
-    found = np.zeros(k_max)
+    stuck_then = _others(n, p) * exit_next
+    stuck_then /= stuck_then.sum()
+    probabilities = np.zeros(k_max)
     for k in range(k_max):
-        found[k] = after @ entry
-        after = np.append((after * (1 - entry))[1:], 0.0)
-    return found
-
-
-def excess(n: int, mean: float) -> float:
-    """Variance of the pool's sizes over m (m - 1), minus one: the value of `dispersion.excess` in the pool."""
-    sizes, shares = np.arange(1, n + 1), law(n, mean, n)
-    m = sizes @ shares
-    return float((sizes**2 @ shares - m**2) / (m * (m - 1)) - 1)
+        probabilities[k] = stuck_then @ entry
+        stuck_then = np.append((stuck_then * (1 - entry))[1:], 0.0)
+    return probabilities

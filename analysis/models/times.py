@@ -17,7 +17,7 @@ import numpy as np
 
 from stickslip.analysis.models.fates import median, risks
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.compare import correlation
+from stickslip.analysis.stats.compare import Compared, correlation
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
 
 _QUANTILE = student.quantile(0.975, np.inf)
@@ -48,9 +48,9 @@ class Times(UnitSums):
         return cls(sums.units, sums.rows, np.asarray(units, dtype=np.int64), times, ended)
 
     def joined(self, others: Sequence[UnitSums]) -> Self:
-        parts = [self, *(part for part in others if isinstance(part, Times))]
+        together = [self, *(times for times in others if isinstance(times, Times))]
         return self.of_runs(
-            *(np.concatenate([getattr(part, name) for part in parts]) for name in ("of_unit", "times", "ended"))
+            *(np.concatenate([getattr(times, name) for times in together]) for name in ("of_unit", "times", "ended"))
         )
 
     def within(self, other: UnitSums) -> Self:
@@ -152,10 +152,8 @@ class Times(UnitSums):
         return UnitSums(self.units, np.column_stack([values, np.ones(len(values))]))
 
 
-def median_difference(
-    first: Times, second: Times, paired: bool, is_relative: bool = False
-) -> tuple[float, float, float]:
-    """The median of `second` minus that of `first`, or relative to it, its standard error and degrees of freedom.
+def median_difference(first: Times, second: Times, paired: bool, is_relative: bool = False) -> Compared:
+    """The median of `second` minus that of `first`, or relative to it.
 
     The error of a median is the width of its 95% interval in normal quantiles, which needs no density (Bonett and
     Price 2002, Psychol. Methods 7, 370). That interval is of the times at which the share left is one half, within
@@ -167,14 +165,14 @@ def median_difference(
         If a median is not reached, the runs are not followed to an end of its interval, or the first is zero and the
         difference is to be relative to it.
     """
-    medians, errors, moved = zip(*(times._at_half() for times in (first, second)), strict=True)
-    shared = correlation(*moved) if paired else 0.0
-    before, after = medians
+    medians, errors, shifts = zip(*(times._at_half() for times in (first, second)), strict=True)
+    shared = correlation(*shifts) if paired else 0.0
+    start, end = medians
     a, b = errors
-    if is_relative and before == 0.0:
+    if is_relative and start == 0.0:
         raise Undefined("the first value is zero, so there is no relative difference")
     if is_relative:
-        a, b = a * after / before**2, b / before
+        a, b = a * end / start**2, b / start
     error = float(np.sqrt(max(a * a - 2.0 * shared * a * b + b * b, 0.0)))
-    difference = after / before - 1.0 if is_relative else after - before
-    return difference, error, min(len(first), len(second)) - 1.0
+    difference = end / start - 1.0 if is_relative else end - start
+    return Compared(difference, error, min(len(first), len(second)) - 1.0)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pandas as pd
 
 from stickslip.analysis.ensemble import Data, Study
-from stickslip.analysis.findings.alerts import STOP, Alert, Code
+from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.words import plural
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import ENGINE_KEYS, START, SYSTEM_KEYS, noun
@@ -87,10 +87,10 @@ class Report(NamedTuple):
             if len(table) <= LONG:
                 contents[f"report/{name}.csv"] = partial(_csv, table)
         contents[FINDINGS] = partial(_json, self.findings)
-        for name, drawn in self.figures.items():
-            contents[f"report/figures/{name}.svg"] = drawn.svg.encode
-            if drawn.pdf is not None:
-                contents[f"report/figures/{name}.pdf"] = partial(bytes, drawn.pdf)
+        for name, figure in self.figures.items():
+            contents[f"report/figures/{name}.svg"] = figure.svg.encode
+            if figure.pdf is not None:
+                contents[f"report/figures/{name}.pdf"] = partial(bytes, figure.pdf)
         return contents | {PAGE: self.html.encode}
 
 
@@ -142,40 +142,41 @@ def build(
     """
     refuse_unknown(settings.question)
     study = Study(data, settings)
-    asked = [ask(study, key) for key in package_questions(settings.question)] if answers is None else answers(study)
-    by_key = {question.key: question for question in asked if question is not None}
+    answered = (
+        [ask(study, key) for key in package_questions(settings.question)] if answers is None else answers(study)
+    )
+    by_key = {question.key: question for question in answered if question is not None}
     questions = [question for question in by_key.values() if not question.problem]
     parts = [part(question) for question in questions]
-    lacking = [part for part in parts if part.is_lack]
-    leading, others = _in_order(study, [part for part in parts if not part.is_lack])
+    lacking = [part for part in parts if part.answer.is_lack]
+    leading, folded = _in_order(study, [part for part in parts if not part.answer.is_lack])
     lead, panels = _lead(leading), _panels(leading)
     paragraph, head = "", PageTable()
     if leading:
-        first = leading[0]
-        paragraph, head = first.answer.paragraph, first.head
-        if is_own(first.key):  # the page is the user's
-            title, about = first.title, _joined(title, about)
-        about = about or first.title
+        top = leading[0]
+        paragraph, head = top.answer.paragraph, top.head
+        if is_own(top.key):  # the page is the user's
+            title, about = top.title, _joined(title, about)
+        about = about or top.title
     groups = groups_table(study)
     sources = {file: digest for question in questions for file, digest in question.sources.items()}
     sections = [
         *(part.section(panels, k < len(lead), k == 0) for k, part in enumerate(leading)),
-        *(part.section(panels, False, False) for part in others),
+        *(part.section(panels, False, False) for part in folded),
         _provenance(study, groups, lacking, sources, provenance),
     ]
-    stops = [str(alert) for part in parts for alert in part.answer.alerts if alert.code.rank == STOP]
     alerts = _alerts(study, leading, [part for part in parts if part not in leading])
     page = Page(
-        title, about, lead, stops, panels, head, alerts,
+        title, about, lead, panels, head, alerts,
         [*_notes(settings.question, by_key, {part.key: part for part in lacking})], sections,
         {"made-from": made_from} | ({"own-questions": "run"} if sources else {}), paragraph,
     )  # fmt: skip
     return Report(
         page.html,
         {"groups": groups} | {name: table for answer in questions for name, table in answer.answer.tables.items()},
-        [*stops, title, *lead],
-        {name: drawn for question in questions for name, drawn in question.figures.items()},
-        findings_json(title, lead, [*leading, *others, *lacking]),
+        [title, *lead],
+        {name: figure for question in questions for name, figure in question.figures.items()},
+        findings_json(title, lead, [*leading, *folded, *lacking]),
         {key: text for key, question in by_key.items() if (text := question.problem or "; ".join(question.missing))},
     )
 
@@ -199,7 +200,7 @@ def _notes(asked: Iterable[str], questions: Mapping[str, Answered], lacking: Map
 
 def _lead(leading: Sequence[Part]) -> list[str]:
     """The answer: the first finding of each question and, as far as there is room, what else leads them."""
-    leads = [part.lead for part in leading[:MOST_SAID]]
+    leads = [page.lead for page in leading[:MOST_SAID]]
     n_of = [1] * len(leads)
     for n in range(2, MOST_SAID + 1):
         for k, texts in enumerate(leads):
@@ -211,7 +212,7 @@ def _lead(leading: Sequence[Part]) -> list[str]:
 def _panels(leading: Sequence[Part]) -> list[Panel]:
     """The figures of the first screen: two of one question, or one of each of two."""
     n = 2 if len(leading) == 1 else 1
-    return [panel for part in leading[:2] for panel in part.panels[:n]]
+    return [panel for page in leading[:2] for panel in page.panels[:n]]
 
 
 def _provenance(
@@ -227,7 +228,7 @@ def _provenance(
         f"Statistics use t = {settings.t_burn:g} to the end of each run. Intervals are {100 * settings.confidence:g}%"
         f" intervals over independent {units}: Wilson for shares, Greenwood for survival, jackknife otherwise."
         " Quantities are dimensionless.",
-        *(f"Not answered: {part.title} {text}" for part in lacking for text in part.lead),
+        *(f"Not answered: {page.title} {text}" for page in lacking for text in page.lead),
     ]
     notes = [
         "".join(f"{name}: {value}. " for name, value in origin.items()),
@@ -253,17 +254,17 @@ def _joined(title: str, about: str) -> str:
 
 def _in_order(study: Study, answered: list[Part]) -> tuple[list[Part], list[Part]]:
     """The answers that lead the page, in their order, and the others in the order of the page."""
-    known = {part.key for part in answered}
-    primary = [key for key in study.settings.question if key in known] or _primary(study, answered)
-    leading = [part for key in primary for part in answered if part.key == key] or answered[:1]
-    return leading, [part for part in answered if part not in leading]
+    keys = {page.key for page in answered}
+    primary = [key for key in study.settings.question if key in keys] or _primary(study, answered)
+    leading = [page for key in primary for page in answered if page.key == key] or answered[:1]
+    return leading, [page for page in answered if page not in leading]
 
 
 def _alerts(study: Study, leading: Sequence[Part], others: Sequence[Part]) -> list[str]:
     """The most important alerts: all of the answers that lead, and of the others those that are about the data."""
     alerts = [Alert.of(Code.ONE_SYSTEM)] if study.unit == START else []
-    alerts += [alert for part in leading for alert in part.answer.alerts if alert.code.rank != STOP]
-    alerts += [alert for part in others for alert in part.answer.alerts if STOP < alert.code.rank <= OF_DATA]
+    alerts += [alert for page in leading for alert in page.answer.alerts]
+    alerts += [alert for page in others for alert in page.answer.alerts if alert.code.rank <= OF_DATA]
     by_subject: dict[object, str] = {}
     for alert in sorted(alerts, key=lambda alert: alert.code.rank):
         by_subject.setdefault(alert.subject, str(alert))
@@ -272,12 +273,12 @@ def _alerts(study: Study, leading: Sequence[Part], others: Sequence[Part]) -> li
 
 def _primary(study: Study, answered: Sequence[Part]) -> tuple[str, ...]:
     """Questions that lead where the scene names none: that of the lowest rank that may, and those beside it."""
-    ours = {part.key: question(part.key) for part in answered if not is_own(part.key)}
+    ours = {page.key: question(page.key) for page in answered if not is_own(page.key)}
     ranked = [(entry.rank, key) for key, entry in ours.items() if entry.rank is not None and entry.leads(study)]
     if not ranked:
         return ()
-    first = min(ranked)[1]
-    return (first, *ours[first].beside)
+    best = min(ranked)[1]
+    return (best, *ours[best].beside)
 
 
 def groups_table(study: Study) -> pd.DataFrame:

@@ -41,7 +41,6 @@ class Ensemble:
         Its name on the page.
     data : Data
         Members need the column `seed`.
-    t_burn : float
     margins : mapping of str to float
         The margins that its scene declares.
     provenance : mapping of str to str
@@ -139,16 +138,16 @@ def _answer(first: str, second: str, steps: Sequence[Step], tables: Mapping[str,
     if not judged:
         lack = few(f"whether {first} and {second} agree", len(steps))
         return Answer(findings=[Decided(Truth.UNDECIDED, lack)], tables=tables)
-    by_setting = {step.name: [other for other in judged if other.name == step.name] for step in judged}
+    by_setting = {step.name: [beside_it for beside_it in judged if beside_it.name == step.name] for step in judged}
     grouped = judged
     if len({*map(outcome, by_setting.values())}) == 1:  # no setting to tell apart
         grouped = [replace(step, name=Setting(second)) for step in judged]
-    lead, *others = outcomes(first, grouped, unit, "setting")
-    is_open = any(finding.undecided for finding in (lead, *others))
+    lead, *further = outcomes(first, grouped, unit, "setting")
+    is_open = any(finding.undecided for finding in (lead, *further))
     truth = Truth.NO if lead.different else Truth.UNDECIDED if is_open else Truth.YES
     return Answer(
-        findings=[Decided(truth, lead), *others, *(step.level(first, unit) for step in judged)],
-        n_lead=1 + len(others),
+        findings=[Decided(truth, lead), *further, *(step.level(first, unit) for step in judged)],
+        n_lead=1 + len(further),
         tables=tables,
         figures=forest(judged, f"Differences of {second} from {first}"),
         method=f"Verdicts are adjusted for {len(judged)} comparisons (Holm), intervals are not.",
@@ -169,13 +168,14 @@ def _lost(dataset: str, groups: Sequence[Group], k: int, matches: Sequence[Match
 def _of_matches(matches: Sequence[Match], unit: str) -> Iterator[str]:
     """What is compared with what, settings that are compared alike together."""
     by_sentence: dict[str, list[str]] = {}
-    for first, second, is_paired in matches:
+    for reference, second, is_paired in matches:
         how = f"Each {unit} is compared with itself" if is_paired else "The systems are drawn independently"
         differ = [
-            f"{name} = {text(first.key[name])} against {text(second.key[name])}" for name in _differ(first, second)
+            f"{name} = {text(reference.key[name])} against {text(second.key[name])}"
+            for name in _differ(reference, second)
         ]
-        other = f"; another setting: {', '.join(differ)}" if differ else ""
-        by_sentence.setdefault(how + other, []).append(first.label)
+        remark = f"; another setting: {', '.join(differ)}" if differ else ""
+        by_sentence.setdefault(how + remark, []).append(reference.label)
     for sentence, labels in by_sentence.items():
         yield f"{sentence}{f' ({listed(labels)})' if len(by_sentence) > 1 else ''}."
 
@@ -193,9 +193,9 @@ def _of_settings(first: Ensemble, second: Ensemble, settings: AnalysisSettings) 
     """Which of the settings of the analysis, all those of the first, differ from those of the second."""
     if first.t_burn != second.t_burn:
         yield f"t_burn = {first.t_burn:g} is that of {first.name}; {second.name} declares {second.t_burn:g}."
-    others = sorted(name for name, margin in second.margins.items() if settings.margins.get(name, margin) != margin)
-    if others:
-        yield f"Margins are those of {first.name}; {second.name} declares others for {', '.join(others)}."
+    names = sorted(name for name, margin in second.margins.items() if settings.margins.get(name, margin) != margin)
+    if names:
+        yield f"Margins are those of {first.name}; {second.name} declares others for {', '.join(names)}."
 
 
 def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[str]) -> Report:
@@ -218,7 +218,7 @@ def _report(first: Ensemble, second: Ensemble, answer: Answer, notes: Sequence[s
     )
     capitals = [*map(capital, notes)]
     page = Page(
-        title, answered.title, answered.lead, (), answered.panels, inside.table, notes=capitals, sections=[origin]
+        title, answered.title, answered.lead, answered.panels, inside.table, notes=capitals, sections=[origin]
     )
     findings = parts.findings_json(title, answered.lead, [answered])
     return Report(page.html, answer.tables, answered.lead, question.figures, findings)
@@ -244,9 +244,9 @@ def matched(first: str, mine: Sequence[Group], second: str, theirs: Sequence[Gro
     """
     shared = [[tuple(group.key[name] for name in SHARED) for group in groups] for groups in (mine, theirs)]
     candidates = sorted(
-        (len(_differ(group, other)), i, j)
+        (len(_differ(group, partner)), i, j)
         for i, group in enumerate(mine)
-        for j, other in enumerate(theirs)
+        for j, partner in enumerate(theirs)
         if shared[0][i] == shared[1][j]
     )
     if not candidates:
@@ -261,7 +261,7 @@ def matched(first: str, mine: Sequence[Group], second: str, theirs: Sequence[Gro
             matches[i] = j
     pairs = [(mine[i], theirs[j]) for i, j in sorted(matches.items())]
     pairs.sort(key=lambda pair: -pair[0].key["n"])
-    return [Match(group, other, _draws(group) == _draws(other)) for group, other in pairs]
+    return [Match(group, partner, _draws(group) == _draws(partner)) for group, partner in pairs]
 
 
 def _differ(first: Group, second: Group) -> list[str]:

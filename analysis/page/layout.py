@@ -52,15 +52,8 @@ class Page(NamedTuple):
 
     Attributes
     ----------
-    title, about : str
     lead : sequence of str
         The answer.
-    stops : sequence of str
-        Why no number of the page must be used.
-    panels : sequence of Panel
-    table : Table
-    alerts, notes : sequence of str
-    sections : sequence of Section
     meta : mapping of str to str
         At the head of the file, by name.
     paragraph : str
@@ -70,7 +63,6 @@ class Page(NamedTuple):
     title: str
     about: str = ""
     lead: Sequence[str] = ()
-    stops: Sequence[str] = ()
     panels: Sequence[Panel] = ()
     table: Table = Table()
     alerts: Sequence[str] = ()
@@ -107,7 +99,6 @@ def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_RO
 
     Parameters
     ----------
-    levels : sequence of Level
     where : str
         The name of the file with all of them; empty if the others are shown elsewhere.
     most : int

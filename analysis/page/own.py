@@ -71,13 +71,13 @@ def own_answer(
 
     def each(part: str, make: Callable[[Any], T], expected: str) -> dict[str, T]:
         """What can be made of each figure or table."""
-        made = {}
+        drawn_figures = {}
         for name, value in getattr(answer, part).items():
             try:
-                made[f"{prefix}-{name}"] = make(value)
+                drawn_figures[f"{prefix}-{name}"] = make(value)
             except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
                 missing.append(f"{part}[{name!r}]: {told(error, expected)}")
-        return made
+        return drawn_figures
 
     figures = each("figures", partial(_drawn, with_pdf=with_pdf), "a Picture(recipe, caption)")
     tables = each("tables", _plain, "a pandas.DataFrame")
@@ -172,11 +172,11 @@ def _valid(value: Any, hint: Any, name: str) -> Any:
     if issubclass(kind, Enum):
         return value
     hints = get_type_hints(kind)
-    parts = {part: _valid(getattr(value, part), hints[part], f"{name}.{part}") for part in hints}
-    for part, item in parts.items():
+    members = {field: _valid(getattr(value, field), hints[field], f"{name}.{field}") for field in hints}
+    for field, item in members.items():
         if isinstance(item, Estimate) and item.value is item.high is None and kind not in (Lifetime, Regime):
-            raise OwnError(f"{name}.{part}: expected a value, got {getattr(value, part)}; return a Lack")
-    return kind(**parts)
+            raise OwnError(f"{name}.{field}: expected a value, got {getattr(value, field)}; return a Lack")
+    return kind(**members)
 
 
 #: Numbers, of Python or NumPy.
@@ -201,20 +201,20 @@ def _drawn(picture: object, with_pdf: bool) -> Drawn:
             )
         return got
 
-    drawn = draw(figure, with_pdf)
-    return replace(drawn, svg=drawn.svg.translate(_NO_XML), caption=picture.caption)
+    graph = draw(figure, with_pdf)
+    return replace(graph, svg=graph.svg.translate(_NO_XML), caption=picture.caption)
 
 
 def _plain(table: object) -> pd.DataFrame:
     """A table with nullable types: a missing value is null, never NaN. A named index becomes columns."""
     if not isinstance(table, pd.DataFrame):
         raise OwnError(f"expected a pandas.DataFrame, got {_kind(table)}")
-    whole = table.reset_index() if any(name is not None for name in table.index.names) else table
-    whole = whole.rename(columns=lambda name: _line(name) if isinstance(name, str) else name)
-    if not (whole.columns.is_unique and all(isinstance(name, str) and name for name in whole.columns)):
-        raise OwnError(f"expected columns with different names, got {list(whole.columns)}")
-    columns = {column: _column(str(column), whole[column]) for column in whole}
-    return pd.DataFrame(columns, index=range(len(whole)))
+    plain = table.reset_index() if any(name is not None for name in table.index.names) else table
+    plain = plain.rename(columns=lambda name: _line(name) if isinstance(name, str) else name)
+    if not (plain.columns.is_unique and all(isinstance(name, str) and name for name in plain.columns)):
+        raise OwnError(f"expected columns with different names, got {list(plain.columns)}")
+    columns = {column: _column(str(column), plain[column]) for column in plain}
+    return pd.DataFrame(columns, index=range(len(plain)))
 
 
 def _column(name: str, given: pd.Series) -> Any:
@@ -222,7 +222,7 @@ def _column(name: str, given: pd.Series) -> Any:
     values = given.astype(object).where(given.notna(), None).tolist()
     present = [value.item() if isinstance(value, np.generic) else value for value in values if value is not None]
     kinds = {*map(type, present)}
-    dtype = next((dtype for known, dtype in _DTYPES if kinds <= known), None)
+    dtype = next((dtype for allowed, dtype in _DTYPES if kinds <= allowed), None)
     if dtype is None:
         names = ", ".join(sorted(kind.__name__ for kind in kinds))
         raise OwnError(f"column {name!r}: expected numbers, true and false, or texts, got {names}")

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from stickslip.analysis.answer import Answer, Question, Recipe
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Basis, Lack, Level, levels
+from stickslip.analysis.findings.finding import Basis, Level, levels
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.page import FINDINGS
 from stickslip.analysis.page.data import data_table
@@ -41,7 +41,6 @@ class Answered:
 
     Attributes
     ----------
-    key, title : str
     answer : Answer
         Without figures.
     figures : mapping of str to Drawn
@@ -100,11 +99,6 @@ class Part(NamedTuple):
         return self.sentences[: max(self.answer.n_lead, 1)]
 
     @property
-    def is_lack(self) -> bool:
-        """Whether there is no answer."""
-        return all(isinstance(finding, Lack) for finding in self.answer.findings)
-
-    @property
     def head(self) -> Table:
         """The first rows, for the first screen."""
         return findings_table(self.rows, most=MOST_FIRST)
@@ -133,7 +127,7 @@ def part(question: Answered) -> Part:
         question.key,
         question.title,
         question.answer,
-        [drawn.panel for drawn in question.figures.values()],
+        [figure.panel for figure in question.figures.values()],
         [sentence(finding) for finding in findings],
         [*dict.fromkeys(row for finding in findings for row in levels(finding))],
     )
@@ -175,7 +169,7 @@ def row(level: Level) -> Row:
     """The value of a quantity as a row."""
     estimate, comparison, basis = level.estimate, level.comparison, level.basis or Basis(0, "")
     difference = None if comparison is None else comparison.difference
-    apart = Estimate() if difference is None else difference.estimate
+    distance = Estimate() if difference is None else difference.estimate
     return Row(
         level.quantity.name,
         str(level.where),
@@ -183,9 +177,9 @@ def row(level: Level) -> Row:
         estimate.low,
         estimate.high,
         "" if comparison is None else comparison.other,
-        apart.value,
-        apart.low,
-        apart.high,
+        distance.value,
+        distance.low,
+        distance.high,
         "" if difference is None else difference.scale.value,
         None if difference is None else difference.margin,
         "" if difference is None else difference.verdict.value,
@@ -198,14 +192,14 @@ def row(level: Level) -> Row:
 def findings_json(title: str, lead: Sequence[str], parts: Sequence[Part]) -> dict[str, object]:
     """What the page says, all of it; `lead` are the sentences of the first screen."""
     findings = [
-        Said(part.key, k < len(part.lead) and said in lead, said)._asdict()
+        Said(page.key, k < len(page.lead) and text in lead, text)._asdict()
         | {"kind": type(finding).__name__, "rows": [row(level)._asdict() for level in levels(finding)]}
-        for part in parts
-        for k, (said, finding) in enumerate(zip(part.sentences, part.answer.findings, strict=True))
+        for page in parts
+        for k, (text, finding) in enumerate(zip(page.sentences, page.answer.findings, strict=True))
     ]
     alerts = [
-        {"question": part.key, "code": alert.code.name, "words": str(alert), **dict(alert.numbers)}
-        for part in parts
-        for alert in part.answer.alerts
+        {"question": page.key, "code": alert.code.name, "words": str(alert), **dict(alert.numbers)}
+        for page in parts
+        for alert in page.answer.alerts
     ]
     return {"title": title, "findings": findings, "alerts": alerts}

@@ -1,9 +1,11 @@
-"""The questions that a report can answer: one file each, with a template of the same name in `report/templates`."""
+"""The questions that a report can answer: one file each."""
 
 import inspect
+import pkgutil
+import sys
+import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
-from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 from stickslip.sim.numerics.arguments import did_you_mean
@@ -44,19 +46,20 @@ BESIDE_SCENES = "stickslip.workflows.scenes."
 
 def question(name: str) -> "Question":
     """The question of a name in `QUESTIONS`, or of one beside a scene that ships; its module is loaded only now."""
-    module, _, function = name.partition(":")
-    if function:
-        return of_function(getattr(import_module(module), function))
-    found: Question = import_module(f"{__name__}.{QUESTIONS[name]}.{name}").QUESTION
-    return found
+    if ":" in name:
+        return of_function(pkgutil.resolve_name(name))
+    ours: Question = import_module(f"{__name__}.{QUESTIONS[name]}.{name}").QUESTION
+    return ours
 
 
 def of_function(function: Callable[["Study"], "Answer | None"]) -> "Question":
     """A question that is a function: its title is the first paragraph of the docstring, its method the rest."""
     from stickslip.analysis.answer import Question
 
-    title, _, method = inspect.cleandoc(function.__doc__ or "").partition("\n\n")
-    return Question(function, title=" ".join(title.split()) or function.__name__, method=" ".join(method.split()))
+    lines = inspect.cleandoc(function.__doc__ or "").splitlines()
+    end = lines.index("") if "" in lines else len(lines)
+    title, method = (textwrap.shorten(" ".join(paragraphs), sys.maxsize) for paragraphs in (lines[:end], lines[end:]))
+    return Question(function, title=title or function.__name__, method=method)
 
 
 def package_questions(named: Iterable[str]) -> tuple[str, ...]:
@@ -85,7 +88,7 @@ def refuse_unknown(names: Iterable[str]) -> None:
 
 
 def _is_beside_scenes(name: str) -> bool:
-    module, _, function = name.partition(":")
-    if not function or find_spec(module) is None:
+    try:
+        return callable(pkgutil.resolve_name(name))
+    except (ImportError, AttributeError, ValueError):
         return False
-    return callable(getattr(import_module(module), function, None))

@@ -1,1 +1,1 @@
-"""Series of single runs: windows, cascades, cycles, surrogates, and when two runs part."""
+"""Series of single runs: windows, cascades, surrogates, and when two runs part."""

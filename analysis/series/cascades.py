@@ -98,11 +98,11 @@ class Window:
 
     @cached_property
     def _path(self) -> np.ndarray:
-        found = np.empty(len(self.step) + 1, dtype=np.int64)
-        found[0] = self.level
-        np.cumsum(self.step, out=found[1:])
-        found[1:] += self.level
-        return found
+        path = np.empty(len(self.step) + 1, dtype=np.int64)
+        path[0] = self.level
+        np.cumsum(self.step, out=path[1:])
+        path[1:] += self.level
+        return path
 
     def n_steps(self, dt: float) -> int:
         """Number of steps of dt in the window: samples are taken at t_start + k dt, k = 0, ..., n_steps."""
@@ -120,10 +120,10 @@ class Window:
         return {}
 
     def _places(self, dt: float) -> np.ndarray:
-        found = np.ceil((self.t - self.t_start) / dt)
-        found -= self.t_start + dt * (found - 1) >= self.t  # corrects the rounding of the quotient
-        found += self.t_start + dt * found < self.t
-        return found.astype(np.int64)
+        places = np.ceil((self.t - self.t_start) / dt)
+        places -= self.t_start + dt * (places - 1) >= self.t  # corrects the rounding of the quotient
+        places += self.t_start + dt * places < self.t
+        return places.astype(np.int64)
 
     def grid_index(self, dt: float) -> np.ndarray:
         """Number of changes up to and at each sample time: an index into `path()`."""
@@ -150,8 +150,8 @@ class Window:
     @cached_property
     def alone(self) -> Windows:
         """This window as the only one of `Windows`."""
-        t, first = np.concatenate(([self.t_start], self.t)), np.array([0, len(self.t) + 1])
-        return Windows(self.t_start, np.array([self.t_stop]), first, t, self._path)
+        t, firsts = np.concatenate(([self.t_start], self.t)), np.array([0, len(self.t) + 1])
+        return Windows(self.t_start, np.array([self.t_stop]), firsts, t, self._path)
 
 
 def window(t: np.ndarray, n_stick: np.ndarray, t_start: float, t_stop: float) -> Window:
@@ -175,10 +175,10 @@ def window(t: np.ndarray, n_stick: np.ndarray, t_start: float, t_stop: float) ->
     begin, end = (arguments.number(name, x, "a time") for name, x in (("t_start", t_start), ("t_stop", t_stop)))
     if end == np.inf:
         raise ValueError(f"t_stop: expected a finite time, got {t_stop}; give the end of the run")
-    found = windows(Stack.of([(np.asarray(t), np.asarray(n_stick))]), begin, [end])
-    if found.level.min() < 0:
-        raise ValueError(f"n_stick: expected numbers of blocks, >= 0, got {found.level.min()}; correct them")
-    return Window(begin, end, int(found.level[0]), found.t[1:], found.step[1:])
+    runs = windows(Stack.of([(np.asarray(t), np.asarray(n_stick))]), begin, [end])
+    if runs.level.min() < 0:
+        raise ValueError(f"n_stick: expected numbers of blocks, >= 0, got {runs.level.min()}; correct them")
+    return Window(begin, end, int(runs.level[0]), runs.t[1:], runs.step[1:])
 
 
 def sample(t: np.ndarray, n_stick: np.ndarray, grid: np.ndarray) -> np.ndarray:
@@ -189,12 +189,12 @@ def sample(t: np.ndarray, n_stick: np.ndarray, grid: np.ndarray) -> np.ndarray:
     ValueError
         If there is no change point, or a grid time lies before the first, or is not finite.
     """
-    known, asked = (arguments.numbers(name, x, "times") for name, x in (("t", t), ("grid", grid)))
-    if not known.size:
+    times, samples = (arguments.numbers(name, x, "times") for name, x in (("t", t), ("grid", grid)))
+    if not times.size:
         raise ValueError("t: expected a change point or more, got none; the first is the start of the run")
-    index = np.searchsorted(known, asked, side="right") - 1
-    if (index < 0).any() or not np.isfinite(asked).all():
-        raise ValueError(f"grid: expected finite times >= t[0] = {t[0]!r}, got {np.min(asked)!r}; leave out others")
+    index = np.searchsorted(times, samples, side="right") - 1
+    if (index < 0).any() or not np.isfinite(samples).all():
+        raise ValueError(f"grid: expected finite times >= t[0] = {t[0]!r}, got {np.min(samples)!r}; leave out others")
     return np.asarray(n_stick)[index]
 
 
@@ -271,15 +271,15 @@ def sums(steps: np.ndarray, dt: float | None = None) -> dict[Law, np.ndarray]:
         Change of n_stick in each step of dt. Without dt, each change, and the only law is `events`.
     dt : float, optional
     """
-    moved = _falls(steps[np.flatnonzero(steps != 0)])  # faster than by truth values
+    moving = _falls(steps[np.flatnonzero(steps != 0)])  # faster than by truth values
     if dt is None:
-        return {EVENTS: moved[[0, 2]]}
-    held = _falls(steps)
+        return {EVENTS: moving[[0, 2]]}
+    falling = _falls(steps)
     return {
-        Law("drop", dt): held[[0, 2]],
-        Law("length", dt): held[[1, 2]],
-        Law("descent", dt): moved[[0, 2]],
-        Law("decreases", dt): moved[[1, 2]],
+        Law("drop", dt): falling[[0, 2]],
+        Law("length", dt): falling[[1, 2]],
+        Law("descent", dt): moving[[0, 2]],
+        Law("decreases", dt): moving[[1, 2]],
     }
 
 
@@ -288,8 +288,8 @@ def _falls(steps: np.ndarray) -> np.ndarray:
     falling = steps < 0
     if falling.all():
         return np.zeros(3)
-    first, last = np.argmin(falling), len(steps) - np.argmin(falling[::-1])
-    falling = falling[first:last]
+    begin, end = np.argmin(falling), len(steps) - np.argmin(falling[::-1])
+    falling = falling[begin:end]
     n_steps = np.count_nonzero(falling)
     n_joined = np.count_nonzero(falling[1:] & falling[:-1])
-    return np.array([-np.minimum(steps[first:last], 0).sum(), n_steps, n_steps - n_joined], dtype=np.float64)
+    return np.array([-np.minimum(steps[begin:end], 0).sum(), n_steps, n_steps - n_joined], dtype=np.float64)

@@ -15,19 +15,13 @@ twice without sticking in between, and keeps its own rhythm. `models.pool` says 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from stickslip.analysis.series import cascades
-from stickslip.analysis.series.cascades import EVENTS, Law, Window
+from stickslip.analysis.series.cascades import Window
 
-#: Largest number of rotations of a run. They scatter as the run does, so d of them add a share of 1 / d to the
-#: variance of a difference from chance: 10 widen intervals by 5%. The intervals include this, as each matrix is
-#: compared with its own rotations.
-DRAWS = 10
 _PLACES = 2**31  # in a window, of the events of a surrogate
 
 
@@ -37,7 +31,6 @@ class BlockSteps:
 
     Attributes
     ----------
-    t_start, t_stop : float
     t : ndarray, shape (m,)
     block : ndarray of int, shape (m,)
     step : ndarray of int, shape (m,)
@@ -91,7 +84,6 @@ def block_steps(
     t, block, mode : ndarray, shape (m,)
         Events in order of time: the block's mode (-1, 0, +1) from t on, 0 where it sticks.
     initial_mode : ndarray, shape (n,)
-    t_start, t_stop : float
 
     Raises
     ------
@@ -104,14 +96,14 @@ def block_steps(
         raise ValueError("t: expected times that do not decrease; sort the events by time")
     by_block = in_order(block)
     sticks = (np.asarray(mode) == 0).astype(np.int64)
-    before = np.empty_like(sticks)
-    before[by_block[1:]] = sticks[by_block[:-1]]
+    stuck = np.empty_like(sticks)
+    stuck[by_block[1:]] = sticks[by_block[:-1]]
     is_first = np.concatenate(([True], np.diff(block[by_block]) != 0))[: len(t)]
     firsts = by_block[is_first]
-    before[firsts] = np.asarray(initial_mode)[block[firsts]] == 0
-    step = sticks - before
-    kept = (step != 0) & (t > t_start) & (t <= t_stop)
-    return BlockSteps(float(t_start), float(t_stop), t[kept], block[kept], step[kept])
+    stuck[firsts] = np.asarray(initial_mode)[block[firsts]] == 0
+    step = sticks - stuck
+    is_inside = (step != 0) & (t > t_start) & (t <= t_stop)
+    return BlockSteps(float(t_start), float(t_stop), t[is_inside], block[is_inside], step[is_inside])
 
 
 def in_order(block: np.ndarray) -> np.ndarray:
@@ -120,7 +112,7 @@ def in_order(block: np.ndarray) -> np.ndarray:
     return np.argsort(block.astype(np.uint16) if is_small else block, kind="stable")
 
 
-def rotated(steps: BlockSteps, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def rotated(steps: BlockSteps, rng: np.random.Generator) -> np.ndarray:
     """A surrogate without coupling: each block's series rotated in the window by a random amount of its own.
 
     The window counts as periodic. A block keeps its rhythm and the number and order of its events; the phases of the
@@ -134,16 +126,9 @@ def rotated(steps: BlockSteps, rng: np.random.Generator) -> tuple[np.ndarray, np
 
     Returns
     -------
-    t : ndarray, shape (m,)
-        Times since t_start, in order.
-    is_exit : ndarray of bool, shape (m,)
+    ndarray of uint32
+        Places as of `BlockSteps.phases`, in order of time.
     """
-    places = _rotated(steps, rng)
-    return (places >> np.uint32(1)) * (steps.span / _PLACES), (places & np.uint32(1)).astype(bool)
-
-
-def _rotated(steps: BlockSteps, rng: np.random.Generator) -> np.ndarray:
-    """`BlockSteps.phases` of a surrogate, in order of time."""
     counts, phases = steps.phases
     shift = rng.integers(_PLACES, size=len(counts), dtype=np.uint32) << np.uint32(1)
     places = phases + np.repeat(shift, counts)  # a sum beyond 32 bits begins again at zero
@@ -156,41 +141,12 @@ def moments(steps: BlockSteps, draws: int, rng: np.random.Generator, least: int 
 
     Sizes are counted from a least one on, which counts as 1.
     """
-    found = np.zeros(3)
+    totals = np.zeros(3)
     for _ in range(draws):
-        is_exit = (_rotated(steps, rng) & np.uint32(1)).astype(bool)
-        found += _moments(is_exit, least)
-    return found
-
-
-def _moments(is_exit: np.ndarray, least: int = 1) -> np.ndarray:
-    """Number, sum and sum of squares of the lengths of runs of exits between entries, shape (3,)."""
-    turns = np.flatnonzero(is_exit[1:] != is_exit[:-1])
-    lengths = np.diff(turns)
-    size = lengths[0 if len(turns) and is_exit[turns[0] + 1] else 1 :: 2] - (least - 1)
-    size = size[size > 0]
-    return np.array([len(size), size.sum(), size @ size], dtype=np.float64)
-
-
-def sums(steps: BlockSteps, dts: Sequence[float], draws: int, rng: np.random.Generator) -> dict[Law, np.ndarray]:
-    """`cascades.sums` by every definition and sampling step, over `draws` surrogates of `rotated`."""
-    found = {law: np.zeros(2) for law in cascades.laws(dts)}
-    for _ in range(draws):
-        t, is_exit = rotated(steps, rng)
-        drawn, nets = {EVENTS: _moments(is_exit)[[1, 0]]}, dict[float, np.ndarray]()
-        for dt in sorted(dts):
-            n_steps, (finer, k) = int(steps.span / dt * (1 + 1e-12)), _divisor(dt, nets)
-            if k:
-                nets[dt] = nets[finer][: len(nets[finer]) // k * k].reshape(-1, k) @ np.ones(k)
-            else:
-                nets[dt] = np.bincount((t / dt).astype(np.int64), 1.0 - 2.0 * is_exit, n_steps)
-            drawn |= cascades.sums(nets[dt][:n_steps], dt)
-        for law, total in drawn.items():
-            found[law] += total
-    return found
-
-
-def _divisor(dt: float, finer: Iterable[float]) -> tuple[float, int]:
-    """The longest of some shorter steps that divides dt, and dt as a multiple of it; dt and 0 if none does."""
-    multiples = ((step, round(dt / step)) for step in finer)
-    return max(((step, k) for step, k in multiples if abs(k * step - dt) < 1e-12 * dt), default=(dt, 0))
+        is_exit = (rotated(steps, rng) & np.uint32(1)).astype(bool)
+        turns = np.flatnonzero(is_exit[1:] != is_exit[:-1])
+        lengths = np.diff(turns)  # of runs of exits and of entries by turns
+        size = lengths[0 if len(turns) and is_exit[turns[0] + 1] else 1 :: 2] - (least - 1)
+        size = size[size > 0]
+        totals += len(size), size.sum(), size @ size
+    return totals

@@ -42,31 +42,18 @@ def mean_difference(first: ChangePoints, second: ChangePoints, edges: np.ndarray
 
 
 def gap(first: ChangePoints, second: ChangePoints, t_stop: float) -> np.ndarray:
-    """The gap at `SPAN`, `SPAN` + `STEP`, ... up to t_stop (`gap_times`); empty if t_stop is less than `SPAN`."""
-    if not n_gaps(t_stop):
+    """The gap at `SPAN`, `SPAN` + `STEP`, ... up to t_stop; empty if t_stop is less than `SPAN`."""
+    n_steps = int(t_stop / STEP)
+    if n_steps < _WIDTH:
         return np.zeros(0)
-    sums = np.concatenate(([0.0], np.cumsum(mean_difference(first, second, STEP * np.arange(_steps(t_stop) + 1)))))
+    sums = np.concatenate(([0.0], np.cumsum(mean_difference(first, second, STEP * np.arange(n_steps + 1)))))
     return (sums[_WIDTH:] - sums[:-_WIDTH]) / _WIDTH
-
-
-def n_gaps(t_stop: float) -> int:
-    """How many values `gap` has."""
-    return max(_steps(t_stop) + 1 - _WIDTH, 0)
-
-
-def _steps(t_stop: float) -> int:
-    return int(t_stop / STEP)
-
-
-def gap_times(count: int) -> np.ndarray:
-    """Times of so many values of `gap`, shape (count,)."""
-    return SPAN + STEP * np.arange(count)
 
 
 def parted_at(gaps: np.ndarray, level: float) -> float | None:
     """When a run parted; None if it has not by the end of its gaps."""
     over = np.flatnonzero(gaps >= SHARE * level)
-    return float(gap_times(len(gaps))[over[0]]) if len(over) else None
+    return SPAN + STEP * float(over[0]) if len(over) else None
 
 
 def counts(bases: Iterable[ChangePoints], until: Iterable[float], n: int, t_from: float, t_stop: float) -> np.ndarray:
@@ -74,11 +61,8 @@ def counts(bases: Iterable[ChangePoints], until: Iterable[float], n: int, t_from
 
     Parameters
     ----------
-    bases : iterable of ChangePoints
     until : iterable of float
         Until when each run is known, and counted.
-    n : int
-    t_from, t_stop : float
 
     Returns
     -------

@@ -27,9 +27,6 @@ class Ended:
     ----------
     row : ndarray of int
         Of the table of members.
-    member_id : ndarray of str
-    unit : ndarray of int
-    outcome : ndarray of str
     t_end, t_stop : ndarray, float64
         Until when it was to be followed, and was; NaN where it failed.
     growth_rate : ndarray, float64
@@ -52,13 +49,13 @@ class Ended:
 
     def take(self, some: np.ndarray | slice) -> Ended:
         """Some of them, by their places."""
-        return Ended(*(getattr(self, one.name)[some] for one in fields(self)))
+        return Ended(*(getattr(self, column.name)[some] for column in fields(self)))
 
 
 def by_number(numbers: np.ndarray) -> list[np.ndarray]:
     """The places of equal numbers, those of the smallest first, each in their order."""
     order = np.argsort(numbers, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1) if len(order) else []
+    return np.array_split(order, np.flatnonzero(np.diff(numbers[order])) + 1) if len(order) else []
 
 
 class Series(Protocol):
@@ -81,22 +78,12 @@ class Series(Protocol):
         ...
 
 
-class Given(dict[str, ChangePoints]):
-    """Change points that are in memory, as `Series`."""
-
-    def stacks(self, member_ids: Sequence[str]) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """As of `Series`: all together."""
-        found = Stack.of([self[name] for name in member_ids])
-        yield found.first, found.t, found.n_stick
-
-
 @dataclass(frozen=True)
 class Run:
     """A run, as a function that is put to each of them is given it.
 
     Attributes
     ----------
-    member_id : str
     win : Window
         n_stick on [t_burn, t_end].
     events : Events or None
@@ -126,10 +113,8 @@ class Runs:
 
     Attributes
     ----------
-    series : Series
     events : mapping of str to Events
         Without those that recorded none.
-    t_burn : float
     seed : int
         Of the analysis.
     """
@@ -155,8 +140,8 @@ class Runs:
     def stacks(self, member_ids: Sequence[str]) -> Iterator[Stack]:
         """The change points of some runs, in parts; raises as `points`, and if they are of another form."""
         try:
-            for part in self.series.stacks(member_ids):
-                yield Stack(*part)
+            for stack in self.series.stacks(member_ids):
+                yield Stack(*stack)
         except KeyError as error:
             raise _lacking(error.args[0]) from None
         except NoSeries as error:
@@ -178,12 +163,12 @@ class Runs:
 
     def sums(self, some: Ended, of: Callable[[Run], np.ndarray | None]) -> dict[int, np.ndarray]:
         """By unit, the sums of what a function gives of some runs, flat, and at the end how many gave something."""
-        found: dict[int, np.ndarray] = {}
+        totals: dict[int, np.ndarray] = {}
         for member_id, unit, t_end in zip(some.member_id, some.unit.tolist(), some.t_end.tolist(), strict=True):
-            given = of(self.run(str(member_id), t_end))
-            if given is not None:
-                found[unit] = found.get(unit, 0.0) + np.append(given, 1.0)
-        return found
+            values = of(self.run(str(member_id), t_end))
+            if values is not None:
+                totals[unit] = totals.get(unit, 0.0) + np.append(values, 1.0)
+        return totals
 
 
 class Put(Protocol):

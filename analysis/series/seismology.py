@@ -43,15 +43,15 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
         if not (is_known := np.isfinite(episodes[name].to_numpy(np.float64, na_value=np.nan))).all():
             row = episodes.index[np.flatnonzero(~is_known)[0]]
             raise ValueError(f"episodes: expected a finite {name} in each row, got none in row {row}; leave it out")
-    some = episodes[episodes["moment"] != 0]
-    member = some["member_id"] if "member_id" in some else pd.Series("run", index=some.index)
-    number = some.groupby(member, sort=False).cumcount()
+    moving = episodes[episodes["moment"] != 0]
+    member = moving["member_id"] if "member_id" in moving else pd.Series("run", index=moving.index)
+    number = moving.groupby(member, sort=False).cumcount()
     return pd.DataFrame({
         "id": member.astype(str) + "-" + number.astype(str),
-        "time": pd.to_datetime(some["start"], unit="s", utc=True),
+        "time": pd.to_datetime(moving["start"], unit="s", utc=True),
         "lat": 0.0,
-        "lon": 1e-3 * some["first_block"],
+        "lon": 1e-3 * moving["first_block"],
         "dep": 0.0,
         "magtype": "M",
-        "mag": np.log10(some["moment"].abs()),
+        "mag": np.log10(moving["moment"].abs()),
     }).reset_index(drop=True)  # fmt: skip

@@ -47,17 +47,17 @@ class Stack:
         """
         for k, (times, values) in enumerate(series):
             _check_form(k, np.asarray(times), np.asarray(values))
-        first = np.concatenate(([0], np.cumsum([len(times) for times, _ in series], dtype=np.int64)))
+        firsts = np.concatenate(([0], np.cumsum([len(times) for times, _ in series], dtype=np.int64)))
         t = np.concatenate([np.zeros(0), *(times for times, _ in series)])
-        return cls(first, t, np.concatenate([np.zeros(0, np.int64), *(values for _, values in series)]))
+        return cls(firsts, t, np.concatenate([np.zeros(0, np.int64), *(values for _, values in series)]))
 
     @classmethod
     def joined(cls, some: Sequence[Stack]) -> Stack:
         """Several, one after the other; at least one."""
         if len(some) == 1:
             return some[0]
-        lengths = np.concatenate([np.diff(one.first) for one in some])
-        t, n_stick = (np.concatenate([getattr(one, name) for one in some]) for name in ("t", "n_stick"))
+        lengths = np.concatenate([np.diff(stack.first) for stack in some])
+        t, n_stick = (np.concatenate([getattr(stack, name) for stack in some]) for name in ("t", "n_stick"))
         return cls(np.concatenate(([0], np.cumsum(lengths))), t, n_stick)
 
     def __len__(self) -> int:
@@ -65,14 +65,14 @@ class Stack:
 
     def part(self, begin: int, end: int) -> Stack:
         """Neighbouring runs."""
-        first = self.first[begin : end + 1]
-        held = slice(first[0], first[-1])
-        return Stack(first - first[0], self.t[held], self.n_stick[held])
+        firsts = self.first[begin : end + 1]
+        inside = slice(firsts[0], firsts[-1])
+        return Stack(firsts - firsts[0], self.t[inside], self.n_stick[inside])
 
     def take(self, some: np.ndarray) -> Stack:
         """Some of the runs, by their places."""
-        first, places = ranges(self.first[some], np.diff(self.first)[some])
-        return Stack(first, self.t[places], self.n_stick[places])
+        firsts, places = ranges(self.first[some], np.diff(self.first)[some])
+        return Stack(firsts, self.t[places], self.n_stick[places])
 
     @property
     def last(self) -> tuple[np.ndarray, np.ndarray]:
@@ -82,23 +82,23 @@ class Stack:
 
 def in_parts(stacks: Iterable[Stack], most_runs: int, most_points: int) -> Iterator[Stack]:
     """The same runs in the same order, in parts of so many runs and change points at most, or of one run."""
-    held: list[Stack] = []
+    waiting: list[Stack] = []
     n_runs = n_points = 0
     for stack in stacks:
         begin = 0
         while begin < len(stack):
             room = most_points - n_points + stack.first[begin]
             end = min(int(np.searchsorted(stack.first, room, side="right")) - 1, begin + most_runs - n_runs)
-            if end <= begin and held:
-                yield Stack.joined(held)
-                held, n_runs, n_points = [], 0, 0
+            if end <= begin and waiting:
+                yield Stack.joined(waiting)
+                waiting, n_runs, n_points = [], 0, 0
                 continue
             end = max(end, begin + 1)
-            held.append(stack.part(begin, min(end, len(stack))))
-            n_runs, n_points = n_runs + len(held[-1]), n_points + len(held[-1].t)
+            waiting.append(stack.part(begin, min(end, len(stack))))
+            n_runs, n_points = n_runs + len(waiting[-1]), n_points + len(waiting[-1].t)
             begin = end
-    if held:
-        yield Stack.joined(held)
+    if waiting:
+        yield Stack.joined(waiting)
 
 
 def ranges(first: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -136,8 +136,8 @@ class Windows:
 
     def take(self, some: np.ndarray) -> Windows:
         """Some of the runs, by their places."""
-        first, places = ranges(self.first[some], np.diff(self.first)[some])
-        return Windows(self.t_start, self.t_stop[some], first, self.t[places], self.level[places])
+        firsts, places = ranges(self.first[some], np.diff(self.first)[some])
+        return Windows(self.t_start, self.t_stop[some], firsts, self.t[places], self.level[places])
 
     @property
     def span(self) -> np.ndarray:
@@ -181,26 +181,31 @@ class Windows:
         length = self.span[:, None] / count
         base = self.level[self.first[:-1]]  # areas are those above it, so that what is constant has no rounding
         height = self.level - base[self.run]
-        held = self.at(count)
+        places = self.at(count)
         edges = self.t_start + length * np.arange(count + 1)
-        after = height[held] * (self.t[held] + self.lasted[held] - edges)  # the level's area behind the edge
-        starts = np.column_stack([self.first[:-1], held[:, :-1] + 1])  # of the levels that begin within each part
-        begun = np.add.reduceat(np.append(height * self.lasted, 0.0), starts.ravel()).reshape(starts.shape)[:, 1:]
-        areas = after[:, :-1] - after[:, 1:] + np.where(held[:, 1:] > held[:, :-1], begun, 0.0)
+        behind = height[places] * (self.t[places] + self.lasted[places] - edges)  # the level's area behind the edge
+        starts = np.column_stack([self.first[:-1], places[:, :-1] + 1])  # of the levels that begin within each part
+        area_begun = np.add.reduceat(np.append(height * self.lasted, 0.0), starts.ravel()).reshape(starts.shape)[
+            :, 1:
+        ]
+        areas = behind[:, :-1] - behind[:, 1:] + np.where(places[:, 1:] > places[:, :-1], area_begun, 0.0)
         return np.asarray(base[:, None] + areas / length)
 
     def at(self, count: int) -> np.ndarray:
         """Place of the level that holds at t_start + k span / count, k = 0, ..., count, shape (R, count + 1)."""
         edges = self.t_start + self.span[:, None] / count * np.arange(count + 1)
-        held = self._looked_up(edges) if len(self.t) > _MANY * edges.size else self._counted(edges)
-        held[:, -1] = self.first[1:] - 1  # t_stop may be rounded
-        return held
+        places = self._looked_up(edges) if len(self.t) > _MANY * edges.size else self._counted(edges)
+        places[:, -1] = self.first[1:] - 1  # t_stop may be rounded
+        return places
 
     def _looked_up(self, edges: np.ndarray) -> np.ndarray:
         """`at`, by looking up each edge among the levels."""
-        parts = zip(edges, self.first[:-1].tolist(), self.first[1:].tolist(), strict=True)
+        runs = zip(edges, self.first[:-1].tolist(), self.first[1:].tolist(), strict=True)
         return np.array(
-            [first - 1 + np.searchsorted(self.t[first:end], own, side="right") for own, first, end in parts]
+            [
+                begin - 1 + np.searchsorted(self.t[begin:end], run_edges, side="right")
+                for run_edges, begin, end in runs
+            ]
         )
 
     def _counted(self, edges: np.ndarray) -> np.ndarray:
@@ -212,15 +217,15 @@ class Windows:
         k += self.t_start + length * k < self.t
         k[self.first[:-1]] = 0
         cell = self.run * n_edges + np.minimum(k, n_edges - 1).astype(np.int64)
-        begun = np.bincount(cell, minlength=edges.size).reshape(edges.shape)
-        return self.first[:-1, None] - 1 + np.cumsum(begun, axis=1)
+        counts = np.bincount(cell, minlength=edges.size).reshape(edges.shape)
+        return self.first[:-1, None] - 1 + np.cumsum(counts, axis=1)
 
     @cached_property
     def step(self) -> np.ndarray:
         """Change of n_stick to each level from the one before, shape (M,); 0 at the first level of a run."""
-        found = np.diff(self.level, prepend=0)
-        found[self.first[:-1]] = 0
-        return found
+        steps = np.diff(self.level, prepend=0)
+        steps[self.first[:-1]] = 0
+        return steps
 
     @property
     def exits(self) -> np.ndarray:
@@ -247,7 +252,6 @@ def windows(series: Stack, t_start: float, t_stop: ArrayLike) -> Windows:
     series : Stack
         Of at least one run. Times do not decrease; the first of each is at or before `t_start`. Repeated values of
         n_stick are allowed and change nothing.
-    t_start : float
     t_stop : array_like, shape (R,)
         Each later than `t_start`.
 
@@ -261,24 +265,26 @@ def windows(series: Stack, t_start: float, t_stop: ArrayLike) -> Windows:
     if not (t_start < ends).all():
         k = int(np.argmin(t_start < ends))
         raise NoSeries(k, f"t_start: expected t_start < t_stop, got {t_start!r} and {float(ends[k])!r}")
-    first, t, level = series.first, series.t, series.n_stick.astype(np.int64, copy=False)
-    run = np.repeat(np.arange(len(series)), np.diff(first))
+    firsts, t, level = series.first, series.t, series.n_stick.astype(np.int64, copy=False)
+    run = np.repeat(np.arange(len(series)), np.diff(firsts))
     is_wrong = np.append(False, t[1:] < t[:-1])
-    is_wrong[first[:-1]] = False
+    is_wrong[firsts[:-1]] = False
     is_wrong |= ~np.isfinite(t)
     if is_wrong.any():
         k = int(run[np.argmax(is_wrong)])
         raise NoSeries(k, "t: expected finite times that do not decrease; sort the change points by time")
-    late = t[first[:-1]] > t_start
+    late = t[firsts[:-1]] > t_start
     if late.any():
         k = int(np.argmax(late))
         raise NoSeries(
-            k, f"t: expected a change point at or before t_start = {t_start!r}, first is {float(t[first[k]])!r}"
+            k, f"t: expected a change point at or before t_start = {t_start!r}, first is {float(t[firsts[k]])!r}"
         )
     n_before, n_until = (
-        np.add.reduceat(is_done, first[:-1], dtype=np.int64) for is_done in (t <= t_start, t <= ends[run])
+        np.add.reduceat(is_done, firsts[:-1], dtype=np.int64) for is_done in (t <= t_start, t <= ends[run])
     )
-    begins, places = ranges(first[:-1] + n_before - 1, n_until - n_before + 1)  # from the level that holds at t_start
+    begins, places = ranges(
+        firsts[:-1] + n_before - 1, n_until - n_before + 1
+    )  # from the level that holds at t_start
     t, level = t[places], level[places]
     t[begins[:-1]] = t_start
     is_change = np.append(True, level[1:] != level[:-1])

@@ -1,13 +1,7 @@
-"""Whether two quantities agree within a margin declared beforehand: two one-sided tests.
+"""Differences of two quantities and their tests, and shares with Wilson's interval.
 
-Not seeing a difference is no evidence of equivalence: equivalence has to be shown, just as a difference has to be
-(Schuirmann 1987, J. Pharmacokinet. Biopharm. 15, 657). With d the difference, m the margin and e the error:
-
-    p_equivalent = max(P(T > (d + m) / e), P(T < (d - m) / e)),    p_different = 2 P(T > |d| / e).
-
-p_equivalent < alpha just when the 1 - 2 alpha interval lies within the margins.
-
-The verdict on a difference is that of its interval, `findings.finding.Difference.verdict`.
+With d a difference and e its error, p_different = 2 P(T > |d| / e). The verdict on a difference is that of its
+interval, `findings.finding.Difference.verdict`.
 """
 
 from __future__ import annotations
@@ -39,57 +33,32 @@ _HALVINGS = 40  # of these, which leave 1e-11 of a standard error
 
 @dataclass(frozen=True)
 class Compared:
-    """An estimated difference and its two tests; errors have `dof` degrees of freedom.
-
-    Attributes
-    ----------
-    difference, error, margin : float
-        In one unit; the margins are -margin and +margin.
-    p_equivalent, p_different : float
-        The larger p-value of the two one-sided tests, and that of the two-sided test of no difference.
-    """
+    """An estimated difference with a t-distributed error >= 0 of `dof` degrees of freedom."""
 
     difference: float
     error: float
     dof: float
-    margin: float
-    p_equivalent: float
-    p_different: float
 
     def interval(self, level: float) -> tuple[float, float]:
         """Ends of the interval difference +- t error at a level of confidence."""
         half = student.quantile(0.5 + level / 2, self.dof) * self.error
         return self.difference - half, self.difference + half
 
-    def is_within(self, level: float) -> bool:
-        """Whether a difference beyond the margin is excluded; a smaller one may exist."""
-        return self.p_equivalent < 1 - level
-
-    def is_beyond(self, level: float) -> bool:
-        """Whether there is a difference, and the estimate is beyond the margin."""
-        return self.p_different < 1 - level and abs(self.difference) > self.margin
-
-
-def equivalence_test(difference: float, error: float, dof: float, margin: float) -> Compared:
-    """Tests of a difference with a t-distributed error >= 0: against zero, and against the margins.
-
-    With a margin of 0 nothing is equivalent.
-    """
-    size = abs(difference)
-    if error == 0:
-        return Compared(difference, error, dof, margin, float(size >= margin), float(size == 0))
-    p_equivalent = student.below((size - margin) / error, dof)
-    return Compared(difference, error, dof, margin, p_equivalent, student.two_sided(size / error, dof))
+    @property
+    def p_different(self) -> float:
+        """p-value of the two-sided test of no difference."""
+        if self.error == 0:
+            return float(self.difference == 0)
+        return student.two_sided(self.difference / self.error, self.dof)
 
 
-def mean_difference(of: Statistic, first: np.ndarray, second: np.ndarray, paired: bool) -> tuple[float, float, float]:
-    """A statistic of `second` minus that of `first`, its standard error and degrees of freedom.
+def mean_difference(of: Statistic, first: np.ndarray, second: np.ndarray, paired: bool) -> Compared:
+    """A statistic of `second` minus that of `first`.
 
     Paired: jackknife over pairs of rows. Independent: a jackknife of each, with Welch's degrees of freedom.
 
     Parameters
     ----------
-    of : callable
     first, second : ndarray, shape (G, 2) and (H, 2)
         Sums, one row a matrix; G = H where paired.
 
@@ -99,16 +68,13 @@ def mean_difference(of: Statistic, first: np.ndarray, second: np.ndarray, paired
         If the statistic has no value on all rows, or with one row left out.
     """
     if paired:
-        value, error = jackknife(paired_difference(of), np.hstack([second, first]))
-        return value, error, len(first) - 1.0
-    (before, error_a), (after, error_b) = jackknife(of, first), jackknife(of, second)
-    return after - before, *_welch(error_a, error_b, len(first), len(second))
+        return Compared(*jackknife(paired_difference(of), np.hstack([second, first])), len(first) - 1.0)
+    (start, error_a), (end, error_b) = jackknife(of, first), jackknife(of, second)
+    return Compared(end - start, *_welch(error_a, error_b, len(first), len(second)))
 
 
-def relative_difference(
-    of: Statistic, first: np.ndarray, second: np.ndarray, paired: bool
-) -> tuple[float, float, float]:
-    """(second - first) / |first| of a statistic, its standard error and degrees of freedom, as `mean_difference`.
+def relative_difference(of: Statistic, first: np.ndarray, second: np.ndarray, paired: bool) -> Compared:
+    """(second - first) / |first| of a statistic, as `mean_difference`.
 
     Independent errors are propagated to the quotient to first order.
     """
@@ -119,23 +85,23 @@ def relative_difference(
         return (after / before - 1.0) * np.sign(before)
 
     if paired:
-        value, error = jackknife(lambda s: quotient(of(s[:, 2:]), of(s[:, :2])), np.hstack([first, second]))
-        return value, error, len(first) - 1.0
+        side_by_side = np.hstack([first, second])
+        return Compared(*jackknife(lambda s: quotient(of(s[:, 2:]), of(s[:, :2])), side_by_side), len(first) - 1.0)
     (before, error_a), (after, error_b) = jackknife(of, first), jackknife(of, second)
     value = float(quotient(np.array([after]), np.array([before]))[0])
-    return value, *_welch(error_a * after / before**2, error_b / before, len(first), len(second))
+    return Compared(value, *_welch(error_a * after / before**2, error_b / before, len(first), len(second)))
 
 
 def _welch(error_a: float, error_b: float, n_a: int, n_b: int) -> tuple[float, float]:
     """Standard error of a sum of two independent terms, and its degrees of freedom."""
-    parts = np.array([error_a**2, error_b**2])
-    if not parts.sum():
+    variances = np.array([error_a**2, error_b**2])
+    if not variances.sum():
         return 0.0, n_a + n_b - 2.0
-    return float(np.sqrt(parts.sum())), float(parts.sum() ** 2 / (parts**2 / [n_a - 1, n_b - 1]).sum())
+    return float(np.sqrt(variances.sum())), float(variances.sum() ** 2 / (variances**2 / [n_a - 1, n_b - 1]).sum())
 
 
-def against(of: Statistic, rows: np.ndarray, margin: float) -> Compared:
-    """Tests of a difference that is itself a statistic of sums, one row a matrix; jackknife-t as in `over_matrices`.
+def against(of: Statistic, rows: np.ndarray) -> Compared:
+    """A difference that is itself a statistic of sums, one row a matrix; jackknife-t as in `over_matrices`.
 
     Raises
     ------
@@ -145,8 +111,7 @@ def against(of: Statistic, rows: np.ndarray, margin: float) -> Compared:
     rows = with_data(rows)
     if len(rows) < 2:
         raise Undefined("fewer than two matrices")
-    value, error = jackknife(of, rows)
-    return equivalence_test(value, error, len(rows) - 1.0, margin)
+    return Compared(*jackknife(of, rows), len(rows) - 1.0)
 
 
 def wilson(successes: float, trials: float, confidence: float) -> tuple[float, float]:
@@ -157,13 +122,13 @@ def wilson(successes: float, trials: float, confidence: float) -> tuple[float, f
     ValueError
         If there are no trials, the successes are not between 0 and the trials, or the confidence is none.
     """
-    has, of = (arguments.number(name, value) for name, value in (("successes", successes), ("trials", trials)))
-    if not (0 < of < np.inf and 0 <= has <= of):
+    has, n_trials = (arguments.number(name, value) for name, value in (("successes", successes), ("trials", trials)))
+    if not (0 < n_trials < np.inf and 0 <= has <= n_trials):
         raise ValueError(
             f"successes, trials: expected 0 <= successes <= trials > 0, got {successes} of {trials}; give how many "
             "have the property, and how many there are"
         )
-    low, high = wilsons(np.array([has / of]), np.array([of]), confidence)
+    low, high = wilsons(np.array([has / n_trials]), np.array([n_trials]), confidence)
     return float(low[0]), float(high[0])
 
 
@@ -216,10 +181,10 @@ class Scatter(NamedTuple):
         most : float
             Trials that there are at most: runs, where runs have a property or not.
         """
-        n, least = len(sizes), float(sizes.sum() ** 2 / np.sum(sizes**2))
+        n, fewest = len(sizes), float(sizes.sum() ** 2 / np.sum(sizes**2))
         spread = np.asarray(share * (1 - share) * (1 - 1 / n))  # if 0, nothing says how far matrices scatter
         trials = np.divide(spread, squares, out=np.full_like(spread, np.inf), where=squares > 0)
-        return cls(np.where(spread > 0, trials, 0.0), student.dof_of_scatter(n, concentration), least, most)
+        return cls(np.where(spread > 0, trials, 0.0), student.dof_of_scatter(n, concentration), fewest, most)
 
     def at(self, z: float) -> Any:
         """The trials that the interval takes at a normal quantile, 1.96 for 95%."""
@@ -232,8 +197,6 @@ class Proportion:
 
     Attributes
     ----------
-    share : float
-    scatter : Scatter
     moved : ndarray, shape (G,)
         By how much each matrix moves it.
     """
@@ -250,11 +213,11 @@ class Proportion:
         """
         n = float(rows[:, 1].sum())
         share = min(max(float(rows[:, 0].sum()) / n, 0.0), 1.0)
-        moved = (rows[:, 0] - share * rows[:, 1]) / n
-        squares = float(np.sum(moved**2))
-        concentration = float(np.sum((moved**2 / squares) ** 2)) if squares else 0.0
-        most = n if is_counted else np.inf
-        return cls(share, Scatter.of(share, squares, concentration, rows[:, 1], most), moved)
+        shifts = (rows[:, 0] - share * rows[:, 1]) / n
+        squares = float(np.sum(shifts**2))
+        concentration = float(np.sum((shifts**2 / squares) ** 2)) if squares else 0.0
+        ceiling = n if is_counted else np.inf
+        return cls(share, Scatter.of(share, squares, concentration, rows[:, 1], ceiling), shifts)
 
     def ends(self, z: float) -> tuple[float, float]:
         """Wilson's interval at a normal quantile."""
@@ -305,7 +268,6 @@ def mean_within(rows: np.ndarray, most: float, confidence: float, is_counted: bo
     ----------
     rows : ndarray, shape (G, 2)
         One row a matrix: the total of the numbers, and how many.
-    most, confidence : float
     is_counted : bool
         Whether they are runs that have a property, of all runs: there are then no more trials than runs.
     """
@@ -319,17 +281,15 @@ def mean_within(rows: np.ndarray, most: float, confidence: float, is_counted: bo
 
 @dataclass(frozen=True)
 class Inverted:
-    """A difference with an interval that is not symmetric; its tests invert the interval.
+    """A difference with an interval that is not symmetric; its test inverts the interval.
 
     Attributes
     ----------
-    difference, margin : float
     ends : callable
         The ends of the interval at a normal quantile, 1.96 for 95%; the interval widens with it.
     """
 
     difference: float
-    margin: float
     ends: Callable[[float], tuple[float, float]]
 
     def interval(self, level: float) -> tuple[float, float]:
@@ -338,21 +298,16 @@ class Inverted:
 
     @property
     def p_different(self) -> float:
-        """p-value of the two-sided test of no difference: it excludes zero at all levels below 1 - p."""
-        return 2.0 * self._p(lambda low, high: low > 0.0 or high < 0.0)
-
-    @property
-    def p_equivalent(self) -> float:
-        """The larger p-value of the two one-sided tests against the margins: within them below the level 1 - 2 p."""
-        return self._p(lambda low, high: -self.margin < low and high < self.margin)
-
-    def _p(self, holds: Callable[[float, float], bool]) -> float:
-        """The upper tail beyond the largest quantile at which something holds of the interval; 1/2 if at none."""
-        low, high = 0.0, MOST_ERRORS
+        """p-value of the two-sided test of no difference: the interval excludes zero at all levels below 1 - p."""
+        low_z, high_z = 0.0, MOST_ERRORS
         for _ in range(_HALVINGS):
-            middle = (low + high) / 2
-            low, high = (middle, high) if holds(*self.ends(middle)) else (low, middle)
-        return student.below(-low, np.inf)
+            middle = (low_z + high_z) / 2
+            low, high = self.ends(middle)
+            low_z, high_z = (middle, high_z) if low > 0.0 or high < 0.0 else (low_z, middle)
+        return 2.0 * student.below(-low_z, np.inf)
+
+
+Test = Compared | Inverted
 
 
 def correlation(first: np.ndarray, second: np.ndarray) -> float:
@@ -362,8 +317,8 @@ def correlation(first: np.ndarray, second: np.ndarray) -> float:
 
 
 def bounded_difference(
-    first: np.ndarray, second: np.ndarray, paired: bool, margin: float, most: float = 1.0, is_counted: bool = False
-) -> Compared | Inverted:
+    first: np.ndarray, second: np.ndarray, paired: bool, most: float = 1.0, is_counted: bool = False
+) -> Test:
     """A mean of what lies between 0 and `most` in `second` minus that in `first`, by Newcombe from two of Wilson.
 
     The distance to an end is that of the two shares to the ends that count there, added as errors are: method 10 in
@@ -379,7 +334,7 @@ def bounded_difference(
         Whether they are runs that have a property, of all runs.
     """
     p, q = (Proportion.of(rows / [most, 1.0], is_counted) for rows in (first, second))
-    if paired and not is_counted and (test := _of_pairs(q.share - p.share, q.moved - p.moved, most, margin)):
+    if paired and not is_counted and (test := _of_pairs(q.share - p.share, q.moved - p.moved, most)):
         return test
     phi = correlation(p.moved, q.moved) if paired else 0.0
     within = p.share * (1.0 - p.share) * q.share * (1.0 - q.share)
@@ -392,12 +347,10 @@ def bounded_difference(
         high = _distance(high_q - q.share, p.share - low_p, rho)
         return most * (q.share - p.share - low), most * (q.share - p.share + high)
 
-    return Inverted(most * (q.share - p.share), margin, ends)
+    return Inverted(most * (q.share - p.share), ends)
 
 
-def bounded_ratio(
-    first: np.ndarray, second: np.ndarray, paired: bool, margin: float, most: float
-) -> Compared | Inverted:
+def bounded_ratio(first: np.ndarray, second: np.ndarray, paired: bool, most: float) -> Test:
     """(second - first) / first of such means, from the same two intervals; parameters as in `bounded_difference`.
 
     Its ends are where an end of the interval of second - r first is zero (Donner and Zou 2012, Stat. Methods Med.
@@ -412,7 +365,7 @@ def bounded_ratio(
     if not p.share:
         raise Undefined("the first value is zero, so there is no relative difference")
     r = q.share / p.share
-    if paired and (test := _of_pairs(r - 1.0, (q.moved - r * p.moved) / p.share, 1.0, margin)):
+    if paired and (test := _of_pairs(r - 1.0, (q.moved - r * p.moved) / p.share, 1.0)):
         return test
 
     def terms(off_p: float, off_q: float) -> tuple[float, float, float]:
@@ -426,16 +379,16 @@ def bounded_ratio(
         a, _, root = terms(p.share - low_p, high_q - q.share)
         return low - 1.0, (root / a if a > 0.0 else np.inf) - 1.0
 
-    return Inverted(r - 1.0, margin, ends)
+    return Inverted(r - 1.0, ends)
 
 
-def _of_pairs(value: float, moved: np.ndarray, unit: float, margin: float) -> Compared | None:
-    """Tests of a difference from what each matrix moves it by, shape (G,), both in a unit; None if nothing does."""
+def _of_pairs(value: float, moved: np.ndarray, unit: float) -> Compared | None:
+    """A difference from what each matrix moves it by, shape (G,), both in a unit; None if nothing does."""
     n, squares = len(moved), float(np.sum(moved**2))
     if n < 2 or not squares:
         return None
     dof = float(student.dof_of_scatter(n, np.sum((moved**2 / squares) ** 2)))
-    return equivalence_test(unit * value, unit * (n / (n - 1) * squares) ** 0.5, dof, margin)
+    return Compared(unit * value, unit * (n / (n - 1) * squares) ** 0.5, dof)
 
 
 def _distance(one: float, other: float, phi: float) -> float:

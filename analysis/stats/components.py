@@ -2,11 +2,8 @@
 
 A quantity of matrix i is known from its base run and from replicates: runs of the same matrix from other starts that
 have parted from the base. With y_ij = mu + b_i + e_ij, replicates separate the variance of b_i (between matrices)
-from that of e_ij (due to the finite window), and
-
-    intraclass correlation = var b / (var b + var e).
-
-A changed run c_i of the same matrix has y = mu + b_i + d_i + e_ic. Squared differences have the expectations
+from that of e_ij (due to the finite window). A changed run c_i of the same matrix has y = mu + b_i + d_i + e_ic.
+Squared differences have the expectations
 
     A  change      (c_i - y_ij)^2    E d^2 + 2 var e
     B  replicates  (y_ij - y_ik)^2           2 var e
@@ -26,34 +23,6 @@ from scipy import special
 
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.estimates import Estimate
-
-
-def intraclass(values: np.ndarray, confidence: float) -> Estimate:
-    """Intraclass correlation of replicates, with an interval that is exact for normal values.
-
-    It is (F - 1) / (F + k - 1), with F the mean square between matrices over that within (Fisher 1925; interval of
-    Shrout and Fleiss 1979, Psychol. Bull. 86, 420). It may be negative, down to -1 / (k - 1).
-
-    Parameters
-    ----------
-    values : ndarray, shape (G, k)
-        k >= 2 replicates of each of G matrices.
-    confidence : float
-    """
-    y = np.asarray(values, dtype=np.float64)
-    g, k = y.shape
-    means = y.mean(axis=1)
-    between, within = k * means.var(ddof=1), np.sum((y - means[:, None]) ** 2) / (g * (k - 1))
-    if within == 0:
-        return Estimate(reason="the replicates are equal")
-    f, tail = between / within, (1 - confidence) / 2
-    low = f / special.fdtri(g - 1, g * (k - 1), 1 - tail)
-    high = f / special.fdtri(g - 1, g * (k - 1), tail)
-    return Estimate(_correlation(f, k), _correlation(low, k), _correlation(high, k))
-
-
-def _correlation(f: float, k: int) -> float:
-    return float((f - 1) / (f + k - 1))
 
 
 @dataclass(frozen=True)
@@ -96,24 +65,23 @@ def against_redraw(values: np.ndarray, changed: np.ndarray, confidence: float) -
         Base and replicates; G >= 3, k >= 2.
     changed : ndarray, shape (G, c)
         Changed runs of the same matrices.
-    confidence : float
     """
     y, c = np.asarray(values, dtype=np.float64), np.asarray(changed, dtype=np.float64)
     g = len(y)
     change = np.mean((c[:, :, None] - y[:, None, :]) ** 2, axis=(1, 2))
     replicate = 2 * y.var(axis=1, ddof=1)
     # mean over pairs of different matrices of (y_ij - y_kl)^2, from first and second moments
-    first, second = y.mean(axis=1), (y**2).mean(axis=1)
+    means, second = y.mean(axis=1), (y**2).mean(axis=1)
 
     def redraw_of(keep: np.ndarray) -> float:
         m = keep.sum()
-        cross = (first[keep].sum() ** 2 - np.sum(first[keep] ** 2)) / (m * (m - 1))
+        cross = (means[keep].sum() ** 2 - np.sum(means[keep] ** 2)) / (m * (m - 1))
         return float(2 * second[keep].mean() - 2 * cross)
 
-    every = np.ones(g, dtype=bool)
-    left = [every & (np.arange(g) != i) for i in range(g)]
-    a, b, redraw = change.mean(), replicate.mean(), redraw_of(every)
-    without = np.array([[change[keep].mean(), replicate[keep].mean(), redraw_of(keep)] for keep in left])
+    all_units = np.ones(g, dtype=bool)
+    but_one = [all_units & (np.arange(g) != i) for i in range(g)]
+    a, b, redraw = change.mean(), replicate.mean(), redraw_of(all_units)
+    without = np.array([[change[keep].mean(), replicate[keep].mean(), redraw_of(keep)] for keep in but_one])
     top, bottom = a - b, redraw - b
     tops, bottoms = without[:, 0] - without[:, 1], without[:, 2] - without[:, 1]
     covariance = (g - 1) ** 2 / g * np.cov(tops, bottoms)
@@ -136,7 +104,6 @@ def between(values: np.ndarray, errors: np.ndarray, dof: int, confidence: float)
         Of each system its value, and the standard error from its own run alone.
     dof : int
         Degrees of freedom of each error.
-    confidence : float
     """
     g, within = len(values), float(np.mean(errors**2))
     if g < 2 or within == 0:

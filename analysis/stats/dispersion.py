@@ -5,7 +5,7 @@ P(k) = (1 - q) q^(k-1) has mean m = 1 / (1 - q) and variance m (m - 1). So
     excess = variance / (m (m - 1)) - 1
 
 is zero for the exponential, negative for a thinner tail and positive for a thicker one. Rates that differ between
-matrices or in time mix exponentials and make it positive; a finite pool of blocks makes it negative (`pool.excess`).
+matrices or in time mix exponentials and make it positive; a finite pool of blocks makes it negative.
 """
 
 from __future__ import annotations

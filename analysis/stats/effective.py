@@ -1,15 +1,7 @@
 """Correlation time of n_stick, tau = T var(mean) / (2 var): a window of length T holds T / (2 tau) effective samples.
 
-There are two estimates, each pooled over runs; the larger one is used.
-
-- Means of 10 batches: 2 L var(L) - (L/2) var(L/2), with L the length of a batch, in which the error of order 1 / L
-  cancels (Vats and Flegal 2022, Biometrika 109, 735). It sees motion as slow as a batch is long.
-- Sokal's: the autocorrelation summed up to the first lag of five tau (`correlation_times`). It is sharper where one
-  time scale dominates, and misses a slow motion of small amplitude under a fast one.
-
-Under a slow oscillation neither is too small. Both are too large, by up to a factor of three, since the mean of many
-periods is known better than their power suggests. Both are too small where motion is slower than the batches and does
-not oscillate.
+Sokal's estimate sums the autocorrelation up to the first lag of five tau. It misses a slow motion of small amplitude
+under a fast one.
 """
 
 from __future__ import annotations
@@ -24,7 +16,6 @@ from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.windows import Windows
 from stickslip.analysis.stats.estimates import Estimate
 
-BATCHES = 10
 CORRELATION_SAMPLES = 8192  # of a window, at first: as a rule far finer than the correlation time, and cheap by FFT
 MOST_SAMPLES = 1 << 20  # where these are too far apart for the correlation time
 RESOLVED, FINER = 4.0, 8  # samples that a correlation time has to hold; so many times more where it does not
@@ -101,21 +92,3 @@ def _sokal(samples: np.ndarray) -> np.ndarray:
 def is_short(runs: Windows, taus: np.ndarray) -> np.ndarray:
     """Whether windows hold too few correlation times, `taus`, to estimate these, shape (R,)."""
     return runs.span < SHORT_WINDOW * taus
-
-
-def rows(runs: Windows, taus: np.ndarray) -> np.ndarray:
-    """The sums of each run, shape (R, 4), from its window and its correlation time, 0 if it has none.
-
-    They are the variance in time; length times variance of the means of 10 and of 20 batches; and Sokal's 2 tau times
-    the variance.
-    """
-    finest = runs.means(2 * BATCHES)
-    tens = finest.reshape(len(runs), BATCHES, 2).mean(axis=2)
-    spread = [runs.span / means.shape[1] * means.var(axis=1, ddof=1) for means in (tens, finest)]
-    return np.column_stack([runs.variance, *spread, 2 * taus * runs.variance])
-
-
-def tau(sums: np.ndarray) -> float | None:
-    """Correlation time from the summed rows of runs of equal length, shape (4,); None if n_stick does not change."""
-    variance, tens, twenties, sokal = sums
-    return float(max(2 * tens - twenties, sokal) / (2 * variance)) if variance > 0 else None

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stickslip.analysis.series.windows import Windows
-from stickslip.analysis.stats.compare import equivalence_test
+from stickslip.analysis.stats.compare import Compared
 from stickslip.analysis.stats.estimates import Estimate, Statistic, Undefined, jackknife
 
 CODES = ("enough", "few matrices", "few cascades", "drifts", "drift unknown")
@@ -55,7 +55,7 @@ def _drift(sums: np.ndarray) -> np.ndarray:
 def basis(rows: np.ndarray, n_cascades: int, confidence: float, of: Statistic = _drift) -> Basis:
     """Whether there are enough matrices and cascades, and no drift.
 
-    Drift is excluded where an equivalence test excludes one beyond `MARGIN`, shown where there is a drift and the
+    Drift is excluded where one-sided tests exclude one beyond `MARGIN`, shown where there is a drift and the
     estimate is beyond `MARGIN`, and unknown otherwise.
 
     Parameters
@@ -64,7 +64,6 @@ def basis(rows: np.ndarray, n_cascades: int, confidence: float, of: Statistic = 
         `halves`, or the columns that `of` takes; one row a matrix.
     n_cascades : int
         Complete cascades of all runs.
-    confidence : float
     of : callable
         Computes the drift from summed rows, whose last column is their number.
     """
@@ -75,12 +74,15 @@ def basis(rows: np.ndarray, n_cascades: int, confidence: float, of: Statistic = 
         value, error = jackknife(of, np.column_stack([rows, np.ones(g)]))
     except Undefined as undefined:
         return Basis(FEW_CASCADES, g, n_cascades, Estimate(reason=str(undefined)))
-    test = equivalence_test(value, error, g - 1, MARGIN)
-    drift = Estimate(value, *test.interval(confidence))
+    test = Compared(value, error, g - 1)
+    low, high = test.interval(confidence)
+    drift = Estimate(value, low, high)
+    is_within = all(abs(end) < MARGIN for end in test.interval(2 * confidence - 1))  # as two one-sided tests
+    is_beyond = not low <= 0.0 <= high and abs(value) > MARGIN
     if g < LEAST_MATRICES:
         code = FEW_MATRICES
     elif n_cascades < LEAST_CASCADES:
         code = FEW_CASCADES
     else:
-        code = ENOUGH if test.is_within(confidence) else DRIFTS if test.is_beyond(confidence) else DRIFT_UNKNOWN
+        code = ENOUGH if is_within else DRIFTS if is_beyond else DRIFT_UNKNOWN
     return Basis(code, g, n_cascades, drift)

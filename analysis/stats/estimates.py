@@ -80,19 +80,19 @@ class UnitSums:
         """The rows of runs, shape (R, 2), added up by unit in their order."""
         numbers, place = np.unique(np.asarray(units, dtype=np.int64), return_inverse=True)
         columns = np.asarray(rows, dtype=np.float64).reshape(-1, 2).T
-        return cls(numbers, np.column_stack([np.bincount(place, one, len(numbers)) for one in columns]))
+        return cls(numbers, np.column_stack([np.bincount(place, column, len(numbers)) for column in columns]))
 
     @staticmethod
     def together(some: Iterable[UnitSums]) -> UnitSums:
         """Several of one kind added up by unit."""
-        parts = list(some)
-        return parts[0].joined(parts[1:]) if parts else UnitSums()
+        tables = list(some)
+        return tables[0].joined(tables[1:]) if tables else UnitSums()
 
     def joined(self, others: Sequence[UnitSums]) -> UnitSums:
         """These and others of their kind, added up by unit."""
-        parts = [self, *others]
+        together = [self, *others]
         return UnitSums.of(
-            np.concatenate([part.units for part in parts]), np.concatenate([part.rows for part in parts])
+            np.concatenate([sums.units for sums in together]), np.concatenate([sums.rows for sums in together])
         )
 
     def __len__(self) -> int:
@@ -183,13 +183,14 @@ def jackknife(statistic: Statistic, sums: np.ndarray) -> tuple[float, float]:
 
     Parameters
     ----------
-    statistic : callable
     sums : ndarray, shape (rows, c)
         At least two rows, independent of each other.
     """
-    whole = sums.sum(axis=0, keepdims=True)
-    parts = (sums[k : k + _TOGETHER] for k in range(0, len(sums), _TOGETHER))
-    return float(statistic(whole)[0]), jackknife_error(np.concatenate([statistic(whole - part) for part in parts]))
+    total = sums.sum(axis=0, keepdims=True)
+    batches = (sums[k : k + _TOGETHER] for k in range(0, len(sums), _TOGETHER))
+    return float(statistic(total)[0]), jackknife_error(
+        np.concatenate([statistic(total - batch) for batch in batches])
+    )
 
 
 def jackknife_error(left_out: np.ndarray) -> float:

@@ -40,11 +40,8 @@ class Family:
 
     Attributes
     ----------
-    name : str
     terms : callable
         T, from sizes of shape (K,) to shape (K, p).
-    natural : callable
-        From theta, shape (p,), to named parameters.
     bounded : tuple of int
         The components of theta that must not be negative.
     base : callable
@@ -53,19 +50,13 @@ class Family:
 
     name: str
     terms: Callable[[np.ndarray], np.ndarray]
-    natural: Callable[[np.ndarray], dict[str, float]]
     bounded: tuple[int, ...] = ()
     base: Callable[[np.ndarray], np.ndarray] = _none
 
 
-EXPONENTIAL = Family("exponential", lambda k: k[:, None], lambda p: {"gamma": float(p[0])})
-POWER_LAW = Family("power law", lambda k: np.log(k)[:, None], lambda p: {"alpha": float(p[0])})
-CUT_OFF = Family(
-    "cut-off power law",
-    lambda k: np.column_stack([np.log(k), k]),
-    lambda p: {"alpha": float(p[0]), "lambda": float(p[1])},
-    bounded=(1,),
-)
+EXPONENTIAL = Family("exponential", lambda k: k[:, None])
+POWER_LAW = Family("power law", lambda k: np.log(k)[:, None])
+CUT_OFF = Family("cut-off power law", lambda k: np.column_stack([np.log(k), k]), bounded=(1,))
 
 
 @dataclass(frozen=True)
@@ -74,7 +65,6 @@ class Fit:
 
     Attributes
     ----------
-    family : Family
     theta : ndarray, shape (p,)
     sizes : ndarray, shape (K,), float64
         k_min .. k_max.
@@ -89,15 +79,6 @@ class Fit:
     sizes: np.ndarray
     log_likelihood: float
     free: list[int]
-
-    @property
-    def parameters(self) -> dict[str, float]:
-        """The named parameters of the family's formula."""
-        return self.family.natural(self.theta)
-
-    def __repr__(self) -> str:
-        values = ", ".join(f"{name} = {value:.6g}" for name, value in self.parameters.items())
-        return f"Fit({self.family.name}: {values})"
 
     def shares(self) -> np.ndarray:
         """P(k) for each size, shape (K,)."""
@@ -121,41 +102,13 @@ def log_shares(family: Family, sizes: np.ndarray, theta: np.ndarray) -> np.ndarr
     return above - np.log(np.exp(above).sum())
 
 
-def truncate(histogram: np.ndarray, k_min: int, k_max: int) -> tuple[np.ndarray, np.ndarray]:
-    """Sizes k_min..k_max as float64, and the last axis of a histogram cut to them.
-
-    Parameters
-    ----------
-    histogram : ndarray, shape (..., m)
-        [..., k] cascades of size k.
-    k_min, k_max : int
-        1 <= k_min < k_max.
-
-    Raises
-    ------
-    ValueError
-        If the cut-off is out of range, a size is larger than k_max, or a number of cascades is not finite or < 0.
-    """
-    if not 1 <= k_min < k_max:
-        raise ValueError(f"k_min: expected 1 <= k_min < k_max = {k_max}, got {k_min}")
-    counts = arguments.counts("histogram", histogram)
-    if counts[..., k_max + 1 :].any():
-        largest = int(np.flatnonzero(counts.reshape(-1, counts.shape[-1]).any(axis=0))[-1])
-        raise ValueError(f"k_max: expected at least the largest size, {largest}, got {k_max}")
-    histogram_cut = np.zeros((*counts.shape[:-1], k_max - k_min + 1))
-    sizes_seen = counts[..., k_min : k_max + 1]
-    histogram_cut[..., : sizes_seen.shape[-1]] = sizes_seen
-    return np.arange(k_min, k_max + 1, dtype=np.float64), histogram_cut
-
-
 def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
     """The law of a family at the maximum of its likelihood; a parameter beyond its bound is held there.
 
     Parameters
     ----------
-    family : Family
     sizes, counts : ndarray, shape (K,)
-        As `truncate` gives them.
+        Sizes k_min .. k_max as float64, and how many cascades have each.
 
     Raises
     ------
@@ -167,8 +120,7 @@ def maximise(family: Family, sizes: np.ndarray, counts: np.ndarray) -> Fit:
     counts = arguments.counts("counts", counts)
     if counts.shape != np.shape(sizes):
         raise ValueError(
-            f"counts: expected one for each of the {len(sizes)} sizes, got shape {counts.shape}; give both as"
-            " `truncate` does, summed over matrices"
+            f"counts: expected one for each of the {len(sizes)} sizes, got shape {counts.shape}; sum over matrices"
         )
     total, n_different = counts.sum(), np.count_nonzero(counts)
     n_parameters = family.terms(sizes).shape[1]
@@ -210,7 +162,7 @@ def parameter(fit: Fit, which: int, counts: np.ndarray, confidence: float) -> Es
     value, n = float(fit.theta[which]), len(counts)
     if which not in fit.free or n < 2:
         return Estimate(value, reason="one matrix" if n < 2 else "on its bound")
-    rest = counts.sum() - counts.sum(axis=1)
-    shifts = -np.linalg.solve(fit.information(), fit.scores().T @ counts.T)[fit.free.index(which)] / rest
+    remainder = counts.sum() - counts.sum(axis=1)
+    shifts = -np.linalg.solve(fit.information(), fit.scores().T @ counts.T)[fit.free.index(which)] / remainder
     half = student.half_width(confidence, n - 1) * jackknife_error(shifts)
     return Estimate(value, value - half, value + half)

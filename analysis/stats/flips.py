@@ -34,7 +34,6 @@ def p_value(values: np.ndarray, least: float) -> float:
     ----------
     values : ndarray, shape (m,)
         A statistic under each of `patterns`.
-    least : float
     """
     share = float(np.mean(values >= values[0] - 1e-12 * abs(values[0])))
     return max(share, least)

@@ -32,7 +32,6 @@ def effective(counts: np.ndarray, values: np.ndarray, fit: Fit) -> np.ndarray:
     counts : ndarray, shape (G, K)
     values : ndarray, shape (K, b)
         b functions f of the size.
-    fit : Fit
 
     Returns
     -------
@@ -101,10 +100,8 @@ def goodness(
     sizes : ndarray, shape (K,)
     counts : ndarray, shape (G, K)
         Results of `families.truncate`; matrices without a cascade are left out.
-    confidence : float
     rng : numpy.random.Generator
         For the signs.
-    family : Family
     """
     histograms = counts[counts.sum(axis=1) > 0]
     n, total = len(histograms), histograms.sum()
@@ -120,13 +117,13 @@ def goodness(
     contributions = effective(histograms, below, fit) / total
     gaps = contributions.sum(axis=0)
     worst = int(np.abs(gaps).argmax())
-    gap, at = float(abs(gaps[worst])), int(sizes[judged[worst]])
+    gap, size = float(abs(gaps[worst])), int(sizes[judged[worst]])
     if not flips.suffice(n, confidence):
-        return Goodness(gap, at, reason="few matrices")
+        return Goodness(gap, size, reason="few matrices")
     flipped = np.abs(flips.patterns(n, rng) @ contributions / np.sqrt((contributions**2).sum(axis=0)))
     p_floor = flips.floor(n)
     p_values = []
     for cut in CUTS:
         largest = flipped[:, : max(2, np.count_nonzero(above >= cut))].max(axis=1)
         p_values.append(flips.p_value(largest, p_floor))
-    return Goodness(gap, at, tuple(p_values), p_floor)
+    return Goodness(gap, size, tuple(p_values), p_floor)

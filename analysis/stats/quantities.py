@@ -47,11 +47,11 @@ class Quantity:
 
     def sums(self, runs: Windows) -> np.ndarray:
         """Its two sums over each window, shape (R, 2)."""
-        found: dict[str, np.ndarray] = {}
-        for names, of in SUMS.items():
+        by_name: dict[str, np.ndarray] = {}
+        for names, function in SUMS.items():
             if not set(names).isdisjoint(self.parts):
-                found |= zip(names, of(runs).T, strict=True)
-        return np.column_stack([found[name] for name in self.parts])
+                by_name |= zip(names, function(runs).T, strict=True)
+        return np.column_stack([by_name[name] for name in self.parts])
 
 
 #: By the name under which a scene declares a margin.

@@ -49,7 +49,6 @@ def dof_of_scatter(n: int, concentration: Any) -> Any:
 
     Parameters
     ----------
-    n : int
     concentration : float, or ndarray
         The fourth powers of their distances from the mean, summed, over the square of the squares' sum.
     """

@@ -6,7 +6,7 @@ import pandas as pd
 from stickslip import analysis
 from stickslip.analysis.ensemble import Numbers
 from stickslip.analysis.members import Members, records
-from stickslip.analysis.series.runs import Given
+from stickslip.analysis.series.windows import Stack
 from stickslip.pipeline.design.design import (
     DEFAULT_READING,
     Axis,
@@ -26,6 +26,14 @@ KEYS = {**{term.name: term.name for term in TERMS}, "z0": "z", "w0": "w"}
 DRAWS = ["matrix", "seed", "start_draw", "ratio_draw"]
 CHANGES = ["twin_size", "perturbation_reading", "perturbation_size"]
 DRAWN = Named("drawn")
+
+
+class Given(dict):
+    """Change points that are in memory."""
+
+    def stacks(self, member_ids):
+        stack = Stack.of([self[name] for name in member_ids])
+        yield stack.first, stack.t, stack.n_stick
 
 
 class Data(analysis.Data):

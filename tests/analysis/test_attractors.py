@@ -278,19 +278,6 @@ def test_where_along_a_key_attractors_change(swept, settings):
     np.testing.assert_allclose(multipliers, [0.3, 0.5, 0.7, 0.9, 0.5, 0.5, 0.5])
 
 
-def test_where_both_attract(planted_runs, settings):
-    """A cycle from all starts up to v = 2, from some at 3 and 4, from none beyond."""
-    data = planted_runs([
-        started(0.1 * k, 0.0, start_draw=k, drawn="z = uniform(0, 1)", belt_speed=float(v))
-        | (cycle(3.0, 0.1) if v <= 2 or (v <= 4 and k < 2) else SLIDES) for v in range(1, 7) for k in range(5)
-    ])  # fmt: skip
-    assert said(fates.answer(Study(data, settings))) == [
-        "At belt_speed = 1 and 2, all 10 starts settle onto a limit cycle.",
-        "At belt_speed = 3 and 4, some starts settle into steady sliding and others settle onto a limit cycle.",
-        "At belt_speed = 5 and 6, all 10 starts settle into steady sliding.",
-    ]
-
-
 def test_the_figures_along_a_key(swept, settings):
     figures = fates.answer(Study(swept, settings)).figures
     (ax,) = figures["fates"].recipe().axes
@@ -302,6 +289,7 @@ def test_the_figures_along_a_key(swept, settings):
     np.testing.assert_allclose(middle.lines[0].get_ydata(), [0.3, 0.5, 0.7, 0.9, 0.5, 0.5, 0.5])
     np.testing.assert_allclose(below.lines[0].get_ydata(), [3.0] * 4 + [6.0] * 3)
     assert "Left out: 25 runs" in figures["bifurcation"].caption
+    assert [*figures][:2] == ["fates", "bifurcation"]
 
 
 def test_stretches_bridge_what_is_not_known_only_between_alikes():
@@ -339,7 +327,6 @@ def test_each_value_of_a_second_key_has_its_regimes_and_the_ends_lead(over_two, 
 
 def test_the_figures_over_two_keys(over_two, settings):
     figures = fates.answer(Study(over_two, settings)).figures
-    assert [*figures][:2] == ["fates", "bifurcation"]
     (ax,) = figures["fates"].recipe().axes
     cells = np.ma.filled(ax.collections[0].get_array(), -1).reshape(3, 5)
     assert [len(set(row[: k + 1])) for k, row in enumerate(cells)] == [1, 1, 1]

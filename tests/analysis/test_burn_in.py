@@ -7,9 +7,11 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import Study
-from stickslip.analysis.burn_in import estimates, geweke, with_enough
+from stickslip.analysis.burn_in import estimates, geweke
 from stickslip.analysis.ensemble import Recorded
+from stickslip.analysis.models.motion import early_and_late
 from stickslip.analysis.questions.runs import fates
+from stickslip.analysis.series.windows import Stack, windows
 from tests.analysis.designs import Data
 from tests.chance import SURE, agrees
 
@@ -48,53 +50,50 @@ def of_groups(data, settings):
     return geweke(study, study.groups)
 
 
+def test_early_is_the_first_tenth_and_late_the_last_half():
+    """One more block sticks at each unit of time."""
+    ramp = windows(Stack.of([(np.arange(100.0), np.arange(100))]), 0.0, [100.0])
+    assert early_and_late(ramp).tolist() == [[4.5, 74.5]]
+
+
 def test_steady_series_are_called_too_short_at_the_nominal_rate(planted, settings, rng):
     found = of_groups(ensembles(planted, rng, [0.0] * 200), settings)
-    assert agrees(sum(row["p_value"] < 0.05 for row in found), 200, 0.05)
+    assert agrees(sum(row.p_value < 0.05 for row in found), 200, 0.05)
 
 
 def test_a_transient_is_found_and_its_size(planted, settings, rng):
     """100 exp(-t / 80) from t = 100 on: 100 * 80 / 90 (exp(-100 / 80) - exp(-190 / 80)) in the first tenth."""
     (row,) = of_groups(ensemble(planted, rng, 100.0), replace(settings, confidence=SURE))
     planted_early = 100.0 * DECAY / 90.0 * (np.exp(-100 / DECAY) - np.exp(-190 / DECAY))
-    assert row["is_short"]
-    assert row["early_low"] < planted_early < row["early_high"]
+    assert row.is_short
+    assert row.early.low < planted_early < row.early.high
     late = replace(settings, t_burn=600.0, confidence=SURE)
-    assert not of_groups(ensemble(planted, rng, 100.0), late)[0]["is_short"]
+    assert not of_groups(ensemble(planted, rng, 100.0), late)[0].is_short
 
 
 def test_several_groups_are_tested_together(planted, settings, rng):
     """Holm's rule: of nine steady groups and one with a transient, that alone."""
     data = ensembles(planted, rng, [100.0 * (k == 3) for k in range(10)])
     found = of_groups(data, replace(settings, confidence=SURE))
-    assert [row["is_short"] for row in found] == [k == 3 for k in range(10)]
-    assert all(row["p_adjusted"] >= row["p_value"] for row in found)
+    assert [row.is_short for row in found] == [k == 3 for k in range(10)]
+    assert all(row.p_adjusted >= row.p_value for row in found)
 
 
-def test_estimates_for_other_values_of_t_burn_and_the_first_that_is_enough(planted, settings, rng):
+def test_estimates_for_other_values_of_t_burn(planted, settings, rng):
     data, sure = ensemble(planted, rng, 100.0), replace(settings, confidence=SURE)
     study = Study(data, sure)
-    rows = estimates(study, study.groups)
-    mean = {row["t_burn"]: row for row in rows if row["quantity"] == "mean"}
-    assert [*mean] == [0.0, 50.0, 100.0, 212.5, 325.0, 550.0]
-    for t_burn, row in mean.items():
+    rows = {row.t_burn: row for row in estimates(study, study.groups)}
+    assert [*rows] == [0.0, 50.0, 100.0, 212.5, 325.0, 550.0]
+    for t_burn, row in rows.items():
         by_hand = []
         for t, n_stick in data.series.values():
             lasts = np.diff(np.append(t, T_END)) - np.clip(t_burn - t, 0.0, 1.0)
             by_hand.append(np.average(n_stick, weights=np.where(t + 1.0 > t_burn, lasts, 0.0)))
-        assert row["value"] == pytest.approx(np.mean(by_hand))
-        assert row["is_chosen"] == (t_burn == T_BURN)
+        assert row.value.value == pytest.approx(np.mean(by_hand))
+        assert row.is_chosen == (t_burn == T_BURN)
     (group,) = study.groups
-    assert mean[T_BURN]["value"] == pytest.approx(group.mean(SURE).value)
-    chosen = mean[T_BURN]
-    assert (chosen["ratio"], chosen["ratio_low"], chosen["ratio_high"]) == (1.0, 1.0, 1.0)
-    last = mean[550.0]  # levels of systems scatter, and cancel in the paired ratio
-    assert last["ratio"] == pytest.approx(last["value"] / chosen["value"])
-    assert last["ratio_high"] - last["ratio_low"] < (last["value_high"] - last["value_low"]) / chosen["value"]
-    gammas = {row["t_burn"]: row["value"] for row in rows if row["quantity"] == "gamma"}
-    assert gammas[T_BURN] == pytest.approx(gamma_of(group))
-    (row,) = with_enough(geweke(study, study.groups), rows, 1 - SURE)
-    assert row["t_enough"] in (212.5, 325.0, 550.0)
+    assert rows[T_BURN].value.value == pytest.approx(group.mean(SURE).value)
+    assert rows[T_BURN].p_value < 1 - SURE < rows[550.0].p_value
 
 
 def test_what_is_averaged_is_tested(planted, settings, rng):
@@ -105,13 +104,13 @@ def test_what_is_averaged_is_tested(planted, settings, rng):
         ended[name] = (t[:201], np.append(n_stick[:200], 0)) if k % 5 else (t, n_stick)
     alone = Data(data.members, ended)
     (row,) = of_groups(alone, sure)
-    assert (row["n_runs"], row["n_members"], row["n_systems"], row["is_short"]) == (4, 20, 4, False)
+    assert (row.n_runs, row.n_members, row.n_systems, row.is_short) == (4, 20, 4, False)
     numbers = {"heat": Recorded("heat", dict.fromkeys(ended, 1.0))}
     study = Study(Data(data.members, ended, recorded=numbers), sure)
     (row,) = geweke(study, study.groups)
-    assert (row["n_runs"], row["n_members"], row["n_systems"], row["is_short"]) == (20, 20, 20, True)
-    mean = [row for row in estimates(study, study.groups) if row["quantity"] == "mean" and row["is_chosen"]]
-    assert [row["n_systems"] for row in mean] == [20]
+    assert (row.n_runs, row.n_members, row.n_systems, row.is_short) == (20, 20, 20, True)
+    mean = [row for row in estimates(study, study.groups) if row.is_chosen]
+    assert [row.n_systems for row in mean] == [20]
     assert fates.answer(study).tables["burn_in"]["n_runs"].tolist() == [20]
 
 
@@ -131,8 +130,8 @@ def test_groups_at_rest_are_not_tested_and_dilute_nothing(planted, settings, rng
     for t_burn in rng.uniform(50.0, 300.0, size=20):  # sums of rounded times
         data = at_rest(planted, rng, ensemble(planted, rng, 30.0))
         moves, *rests = of_groups(data, replace(settings, t_burn=float(t_burn)))
-        assert moves["p_adjusted"] == moves["p_value"] > 0.0
-        assert [(row["p_value"], row["early"], row["is_short"], row["reason"]) for row in rests] == 9 * [
+        assert moves.p_adjusted == moves.p_value > 0.0
+        assert [(row.p_value, row.early.value, row.is_short, row.reason) for row in rests] == 9 * [
             (None, 0.0, False, "at rest")
         ]
 
@@ -147,14 +146,9 @@ def test_runs_that_come_to_rest_later_show_nothing_from_then_on(planted, setting
     recorded = {"heat": Recorded("heat", dict.fromkeys(series, 1.0))}
     study = Study(Data(pd.DataFrame(rows), series, recorded=recorded), settings)
     by_t_burn = estimates(study, study.groups)
-    assert {row["t_burn"] for row in by_t_burn if row["p_value"] is None} == {550.0}
-    (row,) = with_enough(geweke(study, study.groups), by_t_burn, 1 - settings.confidence)
-    assert (row["is_short"], row["t_enough"]) == (True, 550.0)
-
-
-def gamma_of(group):
-    slipped, cascades = group.sums("gamma").rows.sum(axis=0)
-    return float(np.log(slipped / (slipped - cascades)))
+    assert {row.t_burn for row in by_t_burn if row.p_value is None} == {550.0}
+    (row,) = geweke(study, study.groups)
+    assert row.is_short
 
 
 def test_an_alert_says_that_t_burn_is_too_short(planted, settings, rng):
@@ -170,4 +164,4 @@ def test_an_alert_says_that_t_burn_is_too_short(planted, settings, rng):
 
 def test_three_systems_tell_nothing(planted, settings, rng):
     (row,) = of_groups(ensemble(planted, rng, 100.0, n_systems=3), settings)
-    assert (row["is_short"], row["p_value"], row["reason"]) == (False, None, "few matrices")
+    assert (row.is_short, row.p_value, row.reason) == (False, None, "few matrices")

@@ -39,15 +39,6 @@ def test_sampled_definitions_counted_by_hand():
     assert sizes(win, EVENTS).tolist() == [5]
 
 
-def test_what_happens_between_samples_is_not_seen_by_the_sampled_definitions():
-    t = np.array([0.0, 0.5, 1.2, 1.4, 1.6, 1.8, 2.5])
-    n = np.array([5, 6, 5, 6, 5, 4, 5])  # samples at 0, 1, 2, 3: 5 6 4 5
-    win = window(t, n, 0.0, 3.0)
-    assert sizes(win, EVENTS).tolist() == [1, 2]
-    assert sizes(win, Law("drop", 1.0)).tolist() == [2]
-    assert sizes(win, Law("length", 1.0)).tolist() == [1]
-
-
 def test_a_sample_at_a_change_sees_the_new_value_and_the_last_value_holds_to_the_end():
     t, n = np.array([0.0, 1.0, 2.0]), np.array([3, 5, 4])
     assert sample(t, n, np.array([0.0, 0.999, 1.0, 1.5, 2.0, 50.0])).tolist() == [3, 3, 5, 5, 4, 4]
@@ -95,26 +86,6 @@ def change_points(draw):
     n = draw(st.lists(st.integers(0, 6), min_size=2, max_size=40))
     gaps = draw(st.lists(st.integers(1, 8), min_size=len(n) - 1, max_size=len(n) - 1))
     return np.concatenate(([0], np.cumsum(gaps))) / 8.0, np.array(n)  # eighths: shifts and sums are exact
-
-
-@given(change_points(), st.integers(-64, 64))
-def test_shifting_time_changes_nothing(series, shift):
-    t, n = series
-    for law in laws((0.25, 1.0)):
-        here = sizes(window(t, n, 0.0, t[-1] + 1), law)
-        there = sizes(window(t + shift, n, float(shift), t[-1] + 1 + shift), law)
-        assert here.tolist() == there.tolist()
-
-
-@given(change_points(), st.data())
-def test_a_change_point_without_change_changes_nothing(series, data):
-    t, n = series
-    k = data.draw(st.integers(0, len(t) - 2))
-    t_more = np.insert(t, k + 1, 0.5 * (t[k] + t[k + 1]))
-    n_more = np.insert(n, k + 1, n[k])
-    for law in laws((0.25, 1.0)):
-        plain, split = (sizes(window(a, b, 0.0, t[-1] + 1), law) for a, b in ((t, n), (t_more, n_more)))
-        assert plain.tolist() == split.tolist()
 
 
 @given(change_points())

@@ -2,50 +2,15 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 
-from stickslip.analysis import Law, over_matrices, sizes, window
+from stickslip.analysis import Law, over_matrices, sizes
 from stickslip.analysis.series import nulls
-from stickslip.analysis.series.cascades import Window, laws
+from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.nulls import BlockSteps, block_steps, rotated
 from stickslip.analysis.stats.estimates import LN2, gamma
-from tests.chance import SURE, agrees
+from tests.chance import SURE
 
 EVENTS = Law("events")
-
-
-def poisson_window(exits, entries, t_stop, rng):
-    """Independent Poisson exits and entries at the given rates."""
-    numbers = rng.poisson([exits * t_stop, entries * t_stop])
-    t = rng.uniform(0, t_stop, numbers.sum())
-    step = np.repeat([-1, 1], numbers)
-    order = np.argsort(t)
-    return Window(0.0, t_stop, 0, t[order], step[order])
-
-
-def test_the_toss_of_a_coin_gives_ln_2(rng):
-    runs = [sizes(poisson_window(1.0, 1.0, 2_000.0, rng), EVENTS) for _ in range(30)]
-    found = over_matrices(gamma, np.array([[one.sum(), len(one)] for one in runs], dtype=float), SURE)
-    assert found.low < LN2 < found.high
-
-
-@pytest.mark.long
-def test_fair_series_are_rarely_called_different_from_chance(planted):
-    n_ensembles, n_matrices = 400, 20
-    alarms = 0
-    for ensemble in range(n_ensembles):
-        sums = []
-        for matrix in range(n_matrices):
-            rng = np.random.default_rng([ensemble, matrix])
-            t, n_stick = planted.runs(rng, 200, LN2)
-            win = window(t, n_stick, 100.0, planted.t_end)
-            found = sizes(win, EVENTS)
-            sums.append([found.sum(), found.size])
-        against = over_matrices(gamma, np.array(sums, dtype=float), 0.95)
-        assert against.low is not None
-        assert against.high is not None
-        alarms += not against.low <= LN2 <= against.high
-    assert agrees(alarms, n_ensembles, 0.05)
 
 
 # Blocks 0 sticks at first, 1 and 2 slip. Exits: 0 at 1 and 7; entries: 1 at 2, 0 at 3; crossing: 2 at 4.
@@ -67,7 +32,7 @@ def test_exits_and_entries_of_blocks_counted_by_hand():
     meet = [block_steps(**MODES, t_start=start, t_stop=stop).t.tolist() for start, stop in ((0.0, 3.0), (3.0, 7.0))]
     assert meet == [[1.0, 2.0, 3.0], [7.0]]  # (t_start, t_stop]
     empty = block_steps(*(np.array([], dtype=int),) * 3, np.zeros(2), 0.0, 1.0)
-    assert len(rotated(empty, np.random.default_rng(0))[0]) == 0
+    assert len(rotated(empty, np.random.default_rng(0))) == 0
 
 
 def test_bad_events_are_refused():
@@ -87,10 +52,15 @@ def alternating(n_blocks, n_changes, span, seed):
     return BlockSteps(0.0, span, t.ravel()[order], block.ravel()[order], step.ravel()[order])
 
 
+def times_of(places, span):
+    """Times and whether they are exits, of places as `rotated` gives them: the last bit is one for an exit."""
+    return (places >> 1) * (span / 2**31), (places & 1).astype(bool)
+
+
 def test_rotation_keeps_each_block_up_to_its_shift():
     for block in range(12):
         before = alternating(1, 7, 50.0, block)
-        t, is_exit = rotated(before, np.random.default_rng(2))
+        t, is_exit = times_of(rotated(before, np.random.default_rng(2)), 50.0)
         assert (np.diff(t) >= 0).all()
         gaps = [np.diff(times, append=times[0] + 50.0) for times in (before.t, t)]  # on the circle
         assert any(
@@ -104,26 +74,22 @@ def test_rotation_breaks_what_blocks_share(rng):
     one = alternating(1, 40, 100.0, 5)
     both = BlockSteps(0.0, 100.0, np.repeat(one.t, 2), np.tile([0, 1], 40), np.repeat(one.step, 2))
     assert sizes(both.window(), EVENTS).min() == 2
-    total, count = nulls.sums(both, (), 200, rng)[EVENTS]
+    count, total, _ = nulls.moments(both, 200, rng)
     assert total / count < 1.8
 
 
-@pytest.mark.parametrize("dt", [0.2, 1.0, 3.0])
-def test_rotation_of_many_slow_blocks_is_what_independence_gives(dt, rng):
-    """Each block changes twice: nothing of its own order is left, and steps of the samples are Skellam(2 dt, 2 dt).
-
-    A falling run then is geometric with q = P(step < 0), and its drop has the mean of a fall times the mean
-    length: chance gives a different gamma for each definition and dt, which is why none stands without them.
-    """
+def test_rotation_of_many_slow_blocks_is_the_toss_of_a_coin(rng):
+    """Each block changes twice: nothing of its own order is left."""
     steps = alternating(4000, 2, 2000.0, 6)
-    draws = [nulls.sums(steps, (dt,), 1, rng) for _ in range(40)]
-    assert set(draws[0]) == set(laws((dt,)))
-    step = stats.skellam(2 * dt, 2 * dt)
-    falls = -np.arange(-60, 0)
-    p_fall = step.cdf(-1)
-    mean_fall = np.dot(falls, step.pmf(-falls)) / p_fall
-    expected = {"length": -np.log(p_fall), "drop": -np.log1p(-(1 - p_fall) / mean_fall), "decreases": LN2,
-                "descent": -np.log1p(-0.5 / mean_fall)}  # fmt: skip
-    for law, rate in ((EVENTS, LN2), *((Law(name, dt), rate) for name, rate in expected.items())):
-        found = over_matrices(gamma, np.array([one[law] for one in draws]), SURE)
-        assert found.low - 0.005 < rate < found.high + 0.005, law
+    draws = np.array([nulls.moments(steps, 1, rng)[[1, 0]] for _ in range(40)])
+    found = over_matrices(gamma, draws, SURE)
+    assert found.low - 0.005 < LN2 < found.high + 0.005
+
+
+def test_moments_are_those_of_the_sizes_of_a_surrogate(rng):
+    steps = alternating(30, 41, 100.0, 7)
+    t, is_exit = times_of(rotated(steps, np.random.default_rng(8)), 100.0)
+    k = sizes(Window(0.0, 100.0, 0, t, np.where(is_exit, -1, 1)), EVENTS)
+    for least, some in ((1, k), (3, k[k > 2] - 2)):
+        expected = len(some), some.sum(), some @ some
+        assert nulls.moments(steps, 1, np.random.default_rng(8), least).tolist() == [*expected]

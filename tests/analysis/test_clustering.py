@@ -5,15 +5,16 @@ import pandas as pd
 import pytest
 
 from stickslip.analysis import AnalysisSettings, Study
-from stickslip.analysis.findings.finding import Basis, Lack, Level, Reason, Share, Verdict
+from stickslip.analysis.findings.finding import Lack, Level, Reason, Share
 from stickslip.analysis.findings.place import EVERYWHERE
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.members import records
-from stickslip.analysis.models.clustering import Kind, Part, fano, measure, n_windows, own_gaps, pairs
+from stickslip.analysis.models.clustering import measure, own_gaps, pairs
 from stickslip.analysis.questions.slips import cascades, collective, triggering
 from stickslip.analysis.series.nulls import BlockSteps, rotated
 from tests.analysis import studies
 from tests.analysis.designs import Data
+from tests.analysis.test_chance import times_of
 from tests.chance import agrees
 
 SPAN = studies.SPAN
@@ -25,22 +26,18 @@ def test_pairs_counted_by_hand():
     assert pairs(np.zeros(0), 1.0) == 0
 
 
-def test_pairs_and_fano_of_rotation_agree_with_simulation(rng):
+def test_pairs_of_rotation_agree_with_simulation(rng):
     steps = studies.blocks_run(rng, n=12)
     own = own_gaps(*steps.exits, SPAN, SPAN / 2)
-    taus, tiles, draws = (0.1, 1.0, 10.0, 150.0, 300.0), (100, 20, 2), 1000
-    turned = [t[is_exit] for t, is_exit in (rotated(steps, rng) for _ in range(draws))]
-    closed = [*map(own.pairs, taus), *map(own.fano, tiles)]
-    drawn = np.array(
-        [[*(pairs(one, tau) for tau in taus), *(fano(one, 0.0, SPAN, k) for k in tiles)] for one in turned]
-    )
-    assert (np.abs(drawn.mean(0) - closed) < 5 * drawn.std(0) / np.sqrt(draws)).all()
+    taus, draws = (0.1, 1.0, 10.0, 150.0, 300.0), 1000
+    surrogates = [times_of(rotated(steps, rng), SPAN) for _ in range(draws)]
+    drawn = np.array([[pairs(t[is_exit], tau) for tau in taus] for t, is_exit in surrogates])
+    assert (np.abs(drawn.mean(0) - [*map(own.pairs, taus)]) < 5 * drawn.std(0) / np.sqrt(draws)).all()
 
 
 def test_exits_each_of_its_own_block_are_a_poisson_process():
     own = own_gaps(np.array([1.0, 1.0, 3.0]), np.arange(3), 10.0, 5.0)
     assert own.pairs(1.0) == pytest.approx(3 * 0.19)  # three pairs; 2x - x^2 at x = 0.1
-    assert own.fano(5) == pytest.approx(1.0)
 
 
 def test_gaps_are_those_on_the_circle_below_the_reach():
@@ -49,18 +46,12 @@ def test_gaps_are_those_on_the_circle_below_the_reach():
     assert found.counts.tolist() == [3, 1]
 
 
-def test_windows_tile_the_span():
-    assert [n_windows(length, 10.0) for length in (1.0, 3.0, 4.0, 100.0)] == [10, 3, 2, 2]
-    assert fano(np.arange(10) + 0.5, 0.0, 10.0, 5) == 0.0
-    assert fano(np.array([0.1, 0.2, 0.3, 0.4]), 0.0, 4.0, 4) == pytest.approx(4.0)  # counts 4 0 0 0
-
-
 # ------------------------------------------------------------------------------------------ the questions
 
 
-def study_of(planted, runs, with_events=True, thresholds=()):
+def study_of(planted, runs, with_events=True, t_burn=20.0):
     """Runs given as `BlockSteps` as an ensemble: a matrix each."""
-    rows, series, events, by_threshold = [], {}, {}, {}
+    rows, series, events = [], {}, {}
     for matrix, steps in enumerate(runs):
         member_id = f"run-{matrix:02d}"
         rows.append(planted.member(member_id, matrix, t_end=SPAN, t_stop=SPAN))
@@ -73,10 +64,7 @@ def study_of(planted, runs, with_events=True, thresholds=()):
         if with_events:
             mode = np.where(steps.step > 0, 0, 1).astype(np.int8)
             events[member_id] = (steps.t, steps.block, mode, np.where(sticks, 0, 1).astype(np.int8))
-        for c in thresholds:
-            by_threshold.setdefault(member_id, {})[c] = (t, n_stick)
-    settings = AnalysisSettings(20.0, (0.5, 2.0), 5, 0.95, 0)
-    return Study(Data(pd.DataFrame(rows), series, events, {}, by_threshold), settings)
+    return Study(Data(pd.DataFrame(rows), series, events), AnalysisSettings(t_burn, (0.5, 2.0), 5, 0.95, 0))
 
 
 def followers(rng, steps, share):
@@ -102,31 +90,20 @@ def exits_of(planted, runs):
     return triggering.exits_of(study, study.judged()[0])
 
 
-def test_the_primary_comparison_of_independent_blocks_is_not_adjusted(planted, rng):
+def test_pairs_of_independent_blocks_are_judged_together(planted, rng):
     exits = exits_of(planted, [studies.blocks_run(rng) for _ in range(10)])
-    first, *others = exits.compared
-    assert first.part == Part(Kind.FANO, 20.0)  # 580 units hold twenty windows of 20, not of 40
-    assert first.difference.family is None
-    assert 0.5 < first.ratio.value < 2
-    assert {one.difference.family.n for one in others} == {len(others)}
-    (found,), _ = triggering.triggered(exits, EVERYWHERE, "system")
+    assert [one.tau for one in exits.pairs] == [0.05, 0.2, 1.0]
+    assert {one.difference.family.n for one in exits.pairs} == {3}
+    assert all(0.5 < one.ratio.value < 2 for one in exits.pairs)
+    (found,) = triggering.triggered(exits, EVERYWHERE, "system")
     assert found.estimate.high < 0.1 if is_limit(found) else found.estimate.low < 0.05
     if is_limit(found):
         assert found.predicate == "trigger another within 0.05"
 
 
-def test_a_common_slow_mode_has_more_exits_in_some_windows(planted, rng):
-    exits = exits_of(planted, [studies.blocks_run(rng, depth=0.6) for _ in range(10)])
-    first = exits.compared[0]
-    assert first.difference.verdict is Verdict.MORE
-    said = sentence(first.level(EVERYWHERE, Basis(10)))
-    assert said.startswith("Counts of slip onsets in windows of 20 vary ")
-    assert said.endswith(" for time-shifted blocks.")
-
-
 def test_exits_that_follow_others_are_seen(planted, rng):
     runs = [followers(rng, studies.blocks_run(rng), 0.3) for _ in range(10)]
-    (found,), _ = triggering.triggered(exits_of(planted, runs), EVERYWHERE, "system")
+    (found,) = triggering.triggered(exits_of(planted, runs), EVERYWHERE, "system")
     assert 0 < found.estimate.low < found.estimate.value < 0.5
 
 
@@ -141,19 +118,18 @@ def is_limit(share):
 
 
 def planted_pairs(rows, n_exits, gap, confidence):
-    compared = triggering.compare("", rows, [Part(Kind.FANO, 20.0), Part(Kind.PAIRS, 0.2)], confidence)
-    return triggering.Exits(None, compared, [], len(rows), n_exits, gap)
+    return triggering.Exits(None, triggering.compare("", rows, [0.2], confidence), len(rows), n_exits, gap)
 
 
 def test_the_share_of_exits_that_trigger_others_holds_the_planted_one(rng):
     """Each triggered exit is a pair more; of an exponential delay 0.865 is below twice its mean."""
     runs = [studies.triggered(studies.blocks_run(rng), 0.1, 0.1, rng) for _ in range(10)]
     n_exits = float(np.mean([np.sum(steps.step < 0) for steps in runs]))
-    rows = np.array([measure(steps, [Part(Kind.FANO, 20.0), Part(Kind.PAIRS, 0.2)]) for steps in runs])
-    (found,), _ = triggering.triggered(planted_pairs(rows, n_exits, 1.0, 0.99999), EVERYWHERE, "system")
+    rows = np.array([measure(steps, [0.2]) for steps in runs])
+    (found,) = triggering.triggered(planted_pairs(rows, n_exits, 1.0, 0.99999), EVERYWHERE, "system")
     assert 0.0865 < found.estimate.high < 0.25
     if is_limit(found):
-        assert triggering.triggered(planted_pairs(rows, n_exits, 2.0, 0.99999), EVERYWHERE, "system") == ([], None)
+        assert triggering.triggered(planted_pairs(rows, n_exits, 2.0, 0.99999), EVERYWHERE, "system") == []
 
 
 def test_the_limit_is_not_tight_by_luck(rng):
@@ -164,11 +140,11 @@ def test_the_limit_is_not_tight_by_luck(rng):
         ratio = np.log1p(0.0006 / pairs_an_exit) + error * np.sqrt(20) * rng.standard_normal(20)
         by_rotation = np.full(20, pairs_an_exit * n_exits)
         pairs_rows = np.stack([by_rotation * np.exp(ratio), by_rotation], axis=1)
-        exits = planted_pairs(np.stack([pairs_rows, pairs_rows], axis=1), n_exits, 1.0, 0.95)
-        (found,), _ = triggering.triggered(exits, EVERYWHERE, "system")
+        exits = planted_pairs(pairs_rows[:, None], n_exits, 1.0, 0.95)
+        (found,) = triggering.triggered(exits, EVERYWHERE, "system")
         held += found.estimate.high >= 0.0006
         if is_limit(found):
-            effect = exits.compared[1].ratio
+            effect = exits.pairs[0].ratio
             half = np.sqrt(effect.high / effect.low) - 1.0  # of the interval of the logarithm
             assert found.estimate.high >= 0.999 * half * pairs_an_exit
     assert agrees(held, sets, 0.95, 1.0)

@@ -5,10 +5,8 @@ import re
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.findings.alerts import Code
 from stickslip.analysis.findings.finding import Basis, Fit, Lack, Level, Reason, Share, Verdict
 from stickslip.analysis.findings.words import sentence
@@ -20,7 +18,7 @@ from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.workflows.scenes import rhythm as scene
 from tests.analysis import studies
-from tests.analysis.designs import Data
+from tests.analysis.test_clustering import study_of
 from tests.chance import ERRORS, agrees
 
 SPAN = 2400.0
@@ -130,7 +128,7 @@ def test_an_interval_of_three_matrices_is_that_of_t_with_two_degrees_of_freedom(
     data = exact(SPAN, 470.0, 1.2, g=3)
     data = dataclasses.replace(data, observed=data.observed * np.array([[0.9], [1.0], [1.15]]))
     found = motion_of(data, rng)
-    logs = np.log(found.values["variance"])  # noqa: PD011
+    logs = np.log(found.values["variance"])
     half = 4.302652729696142 * np.sqrt(2 / 3 * np.sum((logs[1:] - logs[1:].mean()) ** 2))
     ends = found.estimates["variance"].low, found.estimates["variance"].high
     assert np.log(ends) == pytest.approx([logs[0] - half, logs[0] + half], rel=1e-9)
@@ -141,14 +139,6 @@ def test_overdamped_motion_is_slow_and_a_motion_slower_than_the_window_is_said_t
     assert overdamped.shown is Shown.SLOW
     slow = motion_of(exact(SPAN, 1800.0, 2.0), rng)
     assert (slow.shown, slow.period) == (Shown.SHORT, pytest.approx(1800.0, rel=0.01))
-
-
-def test_intervals_hold_what_was_planted(rng):
-    """A small version of the study `rhythm`; the answers are exact where all matrices are alike."""
-    answers = {"period": 470.0, "quality": 1.2, "share": 11 / (11 + 4.95)}
-    every = [motion_of(one, rng).estimates for one in studies.rhythmic(rng, 20, SPAN, 470.0, 1.2)]
-    for name, answer in answers.items():
-        assert agrees(sum(one[name].low <= answer <= one[name].high for one in every), 20, 0.92, 0.98), name
 
 
 def test_the_deviance_is_that_of_chance_if_the_fit_is_the_spectrum_and_large_if_it_is_not(rng):
@@ -245,38 +235,6 @@ def test_changes_are_those_planted(rng):
     assert found[0].difference.estimate.value == pytest.approx(360 / 440 - 1, abs=0.05)
     assert found[0].keys[0].first == "150"
     assert found[0].difference.family.n == 3 * len(lines)
-
-
-def test_intervals_of_changes_hold_the_planted_one(rng):
-    held = 0
-    for _ in range(100):
-        points = [point({"n": n}, period, rng) for n, period in ((100, 450), (200, 540))]
-        change = scene.changes(scene.along("n", points), Basis(20), 0.95)[0].difference.estimate
-        held += change.low <= 0.2 <= change.high
-    assert agrees(held, 100, 0.85, 0.99)
-
-
-def run_of(steps, matrix):
-    blocks, first = np.unique(steps.block, return_index=True)
-    sticks = np.zeros(int(blocks.max()) + 1, dtype=bool)
-    sticks[blocks] = steps.step[first] < 0
-    n_stick = sticks.sum() + np.concatenate(([0], np.cumsum(steps.step)))
-    mode = np.where(steps.step > 0, 0, 1).astype(np.int8)
-    return (np.concatenate(([0.0], steps.t)), n_stick), (
-        steps.t,
-        steps.block,
-        mode,
-        np.where(sticks, 0, 1).astype(np.int8),
-    )
-
-
-def study_of(planted, runs, t_burn=20.0):
-    rows, series, events = [], {}, {}
-    for matrix, steps in enumerate(runs):
-        name = f"run-{matrix}"
-        rows.append(planted.member(name, matrix, t_end=studies.SPAN, t_stop=studies.SPAN))
-        series[name], events[name] = run_of(steps, matrix)
-    return Study(Data(pd.DataFrame(rows), series, events), AnalysisSettings(t_burn, (0.5,), 5, 0.95, 0))
 
 
 def test_a_common_mode_of_blocks_is_said_with_its_share_and_the_goodness_of_its_fit(planted, rng):

@@ -1,6 +1,5 @@
 """Two settings set side by side: closed forms, false alarms on planted data, and verdicts that follow the numbers."""
 
-from collections import Counter
 from functools import partial
 
 import numpy as np
@@ -93,13 +92,12 @@ def test_shares_differ_by_newcombes_interval():
 
 
 def test_tests_of_shares_invert_their_interval():
-    """At the level 1 - p an end of the interval is zero; at 1 - 2 p, the nearer margin."""
+    """At the level 1 - p an end of the interval is zero."""
     first, second = np.arange(40) < 20, np.arange(40) % 4 == 0
     counts = [np.column_stack([has, np.ones(40)]).astype(float) for has in (first, second)]
     for paired in (True, False):
-        test = bounded_difference(*counts, paired, 0.4, is_counted=True)
+        test = bounded_difference(*counts, paired, is_counted=True)
         assert test.interval(1 - test.p_different)[1] == pytest.approx(0.0, abs=1e-9)
-        assert test.interval(1 - 2 * test.p_equivalent)[0] == pytest.approx(-0.4, abs=1e-9)
 
 
 def test_shares_of_none_and_none_are_not_exactly_known():
@@ -110,41 +108,6 @@ def test_shares_of_none_and_none_are_not_exactly_known():
         assert ends(found.absolute) == pytest.approx((-high, high))
         assert found.first.high == pytest.approx(high)
         assert not found.is_known
-
-
-@pytest.mark.parametrize("paired", [True, False])
-def test_alarms_on_planted_values(paired):
-    rng = np.random.default_rng(3)
-    shown, equal, n_small = Counter(), Counter(), 0
-    for _ in range(300):
-        for shift in (0.0, 0.1, -0.1):
-            own = 1 + 0.1 * rng.standard_normal(20)
-            second = own if paired else 1 + 0.1 * rng.standard_normal(20)
-            values = [rng.gamma(100, 0.01, 20) * own, rng.gamma(100, 0.01, 20) * second * (1 + shift)]
-            (found,) = judged([contrast(MEAN, *map(of, values), paired, 0.95)], 0.05)
-            n_small += shift == 0.0 and found.p_different < 0.05
-            shown[shift] += found.is_shown
-            equal[shift] += found.verdict is Verdict.EQUAL
-    # three binomial errors of 300 at 5% are 3.8 points
-    assert shown[0.0] / 300 < 0.05 + 0.038
-    assert max(equal[0.1], equal[-0.1]) / 300 < 0.05 + 0.038
-    assert abs(n_small / 300 - 0.05) < 0.038
-    spread = 0.1 * np.sqrt(2 if paired else 4)  # a matrix's own part drops out of a pair
-    of_t = stats.t(19)  # the power of its interval to lie within the margins, for a known spread
-    power = 2 * of_t.cdf(0.1 * np.sqrt(20) / spread - of_t.ppf(0.975)) - 1
-    assert equal[0.0] / 300 == pytest.approx(power, abs=0.09)
-
-
-@pytest.mark.parametrize("paired", [True, False])
-def test_alarms_on_planted_shares(paired):
-    rng = np.random.default_rng(4)
-    alarms = 0
-    for _ in range(400):
-        one, two = (of((rng.random(20) < 0.3).astype(float)) for _ in range(2))
-        found = contrast(SHARE, one, two, paired, 0.95)
-        alarms += verdicts([found])[0] in (Verdict.MORE, Verdict.LESS)
-        assert found.difference.scale is Scale.ABSOLUTE
-    assert abs(alarms / 400 - 0.05) < 0.033  # three binomial errors
 
 
 def test_many_comparisons_are_judged_together():

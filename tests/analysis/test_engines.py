@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Study, build
+from stickslip.analysis import AnalysisSettings, Study
 from stickslip.analysis.contrast import Contrast, Statistic
 from stickslip.analysis.findings.finding import Outcomes, Verdict
 from stickslip.analysis.findings.words import sentence
@@ -134,66 +134,6 @@ def test_one_setting_is_nothing_to_compare_and_three_matrices_are_too_few(plante
     few = asked(planted, {("coulomb", 1e-6): 0, ("sigmoid", 1e-5): 2}, n_matrices=3)
     assert few.findings[0].undecided == ("sigmoid",)
     assert set(few.tables["changes"]["verdict"]) == {Verdict.UNJUDGED}
-
-
-def two_laws(planted, change, eps=0.03):
-    """Both laws on the same matrices, where `change` makes the exact law's series out of the sigmoid's."""
-    rows, series = [], {}
-    for matrix in range(8):
-        t, n_stick = planted.runs(np.random.default_rng(matrix), 600, 0.69)
-        for name, own, path in (
-            (f"c-{matrix}", {}, change(n_stick, np.random.default_rng([matrix, 1]))),
-            (f"s-{matrix}", planted.sigmoid | {"eps": eps}, n_stick),
-        ):
-            rows.append(planted.member(name, matrix, **own))
-            series[name] = t, path
-    return Data(pd.DataFrame(rows), series)
-
-
-def suspects(*planting, **how):
-    return answer(Study(two_laws(*planting, **how), SETTINGS)).alerts
-
-
-def test_engines_that_disagree_beyond_smoothing_raise_an_alarm(planted):
-    """A state that runs off to hundreds sticks never, or now and then for nothing."""
-    (one,) = suspects(planted, lambda n_stick, _: np.zeros_like(n_stick))
-    assert dict(one.numbers)["what"] == "mean number of sticking blocks"
-    assert one.code.rank == 0
-    assert suspects(planted, lambda n_stick, rng: rng.permutation(n_stick) // 3)
-
-
-def test_an_alarm_is_the_first_thing_said(planted):
-    data = two_laws(planted, lambda n_stick, _: np.zeros_like(n_stick))
-    report = build(data, SETTINGS, "A study", "", {})
-    assert report.headline[0].startswith("The numerics are suspect: mean number of sticking blocks differs by more")
-    assert report.html.index("The numerics are suspect") < report.html.index("<h1>")
-
-
-def test_engines_that_agree_raise_no_alarm(planted):
-    """The same, a shift of 3%, and one of 40% that eps = 0.3 may well explain."""
-    assert not suspects(planted, lambda n_stick, _: n_stick)
-    shift = round(0.03 * float(planted.runs(np.random.default_rng(0), 600, 0.69)[1].mean()))
-    assert not suspects(planted, lambda n_stick, _: n_stick + shift)
-    assert not suspects(planted, lambda n_stick, _: n_stick + 13 * shift, eps=0.3)
-
-
-def test_what_smoothing_may_explain_raises_no_alarm(planted):
-    """A third less on a belt of which eps is a fifth; and under an eps of which a tenth agrees with the exact law."""
-
-    def asked_of(belt, *laws):
-        rows, series = [], {}
-        for matrix in range(8):
-            t, n_stick = planted.runs(np.random.default_rng(matrix), 600, 0.69)
-            for name, own, share in laws:
-                rows.append(planted.member(f"{name}-{matrix}", matrix, belt_speed=belt, **own))
-                series[f"{name}-{matrix}"] = t, np.rint(share * (n_stick - n_stick.min() + 40)).astype(int)
-        return answer(Study(Data(pd.DataFrame(rows), series), SETTINGS)).alerts
-
-    exact, smooth = ("c", {}, 1.0), ("s", planted.sigmoid | {"eps": 0.03}, 0.5)
-    assert asked_of(-0.2, exact, smooth)
-    assert not asked_of(-0.15, exact, smooth)
-    assert not asked_of(-0.2, exact, smooth, ("t", planted.sigmoid | {"eps": 0.003}, 1.0))
-    assert asked_of(-0.2, exact, smooth, ("t", planted.sigmoid | {"eps": 0.003}, 0.5))
 
 
 def test_a_difference_beyond_the_axis_is_an_arrowhead_at_its_edge():

@@ -1,4 +1,4 @@
-"""Equivalence of two means, shares and their intervals: closed forms and textbooks."""
+"""Differences of two means, shares and their intervals: closed forms and textbooks."""
 
 import numpy as np
 import pytest
@@ -6,11 +6,11 @@ from scipy import stats
 
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import (
+    Compared,
     Proportion,
     against,
     bounded_difference,
     bounded_ratio,
-    equivalence_test,
     mean_difference,
     mean_within,
     share_over_matrices,
@@ -20,11 +20,9 @@ from stickslip.analysis.stats.estimates import Undefined, over_matrices, ratio
 from stickslip.analysis.stats.multiplicity import holm
 
 
-def test_the_tests_agree_with_their_intervals():
+def test_the_test_agrees_with_its_interval():
     for difference in np.linspace(-0.2, 0.2, 41):
-        test = equivalence_test(difference, 0.03, 19, 0.1)
-        low, high = test.interval(0.90)
-        assert (test.p_equivalent < 0.05) == (low > -0.1 and high < 0.1)
+        test = Compared(difference, 0.03, 19)
         low, high = test.interval(0.95)
         assert (test.p_different < 0.05) == (not low <= 0 <= high)
 
@@ -33,10 +31,10 @@ def test_independent_is_welch():
     rng = np.random.default_rng(0)
     first, second = rng.normal(0, 1, 12), rng.normal(0.5, 3, 20)
     sums = (np.column_stack([values, np.ones_like(values)]) for values in (first, second))
-    difference, error, dof = mean_difference(ratio, *sums, paired=False)
+    test = mean_difference(ratio, *sums, paired=False)
     known = stats.ttest_ind(second, first, equal_var=False)
-    assert difference / error == pytest.approx(known.statistic)
-    assert dof == pytest.approx(known.df)
+    assert test.difference / test.error == pytest.approx(known.statistic)
+    assert (test.dof, test.p_different) == pytest.approx((known.df, known.pvalue))
 
 
 def test_holm_against_the_textbook():
@@ -108,7 +106,7 @@ def test_rows_without_data_are_no_systems(rng):
     assert over_matrices(ratio, padded, 0.95) == over_matrices(ratio, sums, 0.95)
     assert share_over_matrices(padded, 0.95) == share_over_matrices(sums, 0.95)
     assert mean_within(padded, 1.0, 0.95) == mean_within(sums, 1.0, 0.95)
-    assert against(lambda rows: ratio(rows) - 0.5, padded, 0.1) == against(lambda rows: ratio(rows) - 0.5, sums, 0.1)
+    assert against(lambda rows: ratio(rows) - 0.5, padded) == against(lambda rows: ratio(rows) - 0.5, sums)
     assert over_matrices(ratio, padded[:2], 0.95).reason == "one matrix"
 
 
@@ -116,7 +114,7 @@ def test_a_ratio_of_bounded_means_inverts_the_interval_of_a_difference(rng):
     """With shares a and b and r an end, an end of the interval of b - r a, by Newcombe, is zero."""
     rows = [np.column_stack([rng.beta(2, b, 30), np.ones(30)]) for b in (5, 3)]
     z = stats.norm.isf(0.025)
-    test = bounded_ratio(*rows, False, 0.1, 1.0)
+    test = bounded_ratio(*rows, False, 1.0)
     p, q = (Proportion.of(some) for some in rows)
     (low_p, high_p), (low_q, high_q) = p.ends(z), q.ends(z)
     low, high = (end + 1.0 for end in test.interval(0.95))
@@ -124,17 +122,17 @@ def test_a_ratio_of_bounded_means_inverts_the_interval_of_a_difference(rng):
     assert high * p.share - q.share == pytest.approx(np.hypot(high_q - q.share, high * (p.share - low_p)))
     assert test.interval(1 - test.p_different)[0] == pytest.approx(0.0, abs=1e-6)
     with pytest.raises(Undefined, match="first value is zero"):
-        bounded_ratio(0.0 * rows[0] + [0.0, 1.0], rows[1], True, 0.1, 1.0)
+        bounded_ratio(0.0 * rows[0] + [0.0, 1.0], rows[1], True, 1.0)
 
 
 def test_paired_means_differ_by_their_pairs(rng):
     """Eight systems lose 0.1 to 0.4 of their blocks, from all of them: paired, that is far from none."""
     lost = np.linspace(0.1, 0.4, 8)
     first, second = (np.column_stack([3.0 * some, np.ones(8)]) for some in (np.ones(8), 1.0 - lost))
-    test, known = bounded_difference(first, second, True, 0.1, 3.0), stats.ttest_1samp(-3.0 * lost, 0.0)
+    test, known = bounded_difference(first, second, True, 3.0), stats.ttest_1samp(-3.0 * lost, 0.0)
     assert (test.difference, test.p_different) == (pytest.approx(-0.75), pytest.approx(known.pvalue))
-    assert bounded_ratio(first, second, True, 0.1, 3.0).interval(0.95) == pytest.approx(
+    assert bounded_ratio(first, second, True, 3.0).interval(0.95) == pytest.approx(
         [end / 3.0 for end in test.interval(0.95)]
     )
-    low, high = bounded_difference(first, first, True, 0.1, 3.0).interval(0.95)
+    low, high = bounded_difference(first, first, True, 3.0).interval(0.95)
     assert low == -high < -0.1  # none differs, of so few

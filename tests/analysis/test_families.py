@@ -12,7 +12,6 @@ from stickslip.analysis.stats.families import (
     log_shares,
     maximise,
     parameter,
-    truncate,
 )
 from tests.analysis import studies
 
@@ -87,16 +86,6 @@ def test_what_cannot_be_fitted_is_refused():
         maximise(CUT_OFF, SIZES, 7.0 * (SIZES <= 2))
     with pytest.raises(Undefined, match="no cascade"):
         maximise(POWER_LAW, SIZES, 0.0 * SIZES)
-    with pytest.raises(ValueError, match="k_max: expected at least the largest size, 9"):
-        truncate(np.bincount([1, 2, 9]), 1, 5)
-    with pytest.raises(ValueError, match="k_min: expected 1 <= k_min"):
-        truncate(np.bincount([1, 2, 9]), 0, 50)
-
-
-def test_truncation_keeps_the_sizes_between_the_cut_offs():
-    sizes, counts = truncate(np.array([[0, 5, 3, 2], [0, 1, 0, 4]]), 2, 6)
-    assert sizes.tolist() == [2, 3, 4, 5, 6]
-    assert counts.tolist() == [[3, 2, 0, 0, 0], [0, 4, 0, 0, 0]]
 
 
 @pytest.mark.parametrize("which", [0, 1])

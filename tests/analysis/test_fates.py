@@ -113,29 +113,12 @@ def test_the_interval_of_a_median_is_the_narrowest_of_order_statistics_with_the_
         assert least >= confidence > narrower
 
 
-def test_few_times_have_no_interval_of_their_median():
-    """All of five lie on one side with 2 / 32, of six with 2 / 64."""
-    assert [covered(n, 0.95)[2] for n in range(1, 10)] == [0, 0, 0, 0, 0, 1, 1, 1, 2]
-
-
 def test_half_of_an_even_number_is_the_lower_middle_time():
     """For six, the product 5/6 4/5 3/4 is not one half to the last digit."""
     assert [median(np.arange(1.0, n + 1), np.full(n, True), 0.95).value for n in range(1, 40)] == [
         (n + 1) // 2 for n in range(1, 40)
     ]
     assert median(np.zeros(0), np.zeros(0, dtype=bool), 0.95).value is None
-
-
-@pytest.mark.parametrize("n", [3, 4, 5, 6, 7, 8])
-def test_the_interval_of_a_median_covers_it_with_few_runs(rng, n):
-    """Times end at an increasing hazard, and most runs are followed for 1.2 medians only; an open end is no miss."""
-    draws, missed = 2000, np.zeros(2)
-    for t in rng.weibull(1.7, (draws, n)) / np.log(2) ** (1 / 1.7):
-        t_end = np.where(rng.random(n) < 0.6, 1.2, 9.0)
-        found = median(np.minimum(t, t_end), t <= t_end, 0.95)
-        missed += (found.low or 0.0) > 1.0, (found.high or np.inf) < 1.0
-    # each side of 2.5% at most, and five errors of that share
-    assert (missed / draws < 0.025 + 5 * np.sqrt(0.025 * 0.975 / draws)).all()
 
 
 @pytest.mark.parametrize("has_ended", [False, True])
@@ -182,12 +165,6 @@ def test_what_cannot_be_told_widens_the_interval_of_a_share():
     """Wilson's of 5 in 20 begins at 0.112, that of 9 in 20 ends at 0.658."""
     found = bounded_share(np.array([[1, 0, 1]] * 5 + [[0, 1, 1]] * 4 + [[0, 0, 1]] * 11), 0.95)
     assert (found.value, found.low, found.high) == pytest.approx((0.25, 0.112, 0.658), abs=1e-3)
-
-
-def test_the_interval_of_survival_covers_a_planted_hazard(rng):
-    """Watched to t = 2,000, lulls censored there; `studies` has the whole study."""
-    rows = list(studies.survival_study(rng, 150))
-    assert not [row for row in rows if not row.is_covered() or not row.is_unbiased()]
 
 
 def test_the_interval_of_survival_covers_it_where_certificates_come_late(rng):
@@ -502,15 +479,6 @@ def test_starts_of_one_block_show_their_basin(planted, rng):
     }
     assert sorted(zip(z[slides], w[slides], strict=True)) == drawn["#0072B2"]
     assert sum(map(len, drawn.values())) == 400
-
-
-def test_a_grid_of_starts_is_of_one_setting_too(planted, rng):
-    """Swept, not drawn; of n blocks that start alike as of one."""
-    data, z, _ = starts(planted, rng, 30, n=20, drawn=None, start_draw=None)
-    answered = asked(data)
-    assert "basin" in answered.figures
-    share = shares(answered)["sliding", ""]
-    assert (share.estimate.value, share.basis.n) == (pytest.approx(np.mean(np.abs(z) < 1)), 30)
 
 
 def test_starts_that_are_not_known_show_no_basin(planted, rng):

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from stickslip.analysis.stats.estimates import gamma
-from stickslip.analysis.stats.families import truncate
 from stickslip.analysis.stats.goodness import REJECTED, UNKNOWN, goodness
 from tests.analysis import studies
 from tests.chance import agrees
@@ -65,5 +64,4 @@ def test_few_matrices_or_cascades_are_not_enough():
 
 
 def test_histograms_of_no_cascade_have_reasons():
-    sizes, counts = truncate(np.zeros((3, 5), dtype=int), 1, 10)
-    assert goodness(sizes, counts, 0.95, np.random.default_rng(0)).reason
+    assert goodness(np.arange(1.0, 11.0), np.zeros((3, 10)), 0.95, np.random.default_rng(0)).reason

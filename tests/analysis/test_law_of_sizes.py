@@ -9,14 +9,12 @@ import pytest
 
 from stickslip.analysis import Study
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Fit, Lack, Law, Level, Outcomes, Reason, Verdict
+from stickslip.analysis.findings.finding import Fit, Lack, Law, Level, Reason, Verdict
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.members import records
 from stickslip.analysis.models import pool
 from stickslip.analysis.questions.slips import cascade_definitions, cascades
-from stickslip.analysis.series.cascades import EVENTS
-from stickslip.analysis.series.cascades import Law as Definition
 from stickslip.analysis.stats.components import between
 from stickslip.analysis.stats.estimates import LN2, gamma, over_matrices
 from tests.analysis import studies
@@ -207,28 +205,14 @@ def test_every_definition_and_step_has_its_row(planted, rng):
     table = one.tables["definitions"]
     assert sorted(table["dt"].dropna().unique()) == [0.2, 0.5, 1.0]
     assert len(table) == 1 + 4 * 3
-    assert table["over"].between(0.8, 1.2).all()
+    by_events = table["gamma"][table["definition"] == "events"].item()
+    assert by_events == pytest.approx(cascades.answer(study).tables["law"]["gamma"].item())
     pd.testing.assert_frame_equal(table, other.tables["definitions"])
     assert all(value == value for row in records(table) for value in row.values())  # null, never NaN
     assert one.figures["definitions"].recipe().axes
-    (outcomes,) = one.findings
-    assert not outcomes.equal
 
 
 def test_without_events_rates_stand_alone(planted, settings):
     answer = cascades.answer(Study(Data(*planted.ensemble({"coulomb": LN2}, 8)), settings))
-    assert not any(isinstance(finding, Outcomes) for finding in answer.findings)
     assert found(answer, "gamma", cascades.SHIFTED) is None
-    assert answer.tables["definitions"]["over"].isna().all()
     assert "definitions" in answer.figures
-
-
-def test_sampling_steps_are_grouped_by_the_outcome_that_all_definitions_share():
-    verdicts = {EVENTS: Verdict.OPEN}
-    for dt, pair in {0.1: "oo", 0.2: "om", 0.5: "mm", 1.0: "ll", 2.0: "mm", 3.0: "ee"}.items():
-        word = {"o": Verdict.OPEN, "m": Verdict.MORE, "l": Verdict.LESS, "e": Verdict.EQUAL}
-        verdicts |= {Definition(name, dt): word[key] for name, key in zip(("drop", "length"), pair, strict=True)}
-    outcomes = cascade_definitions._outcomes(verdicts)
-    assert outcomes.equal == ("every definition at dt = 3",)
-    assert outcomes.different == ("every definition at dt = 0.5 to 2",)
-    assert outcomes.undecided == ("some definitions at dt = 0.1 to 0.2",)

@@ -76,18 +76,6 @@ def test_where_all_runs_failed_it_says_so(study):
     assert answer(only).findings == [Lack("the picture of a run", Reason.ALL_FAILED)]
 
 
-def test_the_largest_episode_after_burning_in_is_drawn_beside(study):
-    columns = ("member_id", "start", "end", "size", "moment")
-    rows = [
-        ("m2", 0.2, 0.6, 4, 9.0), ("m2", 1.0, 2.0, 2, -3.0), ("m2", 2.2, 2.4, 2, 1.0), ("m2", 2.3, 4.9, 4, 7.0),
-        ("m2", 3.0, 3.1, 1, 8.0), ("m1", 1.0, 1.5, 3, 5.0),
-    ]  # fmt: skip
-    picture = answer(study(episodes=pd.DataFrame(rows, columns=columns))).figures["one_episode"]
-    assert picture.caption == "The largest episode after t = 0.5, in which 2 blocks slip, from t = 1.00 to 2.00."
-    (ax,) = picture.recipe().axes
-    assert ax.get_xlim() == (0.9, 2.1)
-
-
 def test_a_grid_is_drawn_in_rows(study):
     (ax,) = answer(study(coupling="grid")).figures["one_run"].recipe().axes
     assert ax.get_ylabel() == "row of the grid, 2 blocks each"

@@ -106,35 +106,6 @@ def test_slips_that_are_short_and_seldom_are_seen(n, m):
         assert min(widths) == pytest.approx(1e5 / pictures._SEEN)
 
 
-def test_many_slips_of_few_blocks_are_not_widened_over_the_sticks():
-    """Of 1500 slips of a block, 6.7% of its time, each a hundredth of a column long."""
-    ax = seldom(1, 1500, lasts=1e5 / 1500 / 15).plot(ax=axes())
-    (patch,) = [one for one in ax.patches if one.get_label() == "slips right"]
-    widths = [np.ptp(one[:, 0]) for one in patch.get_path().to_polygons()]
-    assert sum(widths) <= 0.2 * 1e5 + 1e-3
-
-
-def test_where_most_pixels_have_a_short_slip_they_have_more_of_its_colour_the_longer_it_is():
-    series = seldom(50, 1000)
-    longer = seldom(50, 1000, lasts=0.05)
-    both = EventSeries(
-        np.concatenate([series.t, 1e5 + longer.t]), np.concatenate([series.block, longer.block]),
-        np.concatenate([series.mode, longer.mode]), series.initial_mode, 0.0, 2e5,
-    )  # fmt: skip
-    found = coloured(both.plot(ax=axes()).images[0].get_array())
-    half = found.shape[1] // 2
-    assert found.mean() == pytest.approx(0.2, abs=1e-3)
-    assert found[:, half:].mean() > 1.3 * found[:, :half].mean()
-
-
-@pytest.mark.parametrize("share", [0.19, 0.21])
-def test_the_picture_changes_little_where_slips_are_no_longer_short(share):
-    """Below a fifth of the time colours are stronger than slips are long, from there on they are as long."""
-    series = seldom(50, 1000, lasts=share * 1e5 / 50_000 * 50)
-    found = coloured(series.plot(ax=axes()).images[0].get_array())
-    assert found.mean() == pytest.approx(max(share, 0.2), abs=2e-3)
-
-
 def test_pixels_in_which_blocks_slip_either_way_have_both_colours():
     series = seldom(100, 60)
     is_left = (series.t // (1e5 / 60)).astype(int) % 2 == 1  # every other round of all blocks

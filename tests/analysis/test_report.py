@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from stickslip.analysis import AnalysisSettings, Study, build
+from stickslip.analysis import AnalysisSettings, build
 from stickslip.analysis.stats.estimates import LN2
 from tests.analysis.designs import Data
 from tests.analysis.reports import contents
@@ -150,21 +150,6 @@ def test_perturbed_members_are_pooled_with_nothing(planted, settings):
     more = series | {twin: series[twin.removesuffix("-p")] for twin in twins["member_id"]}
     report, alone = (report_of(data, settings) for data in ((pd.concat([members, twins]), more), (members, series)))
     pd.testing.assert_frame_equal(report.tables["law"], alone.tables["law"])
-
-
-def test_mean_and_drift_are_the_planted_ones(planted, settings):
-    """Square waves between a and a + 2, a another number for each matrix, and rising ones."""
-    levels, t = np.array([10, 12, 17, 21]), np.arange(0.0, planted.t_end, 2.5)
-    members = pd.DataFrame([planted.member(f"m{k}", k) for k in range(4)])
-    series = {f"m{k}": (t, a + 2 * (np.arange(t.size) % 2)) for k, a in enumerate(levels)}
-    (group,) = Study(Data(members, series), settings).groups
-    mean, half = group.mean(0.95), 3.182446305 * levels.std(ddof=1) / 2
-    assert [mean.value, mean.low, mean.high] == pytest.approx([16, 16 - half, 16 + half])
-    rising = {f"m{k}": (np.arange(0.0, 1000.0), np.arange(1000) // 10 + k) for k in range(4)}
-    (group,) = Study(Data(members, rising), settings).groups
-    assert group.drift(0.95).value == pytest.approx(45)
-    report = report_of((members, rising), settings)
-    assert "few" in report.tables["law"]["basis"].iloc[0] or report.tables["law"]["basis"].iloc[0] == "drifts"
 
 
 def test_written_tables_read_back_with_nulls(planted, settings):

@@ -60,7 +60,6 @@ def test_the_effect_on_single_systems_is_not_that_on_their_mean(rng, planted, se
     assert isinstance(found.findings[0], Outcomes)
     assert abs(effects[0].estimate.value) < 0.1
     assert effects[0].estimate.high < 0.25
-    assert levels(found, "correlation")[0].estimate.value > 0.9
     # the mean over matrices stays, which a comparison of ensembles would pass
     found, effects = asked(ensemble(rng, planted, to_and_fro), settings)
     assert effects[0].estimate.value > 1.0
@@ -129,9 +128,9 @@ def test_of_runs_that_ended_it_says_how_copies_end(rng, planted, settings):
 @pytest.mark.drawn
 def test_the_page_says_it(rng, planted, settings):
     data = ensemble(rng, planted, to_and_fro)
-    report = build(data, replace(settings, question=("changes", "sensitivity")), "T", "", {})
+    report = build(data, replace(settings, question=("changes",)), "T", "", {})
     assert "What changes, and by how much?" in report.html
-    assert set(report.figures) >= {"robustness", "parting"}
+    assert "robustness" in report.figures
 
 
 def test_a_shift_without_an_interval_has_a_page(rng, planted, settings):

@@ -5,10 +5,9 @@ import itertools
 import numpy as np
 import pytest
 
-from stickslip.analysis.models import clustering, growth, pool
+from stickslip.analysis.models import growth, pool
 from stickslip.analysis.series.cascades import window
-from stickslip.analysis.series.nulls import BlockSteps
-from stickslip.analysis.stats import components, dispersion, effective, effects, enough, multiplicity
+from stickslip.analysis.stats import components, dispersion, effective, effects, enough
 from stickslip.analysis.stats.estimates import Undefined
 from tests.analysis import studies
 
@@ -44,21 +43,8 @@ def test_the_pool_is_what_its_chain_says(n, mean):
     mean_size = first @ runs @ np.ones(n + 1)
     square = first @ (2 * runs @ runs - runs) @ np.ones(n + 1)
     assert pool.gamma(n, mean) == pytest.approx(-np.log(1 - 1 / mean_size), rel=1e-12)
-    assert pool.excess(n, mean) == pytest.approx(
-        (square - mean_size**2) / (mean_size * (mean_size - 1)) - 1, abs=1e-12
-    )
-    assert pool.law(n, mean, n).sum() == pytest.approx(1.0)
-
-
-def test_the_pool_is_a_coin_where_it_is_large():
-    assert pool.gamma(10**6, 5 * 10**5) == pytest.approx(np.log(2), abs=1e-5)
-
-
-@pytest.mark.parametrize("p", [0.1, 0.3, 0.5])
-def test_what_the_finite_number_of_blocks_does_goes_with_the_variance_of_n_stick(p):
-    n, s2 = 4000, 4000 * p * (1 - p)
-    assert pool.gamma(n, n * p) - np.log(2) == pytest.approx(1 / (4 * s2), rel=0.02)
-    assert pool.excess(n, n * p) == pytest.approx(-1 / s2, rel=0.02)
+    k, law = np.arange(1, n + 1), pool.law(n, mean, n)
+    assert (law.sum(), law @ k, law @ k**2) == pytest.approx((1.0, mean_size, square), rel=1e-12)
 
 
 @pytest.mark.parametrize(("n", "mean"), [(1, 0.5), (10, 0.0), (10, 10.0), (10, None)])
@@ -70,85 +56,20 @@ def test_what_is_no_pool(n, mean):
 # -------------------------------------------------------------------------------------------------- slow mode
 
 
-def telegraph(rng, n, span, out, into):
-    """Blocks with constant rates of exits and entries, from equilibrium."""
-    t, block, step = [], [], []
-    for i in range(n):
-        stuck, at = bool(rng.random() < into / (into + out)), 0.0
-        while (at := at + rng.exponential(1 / (out if stuck else into))) < span:
-            t.append(at)
-            block.append(i)
-            step.append(-1 if stuck else 1)
-            stuck = not stuck
-    order = np.argsort(t)
-    return BlockSteps(0.0, span, np.array(t)[order], np.array(block)[order], np.array(step)[order])
-
-
-def bands(*edges):
-    return [clustering.Part(clustering.Kind.POWER, high, low) for low, high in itertools.pairwise(edges)]
-
-
-def windows(*lengths):
-    return [clustering.Part(clustering.Kind.FANO, length) for length in lengths]
-
-
-VARIANCE = clustering.Part(clustering.Kind.VARIANCE)
-
-
-def test_blocks_of_constant_rates_have_the_power_the_variance_and_the_fano_factors_in_closed_form(rng):
-    """a = 0.5 and b = 0.1, l = a + b, r = a b / l exits a unit of time (Cox 1962, Renewal Theory, ch. 4)."""
-    parts = [*bands(2.0, 5.0, 20.0, 100.0), VARIANCE, *windows(1.0, 5.0, 20.0)]
-    rows = np.array([clustering.measure(telegraph(rng, 30, 400.0, 0.5, 0.1), parts) for _ in range(60)])
-    rate, r = 0.6, 0.5 * 0.1 / 0.6
-    f = [np.linspace(1 / high, 1 / low, 1000) for low, high in ((2.0, 5.0), (5.0, 20.0), (20.0, 100.0))]
-    power = [30 * np.mean(4 * r / (rate**2 + (2 * np.pi * x) ** 2)) for x in f]
-    length = np.array([1.0, 5.0, 20.0])
-    fano = 1 - 2 * r * (1 / rate - (1 - np.exp(-rate * length)) / (rate**2 * length))
-    expected = np.array([*power, 30 * 0.5 * 0.1 / 0.36, *fano])
-    for found in rows.transpose(2, 0, 1):
-        error = found.std(axis=0) / np.sqrt(60)
-        # the mean and the numbers of a window, taken from itself, lower these in second order
-        assert (np.abs(found.mean(axis=0) - expected) < 5 * error + 0.03 * expected).all()
-
-
-def test_blocks_in_step_have_as_many_times_the_power_as_there_are_blocks(rng):
-    t = np.sort(rng.uniform(0, 500, 200))
-    side = np.where(np.arange(200) % 2, 1, -1)
-    steps = BlockSteps(0.0, 500.0, np.repeat(t, 7), np.tile(np.arange(7), 200), np.repeat(side, 7))
-    rows = clustering.measure(steps, [*bands(5.0, 20.0, 100.0), VARIANCE])
-    assert rows[:, 0] == pytest.approx(7 * rows[:, 1])
-
-
 def test_effects_are_ratios_judged_together(rng):
     rows = np.exp(0.1 * rng.standard_normal((4, 10, 2)))
     rows[1, :, 0] *= 9
     rows[2, :, 0] /= 4
     each = [effects.over_null(studies.first, one[:, :1], one[:, 1:], 0.95) for one in rows]
     assert (np.log(each[1].ratio.low) < np.log(9) < np.log(each[1].ratio.high)) or each[1].shown > 1.5
-    found = effects.together(each, 1)
-    assert found[0].p_adjusted == found[0].p
-    assert all(one.p_adjusted >= one.p for one in found[1:])
+    found = effects.together(each)
+    assert all(one.p_adjusted >= one.p for one in found)
     assert found[1].ratio.low > 1.0 > found[2].ratio.high
     alone = effects.together([effects.over_null(studies.first, np.ones((1, 1)), np.ones((1, 1)), 0.95)])[0]
     assert (alone.p, alone.ratio.value) == (None, None)
 
 
 # ------------------------------------------------------------------------------- effective samples, growth rates
-
-
-def test_the_spread_of_batches_by_hand():
-    """n_stick a_k on 20 batches of length 2: length times variance with 9 and 19 degrees of freedom."""
-    a = np.random.default_rng(0).integers(0, 100, 20)
-    twenties, pairs = a.var(ddof=1), a.reshape(10, 2).mean(axis=1).var(ddof=1)
-    found = effective.rows(window(np.arange(0.0, 40.0, 2.0), a, 0.0, 40.0).alone, np.array([3.0]))[0]
-    np.testing.assert_allclose(found, [a.var(), 4.0 * pairs, 2.0 * twenties, 6.0 * a.var()], rtol=1e-12)
-
-
-@pytest.mark.parametrize("lag", [0.0, 0.3, -0.3])
-def test_the_error_of_batches_that_goes_with_their_length_cancels(lag):
-    """L var(L) = 2 tau var (1 - lag / L) for batches of length L: here of 10 and of 5, with tau = 2 and var = 3."""
-    tens, twenties = (12.0 * (1.0 - lag / length) for length in (10.0, 5.0))
-    assert effective.tau(np.array([3.0, tens, twenties, 0.0])) == pytest.approx(2.0, rel=1e-12)
 
 
 def test_a_long_run_is_sampled_finely_enough_for_its_correlation_time(rng):
@@ -163,11 +84,6 @@ def test_a_long_run_is_sampled_finely_enough_for_its_correlation_time(rng):
         assert found == pytest.approx(1.0, abs=0.05 + 5 * np.sqrt(12.0 / length))
 
 
-def test_n_stick_that_does_not_change_has_no_effective_samples():
-    still = effective.rows(window(np.zeros(1), np.array([3]), 0.0, 10.0).alone, np.zeros(1))[0]
-    assert effective.tau(2 * still) is None
-
-
 def test_growth_is_exact_on_exponentials_and_counts_what_it_drops():
     times = np.arange(0.0, 1000.0, 5.0)
     rates = (0.01, -0.01, 0.02, 0.15, -0.5)
@@ -175,7 +91,7 @@ def test_growth_is_exact_on_exponentials_and_counts_what_it_drops():
         times, [1e-6 * np.exp(r * times) for r in rates], [4, 1, 1, 2, 3], 50.0, 100.0, (1e-13, 1e-1), 0.95
     )
     assert found.rate.value == pytest.approx(0.0075)  # 0.005 and 0.01 of matrices 1 and 4
-    assert (found.n_pairs, found.n_floor, found.n_ceiling, found.is_selected) == (5, 1, 1, True)
+    assert (found.n_pairs, found.n_used, found.is_selected) == (5, 3, True)
     assert found.t_to == pytest.approx(575, abs=5)  # where 1e-6 exp(0.02 t) passes 0.1
 
 
@@ -187,7 +103,7 @@ def test_growth_takes_pairs_that_stay_in_range_for_the_least_time():
     ]
     found = growth.growth(times, pairs, [0, 1], 10.0, 50.0, (1e-13, 1e-1), 0.95)
     assert found.rate.value == pytest.approx(1 / 16)
-    assert (found.n_ceiling, found.t_to) == (1, 60.0)
+    assert (found.n_used, found.t_to) == (1, 60.0)
 
 
 def test_growth_of_pairs_all_at_the_floor_has_a_reason():
@@ -195,17 +111,10 @@ def test_growth_of_pairs_all_at_the_floor_has_a_reason():
     found = growth.growth(times, [np.full(20, 1e-16)], [0], 10.0, 50.0, (1e-13, 1e-1), 0.95)
     assert found.rate.value is None
     assert found.rate.reason
-    assert found.n_floor == 1
+    assert found.n_used == 0
 
 
 # --------------------------------------------------------------------------------------- variance components
-
-
-def test_the_intraclass_correlation_is_that_of_shrout_and_fleiss():
-    ratings = [[9, 2, 5, 8], [6, 1, 3, 2], [8, 4, 6, 8], [7, 1, 2, 6], [10, 5, 6, 9], [6, 2, 4, 7]]  # their table 2
-    found = components.intraclass(np.array(ratings), 0.95)
-    assert found.value == pytest.approx(0.17, abs=0.005)
-    assert (found.low, found.high) == pytest.approx((-0.13, 0.72), abs=0.01)
 
 
 def test_the_effect_of_a_change_by_its_definition(rng):
@@ -252,12 +161,6 @@ def test_matrices_that_cannot_be_told_apart_give_no_interval(rng):
 # ------------------------------------------------------------------------------- escape, many tests, least data
 
 
-def test_primary_questions_are_tested_in_order_and_the_others_by_holm():
-    first, rest = multiplicity.adjusted([0.01, 0.2, 0.001], [0.04, 0.01, 0.3])
-    assert first == pytest.approx([0.01, 0.2, 0.2])
-    assert rest == pytest.approx([0.08, 0.03, 0.3])
-
-
 def test_the_code_says_what_is_missing(rng):
     level = 50 + rng.standard_normal(20)
     steady = np.column_stack([level, level + 0.2 * rng.standard_normal(20), np.full(20, 25.0)])
@@ -276,48 +179,27 @@ def test_the_code_says_what_is_missing(rng):
 
 
 BOUNDED, LEAST = ("blocks", "rare"), {"blocks": 0.9}
-FALSE_ALARMS = ("multiplicity", "change", "equivalence", "methods")
-#: Ensembles of the studies that take longest by far; the others take 300, and 1200 of false alarms.
-FEWER = {"rhythm": 20, "definitions": 100, "methods": 250, "counting": 150}
+#: Ensembles of the studies that take longest by far; the others take 300.
+FEWER = {"rhythm": 20, "counting": 150}
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "name", [name for name in studies.STUDIES if name not in ("effective", "goodness", *FALSE_ALARMS)]
-)
+@pytest.mark.parametrize("name", studies.STUDIES)
 def test_intervals_cover_what_was_planted(name, random_seed):
     rows = studies.study(name, random_seed, FEWER.get(name, 300))
     # an interval without ends, where there can be no other, holds all; so may one for whatever censored the times,
     # or of what no system has
-    most = 1.0 if name in ("components", "parting", *BOUNDED) else 0.97
+    most = 1.0 if name in ("components", *BOUNDED) else 0.97
     missed = [row for row in rows if not row.is_covered(LEAST.get(name, 0.93), most)]
     assert not missed, f"seed {random_seed}: {missed}"
-    if name in ("gamma", "dispersion", "growth"):  # each ensemble drawn anew, the answer known exactly
+    if name in ("gamma", "growth"):  # each ensemble drawn anew, the answer known exactly
         biased = [row for row in rows if not row.is_unbiased()]
         assert not biased, f"seed {random_seed}: {biased}"
 
 
-@pytest.mark.parametrize("name", ["truth", "times", "waiting", *BOUNDED])
+@pytest.mark.parametrize("name", ["truth", "times", *BOUNDED])
 def test_intervals_of_times_and_shares_cover_in_a_few_ensembles(name, rng):
     most = 1.0 if name in BOUNDED else 0.97
     rows = studies.study(name, int(rng.integers(2**32)), 40)
     missed = [row for row in rows if not row.is_covered(LEAST.get(name, 0.93), most)]
     assert not missed, missed
-
-
-@pytest.mark.long
-def test_tau_is_not_too_small_where_the_window_can_tell(random_seed):
-    rows = studies.study("effective", random_seed, 250)
-    for (name, (_, can_tell)), tau in zip(studies.WANDERS.items(), rows, strict=True):
-        if can_tell:
-            assert tau.bias > -0.05 * tau.answer, f"seed {random_seed}: {name}"
-            assert tau.is_covered(high=1.0), f"seed {random_seed}: {name}"
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", FALSE_ALARMS)
-def test_false_alarms_are_as_rare_as_promised(name, random_seed):
-    for row in studies.study(name, random_seed, FEWER.get(name, 1200)):
-        if row.study == "methods: power":
-            continue
-        assert row.is_covered(low=0.94, high=1.0), f"seed {random_seed}: {row}"

@@ -90,13 +90,6 @@ def test_opposite_changes_are_not_the_same(swept, settings):
     assert row.verdict == Verdict.OPEN
 
 
-def test_without_a_margin_nothing_stays(swept, settings):
-    data = swept({"belt_speed": [-0.2, -0.1]}, lambda at, m: (-1) ** m * (at["belt_speed"] == -0.1))
-    for margins, verdict in (({"mean": 0.02}, Verdict.EQUAL), ({}, Verdict.OPEN)):
-        row = changes(changes_of(Study(data, replace(settings, margins=margins))))["belt_speed"]
-        assert row.verdict == verdict
-
-
 def test_a_grid_tells_which_key_it_is(swept, settings):
     axes = {"kappa": [0.2, 0.25], "friction": [0.8, 0.9, 1.0, 1.1, 1.2], "belt_speed": [-0.1, -0.2, -0.3]}
     data = swept(axes, lambda at, matrix: 40 * at["friction"] + 400 * (at["kappa"] - 0.2) + matrix % 3)
@@ -113,7 +106,7 @@ def test_a_grid_tells_which_key_it_is(swept, settings):
     assert [(one.keys[0].key, one.difference.verdict) for one in answer.findings[: answer.n_lead]] == [
         ("kappa", Verdict.MORE), ("friction", Verdict.MORE), ("belt_speed", Verdict.SAME),
     ]  # fmt: skip
-    assert len(answer.tables["sweep_measures"].query("measure == 'share in motion'")) == 30
+    assert len(answer.tables["sweep_measures"].query("measure == 'share of runs that stick late'")) == 30
     report = build(data, settings, "Grid", "", {})
     assert "as kappa goes from 0.2 to 0.25" in report.headline[1]
     assert "sweep_mean" in report.figures
@@ -151,11 +144,11 @@ def ended(data, some, outcome):
     return replace(data, table=members)
 
 
-def test_shares_of_runs_that_stay_in_motion(swept, settings):
+def test_shares_of_runs_that_stick_late(swept, settings):
     data = swept({"belt_speed": [-0.1, -0.2, -0.3]}, lambda at, matrix: 0, n_matrices=20)
     data = ended(data, data.members["belt_speed"] == -0.3, "collapsed")
     answer = changes_of(Study(data, settings))
-    row = changes(answer, measures.IN_MOTION)["belt_speed"]
+    row = changes(answer, measures.STICKING)["belt_speed"]
     assert (row.verdict, row.first, row.second, row.difference) == (Verdict.MORE, 0.0, 1.0, 1.0)
     assert 0.5 < row.difference_low < row.difference_high <= 1
     mean = changes(answer)["belt_speed"]
@@ -173,14 +166,14 @@ def test_motion_that_ends_for_most_runs_is_a_change_of_their_share(swept, settin
     data = ended(data, (data.members["belt_speed"] == -0.2) & (data.members["matrix"] > 2), "collapsed")
     first = changes_of(Study(data, settings)).findings[0]
     assert isinstance(first, Changed)
-    assert sentence(first).startswith("Share of runs in motion rises from 15% to 100%, by 85 (")
+    assert sentence(first).startswith("Share of runs that still stick and slip rises from 15% to 100%, by 85 (")
 
 
 def test_shares_of_few_runs_that_do_not_differ_are_not_shown_to_be_alike(swept, settings):
     """The same matrices end at both speeds: of five that says little, whatever the difference seen."""
     data = swept({"belt_speed": [-0.1, -0.2]}, lambda at, matrix: 0, n_matrices=5)
     data = ended(data, data.members["matrix"] < 2, "collapsed")
-    row = changes(changes_of(Study(data, settings)), measures.IN_MOTION)["belt_speed"]
+    row = changes(changes_of(Study(data, settings)), measures.STICKING)["belt_speed"]
     assert (row.difference, row.verdict) == (0.0, Verdict.OPEN)
     assert row.difference_low < -0.3 < 0.3 < row.difference_high
 
@@ -267,7 +260,7 @@ def test_figures_draw_what_the_table_says(swept, settings, key):
         assert [label.get_text() for label in axes.get_xticklabels()] == [*map(str, laws.values())]
         return
     away = ended(data, data.members["kappa"] == 0.3, "diverged")
-    assert {"sweep_fates", "sweep_mean", "sweep_gamma"} <= set(build(away, settings, "Drawn", "", {}).figures)
+    assert {"sweep_mean", "sweep_gamma"} <= set(build(away, settings, "Drawn", "", {}).figures)
 
 
 def test_a_change_in_several_settings_is_told_of_all_of_them(swept, settings):

@@ -65,9 +65,9 @@ def test_the_same_systems_are_paired(rng):
         lambda paired: median_difference(first, second, paired, is_relative=True),
         lambda paired: mean_difference(ratio, first.restricted(1e4).rows, second.restricted(1e4).rows, paired),
     ):
-        (value, together, _), (_, apart, _) = differ(True), differ(False)
-        assert value > 0
-        assert together < 0.3 * apart
+        together, apart = differ(True), differ(False)
+        assert together.difference > 0
+        assert together.error < 0.3 * apart.error
 
 
 def test_what_half_of_the_runs_do_not_have_is_not_reached():
@@ -118,13 +118,14 @@ def test_many_times_alike_are_compared():
     """Three quarters of the runs of one setting have it at once; of the other, spread over 8 to 12."""
     first = seen([0.0] * 30 + [1.0] * 10)
     second = seen(np.linspace(8.0, 12.0, 40))
-    value, error, dof = median_difference(first, second, False)
-    assert value == pytest.approx(10.0, abs=0.1)
-    assert 0 < error < 1.0
-    assert dof == 39
+    found = median_difference(first, second, False)
+    assert found.difference == pytest.approx(10.0, abs=0.1)
+    assert 0 < found.error < 1.0
+    assert found.dof == 39
     with pytest.raises(Undefined, match="the first value is zero"):
         median_difference(first, second, False, is_relative=True)
-    assert median_difference(seen([3.0] * 20), seen([3.0] * 20), True)[:2] == (0.0, 0.0)
+    same = median_difference(seen([3.0] * 20), seen([3.0] * 20), True)
+    assert (same.difference, same.error) == (0.0, 0.0)
 
 
 def test_a_median_is_known_no_better_than_from_as_many_independent_runs():
@@ -133,7 +134,7 @@ def test_a_median_is_known_no_better_than_from_as_many_independent_runs():
     pairs = np.column_stack([quantiles[:20], quantiles[:19:-1]])
     pairs[[0, 1], [1, 0]] = pairs[[1, 0], [0, 1]]  # both low, and both high
     alike, independent = seen(pairs.ravel(), 2), seen(pairs.ravel())
-    errors = [median_difference(times, times, False)[1] for times in (alike, independent)]
+    errors = [median_difference(times, times, False).error for times in (alike, independent)]
     assert errors[0] == pytest.approx(errors[1], rel=0.1)
 
 

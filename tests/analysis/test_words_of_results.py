@@ -1,23 +1,14 @@
-"""What a notebook shows of an estimate, a fit and a window: one short line with the numbers."""
+"""What a notebook shows of an estimate and a window: one short line with the numbers."""
 
 import numpy as np
 
 from stickslip.analysis import Estimate, window
-from stickslip.analysis.stats import families
 
 
 def test_estimate():
     assert repr(Estimate(0.69781234, 0.69, 0.71)) == "Estimate(0.697812 (0.69 to 0.71))"
     assert repr(Estimate(2.0, reason="one matrix only")) == "Estimate(2: one matrix only)"
     assert repr(Estimate(reason="no complete cascade")) == "Estimate(no value: no complete cascade)"
-
-
-def test_fit():
-    sizes = np.arange(1, 21)
-    counts = np.round(1e6 * np.exp(-0.7 * sizes)).astype(np.int64)
-    fit = families.maximise(families.EXPONENTIAL, sizes, counts)
-    assert repr(fit).startswith("Fit(exponential: gamma = 0.69999")  # counts are rounded
-    assert len(repr(fit)) < 60
 
 
 def test_window():

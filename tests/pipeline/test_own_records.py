@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 
 from stickslip import sim
-from stickslip.analysis.ensemble import Until
 from stickslip.pipeline import (
     Scene,
     SceneError,
@@ -300,7 +299,7 @@ def test_a_time_says_since_when_and_is_no_longer_than_its_run(since, longest, te
     scene = load_scene(written(tmp_path, short(text), mine))
     run_ensemble(scene, tmp_path / "out", workers=0)
     study = study_of(tmp_path / "out")
-    assert study.data.recorded["own"].until == Until(12.0 - longest)
+    assert study.data.recorded["own"].since == 12.0 - longest
     assert study.data.recorded["own"].least == 0.0
     of_three, of_four = sorted(study.groups, key=lambda group: group.key["n"])
     assert study.median(of_three, "own").reason == f"not reached: 100% without it at t = {longest:g}"

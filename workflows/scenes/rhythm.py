@@ -29,10 +29,11 @@ from stickslip.analysis.findings.finding import (
     Verdict,
 )
 from stickslip.analysis.findings.place import Place
+from stickslip.analysis.grid import is_negative
 from stickslip.analysis.models.common_motion import Number
 from stickslip.analysis.questions.slips.slow_motion import Slow, slow_motion
 from stickslip.analysis.stats import student
-from stickslip.analysis.stats.compare import Compared, equivalence_test
+from stickslip.analysis.stats.compare import Compared
 from stickslip.analysis.stats.estimates import Estimate, jackknife_error
 from stickslip.analysis.stats.multiplicity import holm
 from stickslip.analysis.style import EXACT, GREEN, ORANGE, PURPLE, SMOOTHED, panel
@@ -106,7 +107,7 @@ def question(study: Study) -> Answer:
     judged = study.judged()
     if not judged:
         return Answer(findings=[lack(study, WHAT)])
-    slow = [motion for group in judged if (motion := slow_motion(study, group)) is not None and motion.is_shown]
+    slow = [motion for group in judged if (motion := study.once(slow_motion, group)) is not None and motion.is_shown]
     lines = [line for key in KEYS for line in along(key, slow)]
     if not lines:
         return Answer(findings=[Lack(WHAT, Reason.ONE_VALUE if slow else Reason.NOT_SHOWN)])
@@ -139,11 +140,11 @@ def _trend(changed: Sequence[Change], key: str) -> str:
     period = NUMBERS[Number.PERIOD]
     along = [change for change in changed if (change.quantity, change.keys[0].key) == (period, key)]
     verdicts = {change.difference.verdict for change in along} & {Verdict.MORE, Verdict.LESS}
-    size = along[0].keys[0].of_size.key  # of negative values
+    (said, *_), (of_size, *_) = along[0].keys[0].said, (change.keys[0].is_of_size for change in along)
     if len(verdicts) != 1:
-        return f"The {period.name} shows no one trend with {size}"
-    rises = (verdicts == {Verdict.MORE}) == (size == key)
-    return f"The {period.name} {'rises' if rises else 'falls'} with {size}"
+        return f"The {period.name} shows no one trend with {said}"
+    rises = (verdicts == {Verdict.MORE}) != of_size
+    return f"The {period.name} {'rises' if rises else 'falls'} with {said}"
 
 
 # --------------------------------------------------------------------------------------------------- changes
@@ -177,7 +178,8 @@ def changes(lines: Sequence[Along], basis: Basis, confidence: float) -> list[Cha
         family = Family(len(tested), p, alpha=1 - confidence)
         size = Estimate(*np.expm1([test.difference, *test.interval(confidence)]).tolist())
         ends = (line.groups[0], line.groups[-1])
-        key = KeyChange(line.key, *(shown(motion.group.key[line.key]) for motion in ends))
+        old, new = (motion.group.key[line.key] for motion in ends)
+        key = KeyChange(line.key, shown(old), shown(new), is_negative(old, new))
         before, after = (motion.fit.estimates[number] for motion in ends)
         difference = Difference(size, family=family)
         changed.append(Change(NUMBERS[number], (key,), before, after, difference, line.at, basis))
@@ -192,7 +194,7 @@ def _logarithm(number: Number, line: Along) -> Compared:
     first, last = line.groups[0], line.groups[-1]
     units = sorted({*first.units, *last.units})
     logs = np.array(last.logs(number, units)) - np.array(first.logs(number, units))
-    return equivalence_test(float(logs[0]), jackknife_error(logs[1:]), len(units) - 1, 0.0)
+    return Compared(float(logs[0]), jackknife_error(logs[1:]), len(units) - 1)
 
 
 # ---------------------------------------------------------------------------------------------------- powers
@@ -246,8 +248,8 @@ def _p_apart(slopes: np.ndarray) -> float:
 @panel()
 def periods(ax: Axes, lines: Sequence[Along]) -> None:
     """Natural period along one key, one line for each setting of the others."""
-    is_negative = all(float(motion.group.key[line.key]) < 0 for line in lines for motion in line.groups)
-    sign = -1.0 if is_negative else 1.0
+    is_of_size = is_negative(*(motion.group.key[line.key] for line in lines for motion in line.groups))
+    sign = -1.0 if is_of_size else 1.0
     for k, line in enumerate(lines):
         x = [sign * float(motion.group.key[line.key]) for motion in line.groups]
         estimates = [motion.fit.estimates[Number.PERIOD] for motion in line.groups]
@@ -255,6 +257,6 @@ def periods(ax: Axes, lines: Sequence[Along]) -> None:
         y, off = ends[:, 0], np.abs(ends[:, 1:] - ends[:, :1]).T
         colour, form = (EXACT, SMOOTHED, GREEN, PURPLE, ORANGE)[k % 5], f"{'os^Dv'[k % 5]}-"
         ax.errorbar(x, y, off, fmt=form, color=colour, markersize=3.5, linewidth=0.9, label=str(line.at))
-    ax.set(xlabel=f"|{lines[0].key}|" if is_negative else lines[0].key, ylabel="natural period")
+    ax.set(xlabel=f"|{lines[0].key}|" if is_of_size else lines[0].key, ylabel="natural period")
     if len(lines) > 1:
         ax.figure.legend(loc="outside lower center", ncols=2)

@@ -32,42 +32,21 @@ _MARKS = {
 }
 
 
-class Points(NamedTuple):
-    """Values against a key: at which of its values, shape (m,), and what."""
-
-    x: Floats
-    y: Floats
-
-    @classmethod
-    def apart(cls, pairs: Sequence[tuple[float, float]]) -> Points:
-        """Points of which none lies on another: many runs have one cycle."""
-        points = np.array(pairs, dtype=np.float64).reshape(-1, 2)
-        dot = _ONE_DOT * max(
-            np.ptp(points[:, 1]) if len(points) else 0.0, 1e-9 * np.abs(points[:, 1]).max(initial=1.0)
-        )
-        dots = np.column_stack([points[:, 0], np.round(points[:, 1] / dot)])
-        places = np.sort(np.unique(dots, axis=0, return_index=True)[1])
-        return cls(*points[places].T)
-
-    @classmethod
-    def known(cls, x: Floats, y: Floats) -> Points:
-        """As `apart`, without those that are NaN."""
-        return cls.apart([*zip(x[~np.isnan(y)].tolist(), y[~np.isnan(y)].tolist(), strict=True)])
-
-
 class Sections(NamedTuple):
-    """What a diagram shows: z by what runs settle on, and the multipliers and periods of cycles."""
+    """What a diagram shows, values of the key and numbers, shape (2, m): z by what runs settle on, and of cycles."""
 
-    z: Mapping[str, Points]
-    multiplier: Points
-    period: Points
+    z: Mapping[str, Floats]
+    multiplier: Floats
+    period: Floats
     n_left_out: int
 
 
 def pictures(study: Study, grid: Grid) -> dict[str, Picture]:
     """The diagrams of some lines along the first axis, if its values are numbers."""
     lines = [
-        line for line in _lines(grid) if {PERIODIC, TORUS, IRREGULAR} & {kind for s in line for kind in s.runs.kinds}
+        line
+        for line in _lines(grid)
+        if {PERIODIC, TORUS, IRREGULAR} & {kind for setting in line for kind in setting.runs.kinds}
     ]
     places = np.unique(np.linspace(0, len(lines) - 1, min(len(lines), MOST_DIAGRAMS)).round().astype(int))
     figures: dict[str, Picture] = {}
@@ -99,7 +78,8 @@ def _sections(study: Study, line: Sequence[Setting]) -> Sections:
     members = study.data.table.own
     rows = np.concatenate([setting.runs.rows for setting in line])
     kinds = np.concatenate([setting.runs.kinds for setting in line])
-    x = np.repeat([_number(setting) for setting in line], [len(setting.runs.rows) for setting in line])
+    values = np.array([setting.at[0][0] for setting in line], dtype=np.float64)
+    x = np.repeat(values, [len(setting.runs.rows) for setting in line])
     names = members["member_id"].to_numpy(object)[rows]
     blocks = members["exits_block"].iloc[rows][[name in exits_z for name in names]].mode()
     block = int(blocks.iloc[0]) if len(blocks) else 0
@@ -112,36 +92,38 @@ def _sections(study: Study, line: Sequence[Setting]) -> Sections:
             pairs[kind].append((value, float(section_z[name][block])))
         else:
             n_left_out += 1
-    multiplier, period = (Points.known(x, study.number(name)[rows]) for name in ("multiplier", "period"))
-    z = {kind: Points.apart(points) for kind, points in pairs.items() if points}
+    multiplier, period = (_dots(x, study.number(name)[rows]) for name in ("multiplier", "period"))
+    z = {kind: _dots(*np.transpose(points)) for kind, points in pairs.items() if points}
     return Sections(z, multiplier, period, n_left_out)
 
 
-def _number(setting: Setting) -> float:
-    value = setting.at[0][0]
-    assert isinstance(value, int | float)  # as all are along an axis of numbers
-    return float(value)
+def _dots(x: Floats, y: Floats) -> Floats:
+    """Points that are known and of which none lies on another, as many runs have one cycle; shape (2, m)."""
+    x, y = x[~np.isnan(y)], y[~np.isnan(y)]
+    dot = _ONE_DOT * max(np.ptp(y) if len(y) else 0.0, 1e-9 * np.abs(y).max(initial=1.0))
+    places = np.unique(np.column_stack([x, np.round(y / dot)]), axis=0, return_index=True)[1]
+    return np.stack([x, y])[:, np.sort(places)]
 
 
 @panel(5.2, nrows=3, sharex=True, gridspec_kw={"height_ratios": (3, 1, 1)})
 def bifurcation(axes: Sequence[Axes], key: str, sections: Sections, title: str = "") -> None:
     """z at exits against a key, and z of what has none, above multipliers and periods of cycles."""
     above, middle, below = axes
-    n_points = sum(len(points.x) for points in sections.z.values())
+    n_points = sum(points.shape[1] for points in sections.z.values())
     size = float(np.clip(60.0 / np.sqrt(n_points), 0.8, 3.0))
     for kind, points in sections.z.items():
         colour, mark, words = _MARKS[kind]
-        edge = 0.7 * (mark == "x")
-        above.plot(*points, mark, color=colour, label=words, markersize=max(size, 2.0) if mark != "o" else size,
-                   markeredgewidth=edge, rasterized=n_points > _VECTORS)  # fmt: skip
+        width, edge = (size, 0.0) if mark == "o" else (max(size, 2.0), 0.7 * (mark == "x"))
+        is_image = n_points > _VECTORS
+        above.plot(*points, mark, color=colour, label=words, ms=width, markeredgewidth=edge, rasterized=is_image)
     above.set(ylabel="z", title=title)
     if len(sections.z) > 1:
         above.figure.legend(loc="outside upper left", ncols=3, handletextpad=0.1, markerscale=2.0)
     for ax, name, points in ((middle, "multiplier", sections.multiplier), (below, "period", sections.period)):
-        ax.plot(*points, "o", color="black", markersize=1.8, markeredgewidth=0, rasterized=len(points.x) > _VECTORS)
-        top = max(points.y.max(initial=0.0), float(name == "multiplier")) or 1.0
+        ax.plot(*points, "o", color="black", ms=1.8, markeredgewidth=0, rasterized=points.shape[1] > _VECTORS)
+        top = max(points[1].max(initial=0.0), float(name == "multiplier")) or 1.0
         ax.set(ylabel=name, ylim=(-0.08 * top, 1.1 * top))
     middle.axhline(1.0, color=GREY, linewidth=0.8, linestyle="--")
-    x = np.concatenate([points.x for points in sections.z.values()])
+    x = np.concatenate([points[0] for points in sections.z.values()])
     below.set(xlabel=key, xscale="log" if x.min() > 0 and x.max() > _DECADES * x.min() else "linear")
     above.figure.align_ylabels(list(axes))

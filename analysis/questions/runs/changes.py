@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import pandas as pd
+
 from stickslip.analysis.answer import Answer, Picture, Question, Table
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Finding
 from stickslip.analysis.grid import axes_of
 from stickslip.analysis.pairs import settings
 from stickslip.analysis.questions.runs import engines, robustness, sweep
-from stickslip.analysis.steps import table_of
 
 MOST_LEADING, MOST_ALERTS = 3, 3
 
@@ -18,24 +19,27 @@ def answer(study: Study) -> Answer | None:
 
     The first kind of change leads with up to three findings, each other with one.
     """
-    sources = (sweep.section, robustness.section, engines.section)
-    sections = [section for source in sources if (section := source(study)) is not None]
-    if not sections:
+    sources = (sweep.answer, robustness.answer, engines.answer)
+    answers = [section for source in sources if (section := source(study)) is not None]
+    if not answers:
         return None
-    sections.sort(key=lambda section: not section.lead)
-    leading = [section for section in sections if section.lead]
+    answers.sort(key=lambda section: section.is_lack)
+    leading = [section for section in answers if not section.is_lack]
     lead: list[Finding] = []
     for k, section in enumerate(leading):
-        lead += section.lead[: MOST_LEADING + 1 - len(leading) if k == 0 else 1]
-    below = [finding for section in leading for finding in (*section.lead, *section.rest) if finding not in lead]
-    lacks = [section.lack for section in sections if not section.lead]
-    alerts = sorted((alert for section in sections for alert in section.alerts), key=lambda alert: alert.code.rank)
-    tables: dict[str, Table] = {"changes": table_of(step for section in sections for step in section.steps)}
+        n_most = MOST_LEADING + 1 - len(leading) if k == 0 else 1
+        lead += section.findings[: min(section.n_lead, n_most)]
+    below = [finding for section in leading for finding in section.findings if finding not in lead]
+    lacks = [finding for section in answers if section.is_lack for finding in section.findings]
+    alerts = sorted((alert for section in answers for alert in section.alerts), key=lambda alert: alert.code.rank)
+    tables: dict[str, Table] = {
+        "changes": pd.concat([section.tables["changes"] for section in answers], ignore_index=True)
+    }
     figures: dict[str, Picture] = {}
-    for section in sections:
+    for section in answers:
         figures |= dict([*section.figures.items()][:1])
-    for section in sections:
-        tables |= section.tables
+    for section in answers:
+        tables = {**section.tables, **tables}
         figures |= {name: picture for name, picture in section.figures.items() if name not in figures}
     return Answer(
         [*lead, *below, *lacks],

@@ -31,7 +31,7 @@ from stickslip.analysis.models.attractors import (
     Plane,
     plane,
 )
-from stickslip.analysis.models.fates import COLLAPSED, DIVERGED, LULL, QUIET, SUSTAINED, UNMOVED, Curve
+from stickslip.analysis.models.fates import LULL, QUIET, SUSTAINED, UNMOVED, Curve
 from stickslip.analysis.questions.runs.settled import OUTCOMES, Grid, Portion, Runs, Setting, portions, told_apart
 from stickslip.analysis.series.runs import by_number
 from stickslip.analysis.style import PANEL, panel
@@ -73,10 +73,6 @@ LOOKS = {
 #: Of the cycles of one system, and of all that come after these.
 CYCLES = (LOOKS[PERIODIC], Look("#7F2704", "^", ""), Look("#F0E442", "v", ""), Look("#D55E00", "P", ""))
 OTHERS = Look("#FDD0A2", "p", "\\\\\\")
-#: Of the fates of runs.
-FATES = {COLLAPSED: LOOKS[SLIDING], DIVERGED: LOOKS[ESCAPING]} | {
-    fate: LOOKS[fate] for fate in (QUIET, SUSTAINED, LULL, UNMOVED)
-}
 
 
 def pictures(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> dict[str, Picture]:
@@ -84,8 +80,6 @@ def pictures(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> dict[st
 
     Parameters
     ----------
-    study : Study
-    grid : Grid
     curves : mapping of Place to Curve
         Survival of the runs of settings.
     """
@@ -97,7 +91,7 @@ def pictures(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> dict[st
         elif len(settings) > 1:
             counts = {kind: [setting.runs.n_of(kind) for setting in settings] for kind in OUTCOMES}
             caption = "One colour: all runs end alike. Shares of runs by what they do at the end, at each setting."
-            figures["fates"] = Picture(partial(shares, *_names(grid, settings), counts, LOOKS), caption)
+            figures["fates"] = Picture(partial(shares, *_names(grid, settings), counts), caption)
     figures |= _basin(study, grid)
     if any(curve[1][-1] < 1.0 for curve in curves.values()):
         figures["survival"] = _survival(study, grid, curves)
@@ -117,13 +111,12 @@ def shares(
     key: str,
     values: Sequence[str],
     counts: Mapping[str, Sequence[float]],
-    looks: Mapping[str, Look] = FATES,
 ) -> None:
     """Shares of runs by outcome, a bar for each value of a key, from above; `counts` are the runs at each value."""
     total, edge = np.maximum(np.sum([*counts.values()], axis=0), 1), np.zeros(len(values))
     for outcome, numbers in counts.items():
         if any(numbers):
-            look, width = looks[outcome], np.array(numbers) / total
+            look, width = LOOKS[outcome], np.array(numbers) / total
             bars = ax.barh(
                 range(len(values)), width, 0.8, edge, color=look.colour, hatch=look.hatch, label=look.words
             )
@@ -156,8 +149,8 @@ def _maps(grid: Grid) -> dict[str, Picture]:
             counts = [runs.n_of(kind) for kind in OUTCOMES]
             place = up.rows.index(y), across.rows.index(x)
             what[place], is_mixed[place] = int(np.argmax(counts)), np.count_nonzero(counts) > 1
-        beside = zip(further, further_rows, strict=True)
-        where = Place(tuple((axis.name, in_words(row)) for axis, row in beside)) + Place.of(method)
+        further_by_row = zip(further, further_rows, strict=True)
+        where = Place(tuple((axis.name, in_words(row)) for axis, row in further_by_row)) + Place.of(method)
         caption = f"Dots mark settings where runs differ. What most runs do{f' ({where})' if where else ''}."
         name = f"fates_{len(figures) + 1}" if figures else "fates"
         figures[name] = Picture(partial(over_two_keys, across, up, what, is_mixed), caption)
@@ -289,20 +282,13 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
         for same in alike.values()
     }
     t_end = max(setting.t_end for setting in settings)
-    has_bands = any(map(_has_band, named_curves.values()))
-    level = f", with {100 * study.settings.confidence:g}% intervals where some end and some do not" * has_bands
-    count = f" {len(chosen)} of {len(settings)} settings are drawn." * (len(chosen) < len(settings))
+    level = f", with {100 * study.settings.confidence:g}% intervals where some end and some do not"
+    level *= any(map(_has_band, named_curves.values()))
     kinds = {kind for setting in chosen for kind in setting.runs.said}
     ends = [words for kind, words in ((SLIDING, "settle"), (ESCAPING, "grow without limit")) if kind in kinds]
     see = f"Curves fall as runs {listed(ends, 'or')}. " if ends else ""
-    with_lulls = [setting for setting in chosen if (setting.runs.kinds == LULL).any()]
-    lulls = (
-        listed([f"{np.mean(setting.runs.kinds == LULL):.0%}{setting.where.tail}" for setting in with_lulls])
-        if with_lulls
-        else ""
-    )
-    last = f" Those that have not ended include runs in unstable sliding: {lulls}." * bool(lulls)
-    caption = f"{see}Share of runs that have not ended{level}.{last}{count}"
+    count = f" {len(chosen)} of {len(settings)} settings are drawn." * (len(chosen) < len(settings))
+    caption = f"{see}Share of runs that have not ended{level}.{count}"
     return Picture(partial(survival_curves, named_curves, t_end), caption)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip.analysis import burn_in
-from stickslip.analysis.answer import Answer, Picture, Question, Row, frame
+from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.catalogues import fineness
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
@@ -119,9 +119,9 @@ def answer(study: Study) -> Answer:
     groups = [group for group in study.groups if len(burn_in.averaged(study, group))]
     groups.sort(key=lambda group: -int(group.key["n"]))
     by_t_burn = burn_in.estimates(study, groups)
-    tested = burn_in.with_enough(burn_in.geweke(study, groups), by_t_burn, 1 - study.settings.confidence)
+    tested = burn_in.geweke(study, groups)
     recorded = {group.label for setting in grid.settings if setting.is_recorded for group in setting.groups}
-    short = [row["group"] for row in tested if row["is_short"] and row["group"] not in recorded]
+    short = [row.group for row in tested if row.is_short and row.group not in recorded]
     figures = fate_figures.pictures(study, grid, {row.setting.where: row.curve for row in ends})
     figures |= bifurcations.pictures(study, grid)
     figures |= _along_t_burn(study, by_t_burn, short, len(figures) > 1)
@@ -132,8 +132,8 @@ def answer(study: Study) -> Answer:
         method=" ".join([METHOD_OF_ATTRACTORS] * bool(recorded) + [METHOD] * bool(ends)),
         tables={
             "fates": frame_of(Portion, shares),
-            "burn_in": frame(burn_in.TESTS, tested),
-            "by_t_burn": frame(burn_in.ESTIMATES, by_t_burn),
+            "burn_in": frame_of(burn_in.Tested, tested),
+            "by_t_burn": frame_of(burn_in.AtBurn, by_t_burn),
         },
         figures=figures,
     )
@@ -266,8 +266,9 @@ def _delays(study: Study) -> Iterator[Level]:
 
 def _last_events(group: Group) -> pd.Series:
     """The mean time of the last events of each unit's runs; NaN if one of them goes on, or failed."""
-    times = pd.Series(np.where(np.isin(group.fates, (*ENDS, QUIET)), group.last[:, 0], np.nan))
-    return times.groupby(group.column("unit").to_numpy()).agg(lambda ends: ends.mean(skipna=False))
+    times = np.where(np.isin(group.fates, (*ENDS, QUIET)), group.last[:, 0], np.nan)
+    units, places = np.unique(group.column("unit").to_numpy(), return_inverse=True)
+    return pd.Series(np.bincount(places, times) / np.bincount(places), units)
 
 
 def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
@@ -276,16 +277,15 @@ def _stability(study: Study, settings: Sequence[Setting]) -> Iterator[Share]:
         return
     runs = together(settings)
     rates = study.data.table.own["growth_rate"].to_numpy(np.float64)[runs.rows]
-    is_open = np.asarray(is_unstable(rates))
+    unstable = np.asarray(is_unstable(rates))
     for state, chosen, kind in (
-        ("stable", ~np.isnan(rates) & ~is_open, SLIDING),
-        ("unstable", is_open, ESCAPING),
+        ("stable", ~np.isnan(rates) & ~unstable, SLIDING),
+        ("unstable", unstable, ESCAPING),
     ):
         subset = runs.at(chosen)
         if len(subset.rows) and runs.n_of(kind):
-            share = share_of(
-                subset.kinds == kind, np.zeros(len(subset.rows)), subset.units, study.settings.confidence
-            )
+            nothing = np.zeros(len(subset.rows))
+            share = share_of(subset.kinds == kind, nothing, subset.units, study.settings.confidence)
             basis = Basis(len(np.unique(subset.units)), noun(study.unit))
             name = f"runs with a linearly {state} all-slip state"
             yield Share(f"{state}_{kind}", name, PREDICATES[kind], share, EVERYWHERE, None, basis, len(subset.rows))
@@ -323,7 +323,7 @@ def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[str]
         for group in groups
         if group.basis(level).code == enough.FEW_MATRICES and group.n_moving > 1
     ]
-    drifting = [*dict.fromkeys([*(group.label for group in groups if _drifts(group, level)), *short])]
+    drifting = short
     alerts = []
     if n_failed:
         alerts.append(Alert.of(Code.FAILED, n=n_failed, of=len(study.data.table.unchanged)))
@@ -342,41 +342,33 @@ def _alerts(study: Study, grid: Grid, ends: Sequence[Ends], short: Sequence[str]
     return alerts[:3]
 
 
-def _drifts(group: Group, level: float) -> bool:
-    """Whether a drift is shown, and is not harmless: few runs may show one of 1e-7."""
-    drift, basis = group.drift(level), group.basis(level)
-    if drift.low is None or drift.high is None or drift.low <= 0 <= drift.high:
-        return False
-    size = basis.drift.value
-    return basis.code != enough.ENOUGH and (size is None or not abs(size) <= enough.MARGIN)
-
-
 # ------------------------------------------------------------------------------------------------- runs
 
 
 def _ends(study: Study, setting: Setting) -> Ends:
     """Until when the runs of a setting go on."""
     fates = np.concatenate([group.fates for group in setting.groups])
-    last = np.concatenate([group.last for group in setting.groups])
+    t_last = np.concatenate([group.last for group in setting.groups])
     ran = fates != FAILED
     t_stop = study.data.table.own["t_stop"].to_numpy(np.float64, na_value=np.nan)[setting.runs.rows]
     t_end = np.full(len(t_stop), setting.t_end)
-    runs = fates[ran], last[ran, 0], t_stop, t_end, study.settings.confidence, setting.runs.units
+    runs = fates[ran], t_last[ran, 0], t_stop, t_end, study.settings.confidence, setting.runs.units
     return Ends(setting, survival(*runs), half_ended(*runs))
 
 
-def _along_t_burn(study: Study, rows: Sequence[Row], short: Sequence[str], is_beside: bool) -> dict[str, Picture]:
+def _along_t_burn(
+    study: Study, rows: Sequence[burn_in.AtBurn], short: Sequence[str], is_beside: bool
+) -> dict[str, Picture]:
     """Estimates with other values of t_burn: of a group that it is too short for or, beside other figures, any."""
-    drawable = burn_in.drawable(rows)
+    drawable = [row.group for row in rows if row.is_chosen and row.value.low is not None]
     name = next((name for name in (*short, *drawable * is_beside) if name in drawable), "")
     if not name:
         return {}
     t_burn = study.settings.t_burn
     when = f"after t_burn = {t_burn:g}"
-    says = f"Not all curves are level {when}: it is too short." if name in short else f"No drift is shown {when}."
-    level = f"{100 * study.settings.confidence:g}%"
-    caption = f"{says} Ratios of estimates to those with t_burn = {t_burn:g}, with paired {level} intervals ({name})."
-    recipe = partial(burn_in.by_t_burn, [row for row in rows if row["group"] == name], t_burn)
+    says = f"The mean still changes {when}: it is too short." if name in short else f"No drift is shown {when}."
+    caption = f"{says} Estimates with other values, with {100 * study.settings.confidence:g}% intervals ({name})."
+    recipe = partial(burn_in.by_t_burn, [row for row in rows if row.group == name], t_burn)
     return {"by_t_burn": Picture(recipe, caption)}
 
 

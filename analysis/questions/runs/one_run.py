@@ -15,7 +15,6 @@ from stickslip.analysis import pictures
 from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Finding, Form, Lack, Level, Quantity, Reason, Share
-from stickslip.analysis.findings.numbers import span
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import plural
 from stickslip.analysis.models.fates import DIVERGED, FAILED
@@ -28,8 +27,6 @@ NAME = "one_run"
 MOST_MEMBERS = 12  # of an ensemble in which a run is drawn unasked
 ONSETS = Quantity("n_exits", "number of slip onsets", Form.COUNT)
 STICKING = Quantity("stick_share", "mean share of time that a block sticks", Form.SHARE)
-_BESIDE = 0.1  # of the duration of an episode, which is drawn before and after it
-_LONG = 0.5  # of the run
 
 
 def answer(study: Study) -> Answer | None:
@@ -52,7 +49,7 @@ def answer(study: Study) -> Answer | None:
     if name in data.events:
         events = EventSeries(*data.events[name], t_start=0.0, t_end=t_end)
         findings = [*_slips(events, where), *findings]
-        figures = _pictures(study, name, events, grid_width(n) if run["coupling"] == "grid" else None)
+        figures = _pictures(name, events, grid_width(n) if run["coupling"] == "grid" else None)
     else:
         caption = f"Number of sticking blocks n_stick(t) in run {name}. Recorded events would show which block slips."
         figures = {NAME: Picture(partial(steps, t, n_stick, t_end), caption)}
@@ -80,38 +77,17 @@ def _slips(events: EventSeries, where: Place) -> list[Finding]:
     ]
 
 
-def _pictures(study: Study, name: str, events: EventSeries, width: int | None) -> dict[str, Picture]:
-    """Which block slips when, in the run and in its largest episode."""
+def _pictures(name: str, events: EventSeries, width: int | None) -> dict[str, Picture]:
+    """Which block slips when."""
     rows = "; in a grid, the blocks of a row lie side by side" if width else ""
     caption = f"Which block slips when, and which way, in run {name}: each row is a block{rows}."
-    figures = {NAME: Picture(partial(space_time, events, None, width), caption)}
-    return figures | _largest_episode(study, name, events, width)
-
-
-def _largest_episode(study: Study, name: str, events: EventSeries, width: int | None) -> dict[str, Picture]:
-    """The episode after t_burn with the largest moment; nothing if there is none to look into.
-
-    An episode of one block, or one that takes most of the run, shows nothing that is not seen already.
-    """
-    if study.data.episodes is None:
-        return {}
-    t_burn, table = study.settings.t_burn, study.data.episodes
-    lasts = table["end"] - table["start"]
-    is_short = lasts < _LONG * events.t_end
-    episodes = table[(table["member_id"] == name) & is_short & (table["start"] >= t_burn) & (table["size"] > 1)]
-    if episodes.empty:
-        return {}
-    start, end, size = episodes[["start", "end", "size"]].iloc[int(episodes["moment"].abs().to_numpy().argmax())]
-    margin = _BESIDE * (end - start)
-    around = max(start - margin, 0.0), min(end + margin, events.t_end)
-    caption = f"The largest episode after t = {t_burn:g}, in which {size:g} blocks slip, from t = {span(start, end)}."
-    return {"one_episode": Picture(partial(space_time, events, around, width), caption)}
+    return {NAME: Picture(partial(space_time, events, width), caption)}
 
 
 @panel()
-def space_time(ax: Axes, events: EventSeries, span: tuple[float, float] | None, width: int | None) -> None:
+def space_time(ax: Axes, events: EventSeries, width: int | None) -> None:
     """Which block slips when, and which way."""
-    pictures.space_time(ax, events, span=span, width=width)
+    pictures.space_time(ax, events, width=width)
     ax.set_xlabel("time t")
 
 

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stickslip.analysis.answer import Answer
 from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Basis, Finding, Form, KeyChange, Level, Quantity, Share
@@ -25,7 +26,7 @@ from stickslip.analysis.stats import components, enough
 from stickslip.analysis.stats.compare import share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums
 from stickslip.analysis.stats.quantities import QUANTITIES
-from stickslip.analysis.steps import Kind, Section, Step, few, judged_together
+from stickslip.analysis.steps import Kind, Step, few, judged_together, table_of
 from stickslip.analysis.steps import Setting as Named
 from stickslip.pipeline.design import design
 from stickslip.pipeline.design.design import DEFAULT_READING, Change
@@ -40,7 +41,7 @@ _METHOD_OF_EFFECTS = (
 )
 
 
-def section(study: Study) -> Section | None:
+def answer(study: Study) -> Answer | None:
     """Effect of each change of constants or of stiffness ratios, by itself and beside that of another system."""
     all_copies = [copies for setting in settings(study.data.table) if (copies := _Copies.of(study, setting)).changes]
     if not all_copies:
@@ -51,7 +52,7 @@ def section(study: Study) -> Section | None:
     where = dict(zip(labels, map(Place.of, apart(labels)), strict=True))
     unjudged = [step for copies in all_copies for step in _steps(study, copies, where[copies.label])]
     steps = judged_together(unjudged, 1 - confidence)
-    lead, rest, has_effects = list[Finding](), list[Finding](), False
+    lead, further, has_effects = list[Finding](), list[Finding](), False
     for copies in all_copies:
         judged_steps = [step for step in steps if step.setting == copies.label and step.contrast.is_known]
         effects = list(_effects(study, copies, where[copies.label], unit))
@@ -59,16 +60,17 @@ def section(study: Study) -> Section | None:
         if judged := [step for step in judged_steps if not step.contrast.reason]:
             lead += outcomes("no change", judged, unit, "change")
             lead += [effect for quantity, effect in effects if quantity == PRIMARY[0]][-1:]
-        rest += [step.level("the unchanged system", unit) for step in judged_steps]
-        rest += [effect for _, effect in effects]
-        rest += _between(study, copies, where[copies.label], unit)
+        further += [step.level("the unchanged system", unit) for step in judged_steps]
+        further += [effect for _, effect in effects]
     for finding in (end for copies in all_copies for end in _ends(study, copies, where[copies.label], unit)):
         is_empty = isinstance(finding, Share) and finding.estimate.value == 0.0  # all end alike
-        (rest if is_empty else lead).append(finding)
+        (further if is_empty else lead).append(finding)
     in_figure = [step for step in steps if step.contrast.is_known]
     figures = forest(in_figure, "Differences from the unchanged systems", "robustness")
     lack = few("the effect of a changed system", len(all_copies[0].sums))
-    return Section(lack, steps, lead, rest, figures=figures, method=_METHOD + _METHOD_OF_EFFECTS * has_effects)
+    method = _METHOD + _METHOD_OF_EFFECTS * has_effects
+    findings = [*lead, *further] if lead else [lack]
+    return Answer(findings, len(lead), method=method, tables={"changes": table_of(steps)}, figures=figures)
 
 
 class _Set(NamedTuple):
@@ -101,21 +103,21 @@ class _Copies:
     def label(self) -> Label:
         return self.setting.label
 
-    def complete(self, change: Comparison | None = None) -> list[_Set]:
+    def complete(self, change: Comparison) -> list[_Set]:
         """Those of each system whose runs all reached t_end in motion."""
         sets = []
         for unit, base in self.setting.bases.items():
             replicates = [row for comparison in self.replicates for row in comparison.of(unit)]
-            rows = _Set([base, *replicates], [] if change is None else change.of(unit))
+            rows = _Set([base, *replicates], change.of(unit))
             if all(row in self.sums for row in (*rows.unchanged, *rows.changed)):
                 sets.append(rows)
         full = [max((len(rows[side]) for rows in sets), default=0) for side in (0, 1)]
-        return [rows for rows in sets if [*map(len, rows)] == full and (change is None or rows.changed)]
+        return [rows for rows in sets if [*map(len, rows)] == full and rows.changed]
 
     def values(self, quantity: str, rows: Sequence[Sequence[int]]) -> np.ndarray:
         """A quantity of some runs, in the shape of `rows`."""
-        k, of = PRIMARY.index(quantity), QUANTITIES[quantity].of
-        return np.array([of(np.array([self.sums[row][k] for row in of_unit])) for of_unit in rows])
+        k, statistic = PRIMARY.index(quantity), QUANTITIES[quantity].of
+        return np.array([statistic(np.array([self.sums[row][k] for row in of_unit])) for of_unit in rows])
 
     def of_units(self, quantity: str, rows: Sequence[Sequence[int]]) -> UnitSums:
         """The sums of a quantity, averaged over the runs of each unit."""
@@ -153,8 +155,8 @@ def _steps(study: Study, copies: _Copies, where: Place) -> Iterator[Step]:
         change, sets = comparison.change, copies.complete(comparison)
         place, keys = where + Place.words(str(change)), (KeyChange("", "", str(change)),)
         for measure in of_windows(study, PRIMARY):
-            before, after = (copies.of_units(measure.key, [rows[side] for rows in sets]) for side in (0, 1))
-            difference = contrast(measure.statistic, before, after, True, study.settings.confidence)
+            unchanged, changed = (copies.of_units(measure.key, [rows[side] for rows in sets]) for side in (0, 1))
+            difference = contrast(measure.statistic, unchanged, changed, True, study.settings.confidence)
             yield Step(Kind.COPY, copies.label, copies.label, difference, keys, place, _named(change))
 
 
@@ -180,25 +182,12 @@ def _effects(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator
             sets = copies.complete(comparison)
             if len(sets) < enough.LEAST_MATRICES:
                 continue
-            before, after = (copies.values(quantity, [rows[side] for rows in sets]) for side in (0, 1))
-            effect = components.against_redraw(before, after, confidence)
-            if effect.is_bounded and effect.theta.value is not None:
+            unchanged, changed = (copies.values(quantity, [rows[side] for rows in sets]) for side in (0, 1))
+            effect = components.against_redraw(unchanged, changed, confidence).theta
+            if effect.high is not None and effect.value is not None:
                 name = f"effect of {comparison.change} on the {QUANTITIES[quantity].title} of one system"
                 theta = Quantity("theta", f"{name}, as a share of another system's", Form.SHARE)
-                yield quantity, Level(theta, effect.theta, where, None, Basis(len(sets), unit))
-
-
-def _between(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Level]:
-    """How much of the variance of each quantity is between systems."""
-    sets = [rows.unchanged for rows in copies.complete()]
-    if not copies.replicates or len(sets) < enough.LEAST_MATRICES:
-        return
-    for quantity in PRIMARY:
-        share = components.intraclass(copies.values(quantity, sets), study.settings.confidence)
-        if share.value is not None:
-            name = f"share of the variance of the {QUANTITIES[quantity].title} between systems"
-            correlation = Quantity("correlation", name, Form.SHARE)
-            yield Level(correlation, share, where, None, Basis(len(sets), unit))
+                yield quantity, Level(theta, effect, where, None, Basis(len(sets), unit))
 
 
 class _End(NamedTuple):
@@ -245,7 +234,7 @@ def _ends(study: Study, copies: _Copies, where: Place, unit: str) -> Iterator[Fi
                 share,
                 place,
                 basis=Basis(len(counts), unit),
-                n=sum(of for _, of in counts.values()),
+                n=sum(total for _, total in counts.values()),
             )
         if shifts:
             means = np.array([np.mean(of_unit) for of_unit in shifts.values()])

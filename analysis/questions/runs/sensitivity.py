@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.ensemble import Separation, Study
@@ -21,7 +20,7 @@ from stickslip.analysis.models.growth import Growth, growth
 from stickslip.analysis.pairs import CONSTANTS, RATIOS, START, Comparison, Followed, Setting, follow, level, settings
 from stickslip.analysis.series import parting
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.analysis.style import CYCLE, GREY, panel
+from stickslip.analysis.style import CYCLE, panel
 from stickslip.pipeline.design.design import Change
 from stickslip.pipeline.design.values import shown
 from stickslip.sim.engines import ENGINES
@@ -106,20 +105,12 @@ class Rate(NamedTuple):
 
 
 class Parting(NamedTuple):
-    """When the copies with one change have parted from their base, by gaps over `level`, that of two systems."""
+    """When the copies with one change have parted from their base."""
 
     setting: Setting
     change: Change
-    level: float
     pairs: Followed
     half: Estimate
-
-    @property
-    def curve(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times and mean gaps, in units of the level, while half of the pairs are followed."""
-        is_followed = ~np.isnan(self.pairs.means)
-        n = int(np.cumprod(2 * is_followed.sum(axis=0) >= len(self.pairs)).sum())
-        return self.pairs.times[:n], np.nanmean(self.pairs.means[:, :n], axis=0) / self.level
 
 
 def answer(study: Study) -> Answer | None:
@@ -141,9 +132,7 @@ def answer(study: Study) -> Answer | None:
     return Answer(
         findings=[lead[0], *support, *lead[1:]],
         n_lead=2,
-        figures=_figures(
-            [rate for rate in rates if rate.is_known], [row for row in partings if row.setting is leading]
-        ),
+        figures=_figures([rate for rate in rates if rate.is_known]),
         method=METHOD,
     )
 
@@ -171,7 +160,7 @@ def _of_size(study: Study, setting: Setting, comparison: Comparison) -> Rate:
     ]
     pairs = [(pair, separation) for pair, separation in pairs if len(separation[0])]
     distances = [separation for _, separation in pairs]
-    law = Growth(Estimate(), T_FROM, T_FROM, 0, 0, 0)
+    law = Growth(Estimate(), T_FROM, T_FROM, 0, 0)
     if pairs:
         law = growth(
             max((t for t, _ in distances), key=len),
@@ -203,9 +192,7 @@ def _partings(study: Study, setting: Setting) -> Iterator[Parting]:
         _, firsts = np.unique(pairs.matrix, return_index=True)  # of several draws: systems are the independent units
         has_parted = pairs.has_parted[firsts]
         times = np.where(has_parted, pairs.t[firsts], pairs.t_stop[firsts])
-        yield Parting(
-            setting, comparison.change, typical_gap, pairs, median(times, has_parted, study.settings.confidence)
-        )
+        yield Parting(setting, comparison.change, pairs, median(times, has_parted, study.settings.confidence))
 
 
 def _alike(partings: Sequence[Parting]) -> list[list[Parting]]:
@@ -237,36 +224,14 @@ def _lifetime(alike: Sequence[Parting]) -> Lifetime:
 # ------------------------------------------------------------------------------------------------- figures
 
 
-def _figures(rates: Sequence[Rate], partings: Sequence[Parting]) -> dict[str, Picture]:
-    figures: dict[str, Picture] = {}
-    if rates:
-        figures["growth"] = Picture(
-            partial(distances, rates),
-            "How differences of starts grow or shrink: distance of each system's copy from its base, over the"
-            " difference at the start, while they are proportional. Heavy: the fitted rate, over its range.",
-        )
-    if curves := {str(parted.change): parted.curve for parted in partings if len(parted.curve[0])}:
-        figures["parting"] = Picture(
-            partial(parting_curves, curves),
-            f"When copies part from their base at {partings[0].setting.label}: mean gap in n_stick, in units of what"
-            " two systems show after t_burn.",
-        )
-    return figures
-
-
-@panel(3.4)
-def parting_curves(ax: Axes, curves: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> None:
-    """Gap of n_stick between copy and base, over that between two systems, against time."""
-    for k, (name, (t, gaps)) in enumerate(curves.items()):
-        ax.plot(t, gaps, color=CYCLE[k % len(CYCLE)], linestyle="-" if k < len(CYCLE) else ":", label=name)
-    for height, words in ((1.0, "two systems"), (parting.SHARE, "apart")):
-        ax.axhline(height, linestyle="--", color=GREY, linewidth=0.9)
-        ax.text(0.02, height + 0.03, words, color=GREY, fontsize=8, transform=ax.get_yaxis_transform())
-    ax.set(xscale="log", ylim=(0, None), xlabel="time t", ylabel="gap in $n_{stick}$ (two systems: 1)")
-    ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
-    ax.xaxis.set_major_formatter(lambda x, _: f"{x:g}")
-    ax.xaxis.set_minor_locator(NullLocator())
-    ax.figure.legend(loc="outside lower center", ncols=2)
+def _figures(rates: Sequence[Rate]) -> dict[str, Picture]:
+    if not rates:
+        return {}
+    caption = (
+        "How differences of starts grow or shrink: distance of each system's copy from its base, over the difference"
+        " at the start, while they are proportional. Heavy: the fitted rate, over its range."
+    )
+    return {"growth": Picture(partial(distances, rates), caption)}
 
 
 @panel(3.4)

@@ -45,7 +45,8 @@ from stickslip.analysis.models.fates import (
 )
 from stickslip.analysis.stats.compare import wilson
 from stickslip.analysis.stats.estimates import Estimate
-from stickslip.pipeline.design.design import Axis, Row, Unit, in_words
+from stickslip.pipeline.design.design import Axis, Unit, in_words
+from stickslip.pipeline.design.design import Row as KeyValues
 from stickslip.pipeline.design.labels import Label, apart, labels
 from stickslip.pipeline.design.values import Named, Value, Values, ranks
 
@@ -112,9 +113,8 @@ class Setting:
         One for each start that is swept.
     label, method : Label
         What tells its system, and its engine, from those of other settings.
-    at : tuple of Row
+    at : tuple of KeyValues
         Its values along the axes of `Grid`.
-    runs : Runs
     of_starts : bool
         Whether its units are starts of one system.
     is_recorded : bool
@@ -124,7 +124,7 @@ class Setting:
     groups: tuple[Group, ...]
     label: Label
     method: Label
-    at: tuple[Row, ...]
+    at: tuple[KeyValues, ...]
     runs: Runs
     of_starts: bool
     is_recorded: bool
@@ -224,7 +224,7 @@ def _values(group: Group) -> dict[str, Value]:
 def _setting(study: Study, name: Label, groups: Sequence[Group], axes: Sequence[Axis]) -> Setting:
     of_method = {"", *ENGINE_KEYS}
     method, label = (
-        Label.of([part for part in name.parts if (part[0] in of_method) == is_of_method])
+        Label.of([symbol for symbol in name.parts if (symbol[0] in of_method) == is_of_method])
         for is_of_method in (True, False)
     )
     rows = np.concatenate([group.rows for group in groups])
@@ -398,10 +398,10 @@ def regimes(
         in_order.sort(key=lambda outcome: len(outcome) > 1)
     rows: list[tuple[Regime, Sequence[Setting]]] = []
     for outcome in in_order:
-        parts = by_outcome[outcome]
-        settings = [setting for stretch in parts for setting in line[stretch]]
-        where = Place.key(axis.name, listed([text for stretch in parts for text in _span(line[stretch])]))
-        if len(parts) > MOST_STRETCHES:
+        alike_stretches = by_outcome[outcome]
+        settings = [setting for stretch in alike_stretches for setting in line[stretch]]
+        where = Place.key(axis.name, listed([text for stretch in alike_stretches for text in _span(line[stretch])]))
+        if len(alike_stretches) > MOST_STRETCHES:
             where = Place.words(f"at {len(settings)} of {len(line)} values of {axis.name}")
         rows.append((_regime(study, where + line_place, settings, outcome), settings))
     return rows

@@ -15,21 +15,22 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.contrast import Contrast, contrast
+from stickslip.analysis.answer import Answer
+from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.findings.finding import Basis, Finding, KeyChange, Lack, Level, Reason, Scale, Threshold
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
-from stickslip.analysis.grid import Grid, Point, axes_of, balanced, estimate, points_at
-from stickslip.analysis.measures import AT_MOST, IN_MOTION, MOTION, Measure
+from stickslip.analysis.grid import Grid, Point, axes_of, balanced, estimate, is_negative, points_at
+from stickslip.analysis.measures import MOTION, STICKING, Measure
 from stickslip.analysis.members import RELATIVE, noun
 from stickslip.analysis.models.fates import MOVING, QUIET, WATCHED
 from stickslip.analysis.questions.runs.sweep_figures import figures
 from stickslip.analysis.rows import Columns, frame_by
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
-from stickslip.analysis.steps import Kind, Section, Step, few, judged_together
+from stickslip.analysis.steps import Kind, Step, few, judged_together, table_of
 from stickslip.pipeline.design.design import Axis, in_words
 from stickslip.pipeline.design.design import Row as KeyValues
 from stickslip.pipeline.design.labels import Label
@@ -54,20 +55,22 @@ class KeyStep(Step):
     is_last: bool
 
 
-def section(study: Study) -> Section | None:
+def answer(study: Study) -> Answer | None:
     """How statistics change with each swept key; None where no key is swept."""
     if not axes_of(study.groups):
         return None
     grid, unit = Grid.of(study), noun(study.unit)
-    alone = [step for setting in grid.settings for step in _steps(grid, setting)]
-    steps = judged_together(alone, 1 - grid.confidence)
+    unjudged = [step for setting in grid.settings for step in _steps(grid, setting)]
+    steps = judged_together(unjudged, 1 - grid.confidence)
     judged = [step for step in steps if step.contrast.is_known]
     order = _order(grid, [step for step in judged if step.setting == grid.settings[0]] or judged)
     lead = _lead(grid, order, judged, unit)
-    rest = [finding for finding in _rest(grid, order, judged, unit) if finding not in lead]
+    further = [finding for finding in _rest(grid, order, judged, unit) if finding not in lead]
     pictures = figures(grid, order, [*judged]) if judged else {}
-    tables = {"sweep_measures": _table(grid)}
-    return Section(_lack(grid, steps), steps, lead, rest, _alerts(grid), pictures, tables, _method(grid, steps, unit))
+    tables = {"changes": table_of(steps), "sweep_measures": _table(grid)}
+    findings = [*lead, *further] if lead else [_lack(grid, steps)]
+    method = _method(grid, steps, unit)
+    return Answer(findings, len(lead), _alerts(grid), method, tables=tables, figures=pictures)
 
 
 def _lack(grid: Grid, steps: Sequence[Step]) -> Lack:
@@ -80,12 +83,12 @@ def _lack(grid: Grid, steps: Sequence[Step]) -> Lack:
 
 def _method(grid: Grid, steps: Sequence[Step], unit: str) -> str:
     """How values are compared, and what the first measures are."""
-    others = ", averaged over the values of the other keys at which both are known" if len(grid.axes) > 1 else ""
+    averages = ", averaged over the values of the other keys at which both are known" if len(grid.axes) > 1 else ""
     n_tests = sum(step.contrast.p_different is not None for step in steps)
     quantities = [measure.statistic.quantity for measure in grid.asked]
     defined = [quantity for quantity in quantities if quantity.definition][:MOST_DEFINED]
     return (
-        f"All values share their random draws, so each is compared with the first {unit} by {unit}{others}."
+        f"All values share their random draws, so each is compared with the first {unit} by {unit}{averages}."
         f" Verdicts are adjusted for {n_tests} comparisons (Holm), intervals are not."
         + "".join(f" {capital(quantity.name)}: {quantity.definition}." for quantity in defined)
     )
@@ -101,8 +104,8 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
     # a change below it, in units of the largest value of a unit, is of the size of the runs' own errors
     noise = max([ROUNDING, *(point.group.key[name] or 0.0 for point in points for name in RELATIVE)])
     for axis, measure in product(grid.axes, (*grid.asked, MOTION)):
-        base, *others = _known_at(measure.name, points, axis)
-        for value in others:
+        base, *further = _known_at(measure.name, points, axis)
+        for value in further:
             pairs = [
                 (by_place[reference], point)
                 for point in points_at(points, axis, value)
@@ -114,14 +117,15 @@ def _steps(grid: Grid, setting: Label) -> Iterator[KeyStep]:
             difference = contrast(
                 measure.statistic, common.first, common.second, True, grid.confidence, Scale.ABSOLUTE
             )
-            if measure is MOTION:
-                difference = _either_way(difference, common, _in_common(AT_MOST, pairs), grid.confidence)
-            elif _is_same(common, noise * _largest(measure.name, points)):
+            if measure is not MOTION and _is_same(common, noise * _largest(measure.name, points)):
                 # no test: what is the same in each of a few units may differ in others
-                difference = replace(difference, is_same=True, p_different=None, p_equivalent=None)
-            keys = tuple(map(KeyChange, axis.keys, _values(base), _values(value)))
+                difference = replace(difference, is_same=True, p_different=None)
+            ends_of_keys = zip(axis.keys, _values(base), _values(value), base, value, strict=True)
+            keys = tuple(
+                KeyChange(key, first, second, is_negative(*ends)) for key, first, second, *ends in ends_of_keys
+            )
             where = grid.where[setting] + _places(axis, pairs, common.counted)
-            is_last = value == others[-1]
+            is_last = value == further[-1]
             yield KeyStep(Kind.KEY, setting, "", difference, keys, where, axis=axis, base=base, is_last=is_last)
 
 
@@ -154,11 +158,11 @@ class _Common(NamedTuple):
 def _in_common(name: str, pairs: Sequence[tuple[Point, Point]]) -> _Common:
     """Of several pairs, all units count over the same ones, as far as that leaves enough."""
     places = [k for k, (reference, changed) in enumerate(pairs) if reference.group.unit == changed.group.unit]
-    both = [(pairs[k][0].sums(name), pairs[k][1].sums(name)) for k in places]
-    both = [(reference.within(changed), changed.within(reference)) for reference, changed in both]
-    rows, units = balanced([reference for reference, _ in both])
-    first, second = (UnitSums.together(both[k][side].within(units) for k in rows) for side in (0, 1))
-    return _Common(first, second, [places[k] for k in rows if len(both[k][0].within(units))])
+    sums = [(pairs[k][0].sums(name), pairs[k][1].sums(name)) for k in places]
+    sums = [(reference.within(changed), changed.within(reference)) for reference, changed in sums]
+    rows, units = balanced([reference for reference, _ in sums])
+    reference_sums, second = (UnitSums.together(sums[k][side].within(units) for k in rows) for side in (0, 1))
+    return _Common(reference_sums, second, [places[k] for k in rows if len(sums[k][0].within(units))])
 
 
 def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], counted: Sequence[int]) -> Place:
@@ -168,7 +172,9 @@ def _places(axis: Axis, pairs: Sequence[tuple[Point, Point]], counted: Sequence[
     if len(counted) != 1:
         return Place.words(f"averaged over {len(counted)} of the {len(pairs)} settings of the other keys")
     place = pairs[counted[0]][0].place
-    return Place(tuple((other.name, in_words(value)) for other, value in place.items() if other != axis))
+    return Place(
+        tuple((further_axis.name, in_words(value)) for further_axis, value in place.items() if further_axis != axis)
+    )
 
 
 def _is_same(common: _Common, noise: float) -> bool:
@@ -181,8 +187,8 @@ def _is_same(common: _Common, noise: float) -> bool:
 
 def _largest(name: str, points: Sequence[Point]) -> float:
     """The largest size of a statistic of one unit."""
-    every = (point.sums(name).rows for point in points)
-    return max(float(np.abs(rows[:, 0] / rows[:, 1]).max(initial=0.0)) for rows in every)
+    sums = (point.sums(name).rows for point in points)
+    return max(float(np.abs(rows[:, 0] / rows[:, 1]).max(initial=0.0)) for rows in sums)
 
 
 def _differ(common: _Common) -> bool:
@@ -191,41 +197,25 @@ def _differ(common: _Common) -> bool:
     return bool(0 < n_moving < n_runs)
 
 
-def _either_way(difference: Contrast, moving: _Common, at_most: _Common, confidence: float) -> Contrast:
-    """What holds of a contrast of shares in motion whatever quiet runs do: a weaker test and a wider interval."""
-    least = contrast(difference.statistic, at_most.first, moving.second, True, confidence)
-    most = contrast(difference.statistic, moving.first, at_most.second, True, confidence)
-    if difference.p_different is None or least.p_different is None or most.p_different is None:
-        return difference
-    is_open = (least.absolute.value or 0.0) <= 0.0 <= (most.absolute.value or 0.0)
-    return replace(
-        difference,
-        first=replace(difference.first, high=least.first.high),
-        second=replace(difference.second, high=most.second.high),
-        absolute=replace(difference.absolute, low=least.absolute.low, high=most.absolute.high),
-        p_different=1.0 if is_open else max(difference.p_different, least.p_different, most.p_different),
-    )
-
-
 # ---------------------------------------------------------------------------------------------------- what leads
 
 
 def _order(grid: Grid, steps: Sequence[Step]) -> list[str]:
-    """Measures in order: the share in motion first if it changes, and last what is the same everywhere."""
+    """Measures in order: the share that sticks late first if it changes, and last what is the same everywhere."""
     varied = {step.statistic for step in steps if not step.contrast.is_same}
     names = sorted((measure.name for measure in grid.asked), key=lambda name: name not in varied)
-    is_moved = any(step.statistic == IN_MOTION and step.contrast.is_shown for step in steps)
-    return [IN_MOTION, *names] if is_moved else [*names, IN_MOTION]
+    is_moved = any(step.statistic == STICKING and step.contrast.is_shown for step in steps)
+    return [STICKING, *names] if is_moved else [*names, STICKING]
 
 
 def _lead(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str) -> list[Finding]:
     """Where stick-slip ends, and changes of the leading measures."""
     thresholds = [threshold for setting in grid.settings for threshold in _thresholds(grid, setting, unit)]
-    leading = order[:2] if order[0] == IN_MOTION else order[:1]
+    leading = order[:2] if order[0] == STICKING else order[:1]
     chosen = [
         step
         for name in leading
-        if not (thresholds and name == IN_MOTION)
+        if not (thresholds and name == STICKING)
         for setting in grid.settings
         for step in _largest_changes([step for step in steps if (step.statistic, step.setting) == (name, setting)])
     ]
@@ -286,22 +276,22 @@ def _rest(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str)
 
 def _thresholds(grid: Grid, setting: Label, unit: str) -> Iterator[Threshold]:
     """Between which values of the first key all runs cease to be in motion, or begin to, wherever the others are."""
-    axis, *others = grid.axes
+    axis, *axes = grid.axes
     by_place: dict[tuple[KeyValues, ...], list[Point]] = {}
     for point in grid.points[setting]:
-        by_place.setdefault(tuple(point.place[other] for other in others), []).append(point)
+        by_place.setdefault(tuple(point.place[further_axis] for further_axis in axes), []).append(point)
     for place, points in by_place.items():
         moves = [_all_or_none(point) for point in points]
         if None in (moves[0], moves[-1]) or moves[0] == moves[-1]:
             continue
-        last = max(k for k, is_moving in enumerate(moves) if is_moving == moves[0])
-        first = moves.index(moves[-1])
-        if last > first:
+        end = max(k for k, is_moving in enumerate(moves) if is_moving == moves[0])
+        begin = moves.index(moves[-1])
+        if end > begin:
             continue  # more than once
-        keys = tuple((other.name, in_words(value)) for other, value in zip(others, place, strict=True))
+        keys = tuple((further_axis.name, in_words(value)) for further_axis, value in zip(axes, place, strict=True))
         where = grid.where[setting] + Place(keys)
         n_units = min(point.group.column("unit").nunique() for point in points)
-        ends = [in_words(points[k].place[axis]) for k in (last, first)]
+        ends = [in_words(points[k].place[axis]) for k in (end, begin)]
         yield Threshold("stick-slip", bool(moves[0]), axis.name, ends[0], ends[1], where, Basis(n_units, unit))
 
 
@@ -319,24 +309,24 @@ def _all_or_none(point: Point) -> bool | None:
 
 def _alerts(grid: Grid) -> list[Alert]:
     """Runs of which it is not known whether they stick again, runs without a value, and values that are withheld."""
-    every, alerts, withheld = grid.every, list[Alert](), list[Alert]()
-    if n_quiet := sum(point.fates[QUIET] for point in every):
-        n_runs = sum(point.fates[name] for point in every for name in WATCHED)
+    points, alerts, withheld = grid.every, list[Alert](), list[Alert]()
+    if n_quiet := sum(point.fates[QUIET] for point in points):
+        n_runs = sum(point.fates[name] for point in points for name in WATCHED)
         alerts.append(Alert.of(Code.UNCERTIFIED, n=n_quiet, of=n_runs))
     gaps: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for measure in grid.asked:
-        values = [point.measured[measure.name] for point in every]
+        values = [point.measured[measure.name] for point in points]
         missing = [lost for value in values for lost in value.missing.items() if lost[1] != measure.absent]
         if missing:
             gaps.setdefault(tuple(missing), []).append(measure.statistic.quantity.name)
         reasons = [value.withheld for value in values if value.withheld]
-        if reasons and (measure.is_recorded or len(reasons) < len(every)):
+        if reasons and (measure.is_recorded or len(reasons) < len(points)):
             why = " or ".join(_REASONS.get(reason, reason) for reason in dict.fromkeys(reasons))
             what = capital(measure.statistic.quantity.name)
-            withheld.append(Alert.of(Code.WITHHELD, what=what, n=len(reasons), of=len(every), why=why))
-    n_members = sum(len(point.group) for point in every)
-    for lost, (first, *names) in gaps.items():
-        what = f"{first} nor {len(names)} more" if names else first
+            withheld.append(Alert.of(Code.WITHHELD, what=what, n=len(reasons), of=len(points), why=why))
+    n_members = sum(len(point.group) for point in points)
+    for lost, (member, *names) in gaps.items():
+        what = f"{member} nor {len(names)} more" if names else member
         alerts.append(Alert.of(Code.WITHOUT, n=len(lost), of=n_members, what=what, why=lost[0][1]))
     return alerts + withheld
 
@@ -365,7 +355,7 @@ _COLUMNS: Columns[_Cell] = {
 
 
 def _table(grid: Grid) -> pd.DataFrame:
-    """Each measure, and the share of runs in motion, with its interval at each point."""
+    """Each measure, and the share of runs that stick late, with its interval at each point."""
     cells = [
         _Cell(setting, point, measure, estimate(measure.statistic, [point], grid.confidence))
         for setting, points in grid.points.items()

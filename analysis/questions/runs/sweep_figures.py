@@ -15,10 +15,8 @@ from stickslip.analysis.answer import Picture
 from stickslip.analysis.findings.finding import Verdict
 from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.findings.words import capital, listed
-from stickslip.analysis.grid import Grid, points_at
-from stickslip.analysis.measures import IN_MOTION, KEYS, Measure
-from stickslip.analysis.models.fates import MOVING
-from stickslip.analysis.questions.runs.fate_figures import FATES, shares
+from stickslip.analysis.grid import Grid, is_negative, points_at
+from stickslip.analysis.measures import KEYS, STICKING, Measure
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.steps import Step
 from stickslip.analysis.style import EXACT, panel
@@ -39,50 +37,41 @@ def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step]) -> dict[str
     axes = sorted(grid.axes, key=lambda axis: axis.keys != leading[0].key_names)
     if len(axes) > 1 and len(axes[1].rows) > max(MOST_LINES, len(axes[0].rows)):
         axes[:2] = axes[1::-1]  # a line for each of the few values, not of the many
-    axis, points = axes[0], grid.points[lead]
+    axis = axes[0]
     tail = grid.where[lead].tail if len(axes) > 1 else ""
-    x, is_negative = axis.x, len(axis.keys) == 1 and axis.x is not None and max(axis.x) < 0.0
-    if x is not None and is_negative:  # a belt's speed is how fast it is
+    x, is_of_size = axis.x, len(axis.keys) == 1 and is_negative(*(row[0] for row in axis.rows))
+    if x is not None and is_of_size:
         x = [-value for value in x]
-    key = f"|{axis.name}|" if is_negative else axis.name
+    key = f"|{axis.name}|" if is_of_size else axis.name
     by_name = {measure.name: measure for measure in grid.asked}
     pictures: dict[str, Picture] = {}
-    for name in order[:MOST_FIGURES]:
-        if name == IN_MOTION:
-            at_values = [points_at(points, axis, value) for value in axis.rows]
-            counts = {end: [sum(point.fates[end] for point in at_value) for at_value in at_values] for end in FATES}
-            if any(any(numbers) for end, numbers in counts.items() if end not in MOVING):
-                recipe = partial(shares, axis.name, axis.texts, counts)
-                pictures["sweep_fates"] = Picture(
-                    recipe, f"How runs end, along {axis.name}{tail}: shares of all runs."
-                )
-            continue
+    for name in [name for name in order if name != STICKING][:MOST_FIGURES]:
         lines = _lines(grid, axes, by_name[name])
         if sum(estimate.value is not None for _, line in lines for estimate in line) > 1:
             title, file = by_name[name].statistic.quantity.name, by_name[name].key
-            drawn = grid.settings[:1] if len(axes) > 1 else grid.settings[:MOST_LINES]
+            shown_settings = grid.settings[:1] if len(axes) > 1 else grid.settings[:MOST_LINES]
             along = [step for step in steps if (step.statistic, step.key_names) == (name, axis.keys)]
-            trend = _trend(grid, [step for step in along if step.setting in drawn], key, is_negative)
+            trend = _trend(grid, [step for step in along if step.setting in shown_settings], key, is_of_size)
             caption = f"{capital(title)} {trend}{tail}. Bars are {100 * grid.confidence:g}% intervals."
             recipe = partial(curves, title, key, x, axis.texts, lines)
             pictures[f"sweep_{file}" if name in KEYS else f"sweep_of_{file}"] = Picture(recipe, caption)
     return pictures
 
 
-def _trend(grid: Grid, steps: Sequence[Step], key: str, is_negative: bool) -> str:
+def _trend(grid: Grid, steps: Sequence[Step], key: str, is_of_size: bool) -> str:
     """What a figure of a statistic along a key shows; of negative values, with their size."""
-    shown = [step for step in steps if step.contrast.is_shown]
-    verdicts = {step.contrast.verdict for step in shown}
+    told_apart = [step for step in steps if step.contrast.is_shown]
+    verdicts = {step.contrast.verdict for step in told_apart}
     if not steps:
         return f"against {key}"
     if not verdicts:
         return f"shows no significant change with {key}"
     if len(verdicts) > 1:
         return f"changes in both directions along {key}"
-    settings, changing = ({step.setting for step in some} for some in (steps, shown))
+    settings, changing = ({step.setting for step in steps_here} for steps_here in (steps, told_apart))
     names = [place.noun for label, place in grid.where.items() if str(label) in changing]
     only = f" {listed(names)} only" if len(names) < len(settings) else ""
-    return f"{'rises' if (verdicts == {Verdict.MORE}) != is_negative else 'falls'} with {key}{only}"
+    return f"{'rises' if (verdicts == {Verdict.MORE}) != is_of_size else 'falls'} with {key}{only}"
 
 
 def _lines(grid: Grid, axes: Sequence[Axis], measure: Measure) -> list[Line]:
@@ -91,17 +80,17 @@ def _lines(grid: Grid, axes: Sequence[Axis], measure: Measure) -> list[Line]:
     Of more axes, at those of their values at which most points have the measure: averages over some values here and
     others there would differ by what these are like.
     """
-    parts = [(str(name), grid.points[name]) for name in grid.settings[:MOST_LINES]]
+    curves = [(str(name), grid.points[name]) for name in grid.settings[:MOST_LINES]]
     if len(axes) > 1:
         up, points = axes[1], grid.points[grid.settings[0]]
-        rest = [tuple(point.place[axis] for axis in axes[2:]) for point in points]
-        n_known = Counter(place for place, point in zip(rest, points, strict=True) if len(point.sums(measure.name)))
-        most = max(n_known.values(), default=0)
-        points = [point for place, point in zip(rest, points, strict=True) if n_known[place] == most]
+        places = [tuple(point.place[axis] for axis in axes[2:]) for point in points]
+        n_known = Counter(place for place, point in zip(places, points, strict=True) if len(point.sums(measure.name)))
+        n_most = max(n_known.values(), default=0)
+        points = [point for place, point in zip(places, points, strict=True) if n_known[place] == n_most]
         n_lines = min(len(up.rows), MOST_LINES)
         rows = [up.rows[k] for k in np.linspace(0, len(up.rows) - 1, n_lines).round().astype(int)]
-        parts = [(f"{up.name} = {in_words(row)}", points_at(points, up, row)) for row in rows]
-    return [(name, grid.along(measure, points, axes[0])) for name, points in parts]
+        curves = [(f"{up.name} = {in_words(row)}", points_at(points, up, row)) for row in rows]
+    return [(name, grid.along(measure, points, axes[0])) for name, points in curves]
 
 
 @panel()
@@ -121,9 +110,9 @@ def curves(
     places = np.arange(len(ticks), dtype=float) if x is None else np.array(x)
     is_log = x is not None and _spans_decades(places)
     ends = np.array([[(e.value, e.low, e.high) for e in line] for _, line in lines], dtype=float)  # NaN: none
-    known = ends[..., 0][np.isfinite(ends[..., 0])]
-    is_decades = _spans_decades(known)
-    floor = known.max() / 10.0**MOST_DECADES if is_decades else -np.inf
+    values = ends[..., 0][np.isfinite(ends[..., 0])]
+    is_decades = _spans_decades(values)
+    floor = values.max() / 10.0**MOST_DECADES if is_decades else -np.inf
     colours = [EXACT] if len(lines) == 1 else matplotlib.colormaps["viridis"](np.linspace(0, 0.85, len(lines)))
     for k, ((name, _), (value, low, high)) in enumerate(zip(lines, ends.transpose(0, 2, 1), strict=True)):
         has = np.isfinite(value)
@@ -142,7 +131,7 @@ def curves(
         ax.set(xscale="log", xlim=(places.min() / 1.2, 1.2 * places.max()))
     if is_decades:  # an interval that reaches zero goes down to the axis
         ax.set_yscale("log", nonpositive="clip")
-        ax.set_ylim(max(known.min(), floor) / 2, 2 * known.max())
+        ax.set_ylim(max(values.min(), floor) / 2, 2 * values.max())
     if len(lines) > 1:
         ax.figure.legend(loc="outside upper center", ncols=min(len(lines), 3), handlelength=1.2)
 

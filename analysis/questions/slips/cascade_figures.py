@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
-from stickslip.analysis.findings.words import listed
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
 
@@ -61,16 +60,16 @@ def one_run(
     ax.set(xlim=(0, max(t_stop, t_burn)), ylim=(0, None), xlabel="time t", ylabel="blocks that stick, $n_{stick}$")
     if largest is None:
         return
-    size, first, last = largest
-    wide = max(4 * (last - first), 1e-6)
-    seen = (t >= first - wide) & (t <= last + wide)
+    size, begin, end = largest
+    wide = max(4 * (end - begin), 1e-6)
+    is_near = (t >= begin - wide) & (t <= end + wide)
     ax.set_ylim(0, 2.1 * n_stick[t > t_burn].max())
     inset = ax.inset_axes((0.38, 0.6, 0.6, 0.36))
-    inset.step(t[seen], n_stick[seen], where="post", color=EXACT, linewidth=0.9)
-    falls = (t >= first) & (t <= last)
+    inset.step(t[is_near], n_stick[is_near], where="post", color=EXACT, linewidth=0.9)
+    falls = (t >= begin) & (t <= end)
     start = np.flatnonzero(falls)[0]
-    at, level = np.append(first, t[falls]), np.append(n_stick[start - 1], n_stick[falls])
-    inset.step(at, level, where="post", color=SMOOTHED, linewidth=1.8)
+    times, level = np.append(begin, t[falls]), np.append(n_stick[start - 1], n_stick[falls])
+    inset.step(times, level, where="post", color=SMOOTHED, linewidth=1.8)
     inset.set_title(f"one cascade, size {size}", color=SMOOTHED, loc="right")
     inset.xaxis.set_major_locator(MaxNLocator(nbins=3))
     inset.yaxis.set_major_locator(MaxNLocator(nbins=4, integer=True))
@@ -100,23 +99,10 @@ def shown(laws: Mapping[str, Sequence[Size]]) -> dict[str, list[Size]]:
     }
 
 
-def misfit(laws: Mapping[str, Sequence[Size]]) -> str:
-    """Which sizes of the first group have intervals above the fit, and below."""
-    drawn = next(iter(shown(laws).values()))
-    sizes = [(size.size, size.share.low, size.share.high, size.fit) for size in drawn]
-    above = [str(size) for size, low, _, fit in sizes if low is not None and fit is not None and low > fit]
-    below = [str(size) for size, _, high, fit in sizes if high is not None and fit is not None and high < fit]
-    if not above and not below:
-        return "Sizes follow the fitted geometric distribution within their intervals."
-    sides = (("more", above), ("less", below))
-    told = [f"{side} frequent at s = {listed(sizes_of)}" for side, sizes_of in sides if sizes_of]
-    return f"Cascades are {' and '.join(told)} than in the fitted geometric distribution."
-
-
 def _size_law(
     axes: np.ndarray, laws: Mapping[str, Sequence[Size]], drawn: Mapping[str, Sequence[Size]], rate: Estimate
 ) -> None:
-    top, *others = axes.ravel()
+    top, *below = axes.ravel()
     smallest = next(iter(laws.values()))[0].size
     largest = max((law.size for sizes in drawn.values() for law in sizes), default=smallest)
     grid = np.arange(largest - smallest + 1)
@@ -125,22 +111,22 @@ def _size_law(
     def fitted(gamma: float) -> np.ndarray:
         return np.asarray(-np.expm1(-gamma) * np.exp(-gamma * grid))
 
-    for ax in (top, *others):
+    for ax in (top, *below):
         over = coin if ax is not top else np.ones(len(grid))
         ends = [1.0]
-        for k, (label, known) in enumerate(drawn.items()):
-            at = np.array([law.size for law in known], dtype=int)
-            ends_of = [(law.share.value, law.share.low, law.share.high) for law in known]
-            share, low, high = np.array(ends_of, dtype=float).reshape(-1, 3).T / over[at - smallest]
+        for k, (label, shares) in enumerate(drawn.items()):
+            k_sizes = np.array([law.size for law in shares], dtype=int)
+            ends_of = [(law.share.value, law.share.low, law.share.high) for law in shares]
+            share, low, high = np.array(ends_of, dtype=float).reshape(-1, 3).T / over[k_sizes - smallest]
             form: Any = {"fmt": "os"[k % 2], "color": (EXACT, SMOOTHED)[k % 2], "markersize": 3, "linewidth": 0.8}
             form["markerfacecolor"] = form["color"] if k % 2 == 0 else "white"
-            ax.errorbar(at + 0.12 * k, share, yerr=[share - low, high - share], label=label, **form)
+            ax.errorbar(k_sizes + 0.12 * k, share, yerr=[share - low, high - share], label=label, **form)
             ends += [*low, *high]
         if rate.value is not None:
             ax.plot(sizes, fitted(rate.value) / over, color=EXACT, linewidth=1, label="geometric, fit")
         if rate.low is not None and rate.high is not None:
-            first, last = (fitted(end) / over for end in (rate.low, rate.high))
-            ax.fill_between(sizes, first, last, color=EXACT, alpha=0.2, linewidth=0)
+            fit_low, fit_high = (fitted(end) / over for end in (rate.low, rate.high))
+            ax.fill_between(sizes, fit_low, fit_high, color=EXACT, alpha=0.2, linewidth=0)
         two_state = [law.pool for law in next(iter(laws.values()))[: len(grid)] if law.pool is not None]
         if two_state:
             pooled = np.array(two_state) / over[: len(two_state)]
@@ -151,11 +137,11 @@ def _size_law(
             ax.set(ylabel="f / (p = 1/2)", ylim=(min(ends) - margin, max(ends) + margin))
     top.set_yscale("log")
     top.yaxis.set_minor_locator(NullLocator())
-    if others:  # of few sizes, which may lie within a decade or two
+    if below:  # of few sizes, which may lie within a decade or two
         top.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
         top.yaxis.set_major_formatter(lambda x, _: f"{x:g}")
     top.set(ylabel="share, f")
-    last_axes = (top, *others)[-1]
+    last_axes = (top, *below)[-1]
     last_axes.set(xlabel="blocks in a cascade, s")
     size_axis(last_axes, largest)
     last_axes.figure.legend(*last_axes.get_legend_handles_labels(), loc="outside upper center", ncols=2)

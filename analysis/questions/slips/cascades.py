@@ -87,7 +87,6 @@ class Sums:
 
     Attributes
     ----------
-    group : Group
     smallest : int
         The least size that counts, as 1.
     rows : ndarray, shape (G, 8)
@@ -165,11 +164,6 @@ def over_geometric(rows: np.ndarray) -> np.ndarray:
     return excess(rows[:, :3])
 
 
-def variance_over_shifted(rows: np.ndarray) -> np.ndarray:
-    """That variance relative to that of blocks shifted in time, less 1."""
-    return (1 + excess(rows[:, :3])) / (1 + excess(rows[:, 3:6])) - 1
-
-
 def gain(sums: Sums, confidence: float) -> Estimate:
     """By how much a geometric law up to n blocks is likelier than a power law, in nats per cascade (Vuong 1989)."""
     sizes = np.arange(sums.smallest, max(sums.n, sums.smallest + 1) + 1, dtype=np.float64)
@@ -185,20 +179,6 @@ def gain(sums: Sums, confidence: float) -> Estimate:
     return over_matrices(ratio, np.column_stack([total, sums.counts.sum(axis=1)]), confidence)
 
 
-def gain_of_pool(sums: Sums, confidence: float) -> Estimate:
-    """By how much two-state blocks are likelier than a geometric law, in nats in all; otherwise as `gain`."""
-    rate, mean, n_sizes = sums.estimate(gamma, confidence).value, sums.pool_mean, sums.counts.shape[1]
-    if rate is None or mean is None or n_sizes > sums.n:
-        return Estimate()
-    two_state = pool.law(sums.n, mean, n_sizes)
-    seen = sums.counts.sum(axis=0) > 0
-    if not (two_state[seen] > 0.0).all():
-        return Estimate()
-    geometric = np.log(-np.expm1(-rate)) - rate * np.flatnonzero(seen)
-    total = sums.counts.sum() * (sums.counts[:, seen] @ (np.log(two_state[seen]) - geometric))
-    return over_matrices(ratio, np.column_stack([total, sums.counts.sum(axis=1)]), confidence)
-
-
 # ------------------------------------------------------------------------------------------------- the question
 
 
@@ -207,11 +187,11 @@ def answer(study: Study) -> Answer:
     level = study.settings.confidence
     judged = study.judged()
     labels = {group.label for group in judged}
-    every = [_sums(study, group, group.label in labels) for group in study.groups]
-    sums = {each.group.label: each for each in every}
-    sizes = {each.group.label: _sizes(each, level) for each in every}
+    sums_of_groups = [_sums(study, group, group.label in labels) for group in study.groups]
+    sums = {entry.group.label: entry for entry in sums_of_groups}
+    sizes = {entry.group.label: _sizes(entry, level) for entry in sums_of_groups}
     tables = {
-        "law": frame_of(LawRow, [_law_row(each, level) for each in every]),
+        "law": frame_of(LawRow, [_law_row(entry, level) for entry in sums_of_groups]),
         "sizes": frame_of(Size, [size for of_group in sizes.values() for size in of_group]),
     }
     drifting = _drifting(study, judged, sums)
@@ -219,33 +199,33 @@ def answer(study: Study) -> Answer:
         missing: Finding = drifting or lack(study, "the decay rate of cascade sizes")
         alerts = [] if drifting is None else [_drift(study)]
         return Answer(findings=[missing], alerts=alerts, tables=tables, method=_method(study))
-    known = [one for group in judged if (one := sums[group.label]).estimate(gamma, level).low is not None]
-    if not known:
+    with_rate = [entry for group in judged if (entry := sums[group.label]).estimate(gamma, level).low is not None]
+    if not with_rate:
         return Answer(findings=[Lack("the decay rate of cascade sizes", Reason.ONE_VALUE)], tables=tables)
-    known.sort(key=lambda one: not _is_exact(one.group))
-    lead = known[0]
-    beside = [one for one in known if _engine(one) == _engine(lead)][:MOST_SETTINGS]
-    names = apart([one.group.name for one in beside], 2 * _has_several_engines(study))
-    leading, findings = _findings(study, lead, Place.of(names[0]))
-    for one, name in zip(beside[1:], names[1:], strict=True):
-        findings += _rates(study, one, Place.of(name))
-    drawn = [one for one in known if one.n == lead.n][:MOST_DRAWN]
+    with_rate.sort(key=lambda entry: not _is_exact(entry.group))
+    lead = with_rate[0]
+    alike = [entry for entry in with_rate if _engine(entry) == _engine(lead)][:MOST_SETTINGS]
+    names = apart([entry.group.name for entry in alike], 2 * _has_several_engines(study))
+    leading = _findings(study, lead, Place.of(names[0]))
+    findings = [rate for sums, name in zip(alike[1:], names[1:], strict=True)
+                for rate in _rates(study, sums, Place.of(name))]  # fmt: skip
+    curves = [entry for entry in with_rate if entry.n == lead.n][:MOST_DRAWN]
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
-        findings=[*([] if drifting is None else [drifting]), *leading, *findings, *definitions.findings],
+        findings=[*([] if drifting is None else [drifting]), *leading, *findings],
         n_lead=min(3, len(leading) + (drifting is not None)),
-        alerts=_alerts(study, lead, [one.group for one in known]),
+        alerts=_alerts(study, lead, [entry.group for entry in with_rate]),
         tables={**tables, **definitions.tables},
-        figures={**_figures(study, lead, drawn, sizes), **definitions.figures},
+        figures={**_figures(study, lead, curves, sizes), **definitions.figures},
         method=_method(study),
     )
 
 
 def _method(study: Study) -> str:
-    least = study.settings.smallest
+    smallest = study.settings.smallest
     return (
         "A cascade is a run of slip onsets with no arrest in between, and s is their number. The geometric "
-        f"distribution f ∝ exp(−γ s){f' from {least} on' * (least > 1)} is fitted by maximum likelihood, with "
+        f"distribution f ∝ exp(−γ s){f' from {smallest} on' * (smallest > 1)} is fitted by maximum likelihood, with "
         f"intervals over {systems(study)}s; with p = 1/2, γ is ln 2. Independent two-state blocks are as many blocks "
         "without memory, with the same mean number sticking. Time-shifted blocks keep each block's own dynamics: "
         f"each is shifted by a random time ({min(study.settings.resamples, SHIFTS)} draws per run)."
@@ -290,16 +270,16 @@ def _engine(sums: Sums) -> list[object]:
 
 def _sums(study: Study, group: Group, is_judged: bool) -> Sums:
     """Of a group that is not judged, only what its counts say."""
-    least = study.settings.smallest
-    counts = group.counts[:, least - 1 :]
+    smallest = study.settings.smallest
+    counts = group.counts[:, smallest - 1 :]
     n_columns = 3 + 2 * PARTS
-    found = np.zeros((len(counts), n_columns))
+    totals = np.zeros((len(counts), n_columns))
     if is_judged:
-        found = study.sums(group, partial(_of_run, least, min(study.settings.resamples, SHIFTS)), n_columns)
-    shifted, parts = found[:, :3], found[:, 3:n_columns].reshape(-1, PARTS, 2)
-    seen = counts.sum(axis=1) > 0
+        totals = study.sums(group, partial(_of_run, smallest, min(study.settings.resamples, SHIFTS)), n_columns)
+    shifted, in_parts = totals[:, :3], totals[:, 3:n_columns].reshape(-1, PARTS, 2)
+    has_data = counts.sum(axis=1) > 0
     rows = np.hstack([moments(counts), shifted, group.stuck])
-    return Sums(group, least, rows[seen], parts[seen], counts[seen])
+    return Sums(group, smallest, rows[has_data], in_parts[has_data], counts[has_data])
 
 
 def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
@@ -307,10 +287,10 @@ def _of_run(least: int, draws: int, run: Run) -> np.ndarray:
     shifted = np.zeros(3)
     if run.steps is not None:
         shifted = nulls.moments(run.steps, draws, run.generator(), least)
-    found = spans(run.win)
-    size = found.size - (least - 1)
-    part = (PARTS * (found.start - run.win.t_start) / (run.win.t_stop - run.win.t_start)).astype(np.int64)
-    columns = [np.bincount(part[size > 0], of[size > 0], PARTS) for of in (size, np.ones(len(size)))]
+    cascades = spans(run.win)
+    size = cascades.size - (least - 1)
+    places = (PARTS * (cascades.start - run.win.t_start) / (run.win.t_stop - run.win.t_start)).astype(np.int64)
+    columns = [np.bincount(places[size > 0], weights[size > 0], PARTS) for weights in (size, np.ones(len(size)))]
     return np.concatenate([shifted, np.column_stack(columns).ravel()])
 
 
@@ -329,27 +309,22 @@ def _rates(study: Study, sums: Sums, where: Place) -> list[Level]:
     return [
         Level(
             RATE if null == COIN else BESIDE, rate, where,
-            Comparison(null, Difference(sums.estimate(of, level), margin=margin)), basis,
+            Comparison(null, Difference(sums.estimate(statistic, level), margin=margin)), basis,
         )
-        for null, of in nulls.items()
+        for null, statistic in nulls.items()
     ]  # fmt: skip
 
 
-def _findings(study: Study, sums: Sums, where: Place) -> tuple[list[Finding], list[Finding]]:
-    """The law of a group and its decay rate beside other blocks'; and further findings."""
+def _findings(study: Study, sums: Sums, where: Place) -> list[Finding]:
+    """The law of a group, its decay rate beside other blocks', and how far it is from geometric."""
     level = study.settings.confidence
-    rate, *others = _rates(study, sums, where)
-    spread = sums.estimate(variance, level)
-    departure, *more = (
-        Level(VARIANCE, spread, where, Comparison(null, Difference(sums.estimate(of, level))), rate.basis)
-        for null, of in ((GEOMETRIC, over_geometric), (SHIFTED, variance_over_shifted))
-        if null != SHIFTED or sums.is_shifted
-    )
+    rate, *further = _rates(study, sums, where)
+    geometric = Comparison(GEOMETRIC, Difference(sums.estimate(over_geometric, level)))
+    departure = Level(VARIANCE, sums.estimate(variance, level), where, geometric, rate.basis)
     fit = fit_of(departure, gain(sums, level))
     law = Law("cascade sizes", "fall off geometrically", rate, fit, departure, "fall off nearly geometrically",
               called="decay rate")  # fmt: skip
-    better = _better(sums, where, rate.basis, level) if fit is Fit.CLOSE else []
-    return [law, *others, departure], [*better, *more]
+    return [law, *further, departure]
 
 
 def fit_of(departure: Level, gain: Estimate) -> Fit:
@@ -363,21 +338,6 @@ def fit_of(departure: Level, gain: Estimate) -> Fit:
     return Fit.CLOSE if is_shown else Fit.HOLDS
 
 
-def _better(sums: Sums, where: Place, basis: Basis | None, confidence: float) -> list[Level]:
-    """By how much sizes are likelier as those of two-state blocks than as geometric, where that is shown."""
-    gained = gain_of_pool(sums, confidence)
-    if gained.low is None or gained.low <= 0.0:
-        return []
-    n_cascades = int(sums.counts.sum())
-    better = Quantity(
-        "gain_pool",
-        "log likelihood of two-state blocks over a geometric distribution, in nats",
-        clause="sizes are nearer to independent two-state blocks than to a geometric distribution,"
-        f" by {{}} nats in {n_cascades:,} cascades",
-    )
-    return [Level(better, gained, where, basis=basis)]
-
-
 def of_systems(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Decay rate of each system and its standard error from leaving out one part of its run at a time, shape (G,).
 
@@ -387,18 +347,18 @@ def of_systems(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     def rate(sums: np.ndarray) -> np.ndarray:
         total, n = np.moveaxis(sums, -1, 0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            found = -np.log1p(-n / total)
-        return np.where(np.isfinite(found), found, np.nan)
+            rates = -np.log1p(-n / total)
+        return np.where(np.isfinite(rates), rates, np.nan)
 
-    whole = parts.sum(axis=1, keepdims=True)
-    left = rate(whole - parts)
-    off = left - left.mean(axis=1, keepdims=True)
-    return rate(whole)[:, 0], np.sqrt((PARTS - 1) / PARTS * np.sum(off**2, axis=1))
+    over_parts = parts.sum(axis=1, keepdims=True)
+    left_out = rate(over_parts - parts)
+    off = left_out - left_out.mean(axis=1, keepdims=True)
+    return rate(over_parts)[:, 0], np.sqrt((PARTS - 1) / PARTS * np.sum(off**2, axis=1))
 
 
 def _alerts(study: Study, lead: Sums, known: Sequence[Group]) -> list[Alert]:
     """How runs of the lead ended that have no cascades, of which groups survivors are known, where n_stick drifts."""
-    level, ends, of = study.settings.confidence, lead.group.fates, len(lead.group)
+    level, ends, n_runs = study.settings.confidence, lead.group.fates, len(lead.group)
     n = {fate: int(np.count_nonzero(ends == fate)) for fate in (fates.COLLAPSED, fates.QUIET)}
     grown = [group for group in known if fates.DIVERGED in group.fates]
     n_grown = sum(int(np.count_nonzero(group.fates == fates.DIVERGED)) for group in grown)
@@ -406,14 +366,14 @@ def _alerts(study: Study, lead: Sums, known: Sequence[Group]) -> list[Alert]:
     if grown and len(study.groups) > 1:
         where = f" at {grown[0].label}" if len(grown) == 1 else f" at {len(grown)} settings"
     alerts = [
-        Alert.of(Code.SETTLED, n=n[fates.COLLAPSED], of=of, what="the law of cascade sizes"),
+        Alert.of(Code.SETTLED, n=n[fates.COLLAPSED], of=n_runs, what="the law of cascade sizes"),
         Alert.of(Code.DIVERGED, n=n_grown, of=sum(map(len, grown)), where=where),
-        Alert.of(Code.UNCERTIFIED, n=n[fates.QUIET], of=of),
+        Alert.of(Code.UNCERTIFIED, n=n[fates.QUIET], of=n_runs),
     ]
-    found = [alert for alert in alerts if dict(alert.numbers)["n"]]
+    raised = [alert for alert in alerts if dict(alert.numbers)["n"]]
     if any(group.basis(level).code == enough.DRIFTS for group in study.groups):
-        found.insert(0, _drift(study))
-    return found[:3]
+        raised.insert(0, _drift(study))
+    return raised[:3]
 
 
 # ------------------------------------------------------------------------------------------------- tables and figures
@@ -458,21 +418,23 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str
     rate, system = lead.estimate(gamma, level), systems(study)
     values, errors = of_systems(lead.parts)
     half = student.half_width(level, PARTS - 1) * errors
-    each = [Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])[np.isfinite(errors)]]
-    labels: Sequence[Label] = apart([one.group.name for one in drawn])
+    of_each = [
+        Estimate(*ends) for ends in np.column_stack([values, values - half, values + half])[np.isfinite(errors)]
+    ]
+    labels: Sequence[Label] = apart([sums.group.name for sums in drawn])
     of_which = f" ({labels[0]})" if labels[0] else ""
-    known = np.isfinite(errors)
-    lasting = between(values[known], errors[known], PARTS - 1, level)
+    is_known = np.isfinite(errors)
+    lasting = between(values[is_known], errors[is_known], PARTS - 1, level)
     scatter = ""
     if lasting.value is not None:
         share = with_interval(lasting, Form.SHARE)
         scatter = f" Fraction of the variance between systems not explained by sampling error: {share}."
     laws = {
-        str(label or lead.group.label): sizes[each.group.label] for label, each in zip(labels, drawn, strict=True)
+        str(label or lead.group.label): sizes[curve.group.label] for label, curve in zip(labels, drawn, strict=True)
     }
-    first, largest, draw_run = _first_run(study, lead.group)
+    example, largest, draw_run = _first_run(study, lead.group)
     below = " Below: the same relative to p = 1/2." * cascade_figures.is_split(laws)
-    n_above = int(np.count_nonzero(values[known] > LN2))
+    n_above = int(np.count_nonzero(values[is_known] > LN2))
     cascade = (
         ""
         if largest is None
@@ -481,26 +443,26 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str
     return {
         "size_law": Picture(
             partial(cascade_figures.size_law, laws, rate),
-            f"{cascade_figures.misfit(laws)} Line and band: that fit, {level:.0%}.{below}",
+            f"Share of cascades of each size. Line and band: the fitted geometric distribution, {level:.0%}.{below}",
         ),
         "decay_rates": Picture(
-            partial(forest, each, rate, "decay rate", (LN2, COIN)),
-            f"{n_above} of {len(each)} {system}s{of_which} lie above {COIN} (dashed), expected if slip onset and "
+            partial(forest, of_each, rate, "decay rate", (LN2, COIN)),
+            f"{n_above} of {len(of_each)} {system}s{of_which} lie above {COIN} (dashed), expected if slip onset and "
             f"arrest were equally likely at each event. Decay rate of each, its interval from {PARTS} parts of its "
             f"run, and of all together (diamond, band).{scatter}",
         ),
-        "one_run": Picture(draw_run, f"{cascade}Line: the run of {system} {first}."),
+        "one_run": Picture(draw_run, f"{cascade}Line: the run of {system} {example}."),
     }
 
 
 def _first_run(study: Study, group: Group) -> tuple[int, cascade_figures.Largest | None, Recipe]:
     """Unit of the first run of a group, its largest cascade, and what draws it."""
     row, member_id, win = next(iter(study.windows(group)))
-    found = spans(win)
+    cascades = spans(win)
     largest = None
-    if len(found.size):
-        k = int(np.argmax(found.size))
-        largest = cascade_figures.Largest(int(found.size[k]), float(found.start[k]), float(found.stop[k]))
+    if len(cascades.size):
+        k = int(np.argmax(cascades.size))
+        largest = cascade_figures.Largest(int(cascades.size[k]), float(cascades.start[k]), float(cascades.stop[k]))
     t, n_stick = study.runs.points(member_id)
     draw = partial(cascade_figures.one_run, t, n_stick, win.t_stop, study.settings.t_burn, largest)
     return group.units[row], largest, draw

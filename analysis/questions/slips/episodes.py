@@ -1,7 +1,7 @@
 """Episodes: how often, how large; the law of their moments; how much all this depends on the method.
 
 An episode lasts from all blocks stuck to all stuck again. Those that begin within [t_burn, t_end] count. Every method
-is compared with the finest on the same systems, by whole laws too, since a mean may be right where the law is not.
+is compared with the finest on the same systems, by the magnitudes too: a mean may be right where the law is not.
 """
 
 from __future__ import annotations
@@ -53,13 +53,12 @@ from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
 from stickslip.analysis.members import DRAWN
-from stickslip.analysis.methods import LAWS, PRIMARY, Apart, compare, names, settings_of
+from stickslip.analysis.methods import MAGNITUDES, PRIMARY, Apart, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
     BY_WAY,
     CLASS,
     CREEP,
     DURATION,
-    FANO,
     OCCUPANCY,
     QUANTITIES,
     QUIET,
@@ -78,7 +77,6 @@ from stickslip.analysis.stats.compare import UNKNOWN, relative_difference
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio, within
 from stickslip.analysis.stats.families import parameter
 from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, goodness
-from stickslip.analysis.stats.student import half_width
 from stickslip.analysis.steps import table_of
 from stickslip.analysis.style import GREY, panel
 
@@ -115,7 +113,6 @@ WORDS: Mapping[str, Quantity] = {
     STORED: Quantity("stored", "share of the belt's travel that is stored as strain", Form.SHARE),
     CREEP: Quantity("creep", "share of the belt's travel that is creep of stuck blocks", Form.SHARE),
     OCCUPANCY: Quantity("occupancy", "share of the time in which at least one block slips", Form.SHARE),
-    FANO: Quantity("fano", "Fano factor of the number of episodes in windows of time between episodes"),
 }
 _SCOPE = "the rate and magnitudes of episodes"
 _COMPARED = (RATE, SIZE, DURATION, SLIP)
@@ -155,7 +152,6 @@ _GROUPS: Columns[Catalogues] = {
 _METHODS: Columns[Apart] = {
     "setting": (str, lambda apart: apart.setting.label),
     "reference": (str, lambda apart: apart.reference.label),
-    "law": (str, lambda apart: apart.name),
     "size": (Estimate, lambda apart: Estimate() if apart.law is None else apart.law.size),
     "p_floor": (float, lambda apart: apart.p_floor),
     "p_different": (float, lambda apart: apart.p),
@@ -194,7 +190,7 @@ def answer(study: Study) -> Answer | None:
     """What the episodes of an ensemble are like; None where none were recorded."""
     if study.data.episodes is None:
         return None
-    groups, level = read(study, study.data.episodes), study.settings.confidence
+    groups, level = study.once(read), study.settings.confidence
     if not any(len(group.magnitudes()) for group in groups):
         why = "at least one block slips all the time, or none ever does" if groups else ""
         return Answer(findings=[Lack("episodes", Reason.NOTHING_COUNTED, why)])
@@ -204,17 +200,17 @@ def answer(study: Study) -> Answer | None:
     counted = [group for group in groups if not _is_blurred(group)]
     by_system, judged = systems(counted), [group for group in counted if group.is_judged]
     tables = {"episodes": frame_by(_GROUPS, groups)}
-    alerts = _alerts(study, groups, [first for first, *_ in by_system])
+    alerts = _alerts(study, groups, [reference for reference, *_ in by_system])
     if not judged:
         return Answer(findings=[_lack(study, counted)], alerts=alerts, tables=tables)
     lead = _lead(judged)
-    leaders = [first for first, *_ in by_system if first.is_judged] or [lead]
-    apart = compare(study, by_system)
+    leaders = [reference for reference, *_ in by_system if reference.is_judged] or [lead]
+    pairs = compare(study, by_system)
     rates = _rates(by_system, _drawn_from(lead, leaders), level)
     fitted = {group.label: _fits(study, group) for group in leaders}
     tables |= {
-        "episode_contrasts": table_of(one.step for one in apart if one.name not in LAWS),
-        "episode_methods": frame_by(_METHODS, [one for one in apart if one.name in LAWS]),
+        "episode_contrasts": table_of(pair.step for pair in pairs if pair.name != MAGNITUDES),
+        "episode_methods": frame_by(_METHODS, [pair for pair in pairs if pair.name == MAGNITUDES]),
         "episode_laws": frame_of(Fitted, [fit for fits in fitted.values() for fit in fits]),
         "episode_rates": frame_of(Frequency, rates),
     }
@@ -224,14 +220,14 @@ def answer(study: Study) -> Answer | None:
             for group in sorted(leaders, key=lambda group: group is not lead)]  # fmt: skip
     outcomes = [
         outcome
-        for first, *others in by_system if others and first.is_judged
-        for outcome in _outcomes(first, others, apart, basis)
+        for reference, *settings in by_system if settings and reference.is_judged
+        for outcome in _outcomes(reference, settings, pairs, basis)
     ]  # fmt: skip
-    changes, rate = _changes(leaders, level, basis), _level(lead, RATE, apart, basis)
-    first: list[Finding] = [*changes, laws[0], rate] if changes else [rate, laws[0]]
-    findings = [*outcomes, *first, *laws[1:]]
-    findings += _levels(counted, lead, apart, basis)
-    findings += [_level(group, CREEP, apart, basis) for group in groups if group.estimates[CREEP].value is not None
+    changes, rate = _changes(leaders, level, basis), _level(lead, RATE, pairs, basis)
+    reference: list[Finding] = [*changes, laws[0], rate] if changes else [rate, laws[0]]
+    findings = [*outcomes, *reference, *laws[1:]]
+    findings += _levels(counted, lead, pairs, basis)
+    findings += [_level(group, CREEP, pairs, basis) for group in groups if group.estimates[CREEP].value is not None
                  and not group.group.is_exact]  # fmt: skip
     return Answer(
         findings=findings,
@@ -239,7 +235,7 @@ def answer(study: Study) -> Answer | None:
         alerts=alerts,
         method=_METHOD,
         tables=tables,
-        figures=_figures(counted, leaders, rates, bool(apart)),
+        figures=_figures(counted, leaders, rates, bool(pairs)),
     )
 
 
@@ -250,34 +246,34 @@ def _lack(study: Study, groups: Sequence[Catalogues]) -> Lack:
     """Why no group can be judged: that with the most episodes."""
     if not groups:
         return Lack("the statistics of episodes", Reason.CREEP)
-    most = max(groups, key=lambda group: group.n_episodes)
-    detail = f"{len(most.runs)} {answers.systems(study)}s, {most.n_episodes} episodes"
-    return Lack("the statistics of episodes", _REASONS[most.basis.code], detail)
+    richest = max(groups, key=lambda group: group.n_episodes)
+    detail = f"{len(richest.runs)} {answers.systems(study)}s, {richest.n_episodes} episodes"
+    return Lack("the statistics of episodes", _REASONS[richest.basis.code], detail)
 
 
 def _level(group: Catalogues, name: str, apart: Sequence[Apart], unit: str) -> Level:
     """A statistic of a group, beside that of its reference, or of a Poisson process."""
     estimate = group.estimates[name]
-    beside = next((one.comparison() for one in apart if one.setting is group and one.name == name), None)
+    reference = next((pair.comparison() for pair in apart if pair.setting is group and pair.name == name), None)
     if name == QUIET:
         low, high = (None if end is None else end - 1.0 for end in (estimate.low, estimate.high))
         off = Estimate((estimate.value or 0.0) - 1.0, low, high)
-        beside = Comparison(_POISSON, Difference(off, Scale.ABSOLUTE))
+        reference = Comparison(_POISSON, Difference(off, Scale.ABSOLUTE))
     basis = Basis(len(group.sums[name].counted), unit)
-    return Level(WORDS[name], estimate, Place.of(group.method), beside, basis)
+    return Level(WORDS[name], estimate, Place.of(group.method), reference, basis)
 
 
 def _levels(groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apart], unit: str) -> list[Finding]:
     """Statistics of all groups, the distances of their magnitudes, and what shows whether the drive is slow."""
-    primary = sorted((one for one in apart if one.name in PRIMARY), key=lambda one: not one.is_shown)
-    findings: list[Finding] = [level for one in primary if (level := _beside(one, unit)) is not None]
+    primary = sorted((pair for pair in apart if pair.name in PRIMARY), key=lambda pair: not pair.is_shown)
+    findings: list[Finding] = [level for pair in primary if (level := _beside(pair, unit)) is not None]
     several = [(name, group) for name in _COMPARED for group in groups if name != RATE]
-    alone = [(name, lead) for name in (QUIET, STORED, OCCUPANCY, FANO)]
-    compared = [id(one.setting) for one in apart]
+    lead_only = [(name, lead) for name in (QUIET, STORED, OCCUPANCY)]
+    compared = [id(pair.setting) for pair in apart]
     rates = [(RATE, group) for group in groups if group is not lead and id(group) not in compared]
     findings += [
         _level(group, name, apart, unit)
-        for name, group in (*rates, *several, *alone)
+        for name, group in (*rates, *several, *lead_only)
         # without the strain, which may fall, slip in episodes is no share of the travel
         if group.estimates[name].value is not None and (name != SLIP or group.estimates[STORED].value is not None)
     ]
@@ -298,29 +294,29 @@ def _outcomes(
     reference: Catalogues, others: Sequence[Catalogues], apart: Sequence[Apart], unit: str
 ) -> list[Outcomes]:
     """The settings of a system by what is shown to differ, if anything: the rate, or else the magnitudes."""
-    shown = {(id(one.setting), one.name) for one in apart if one.is_shown}
+    differing = {(id(pair.setting), pair.name) for pair in apart if pair.is_shown}
     settings = dict(zip(settings_of(others), others, strict=True))
     come_out = {
-        setting: next((name for name in PRIMARY if (id(other), name) in shown), "")
-        for setting, other in settings.items()
+        setting: next((name for name in PRIMARY if (id(group), name) in differing), "")
+        for setting, group in settings.items()
     }
     outcomes = []
     for name in (*PRIMARY, ""):
-        some = {id(other): setting for setting, other in settings.items() if come_out[setting] == name}
+        by_id = {id(group): setting for setting, group in settings.items() if come_out[setting] == name}
         apart_most = max(
-            (one for one in apart if id(one.setting) in some and one.name == (name or RATE)),
+            (pair for pair in apart if id(pair.setting) in by_id and pair.name == (name or RATE)),
             key=_reach, default=None,
         )  # fmt: skip
-        if not some or apart_most is None:
+        if not by_id or apart_most is None:
             continue
-        level, setting = _beside(apart_most, unit), some[id(apart_most.setting)]
-        (alone,) = in_words({setting: ""}, "")
+        level, setting = _beside(apart_most, unit), by_id[id(apart_most.setting)]
+        (in_short,) = in_words({setting: ""}, "")
         words, method = in_words(come_out, name), reference.method
-        rest = in_words(come_out | {setting: "-"}, name)
-        found = Outcomes(method, undecided=words, scope=_SCOPE)
+        further = in_words(come_out | {setting: "-"}, name)
+        outcome = Outcomes(method, undecided=words, scope=_SCOPE)
         if name:
-            found = Outcomes(method, different=words, others=rest)
-        outcomes.append(replace(found, largest=level, at_largest=alone))
+            outcome = Outcomes(method, different=words, others=further)
+        outcomes.append(replace(outcome, largest=level, at_largest=in_short))
     return outcomes
 
 
@@ -340,18 +336,18 @@ def _is_blurred(group: Catalogues) -> bool:
 
 def _changes(leaders: Sequence[Catalogues], level: float, unit: str) -> list[Change]:
     """From the first of a row of systems to the last: mean size, and episodes per travel of the belt."""
-    first, last = leaders[0], leaders[-1]
-    ends = [dict(group.group.name.parts) for group in (first, last)]
+    smallest, largest = leaders[0], leaders[-1]
+    ends = [dict(group.group.name.parts) for group in (smallest, largest)]
     keys = [key for key in ends[0] if key and ends[0][key] != ends[1].get(key)]
     if len(keys) != 1:
         return []
     changes = []
     for name, quantity in ((SIZE, WORDS[SIZE]), (BY_WAY, BY_TRAVEL)):
-        found = along(first, last, name, level)
-        if found.is_known:
+        difference = along(smallest, largest, name, level)
+        if difference.is_known:
             old, new = (end[keys[0]] for end in ends)
             changes.append(
-                replace(found.change((KeyChange(keys[0], old, new),), EVERYWHERE, unit), quantity=quantity)
+                replace(difference.change((KeyChange(keys[0], old, new),), EVERYWHERE, unit), quantity=quantity)
             )
     return changes
 
@@ -440,23 +436,25 @@ def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Cat
         come_out = [DIFFERENT if _is_blurred(group) else UNDECIDED for group in groups]
         methods = in_words(dict(zip(settings_of(groups), come_out, strict=True)), DIFFERENT)
         alerts.append(Alert.of(Code.BLURRED, what=capital(" and ".join(methods))))
-    whole = [group for group in groups if (group.whole or 0.0) > 0.5 and group in references]
-    if whole:
-        share = number(whole[0].whole or 0.0, Form.SHARE, 0)
-        alerts.append(Alert.of(Code.SPANNING, share=share, n=int(whole[0].group.key["n"])))
+    spanning = [group for group in groups if (group.whole or 0.0) > 0.5 and group in references]
+    if spanning:
+        share = number(spanning[0].whole or 0.0, Form.SHARE, 0)
+        alerts.append(Alert.of(Code.SPANNING, share=share, n=int(spanning[0].group.key["n"])))
     return alerts
 
 
 def _lead(judged: Sequence[Catalogues]) -> Catalogues:
     """The group that leads: the finest setting, and the largest n, where the ends of a chain matter least."""
-    first = fineness(judged[0].group)
-    return max((one for one in judged if fineness(one.group) == first), key=lambda one: int(one.group.key["n"]))
+    finest = fineness(judged[0].group)
+    return max(
+        (group for group in judged if fineness(group.group) == finest), key=lambda group: int(group.group.key["n"])
+    )
 
 
 def _drawn_from(lead: Catalogues, leaders: Sequence[Catalogues]) -> float:
     """The edge of a class from which rates are drawn: no law is asked of a rate, so nearly all episodes count."""
-    first = min(float(np.quantile(one.magnitudes(), LEFT_OUT)) for one in leaders)
-    return lead.least - CLASS * max(int(np.ceil((lead.least - first) / CLASS)), 0)
+    lowest = min(float(np.quantile(group.magnitudes(), LEFT_OUT)) for group in leaders)
+    return lead.least - CLASS * max(int(np.ceil((lead.least - lowest) / CLASS)), 0)
 
 
 def _occupancy(group: Catalogues) -> float:
@@ -481,20 +479,22 @@ def _rates(systems: Sequence[Sequence[Catalogues]], first_edge: float, level: fl
     rates: list[Frequency] = []
     largest = max(group.largest or first_edge for groups in systems for group in groups)
     edges = first_edge + CLASS * np.arange(0, int((largest - first_edge) / CLASS) + _STEP, _STEP)
-    for first, *others in systems:
-        reference = {edge: first.at_least(edge) for edge in edges}
-        for group, edge in itertools.product((first, *others), edges):
-            before = reference[edge]
-            sums = before if group is first else group.at_least(edge)
+    for finest, *settings in systems:
+        reference = {edge: finest.at_least(edge) for edge in edges}
+        for group, edge in itertools.product((finest, *settings), edges):
+            reference_sums = reference[edge]
+            sums = reference_sums if group is finest else group.at_least(edge)
             n_episodes = int(sum(row[0] for row in sums.values()))
             if n_episodes < FEWEST:
                 continue
             rate = over_matrices(ratio, np.array([*sums.values()]), level)
             over = Estimate()
-            both = sorted(sums.keys() & before.keys())
-            if group is not first and len(both) > 1 and sum(row[0] for row in before.values()) >= FEWEST:
+            units = sorted(sums.keys() & reference_sums.keys())
+            if group is not finest and len(units) > 1 and sum(row[0] for row in reference_sums.values()) >= FEWEST:
                 over = _over(
-                    np.array([before[unit] for unit in both]), np.array([sums[unit] for unit in both]), level
+                    np.array([reference_sums[unit] for unit in units]),
+                    np.array([sums[unit] for unit in units]),
+                    level,
                 )
             rates.append(Frequency(group.label, float(edge), n_episodes, within(rate, 0.0), over))
     return rates
@@ -502,11 +502,11 @@ def _rates(systems: Sequence[Sequence[Catalogues]], first_edge: float, level: fl
 
 def _over(first: np.ndarray, second: np.ndarray, level: float) -> Estimate:
     try:
-        value, error, dof = relative_difference(ratio, first, second, True)
+        test = relative_difference(ratio, first, second, True)
     except Undefined as why:
         return Estimate(reason=str(why))
-    half = half_width(level, dof) * error
-    return Estimate(1 + value, 1 + value - half, 1 + value + half)
+    low, high = test.interval(level)
+    return Estimate(1 + test.difference, 1 + low, 1 + high)
 
 
 # ------------------------------------------------------------------------------------------------- figures
@@ -517,22 +517,24 @@ def _figures(
 ) -> dict[str, Picture]:
     """Rates by magnitude of the settings that lead, after those of all methods over the reference's."""
     lines = {group.label: Line(group.method, group.group.key["engine"]) for group in groups}
-    shown = {group.label: lines[group.label] for group in leaders} if has_pairs else lines
-    every = Picture(
-        partial(frequencies, rates, shown),
+    lines_shown = {group.label: lines[group.label] for group in leaders} if has_pairs else lines
+    by_magnitude = Picture(
+        partial(frequencies, rates, lines_shown),
         "Episodes per unit time of at least each magnitude, M = log10 moment; a power law would be a straight line."
         " Bands: intervals.",
     )
     reference = str(leaders[0].method) if len(leaders) == 1 else "the reference"
-    beside = {rate.group for rate in rates if rate.over.value is not None}
-    are_few = any(rate.over.value is None and rate.group in beside for rate in rates)
-    alone = f" Triangles at the top: {reference} has fewer than {FEWEST}, and the method has more."
+    compared = {rate.group for rate in rates if rate.over.value is not None}
+    are_few = any(rate.over.value is None and rate.group in compared for rate in rates)
+    triangles = f" Triangles at the top: {reference} has fewer than {FEWEST}, and the method has more."
     over = Picture(
         partial(over_reference, rates, lines),
         f"Where a line is at 1, a method has as many episodes from that magnitude on as {reference}; bands are"
-        f" intervals.{alone * are_few}",
+        f" intervals.{triangles * are_few}",
     )
-    return {"episode_rates_over": over, "episode_rates": every} if has_pairs else {"episode_rates": every}
+    return (
+        {"episode_rates_over": over, "episode_rates": by_magnitude} if has_pairs else {"episode_rates": by_magnitude}
+    )
 
 
 class Line(NamedTuple):
@@ -561,19 +563,23 @@ def _lines(
     """A line a group with the band of its intervals, on a log axis."""
     for label, look in _looks(lines).items():
         estimates = {rate.magnitude: of(rate) for rate in rates if rate.group == label}
-        shown = {at: estimate for at, estimate in estimates.items() if estimate.value is not None}
-        if not shown:
+        points = {magnitude: estimate for magnitude, estimate in estimates.items() if estimate.value is not None}
+        if not points:
             continue
         ax.plot(
-            [*shown],
-            np.array([one.value for one in shown.values()], dtype=np.float64),
+            [*points],
+            np.array([estimate_of.value for estimate_of in points.values()], dtype=np.float64),
             label=lines[label].name,
             **look,
         )
-        known = {at: (one.value, one.low, one.high) for at, one in shown.items() if one.low is not None}
-        middle, low, high = np.array([*known.values()], dtype=np.float64).reshape(-1, 3).T
+        intervals = {
+            magnitude: (estimate_of.value, estimate_of.low, estimate_of.high)
+            for magnitude, estimate_of in points.items()
+            if estimate_of.low is not None
+        }
+        middle, low, high = np.array([*intervals.values()], dtype=np.float64).reshape(-1, 3).T
         low = np.maximum(low, 0.01 * middle)  # a log axis has no zero
-        ax.fill_between([*known], low, high, color=look["color"], alpha=0.15, linewidth=0)
+        ax.fill_between([*intervals], low, high, color=look["color"], alpha=0.15, linewidth=0)
     values = [value for rate in rates if rate.group in lines and (value := of(rate).value)]
     ax.set(xlabel=r"magnitude, M = $\log_{10}$ moment", yscale="log")
     if values:
@@ -598,10 +604,10 @@ def over_reference(ax: Axes, rates: Sequence[Frequency], lines: Mapping[str, Lin
     """Rate over the reference's on the same systems; triangles where the reference has too few to compare with."""
     ax.axhline(1.0, color=GREY, linestyle="--", linewidth=1)
     _lines(ax, rates, lines, attrgetter("over"))
-    beside = {rate.group for rate in rates if rate.over.value is not None}
+    compared = {rate.group for rate in rates if rate.over.value is not None}
     for label, look in _looks(lines).items():
-        alone = [rate.magnitude for rate in rates if rate.group == label in beside and rate.over.value is None]
-        ax.plot(alone, np.ones(len(alone)), transform=ax.get_xaxis_transform(), clip_on=False,
+        magnitudes = [rate.magnitude for rate in rates if rate.group == label in compared and rate.over.value is None]
+        ax.plot(magnitudes, np.ones(len(magnitudes)), transform=ax.get_xaxis_transform(), clip_on=False,
                 **look | {"marker": "^", "linestyle": ""})  # fmt: skip
     ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.yaxis.set_major_formatter("{x:g}")

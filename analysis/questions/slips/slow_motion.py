@@ -75,9 +75,9 @@ class Slow:
 
     def logs(self, number: Number, units: Sequence[int]) -> list[float]:
         """Logarithm of a number from all units and with each of `units` left out; others change nothing."""
-        whole, *left_out = np.log(self.fit.values[number]).tolist()
+        total, *left_out = np.log(self.fit.values[number]).tolist()
         without = dict(zip(self.units, left_out, strict=True))
-        return [whole, *(without.get(unit, whole) for unit in units)]
+        return [total, *(without.get(unit, total) for unit in units)]
 
     def needed(self, t_burn: float) -> float:
         """The t_end that may suffice where this one is too short."""
@@ -102,11 +102,11 @@ class Slow:
         """Power of the fit, as windows of that length show it, over time-shifted blocks; None if there is no fit."""
         if not self.is_shown:
             return None
-        variance, period, quality, left = (
+        variance, period, quality, share = (
             self.fit.values[number][0] for number in (Number.VARIANCE, Number.PERIOD, Number.QUALITY, Number.LEFT)
         )
         power = variance * common_motion.expected(self.data.frequency[harmonics], self.data.span, period, quality)
-        return float(left + power.mean() / self.data.independent[:, harmonics].mean())
+        return float(share + power.mean() / self.data.independent[:, harmonics].mean())
 
 
 def slow_motion(study: Study, group: Group) -> Slow | None:

@@ -13,22 +13,24 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from stickslip.analysis.answer import F, I, S, frame
 from stickslip.analysis.stats.compare import wilson
 from stickslip.analysis.stats.estimates import Estimate
 
 REPRODUCED, CORRECTED, CONTRADICTED, UNTOLD = "reproduced", "corrected", "not reproduced", "cannot be told"
 CONFIDENCE = 0.95
-_TABLE: Mapping[str, str] = {
-    "claim": S, "figure": I, "verdict": S, "found": I, "tried": I, "value": F, "low": F, "high": F,
-}  # fmt: skip
+_TEXTS, _COUNTS, _NUMBERS = ("claim", "verdict"), ("figure", "found", "tried"), ("value", "low", "high")
+_TYPES: Mapping[str, Any] = (
+    dict.fromkeys(_TEXTS, "string") | dict.fromkeys(_COUNTS, "Int64") | dict.fromkeys(_NUMBERS, "Float64")
+)
+_TABLE = ("claim", "figure", "verdict", "found", "tried", *_NUMBERS)
 #: The name of a claim, its `verdict`, and the facts that its words need.
 Claim = dict[str, Any]
 
 
 def table(judged: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """The claims in numbers: `found` of `tried`, or a `value`, each with its interval."""
-    return frame(_TABLE, judged)
+    rows = list(judged)
+    return pd.DataFrame({name: pd.array([row.get(name) for row in rows], dtype=_TYPES[name]) for name in _TABLE})
 
 
 def verdict_of(is_so: bool, otherwise: str = CONTRADICTED) -> str:

@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 from pydantic import Field
 
 from stickslip import sim
-from stickslip.analysis.series import cycles
 from stickslip.analysis.stats.estimates import over_matrices, ratio
 from stickslip.analysis.style import CYCLE, GREY, legend, styled, subplots
 from stickslip.pipeline.scene.toml import Count, Positive, PositiveNumbers
@@ -27,6 +26,7 @@ from stickslip.sim.episodes import spans
 from stickslip.workflows.gallery.charts import ChartScene, Say, Shown
 from stickslip.workflows.gallery.charts.claims import CONFIDENCE, Claim, every, share, table, told
 from stickslip.workflows.gallery.charts.runner import frame
+from stickslip.workflows.gallery.field import cycles
 
 TOL = 1e-12
 #: Longer than any episode, from a unit of time before it.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stickslip.analysis.series.cycles import period, slope
+from stickslip.workflows.gallery.field.cycles import period, slope
 
 
 @pytest.mark.parametrize("length", [1, 2, 7])
