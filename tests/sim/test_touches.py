@@ -55,7 +55,7 @@ def test_the_error_that_tells_touches_bounds_the_error_of_a_run(tol, monkeypatch
         made.append(self)
 
     monkeypatch.setattr(integrate._Runs, "__init__", keeping)
-    for seed in (1, 7, 64):
+    for seed in (1, 5, 7, 21, 64, 93, 110):
         stiffness, v, z, w = undamped(seed)
         system = System(stiffness, 0.0, MU, v)
         exact, run = (simulate(system, z, w, 25.0, tol=each, stop_early=False) for each in (3e-14, tol))
@@ -89,7 +89,7 @@ PAIR = ([[2.2, -1.2], [-1.2, 2.2]], -V, [3.0, 1.0], [0.0, 0.0])  # 17 events, of
 
 @pytest.mark.parametrize(
     "given",
-    [PAIR, *map(undamped, (9, 21, 50)), *map(chain_on_the_belt, (2, 103, 233))],
+    [PAIR, *map(undamped, (9, 14, 21, 29, 36, 50, 70)), *map(chain_on_the_belt, (2, 47, 103, 130, 217, 233, 258))],
 )
 def test_short_sticks_count_and_touches_do_not_at_every_tolerance(given):
     """As a method that shares no code has them. With errors of 1e-3 each of the first lost events.
@@ -99,7 +99,7 @@ def test_short_sticks_count_and_touches_do_not_at_every_tolerance(given):
     stiffness, v, z, w = given
     path = independent.follow(independent.Case.of(stiffness, 0.0, MU, v, z, w), 100.0)
     expected = sorted(zip(path.block, path.t, path.mode, strict=True))
-    for tol in (1e-3, 1e-7, 1e-10):
+    for tol in (1e-3, 1e-5, 1e-7, 1e-8, 1e-10):
         events = simulate(System(stiffness, 0.0, MU, v), z, w, 100.0, tol=tol, stop_early=False).events
         listed = sorted(zip(events.block.tolist(), events.t.tolist(), events.mode.tolist(), strict=True))
         assert [(block, mode) for block, _, mode in listed] == [(block, mode) for block, _, mode in expected]
