@@ -149,9 +149,7 @@ def test_a_change_that_does_nothing_or_all_is_zero_or_one(rng):
     assert fresh.redraw == pytest.approx(2 * own.var(), rel=0.01)
 
 
-def test_matrices_that_cannot_be_told_apart_give_no_interval(rng):
-    found = components.against_redraw(rng.standard_normal((12, 2)) * 1e-9, rng.standard_normal((12, 1)), 0.95)
-    assert found.theta.value is not None
+def test_matrices_that_cannot_be_told_apart_give_no_interval():
     equal = components.against_redraw(np.tile([[0.0, 1.0]], (12, 1)), np.ones((12, 1)), 0.95)
     assert not equal.is_bounded
     assert equal.theta.low is None
