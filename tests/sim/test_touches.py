@@ -44,9 +44,9 @@ def test_a_stick_far_below_the_error_is_a_touch(tol):
     assert len(run.events) == 0
 
 
-@pytest.mark.parametrize("tol", [1e-5, 1e-7, 1e-9])
-def test_the_error_that_tells_touches_bounds_the_error_of_a_run(tol, monkeypatch):
-    """Without damping errors add up; also in windows with events. It was 0.9 of it at most in 2,900."""
+@pytest.fixture
+def made(monkeypatch):
+    """The runs that are made, with the estimate of their error."""
     made = []
     runs = integrate._Runs.__init__
 
@@ -55,6 +55,23 @@ def test_the_error_that_tells_touches_bounds_the_error_of_a_run(tol, monkeypatch
         made.append(self)
 
     monkeypatch.setattr(integrate._Runs, "__init__", keeping)
+    return made
+
+
+@pytest.mark.parametrize("stiffness", [0.04, 1.0, 90.0])
+@pytest.mark.parametrize("tol", [1e-5, 1e-7, 1e-9])
+def test_a_stick_six_times_as_deep_as_the_error_counts_and_one_of_a_third_does_not(stiffness, tol, made):
+    """The least that counts is a few times the error's estimate, not some ten times."""
+    planted(0.0, stiffness, tol, t_end=1.5)  # until just before w comes to v, at omega t = pi / 2
+    error = made[-1].states.clock[0, loop.ERROR] / V
+    for times, n_events in ((6.0, 2), (1.0 / 3.0, 0)):
+        run, _ = planted(times * error, stiffness, tol, t_end=2.0)
+        assert len(run.events) == n_events
+
+
+@pytest.mark.parametrize("tol", [1e-5, 1e-7, 1e-9])
+def test_the_error_that_tells_touches_bounds_the_error_of_a_run(tol, made):
+    """Without damping errors add up; also in windows with events. It was 0.9 of it at most in 2,900."""
     for seed in (1, 5, 7, 21, 64, 93, 110):
         stiffness, v, z, w = undamped(seed)
         system = System(stiffness, 0.0, MU, v)
