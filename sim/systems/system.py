@@ -126,13 +126,7 @@ class System:
         back_slip: bool = True,
     ) -> None:
         if is_sparse(stiffness):
-            from scipy.sparse import csc_array
-
-            matrix = csc_array(_checked("stiffness", stiffness), copy=True)  # its entries are sorted in place
-            matrix = csc_array(
-                (floats("stiffness", matrix.data, "real entries"), matrix.indices, matrix.indptr), matrix.shape
-            )
-            matrix.sum_duplicates()
+            matrix = _by_columns("stiffness", stiffness)
             entries = matrix.data
         else:
             matrix = floats("stiffness", stiffness, "a square matrix of numbers")
@@ -649,6 +643,16 @@ def _row_sums(matrix: Any) -> Floats:
     return np.asarray(abs(matrix).sum(axis=1), dtype=np.float64).reshape(matrix.shape[0])
 
 
+def _by_columns(name: str, matrix: Any) -> scipy.sparse.csc_array:
+    """A copy of a sparse matrix as CSC, each entry once and real."""
+    from scipy.sparse import csc_array
+
+    csc = csc_array(_checked(name, matrix), copy=True)  # its entries are sorted in place
+    csc = csc_array((floats(name, csc.data, "real entries"), csc.indices, csc.indptr), csc.shape)
+    csc.sum_duplicates()
+    return csc
+
+
 def _checked(name: str, matrix: Any) -> Any:
     """A sparse matrix whose indices are in range, as SciPy's compiled code assumes."""
     from scipy.sparse import coo_array
@@ -728,11 +732,9 @@ def _sparse_damping(damping: Any, n: int) -> tuple[Floats, Any]:
 
     if damping.shape != (n, n):
         raise ValueError(f"damping: expected a matrix of shape ({n}, {n}), got shape {damping.shape}")
-    whole = csc_array(_checked("damping", damping))
-    whole = csc_array((floats("damping", whole.data, "real entries"), whole.indices, whole.indptr), whole.shape)
+    whole = _by_columns("damping", damping)
     if not np.isfinite(whole.data).all():
         raise ValueError("damping: expected finite entries, got NaN or infinity")
-    whole.sum_duplicates()
     diagonal = per_block("damping", whole.diagonal(), n)
     cross = csc_array(whole - diags_array(diagonal))
     cross.eliminate_zeros()

@@ -29,6 +29,17 @@ def listed(path):
     return list(zip(path.block, path.mode, strict=True))
 
 
+def test_a_sparse_matrix_that_lists_entries_twice_and_out_of_order_stays_as_it_is():
+    """It is summed and sorted in a copy."""
+    data, rows, ends = np.array([3.0, 1.0, 2.0, 0.5, 4.0]), np.array([1, 0, 1, 0, 1]), np.array([0, 3, 5])
+    matrix = csc_array((data.copy(), rows.copy(), ends.copy()), (2, 2))
+    system = System(np.eye(2), matrix, 1.0, -0.2)
+    np.testing.assert_array_equal(system.damping_matrix.toarray(), [[1.0, 0.5], [5.0, 4.0]])
+    np.testing.assert_array_equal(matrix.data, data)
+    np.testing.assert_array_equal(matrix.indices, rows)
+    np.testing.assert_array_equal(matrix.indptr, ends)
+
+
 @pytest.mark.parametrize("number", range(8))
 @pytest.mark.parametrize("is_sparse", [False, True])
 def test_against_an_engine_that_shares_no_code(number, is_sparse):
