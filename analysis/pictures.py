@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.numerics.arguments import Floats, apart, did_you_mean, floats, integer
 from stickslip.sim.numerics.session import numpy_defaults
+from stickslip.sim.runs.blocks import numbered
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes as Axes
@@ -45,6 +46,9 @@ _FIRST = 3
 
 #: A map of at most so many blocks a side has the numbers in its cells.
 _NUMBERED = 16
+
+#: So many blocks with names have all of them at an axis.
+_NAMED = 24
 
 #: At most so many rows of a grid are numbered, and times named, which may be long.
 _TICKS, _TIMES = 12, 5
@@ -150,8 +154,11 @@ def space_time(
     if type(ax.xaxis.get_major_formatter()) is ScalarFormatter:  # not that of whoever gave the axes
         ax.xaxis.set_major_locator(MaxNLocator(_TIMES))
         ax.ticklabel_format(axis="x", useOffset=False)
+    names = events.names or range(events.n)
     ax.yaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
-    ax.yaxis.set_major_formatter(lambda block, _: f"{block:.0f}" if block < events.n else "")
+    ax.yaxis.set_major_formatter(lambda block, _: str(names[round(block)]) if 0 <= block < events.n else "")
+    if events.names and events.n <= _NAMED:
+        ax.set_yticks(range(events.n), events.names)
     if width is not None:
         _rows(ax, events.n, integer("width", width, 1, None))
     return _explain(ax, [Patch(color=_MODES[mode][1], label=_MODES[mode][0]) for mode in modes])
@@ -211,7 +218,7 @@ def time(
     events: EventSeries,
     samples: Samples | None,
     *,
-    blocks: int | Sequence[int] | None = None,
+    blocks: int | str | Sequence[int | str] | None = None,
     of: str = "z",
     span: Sequence[float] | None = None,
     **style: Any,
@@ -223,8 +230,8 @@ def time(
     since, until = _span(events, span)
     chosen = range(min(events.n, _FIRST)) if blocks is None else np.atleast_1d(np.asarray(blocks, dtype=object))
     handles = []
-    for k, block in enumerate(_block("blocks", block_number, events.n) for block_number in chosen):
-        look = {"color": CYCLE[k % len(CYCLE)], "label": f"block {block}"} | style
+    for k, block in enumerate(_block("blocks", entry, events) for entry in chosen):
+        look = {"color": CYCLE[k % len(CYCLE)], "label": _called(block, events)} | style
         t, sticks = _with_ends(state.t, events, block, since, until)
         value = np.interp(t, state.t, (state.z if of == "z" else state.w)[:, block])
         handles += ax.plot(t, value, **look)
@@ -239,19 +246,20 @@ def phase(
     events: EventSeries,
     samples: Samples | None,
     *,
-    block: int = 0,
+    block: int | str = 0,
     span: Sequence[float] | None = None,
     **style: Any,
 ) -> Axes:
     """Velocity w of a block against its displacement z, with a broad line where it sticks and a dot at the start."""
-    state, block = _state("phase", samples), _block("block", block, events.n)
+    state, block = _state("phase", samples), _block("block", block, events)
     t, sticks = _with_ends(state.t, events, block, *_span(events, span))
     z, w = (np.interp(t, state.t, value[:, block]) for value in (state.z, state.w))
     look: dict[str, Any] = {"color": BLUE, "linewidth": 1.0} | style
     (line,) = ax.plot(z, w, **look)
     ax.plot(*(np.where(sticks, value, np.nan) for value in (z, w)), **_broad(line, ORANGE))
     (start,) = ax.plot(z[:1], w[:1], "o", color="black", markersize=4, label=f"t = {t[0]:g}")
-    ax.set(xlabel=f"displacement z of block {block}", ylabel=f"velocity w of block {block}")
+    called = _called(block, events)
+    ax.set(xlabel=f"displacement z of {called}", ylabel=f"velocity w of {called}")
     return _explain(ax, [_sticks(ORANGE), start])
 
 
@@ -260,7 +268,7 @@ def spectrum(
     events: EventSeries,
     samples: Samples | None,
     *,
-    block: int | None = None,
+    block: int | str | None = None,
     span: Sequence[float] | None = None,
     **style: Any,
 ) -> Axes:
@@ -276,10 +284,10 @@ def spectrum(
         step, value = (until - since) / _MEANS, _means(events, since, until)
         name = "$n_{stick}$"
     else:
-        state, block = _state("spectrum", samples), _block("block", block, events.n)
+        state, block = _state("spectrum", samples), _block("block", block, events)
         inside = (state.t >= since) & (state.t <= until)
         step, value = _every(state.t[inside]), state.w[inside, block]
-        name = f"w of block {block}"
+        name = f"w of {_called(block, events)}"
     if np.ptp(value) <= 1e-12 * np.abs(value).max():
         raise ValueError(f"kind: 'spectrum' is of what varies, and {name} does not on [{since:g}, {until:g}]")
     frequency, density = welch(value, 1.0 / step, nperseg=len(value) // _WINDOW)
@@ -488,8 +496,13 @@ def _wide(span: tuple[float, float]) -> tuple[float, float]:
     return span[0], max(span[1], float(np.nextafter(span[0], np.inf)))
 
 
-def _block(name: str, block: Any, n: int) -> int:
-    return integer(name, block, 0, n - 1)
+def _block(name: str, block: Any, events: EventSeries) -> int:
+    return numbered(name, block, events.names, events.n)
+
+
+def _called(block: int, events: EventSeries) -> str:
+    """What a picture calls a block."""
+    return events.names[block] if events.names else f"block {block}"
 
 
 def _check_names(draw: Callable[..., Axes], kind: str, options: Mapping[str, Any]) -> None:

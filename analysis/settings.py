@@ -36,6 +36,8 @@ class AnalysisSettings:
         Shares of runs that are known from elsewhere, by kind of attractor; estimates are set beside them.
     question : tuple of str
         Primary questions, in the order in which they lead the report; default: chosen from what the data hold.
+    names : tuple of str
+        Names of the blocks; empty if they have none.
 
     Raises
     ------
@@ -54,6 +56,7 @@ class AnalysisSettings:
     margins: Mapping[str, float] = field(default_factory=dict)
     question: tuple[str, ...] = ()
     published: Mapping[str, float] = field(default_factory=dict)
+    names: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "dt", tuple(float(dt) for dt in self.dt))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -73,7 +74,13 @@ def simulate(
         If the engine cannot go on.
     """
     chosen = as_engine(engine, settings)
-    return chosen.integrate(as_task(chosen, system, z0, w0, t_end, t_start, t_eval, modes, stop_early))
+    run = chosen.integrate(as_task(chosen, system, z0, w0, t_end, t_start, t_eval, modes, stop_early))
+    return with_names(run, system.names)
+
+
+def with_names(run: Run, names: tuple[str, ...]) -> Run:
+    """A run whose events have the names of the blocks."""
+    return replace(run, events=replace(run.events, names=names)) if names else run
 
 
 def as_engine(name: str, settings: Mapping[str, Any]) -> Engine:

@@ -209,6 +209,7 @@ def _settings(scene: Scene) -> AnalysisSettings:
     changed = {
         "seed": _seeds(scene)[0], "map_dt": declared.map_dt or (), "margins": declared.margins.declared,
         "question": renamed(declared.question), "published": declared.published.declared,
+        "names": scene.system.block_names,
     }  # fmt: skip
     return AnalysisSettings(**(declared.model_dump() | changed))
 

@@ -70,10 +70,10 @@ class Plane(NamedTuple):
     points: Floats
 
 
-def plane(z: Floats, w: Floats) -> Plane | None:
+def plane(z: Floats, w: Floats, names: Sequence[str] = ()) -> Plane | None:
     """What varies of some starts, z and w of shape (m, n); None if that is nothing, or more than two numbers.
 
-    Numbers that are the same in every start count once.
+    Numbers that are the same in every start count once. `names` are those of the blocks, if they have some.
     """
     n = z.shape[1]
     varying: dict[bytes, list[tuple[str, int]]] = {}
@@ -85,11 +85,11 @@ def plane(z: Floats, w: Floats) -> Plane | None:
             return None
     if not varying:
         return None
-    names = tuple(_name(numbers, n) for numbers in varying.values())
-    return Plane(names, np.column_stack([np.frombuffer(column) for column in varying]))
+    words = tuple(_name(numbers, n, names) for numbers in varying.values())
+    return Plane(words, np.column_stack([np.frombuffer(column) for column in varying]))
 
 
-def _name(numbers: Sequence[tuple[str, int]], n: int) -> str:
+def _name(numbers: Sequence[tuple[str, int]], n: int, names: Sequence[str]) -> str:
     """In words, which numbers of a start these are."""
     words = {"z": "displacement z", "w": "velocity w"}
     phrases = []
@@ -97,6 +97,8 @@ def _name(numbers: Sequence[tuple[str, int]], n: int) -> str:
         blocks = [block for name, block in numbers if name == key]
         if len(blocks) == n:
             suffix = "" if n == 1 else " of all blocks"
+        elif names:
+            suffix = f" of {', '.join(names[block] for block in blocks)}"
         else:
             suffix = f" of block{'s' if len(blocks) > 1 else ''} {', '.join(map(str, blocks))}"
         phrases.append(words[key] + suffix)

@@ -31,7 +31,7 @@ _Number = TypeVar("_Number", int, np.ndarray)
 _READINGS: dict[str, str] = dict(zip(READINGS, "prc", strict=True))
 
 #: The order of a member's terms, whatever a scene sweeps.
-_TERMS = (*QUANTITIES, "back_slip", "force_blocks", "forces")
+_TERMS = (*QUANTITIES, "back_slip", "force_blocks", "forces", "drive_block", "contacts")
 
 #: Kinds of members that are cached: each matrix goes through them again.
 _KINDS = 4096
@@ -389,8 +389,10 @@ class Ensemble:
         point = self.points[number]
         values_here = point.at | _of_file(origin)
         z0, w0, seed = values_here.pop("z"), values_here.pop("w"), values_here.pop("seed")
-        if w0 == BELT and isinstance(values_here["belt_speed"], float) and _all_rub(values_here["friction"]):
-            w0 = values_here["belt_speed"]
+        system, belt = scene.system, values_here["belt_speed"]
+        is_plain = system.drive is None and system.contacts is None and _all_rub(values_here["friction"])
+        if w0 == BELT and isinstance(belt, float) and is_plain:
+            w0 = belt
         values_here = {name: _multiplied(value, values_here) for name, value in values_here.items()}
         parameters = tuple((name, values_here.pop(name)) for name in scene.system.parameters or ())
         parameters += origin.parameters if isinstance(origin, SystemFile) else ()
@@ -399,9 +401,12 @@ class Ensemble:
         values_here["forces"] = scene.system.pushes
         if isinstance(scene.system.force, ForceTable):
             values_here["force_blocks"] = scene.system.force.on_blocks
+        if system.drive is not None:
+            values_here["drive_block"] = system.drive.block
+        values_here["contacts"] = system.rubbing
         terms = tuple((name, values_here[name]) for name in _TERMS if values_here.get(name) is not None)
         begin = Start(z0, w0, None, scene.ends if point.is_at_end else None)
-        system_source = Source(n, scene.system.coupling, 0, seed, origin, parameters)
+        system_source = Source(n, scene.system.coupling, 0, seed, origin, parameters, scene.system.block_names)
         kind = Member("", system_source, terms, chosen.change, begin, chosen.method, scene.run.t_end)
         return replace(kind, shared_cost=sum(record.cost(kind, chosen.sharing) for record in scene.records))
 

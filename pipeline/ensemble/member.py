@@ -28,7 +28,7 @@ from stickslip.pipeline.scene.ends import Ends
 from stickslip.pipeline.scene.systems import SystemFile, SystemFunction, make, read
 from stickslip.sim.engines import ENGINES, contract
 from stickslip.sim.engines.contract import Engine
-from stickslip.sim.simulation import as_engine, as_task
+from stickslip.sim.simulation import as_engine, as_task, with_names
 from stickslip.sim.systems.terms import OF_BLOCKS, TERMS
 from stickslip.sim.systems.weakening import LAWS
 
@@ -37,6 +37,7 @@ from stickslip.sim.systems.weakening import LAWS
 MATRIX, PERTURBATION, RATIO, TWIN, START_Z, START_W = 0, 1, 2, 3, 6, 7
 #: The purpose of each draw for the blocks, by the argument of `sim.System`, or of a force, that it gives.
 _PURPOSES = {term.name: term.purpose for term in TERMS if term.purpose is not None}
+_OF_DRIVE = tuple(term.key for term in TERMS if term.table == "drive")
 _OF_FORCE = tuple(term.name for term in TERMS if term.table == "force")
 _OF_LAWS = [(law, tuple(law.parameters())) for law in LAWS.values()]
 #: The arrays of a file, by the purpose of the draw that each replaces.
@@ -59,6 +60,7 @@ class Source(NamedTuple):
     seed: int
     origin: SystemFile | SystemFunction | None  #: the user's file or function, if it comes from one
     parameters: tuple[tuple[str, float], ...]  #: of that function, or that file
+    names: tuple[str, ...] = ()  #: of the blocks
 
 
 class Change(NamedTuple):
@@ -267,7 +269,7 @@ class Member:
     def simulate(self, t_eval: ArrayLike = (), end: State | None = None) -> sim.Run:
         """Draw the system and run it; `end` as in `start`."""
         engine, task = self.task(self.system(), self.start(end), t_eval)
-        return engine.integrate(task)
+        return with_names(engine.integrate(task), self.source.names)
 
     @property
     def cost(self) -> float:
@@ -331,6 +333,26 @@ def _latest(make: Callable[[Member], sim.System], member: Member, values: tuple[
 
 def _own_system(member: Member) -> sim.System:
     """The system of a member's matrix, not moved."""
+    system, names, contacts = _of_terms(member), member.source.names, member.term("contacts")
+    if names:
+        system = system.changed(names=names)
+    if contacts is not None:
+        rubs = np.isin(np.arange(member.n), contacts.numbers)
+        static = None if system.static is system.friction else np.where(rubs, system.static, 0.0)
+        system = system.changed(friction=np.where(rubs, system.friction, 0.0), static=static)
+    return system if member.term("drive_block") is None else _driven(member, system)
+
+
+def _driven(member: Member, system: sim.System) -> sim.System:
+    """The system in the frame of the member's drive, whose spring has the damping of a stiffness, b of Rayleigh's."""
+    block, numbers = member.term("drive_block"), {name: member.term(f"drive_{name}") for name in _OF_DRIVE}
+    damping = (member.term("rayleigh_stiffness") or 0.0) * numbers["spring"]
+    driven = system.driven(block, damping=damping, **numbers)
+    return driven if member.term("back_slip") is None else driven.changed(back_slip=False)
+
+
+def _of_terms(member: Member) -> sim.System:
+    """The system that a member's terms make, as it stands on the ground."""
     seed, terms, origin = member._seed(MATRIX), dict(member.terms), member.source.origin
     arguments: dict[str, Any] = {
         name: member._by_block(terms[name], _PURPOSES[name]) for name in OF_BLOCKS if terms.get(name) is not None
@@ -344,7 +366,7 @@ def _own_system(member: Member) -> sim.System:
         numbers = {key: terms.get(f"weakening_{key}") for key in keys}
         if None not in numbers.values():
             arguments["weakening"] = law(**numbers)
-    if terms.get("back_slip") is not None:
+    if terms.get("back_slip") is not None and terms.get("drive_block") is None:
         arguments["back_slip"] = False
     base_system = None
     if isinstance(origin, SystemFunction):

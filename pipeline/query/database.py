@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor, wait
 from itertools import count
 from typing import Any
@@ -56,13 +56,20 @@ def quoted(name: str) -> str:
     return '"' + name.replace('"', '""') + '"'
 
 
-def views(schema: pa.Schema, step: float | None) -> dict[str, str]:
-    """The views of a dataset, each as the SELECT from its shards; `step` is the scene's ``record.separation``."""
+def views(schema: pa.Schema, step: float | None, names: Sequence[str] = ()) -> dict[str, str]:
+    """The views of a dataset, each as the SELECT from its shards.
+
+    `step` is the scene's ``record.separation``, `names` are those of the blocks.
+    """
     selections = {
         "members": f"SELECT {', '.join(map(quoted, scalars(schema)))} FROM shards",
         "n_stick": "SELECT member_id, unnest(t) AS t, unnest(n_stick) AS n_stick FROM shards",
         "cascades": _CASCADES,
     }
+    if names:
+        selections["blocks"] = " UNION ALL ".join(
+            f"SELECT {k} AS block, '{name}' AS name" for k, name in enumerate(names)
+        )
     if "event_t" in schema.names:
         selections["events"] = (
             "SELECT member_id, unnest(event_t) AS t, unnest(event_block) AS block, unnest(event_mode) AS mode"
@@ -100,9 +107,9 @@ def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
     (member_id, start, stop, size, rise_before, rise_after; one row a complete cascade by the definition `events`:
     n_stick falls from its first exit, `start`, to its last, `stop`, and rises before and after it) and, where the
     scene records them, `events` (member_id, t, block, mode), `episodes` (the columns of
-    `stickslip.pipeline.query.episodes`), `separation` (member_id, t, distance) and `thresholds` (member_id,
-    threshold, t, n_stick). Where columns of an answer share a name, as in ``SELECT member_id, *``, the second is
-    called `member_id_1`.
+    `stickslip.pipeline.query.episodes`), `separation` (member_id, t, distance), `thresholds` (member_id,
+    threshold, t, n_stick), and `blocks` (block, name) where blocks have names. Where columns of an answer share a
+    name, as in ``SELECT member_id, *``, the second is called `member_id_1`.
 
     Raises
     ------
@@ -119,7 +126,7 @@ def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
         raise QueryError('SQL needs DuckDB, which is not installed; run: pip install "stickslip[sql]"') from error
     opened = open_dataset(path)
     source = opened.shards()
-    selections = views(source.schema, opened.scene.record.separation)
+    selections = views(source.schema, opened.scene.record.separation, opened.scene.system.block_names)
     with duckdb.connect(":memory:") as connection, _aside(connection) as aside:
 
         def ask(work: Callable[[], Any]) -> Any:

@@ -245,7 +245,7 @@ def events(path: Where | Opened, member_id: str) -> sim.EventSeries:
     source = opened.shards()
     if "event_t" not in source.schema.names:
         raise not_recorded("events")
-    return _event_series(_member_row(opened, source, member_id, _EVENT_COLUMNS))
+    return _event_series(_member_row(opened, source, member_id, _EVENT_COLUMNS), opened.scene.system.block_names)
 
 
 def episodes(path: Where | Opened) -> pd.DataFrame:
@@ -511,11 +511,11 @@ class _Shard:
         return at
 
 
-def _event_series(row: dict[str, pa.Scalar]) -> sim.EventSeries:
+def _event_series(row: dict[str, pa.Scalar], names: tuple[str, ...]) -> sim.EventSeries:
     # nothing happens any more after a collapse: its series is known to the end
     end = row["t_stop"] if row["outcome"].as_py() == "diverged" else row["t_end"]
     t, block, mode, initial_mode = (_array(row[name]) for name in _EVENT_COLUMNS[:4])
-    return sim.EventSeries(t, block, mode, initial_mode, t_start=0.0, t_end=end.as_py())
+    return sim.EventSeries(t, block, mode, initial_mode, t_start=0.0, t_end=end.as_py(), names=names)
 
 
 def _array(entry: pa.ListScalar) -> np.ndarray:

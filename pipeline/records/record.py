@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple, Protocol, Self
 
@@ -20,6 +20,7 @@ from stickslip.pipeline.design.column import Column
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine
 from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.runs.blocks import numbered
 from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.systems.system import System
@@ -155,6 +156,8 @@ class Record(ABC):
         Whether it reads `Run.stills`, which all engines of a scene have to keep then.
     is_of_contacts : bool
         Whether it leaves out blocks without friction; how many have some is then kept beside it.
+    of_block : Column, optional
+        That of one block, with {} for its name, if the key may also be names of blocks.
     """
 
     name: ClassVar[str]
@@ -170,6 +173,7 @@ class Record(ABC):
     is_of_exact: ClassVar[bool] = False
     needs_stills: ClassVar[bool] = False
     is_of_contacts: ClassVar[bool] = False
+    of_block: ClassVar[Column | None] = None
     needs: ClassVar[frozenset[str]] = frozenset({"run"})
 
     def __init_subclass__(cls) -> None:
@@ -230,13 +234,42 @@ class Record(ABC):
 
 @dataclass(frozen=True)
 class WindowRecord(Record):
-    """A record of what a run does after `t_burn`; its key is true, and [record] has the time."""
+    """A record of what a run does after `t_burn`; its key is true, and [record] has the time.
+
+    Attributes
+    ----------
+    blocks : tuple of (str, int)
+        Names and numbers of blocks, if it is of these, each with a column of its own.
+    """
 
     t_burn: float
+    blocks: tuple[tuple[str, int], ...] = field(default=(), kw_only=True)
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
-        return cls(keys["t_burn"]) if keys[cls.name] else None
+        return cls(keys["t_burn"], blocks=cls.chosen(keys)) if keys[cls.name] else None
+
+    @classmethod
+    def chosen(cls, keys: Mapping[str, Any]) -> tuple[tuple[str, int], ...]:
+        """The blocks that the key names, if it does; `names` are those of all blocks."""
+        named, names = keys[cls.name], keys["names"]
+        if not isinstance(named, tuple):
+            return ()
+        return tuple((name, numbered(f"record.{cls.name}", name, names, len(names))) for name in named)
+
+    @property
+    def kept(self) -> tuple[Column, ...]:
+        if not self.blocks or self.of_block is None:
+            return self.columns
+        said = ("name", "words", "title")
+        return tuple(
+            self.of_block._replace(**{key: getattr(self.of_block, key).format(name) for key in said})
+            for name, _ in self.blocks
+        )
+
+    def by_block(self, values: Floats) -> dict[str, Any]:
+        """The values of its columns, from those of all blocks, shape (n,)."""
+        return {column.name: float(values[k]) for column, (_, k) in zip(self.kept, self.blocks, strict=True)}
 
 
 @dataclass(frozen=True)
@@ -251,7 +284,7 @@ class StateRecord(WindowRecord):
 
     @classmethod
     def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
-        return cls(keys["t_burn"], keys["dt"]) if keys[cls.name] else None
+        return cls(keys["t_burn"], keys["dt"], blocks=cls.chosen(keys)) if keys[cls.name] else None
 
     def times(self, member: Member) -> Floats:
         return steps(self.t_burn, member.t_end, self.dt)

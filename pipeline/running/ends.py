@@ -89,7 +89,7 @@ class _WithEnds:
 
 def _same(member: Member) -> tuple[Any, ...]:
     """What a member and the one at whose end it starts must share: the system, perturbed or not."""
-    return *member.source._replace(parameters=()), *member.change._replace(twin_size=None)
+    return *member.source._replace(parameters=(), names=()), *member.change._replace(twin_size=None)
 
 
 @lru_cache(maxsize=2)

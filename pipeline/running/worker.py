@@ -269,7 +269,9 @@ def load_kernels(members: Iterable[Member]) -> None:
     for member in members:
         size = max((size for size in ENGINES[member.engine].sizes if size <= member.n), default=member.n)
         if (member.engine, size) not in _loaded:
-            tiny = replace(member, member_id="", source=member.source._replace(n=size), t_end=1e-6)
+            source = member.source._replace(n=size, names=())
+            of_all = tuple(term for term in member.terms if term[0] not in ("drive_block", "contacts"))
+            tiny = replace(member, member_id="", source=source, terms=of_all, t_end=1e-6)
             if member.source.origin is not None:
                 numbers = {"kappa": 0.1, "leaf": 0.1, "damping": 1.0, "friction": 1.0, "static": 1.0, "mass": 1.0}
                 terms = dict(tiny.terms) | numbers | {"belt_speed": -0.2}

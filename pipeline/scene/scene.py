@@ -169,6 +169,7 @@ class Scene(StrictTable):
     def records(self) -> tuple[Record, ...]:
         """What is kept of a run, in addition to n_stick."""
         keys = self.record.model_dump() | {"t_burn": self.record_t_burn, "folder": self._folder}
+        keys |= {"names": self.system.block_names}
         settings = {name: value for engine in self.engines for name, value in engine.settings.items() if value}
         return tuple(chosen for record in RECORDS if (chosen := record.asked(keys, settings)) is not None)
 
@@ -213,7 +214,10 @@ class Scene(StrictTable):
             "long_matrix": any(file.version > 1 for file in system.known_files.values()),
             "function": system.is_own,
             "damping": in_files,
-            "belts": any(not isinstance(value, float) for value in values(system.belt_speed)) or in_files,
+            "belts": any(not isinstance(value, float) for value in values(system.belt_speed))
+            or in_files
+            or system.drive is not None
+            or system.contacts is not None,
             "force": system.force is not None,
             "back_slip": not system.back_slip,
             "drawn": any(not isinstance(draw, float) for draw in draws) or in_files or several,
@@ -290,12 +294,19 @@ class Scene(StrictTable):
                 )
 
     def _names_are_columns(self) -> None:
-        """Each parameter of a function, and each field that one returns, is a column like the others."""
+        """Each parameter of a function, each field that one returns, and each record of a block is a column."""
         parameters = self.parameters
+        of_blocks = [
+            column.name
+            for record in self.records
+            if isinstance(record, WindowRecord) and record.blocks
+            for column in record.kept
+        ]
         fields = [field for function in self.record.own_functions.values() for field in function.columns]
         for key, clash, where in (
             ("system.parameters", misnamed(parameters), "here and in the function"),
             ("record.own", misnamed(fields, parameters, "another field"), "in the module"),
+            ("system.names", misnamed(of_blocks, (*parameters, *fields)), "and in [record]"),
         ):
             if clash is not None:
                 raise ValueError(
@@ -321,13 +332,14 @@ class Scene(StrictTable):
             ("force", forces and (forces if isinstance(system.force, tuple) else forces[0]), "none"),
             ("belt_speed", belts[0] if belts else None, "one number for all blocks and times"),
             ("rayleigh", system.rayleigh, "none"),
+            ("drive", system.drive, "none"),
             ("weakening", system.weakening, "none"),
             ("back_slip", None if system.back_slip else "false", "true"),
             *((term.name, quantities[term.name], "none") for term in TERMS if term.argument and term.default is None),
         )
         for engine in self.engines:
             for key, demand, expected in demands:
-                beyond = "damping matrix" if key == "rayleigh" else key
+                beyond = {"rayleigh": "damping matrix", "drive": "force"}.get(key, key)
                 if demand is not None and beyond in BEYOND and beyond not in engine.engine.taken():
                     got = demand.model_dump(exclude_none=True) if isinstance(demand, BaseModel) else demand
                     raise SceneError(
@@ -455,7 +467,7 @@ class Scene(StrictTable):
             files_there: list[tuple[int, SystemFile | SystemFunction | None]] = []
             n_copies = Counter[str]()
             for name in names:
-                facts = files[name].model_dump(exclude={"n", "parameters"})
+                facts = files[name].model_dump(exclude={"n", "parameters", "names"})
                 facts |= {"parameters": tuple(files[name].parameters.items()), "copy": n_copies[files[name].sha256]}
                 files_there.append((files[name].n, SystemFile(name=name, at=paths[name], **facts)))
                 n_copies[files[name].sha256] += 1
@@ -610,7 +622,11 @@ def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict
         return {}
     sha256 = resolve(coupling, folder, KEY).sha256
     facts: dict[str, Any] = {"sha256": sha256, "is_sparse": False, "entries_by_block": 0.0}
-    scene = as_scene(Scene, {**tables, "system": system | {"module": facts}}, name)
+    # what may name blocks is for later: the function says their names
+    later = ("force", "contacts", "drive", "record")
+    nameless = {key: value for key, value in system.items() if key not in later} | {"module": facts}
+    unrecorded = {key: value for key, value in tables.items() if key not in later}
+    scene = as_scene(Scene, unrecorded | {"system": nameless}, name)
     scene._folder = folder
     parameters: dict[str, Any] = {key: values(value)[0] for key, value in (scene.system.parameters or {}).items()}
     n, function = min(scene.system.n), scene._function

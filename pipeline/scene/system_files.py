@@ -21,6 +21,9 @@ from stickslip.pipeline.machine.memory import lack
 from stickslip.pipeline.scene.other_files import OtherKind, kind_of
 from stickslip.pipeline.scene.toml import MAX_BLOCKS
 
+#: The array of texts that names blocks.
+NAMES = "names"
+
 #: What `scipy.sparse.save_npz` writes of every sparse matrix.
 _SPARSE = {"data", "shape", "format"}
 #: What it writes besides, by the format: where the entries stand.
@@ -53,7 +56,7 @@ _SYMMETRIES = {"general": None, "symmetric": 1, "skew-symmetric": -1}
 def arrays_of(content: bytes, names: Sequence[str]) -> dict[str, Any]:
     """The arrays that a system file holds, by name: `stiffness`, dense or sparse, and some of those in `beside`.
 
-    Numbers beside them are `parameters`, by name.
+    Numbers beside them are `parameters`, by name, and texts by the name `NAMES` those of the blocks.
 
     The readers of Python and NumPy raise exceptions of many kinds for damaged files; none of them crashes. Raises
     `OtherKind` if it is a file of another kind that K can be read from; `ValueError` if it is no such file, or does
@@ -82,8 +85,8 @@ def _npy(name: str, stream: IO[bytes], size: int, kinds: str = "iuf") -> np.ndar
     with warnings.catch_warnings(action="error"):  # of a header that NumPy would guess at
         shape, is_fortran, kind = readers[version](stream, max_header_size=_MAX_HEADER)
     if kind.kind not in kinds:
-        raise ValueError(f"{name}: expected an array of {'text' if kinds == 'S' else 'real numbers'}, got one of type"
-                         f" {kind}; pickles are not read")  # fmt: skip
+        raise ValueError(f"{name}: expected an array of {'text' if kinds in 'SU' else 'real numbers'}, got one of"
+                         f" type {kind}; pickles are not read")  # fmt: skip
     claimed, n_bytes = math.prod(shape) * kind.itemsize, size - stream.tell()
     if min(shape, default=0) < 0 or claimed != n_bytes:
         raise ValueError(f"{name}: expected {claimed} bytes, for the shape {shape} of {kind}, got {n_bytes}")
@@ -131,8 +134,10 @@ def _npz(content: bytes, allowed: Sequence[str]) -> dict[str, Any]:
             with archive.open(members[key]) as stream:
                 return _npy(key, stream, size, kinds)
 
+        texts = {NAMES: read(NAMES, "U").ravel().tolist()} if NAMES in members else {}
+        members.pop(NAMES, None)
         if len(members) == 1:
-            return {"stiffness": read(next(iter(members)))}
+            return texts | {"stiffness": read(next(iter(members)))}
         form = _format(read("format", "S", 1)) if members.keys() >= _SPARSE else ""
         is_sparse = members.keys() >= {*_PLACES[form]} if form else False
         names = members.keys() - ({*_SPARSE, *_PLACES[form], "_is_array"} if is_sparse else {"stiffness"})
@@ -155,7 +160,7 @@ def _npz(content: bytes, allowed: Sequence[str]) -> dict[str, Any]:
         arrays: dict[str, Any] = {
             name: read(name, n_most=n * n if name == "damping" else n) for name in sorted(names)
         }
-        return arrays | {"stiffness": stiffness} | ({"parameters": parameters} if parameters else {})
+        return arrays | texts | {"stiffness": stiffness} | ({"parameters": parameters} if parameters else {})
 
 
 def _format(array: np.ndarray) -> str:

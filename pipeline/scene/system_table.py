@@ -25,8 +25,19 @@ from pydantic_core import core_schema
 from stickslip.pipeline.design.values import Course, OnBlocks, Push, Pushes, Quantity, as_written, size, values
 from stickslip.pipeline.own.function import PATTERN
 from stickslip.pipeline.scene.quantity import AnyNumber, Key, course
-from stickslip.pipeline.scene.toml import BlockNumbers, Blocks, List, Natural, StrictTable, as_tuple, distinct, shown
+from stickslip.pipeline.scene.toml import (
+    BlockNumbers,
+    Blocks,
+    List,
+    Natural,
+    StrictTable,
+    as_tuple,
+    distinct,
+    once,
+    shown,
+)
 from stickslip.sim.numerics.arguments import did_you_mean
+from stickslip.sim.runs.blocks import named, numbered
 from stickslip.sim.systems.couplings import COUPLINGS
 from stickslip.sim.systems.drive import direction
 from stickslip.sim.systems.graphs import GRAPHS
@@ -64,6 +75,7 @@ class ModuleTable(StrictTable):
     is_sparse: bool
     entries_by_block: Natural
     beside: dict[str, str] = Field(default_factory=dict)
+    names: Annotated[tuple[str, ...], List] = ()
 
 
 class FileTable(StrictTable):
@@ -77,6 +89,7 @@ class FileTable(StrictTable):
     arrays: Annotated[tuple[str, ...], List]
     version: Literal[1, 2] = 1  # of how draws are numbered; older datasets do not say
     parameters: dict[str, float] = Field(default_factory=dict)
+    names: Annotated[tuple[str, ...], List] = ()
 
 
 def _with_terms(table: str, behind: type[StrictTable] = StrictTable) -> Any:
@@ -105,13 +118,17 @@ class ForceTable(_with_terms("force")):  # type: ignore[misc]
     )
     blocks: (
         Annotated[
-            tuple[Annotated[int, Field(ge=0)], ...],
+            tuple[Annotated[int, Field(ge=0)] | str, ...],
             Field(min_length=1),
             BeforeValidator(as_tuple),
-            AfterValidator(distinct),
+            AfterValidator(once),
         ]
         | None
-    ) = Field(default=None, description="the blocks it acts on, by number from 0; all if left out", examples=[[0]])
+    ) = Field(
+        default=None,
+        description="the blocks it acts on, by name, or by number from 0; all if left out",
+        examples=[[0]],
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -139,7 +156,9 @@ class ForceTable(_with_terms("force")):  # type: ignore[misc]
     @property
     def on_blocks(self) -> OnBlocks | None:
         """The blocks it acts on; None: all."""
-        return None if self.blocks is None else OnBlocks(self.blocks)
+        if self.blocks is None:
+            return None
+        return OnBlocks(tuple(int(block) for block in self.blocks))  # by number: see `SystemTable._names_apply`
 
 
 class _Forces:
@@ -221,6 +240,23 @@ class RayleighTable(_with_terms("rayleigh")):  # type: ignore[misc]
     """[system.rayleigh]: damping in proportion to masses and stiffnesses, C = mass M + stiffness K."""
 
 
+class _Driven(StrictTable):
+    block: Annotated[int, Field(ge=0)] | str = Field(
+        description="the block that the drive is tied to, by name, or by number from 0", examples=["table"]
+    )
+
+
+class DriveTable(_with_terms("drive", _Driven)):  # type: ignore[misc]
+    """[system.drive]: a drive that draws a block along through a spring; see `stickslip.sim.systems.driven`."""
+
+    @model_validator(mode="after")
+    def _has_its_numbers(self) -> Self:
+        for key in ("spring", "speed"):
+            if getattr(self, key) is None:
+                raise ValueError(f"{key}: expected that of the drive, found nothing; write e.g. {key} = 2.0")
+        return self
+
+
 #: The keys that may hold lists and distributions, by their names in a grid, in ids and columns: the table in [system]
 #: that they stand in, "" for itself, and the key there.
 QUANTITIES = {term.name: (term.table, term.key) for term in TERMS}
@@ -264,10 +300,24 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
         default=None, description="[a, b] of the damping matrix C = a M + b K, in the place of `rho`"
     )
     weakening: WeakeningTable | None = None
+    drive: DriveTable | None = Field(
+        default=None, description="a drive that draws a block along through a spring; see [system.drive]"
+    )
+    contacts: Annotated[tuple[Annotated[int, Field(ge=0)] | str, ...], BeforeValidator(as_tuple)] | None = Field(
+        default=None,
+        description="the blocks that have friction, by name, or by number from 0; all if left out",
+        examples=[["bit"]],
+    )
     back_slip: bool = Field(
         default=True,
         description="whether blocks may slip either way; if not, none gets ahead of its belt",
         examples=[False],
+    )
+    names: Annotated[tuple[str, ...], List] | None = Field(
+        default=None,
+        description="a name for each block, by which keys, records and figures call it; or those of the file or the"
+        " function",
+        examples=[["table", "pipe", "bit"]],
     )
     parameters: dict[str, AnyNumber] | None = Field(
         default=None, description="what the function is given beside n and rng, by name", examples=[{"gap": 0.5}]
@@ -313,7 +363,7 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
     @property
     def readings(self) -> tuple[str, ...]:
         """The readings of a perturbation that keep what the system is."""
-        is_drawn = self.coupling in COUPLINGS and self.rayleigh is None  # else C is no longer drawn
+        is_drawn = self.coupling in COUPLINGS and self.rayleigh is None and self.drive is None
         names = COUPLINGS[self.coupling].readings if is_drawn else ()
         return names if self.damping is None else tuple(set(names) & {"relative"})  # there is no scale of R
 
@@ -338,6 +388,47 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
     def known_files(self) -> dict[str, FileTable]:
         """The files that systems are read from, by their names beside the scene."""
         return self.files or {}
+
+    @property
+    def rubbing(self) -> OnBlocks | None:
+        """The blocks that have friction; None: all."""
+        return None if self.contacts is None else OnBlocks(tuple(int(block) for block in self.contacts))
+
+    @property
+    def block_names(self) -> tuple[str, ...]:
+        """The names of the blocks, given here, in the files or by the function; empty if they have none."""
+        if self.names is not None:
+            return self.names
+        return next(
+            (facts.names for facts in (self.module, *self.known_files.values()) if facts is not None and facts.names),
+            (),
+        )
+
+    def _names_apply(self) -> None:
+        """Names fit the blocks, and forces that name blocks are on their numbers from here on."""
+        of_files = {file.names for file in self.known_files.values()}
+        if len(of_files) > 1 or (self.names is not None and any(of_files)):
+            raise ValueError(
+                "names: expected the same in each file, or here alone, got several; leave out the others"
+            )
+        for n in self.n if self.block_names else ():
+            named(self.block_names, n)
+        for k, force in enumerate(self.forces):
+            key = f"force[{k}].blocks" if isinstance(self.force, tuple) else "force.blocks"
+            if force.blocks is not None:
+                object.__setattr__(force, "blocks", self._numbers(key, force.blocks))
+        if self.contacts is not None:
+            object.__setattr__(self, "contacts", self._numbers("contacts", self.contacts))
+        if self.drive is not None:
+            (block,) = self._numbers("drive.block", (self.drive.block,))
+            object.__setattr__(self.drive, "block", block)
+
+    def _numbers(self, key: str, blocks: tuple[int | str, ...]) -> tuple[int, ...]:
+        """The numbers of blocks that a key names, each once, in order."""
+        numbers = [numbered(key, block, self.block_names, min(self.n)) for block in blocks]
+        if len({*numbers}) < len(numbers) or not numbers:
+            raise ValueError(f"{key}: expected each block once, and some, got {list(blocks)}; write each once")
+        return tuple(sorted(numbers))
 
     def _files_apply(self) -> None:
         if self.path is None:
@@ -398,13 +489,15 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
                 if key in self.model_fields_set and getattr(self, key) is not None:
                     raise ValueError(f'{key}: expected none with coupling = "{self.coupling}"{why}; remove it')
                 object.__setattr__(self, key, None)
+        if self.drive is not None and "belt_speed" not in self.model_fields_set:
+            object.__setattr__(self, "belt_speed", 0.0)
         if of_file:
             self._files_apply()
         if self.is_own:
             self._function_applies()
         if self.weakening is not None and not why:  # else that may hold static friction
             LAWS[self.weakening.law].require_static(self.static)
-        if not self.back_slip:
+        if not self.back_slip and self.drive is None:  # else that of the drive counts too
             for speed in values(self.belt_speed):
                 speeds = speed.values if isinstance(speed, Course) else (speed,) if isinstance(speed, float) else ()
                 if speeds and not direction(np.array(speeds)):
@@ -419,13 +512,7 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
             raise ValueError(f"{damped[0]}: expected either `{damped[0]}` or `{damped[1]}`, got both; remove one")
         if damped:
             object.__setattr__(self, "rho", None)
-        for k, force in enumerate(self.forces):
-            if force.blocks is not None and force.blocks[-1] >= min(self.n):
-                where = f"force[{k}]" if isinstance(self.force, tuple) else "force"
-                raise ValueError(
-                    f"{where}.blocks: expected numbers from 0 to n - 1 = {min(self.n) - 1}, got {force.blocks[-1]};"
-                    " leave it out"
-                )
+        self._names_apply()
         if self.degree is not None and size(self.degree) > min(self.n) - 1:
             bound = f"n - 1 = {min(self.n) - 1}, all the others"
             raise ValueError(f"degree: expected at most {bound}, got {size(self.degree):g}; lower it")

@@ -24,9 +24,10 @@ from stickslip.pipeline.own.function import OwnFunction
 from stickslip.pipeline.own.trial import Trial, tried
 from stickslip.pipeline.scene.other_files import OtherKind
 from stickslip.pipeline.scene.source import MAX_FILES
-from stickslip.pipeline.scene.system_files import arrays_of
+from stickslip.pipeline.scene.system_files import NAMES, arrays_of
 from stickslip.pipeline.scene.toml import shown
 from stickslip.sim.numerics.arguments import per_block
+from stickslip.sim.runs.blocks import named
 from stickslip.sim.systems.system import System
 from stickslip.sim.systems.terms import OF_BLOCKS
 
@@ -165,6 +166,7 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
         system = System(arrays["stiffness"], **{"damping": 0.0} | {k: arrays[k] for k in OF_BLOCKS if k in arrays})
         for key in ("z0", "w0"):
             per_block(key, arrays.get(key, 0.0), system.n)
+        names = named(arrays.get(NAMES, ()), system.n)
     except (TypeError, ValueError, MemoryError) as error:
         raise SceneError(f"system.path: {name}: {_line(error)}") from None
     return {
@@ -176,6 +178,7 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
         "arrays": [key for key in BY_BLOCK if key in arrays],
         "version": 2,
         **({"parameters": arrays["parameters"]} if "parameters" in arrays else {}),
+        **({NAMES: [*names]} if names else {}),
     }
 
 
@@ -298,13 +301,14 @@ def _attempt(function: OwnFunction, n: int, parameters: Mapping[str, float]) -> 
     return pickle.dumps(_parts(system)), {
         "is_sparse": not isinstance(stiffness, np.ndarray),
         "entries_by_block": stiffness.size / n,
+        **({NAMES: [*system.names]} if system.names else {}),
     }
 
 
 def _parts(system: System) -> list[Any]:
     """All that determines a system."""
     matrices = [_content(matrix) for matrix in (system.stiffness, system.cross_damping)]
-    rest = [getattr(system, name) for name in (*OF_BLOCKS, "force", "back_slip")]
+    rest = [getattr(system, name) for name in (*OF_BLOCKS, "force", "back_slip", "names")]
     return [*matrices, *rest, repr(system.weakening)]  # a law of the user's own may not be pickled
 
 

@@ -200,9 +200,26 @@ _Names = Annotated[
 ]
 
 
+def _blocks(value: object) -> object:
+    if isinstance(value, bool):
+        return value
+    names: Any = as_tuple(value)
+    if not names or not all(isinstance(name, str) for name in names):
+        raise ValueError(f'expected true, false or names of blocks, got {value!r}; write e.g. ["bit"]')
+    return once(names)
+
+
+#: Of all blocks, or of those that it names.
+_BlocksOrAll = Annotated[
+    bool | tuple[str, ...], BeforeValidator(_blocks, json_schema_input_type=bool | str | list[str])
+]
+
+
 def _key(record: type[Record]) -> tuple[Any, Any]:
     """The type of a record's key under [record], and pydantic's field for it."""
     examples = None if record.example is None else [record.example]
+    if record.of_block is not None:
+        return _BlocksOrAll, Field(default=False, description=record.words, examples=examples)
     if record.is_named:
         return _Names, Field(default=(), description=record.words, examples=examples)
     if record.is_step:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -35,6 +36,8 @@ class EventSeries:
         Modes right after `t_start`.
     t_start, t_end : float
         The series is complete on [t_start, t_end].
+    names : tuple of str
+        The names of the blocks; empty if they have none.
     """
 
     t: Floats
@@ -43,6 +46,7 @@ class EventSeries:
     initial_mode: NDArray[np.int8]
     t_start: float
     t_end: float
+    names: tuple[str, ...] = ()
 
     @property
     def n(self) -> int:
@@ -160,6 +164,7 @@ class EventSeries:
             self.initial_mode[chosen],
             self.t_start,
             self.t_end,
+            tuple(compress(self.names, chosen)),
         )
 
     def plot(self, kind: str = "space_time", ax: Axes | None = None, **options: Any) -> Axes:

@@ -22,7 +22,9 @@ from numpy.typing import ArrayLike, NDArray
 from stickslip.sim.numerics.arguments import Floats, apart, flag, floats, number, per_block
 from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs import show
+from stickslip.sim.runs.blocks import named, numbered
 from stickslip.sim.systems.drive import Force, Harmonic, Piecewise, Term, belt, direction, forces
+from stickslip.sim.systems.driven import driven
 from stickslip.sim.systems.scales import Scales
 from stickslip.sim.systems.weakening import LAWS, Weakening
 
@@ -76,6 +78,8 @@ class System:
         Whether a block may slip either way. If not, none gets ahead of its belt (w < v for v < 0, w > v for v > 0):
         friction holds it against any force to that side, and a block that sticks leaves to the other side, to which
         the belt loads it.
+    names : sequence of str, optional
+        A name for each block: a letter, then letters, digits and _.
 
     Attributes
     ----------
@@ -111,6 +115,7 @@ class System:
     force: tuple[Term, ...]
     weakening: Weakening | None
     closed: NDArray[np.int8]
+    names: tuple[str, ...]
 
     def __init__(
         self,
@@ -124,6 +129,7 @@ class System:
         force: Force = None,
         weakening: Weakening | None = None,
         back_slip: bool = True,
+        names: Sequence[str] = (),
     ) -> None:
         if is_sparse(stiffness):
             matrix = _by_columns("stiffness", stiffness)
@@ -149,6 +155,7 @@ class System:
         object.__setattr__(self, "force", forces(force, n))
         object.__setattr__(self, "weakening", _weakening(weakening, static))
         object.__setattr__(self, "closed", _closed(back_slip, self.belt_speed, n))
+        object.__setattr__(self, "names", named(names, n))
 
     @classmethod
     def from_physical(
@@ -203,6 +210,34 @@ class System:
     def n(self) -> int:
         """Number of blocks."""
         return int(self.stiffness.shape[0])
+
+    def block(self, name: str | int) -> int:
+        """The number of a block, from 0, by its name or its number; ValueError if there is none."""
+        return numbered("block", name, self.names, self.n)
+
+    def driven(self, block: str | int, spring: float, speed: float, **others: float) -> System:
+        """The system in the frame of a drive, which draws a block along through a spring; eqs. in `systems.driven`.
+
+        Displacements are those from where the drive has come; blocks that turn with it have w = 0.
+
+        Parameters
+        ----------
+        block : str or int
+        spring : float
+            Stiffness of the spring, > 0; K is without it.
+        speed : float
+            Of the drive; belt speeds of this system are against the ground, 0 for what rests.
+        **others
+            `damping` of the spring, by default 0; and of a harmonic part of the speed, amplitude cos(frequency t +
+            phase), its `amplitude`, `frequency` > 0 and `phase`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If there is no such block, an argument is no such number, or a spring ties a block to the ground while the
+            drive moves away: K 1 is not 0.
+        """
+        return driven(self, block, spring, speed, **others)
 
     @cached_property
     def is_plain(self) -> bool:
@@ -472,6 +507,7 @@ class System:
             "mass": self.mass,
             "force": self.force,
             "weakening": self.weakening,
+            "names": self.names,
         }
         other = System(**{**own, **arguments})
         if "back_slip" not in arguments:

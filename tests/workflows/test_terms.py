@@ -26,6 +26,11 @@ BESIDE = {
     "force_frequency": "force = {amplitude = 0.5, frequency = VALUE}",
     "force_phase": "force = {amplitude = 0.5, frequency = 1.0, phase = VALUE}",
     "static": "friction = 0.5\nstatic = VALUE",
+    "drive_spring": "leaf = 0.0\ndrive = {block = 0, speed = 0.1, spring = VALUE}",
+    "drive_speed": "leaf = 0.0\ndrive = {block = 0, spring = 2.0, speed = VALUE}",
+    "drive_amplitude": "leaf = 0.0\ndrive = {block = 0, spring = 2.0, speed = 0.1, amplitude = VALUE}",
+    "drive_frequency": "leaf = 0.0\ndrive = {block = 0, spring = 2.0, speed = 0.1, frequency = VALUE}",
+    "drive_phase": "leaf = 0.0\ndrive = {block = 0, spring = 2.0, speed = 0.1, phase = VALUE}",
     "rayleigh_mass": "rayleigh = {mass = VALUE}",
     "rayleigh_stiffness": "rayleigh = {stiffness = VALUE}",
 } | {f"weakening_{key}": law_with(law, key) for law in LAWS.values() for key in law.parameters()}
@@ -33,7 +38,8 @@ BESIDE = {
 
 def engine_that_takes(term):
     """The first engine that runs a term and what `BESIDE` says with it."""
-    beyond = {*BEYOND} & {term.name, term.part, *("static",) * ("static" in BESIDE.get(term.name, ""))}
+    part = "force" if term.part == "drive" else term.part
+    beyond = {*BEYOND} & {term.name, part, *("static",) * ("static" in BESIDE.get(term.name, ""))}
     return next(name for name, engine in ENGINES.items() if beyond <= engine.taken())
 
 

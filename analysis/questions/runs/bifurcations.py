@@ -39,6 +39,7 @@ class Sections(NamedTuple):
     multiplier: Floats
     period: Floats
     n_left_out: int
+    title: str = "z"
 
 
 def pictures(study: Study, grid: Grid) -> dict[str, Picture]:
@@ -94,7 +95,8 @@ def _sections(study: Study, line: Sequence[Setting]) -> Sections:
             n_left_out += 1
     multiplier, period = (_dots(x, study.number(name)[rows]) for name in ("multiplier", "period"))
     z = {kind: _dots(*np.transpose(points)) for kind, points in pairs.items() if points}
-    return Sections(z, multiplier, period, n_left_out)
+    title = f"z of {study.settings.names[block]}" if study.settings.names else "z"
+    return Sections(z, multiplier, period, n_left_out, title)
 
 
 def _dots(x: Floats, y: Floats) -> Floats:
@@ -116,7 +118,7 @@ def bifurcation(axes: Sequence[Axes], key: str, sections: Sections, title: str =
         width, edge = (size, 0.0) if mark == "o" else (max(size, 2.0), 0.7 * (mark == "x"))
         is_image = n_points > _VECTORS
         above.plot(*points, mark, color=colour, label=words, ms=width, markeredgewidth=edge, rasterized=is_image)
-    above.set(ylabel="z", title=title)
+    above.set(ylabel=sections.title, title=title)
     if len(sections.z) > 1:
         above.figure.legend(loc="outside upper left", ncols=3, handletextpad=0.1, markerscale=2.0)
     for ax, name, points in ((middle, "multiplier", sections.multiplier), (below, "period", sections.period)):

@@ -230,7 +230,7 @@ def _starts(study: Study, runs: Runs) -> Plane | None:
         z, w = (np.array([lists[key][name] for name in names]) for key in ("start_z", "start_w"))
     else:
         z, w = (members[key].to_numpy(np.float64, na_value=np.nan)[runs.rows, None] for key in ("z_start", "w_start"))
-    return None if np.isnan(z).any() or np.isnan(w).any() else plane(z, w)
+    return None if np.isnan(z).any() or np.isnan(w).any() else plane(z, w, study.settings.names)
 
 
 def _entry(row: Portion) -> tuple[Look, str]:

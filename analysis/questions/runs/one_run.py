@@ -47,7 +47,7 @@ def answer(study: Study) -> Answer | None:
     where = Place.words(f"one run of {plural(n, 'block')} to t = {t_end:g}")
     findings: list[Finding] = [_sticking(t, n_stick / n, t_end, where)]
     if name in data.events:
-        events = EventSeries(*data.events[name], t_start=0.0, t_end=t_end)
+        events = EventSeries(*data.events[name], t_start=0.0, t_end=t_end, names=study.settings.names)
         findings = [*_slips(events, where), *findings]
         figures = _pictures(name, events, grid_width(n) if run["coupling"] == "grid" else None)
     else:

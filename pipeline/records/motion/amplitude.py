@@ -19,7 +19,7 @@ class Amplitude(StateRecord):
     """Half of peak to peak of z, over the blocks."""
 
     name = "amplitude"
-    words = "whether to keep the amplitude of motion after t_burn: half of peak to peak of z"
+    words = "whether to keep the amplitude of motion after t_burn, half of peak to peak of z; or of which blocks"
     columns = (
         Column(
             "number",
@@ -36,10 +36,20 @@ class Amplitude(StateRecord):
             title="amplitude over the blocks",
         ),
     )
+    of_block = Column(
+        "number",
+        "amplitude_{}",
+        "half of peak to peak of z of {} after t_burn",
+        least=0.0,
+        title="amplitude of {}",
+        note="null if the run ended before",
+    )
 
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:
         turns = _turns(samples)
         half = (np.maximum(samples.z.max(0), turns.max(0)) - np.minimum(samples.z.min(0), turns.min(0))) / 2
+        if self.blocks:
+            return self.by_block(half)
         return {"amplitude": half.max(), "amplitude_mean": half.mean()}
 
 

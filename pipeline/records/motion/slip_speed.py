@@ -18,7 +18,7 @@ class SlipSpeed(StateRecord):
     """Mean and root mean square of |w - v|, over blocks and time."""
 
     name = "slip_speed"
-    words = "whether to keep the speed of slip after t_burn, over blocks and time"
+    words = "whether to keep the speed of slip after t_burn, over blocks and time; or of which blocks"
     columns = (
         Column(
             "number",
@@ -35,9 +35,20 @@ class SlipSpeed(StateRecord):
             title="root mean square of the slip speed",
         ),
     )
+    of_block = Column(
+        "number",
+        "slip_speed_{}",
+        "mean of |w - v| of {} over time after t_burn, 0 while it sticks",
+        least=0.0,
+        title="slip speed of {}",
+        note="null if the run ended before",
+    )
     is_of_contacts = True
 
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:
+        if self.blocks:
+            slip = np.abs(samples.w - system.belt_speed_at(samples.t))
+            return self.by_block(np.array([mean_in_time(column, samples) for column in slip.T]))
         rubs = system.has_friction
         if not rubs.any():
             return {}
