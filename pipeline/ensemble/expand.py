@@ -20,7 +20,7 @@ from stickslip.pipeline.design.values import BELT, END, FILE, Distribution, Rati
 from stickslip.pipeline.ensemble.member import Change, Member, Method, Source, Start
 from stickslip.pipeline.records.record import Sharing
 from stickslip.pipeline.scene.scene import Scene, parse_scene
-from stickslip.pipeline.scene.system_table import OF_FILE, QUANTITIES, ForceTable
+from stickslip.pipeline.scene.system_table import QUANTITIES, ForceTable
 from stickslip.pipeline.scene.systems import REALISATION, SystemFile, SystemFunction
 from stickslip.sim.systems.couplings import READINGS
 from stickslip.sim.systems.terms import OF_BLOCKS
@@ -221,7 +221,7 @@ class Ensemble:
             return Unit.FILE
         if n_systems > 1:
             return Unit.MATRIX
-        return Unit.START if n_starts > 1 else Unit.FILE if self.scene.system.coupling == OF_FILE else Unit.MATRIX
+        return Unit.START if n_starts > 1 else Unit.FILE if self.scene.system.is_of_files else Unit.MATRIX
 
     @cached_property
     def design(self) -> Design:
@@ -446,7 +446,9 @@ def _of_file(origin: SystemFile | SystemFunction | None) -> dict[str, Any]:
     """What a file gives in place of the scene."""
     if not isinstance(origin, SystemFile):
         return {}
-    of_file: dict[str, Any] = {"kappa": origin.scale} | {name: FILE for name in OF_BLOCKS if name in origin.arrays}
+    of_file: dict[str, Any] = {name: FILE for name in OF_BLOCKS if name in origin.arrays}
+    if not origin.is_graph:
+        of_file["kappa"] = origin.scale
     return of_file | ({"rho": None} if "damping" in origin.arrays else {})
 
 

@@ -165,7 +165,7 @@ class Member:
     @property
     def scales(self) -> dict[str, Any]:
         """What its coupling is drawn by: arguments of `sim.draw_system`."""
-        values = {"kappa": self.term("kappa"), "leaf": self.term("leaf"), "degree": self.term("degree")}
+        values = {name: self.term(name) for name in ("kappa", "leaf", "degree", "rewiring")}
         return {
             name: self._by_block(value, _PURPOSES.get(name, 0))
             for name, value in values.items()
@@ -403,6 +403,8 @@ def _of_source(member: Member, base_system: sim.System | None, arguments: dict[s
     if isinstance(origin, SystemFile):
         if rho is not None:
             arguments["damping"] = np.random.default_rng(seed).uniform(rho, 2 * rho, member.n)
+        if origin.is_graph:
+            return sim.System.from_graph(read(origin)["edges"], **member.scales, **arguments)
         return sim.System(read(origin)["stiffness"], **arguments)
     return sim.draw_system(member.source.coupling, member.n, seed, **member.scales, rho=rho, **arguments)
 

@@ -20,6 +20,7 @@ from stickslip.pipeline.records.slips.first_exit import FirstExit
 from stickslip.pipeline.records.slips.stick_share import StickShare
 from stickslip.pipeline.records.slips.thresholds import Thresholds
 from stickslip.pipeline.records.slips.waiting import Waiting
+from stickslip.pipeline.records.structure import Structure
 
 __all__ = ["ALWAYS", "RECORDS", "TABLES", "End", "Record"]
 
@@ -44,6 +45,7 @@ RECORDS: tuple[type[Record], ...] = (
     Waiting,
     FrictionPower,
     AttractorRecord,
+    Structure,
     Constants,
     Contacts,
     OwnRecord,

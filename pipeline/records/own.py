@@ -20,8 +20,8 @@ from stickslip.pipeline.own.function import PATTERN, LateError, OwnFunction, res
 from stickslip.pipeline.own.trial import Trial, tried_once
 from stickslip.pipeline.records.record import Facts, Made, Member, Memory, NotKeptError, WindowRecord, sampling, steps
 from stickslip.sim.numerics.arguments import Floats, apart
+from stickslip.sim.numerics.sparse import is_sparse
 from stickslip.sim.runs.run import Samples
-from stickslip.sim.systems.system import is_sparse
 
 if TYPE_CHECKING:
     from pathlib import Path

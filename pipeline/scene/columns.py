@@ -196,7 +196,9 @@ class Recording:
             fixed = [column._replace(kind="count") if column.name == "matrix" else column for column in fixed]
         words = "parameter of the function or the file that systems come from"
         parameter_columns = [Column("number", name, words, False) for name in self.parameters]
-        of_parts = [column for part in self.parts for column in PARTS[part].columns]
+        of_parts = [
+            column for part in self.parts for column in PARTS[part].columns if column.name not in self.parameters
+        ]
         return (*fixed, *parameter_columns, *of_parts, *(column for record in self.records for column in record.kept))
 
 
@@ -218,6 +220,10 @@ TAKEN = {
 }
 #: Bytes of the longest name that is written to NetCDF and read from it again.
 _LONGEST_NAME = 255
+
+
+#: Terms of graphs that are drawn: graphs of files and functions may say theirs, and have the columns then.
+OF_GRAPHS = ("degree", "rewiring")
 
 
 def misnamed(

@@ -27,6 +27,7 @@ class Kind(NamedTuple):
 
     name: str
     line: str
+    is_graph: bool = False  #: whether `coupling = "graph"` reads it
 
 
 class OtherKind(ValueError):
@@ -63,7 +64,7 @@ _BY_MAGIC = {
 #: By a pattern of the first words of a text.
 _BY_WORDS = {
     rb"<([^\0]*<)?graphml": Kind(
-        "a text of GraphML", _GRAPH.format("networkx.read_graphml({file}).to_undirected()", "")
+        "a text of GraphML", _GRAPH.format("networkx.read_graphml({file}).to_undirected()", ""), True
     ),
     rb"<([^\0]*<)?gexf": Kind("a text of GEXF", _GRAPH.format("networkx.Graph(networkx.read_gexf({file}))", "")),
     rb"[^\0]*?\bgraph\s*\[": Kind("a text of GML", _GRAPH.format("networkx.Graph(networkx.read_gml({file}))", "")),
@@ -133,7 +134,7 @@ def _of_text(content: bytes) -> Kind | None:
         ends = cells[0] if heads and len(cells[0]) == width else list(range(width))
         table = f"pandas.read_csv({{file}}{options}), {', '.join(repr(end) for end in ends)}"
         weight = f", weight={ends[2]!r}" if width == 3 else ""
-        return Kind("a text that lists edges", _GRAPH.format(f"networkx.from_pandas_edgelist({table})", weight))
+        return Kind("a text that lists edges", _GRAPH.format(f"networkx.from_pandas_edgelist({table})", weight), True)
     options += ", index_col=0" if heads and width == n_rows + 1 else ""
     name = "a text of numbers" if separator is None else "a CSV file"
     return Kind(name, _DENSE.format(f"pandas.read_csv({{file}}{options}).to_numpy(float)"))

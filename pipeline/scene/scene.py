@@ -36,12 +36,12 @@ from stickslip.pipeline.own.function import OwnFunction, resolve
 from stickslip.pipeline.records import RECORDS
 from stickslip.pipeline.records.own import OwnRecord, look_at_functions, named_functions
 from stickslip.pipeline.records.record import Facts, Record, WindowRecord
-from stickslip.pipeline.scene.columns import OF_SETTINGS, PARTS, Recording, misnamed
+from stickslip.pipeline.scene.columns import OF_GRAPHS, OF_SETTINGS, PARTS, Recording, misnamed
 from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
 from stickslip.pipeline.scene.engine_table import Engines, EngineTable
 from stickslip.pipeline.scene.quantity import axes, points
 from stickslip.pipeline.scene.source import parse_toml, read_source
-from stickslip.pipeline.scene.system_table import OF_FILE, SystemTable, is_function
+from stickslip.pipeline.scene.system_table import OF_FILES, OF_GRAPH, SystemTable, is_function
 from stickslip.pipeline.scene.systems import KEY, SystemFile, SystemFunction, located, look_at_files, tried_function
 from stickslip.pipeline.scene.tables import AnalysisTable, PerturbationTable, RecordTable, RunTable, Start, TwinsTable
 from stickslip.pipeline.scene.toml import (
@@ -210,7 +210,7 @@ class Scene(StrictTable):
         draws = (value for quantity in self.quantities.values() for value in values(quantity) if value != BELT)
         in_files = any(file.arrays for file in system.known_files.values())
         conditions = {
-            "file": system.coupling == OF_FILE,
+            "file": system.is_of_files,
             "long_matrix": any(file.version > 1 for file in system.known_files.values()),
             "function": system.is_own,
             "damping": in_files,
@@ -256,7 +256,7 @@ class Scene(StrictTable):
             )
         for key, array in (("z", "z0"), ("w", "w0")):
             lacking = [name for name, file in self.system.known_files.items() if array not in file.arrays]
-            if getattr(self.start, key) == FILE and (lacking or self.system.coupling != OF_FILE):
+            if getattr(self.start, key) == FILE and (lacking or not self.system.is_of_files):
                 where = lacking[0] if lacking else f'coupling = "{self.system.coupling}"'
                 raise ValueError(
                     f"start.{key}: expected a file with the array `{array}`, got {where} without; write a number"
@@ -304,7 +304,7 @@ class Scene(StrictTable):
         ]
         fields = [field for function in self.record.own_functions.values() for field in function.columns]
         for key, clash, where in (
-            ("system.parameters", misnamed(parameters), "here and in the function"),
+            ("system.parameters", misnamed(set(parameters) - {*OF_GRAPHS}), "here and in the function"),
             ("record.own", misnamed(fields, parameters, "another field"), "in the module"),
             ("system.names", misnamed(of_blocks, (*parameters, *fields)), "and in [record]"),
         ):
@@ -460,7 +460,7 @@ class Scene(StrictTable):
     def sources(self) -> list[tuple[int, SystemFile | SystemFunction | None]]:
         """The numbers of blocks that systems are drawn or made for; or those of the files that they are read from."""
         system = self.system
-        if system.coupling == OF_FILE:
+        if system.is_of_files:
             files = system.known_files
             names = sorted(files, key=lambda name: (files[name].n, name))
             paths = located(names, self._folder)
@@ -469,6 +469,7 @@ class Scene(StrictTable):
             for name in names:
                 facts = files[name].model_dump(exclude={"n", "parameters", "names"})
                 facts |= {"parameters": tuple(files[name].parameters.items()), "copy": n_copies[files[name].sha256]}
+                facts |= {"is_graph": system.coupling == OF_GRAPH}
                 files_there.append((files[name].n, SystemFile(name=name, at=paths[name], **facts)))
                 n_copies[files[name].sha256] += 1
             return files_there
@@ -616,8 +617,8 @@ def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict
     if not isinstance(system, dict) or "files" in system or "module" in system:
         return {}
     coupling, path = system.get("coupling"), system.get("path")
-    if coupling == OF_FILE and isinstance(path, str):
-        return {"files": look_at_files(path, folder)}
+    if coupling in OF_FILES and isinstance(path, str):
+        return {"files": look_at_files(path, folder, coupling == OF_GRAPH)}
     if not isinstance(coupling, str) or not is_function(coupling):
         return {}
     sha256 = resolve(coupling, folder, KEY).sha256

@@ -53,8 +53,8 @@ _FIELDS = {"real": "f8", "double": "f8", "integer": "i8", "unsigned-integer": "u
 _SYMMETRIES = {"general": None, "symmetric": 1, "skew-symmetric": -1}
 
 
-def arrays_of(content: bytes, names: Sequence[str]) -> dict[str, Any]:
-    """The arrays that a system file holds, by name: `stiffness`, dense or sparse, and some of those in `beside`.
+def arrays_of(content: bytes, names: Sequence[str], matrix: str = "stiffness") -> dict[str, Any]:
+    """The arrays that a system file holds, by name: its matrix, dense or sparse, and some of those in `names`.
 
     Numbers beside them are `parameters`, by name, and texts by the name `NAMES` those of the blocks.
 
@@ -68,12 +68,12 @@ def arrays_of(content: bytes, names: Sequence[str]) -> dict[str, Any]:
         raise OtherKind(kind)
     for magic, reader in readers.items():
         if content.startswith(magic):
-            return reader(content, names)
+            return reader(content, names, matrix)
     raise ValueError("something else" if content else "it is empty")
 
 
-def _npy_alone(content: bytes, _: Sequence[str]) -> dict[str, Any]:
-    return {"stiffness": _npy("stiffness", io.BytesIO(content), len(content))}
+def _npy_alone(content: bytes, _: Sequence[str], matrix: str) -> dict[str, Any]:
+    return {matrix: _npy(matrix, io.BytesIO(content), len(content))}
 
 
 def _npy(name: str, stream: IO[bytes], size: int, kinds: str = "iuf") -> np.ndarray:
@@ -110,7 +110,7 @@ def _fits(name: str, needed: int) -> None:
         raise ValueError(f"{name}: {problem}")
 
 
-def _npz(content: bytes, allowed: Sequence[str]) -> dict[str, Any]:
+def _npz(content: bytes, allowed: Sequence[str], matrix: str) -> dict[str, Any]:
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         members: dict[str, zipfile.ZipInfo] = {}
         for info in archive.infolist():
@@ -137,17 +137,17 @@ def _npz(content: bytes, allowed: Sequence[str]) -> dict[str, Any]:
         texts = {NAMES: read(NAMES, "U").ravel().tolist()} if NAMES in members else {}
         members.pop(NAMES, None)
         if len(members) == 1:
-            return texts | {"stiffness": read(next(iter(members)))}
+            return texts | {matrix: read(next(iter(members)))}
         form = _format(read("format", "S", 1)) if members.keys() >= _SPARSE else ""
         is_sparse = members.keys() >= {*_PLACES[form]} if form else False
-        names = members.keys() - ({*_SPARSE, *_PLACES[form], "_is_array"} if is_sparse else {"stiffness"})
+        names = members.keys() - ({*_SPARSE, *_PLACES[form], "_is_array"} if is_sparse else {matrix})
         parameter_names = [name for name in sorted(names - {*allowed}) if name.isidentifier()]
         numbers = {name: read(name) for name in parameter_names if members[name].file_size <= _MAX_HEADER + 16}
         parameters = {name: float(number.item()) for name, number in numbers.items() if number.size == 1}
         names -= parameters.keys()
-        if not names <= {*allowed} or not (is_sparse or "stiffness" in members):
+        if not names <= {*allowed} or not (is_sparse or matrix in members):
             raise ValueError(
-                f"expected an array `stiffness`, or a sparse K as scipy.sparse.save_npz writes it, and of "
+                f"expected an array `{matrix}`, or a sparse matrix as scipy.sparse.save_npz writes it, and of "
                 f"{', '.join(allowed)}, and numbers by other names, got {', '.join(sorted(members)) or 'nothing'}"
             )
         if is_sparse:
@@ -155,12 +155,12 @@ def _npz(content: bytes, allowed: Sequence[str]) -> dict[str, Any]:
             places = {key: read(key, "i", 2 * n if key in ("indptr", "offsets") else None) for key in _PLACES[form]}
             stiffness = _sparse(form, read("data"), places, n)
         else:
-            stiffness = read("stiffness")
+            stiffness = read(matrix)
             n = max(stiffness.shape, default=1)
         arrays: dict[str, Any] = {
             name: read(name, n_most=n * n if name == "damping" else n) for name in sorted(names)
         }
-        return arrays | texts | {"stiffness": stiffness} | ({"parameters": parameters} if parameters else {})
+        return arrays | texts | {matrix: stiffness} | ({"parameters": parameters} if parameters else {})
 
 
 def _format(array: np.ndarray) -> str:
@@ -208,7 +208,7 @@ def _square(shape: Sequence[int]) -> int:
     return shape[0]
 
 
-def _matrix_market(content: bytes, _: Sequence[str]) -> dict[str, Any]:
+def _matrix_market(content: bytes, _: Sequence[str], matrix: str) -> dict[str, Any]:
     """K of the format that math.nist.gov/MatrixMarket/formats.html describes.
 
     SciPy's reader, in compiled code of its own, can crash on what is damaged; NumPy's parser of text does not.
@@ -249,14 +249,14 @@ def _matrix_market(content: bytes, _: Sequence[str]) -> dict[str, Any]:
             above = len(content[:begin].splitlines())
             return f"line {above + 1 + filled[entry]}"
 
-        return {"stiffness": _of_entries(table["row"], table["column"], values, n, sign, line)}
+        return {matrix: _of_entries(table["row"], table["column"], values, n, sign, line)}
     _fits("stiffness", _BYTES_OF_ENTRY * n * n)
     if sign is None:
-        return {"stiffness": values.reshape((n, n), order="F")}
+        return {matrix: values.reshape((n, n), order="F")}
     column, row = np.triu_indices(n, below)  # by columns, from the diagonal down
     stiffness = np.zeros((n, n))
     stiffness[row, column], stiffness[column, row] = values, sign * values
-    return {"stiffness": stiffness}
+    return {matrix: stiffness}
 
 
 def _of_entries(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from itertools import product
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
@@ -44,8 +45,8 @@ from stickslip.sim.systems.graphs import GRAPHS
 from stickslip.sim.systems.terms import OF_BLOCKS, TERMS, Term
 from stickslip.sim.systems.weakening import LAWS
 
-#: The name of the coupling whose systems are read from files.
-OF_FILE = "file"
+#: The names of the couplings whose systems are read from files: K itself, or the graph that springs lie along.
+OF_FILE, OF_GRAPH = OF_FILES = ("file", "graph")
 
 
 #: The keys that a force is given by: a harmonic one, or one that is linear between times.
@@ -60,7 +61,7 @@ def is_function(coupling: str) -> bool:
 
 
 def _coupling(name: str) -> str:
-    names = (*COUPLINGS, *GRAPHS, OF_FILE)
+    names = (*COUPLINGS, *GRAPHS, *OF_FILES)
     if name not in names and not is_function(name):
         if ":" in name:
             raise ValueError(f"expected module:function, as in own:draw, got {name!r}; name a file own.py so")
@@ -266,17 +267,17 @@ QUANTITIES["force_course"] = ("force", "course")  # a force that is given by tim
 def _either_files(schema: dict[str, Any]) -> None:
     """Let editors accept a system without n, if it is read from files."""
     required = schema.pop("required")
-    of_files = {"properties": {"coupling": {"const": OF_FILE}}}
+    of_files = {"properties": {"coupling": {"enum": [*OF_FILES]}}}
     schema |= {"if": of_files, "then": {"required": required}, "else": {"required": [*required, "n"]}}
 
 
 class _Source(StrictTable):
     model_config = ConfigDict(json_schema_extra=_either_files)
     coupling: Annotated[str, AfterValidator(_coupling)] = Field(
-        description="name of the ensemble, or of the graph that springs lie along; that K is read from a file; or the"
-        " function that makes the systems, as module:function",
+        description="name of the ensemble, or of the graph that springs lie along; that K, or a graph, is read from a"
+        " file; or the function that makes the systems, as module:function",
         examples=["antisymmetric"],
-        json_schema_extra={"anyOf": [{"enum": [*COUPLINGS, *GRAPHS, OF_FILE]}, {"pattern": PATTERN}]},
+        json_schema_extra={"anyOf": [{"enum": [*COUPLINGS, *GRAPHS, *OF_FILES]}, {"pattern": PATTERN}]},
     )
     n: BlockNumbers = Field(
         default_factory=tuple,
@@ -285,7 +286,8 @@ class _Source(StrictTable):
     )
     path: str | None = Field(
         default=None,
-        description="file of K, .npz, .npy or Matrix Market, beside the scene; or several, by a pattern",
+        description="file of K, .npz, .npy or Matrix Market, or of a graph, beside the scene; or several, by a"
+        " pattern",
         examples=["K.npz"],
     )
 
@@ -373,7 +375,7 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
         n = max(self.n)
         if self.coupling in COUPLINGS:
             return 3.0 * 8 * math.prod(COUPLINGS[self.coupling].shape(n))  # a draw, its transpose and their sum
-        if self.coupling == OF_FILE:
+        if self.is_of_files:
             return max((100.0 if file.is_sparse else 24.0) * file.entries for file in self.known_files.values())
         if self.module is not None:
             return 100.0 * n * self.module.entries_by_block if self.module.is_sparse else 24.0 * n**2
@@ -383,6 +385,11 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
     def is_own(self) -> bool:
         """Whether a function of the user's makes the systems."""
         return is_function(self.coupling)
+
+    @property
+    def is_of_files(self) -> bool:
+        """Whether K, or a graph, is read from files."""
+        return self.coupling in OF_FILES
 
     @property
     def known_files(self) -> dict[str, FileTable]:
@@ -432,7 +439,7 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
 
     def _files_apply(self) -> None:
         if self.path is None:
-            raise ValueError('path: expected the file of K, found nothing; add `path = "K.npz"`')
+            raise ValueError('path: expected the file of K or of the graph, found nothing; add `path = "K.npz"`')
         if not self.files:
             raise ValueError("files: expected what `load_scene` and the command write here, found nothing; use these")
         reference, names_by_digest = next(iter(self.files.values())), dict[str, str]()
@@ -474,16 +481,16 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
     @model_validator(mode="after")
     def _only_what_applies(self) -> Self:
         """What is not used is refused, and no part of the data."""
-        of_file, why = self.coupling == OF_FILE, ""
+        of_file, why = self.is_of_files, ""
         if not self.n and not of_file:
             raise ValueError("n: expected the number of blocks, or a list of numbers, found nothing; add `n = 200`")
-        if of_file or self.is_own:
+        if self.coupling == OF_FILE or self.is_own:
             why = ", which has K itself" if of_file else ", which makes all of it from [system.parameters]"
-        graph = GRAPHS.get(self.coupling)
+        takes = GRAPHS[self.coupling].takes if self.coupling in GRAPHS else ()
         for key, is_used in (
             ("path", of_file), ("files", of_file), ("parameters", self.is_own), ("module", self.is_own),
-            ("leaf", graph is not None), ("degree", graph is not None and graph.has_degree), ("kappa", not why),
-            ("rho", not self.is_own),
+            ("leaf", self.coupling in (*GRAPHS, OF_GRAPH)), ("degree", "degree" in takes),
+            ("rewiring", "rewiring" in takes), ("kappa", not why), ("rho", not self.is_own),
         ):  # fmt: skip
             if not is_used:
                 if key in self.model_fields_set and getattr(self, key) is not None:
@@ -495,7 +502,7 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
             self._files_apply()
         if self.is_own:
             self._function_applies()
-        if self.weakening is not None and not why:  # else that may hold static friction
+        if self.weakening is not None and not of_file and not self.is_own:  # else that may hold static friction
             LAWS[self.weakening.law].require_static(self.static)
         if not self.back_slip and self.drive is None:  # else that of the drive counts too
             for speed in values(self.belt_speed):
@@ -513,7 +520,9 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
         if damped:
             object.__setattr__(self, "rho", None)
         self._names_apply()
-        if self.degree is not None and size(self.degree) > min(self.n) - 1:
-            bound = f"n - 1 = {min(self.n) - 1}, all the others"
-            raise ValueError(f"degree: expected at most {bound}, got {size(self.degree):g}; lower it")
+        for n, degree in product(self.n, values(self.degree)) if self.degree is not None else ():
+            if expected := GRAPHS[self.coupling].expected(n, size(degree)):
+                raise ValueError(f"degree: expected {expected}, got {size(degree):g}; change it")
+        if self.rewiring is not None and size(self.rewiring) > 1:
+            raise ValueError(f"rewiring: expected a probability, at most 1, got {size(self.rewiring):g}; lower it")
         return self

@@ -22,6 +22,7 @@ from stickslip.pipeline.own import function as own
 from stickslip.pipeline.own.files import content_of, digest
 from stickslip.pipeline.own.function import OwnFunction
 from stickslip.pipeline.own.trial import Trial, tried
+from stickslip.pipeline.scene.graph_files import graph_of
 from stickslip.pipeline.scene.other_files import OtherKind
 from stickslip.pipeline.scene.source import MAX_FILES
 from stickslip.pipeline.scene.system_files import NAMES, arrays_of
@@ -57,6 +58,7 @@ class SystemFile:
     arrays: tuple[str, ...]
     version: int
     parameters: tuple[tuple[str, float], ...] = ()
+    is_graph: bool = False  #: whether it holds a graph, and no K
     copy: int = 0  #: how many files before it are equal to it: realisations that came out the same
 
     @property
@@ -112,11 +114,11 @@ def read(file: SystemFile) -> Mapping[str, Any]:
 
     Raises `SceneError` if it is gone, or not what it was.
     """
-    return _read(file.at, file.sha256)
+    return _read(file.at, file.sha256, file.is_graph)
 
 
 @lru_cache(maxsize=2)
-def _read(at: str, sha256: str) -> Mapping[str, Any]:
+def _read(at: str, sha256: str, is_graph: bool) -> Mapping[str, Any]:
     content = content_of(Path(at), _PATH)
     actual = digest(content)
     if actual != sha256:
@@ -124,7 +126,7 @@ def _read(at: str, sha256: str) -> Mapping[str, Any]:
             f"system.path: expected {at} as it was when the scene was read (sha256 {sha256[:12]}), got another "
             f"(sha256 {actual[:12]}); restore the file, or run the scene with it into another directory"
         )
-    return _arrays(at, content)
+    return _arrays(at, content, is_graph)
 
 
 def look_again(origin: SystemFile | OwnFunction) -> None:
@@ -138,15 +140,21 @@ def look_again(origin: SystemFile | OwnFunction) -> None:
         own.look_again(origin)
 
 
-def _arrays(name: str, content: bytes) -> dict[str, Any]:
+def _arrays(name: str, content: bytes, is_graph: bool) -> dict[str, Any]:
     try:
-        return arrays_of(content, BY_BLOCK)
+        return graph_of(content, BY_BLOCK) if is_graph else arrays_of(content, BY_BLOCK)
     except OtherKind as error:
+        also = 'write coupling = "graph", which reads it, or ' * error.kind.is_graph
         raise SceneError(
-            f"system.path: {name}: expected an .npz, .npy or Matrix Market file of K, got {error}; convert it in"
-            f" Python, and name what that writes: {error.line(name)}"
+            f"system.path: {name}: expected an .npz, .npy or Matrix Market file of K, got {error}; {also}convert it"
+            f" in Python, and name what that writes: {error.line(name)}"
         ) from None
     except Exception as error:  # readers raise a dozen kinds of errors for damaged files, which no list names
+        if is_graph:
+            raise SceneError(
+                f"system.path: {name}: expected a graph: rows i, j and perhaps a weight, GraphML, or an adjacency"
+                f" matrix as .npz, .npy, Matrix Market or CSV ({_line(error)}); correct the file, or the path"
+            ) from error
         raise SceneError(
             f"system.path: {name}: expected a whole .npz, .npy or Matrix Market file of K ({_line(error)}); "
             f'write it again, as numpy.savez("K.npz", stiffness=K) does, or correct the path'
@@ -159,11 +167,12 @@ def _line(error: Exception) -> str:
     return why if len(why) < 300 else f"{why[:297]}..."  # it may show an array
 
 
-def _checked(name: str, content: bytes) -> dict[str, Any]:
+def _checked(name: str, content: bytes, is_graph: bool) -> dict[str, Any]:
     """What a scene says of a file that was read, as plain values."""
-    arrays = _arrays(name, content)
+    arrays = _arrays(name, content, is_graph)
+    make = partial(System.from_graph, arrays["edges"]) if is_graph else partial(System, arrays["stiffness"])
     try:
-        system = System(arrays["stiffness"], **{"damping": 0.0} | {k: arrays[k] for k in OF_BLOCKS if k in arrays})
+        system = make(**{"damping": 0.0} | {k: arrays[k] for k in OF_BLOCKS if k in arrays})
         for key in ("z0", "w0"):
             per_block(key, arrays.get(key, 0.0), system.n)
         names = named(arrays.get(NAMES, ()), system.n)
@@ -182,7 +191,7 @@ def _checked(name: str, content: bytes) -> dict[str, Any]:
     }
 
 
-def look_at_files(pattern: str, folder: Path) -> dict[str, dict[str, Any]]:
+def look_at_files(pattern: str, folder: Path, is_graph: bool = False) -> dict[str, dict[str, Any]]:
     """Digest and facts of each file that a pattern matches, by its name beside the scene, as plain values.
 
     From then on the scene can be read without them, and a changed file makes another scene. Raises `SceneError` if
@@ -201,7 +210,9 @@ def look_at_files(pattern: str, folder: Path) -> dict[str, dict[str, Any]]:
     odd = next((name for name in names if not name.isprintable()), None)
     if odd is not None:  # what is no UTF-8 a scene could not name
         raise SceneError(f"system.path: expected files with printable names, got {odd!a}; rename it")
-    return {name: _checked(str(file), content_of(file, _PATH)) for name, file in zip(names, files, strict=True)}
+    return {
+        name: _checked(str(file), content_of(file, _PATH), is_graph) for name, file in zip(names, files, strict=True)
+    }
 
 
 def _glob(folder: Path, pattern: str) -> list[Path]:

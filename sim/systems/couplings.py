@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from stickslip.sim.numerics.arguments import Floats, did_you_mean, integer, per_block
 from stickslip.sim.numerics.session import numpy_arithmetic
-from stickslip.sim.systems.graphs import GRAPHS, spring_matrix
+from stickslip.sim.systems.graphs import GRAPHS, drawn_edges, spring_matrix
 from stickslip.sim.systems.system import System
 
 if TYPE_CHECKING:
@@ -127,6 +127,7 @@ def draw_system(
     kappa: float = 0.2,
     leaf: ArrayLike = 0.1,
     degree: float = 4.0,
+    rewiring: float = 0.1,
     rho: float | None = 3.5,
     damping: ArrayLike | None = None,
     **arguments: Any,
@@ -143,9 +144,9 @@ def draw_system(
         At least 0; the same seed gives the same system.
     kappa, rho : float
         Scales: stiffnesses in [-kappa, kappa], of a graph kappa between neighbours; dampings in [rho, 2 rho].
-    leaf, degree
-        Of a graph: stiffness of each block's leaf spring, one number or shape (n,); mean number of neighbours in a
-        network, at most n - 1.
+    leaf, degree, rewiring
+        Of a graph: stiffness of each block's leaf spring, one number or shape (n,); mean number of neighbours, at
+        most n - 1; the probability that a spring of `small_world` is rewired.
     damping
         R itself, as in `System`, in the place of a draw with rho; K does not depend on it.
     **arguments
@@ -156,7 +157,7 @@ def draw_system(
     TypeError
         If n or the seed is no integer.
     ValueError
-        If the name is unknown, n < 1, or the seed or a scale is negative.
+        If the name is unknown, n < 1, the seed or a scale is negative, or the graph has no such degree or rewiring.
     """
     n, rng = integer("n", n, 1, None), _generator(seed)
     scale = 0.0 if damping is not None or rho is None else rho
@@ -166,7 +167,8 @@ def draw_system(
     stiffness: Floats | scipy.sparse.sparray
     if coupling in GRAPHS:
         drawn = rng.uniform(scale, 2 * scale, n)
-        stiffness = spring_matrix(n, GRAPHS[coupling].pairs(n, degree, rng), kappa, per_block("leaf", leaf, n))
+        edges = drawn_edges(coupling, n, rng, degree, rewiring)
+        stiffness = spring_matrix(edges, kappa, per_block("leaf", leaf, n))
     else:
         kind = _coupling(coupling)
         u, drawn = _uniform(kind.shape(n), rng, kappa, (scale, 2 * scale))

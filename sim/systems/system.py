@@ -10,7 +10,6 @@ dimensionless.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -21,8 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.numerics.arguments import Floats, apart, flag, floats, number, per_block
 from stickslip.sim.numerics.session import numpy_arithmetic
+from stickslip.sim.numerics.sparse import by_columns, is_sparse
 from stickslip.sim.runs import show
 from stickslip.sim.runs.blocks import named, numbered
+from stickslip.sim.systems import graphs
 from stickslip.sim.systems.drive import Force, Harmonic, Piecewise, Term, belt, direction, forces
 from stickslip.sim.systems.driven import driven
 from stickslip.sim.systems.scales import Scales
@@ -132,7 +133,7 @@ class System:
         names: Sequence[str] = (),
     ) -> None:
         if is_sparse(stiffness):
-            matrix = _by_columns("stiffness", stiffness)
+            matrix = by_columns("stiffness", stiffness)
             entries = matrix.data
         else:
             matrix = floats("stiffness", stiffness, "a square matrix of numbers")
@@ -205,6 +206,45 @@ class System:
         )
         chosen = Scales.of(physical) if scales is None else scales
         return chosen.dimensionless(physical), chosen
+
+    @classmethod
+    def from_graph(
+        cls,
+        graph: Any,
+        *,
+        kappa: float = 1.0,
+        leaf: ArrayLike = 0.0,
+        damping: ArrayLike = 0.0,
+        n: int | None = None,
+        **arguments: Any,
+    ) -> System:
+        """Springs along a graph, and a leaf spring for each block: K = kappa L + diag(leaf), sparse.
+
+        Parameters
+        ----------
+        graph : networkx.Graph, scipy.sparse matrix or array_like
+            Undirected: of networkx, whose nodes in their order are the blocks, with `weight` of its edges, one where
+            there is none; a symmetric adjacency, shape (n, n), of weights; or edges, shape (m, 2) or (m, 3), as rows
+            i, j and a weight, each pair once.
+        kappa : float
+            Stiffness of a spring of weight one.
+        leaf : float or array_like, shape (n,)
+            Stiffness between each block and the ground.
+        damping
+            As in `System`.
+        n : int, optional
+            Number of blocks, if edges leave out the last.
+        **arguments
+            ``friction``, ``belt_speed`` and other arguments of `System`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            If the graph is directed, has a loop or a pair twice, or as `System`.
+        """
+        edges = graphs.edges_of(graph, n)
+        matrix = graphs.spring_matrix(edges, number("kappa", kappa), per_block("leaf", leaf, edges.n))
+        return cls(matrix, damping, **arguments)
 
     @cached_property
     def n(self) -> int:
@@ -659,12 +699,6 @@ def require_plain(system: System, what: str) -> None:
     require_within((), system, what)
 
 
-def is_sparse(matrix: object) -> bool:
-    """As `scipy.sparse.issparse`, without loading that: whoever has a sparse matrix has loaded it."""
-    sparse = sys.modules.get("scipy.sparse")
-    return sparse is not None and bool(sparse.issparse(matrix))
-
-
 def _rows_times(matrix: Any, share: Floats) -> Any:
     """The rows of a dense or sparse matrix, or numbers, shape (n,), times those of `share`, shape (n,)."""
     if not is_sparse(matrix):
@@ -677,32 +711,6 @@ def _rows_times(matrix: Any, share: Floats) -> Any:
 def _row_sums(matrix: Any) -> Floats:
     """Sums of magnitudes by row, shape (n,), of a dense or sparse matrix."""
     return np.asarray(abs(matrix).sum(axis=1), dtype=np.float64).reshape(matrix.shape[0])
-
-
-def _by_columns(name: str, matrix: Any) -> scipy.sparse.csc_array:
-    """A copy of a sparse matrix as CSC, each entry once and real."""
-    from scipy.sparse import csc_array
-
-    csc = csc_array(_checked(name, matrix), copy=True)  # its entries are sorted in place
-    csc = csc_array((floats(name, csc.data, "real entries"), csc.indices, csc.indptr), csc.shape)
-    csc.sum_duplicates()
-    return csc
-
-
-def _checked(name: str, matrix: Any) -> Any:
-    """A sparse matrix whose indices are in range, as SciPy's compiled code assumes."""
-    from scipy.sparse import coo_array
-
-    try:
-        if matrix.format in ("csc", "csr", "bsr"):
-            matrix.check_format(full_check=True)
-            return matrix
-        entries = matrix.tocoo()
-        return coo_array((entries.data, entries.coords), entries.shape)  # which checks them
-    except ValueError as error:
-        raise ValueError(
-            f"{name}: expected a sparse matrix with its indices in range, got one with {error}"
-        ) from None
 
 
 def _static(static: ArrayLike | None, friction: Floats) -> Floats:
@@ -768,7 +776,7 @@ def _sparse_damping(damping: Any, n: int) -> tuple[Floats, Any]:
 
     if damping.shape != (n, n):
         raise ValueError(f"damping: expected a matrix of shape ({n}, {n}), got shape {damping.shape}")
-    whole = _by_columns("damping", damping)
+    whole = by_columns("damping", damping)
     if not np.isfinite(whole.data).all():
         raise ValueError("damping: expected finite entries, got NaN or infinity")
     diagonal = per_block("damping", whole.diagonal(), n)

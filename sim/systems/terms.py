@@ -112,11 +112,18 @@ TERMS = (
     ),
     Term(
         name="degree",
-        words="mean number of neighbours in the graph `network`",
+        words="mean number of neighbours in a graph that is drawn",
         column="mean number of neighbours; null if not a network",
         default=4.0,
         least=0,
         part="graph",
+    ),
+    Term(
+        name="rewiring",
+        words="probability that a spring of the graph `small_world` is rewired",
+        default=0.1,
+        least=0,
+        part="rewiring",
     ),
     Term(name="rho", words="scale of the dampings", default=3.5, least=0),
     Term(

@@ -314,15 +314,15 @@ def test_a_coupling_is_one_line(monkeypatch):
         parse_scene(source.encode() + b"[perturbation]\nsizes = 0.1\n")
 
 
-@pytest.mark.parametrize("has_degree", [True, False])
-def test_a_graph_is_one_line(has_degree, monkeypatch):
+@pytest.mark.parametrize("takes", [("degree",), ()])
+def test_a_graph_is_one_line(takes, monkeypatch):
     """Its mean degree is a key of a scene, and swept, if it says that it has one."""
-    monkeypatch.setitem(GRAPHS, "other", Graph(GRAPHS["network"].pairs, has_degree=has_degree))
+    monkeypatch.setitem(GRAPHS, "other", Graph(GRAPHS["network"].pairs, takes))
     source = (
         '[system]\ncoupling = "other"\nn = 12\ndegree = [2.0, 4.0]\n[start]\nz = 0.1\nw = 0.0\n'
         '[run]\nt_end = 1.0\nmatrices = 1\n[[engine]]\nname = "coulomb"\n[analysis]\nt_burn = 0.1\ndt = 0.1\n'
     )
-    if not has_degree:
+    if not takes:
         with pytest.raises(SceneError, match='degree: expected none with coupling = "other"'):
             parse_scene(source)
         return

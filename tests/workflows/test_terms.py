@@ -21,6 +21,7 @@ def law_with(law, key):
 #: What a scene says beside a term, where a chain of blocks without static friction does not do.
 BESIDE = {
     "degree": 'coupling = "network"',
+    "rewiring": 'coupling = "small_world"',
     "rho": 'coupling = "full"',
     "force_amplitude": "force = {frequency = 1.0, amplitude = VALUE}",
     "force_frequency": "force = {amplitude = 0.5, frequency = VALUE}",

@@ -1,0 +1,141 @@
+"""What the bytes of a file of a graph hold: edges, GraphML or an adjacency matrix, and numbers beside them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+from xml.parsers import expat
+
+import numpy as np
+
+from stickslip.pipeline.scene.system_files import arrays_of
+from stickslip.pipeline.scene.toml import MAX_BLOCKS
+from stickslip.sim.systems.graphs import Edges, adjacent_edges, edges_of, listed_edges
+
+_MATRICES = (b"PK", b"\x93NUMPY", b"%%MatrixMarket")
+#: A number that a comment in a text of edges carries, as `# rewiring = 0.1`.
+_NUMBER = re.compile(r"[#%]\s*(\w+)\s*=\s*(\S+)\s*")
+
+
+def graph_of(content: bytes, names: Sequence[str]) -> dict[str, Any]:
+    """The `edges` of a graph, as `Edges`; with a matrix, the arrays of some names, as in `arrays_of`.
+
+    Numbers that the graph carries are `parameters`, by name. The readers of Python, NumPy and Expat raise exceptions
+    of many kinds for damaged files. Raises `ValueError` if there is no undirected graph.
+    """
+    if content.startswith(_MATRICES):
+        arrays = arrays_of(content, names, "adjacency")
+        adjacency = arrays.pop("adjacency")
+        arrays["edges"] = adjacent_edges(adjacency) if isinstance(adjacency, np.ndarray) else edges_of(adjacency)
+    elif content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        arrays = _GraphML(content).arrays
+    else:
+        arrays = _table(content.decode("utf-8-sig"))
+    if arrays["edges"].n > MAX_BLOCKS:
+        raise ValueError(f"expected at most {MAX_BLOCKS} blocks, got {arrays['edges'].n}")
+    return arrays
+
+
+def _table(text: str) -> dict[str, Any]:
+    """A text of numbers: of two or three columns edges, of more an adjacency matrix; a first line of names."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    found = (_NUMBER.fullmatch(line) for line in lines)
+    parameters = {match[1]: float(match[2]) for match in found if match and match[1].isidentifier()}
+    rows = [re.sub("[,;\t]", " ", line) for line in lines if line[0] not in "#%"]
+    if rows and re.match(r"[^\d.+-]", rows[0].lstrip("\"' ")):
+        rows = rows[1:]
+    if not rows:
+        raise ValueError("it has no edge")
+    table = np.loadtxt(rows, ndmin=2, comments=None)
+    edges = listed_edges(table, None) if table.shape[1] in (2, 3) else adjacent_edges(table)
+    return {"edges": edges} | ({"parameters": parameters} if parameters else {})
+
+
+class _GraphML:
+    """The graph of a document of graphml.graphdrawing.org: nodes in their order, weights from the key `weight`."""
+
+    def __init__(self, content: bytes) -> None:
+        self._keys: dict[str, str] = {}
+        self._weight = "1"
+        self._nodes: dict[str, int] = {}
+        self._ends: list[tuple[str, str]] = []
+        self._weights: list[str] = []
+        self._numbers: dict[str, str] = {}
+        self._path: list[str] = []
+        self._key, self._text = "", ""
+        self._n_graphs = 0
+        parser = expat.ParserCreate(namespace_separator=" ")
+        parser.StartDoctypeDeclHandler = self._refuse_type  # whoever declares no entities has none
+        parser.StartElementHandler, parser.EndElementHandler = self._start, self._end
+        parser.CharacterDataHandler = self._add
+        parser.Parse(content, True)
+
+    @property
+    def arrays(self) -> dict[str, Any]:
+        """As of `graph_of`."""
+        if self._n_graphs != 1:
+            raise ValueError(f"expected one graph, got {self._n_graphs}")
+        strange = next((end for ends in self._ends for end in ends if end not in self._nodes), None)
+        if strange is not None:
+            raise ValueError(f"expected edges between nodes, got {strange!r}, which is none")
+        edges = [(self._nodes[i], self._nodes[j]) for i, j in self._ends]
+        table = np.column_stack((np.array(edges).reshape(-1, 2), np.array(self._weights, dtype=np.float64)))
+        parameters = {}
+        for name, text in self._numbers.items():
+            if name.isidentifier() and re.fullmatch(r"[-+.\deE]+", text):
+                parameters[name] = float(text)
+        listed: Edges = listed_edges(table, len(self._nodes))
+        return {"edges": listed} | ({"parameters": parameters} if parameters else {})
+
+    @staticmethod
+    def _refuse_type(*_: object) -> None:
+        raise ValueError("expected no document type, which could declare entities, got one; remove <!DOCTYPE ...>")
+
+    def _start(self, element: str, attributes: dict[str, str]) -> None:
+        name = element.rpartition(" ")[2]
+        self._path.append(name)
+        match name:
+            case "graph":
+                self._n_graphs += 1
+                if "graph" in self._path[:-1]:
+                    raise ValueError("expected no graph within a graph")
+                if attributes["edgedefault"] != "undirected":
+                    raise ValueError(
+                        'expected edgedefault="undirected", as a spring pulls both its blocks, got a directed graph'
+                    )
+            case "key":
+                self._keys[attributes["id"]] = attributes.get("attr.name", "")
+                self._key = attributes["id"]
+            case "node":
+                if self._nodes.setdefault(attributes["id"], len(self._nodes)) != len(self._nodes) - 1:
+                    raise ValueError(f"expected each node once, got {attributes['id']!r} twice")
+            case "edge":
+                if attributes.get("directed", "false") != "false":
+                    raise ValueError("expected undirected edges, got a directed one")
+                self._ends.append((attributes["source"], attributes["target"]))
+                self._weights.append("")
+            case "hyperedge":
+                raise ValueError("expected edges between two nodes, got a hyperedge")
+            case "data":
+                self._key = attributes["key"]
+        self._text = ""
+
+    def _add(self, text: str) -> None:
+        self._text += text
+
+    def _end(self, _: str) -> None:
+        name, place = self._path.pop(), self._path[-1] if self._path else ""
+        attribute, text = self._keys.get(self._key, ""), self._text.strip()
+        match place, name:
+            case ("edge", "data") if attribute == "weight":
+                self._weights[-1] = text
+            case ("edge", "data") | ("node", "data"):
+                pass
+            case ("key", "default") if attribute == "weight":
+                self._weight = text
+            case ("graph", "data"):
+                self._numbers[attribute] = text
+            case (_, "graphml"):
+                self._weights = [weight or self._weight for weight in self._weights]
+        self._text = ""
