@@ -36,7 +36,7 @@ from stickslip.pipeline.design.labels import Label
 from stickslip.sim.engines import place
 
 ONE_MOMENT = "most episodes have one moment"  # why there is no b
-_READ = ["start", "end", "size", "moment", "z_sum"]
+_READ = ["start", "end", "size", "moment", "z_sum", "elapsed"]
 
 
 @dataclass
@@ -181,12 +181,14 @@ def _by_unit(study: Study, group: Group, of_member: Mapping[str, pd.DataFrame]) 
         if member_id in of_member:
             columns = of_member[member_id].reindex(columns=_READ).to_numpy(np.float64, na_value=np.nan).T
             columns = columns[:, (columns[0] >= t_start) & (columns[3] != 0)]
-        start, end, size, moment, z_sum = columns
+        start, end, size, moment, z_sum, elapsed = columns
         slip = np.nan if not v else n * abs(float(v)) * (float(t_end) - t_start)
         moving = _moving(*study.runs.points(member_id), n, t_start, float(t_end))
         carried = np.sign(float(v)) * z_sum if v else None
         sizes = size.astype(np.int64)
-        run = Catalogue(t_start, float(t_end), start, end - start, sizes, moment, slip, moving, carried)
+        is_loaded = bool(len(elapsed) and np.isfinite(elapsed).all())
+        duration = elapsed if is_loaded else end - start
+        run = Catalogue(t_start, float(t_end), start, duration, sizes, moment, slip, moving, carried, is_loaded)
         by_unit.setdefault(int(unit), []).append(run)
     return by_unit
 

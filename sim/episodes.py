@@ -37,6 +37,8 @@ class Episodes:
     z_sum : float64, shape (m,)
         Sum of z over the blocks when it begins. From the begin of one episode to that of another the belts' travel is
         the change of this sum, the moments, and creep: what blocks slip while all count as stuck.
+    elapsed : float64, shape (m,), or None
+        Durations under adiabatic loading, where `start` and `end` are one time of the belt; else None.
     """
 
     start: Floats
@@ -45,11 +47,12 @@ class Episodes:
     moment: Floats
     first_block: NDArray[np.int32]
     z_sum: Floats
+    elapsed: Floats | None = None
 
     @property
     def duration(self) -> Floats:
         """Durations, shape (m,)."""
-        return self.end - self.start
+        return self.end - self.start if self.elapsed is None else self.elapsed
 
     def __len__(self) -> int:
         return len(self.start)
@@ -79,6 +82,9 @@ def episodes(run: Run, belt_speed: ArrayLike | Piecewise) -> Episodes:
         If the speeds are not those of belts of this run, or the run does not know its `stills`.
     """
     series, stills = run.events, run.stills
+    if run.loaded is not None:
+        t, elapsed, size, moment, first_block, z_sum = run.loaded
+        return Episodes(t, t, size, moment, first_block, z_sum, elapsed)
     if stills is None:
         raise ValueError("run: expected one of an engine that keeps `stills`, on which moments hang, got None")
     since, until = _stills(series)

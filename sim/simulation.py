@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines.adiabatic import Adiabatic
 from stickslip.sim.engines.contract import Engine, Task
 from stickslip.sim.numerics.arguments import Floats, apart, did_you_mean, floats, number, per_block
 from stickslip.sim.numerics.session import numpy_arithmetic
@@ -17,7 +19,7 @@ from stickslip.sim.runs.run import Run, Samples
 from stickslip.sim.systems.system import System, require_within
 
 #: Keywords of `simulate` itself, to suggest where one is misspelt.
-_KEYWORDS = ("t_start", "t_eval", "engine", "modes", "stop_early")
+_KEYWORDS = ("t_start", "t_eval", "engine", "modes", "stop_early", "load")
 
 
 @numpy_arithmetic()
@@ -32,6 +34,7 @@ def simulate(
     engine: str = "coulomb",
     modes: ArrayLike | None = None,
     stop_early: bool | str = True,
+    load: str | None = None,
     **settings: object,
 ) -> Run:
     """Follow a system of blocks from a start state to `t_end` (dimensionless).
@@ -58,6 +61,10 @@ def simulate(
         one that escapes ends. A collapse is tested for where that pays: after all blocks have slipped for a while,
         if what is left of the run would cost as much as the test. "always": whenever all blocks slip, so that each
         run whose collapse can be certified has that outcome.
+    load : "adiabatic" or None
+        How the belt loads. None: at its speed. "adiabatic": it waits while any block slips and, once all stick,
+        advances at once to the next instability, as a belt whose speed tends to zero. Times are the belt's travel
+        over |v|; see `Run.loaded`. It takes the exact engine, and static friction above the kinetic.
     **settings
         coulomb: ``tol``; sigmoid: ``eps``, ``ratio``, ``rtol``, ``atol``, ``stick``, ``threshold``, ``thresholds``;
         moreau: ``step``. See `stickslip.sim.engines.ENGINES`, the classes `Coulomb`, `Sigmoid` and `Moreau`.
@@ -74,13 +81,22 @@ def simulate(
         If the engine cannot go on.
     """
     chosen = as_engine(engine, settings)
-    run = chosen.integrate(as_task(chosen, system, z0, w0, t_end, t_start, t_eval, modes, stop_early))
+    task = as_task(chosen, system, z0, w0, t_end, t_start, t_eval, modes, stop_early)
+    run = (chosen if load is None else loading(load, chosen)).integrate(task)
     return with_names(run, system.names)
 
 
 def with_names(run: Run, names: tuple[str, ...]) -> Run:
     """A run whose events have the names of the blocks."""
     return replace(run, events=replace(run.events, names=names)) if names else run
+
+
+@lru_cache(maxsize=8)  # members of the same settings have one engine
+def loading(load: str, engine: Engine) -> Adiabatic:
+    """An engine under a way of loading, by its name."""
+    if load != "adiabatic":
+        raise ValueError(f'load: expected "adiabatic" or None, got {load!r}')
+    return Adiabatic(engine)
 
 
 def as_engine(name: str, settings: Mapping[str, Any]) -> Engine:

@@ -44,6 +44,8 @@ class Catalogue:
     carried : ndarray, shape (m,), optional
         How far the belt has carried the blocks when each episode begins, summed over the blocks: their z along its
         motion. Unless given it is not known.
+    is_loaded : bool
+        Whether loading is adiabatic: durations are then by the clock of the motion, and take no time of the run.
     """
 
     t_start: float
@@ -55,6 +57,7 @@ class Catalogue:
     slip: float
     moving: float = np.nan
     carried: np.ndarray | None = None
+    is_loaded: bool = False
 
     @property
     def travel(self) -> float:
@@ -85,7 +88,7 @@ class Catalogue:
         Times from start to start would contain the durations. Where episodes fill much of the time, this dead time
         would make any process look regular, and any large episode seem to delay the next.
         """
-        return self.start[1:] - (self.start + self.duration)[:-1]
+        return np.diff(self.start) if self.is_loaded else self.start[1:] - (self.start + self.duration)[:-1]
 
     def halves(self) -> np.ndarray:
         """Number of episodes that begin in the first half and in the second, shape (2,)."""

@@ -468,7 +468,8 @@ def _variants(scene: Scene) -> Iterator[_Variant]:
             continue
         sharing = Sharing(scene.n_changes(engine), len(engine.draws), len(scene.engines))
         for draw in engine.draws:
-            method = Method(engine.name, tuple(engine.settings.items()), draw, engine.picked_for)
+            settings = tuple(engine.settings.items())
+            method = Method(engine.name, settings, draw, engine.picked_for, scene.run.load)
             yield _Variant(change, method, sharing, (*_words_of(change), *engine.words(draw)))
 
 

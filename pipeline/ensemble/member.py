@@ -27,8 +27,9 @@ from stickslip.pipeline.design.values import (
 from stickslip.pipeline.scene.ends import Ends
 from stickslip.pipeline.scene.systems import SystemFile, SystemFunction, make, read
 from stickslip.sim.engines import ENGINES, contract
+from stickslip.sim.engines.adiabatic import Adiabatic
 from stickslip.sim.engines.contract import Engine
-from stickslip.sim.simulation import as_engine, as_task, with_names
+from stickslip.sim.simulation import as_engine, as_task, loading, with_names
 from stickslip.sim.systems.terms import OF_BLOCKS, TERMS
 from stickslip.sim.systems.weakening import LAWS
 
@@ -88,6 +89,7 @@ class Method(NamedTuple):
     settings: tuple[tuple[str, Any], ...]
     ratio_draw: int | None
     picked_for: str | None
+    load: str | None = None  #: how the belt loads, if it does not move at its speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,8 +151,9 @@ class Member:
                 "seed": source.seed, "file": source.origin.name if isinstance(source.origin, SystemFile) else None,
                 "perturbation_reading": change.reading, "perturbation_size": change.size,
                 "perturbation_draw": change.draw, "twin_size": change.twin_size, "engine": method.engine,
-                "ratio_draw": method.ratio_draw, "picked_for": method.picked_for, "z0": _plain(begin.z0),
-                "w0": _plain(begin.w0), "start_draw": begin.draw, "drawn": self.drawn, "t_end": self.t_end,
+                "ratio_draw": method.ratio_draw, "picked_for": method.picked_for, "load": method.load,
+                "z0": _plain(begin.z0), "w0": _plain(begin.w0), "start_draw": begin.draw, "drawn": self.drawn,
+                "t_end": self.t_end,
             }
         )  # fmt: skip
 
@@ -255,7 +258,7 @@ class Member:
         start: tuple[float | np.ndarray, float | np.ndarray],
         t_eval: ArrayLike = (),
         stop_early: bool | str = True,
-    ) -> tuple[Engine, contract.Task]:
+    ) -> tuple[Engine | Adiabatic, contract.Task]:
         """Its engine, one for all members of the same settings, and what that is to run.
 
         `t_eval` and `stop_early` are as in `stickslip.sim.simulate`.
@@ -264,7 +267,8 @@ class Member:
             engine = _engine(self.engine, self.settings)
         else:
             engine = as_engine(self.engine, dict(self.settings) | {"ratio": self.ratios()})
-        return engine, as_task(engine, system, *start, t_end=self.t_end, t_eval=t_eval, stop_early=stop_early)
+        task = as_task(engine, system, *start, t_end=self.t_end, t_eval=t_eval, stop_early=stop_early)
+        return engine if self.method.load is None else loading(self.method.load, engine), task
 
     def simulate(self, t_eval: ArrayLike = (), end: State | None = None) -> sim.Run:
         """Draw the system and run it; `end` as in `start`."""

@@ -22,6 +22,7 @@ class Constants(Record):
 
     name = "constants"
     words = "whether to keep every constant of the system, and the start, as lists"
+    takes_load = True
     needs = frozenset({"system"})
     columns = (
         _of_entry("wholes", "constant_row", "i of each entry of K that is not zero, from 0", is_index=True),

@@ -16,6 +16,7 @@ class Contacts(Record):
 
     name = "contacts"
     words = ""
+    takes_load = True
     needs = frozenset({"system"})
     beside: ClassVar[tuple[str, ...]]
 

@@ -93,6 +93,7 @@ class OwnRecord(WindowRecord):
         Column("text", "own_lost", "the columns that have no value for that, with commas between", is_later=True),
     )
     is_named = True
+    takes_load = True
     needs = frozenset({"events", "end", "system"})  # all that it may read
 
     @classmethod

@@ -114,6 +114,7 @@ class Facts(NamedTuple):
     least_step: float  #: of a series in time
     engines: tuple[type[Engine], ...]
     has_changes: bool  #: whether members are changed copies of others
+    load: str | None = None  #: how the belt loads, if it does not move at its speed
 
 
 class Memory(NamedTuple):
@@ -158,6 +159,8 @@ class Record(ABC):
         Whether it leaves out blocks without friction; how many have some is then kept beside it.
     of_block : Column, optional
         That of one block, with {} for its name, if the key may also be names of blocks.
+    takes_load : bool
+        Whether it has a meaning under adiabatic loading, where events take no time of the run.
     """
 
     name: ClassVar[str]
@@ -174,6 +177,7 @@ class Record(ABC):
     needs_stills: ClassVar[bool] = False
     is_of_contacts: ClassVar[bool] = False
     of_block: ClassVar[Column | None] = None
+    takes_load: ClassVar[bool] = False
     needs: ClassVar[frozenset[str]] = frozenset({"run"})
 
     def __init_subclass__(cls) -> None:
@@ -212,6 +216,8 @@ class Record(ABC):
 
     def problem(self, facts: Facts) -> str:
         """Why it does not apply to a scene, what came and what to do, for a line that begins with its key."""
+        if facts.load is not None and not self.takes_load:
+            return f'expected none with load = "{facts.load}", under which events take no time, got it; remove it'
         without = [engine.name for engine in facts.engines if self.needs_stills and not engine.keeps_stills]
         if without:
             return f"expected engines that keep `stills`, got {without[0]!r} without; remove it, or that engine"

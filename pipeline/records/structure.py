@@ -51,6 +51,7 @@ class Structure(Record):
         ),
     )
     is_shared = True
+    takes_load = True
     needs = frozenset({"system"})
 
     def cost(self, member: Member, sharing: Sharing) -> float:

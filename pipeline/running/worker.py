@@ -30,6 +30,7 @@ from stickslip.pipeline.running.ends import end_of
 from stickslip.pipeline.running.kept import Kept, Runs
 from stickslip.pipeline.scene.columns import DESIGN, Recording
 from stickslip.sim.engines import ENGINES
+from stickslip.sim.engines.adiabatic import Adiabatic
 from stickslip.sim.engines.contract import Engine, Task
 from stickslip.sim.kernels.cache import CacheError, has_kernel
 from stickslip.sim.runs.series import summaries
@@ -161,7 +162,7 @@ def _prepared(members: Sequence[Member], recording: Recording) -> Iterator[_Prep
 def _set_up(members: Sequence[Member], recording: Recording) -> list[_Prepared]:
     """Some members of as many blocks; those with the same settings may be set up, and begun, together."""
     prepared: list[_Prepared] = []
-    alike: dict[Engine, dict[int, Task]] = {}
+    alike: dict[Engine | Adiabatic, dict[int, Task]] = {}
     early = stop_early(recording.records)
     for k, member in enumerate(members):
         try:
@@ -272,6 +273,7 @@ def load_kernels(members: Iterable[Member]) -> None:
             source = member.source._replace(n=size, names=())
             of_all = tuple(term for term in member.terms if term[0] not in ("drive_block", "contacts"))
             tiny = replace(member, member_id="", source=source, terms=of_all, t_end=1e-6)
+            tiny = replace(tiny, method=tiny.method._replace(load=None))
             if member.source.origin is not None:
                 numbers = {"kappa": 0.1, "leaf": 0.1, "damping": 1.0, "friction": 1.0, "static": 1.0, "mass": 1.0}
                 terms = dict(tiny.terms) | numbers | {"belt_speed": -0.2}

@@ -106,6 +106,10 @@ PARTS = {
     ),
     "force": _of_term("force"),
     "weakening": _of_term("weakening"),
+    "load": Part(
+        '`load = "adiabatic"` under [run]',
+        (Column("text", "load", "adiabatic: the belt waits while a block slips, t is its travel over |v|", False),),
+    ),
     "back_slip": Part(
         "`back_slip = false` under [system]",
         (Column("text", "back_slip", "barred: no block gets ahead of its belt"),),

@@ -169,7 +169,7 @@ class Scene(StrictTable):
     def records(self) -> tuple[Record, ...]:
         """What is kept of a run, in addition to n_stick."""
         keys = self.record.model_dump() | {"t_burn": self.record_t_burn, "folder": self._folder}
-        keys |= {"names": self.system.block_names}
+        keys |= {"names": self.system.block_names, "load": self.run.load}
         settings = {name: value for engine in self.engines for name, value in engine.settings.items() if value}
         return tuple(chosen for record in RECORDS if (chosen := record.asked(keys, settings)) is not None)
 
@@ -219,6 +219,7 @@ class Scene(StrictTable):
             or system.drive is not None
             or system.contacts is not None,
             "force": system.force is not None,
+            "load": self.run.load is not None,
             "back_slip": not system.back_slip,
             "drawn": any(not isinstance(draw, float) for draw in draws) or in_files or several,
             **{name: any(name in engine.settings for engine in self.engines) for name in OF_SETTINGS},
@@ -304,7 +305,11 @@ class Scene(StrictTable):
         ]
         fields = [field for function in self.record.own_functions.values() for field in function.columns]
         for key, clash, where in (
-            ("system.parameters", misnamed(set(parameters) - {*OF_GRAPHS}), "here and in the function"),
+            (
+                "system.parameters",
+                misnamed([name for name in parameters if name not in OF_GRAPHS]),
+                "here and in the function",
+            ),
             ("record.own", misnamed(fields, parameters, "another field"), "in the module"),
             ("system.names", misnamed(of_blocks, (*parameters, *fields)), "and in [record]"),
         ):
@@ -337,7 +342,12 @@ class Scene(StrictTable):
             ("back_slip", None if system.back_slip else "false", "true"),
             *((term.name, quantities[term.name], "none") for term in TERMS if term.argument and term.default is None),
         )
-        for engine in self.engines:
+        for i, engine in enumerate(self.engines):
+            if self.run.load is not None and not engine.engine.is_exact:
+                raise SceneError(
+                    f'engine[{i}]: expected one of the exact law with load = "{self.run.load}", got "{engine.name}";'
+                    " remove it, or `load`"
+                )
             for key, demand, expected in demands:
                 beyond = {"rayleigh": "damping matrix", "drive": "force"}.get(key, key)
                 if demand is not None and beyond in BEYOND and beyond not in engine.engine.taken():
@@ -411,7 +421,8 @@ class Scene(StrictTable):
         changed = self.perturbation is not None or self.twins is not None
         changed = changed or any(engine.is_drawn for engine in self.engines)
         engines = tuple(engine.engine for engine in self.engines)
-        return Facts(max(self.system.n), self.run.t_end, self.run.t_end / MAX_SAMPLES, engines, changed)
+        steps = self.run.t_end / MAX_SAMPLES
+        return Facts(max(self.system.n), self.run.t_end, steps, engines, changed, self.run.load)
 
     def _steps_and_changes_are_resolved(self) -> None:
         """Changes must be more than rounding, and steps of time not so short that their series fill a memory."""

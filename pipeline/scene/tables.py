@@ -134,6 +134,11 @@ class RunTable(StrictTable):
         description="keys whose lists go together, value by value, in place of a grid",
         examples=[[["kappa", "rho"]]],
     )
+    load: Literal["adiabatic"] | None = Field(
+        default=None,
+        description='"adiabatic": the belt waits while a block slips, and then goes to the next instability at once',
+        examples=["adiabatic"],
+    )
     purpose: Purpose | None = Field(
         default=None,
         description="what the tolerances left out are picked for; default: chosen from what the scene records",

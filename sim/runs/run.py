@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -103,6 +103,27 @@ class Stills:
     total: Floats
 
 
+class Loaded(NamedTuple):
+    """The events of a run whose belt waits while any block slips: see `stickslip.sim.engines.adiabatic`.
+
+    Attributes
+    ----------
+    t : float64, shape (m,)
+        When friction gives way, by the travel of the belt; never decreasing.
+    elapsed : float64, shape (m,)
+        How long the motion takes, by its own clock.
+    size, moment, first_block, z_sum : shape (m,)
+        As in `stickslip.sim.episodes.Episodes`.
+    """
+
+    t: Floats
+    elapsed: Floats
+    size: NDArray[np.int32]
+    moment: Floats
+    first_block: NDArray[np.int32]
+    z_sum: Floats
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
     """The result of `simulate` (dimensionless).
@@ -125,6 +146,8 @@ class Run:
         The state at those times of ``t_eval`` that the run reached.
     stills : Stills or None
         All-stuck intervals, for `stickslip.sim.episodes`; None if the engine does not record them.
+    loaded : Loaded or None
+        The events under adiabatic loading; None of a belt that moves.
     by_threshold : mapping of float to EventSeries
         The events by each of the further definitions of sticking, ``thresholds`` of the sigmoid engine.
     """
@@ -139,6 +162,7 @@ class Run:
     t_collapse: float | None = None
     samples: Samples = field(default_factory=lambda: Samples.blank(np.empty(0), 0))
     stills: Stills | None = None
+    loaded: Loaded | None = None
     by_threshold: Mapping[float, EventSeries] = field(default_factory=dict)
 
     def n_stick(self, times: ArrayLike) -> NDArray[np.int32]:

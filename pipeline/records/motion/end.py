@@ -15,6 +15,7 @@ class End(Record):
 
     name = "end"
     words = "whether to keep the state at the end, at which runs of another scene can start"
+    takes_load = True
     columns = (
         Column(
             "numbers", "z_end", "displacement of each block at the end of the run, t_end or earlier", along="block"

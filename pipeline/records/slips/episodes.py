@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from functools import partial
-from typing import Any
+from typing import Any, Self
 
 from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Made, Record
@@ -13,8 +14,11 @@ from stickslip.sim.episodes import episodes
 _of_each = partial(Column, along="episode")
 
 
+@dataclass(frozen=True)
 class EpisodesRecord(Record):
-    """The episodes of a run: see `stickslip.sim.episodes`."""
+    """The episodes of a run: see `stickslip.sim.episodes`; `is_loaded` under adiabatic loading."""
+
+    is_loaded: bool = False
 
     name = "episodes"
     words = "whether to keep the episodes: from all blocks stuck to all stuck again"
@@ -45,8 +49,24 @@ class EpisodesRecord(Record):
             repeats=False,
             is_later=True,
         ),
+        _of_each(
+            "numbers",
+            "episode_elapsed",
+            'how long the motion takes with load = "adiabatic", where start and end are one time of the belt',
+            repeats=False,
+            is_later=True,
+        ),
     )
     needs_stills = True
+    takes_load = True
+
+    @classmethod
+    def asked(cls, keys: Mapping[str, Any], settings: Mapping[str, Any]) -> Self | None:
+        return cls(keys["load"] is not None) if keys[cls.name] else None
+
+    @property
+    def kept(self) -> tuple[Column, ...]:
+        return self.columns if self.is_loaded else self.columns[:-1]
 
     def of(self, result: Made) -> dict[str, Any]:
         series = episodes(result.run, result.system.belt_speed)

@@ -14,6 +14,7 @@ class Events(Record):
     name = "events"
     words = "whether to keep every event"
     example = None
+    takes_load = True
     columns = (
         Column(
             "numbers", "event_t", "times of the events, never decreasing", along="event", repeats=False, is_time=True
