@@ -76,7 +76,7 @@ class Adiabatic:
 
 
 def _require_loadable(system: System, modes: NDArray[np.int8] | None) -> None:
-    require_within(TAKES, system, 'load="adiabatic"')
+    require_within(TAKES, system, "load='adiabatic'")
     creeps = system.static <= system.slip_friction[0]
     if creeps.any():
         block = int(np.argmax(creeps))
@@ -107,7 +107,7 @@ class _Loading:
     def run(self) -> Run:
         """The run to the end of the task."""
         task, n = self.task, self.task.system.n
-        t, first = task.t_start, self._event(task.z0, task.w0 - self.speed, None)
+        t, first = task.t_start, self._event(task.z0, task.w0 - self.speed, None, task.t_start)
         z, changes = first.z, [first]
         times, moments, sums, firsts = [t], [], [], []
         while True:
@@ -117,7 +117,7 @@ class _Loading:
             if t + distance / abs(self.speed) > task.t_end:
                 break
             t, z = end, z + distance * self.way
-            event = self._event(z, np.zeros(n), slips)
+            event = self._event(z, np.zeros(n), slips, t)
             if not len(event.block):
                 raise IntegrationError(f"no motion at t = {t!r}, though friction gives way; the start is degenerate")
             firsts.append(int(np.flatnonzero(slips)[0]))
@@ -161,7 +161,7 @@ class _Loading:
         gives_way = room <= distance * (1.0 + _TIE)
         return distance, np.where(gives_way, -rising, 0.0).astype(np.int8)
 
-    def _event(self, z: Floats, slip: Floats, modes: NDArray[np.int8] | None) -> _Event:
+    def _event(self, z: Floats, slip: Floats, modes: NDArray[np.int8] | None, t: float) -> _Event:
         """The motion from a state on the belt at rest until all blocks stick."""
         task = self.task._replace(
             system=self.resting, z0=z, w0=slip, t_start=0.0, t_end=self.longest, samples=self.none, modes=modes
@@ -172,7 +172,7 @@ class _Loading:
         mode[events.block] = events.mode  # the last of each block stays
         if mode.any() or run.outcome != "finished":
             raise IntegrationError(
-                f"an event does not come to rest within {self.longest:g}, with the belt at rest: block"
+                f"the event at t = {t!r} does not come to rest within {self.longest:g}, on the belt at rest: block"
                 f" {int(np.argmax(mode != 0))} slips; add damping, or leave load out"
             )
         # those that leave at the begin are events of this run, not of their own
