@@ -14,28 +14,18 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS
 from stickslip.analysis.models.episodes import (
-    ATOM,
-    B_VALUE,
-    FITTED,
     QUANTITIES,
     REST,
     SLOW_DRIVE,
-    BValue,
     Catalogue,
-    atom,
-    b_values,
     drift,
-    follows,
-    in_classes,
-    laws_of_moments,
 )
+from stickslip.analysis.models.magnitudes import Magnitudes, b_positive, by_least, magnitudes_of, shares_above
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.estimates import Estimate, Undefined, UnitSums, over_matrices
-from stickslip.analysis.stats.families import Fit, maximise, parameter
+from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
 from stickslip.pipeline.design.labels import Label
 from stickslip.sim.engines import place
 
-ONE_MOMENT = "most episodes have one moment"  # why there is no b
 _READ = ["start", "end", "size", "moment", "z_sum", "elapsed"]
 
 
@@ -49,28 +39,20 @@ class Catalogues:
         By unit.
     confidence : float
         Of intervals.
-    least : float
-        Magnitude from which laws are fitted: the least of the first group of the same systems that has episodes, so
-        that they compare. A model's catalogue is complete, so none is left out. Filled by `read`.
     sums : dict of str to UnitSums
         Sums of each quantity by unit, for contrasts; filled by `summarise`.
     method : Label
         What tells it from the other groups.
     estimates : dict of str to Estimate
         Of each quantity; filled by `summarise`.
-    b : Estimate
-        Of the power law up to the largest moment, if the group may be judged; filled by `summarise`.
     """
 
     group: Group
     runs: dict[int, list[Catalogue]]
     confidence: float
-    least: float = 0.0
     sums: dict[str, UnitSums] = field(default_factory=dict)
     method: Label = field(default_factory=Label)
     estimates: dict[str, Estimate] = field(default_factory=dict)
-    b: Estimate = field(default_factory=Estimate)
-    has_b: bool = False
 
     @property
     def label(self) -> str:
@@ -84,17 +66,35 @@ class Catalogues:
     def n_episodes(self) -> int:
         return sum(len(run.start) for run in self.each())
 
-    @property
-    def largest(self) -> float | None:
-        """The largest magnitude."""
-        return float(self.magnitudes().max()) if self.n_episodes else None
-
-    @property
-    def whole(self) -> float | None:
+    @cached_property
+    def whole(self) -> Estimate:
         """The share of episodes in which all blocks slip."""
         n = self.group.key["n"]
-        is_whole = [size == n for run in self.each() for size in run.size.tolist()]
-        return float(np.mean(is_whole)) if is_whole else None
+        rows = [[sum(np.count_nonzero(run.size == n) for run in runs), sum(len(run.size) for run in runs)]
+                for runs in self.runs.values()]  # fmt: skip
+        return within(over_matrices(ratio, np.array(rows, dtype=np.float64), self.confidence), 0.0, 1.0)
+
+    @cached_property
+    def law(self) -> Magnitudes:
+        """What the magnitudes of the systems are like."""
+        return magnitudes_of([self.magnitudes_of(unit) for unit in self.runs], self.confidence)
+
+    @cached_property
+    def in_peak(self) -> tuple[Estimate, Estimate]:
+        """The shares of episodes and of their moment that are in the peak; no values without one."""
+        if self.law.begins is None:
+            return Estimate(), Estimate()
+        return shares_above(self.law.begins, [self.magnitudes_of(unit) for unit in self.runs], self.confidence)
+
+    @cached_property
+    def b_positive(self) -> Estimate:
+        """The check on b of `models.magnitudes.b_positive`."""
+        return b_positive(self.law, [[run.magnitude for run in runs] for runs in self.runs.values()], self.confidence)
+
+    @cached_property
+    def by_least(self) -> list[tuple[float, int, Estimate]]:
+        """b on upper parts of the range, of `models.magnitudes.by_least`."""
+        return by_least(self.law, self.confidence) if self.law.has_b else []
 
     @property
     def stuck_below(self) -> float | None:
@@ -103,11 +103,6 @@ class Catalogues:
         if key["stick"] != "manifold" or key["ratio"] != "one" or not key["belt_speed"]:
             return None
         return float(-key["eps"] * np.log(key["eps"]) / abs(key["belt_speed"]))
-
-    @property
-    def b_reason(self) -> str:
-        """Why its magnitudes have no b."""
-        return ONE_MOMENT if self.atom(self.least) > ATOM else ""
 
     def each(self) -> Iterator[Catalogue]:
         """The catalogues of all runs."""
@@ -121,15 +116,6 @@ class Catalogues:
     def magnitudes_of(self, unit: int) -> np.ndarray:
         """Magnitudes of the episodes of a unit."""
         return np.concatenate([run.magnitude for run in self.runs[unit]])
-
-    def atom(self, magnitude: float) -> float:
-        """`models.episodes.atom` of the episodes of at least that magnitude."""
-        magnitudes = self.magnitudes()
-        return atom(magnitudes[magnitudes >= magnitude])
-
-    def n_from(self, magnitude: float) -> int:
-        """Number of episodes of at least that magnitude."""
-        return int(np.count_nonzero(self.magnitudes() >= magnitude))
 
     @cached_property
     def basis(self) -> enough.Basis:
@@ -156,12 +142,7 @@ def read(study: Study) -> list[Catalogues]:
     of_member = {str(name): table for name, table in episodes.groupby("member_id", sort=False)}
     groups = sorted(study.groups, key=fineness)
     filled = [Catalogues(group, _by_unit(study, group, of_member), study.settings.confidence) for group in groups]
-    filled = [entry for entry in filled if entry.runs]
-    for table in systems(filled):
-        smallest = next((float(entry.magnitudes().min()) for entry in table if len(entry.magnitudes())), 0.0)
-        for entry in table:
-            entry.least = smallest
-    return filled
+    return [entry for entry in filled if entry.runs]
 
 
 def fineness(group: Group) -> tuple[Any, ...]:
@@ -211,50 +192,7 @@ def summarise(group: Catalogues) -> None:
     """Fill in the statistics of a group, each with its interval over units."""
     units = np.array([unit for unit, runs in group.runs.items() for _ in runs])
     for name, quantity in {**QUANTITIES, **REST, **SLOW_DRIVE}.items():
-        rows = np.array([quantity.sums(run, group.least) for run in group.each()], dtype=np.float64)
-        is_known = np.isfinite(rows).all(axis=1) & (name != B_VALUE or not group.b_reason)
+        rows = np.array([quantity.sums(run) for run in group.each()], dtype=np.float64)
+        is_known = np.isfinite(rows).all(axis=1)
         group.sums[name] = UnitSums.of(units[is_known], rows[is_known])
         group.estimates[name] = over_matrices(quantity.of, group.sums[name].counted.rows, group.confidence)
-    if group.is_judged:
-        group.b, group.has_b = b_of_law(group, group.confidence), has_b(group, group.confidence)
-
-
-# ------------------------------------------------------------------------------------------- the law of moments
-
-
-def classes(one: Catalogues) -> np.ndarray:
-    """Histogram of magnitudes of each unit, from `least` to the largest, shape (G, K)."""
-    by_unit = [one.magnitudes_of(unit) for unit in one.runs]
-    n_classes = int(np.floor((one.magnitudes().max() - one.least) / FITTED + 1e-9)) + 1
-    return np.array([in_classes(values, one.least, max(n_classes, 0)) for values in by_unit], dtype=np.float64)
-
-
-def fits_of(one: Catalogues, n_laws: int = 3) -> list[Fit]:
-    """The fit of the first of `laws_of_moments` to a group; empty with an `ATOM`, or without a largest likelihood."""
-    magnitudes = one.magnitudes()
-    above = magnitudes[magnitudes >= one.least]
-    if not len(above) or one.atom(one.least) > ATOM:
-        return []
-    counts = classes(one).sum(axis=0)
-    laws = laws_of_moments(one.least, float(np.mean(10.0**above)))[:n_laws]
-    try:
-        return [maximise(law, np.arange(1.0, len(counts) + 1), counts) for law in laws]
-    except Undefined:
-        return []
-
-
-def values_of_b(one: Catalogues, level: float) -> list[BValue]:
-    """Aki's b of a group from its least magnitude on, and from higher ones."""
-    fits = fits_of(one, 1)
-    return b_values([*one.runs.values()], fits[0], one.least, enough.LEAST_CASCADES, level) if fits else []
-
-
-def b_of_law(one: Catalogues, level: float) -> Estimate:
-    """b of the power law up to the largest moment; no value where it cannot be fitted."""
-    fits = fits_of(one, 1)
-    return parameter(fits[0], 0, classes(one), level) if fits else Estimate()
-
-
-def has_b(one: Catalogues, level: float) -> bool:
-    """Whether a group has one b: no estimate is shown to leave what its law predicts for it."""
-    return follows(values_of_b(one, level), len(one.runs), level)

@@ -15,12 +15,12 @@ from functools import partial
 
 import numpy as np
 
-from stickslip.analysis.catalogues import ONE_MOMENT, Catalogues, has_b, read
+from stickslip.analysis.catalogues import Catalogues, read
 from stickslip.analysis.contrast import Bounded, Median, PerEvent, Share, Statistic
 from stickslip.analysis.ensemble import Recorded, Study
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
-from stickslip.analysis.models.episodes import ATOM, B_VALUE, QUANTITIES, RATE, SIZE
+from stickslip.analysis.models.episodes import QUANTITIES, RATE, SIZE
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SUSTAINED, UNMOVED, is_all_slip
 from stickslip.analysis.models.times import Times
 from stickslip.analysis.stats import enough
@@ -101,52 +101,31 @@ def measures(study: Study, beside: Study | None = None) -> list[Measure]:
 
 
 def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
-    """Rate, mean size and b of episodes.
-
-    b is taken from the largest of the least magnitudes of the groups that have enough episodes, or, where that leaves
-    one of them too few, from each group's own. A group has a b only where its law holds for all its episodes, as on
-    the page of episodes.
-    """
+    """Rate, mean size and b of episodes; a group has a b only where its magnitudes have a power law."""
     if study.data.episodes is None or (beside is not None and beside.data.episodes is None):
         return
-    groups = study.once(read)
-    rivals = [] if beside is None else beside.once(read)
-    full = [group for group in (*groups, *rivals) if group.n_from(group.least) >= enough.LEAST_CASCADES]
-    edge = max((group.least for group in full), default=None)
-    if edge is not None and any(group.n_from(edge) < enough.LEAST_CASCADES for group in full):
-        edge = None
-    by_label = {group.label: group for group in groups}
-    beyond = "from each point's own least magnitude on" if edge is None else f"from M = {edge:.2f} on"
-    for name, quantity, key, title, things, definition in (
-        (RATE, RATE, "episode_rate", "", "episodes", "per unit of time"),
-        (MEAN_SIZE, SIZE, "episode_size", "", "", "in blocks that slip"),
-        (B, B_VALUE, "episode_b", "b-value of the episodes", "", f"by Aki {beyond}"),
+    by_label = {group.label: group for group in study.once(read)}
+    for name, key, things, definition in (
+        (RATE, "episode_rate", "episodes", "per unit of time"),
+        (SIZE, "episode_size", "", "in blocks that slip"),
     ):
-        measured = partial(_episodes, by_label, quantity, edge, beyond, study.settings.confidence)
-        statistic = Statistic(
-            name, QUANTITIES[quantity].of, least=0.0, title=title, definition=definition, things=things
-        )
-        yield Measure(statistic, key, measured)
+        label = MEAN_SIZE if name == SIZE else name
+        statistic = Statistic(label, QUANTITIES[name].of, least=0.0, definition=definition, things=things)
+        yield Measure(statistic, key, partial(_episodes, by_label, name))
+    b = Statistic(B, ratio, title="b-value of the episodes", definition="of the power law of their moments")
+    yield Measure(b, "episode_b", partial(_b, by_label))
 
 
-def _episodes(
-    by_label: Mapping[str, Catalogues], name: str, common: float | None, beyond: str, level: float, group: Group
-) -> Values:
-    """The sums of a quantity of episodes over the runs of a group that reached t_end.
-
-    b is from the magnitude `common` on, or from the group's own if it is None; `beyond` says so in words.
-    """
+def _episodes(by_label: Mapping[str, Catalogues], name: str, group: Group) -> Values:
+    """The sums of a quantity of episodes over the runs of a group that reached t_end."""
     missing = _without(group, ~group.is_finished, lambda _, outcome: outcome)
     catalogues = by_label.get(group.label)
     if catalogues is None:
         return Values(missing=missing)
-    edge = catalogues.least if common is None else common
-    if name == B_VALUE and (why := _why_no_b(catalogues, edge, beyond, level)):
-        return Values(missing=missing, withheld=why)
     units, rows, finished = list[int](), list[tuple[float, float]](), group.finished
     of_unit = {unit: iter(runs) for unit, runs in catalogues.runs.items()}  # in the order of the members
     for unit, member_id in zip(finished["unit"], finished["member_id"], strict=True):
-        row = QUANTITIES[name].sums(next(of_unit[int(unit)]), edge)
+        row = QUANTITIES[name].sums(next(of_unit[int(unit)]))
         if row[1] > 0:
             units.append(int(unit))
             rows.append(row)
@@ -155,15 +134,17 @@ def _episodes(
     return Values(UnitSums.of(units, rows), missing)
 
 
-def _why_no_b(catalogues: Catalogues, least: float, beyond: str, level: float) -> str:
-    """Why a group has no b; empty if it has one."""
-    if catalogues.n_from(least) < enough.LEAST_CASCADES:
-        return f"fewer than {enough.LEAST_CASCADES} episodes {beyond}"
-    if catalogues.atom(least) > ATOM:
-        return ONE_MOMENT
+def _b(by_label: Mapping[str, Catalogues], group: Group) -> Values:
+    """Sums of systems whose ratio is b."""
+    missing = _without(group, ~group.is_finished, lambda _, outcome: outcome)
+    catalogues = by_label.get(group.label)
+    if catalogues is None:
+        return Values(missing=missing)
     if catalogues.basis.code == enough.DRIFTS:
-        return "the rate of episodes drifts"
-    return "" if has_b(catalogues, level) else "no single b is shown to hold"
+        return Values(missing=missing, withheld="the rate of episodes drifts")
+    if not catalogues.law.has_b:
+        return Values(missing=missing, withheld=f"no power law is shown: {catalogues.law.why}")
+    return Values(UnitSums.of([*catalogues.runs], catalogues.law.rows), missing)
 
 
 def _without(group: Group, lacks: np.ndarray, why: Callable[[str, str], str]) -> dict[str, str]:

@@ -14,7 +14,7 @@ from itertools import product
 import numpy as np
 from scipy import fft, linalg, signal, special, stats
 
-from stickslip.analysis.models import clustering, common_motion, fates, growth, pool, times
+from stickslip.analysis.models import clustering, common_motion, fates, growth, magnitudes, pool, times
 from stickslip.analysis.series.cascades import Window
 from stickslip.analysis.series.nulls import BlockSteps
 from stickslip.analysis.stats import compare, components
@@ -658,6 +658,65 @@ PLANTED_LAWS = {
 }  # fmt: skip
 
 
+# ------------------------------------------------------------------------------------------------ magnitudes
+
+PICTURES = [picture for picture in magnitudes.Picture if picture is not magnitudes.Picture.OPEN]
+
+
+def planted_catalogue(rng, picture):
+    """Magnitudes of 8 to 40 systems, in no order in time, with b and the share of the peak.
+
+    They have 10^3 to 10^5 events beside an atom of up to 80% in half of the catalogues; at least 60 events are in the
+    peak, or beyond the cut-off if there were none: with fewer neither can be seen.
+    """
+    n_systems, b, atom = int(rng.integers(8, 41)), rng.uniform(0.5, 1.5), rng.choice([0.0, rng.uniform(0.2, 0.8)])
+    share, scale, gap = 10 ** rng.uniform(-2.3, -1.0), 10 ** rng.uniform(1.7, 2.5), rng.uniform(1.7, 2.5)
+    fewest = {magnitudes.Picture.PEAK: 60 / share, magnitudes.Picture.CUT_OFF: 60 * scale**b}.get(picture, 0)
+    n_events = max(10 ** rng.uniform(3, 5), fewest)
+    systems = []
+    for n in rng.multinomial(int(n_events), rng.dirichlet(np.full(n_systems, 8.0))):
+        most = 10**gap if picture is magnitudes.Picture.PEAK else np.inf
+        moment = (1 - rng.uniform(size=n) * (1 - most**-b)) ** (-1 / b)
+        if picture is magnitudes.Picture.CUT_OFF:
+            pool = rng.uniform(size=20 * n + 50) ** (-1 / b)
+            moment = pool[rng.uniform(size=len(pool)) < np.exp(-pool / scale)][:n]
+        elif picture is magnitudes.Picture.PEAK:
+            is_large = rng.uniform(size=n) < share
+            moment[is_large] = 10 ** (gap + 0.8 + 0.12 * rng.standard_normal(is_large.sum()))
+        elif picture is magnitudes.Picture.NONE:
+            moment = 1 + rng.exponential(scale, n)
+        n_equal = round(n * atom / (1 - atom))
+        systems.append(rng.permutation(np.append(np.log10(moment), np.full(n_equal, -0.2))) - 3.3)
+    return systems, b, share * (1 - atom)
+
+
+def magnitudes_study(rng, ensembles):
+    """The picture named right, b, b by rises alone and the peak's share of events; of planted catalogues."""
+    for picture in PICTURES:
+        errors = {"b": [], "b-positive": [], "peak": []}
+        n_right = 0
+        for _ in range(ensembles):
+            systems, b, in_peak = planted_catalogue(rng, picture)
+            law = magnitudes.magnitudes_of(systems, CONFIDENCE)
+            n_right += law.picture is picture
+            if law.picture is not picture:
+                continue
+            if law.has_b:
+                errors["b"].append((law.b, b))
+            rises = magnitudes.b_positive(law, [[values] for values in systems], CONFIDENCE)
+            if rises.value is not None:
+                errors["b-positive"].append((rises, b))
+            if law.picture is magnitudes.Picture.PEAK:
+                errors["peak"].append((magnitudes.shares_above(law.begins, systems, CONFIDENCE)[0], in_peak))
+        share = n_right / ensembles
+        yield Row("magnitudes: named right", picture, np.nan, np.nan, np.nan, share, ensembles)
+        for name, estimates in errors.items():
+            if estimates:
+                off = np.array([estimate.value - answer for estimate, answer in estimates])
+                held = np.mean([estimate.low <= answer <= estimate.high for estimate, answer in estimates])
+                yield Row(f"magnitudes: {name}", picture, np.nan, off.mean(), off.std(), float(held), len(off))
+
+
 STUDIES = {
     "gamma": gamma_study,
     "triggering": triggering_study,
@@ -670,6 +729,7 @@ STUDIES = {
     "times": times_study,
     "blocks": blocks_study,
     "rare": rare_study,
+    "magnitudes": magnitudes_study,
 }
 
 

@@ -188,16 +188,16 @@ def test_intervals_cover_what_was_planted(name, random_seed):
     # an interval without ends, where there can be no other, holds all; so may one for whatever censored the times,
     # or of what no system has
     most = 1.0 if name in ("components", *BOUNDED) else 0.97
-    missed = [row for row in rows if not row.is_covered(LEAST.get(name, 0.93), most)]
+    missed = [row for row in rows if not row.is_covered(LEAST.get(name, 0.93), 1.0 if "named" in row.study else most)]
     assert not missed, f"seed {random_seed}: {missed}"
     if name in ("gamma", "growth"):  # each ensemble drawn anew, the answer known exactly
         biased = [row for row in rows if not row.is_unbiased()]
         assert not biased, f"seed {random_seed}: {biased}"
 
 
-@pytest.mark.parametrize("name", ["truth", "times", *BOUNDED])
+@pytest.mark.parametrize("name", ["truth", "times", "magnitudes", *BOUNDED])
 def test_intervals_of_times_and_shares_cover_in_a_few_ensembles(name, rng):
     most = 1.0 if name in BOUNDED else 0.97
-    rows = studies.study(name, int(rng.integers(2**32)), 40)
-    missed = [row for row in rows if not row.is_covered(LEAST.get(name, 0.93), most)]
+    rows = studies.study(name, int(rng.integers(2**32)), 15 if name == "magnitudes" else 40)
+    missed = [row for row in rows if not row.is_covered(LEAST.get(name, 0.93), 1.0 if "named" in row.study else most)]
     assert not missed, missed

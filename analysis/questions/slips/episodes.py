@@ -22,9 +22,7 @@ from stickslip.analysis import answer as answers
 from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.catalogues import (
     Catalogues,
-    classes,
     fineness,
-    fits_of,
     read,
     summarise,
     systems,
@@ -56,7 +54,6 @@ from stickslip.analysis.members import DRAWN
 from stickslip.analysis.methods import MAGNITUDES, PRIMARY, Apart, compare, names, settings_of
 from stickslip.analysis.models.episodes import (
     BY_WAY,
-    CLASS,
     CREEP,
     DURATION,
     OCCUPANCY,
@@ -70,39 +67,38 @@ from stickslip.analysis.models.episodes import (
     STORED,
 )
 from stickslip.analysis.models.laws import Difference as LawDifference
+from stickslip.analysis.models.magnitudes import WIDTH
+from stickslip.analysis.models.magnitudes import Picture as Kind
 from stickslip.analysis.outcomes import DIFFERENT, UNDECIDED, in_words
 from stickslip.analysis.rows import Columns, frame_by, frame_of
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import UNKNOWN, relative_difference
+from stickslip.analysis.stats.compare import relative_difference
 from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio, within
-from stickslip.analysis.stats.families import parameter
-from stickslip.analysis.stats.goodness import NOT_REJECTED, REJECTED, goodness
 from stickslip.analysis.steps import table_of
-from stickslip.analysis.style import GREY, panel
+from stickslip.analysis.style import CYCLE, GREY, panel
 
-POWER, CUT_OFF, EXPONENTIAL, NONE = "power law", "cut-off power law", "exponential", "none of these"
 SLOW = 0.05  # largest share of time in episodes if the drive is slow for the chain
 #: Share of time in episodes up to which the page says how much slower the belt has to be. Shares of 20%
 #: (`burridge_knopoff`), 68% and 78% (Carlson and Langer's chain, 100 blocks, rates of weakening 5 and 2, belt 0.01)
 #: become 2.3%, 3.6% and 8.7% on belts 10, 50 and 50 times slower, where `_slower` expects 2.4%, 4.1% and 6.8%. Shares
 #: of 90% and 99% (a grid of 12 x 12) become 9.3% and 34% on a belt 50 times slower, and 15% and 66% were expected.
 TELLING = 0.8
-LEFT_OUT = 0.01  # share of a group's episodes that are too small to be drawn
+CLASS = 0.1  # width of a class of magnitudes, as catalogues round them
 _HUES = tuple(mpl.colormaps[name] for name in ("Greys", "Oranges", "Blues", "Greens", "Purples", "Reds"))
+MOST_DRAWN = 6  # groups in the figure of magnitudes
 FEWEST = 30  # episodes from a magnitude on, for their rate to be drawn
-_STEP = 2  # classes between points of the figures
 _METHOD = (
     "An episode lasts from all blocks stuck to all stuck again; its size is the number of blocks that slip, its"
-    " moment the sum of their slips, its magnitude log10 of that; rates are of the whole chain. Methods are compared"
+    " moment the sum of their slips, its magnitude log10 of that. Methods are compared"
     " on the same systems: a method differs if its rate of episodes (t test) or its distribution of magnitudes"
     " (permutation test) does, with p-values adjusted for the number of methods (Holm)."
 )
-#: A law that is not rejected is no law that is shown.
-PREDICATES: Mapping[str, str] = {
-    POWER: "are compatible with a power law", CUT_OFF: "are compatible with a truncated power law",
-    EXPONENTIAL: "are compatible with an exponential law", NONE: "follow a power law, even a truncated one",
-    UNKNOWN: "follow a truncated power law",
-}  # fmt: skip
+#: What follows the range of a power law in a sentence.
+BEYOND: Mapping[Kind, str] = {
+    Kind.POWER: "",
+    Kind.CUT_OFF: " with a cut-off",
+    Kind.PEAK: " with a peak of large events",
+}
 #: What is said of each group, in this order.
 WORDS: Mapping[str, Quantity] = {
     RATE: Quantity("rate", "rate of episodes", things="episodes"),
@@ -116,7 +112,11 @@ WORDS: Mapping[str, Quantity] = {
 }
 _SCOPE = "the rate and magnitudes of episodes"
 _COMPARED = (RATE, SIZE, DURATION, SLIP)
-GAP = Quantity("gap", "Kolmogorov-Smirnov distance from the truncated power law")
+PEAK = Quantity("peak", "share of episodes in the peak", Form.SHARE)
+PEAK_MOMENT = Quantity("peak_moment", "share of the moment in the peak", Form.SHARE)
+M_CUT = Quantity("cut_off", "magnitude of the cut-off")
+WHOLE = Quantity("whole", "share of episodes that take all blocks", Form.SHARE)
+B_POSITIVE = Quantity("b_positive", "b-value from rises alone (b-positive)")
 APART = Quantity("apart", "Kolmogorov-Smirnov distance between magnitudes")
 B_VALUE = Quantity("b", "b-value")
 MOMENT = Quantity("moment", "mean moment")
@@ -125,6 +125,10 @@ _POISSON = "a Poisson process's 1"
 _REASONS: Mapping[str, Reason] = {
     enough.FEW_MATRICES: Reason.FEW_UNITS, enough.FEW_CASCADES: Reason.FEW_EPISODES, enough.DRIFTS: Reason.DRIFT,
 }  # fmt: skip
+
+
+def _known(number: float) -> float | None:
+    return None if np.isnan(number) else number
 
 
 def _estimate(name: str, group: Catalogues) -> Estimate:
@@ -137,16 +141,25 @@ _GROUPS: Columns[Catalogues] = {
     "method": (str, lambda group: group.method),
     "n_systems": (int, lambda group: len(group.runs)),
     "n_episodes": (int, lambda group: group.n_episodes),
-    "least": (float, lambda group: group.least),
-    "largest": (float, lambda group: group.largest),
-    "whole": (float, lambda group: group.whole),
+    "picture": (str, lambda group: group.law.picture),
+    "why": (str, lambda group: group.law.why),
+    "least": (float, lambda group: _known(group.law.least)),
+    "most": (float, lambda group: _known(group.law.most)),
+    "n_fitted": (int, lambda group: group.law.n_fitted),
+    "b": (Estimate, lambda group: group.law.b),
+    "b_positive": (Estimate, lambda group: group.b_positive),
+    "cut_off": (Estimate, lambda group: group.law.cut_off),
+    "gap": (float, lambda group: group.law.gap),
+    "over_log_normal": (Estimate, lambda group: group.law.ratios.get("log-normal", Estimate())),
+    "over_exponential": (Estimate, lambda group: group.law.ratios.get("exponential", Estimate())),
+    "atom": (float, lambda group: group.law.atom),
+    "peak_begins": (float, lambda group: group.law.begins),
+    "peak": (Estimate, lambda group: group.in_peak[0]),
+    "peak_moment": (Estimate, lambda group: group.in_peak[1]),
+    "whole": (Estimate, lambda group: group.whole),
     **{name: (Estimate, partial(_estimate, name)) for name in (*QUANTITIES, *REST, *SLOW_DRIVE)},
     "drift": (Estimate, lambda group: group.basis.drift),
     "stuck_below": (float, lambda group: group.stuck_below),
-    "has_b": (bool, lambda group: group.has_b),
-    "b": (Estimate, lambda group: group.b),
-    "atom": (float, lambda group: group.atom(group.least)),
-    "b_reason": (str, lambda group: group.b_reason),
     "basis": (str, lambda group: group.basis.code),
 }
 _METHODS: Columns[Apart] = {
@@ -160,27 +173,25 @@ _METHODS: Columns[Apart] = {
 }
 
 
-class Fitted(NamedTuple):
-    """A law as it was fitted to the moments of a group: its exponent, its cut-off, and how good it is."""
+class Upper(NamedTuple):
+    """b on the part of a range from a magnitude on."""
 
     group: str
-    law: str
     least: float
     n_episodes: int
     b: Estimate
-    cut_off: Estimate
-    gap: float | None
-    p_value: float | None
-    p_floor: float | None
-    fit: str
-    reason: str
 
 
 class Frequency(NamedTuple):
-    """Episodes per unit time from a magnitude on, and their rate over the reference's on the same systems."""
+    """A class of magnitudes: its share of episodes per unit of magnitude, and what lies from it on.
+
+    `rate` is the number of episodes of at least `magnitude` per unit time, `over` that over the reference's on the
+    same systems.
+    """
 
     group: str
     magnitude: float
+    density: float
     n_episodes: int
     rate: Estimate
     over: Estimate
@@ -206,26 +217,26 @@ def answer(study: Study) -> Answer | None:
     lead = _lead(judged)
     leaders = [reference for reference, *_ in by_system if reference.is_judged] or [lead]
     pairs = compare(study, by_system)
-    rates = _rates(by_system, _drawn_from(lead, leaders), level)
-    fitted = {group.label: _fits(study, group) for group in leaders}
+    rates = _rates(by_system, _drawn_from(leaders), level)
     tables |= {
         "episode_contrasts": table_of(pair.step for pair in pairs if pair.name != MAGNITUDES),
         "episode_methods": frame_by(_METHODS, [pair for pair in pairs if pair.name == MAGNITUDES]),
-        "episode_laws": frame_of(Fitted, [fit for fits in fitted.values() for fit in fits]),
+        "episode_b": frame_of(Upper, [Upper(group.label, *row) for group in leaders for row in group.by_least]),
         "episode_rates": frame_of(Frequency, rates),
     }
     basis = answers.systems(study)
-    places = {group.label: Place.of(group.method) if len(leaders) > 1 else EVERYWHERE for group in leaders}
-    laws = [_law(study, group, fitted[group.label], places[group.label])
-            for group in sorted(leaders, key=lambda group: group is not lead)]  # fmt: skip
+    is_told = len(leaders) > 1 or lead is not by_system[0][0]
+    places = {group.label: Place.of(group.method) if is_told else EVERYWHERE for group in leaders}
+    in_order = sorted(leaders, key=lambda group: group is not lead)
+    pictures = [_picture(study, group, places[group.label]) for group in in_order]
     outcomes = [
         outcome
         for reference, *settings in by_system if settings and reference.is_judged
         for outcome in _outcomes(reference, settings, pairs, basis)
     ]  # fmt: skip
-    changes, rate = _changes(leaders, level, basis), _level(lead, RATE, pairs, basis)
-    reference: list[Finding] = [*changes, laws[0], rate] if changes else [rate, laws[0]]
-    findings = [*outcomes, *reference, *laws[1:]]
+    (law, *beside), changes = pictures[0], _changes(leaders, level, basis)
+    findings: list[Finding] = [*outcomes, law, *(changes or beside), _level(lead, RATE, pairs, basis)]
+    findings += [*(beside if changes else ()), *itertools.chain(*pictures[1:])]
     findings += _levels(counted, lead, pairs, basis)
     findings += [_level(group, CREEP, pairs, basis) for group in groups if group.estimates[CREEP].value is not None
                  and not group.group.is_exact]  # fmt: skip
@@ -235,7 +246,7 @@ def answer(study: Study) -> Answer | None:
         alerts=alerts,
         method=_METHOD,
         tables=tables,
-        figures=_figures(counted, leaders, rates, bool(pairs)),
+        figures=_figures(counted, in_order, rates, bool(pairs)),
     )
 
 
@@ -359,64 +370,37 @@ def along(first: Catalogues, last: Catalogues, name: str, level: float) -> Contr
     return contrast(statistic, first.sums[name], last.sums[name], draws[0] == draws[1], level)
 
 
-def _fits(study: Study, group: Catalogues) -> list[Fitted]:
-    """The laws of moments of a group: b, a cut-off and the goodness of each."""
-    level, counts, fits = study.settings.confidence, classes(group), fits_of(group)
-    fitted: list[Fitted] = []
-    for fit in fits:
-        b = Estimate() if fit is fits[-1] else parameter(fit, 0, counts, level)
-        cut_off = parameter(fit, 1, counts, level) if fit is fits[1] else Estimate()
-        name = fit.family.name
-        good = goodness(fit.sizes, counts, level, study.generator(f"moment {name}"), fit.family)
-        fitted.append(Fitted(
-            group.label, name, group.least, int(counts.sum()), b, cut_off, good.gap, good.p_value, good.p_floor,
-            good.verdict(1 - level), good.reason,
-        ))  # fmt: skip
-    return fitted
-
-
-def _law(study: Study, group: Catalogues, fitted: Sequence[Fitted], where: Place) -> Law | Lack:
-    """The law that the moments of a group follow, with its exponent, or how far they are from any."""
-    what = f"the law of moments{where.tail}"
-    if not fitted:
-        return Lack(what, Reason.ONE_VALUE if group.b_reason else Reason.FEW_EPISODES)
-    fit = fitted[1]
-    basis, moments = Basis(len(group.runs), answers.systems(study)), "moments of episodes"
-    if fit.reason:
-        return Lack(what, Reason.FEW_UNITS, f"{basis.n} {basis.unit}s")
-    if fit.b.value is None or fit.b.low is None:
-        return Lack(what, Reason.NOT_SHOWN)
-    b, law = Level(B_VALUE, fit.b, where, basis=basis), law_of(fit.fit, fit.b, fit.cut_off)
-    if law == EXPONENTIAL:
-        return Law(moments, PREDICATES[law], Level(MOMENT, _mean_moment(study, group), where, basis=basis))
-    if law == NONE:
-        far = Level(GAP, Estimate(fit.gap), where, basis=basis)
-        return Law(moments, PREDICATES[law], far, Fit.FAILS, far, p_value=fit.p_value)
-    return Law(moments, PREDICATES[law], b, Fit.OPEN if law == UNKNOWN else Fit.HOLDS)
+def _picture(study: Study, group: Catalogues, where: Place) -> list[Finding]:
+    """What the magnitudes of a group are like: the law with its b, and its cut-off, its peak and how far it goes."""
+    law, basis = group.law, Basis(len(group.runs), answers.systems(study))
+    moments = "moments of episodes"
+    if law.picture is Kind.OPEN:
+        return [Lack(f"the law of moments{where.tail}", Reason.NOT_SHOWN, law.why)]
+    if law.picture is Kind.NONE:
+        mean = Level(MOMENT, _mean_moment(study, group), where, basis=basis)
+        findings: list[Finding] = [
+            Law(moments, f"follow a power law, since {law.why}", mean, Fit.FAILS, replace(mean, where=where))
+        ]
+    else:
+        predicate = f"follow a power law from M = {law.least:.1f} to {law.most:.1f}{BEYOND[law.picture]}"
+        findings = [Law(moments, predicate, Level(B_VALUE, law.b, where, basis=basis))]
+    if law.begins is not None:
+        large = where + Place.words(f"M \u2265 {law.begins:.2f}")
+        in_peak = zip((PEAK, PEAK_MOMENT), group.in_peak, strict=True)
+        findings += [Level(quantity, estimate, large, basis=basis) for quantity, estimate in in_peak]
+    elif law.picture is Kind.CUT_OFF:
+        findings.append(Level(M_CUT, law.cut_off, where, basis=basis))
+    if law.has_b and group.b_positive.value is not None:
+        findings.append(Level(B_POSITIVE, group.b_positive, where, basis=basis))
+    if group.whole.value:
+        findings.append(Level(WHOLE, group.whole, where, basis=basis))
+    return findings
 
 
 def _mean_moment(study: Study, group: Catalogues) -> Estimate:
     sums = [[sum(np.abs(run.moment).sum() for run in runs), sum(len(run.moment) for run in runs)]
             for runs in group.runs.values()]  # fmt: skip
     return over_matrices(ratio, np.array(sums, dtype=np.float64), study.settings.confidence)
-
-
-def law_of(fit: str, exponent: Estimate, cut_off: Estimate) -> str:
-    """The law that moments follow, from the power law with a cut-off; unknown if its fit is not tested, or undecided.
-
-    It contains the two others: the power law has no cut-off, and the exponential has the exponent -1. Without a
-    positive b there is no power law, whatever fits.
-    """
-    if fit == REJECTED:
-        return NONE
-    if fit != NOT_REJECTED or exponent.low is None or exponent.high is None:
-        return UNKNOWN
-    has_cut_off = cut_off.low is not None and cut_off.low > 0  # without an interval it is 0, its bound
-    if has_cut_off and exponent.low <= -1.0 <= exponent.high:
-        return EXPONENTIAL
-    if exponent.low <= 0:
-        return UNKNOWN
-    return CUT_OFF if has_cut_off else POWER
 
 
 def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Catalogues]) -> list[Alert]:
@@ -436,9 +420,9 @@ def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Cat
         come_out = [DIFFERENT if _is_blurred(group) else UNDECIDED for group in groups]
         methods = in_words(dict(zip(settings_of(groups), come_out, strict=True)), DIFFERENT)
         alerts.append(Alert.of(Code.BLURRED, what=capital(" and ".join(methods))))
-    spanning = [group for group in groups if (group.whole or 0.0) > 0.5 and group in references]
+    spanning = [group for group in groups if (group.whole.value or 0.0) > 0.5 and group in references]
     if spanning:
-        share = number(spanning[0].whole or 0.0, Form.SHARE, 0)
+        share = number(spanning[0].whole.value or 0.0, Form.SHARE, 0)
         alerts.append(Alert.of(Code.SPANNING, share=share, n=int(spanning[0].group.key["n"])))
     return alerts
 
@@ -451,10 +435,9 @@ def _lead(judged: Sequence[Catalogues]) -> Catalogues:
     )
 
 
-def _drawn_from(lead: Catalogues, leaders: Sequence[Catalogues]) -> float:
-    """The edge of a class from which rates are drawn: no law is asked of a rate, so nearly all episodes count."""
-    lowest = min(float(np.quantile(group.magnitudes(), LEFT_OUT)) for group in leaders)
-    return lead.least - CLASS * max(int(np.ceil((lead.least - lowest) / CLASS)), 0)
+def _drawn_from(leaders: Sequence[Catalogues]) -> float:
+    """The edge of a class from which magnitudes are drawn."""
+    return CLASS * np.floor(min(float(group.magnitudes().min()) for group in leaders) / CLASS)
 
 
 def _occupancy(group: Catalogues) -> float:
@@ -477,26 +460,30 @@ def _slower(share: float, by_way: float | None) -> float | None:
 def _rates(systems: Sequence[Sequence[Catalogues]], first_edge: float, level: float) -> list[Frequency]:
     """Episodes per unit time from each magnitude on, and their ratio to those of the reference."""
     rates: list[Frequency] = []
-    largest = max(group.largest or first_edge for groups in systems for group in groups)
-    edges = first_edge + CLASS * np.arange(0, int((largest - first_edge) / CLASS) + _STEP, _STEP)
+    largest = max(float(group.magnitudes().max(initial=first_edge)) for groups in systems for group in groups)
+    edges = first_edge + CLASS * np.arange(int((largest - first_edge) / CLASS + 1e-9) + 1)
     for finest, *settings in systems:
         reference = {edge: finest.at_least(edge) for edge in edges}
         for group, edge in itertools.product((finest, *settings), edges):
             reference_sums = reference[edge]
             sums = reference_sums if group is finest else group.at_least(edge)
-            n_episodes = int(sum(row[0] for row in sums.values()))
-            if n_episodes < FEWEST:
+            magnitudes = group.magnitudes()
+            n_episodes = int(np.count_nonzero(magnitudes >= edge))
+            if not n_episodes:
                 continue
-            rate = over_matrices(ratio, np.array([*sums.values()]), level)
+            n_inside = n_episodes - int(np.count_nonzero(magnitudes >= edge + CLASS))
             over = Estimate()
             units = sorted(sums.keys() & reference_sums.keys())
-            if group is not finest and len(units) > 1 and sum(row[0] for row in reference_sums.values()) >= FEWEST:
+            fewest = min(n_episodes, sum(row[0] for row in reference_sums.values()))
+            if group is not finest and len(units) > 1 and fewest >= FEWEST:
                 over = _over(
                     np.array([reference_sums[unit] for unit in units]),
                     np.array([sums[unit] for unit in units]),
                     level,
                 )
-            rates.append(Frequency(group.label, float(edge), n_episodes, within(rate, 0.0), over))
+            rate = within(over_matrices(ratio, np.array([*sums.values()]), level), 0.0)
+            density = n_inside / (len(magnitudes) * CLASS)
+            rates.append(Frequency(group.label, float(edge), density, n_episodes, rate, over))
     return rates
 
 
@@ -517,11 +504,11 @@ def _figures(
 ) -> dict[str, Picture]:
     """Rates by magnitude of the settings that lead, after those of all methods over the reference's."""
     lines = {group.label: Line(group.method, group.group.key["engine"]) for group in groups}
-    lines_shown = {group.label: lines[group.label] for group in leaders} if has_pairs else lines
+    shown = leaders if has_pairs else [*leaders, *(group for group in groups if group not in leaders)]
     by_magnitude = Picture(
-        partial(frequencies, rates, lines_shown),
-        "Episodes per unit time of at least each magnitude, M = log10 moment; a power law would be a straight line."
-        " Bands: intervals.",
+        partial(magnitudes, rates, [Drawn.of(group) for group in shown[:MOST_DRAWN]]),
+        "A power law is straight. Above: share of episodes per unit of magnitude, M = log10 moment, with the fitted"
+        " law on its range. Below: episodes per unit time of at least each magnitude. Dashed: where the peak begins.",
     )
     reference = str(leaders[0].method) if len(leaders) == 1 else "the reference"
     compared = {rate.group for rate in rates if rate.over.value is not None}
@@ -532,9 +519,7 @@ def _figures(
         f"Where a line is at 1, a method has as many episodes from that magnitude on as {reference}; bands are"
         f" intervals.{triangles * are_few}",
     )
-    return (
-        {"episode_rates_over": over, "episode_rates": by_magnitude} if has_pairs else {"episode_rates": by_magnitude}
-    )
+    return {"episode_rates_over": over, "magnitudes": by_magnitude} if has_pairs else {"magnitudes": by_magnitude}
 
 
 class Line(NamedTuple):
@@ -589,14 +574,45 @@ def _lines(
         ax.figure.legend(loc="outside upper center", ncols=2 if widest < 26 else 1)
 
 
-@panel(3.8)
-def frequencies(ax: Axes, rates: Sequence[Frequency], lines: Mapping[str, Line]) -> None:
-    """Episodes per unit time from each magnitude on, one line a group, with bands of their intervals.
+class Drawn(NamedTuple):
+    """What is drawn of the law of a group; shape (K,) each."""
 
-    Lines are by group.
-    """
-    _lines(ax, rates, lines, attrgetter("rate"))
-    ax.set_ylabel(r"episodes per unit time, $\geq$ M")
+    label: str
+    name: str
+    at: np.ndarray
+    density: np.ndarray
+    begins: float | None
+
+    @classmethod
+    def of(cls, group: Catalogues) -> Drawn:
+        law, at, density = group.law, np.zeros(0), np.zeros(0)
+        if law.fit is not None and law.has_b:
+            at = law.least + WIDTH * (law.fit.sizes - 0.5)
+            density = law.fit.shares() * law.n_fitted / (group.n_episodes * WIDTH)
+        return cls(group.label, str(group.method), at, density, law.begins)
+
+
+@panel(4.6, nrows=2, sharex=True)
+def magnitudes(axes: np.ndarray, rates: Sequence[Frequency], drawn: Sequence[Drawn]) -> None:
+    """Density of magnitudes with the fitted laws, and rates from each magnitude on; one hue a group."""
+    above, below = axes
+    for hue, marker, law in zip(itertools.cycle(CYCLE), itertools.cycle("osDv^P"), drawn):
+        rows = [rate for rate in rates if rate.group == law.label]
+        full = [(rate.magnitude + CLASS / 2, rate.density) for rate in rows if rate.density > 0]
+        if not full:
+            continue
+        look: dict[str, Any] = {"color": hue, "marker": marker, "markersize": 3, "linestyle": ""}
+        above.plot(*zip(*full, strict=True), label=law.name, **look)
+        above.plot(law.at, law.density, color=hue)
+        below.plot([rate.magnitude for rate in rows], [rate.rate.value for rate in rows], **look)
+        if law.begins is not None:
+            for ax in axes:
+                ax.axvline(law.begins, color=hue, linestyle="--", linewidth=0.8)
+    above.set(ylabel="density", yscale="log")
+    below.set(xlabel=r"magnitude, M = $\log_{10}$ moment", ylabel=r"episodes per unit time, $\geq$ M", yscale="log")
+    if len(drawn) > 1:
+        widest = max(len(law.name) for law in drawn)
+        above.figure.legend(loc="outside upper center", ncols=2 if widest < 26 else 1)
 
 
 @panel(3.8)

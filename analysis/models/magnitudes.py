@@ -1,0 +1,354 @@
+"""The magnitudes of a catalogue: their power law, its range and exponent, and the peak of large events, if any.
+
+The magnitude of an event is M = log10 |moment|. (Carlson and Langer, Phys. Rev. A 40 (1989) 6470, take the natural
+logarithm. The exponent b is the same: N(>= m) ~ m^-b for moments m, and N(>= M) ~ 10^(-b M) here.) A model's
+catalogue is complete, so no event is missing at the small end: a power law begins where the model's does.
+
+1. A **peak** of large events: the density on M falls and then rises again. Shown if the likelihood that some window
+   is emptier than ones of its width below and above it outweighs equality by `RISE`, counts being as dispersed as
+   between systems. The peak begins in the middle of the emptiest such window; what is above it is in no fit.
+2. The **range**: from the least magnitude at which the distance D of Kolmogorov and Smirnov is one that chance gives,
+   D sqrt(n) < `BY_CHANCE` (A. Deluca and A. Corral, Acta Geophys. 61 (2013) 1351), or, if there is none, at which it
+   is smallest (A. Clauset, C. R. Shalizi and M. E. J. Newman, SIAM Review 51 (2009) 661), to the largest event below
+   the peak. It spans a `DECADE` and `FEWEST` events at least. An atom of equal moments at the foot, of single blocks,
+   is left out.
+3. The **law**: m^-b exp(-m / m_c) on that range, or m^-b where the interval of 1 / m_c reaches 0. Vuong's ratio,
+   the mean of the log likelihood over that of a log-normal law or an exponential, is an estimate over systems.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import numpy as np
+
+from stickslip.analysis.stats import enough
+from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio, within
+from stickslip.analysis.stats.families import Family, Fit, log_shares, maximise, parameter
+
+#: Width of the classes in which laws are fitted. The moment at the middle stands for the class, and the error of that
+#: grows with the square of the width: in classes of 0.1 the exponent of 4e5 exponential moments is off by 0.04, with
+#: a standard error of 0.03.
+WIDTH = 0.02
+DECADE = 1.0  # least width of the range of a power law
+FEWEST = enough.LEAST_CASCADES  # least number of events in it
+RISE = 15.0  # nats: of some 1,000 windows of a falling density none rises so by chance more often than in 1e-3
+WINDOWS = (5, 10, 20, 40)  # widths of windows, in classes
+STEP = 5  # classes between ends of the range that are tried
+_TURN, _NEWTON = 1e-3, 6  # of b, for a derivative; steps
+BY_CHANCE = 0.9  # D sqrt(n), which 92 to 98% of planted catalogues fall below
+TESTS = 5  # by which laws are told from each other: each has that part of the chance to be wrong
+
+
+class Picture(StrEnum):
+    """Which of the field's known pictures a catalogue shows."""
+
+    POWER = "power law"
+    CUT_OFF = "power law with a cut-off"
+    PEAK = "power law with a peak of large events"
+    NONE = "no power law"
+    OPEN = "open"
+
+
+@dataclass(frozen=True)
+class Magnitudes:
+    """What the magnitudes of some systems are like.
+
+    Attributes
+    ----------
+    picture : Picture
+    why : str
+        Why there is no power law, or why that is open.
+    least, most : float
+        The range of the law; NaN without one.
+    begins : float or None
+        The magnitude at which the peak begins.
+    n_fitted : int
+        Number of events in the range.
+    atom : float
+        The share of events with one moment at the foot, of single blocks; 0 if these are not most of the small ones.
+    b : Estimate
+    cut_off : Estimate
+        log10 of m_c; no value where it is not shown to be finite.
+    gap : float or None
+        Distance of Kolmogorov and Smirnov from the law.
+    ratios : dict of str to Estimate
+        Vuong's ratio of the law over another, in nats an event.
+    rows : ndarray, shape (G, 2)
+        Sums of each system whose `ratio` is b, with its jackknife; for contrasts.
+    counts : ndarray, shape (G, K)
+        Of each system in the classes of the range.
+    """
+
+    picture: Picture
+    why: str = ""
+    least: float = np.nan
+    most: float = np.nan
+    begins: float | None = None
+    n_fitted: int = 0
+    atom: float = 0.0
+    b: Estimate = field(default_factory=Estimate)
+    cut_off: Estimate = field(default_factory=Estimate)
+    gap: float | None = None
+    ratios: Mapping[str, Estimate] = field(default_factory=dict)
+    rows: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    counts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+    fit: Fit | None = None
+
+    @property
+    def has_b(self) -> bool:
+        """Whether the magnitudes have a power law, so that there is a b."""
+        return self.picture in (Picture.POWER, Picture.CUT_OFF, Picture.PEAK)
+
+
+def laws(least: float, mean: float) -> tuple[Family, Family, Family, Family]:
+    """Laws of moments in classes of `WIDTH` from `least` on: with a cut-off, without, log-normal, exponential.
+
+    The first contains the second and the last. The width of a class is proportional to its moment m, so a density
+    m^(-1 - b) exp(-lambda m / mean) has shares m^-b exp(-lambda m / mean).
+
+    Parameters
+    ----------
+    least : float
+        Magnitude at which the first class begins.
+    mean : float
+        Scale of the cut-off: a moment of the same order.
+    """
+
+    def moments(k: np.ndarray) -> np.ndarray:
+        return 10.0 ** (least + WIDTH * (k - 0.5)) / mean
+
+    def logs(k: np.ndarray) -> np.ndarray:
+        return np.log(moments(k))
+
+    return (
+        Family("cut-off power law", lambda k: np.column_stack([logs(k), moments(k)])),
+        Family("power law", lambda k: logs(k)[:, None]),
+        Family("log-normal", lambda k: np.column_stack([logs(k), logs(k) ** 2]), bounded=(1,)),
+        Family("exponential", lambda k: moments(k)[:, None], base=logs),
+    )
+
+
+def magnitudes_of(systems: Sequence[np.ndarray], confidence: float) -> Magnitudes:
+    """The picture of the magnitudes of some systems, shape (m_g,) each, by the three steps above."""
+    pooled = np.concatenate([*systems]) if len(systems) else np.zeros(0)
+    if len(systems) < enough.LEAST_MATRICES or len(pooled) < FEWEST:
+        return Magnitudes(Picture.OPEN, "too few systems or events")
+    start, atom = _foot(np.sort(pooled))
+    n_classes = int((float(pooled.max()) - start) / WIDTH + 1e-9) + 1
+    counts = np.array([in_classes(values, start, n_classes) for values in systems], dtype=np.float64)
+    total = counts.sum(axis=0)
+    middle = _peak(counts)
+    begins = None if middle is None else start + WIDTH * middle
+    # up to the largest event: given that, the others follow the law below it
+    top = int(np.flatnonzero(total if middle is None else total[:middle])[-1])
+    best = _range(total[:top], start)
+    if best is None:
+        why = "their moments span less than a decade" if top * WIDTH < DECADE else "too few events"
+        return Magnitudes(Picture.NONE, why, begins=begins, atom=atom)
+    first, gap = best
+    found = _judged(counts[:, first:top], start + WIDTH * first, gap, begins, confidence)
+    return replace(found, atom=atom)
+
+
+def in_classes(magnitudes: np.ndarray, least: float, n_classes: int) -> np.ndarray:
+    """Number of magnitudes in each class of width `WIDTH` from `least` on, shape (n_classes,)."""
+    k = np.floor((magnitudes - least) / WIDTH + 1e-9).astype(np.int64)
+    return np.bincount(k[(k >= 0) & (k < n_classes)], minlength=n_classes)
+
+
+def _foot(ordered: np.ndarray) -> tuple[float, float]:
+    """The least magnitude above the atom at the foot, and the share of events in that; the least of all, and 0.
+
+    An atom are equal moments, more than there are in the half decade above them.
+    """
+    n_equal, n_near = np.searchsorted(ordered, ordered[0] + np.array([WIDTH / 2, DECADE / 2]), side="right")
+    is_atom = n_near - n_equal < n_equal < len(ordered)
+    return (float(ordered[n_equal]), float(n_equal / len(ordered))) if is_atom else (float(ordered[0]), 0.0)
+
+
+def _peak(counts: np.ndarray) -> int | None:
+    """The class in which a peak begins, the middle of the emptiest window before a rise; None: no rise is shown."""
+    n_systems, best, middle = len(counts), RISE, None
+    total = counts.sum(axis=0)
+    first = int(DECADE / WIDTH)
+    for width in WINDOWS:
+        if len(total) <= first + 2 * width:
+            break
+        window = np.lib.stride_tricks.sliding_window_view(total, width).sum(axis=1)
+        valley = window[first:-width]
+        before = np.maximum.accumulate(window)[first - width : len(valley) + first - width]
+        later = np.maximum.accumulate(window[::-1])[::-1][first + width :]
+        gain = np.minimum(_gain(before, valley), _gain(later, valley))
+        k = int(gain.argmax())
+        place = first + k + width + int(window[first + k + width :].argmax())
+        of_peak = counts[:, place : place + width].sum(axis=1)
+        dispersion = max(1.0, float(of_peak.var(ddof=1) / max(of_peak.mean(), 1.0 / n_systems)))
+        if gain[k] / dispersion > best:
+            best, middle = float(gain[k]) / dispersion, first + k + width // 2
+    return middle
+
+
+def _gain(full: np.ndarray, empty: np.ndarray) -> np.ndarray:
+    """Log likelihood of two Poisson means over that of one for both, where the first count is the larger; else 0."""
+    return np.where(full > empty, _nats(full) + _nats(empty) - 2 * _nats((full + empty) / 2), 0.0)
+
+
+def _nats(n: np.ndarray) -> np.ndarray:
+    """n ln n."""
+    return n * np.log(np.maximum(n, 1.0))
+
+
+def _range(total: np.ndarray, start: float) -> tuple[int, float] | None:
+    """The first class of the range of the law with a cut-off, and its distance of Kolmogorov and Smirnov."""
+    last = len(total) - int(DECADE / WIDTH)
+    gaps: dict[int, float] = {}
+    for first in (*range(min(STEP, last)), *range(STEP, last + 1, STEP)):
+        counts = total[first:]
+        if counts.sum() < FEWEST:
+            break
+        with suppress(Undefined):
+            gaps[first] = _gap(_fitted(counts, start + WIDTH * first, 0), counts)
+            if gaps[first] * np.sqrt(counts.sum()) < BY_CHANCE:
+                return first, gaps[first]
+    return min(gaps.items(), key=lambda pair: pair[1]) if gaps else None
+
+
+def _fitted(counts: np.ndarray, least: float, law: int) -> Fit:
+    sizes = np.arange(1.0, len(counts) + 1)
+    mean = float(np.average(10.0 ** (least + WIDTH * (sizes - 0.5)), weights=counts))
+    return maximise(laws(least, mean)[law], sizes, counts)
+
+
+def _gap(fit: Fit, counts: np.ndarray) -> float:
+    return float(np.abs(np.cumsum(counts) / counts.sum() - np.cumsum(fit.shares())).max())
+
+
+def _judged(counts: np.ndarray, least: float, gap: float, begins: float | None, confidence: float) -> Magnitudes:
+    """The picture of a range, by the intervals of the law's cut-off and exponent, and of its ratios."""
+    total = counts.sum(axis=0)
+    fit = _fitted(total, least, 0)
+    strict = 1 - (1 - confidence) / TESTS
+    decay = parameter(fit, 1, counts, strict)
+    mean = float(np.average(10.0 ** (least + WIDTH * (fit.sizes - 0.5)), weights=total))
+    usual = parameter(fit, 1, counts, confidence)
+    cut_off = _cut_off(decay, usual, mean)
+    if usual.low is not None and usual.high is not None and usual.low <= 0 <= usual.high:
+        fit = _fitted(total, least, 1)
+    b = parameter(fit, 0, counts, confidence)
+    ratios = {}
+    for law in (2, 3):
+        with suppress(Undefined):
+            other = _fitted(total, least, law)
+            more = log_shares(fit.family, fit.sizes, fit.theta) - log_shares(other.family, fit.sizes, other.theta)
+            rows = np.column_stack([counts @ more, counts.sum(axis=1)])
+            ratios[other.family.name] = over_matrices(ratio, rows, strict)
+    picture, why = _named(begins, b, cut_off, decay, ratios)
+    return Magnitudes(
+        picture, why, least, least + WIDTH * len(total), begins, int(total.sum()), b=b, cut_off=cut_off, gap=gap,
+        ratios=ratios, rows=_rows(fit, counts), counts=counts, fit=fit,
+    )  # fmt: skip
+
+
+def _named(
+    begins: float | None, b: Estimate, cut_off: Estimate, decay: Estimate, ratios: Mapping[str, Estimate]
+) -> tuple[Picture, str]:
+    """The picture, and why it is none of a power law; the first that applies."""
+    for name, estimate in ratios.items():
+        if estimate.high is not None and estimate.high < 0:
+            return Picture.NONE, f"the {name} law is likelier"
+    if b.low is None or b.high is None:
+        return Picture.OPEN, "b has no interval"
+    if b.high <= 0:
+        is_exponential = cut_off.value is not None and b.low <= -1.0 <= b.high
+        return Picture.NONE, "they fall off exponentially" if is_exponential else "b is not positive"
+    if b.low <= 0:
+        return Picture.OPEN, "b may be zero"
+    if begins is not None:
+        return Picture.PEAK, ""
+    if decay.high is not None and decay.high < 0:
+        return Picture.NONE, "there are more large events than it has"
+    return (Picture.POWER if cut_off.value is None else Picture.CUT_OFF), ""
+
+
+def _cut_off(strict: Estimate, decay: Estimate, mean: float) -> Estimate:
+    """log10 of m_c = mean / lambda, where lambda is shown to be positive."""
+    if strict.low is None or strict.low <= 0:
+        return Estimate(reason="no cut-off is shown")
+    value, low, high = (float(np.log10(mean / (end or np.nan))) for end in (decay.value, decay.high, decay.low))
+    return Estimate(value, low, high)
+
+
+def _rows(fit: Fit, counts: np.ndarray) -> np.ndarray:
+    """Sums of systems whose `ratio` is the exponent: as of numbers whose mean it is, by its influence function."""
+    n = counts.sum(axis=1)
+    moved = np.linalg.solve(fit.information(), fit.scores().T @ counts.T)[0]
+    return np.column_stack([n * fit.theta[0] + moved, n])
+
+
+def by_least(found: Magnitudes, confidence: float, step: float = 0.5) -> list[tuple[float, int, Estimate]]:
+    """b on the upper part of the range, from its least magnitude and from every half above it: (least, events, b)."""
+    rows: list[tuple[float, int, Estimate]] = []
+    law = 1 if found.cut_off.value is None else 0
+    for first in range(0, found.counts.shape[1] - int(DECADE / 2 / WIDTH), round(step / WIDTH)):
+        counts, least = found.counts[:, first:], found.least + WIDTH * first
+        n = int(counts.sum())
+        if n < FEWEST:
+            break
+        with_b = found.b
+        if first:
+            try:
+                with_b = parameter(_fitted(counts.sum(axis=0), least, law), 0, counts, confidence)
+            except Undefined:
+                break
+        rows.append((least, n, with_b))
+    return rows
+
+
+def b_positive(found: Magnitudes, sequences: Sequence[Sequence[np.ndarray]], confidence: float) -> Estimate:
+    """b from the magnitudes of the range that are larger than the one before (N. J. van der Elst, JGR 126 (2021)).
+
+    If successive magnitudes are independent, their positive differences have one mean for each b, the range being
+    what it is: b by that mean, from the b of the law. Without a value where a cut-off is shown.
+
+    Parameters
+    ----------
+    sequences : sequence of sequence of ndarray
+        The magnitudes of each run of each system, in order of time.
+    """
+    if found.fit is None or not found.has_b or found.b.value is None or found.cut_off.value is not None:
+        return Estimate(reason=found.why or "a cut-off is shown")
+    inside = [[run[(run >= found.least) & (run < found.most)] for run in runs] for runs in sequences]
+    steps = [np.concatenate([np.diff(run) for run in runs]) for runs in inside]
+    sums = np.array([(step[step > 0].sum(), np.count_nonzero(step > 0)) for step in steps])
+    b, n_rises = found.b.value, sums[:, 1]
+    for _ in range(_NEWTON):
+        low, expected, high = (_mean_rise(found.fit, b + turn) for turn in (-_TURN, 0.0, _TURN))
+        moved = (sums[:, 0] - expected * n_rises) * 2 * _TURN / (high - low)
+        last, b = b, b + float(moved.sum() / n_rises.sum())
+    return over_matrices(ratio, np.column_stack([last * n_rises + moved, n_rises]), confidence)
+
+
+def _mean_rise(fit: Fit, b: float) -> float:
+    """The mean of the positive differences of two magnitudes of a power law on the range of a fit."""
+    shares, at = np.exp(log_shares(fit.family, fit.sizes, b * np.eye(len(fit.theta))[0])), WIDTH * fit.sizes
+    below = np.cumsum(shares) - shares
+    apart = float(shares @ (at * below - np.cumsum(shares * at) + shares * at)) + WIDTH / 6 * float(shares @ shares)
+    return 2 * apart  # of half of all pairs
+
+
+def shares_above(begins: float, systems: Sequence[np.ndarray], confidence: float) -> tuple[Estimate, Estimate]:
+    """The share of events, and of their moment, from a magnitude on, over systems."""
+    of_events, of_moment = [], []
+    for values in systems:
+        moments, is_large = 10.0**values, values >= begins
+        of_events.append((np.count_nonzero(is_large), len(values)))
+        of_moment.append((moments[is_large].sum(), moments.sum()))
+    events, moment = (
+        within(over_matrices(ratio, np.array(rows, dtype=np.float64), confidence), 0.0, 1.0)
+        for rows in (of_events, of_moment)
+    )
+    return events, moment
