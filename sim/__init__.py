@@ -7,11 +7,12 @@ from stickslip.sim.systems.couplings import COUPLINGS, READINGS, draw_system, pe
 from stickslip.sim.systems.drive import Harmonic, Piecewise
 from stickslip.sim.systems.scales import Scales
 from stickslip.sim.systems.system import System
-from stickslip.sim.systems.weakening import Rational, Stribeck, Weakening
+from stickslip.sim.systems.weakening import Curve, Rational, Stribeck, Table, Weakening
 
 __all__ = [
     "COUPLINGS",
     "READINGS",
+    "Curve",
     "EventSeries",
     "Harmonic",
     "IntegrationError",
@@ -23,6 +24,7 @@ __all__ = [
     "Stats",
     "Stribeck",
     "System",
+    "Table",
     "Weakening",
     "draw_system",
     "perturb_system",

@@ -206,7 +206,7 @@ def _edges(system: System, series: EventSeries) -> Floats:
     lasting = unit.changed(damping=np.where(is_heavy, 0.0, unit.damping)) if is_heavy.any() else unit
     fall = 0.0
     if system.weakening is not None:
-        fall = _BENDS * system.weakening.steepness * (system.static / system.mass).max()
+        fall = _BENDS * system.weakening.steepest * (system.static / system.mass).max()
     slow, fast = lasting.fastest_rate + fall, unit.fastest_rate + fall
     if slow < fast:
         instants = _graded(instants, _REACH / fast, _REACH / max(slow, 1e-300))
@@ -230,14 +230,14 @@ def _finer(system: System, edges: Floats, samples: Samples) -> Floats:
     Springs may pull by far more than static friction, and so change the speed of a block within a segment.
 
     A shape S(x) of `stickslip.sim.systems.weakening`, x = steepness |w - v|, is resolved where x changes by at most
-    1 + x.
+    1 + x, or within a piece of it.
     """
     assert system.weakening is not None
     x = system.weakening.steepness * np.abs(samples.w - system.belt_speed_at(samples.t))
     inside = x[:-1].reshape(len(edges) - 1, _NODES + 1, system.n)
     within = np.concatenate([inside, x[_NODES + 1 :: _NODES + 1, np.newaxis]], axis=1)
     low, high = within.min(axis=1), within.max(axis=1)
-    return _divided(edges, np.ceil((high - low) / (1.0 + low)).max(axis=1))
+    return _divided(edges, np.ceil(system.weakening.bends(low, high)).max(axis=1))
 
 
 def _divided(edges: Floats, parts: Floats) -> Floats:

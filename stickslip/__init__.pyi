@@ -18,8 +18,10 @@ from .sim.systems.drive import Harmonic as Harmonic
 from .sim.systems.drive import Piecewise as Piecewise
 from .sim.systems.scales import Scales as Scales
 from .sim.systems.system import System as System
+from .sim.systems.weakening import Curve as Curve
 from .sim.systems.weakening import Rational as Rational
 from .sim.systems.weakening import Stribeck as Stribeck
+from .sim.systems.weakening import Table as Table
 from .sim.systems.weakening import Weakening as Weakening
 from .version import __version__ as __version__
 from .workflows.dataset import Dataset as Dataset

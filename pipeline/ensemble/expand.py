@@ -31,7 +31,7 @@ _Number = TypeVar("_Number", int, np.ndarray)
 _READINGS: dict[str, str] = dict(zip(READINGS, "prc", strict=True))
 
 #: The order of a member's terms, whatever a scene sweeps.
-_TERMS = (*QUANTITIES, "back_slip", "force_blocks", "forces", "drive_block", "contacts")
+_TERMS = (*QUANTITIES, "weakening_curve", "back_slip", "force_blocks", "forces", "drive_block", "contacts")
 
 #: Kinds of members that are cached: each matrix goes through them again.
 _KINDS = 4096
@@ -396,6 +396,8 @@ class Ensemble:
         values_here = {name: _multiplied(value, values_here) for name, value in values_here.items()}
         parameters = tuple((name, values_here.pop(name)) for name in scene.system.parameters or ())
         parameters += origin.parameters if isinstance(origin, SystemFile) else ()
+        if scene.system.weakening is not None:
+            values_here["weakening_curve"] = scene.system.weakening.curve
         if not scene.system.back_slip:
             values_here["back_slip"] = "barred"
         values_here["forces"] = scene.system.pushes

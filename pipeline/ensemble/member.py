@@ -370,6 +370,8 @@ def _of_terms(member: Member) -> sim.System:
         numbers = {key: terms.get(f"weakening_{key}") for key in keys}
         if None not in numbers.values():
             arguments["weakening"] = law(**numbers)
+    if terms.get("weakening_curve") is not None:
+        arguments["weakening"] = terms["weakening_curve"]
     if terms.get("back_slip") is not None and terms.get("drive_block") is None:
         arguments["back_slip"] = False
     base_system = None

@@ -39,6 +39,7 @@ from stickslip.pipeline.records.record import Facts, Record, WindowRecord
 from stickslip.pipeline.scene.columns import OF_GRAPHS, OF_SETTINGS, PARTS, Recording, misnamed
 from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
 from stickslip.pipeline.scene.engine_table import Engines, EngineTable
+from stickslip.pipeline.scene.friction_table import read_friction_table
 from stickslip.pipeline.scene.quantity import axes, points
 from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.system_table import OF_FILES, OF_GRAPH, SystemTable, is_function
@@ -281,13 +282,15 @@ class Scene(StrictTable):
 
     def _static_holds(self) -> None:
         """Static friction is at least the kinetic at every point of the grid; for files and functions, runs tell."""
+        weakening = self.system.weakening
+        first = weakening.coefficients[0] if weakening is not None and weakening.coefficients else 1.0
         for _, values_here in self.points() if self.system.static is not None else ():
             static, kinetic = values_here["static"], values_here["friction"]
             if (
                 static is not None
                 and not isinstance(static, Ratio)
                 and kinetic is not None
-                and lowest(static) < size(kinetic)
+                and lowest(static) < size(kinetic) * first
             ):
                 raise ValueError(
                     f"system.static: expected at least the kinetic friction at each point of the grid, got {static}"
@@ -561,6 +564,8 @@ class Scene(StrictTable):
         for record in RECORDS:
             if keys["record"].get(record.name) in (False, []) and record.name not in _OLDEST_RECORDS:
                 del keys["record"][record.name]
+        if self.system.weakening is not None:
+            keys["system"]["weakening"].pop("table", None)
         if keys["system"]["back_slip"]:
             del keys["system"]["back_slip"]
         if self.start.ends is not None:
@@ -618,8 +623,12 @@ def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, dict[
         facts["record"] = {"functions": look_at_functions(names, folder)}
     if isinstance(start, dict) and isinstance(start.get("dataset"), str) and "ends" not in start:
         facts["start"] = {"ends": {"sha256": look_at_dataset(start["dataset"], folder)}}
+    system = tables.get("system")
+    law = system.get("weakening") if isinstance(system, dict) else None
+    if isinstance(law, dict) and isinstance(law.get("table"), str) and not law.keys() & {"speeds", "coefficients"}:
+        facts["system"] = {"weakening": law | read_friction_table(law["table"], folder)}
     # a function is tried in a scene, which has its ends then
-    facts["system"] = _look_at_systems(_merged(tables, facts), folder, name)
+    facts["system"] = facts.get("system", {}) | _look_at_systems(_merged(tables, facts), folder, name)
     return {table: facts_of_table for table, facts_of_table in facts.items() if facts_of_table}
 
 

@@ -43,7 +43,7 @@ from stickslip.sim.systems.couplings import COUPLINGS
 from stickslip.sim.systems.drive import direction
 from stickslip.sim.systems.graphs import GRAPHS
 from stickslip.sim.systems.terms import OF_BLOCKS, TERMS, Term
-from stickslip.sim.systems.weakening import LAWS
+from stickslip.sim.systems.weakening import LAWS, Table
 
 #: The names of the couplings whose systems are read from files: K itself, or the graph that springs lie along.
 OF_FILE, OF_GRAPH = OF_FILES = ("file", "graph")
@@ -204,16 +204,53 @@ else:
 
 
 class _Law(StrictTable):
-    law: Literal[*LAWS] = Field(  # type: ignore[valid-type]
-        description=", or ".join(law.formula for law in LAWS.values()), examples=["rational"]
+    law: Literal[*LAWS] | None = Field(  # type: ignore[valid-type]
+        default=None, description=", or ".join(law.formula for law in LAWS.values()), examples=["rational"]
+    )
+    table: str | None = Field(
+        default=None,
+        description="in the place of `law`: file beside the scene with two columns, speeds of slip and coefficients"
+        " by which friction is multiplied",
+        examples=["friction.csv"],
+    )
+    speeds: Annotated[tuple[float, ...], List] | None = Field(
+        default=None, description="the speeds of the table themselves, from 0", examples=[[0.0, 0.1, 0.5, 2.0]]
+    )
+    coefficients: Annotated[tuple[float, ...], List] | None = Field(
+        default=None, description="the coefficients at these speeds", examples=[[0.6, 0.4, 0.35, 0.4]]
     )
 
 
 class WeakeningTable(_with_terms("weakening", _Law)):  # type: ignore[misc]
     """[system.weakening]: how kinetic friction falls with slip speed; see `stickslip.sim.systems.weakening`."""
 
+    @property
+    def curve(self) -> Table | None:
+        """The law of a table."""
+        if self.law is not None or self.speeds is None or self.coefficients is None:
+            return None
+        return Table(self.speeds, self.coefficients)
+
+    @model_validator(mode="after")
+    def _either_law_or_table(self) -> Self:
+        by_table = [key for key in ("table", "speeds", "coefficients") if getattr(self, key) is not None]
+        if self.law is None and self.curve is None:
+            what = f"no speeds and coefficients beside `{by_table[0]}`" if by_table else "neither"
+            raise ValueError(
+                f'law: expected a law or a table, got {what}; write e.g. `law = "rational"`, or a scene file with'
+                ' `table = "friction.csv"`'
+            )
+        if self.law is not None and by_table:
+            raise ValueError(f"law: expected either a law or a table, got `law` and `{by_table[0]}`; remove one")
+        return self
+
     @model_validator(mode="after")
     def _its_own_number(self) -> Self:
+        if self.law is None:
+            for key in (key for law in LAWS.values() for key in law.parameters()):
+                if getattr(self, key) is not None:
+                    raise ValueError(f"{key}: expected none beside a table, got one; remove it")
+            return self
         parameters = LAWS[self.law].parameters()
         foreign = [key for law in LAWS.values() for key in law.parameters() if key not in parameters]
         surplus = [key for key in foreign if getattr(self, key) is not None]
@@ -502,8 +539,9 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
             self._files_apply()
         if self.is_own:
             self._function_applies()
-        if self.weakening is not None and not of_file and not self.is_own:  # else that may hold static friction
-            LAWS[self.weakening.law].require_static(self.static)
+        law = None if self.weakening is None else self.weakening.law
+        if law and not of_file and not self.is_own:  # else that may hold static friction
+            LAWS[law].require_static(self.static)
         if not self.back_slip and self.drive is None:  # else that of the drive counts too
             for speed in values(self.belt_speed):
                 speeds = speed.values if isinstance(speed, Course) else (speed,) if isinstance(speed, float) else ()

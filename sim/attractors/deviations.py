@@ -70,7 +70,7 @@ class Steps:
         """Between edges, from the modes between them: one step where all blocks stick."""
         assert system.weakening is not None
         near, far = system.slip_friction
-        rate = system.fastest_rate + system.weakening.steepness * (near - far).max()
+        rate = system.fastest_rate + system.weakening.steepest * (near - far).max()
         lengths = np.diff(edges)
         counts = np.where(modes.any(axis=1), np.ceil(lengths * (rate / _STEP)), 1.0)
         counts = np.maximum(counts, 1.0).astype(np.intp)

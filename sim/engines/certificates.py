@@ -91,7 +91,7 @@ def escape(system: System, z: Floats, w: Floats) -> str:
     if np.isinf(eigenmodes.inverse).any() or not system.back_slip:  # what bars a side is a force without bound
         return ""
     size = np.abs(eigenmodes.inverse @ np.concatenate((z, w)))
-    held = np.abs(eigenmodes.inverse[:, system.n :]) @ (system.static + system.most_force)
+    held = np.abs(eigenmodes.inverse[:, system.n :]) @ (system.most_resistance + system.most_force)
     rates = np.where(eigenmodes.eigenvalues.real > eigenmodes.rounding, eigenmodes.eigenvalues.real, 0.0)
     margin = size * rates - _CERTAIN * held
     mode = int(np.argmax(margin))

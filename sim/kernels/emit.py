@@ -141,6 +141,22 @@ class Array:
         value.align = self._bytes
         return Lane(self._builder, value)
 
+    def gather(self, places: Lane, first: int = 0) -> Lane:
+        """The numbers at some places, counted from a first; these are whole numbers as float64."""
+        builder, kind = self._builder, places.value.type
+
+        def number(place: Any) -> Any:
+            place = builder.add(builder.fptosi(place, _INTEGER), _INTEGER(first))
+            return builder.load(builder.gep(self._data, [place]))
+
+        if not isinstance(kind, ir.VectorType):
+            return Lane(builder, number(places.value))
+        numbers = ir.Constant(kind, ir.Undefined)
+        for k in range(kind.count):
+            place = builder.extract_element(places.value, _SHORT(k))
+            numbers = builder.insert_element(numbers, number(place), _SHORT(k))
+        return Lane(builder, numbers)
+
     def store(self, place: Index, lane: Lane) -> None:
         pointer = self._pointer(place, lane.value.type.count)
         self._builder.store(lane.value, pointer).align = self._bytes
@@ -195,6 +211,12 @@ class Code:
 
     def argument(self, kind: Any, value: Any) -> Any:
         """An argument of a piece as it is handed one; of an empty named tuple, its class."""
+        if isinstance(kind, Reference):
+            kind, place = kind.whole, self._context.get_value_type(kind.whole).as_pointer()
+            value = self._builder.load(self._builder.bitcast(value, place))
+        if isinstance(kind, types.NamedTuple) and len(kind) > 0:
+            fields = cgutils.unpack_tuple(self._builder, value)
+            return kind.instance_class(*map(self.argument, kind.types, fields))
         if isinstance(kind, Named):
             array = self._builder.extract_value(value, 0)
             return View(kind.places, Array(self._context, self._builder, kind.array, array))
@@ -266,6 +288,9 @@ class _PlainArray:
     def load(self, place: int, width: int) -> NDArray[Any]:
         return self._numbers[place : place + width].copy()
 
+    def gather(self, places: NDArray[Any], first: int = 0) -> NDArray[Any]:
+        return self._numbers[np.asarray(places, np.int64) + first]
+
     def store(self, place: int, lane: NDArray[Any]) -> None:
         self._numbers[place : place + len(lane)] = lane
 
@@ -289,7 +314,7 @@ class _Plain:
             case np.ndarray():
                 return _PlainArray(value)
             case tuple():
-                return type(value)
+                return type(value)(*map(self.argument, value)) if value else type(value)
         return value
 
     def loop(self, n: int, body: Callable[[int], None]) -> None:

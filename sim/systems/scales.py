@@ -103,7 +103,7 @@ class Scales:
             stiffness=system.stiffness / self.stiffness,
             damping=system.damping_matrix / self.damping,
             friction=system.friction / self.force,
-            static=None if system.static is system.friction else system.static / self.force,
+            static=system.static / self.force if system.has_static else None,
             belt_speed=self._term(belt, self.speed) if isinstance(belt, Piecewise) else belt / self.speed,
             mass=system.mass / self.mass,
             force=[self._term(term, self.force) for term in system.force],

@@ -68,7 +68,7 @@ class System:
     belt_speed : float, array_like, shape (n,), or Piecewise
         v; the paper takes v < 0. One for all blocks or one for each, constant or piecewise linear in time.
     static : float or array_like, shape (n,), optional
-        Static friction, at least the kinetic; by default the kinetic.
+        Static friction, at least the kinetic of a block that begins to slip; by default that.
     mass : float or array_like, shape (n,)
         m > 0.
     force : float, array_like, shape (n,), Harmonic, Piecewise, or list of these, optional
@@ -93,7 +93,9 @@ class System:
     closed : ndarray of int8, shape (n,)
         The side, -1 or +1, to which a block may not slip; 0 where it may slip either way.
     static : ndarray, shape (n,)
-        Static friction; `friction` itself where it was left out.
+        Static friction; where it was left out, the kinetic of a block that begins to slip.
+    has_static : bool
+        Whether static friction was given.
     damping : ndarray, shape (n,)
         R, also of a full matrix.
     cross_damping : ndarray or csc_array, shape (n, n), or None
@@ -112,6 +114,7 @@ class System:
     friction: Floats
     belt_speed: Any  # Any: code for one belt of constant speed takes it as a number
     static: Floats
+    has_static: bool
     mass: Floats
     force: tuple[Term, ...]
     weakening: Weakening | None
@@ -151,10 +154,13 @@ class System:
         object.__setattr__(self, "cross_damping", cross)
         object.__setattr__(self, "friction", mu)
         object.__setattr__(self, "belt_speed", belt(belt_speed, n))
-        object.__setattr__(self, "static", _static(static, mu))
+        object.__setattr__(self, "has_static", static is not None)
+        object.__setattr__(self, "weakening", _weakening(weakening, static))
+        object.__setattr__(self, "static", _static(static, mu, self.weakening))
+        if self.weakening is not None:
+            self.weakening.require_friction(*self.slip_friction)
         object.__setattr__(self, "mass", per_block("mass", mass, n, "m > 0"))
         object.__setattr__(self, "force", forces(force, n))
-        object.__setattr__(self, "weakening", _weakening(weakening, static))
         object.__setattr__(self, "closed", _closed(back_slip, self.belt_speed, n))
         object.__setattr__(self, "names", named(names, n))
 
@@ -287,7 +293,7 @@ class System:
     @cached_property
     def is_static_above(self) -> bool:
         """Whether any block has a static friction above the kinetic that it begins to slip with."""
-        return self.static is not self.friction and bool((self.static > self.slip_friction[0]).any())
+        return self.has_static and bool((self.static > self.slip_friction[0]).any())
 
     @cached_property
     def slip_friction(self) -> tuple[Floats, Floats]:
@@ -313,6 +319,14 @@ class System:
         steepness, tiny = self.weakening.steepness, 1e-30  # a complex step, with no cancellation
         shape = self.weakening.shape(steepness * np.abs(slip) + 1j * tiny)
         return np.asarray((near - far) * steepness * (shape.imag / tiny))
+
+    @cached_property
+    def most_resistance(self) -> Floats:
+        """Bounds friction in stick and slip, shape (n,)."""
+        if self.weakening is None:
+            return self.static
+        near, far = self.slip_friction
+        return np.maximum(self.static, far + (near - far) * self.weakening.largest)
 
     @cached_property
     def back_slip(self) -> bool:
@@ -388,7 +402,7 @@ class System:
             stiffness=_rows_times(self.stiffness, share),
             damping=_rows_times(self.damping_matrix, share),
             friction=self.friction * share,
-            static=None if self.static is self.friction else self.static * share,
+            static=self.static * share if self.has_static else None,
             mass=1.0,
             force=[term.scaled(share) for term in self.force],
         )
@@ -543,7 +557,7 @@ class System:
             "damping": self.damping_matrix,
             "friction": self.friction,
             "belt_speed": self.belt_speed,
-            "static": None if self.static is self.friction else self.static,
+            "static": self.static if self.has_static else None,
             "mass": self.mass,
             "force": self.force,
             "weakening": self.weakening,
@@ -713,8 +727,9 @@ def _row_sums(matrix: Any) -> Floats:
     return np.asarray(abs(matrix).sum(axis=1), dtype=np.float64).reshape(matrix.shape[0])
 
 
-def _static(static: ArrayLike | None, friction: Floats) -> Floats:
+def _static(static: ArrayLike | None, mu: Floats, weakening: Weakening | None) -> Floats:
     """Static friction by block, from the argument, or the kinetic."""
+    friction = mu if weakening is None else weakening.ends(mu, mu)[0]
     if static is None:
         return friction
     held = per_block("static", static, len(friction))

@@ -28,6 +28,7 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Pairs
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.system import System
+from stickslip.sim.systems.weakening.pieces import N_TERMS
 
 if TYPE_CHECKING:
     from stickslip.sim.engines.coulomb.settings import Coulomb
@@ -115,8 +116,8 @@ class _Runs(Several):
         u = np.array([task.w0 for task in tasks]) - self.models.belt_speed
         mode, weakening, n_shapes = np.sign(u).astype(np.int8), systems[0].weakening, 0
         if weakening is not None:
-            self.rates += weakening.steepness * (near - systems[0].slip_friction[1]).max()
-            n_shapes = weakening.n_series
+            self.rates += weakening.steepest * (near - systems[0].slip_friction[1]).max()
+            n_shapes = N_TERMS if weakening.recurrence is None else weakening.n_series
         if not systems[0].back_slip:
             closed = systems[0].closed
             _refuse_closed(closed * u[0], float(self.tols[0]) * systems[0].fastest_belt)

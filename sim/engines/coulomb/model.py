@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.forcing import Drive, Forcing
+from stickslip.sim.engines.polynomials import Polynomials
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Pairs
 from stickslip.sim.systems.system import Columns, System
-from stickslip.sim.systems.weakening import LAWS, kind_of, require_form
+from stickslip.sim.systems.weakening import LAWS, Weakening, kind_of
 
 #: The laws whose series all kernels can extend, as these number them. Kernels are compiled apart for any other law.
 SERIES_OF = [law for law in LAWS.values() if law.recurrence is not None]
@@ -26,6 +27,7 @@ class SpeedWeakening(NamedTuple):
     steepness: float
     law: Any  #: its number in `SERIES_OF`, or the empty tuple of its kind
     is_entire: bool
+    pieces: Polynomials | None  #: of a law without a `recurrence`, in the place of `law`
 
 
 class Cross(NamedTuple):
@@ -80,10 +82,7 @@ class Model(NamedTuple):
         weakens, weakening = None, system.weakening
         if weakening is not None:
             share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
-            require_form(weakening, "recurrence", "coulomb")
-            law = type(weakening)
-            known = SERIES_OF.index(law) if law in SERIES_OF else kind_of(law)()
-            weakens = SpeedWeakening(share, weakening.steepness, known, weakening.is_entire)
+            weakens = SpeedWeakening(share, weakening.steepness, *_series_of(weakening))
         return cls(
             system.columns,
             pairs,
@@ -97,6 +96,16 @@ class Model(NamedTuple):
             drive.forcing,
             Cross.of(system),
         )
+
+
+def _series_of(weakening: Weakening) -> tuple[Any, bool, Polynomials | None]:
+    """What the series of a law are from, as `SpeedWeakening` has it."""
+    law = type(weakening)
+    if law in SERIES_OF:
+        return SERIES_OF.index(law), weakening.is_entire, None
+    if law.recurrence is not None:
+        return kind_of(law)(), weakening.is_entire, None
+    return 0, False, Polynomials.of(weakening.pieces)
 
 
 @inner

@@ -28,6 +28,7 @@ from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.coulomb.model import SERIES_OF, coupling, fastest_belt
 from stickslip.sim.engines.coulomb.sticking import force_rounding, known, push, settle, settle_by_order
 from stickslip.sim.engines.forcing import acts, begin, may_change, take_off
+from stickslip.sim.engines.polynomials import begin_series, extend_series, left_at, place_of, value_of
 from stickslip.sim.kernels.compile import inner, one_of
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
@@ -125,7 +126,42 @@ def _of_laws(form: str) -> Any:
     return one_of([getattr(law, form) for law in SERIES_OF], lambda kind: getattr(LAW_OF[kind], form))
 
 
-_recurrence, _shape_of = _of_laws("recurrence"), _of_laws("shape")
+_recurrence, _shape_of_law = _of_laws("recurrence"), _of_laws("shape")
+
+
+@inner
+def _shape_of(pieces, law, x):  # type: ignore[no-untyped-def]
+    """S of x, by the law's pieces or its code."""
+    if pieces is None:
+        return _shape_of_law(law, x)
+    return value_of(pieces, x)
+
+
+@inner
+def _extend_by(pieces, law, k, z, x0, scale, shape):  # type: ignore[no-untyped-def]
+    """S_k of all blocks, k >= 1, by the law's pieces or its code."""
+    if pieces is None:
+        _recurrence(law, k, z, x0, scale, shape)
+    else:
+        extend_series(k, z, scale, shape)
+
+
+@inner
+def _begin_by(pieces, x0, shape):  # type: ignore[no-untyped-def]
+    """Begin the series of S, of pieces."""
+    if pieces is not None:
+        begin_series(pieces, x0, shape)
+
+
+@inner
+def _share_of(pieces, is_entire, x0, left, slope):  # type: ignore[no-untyped-def]
+    """One over the change of x within which the series of S is of use, in units of `control.TO_POLE`."""
+    if pieces is None:
+        return left if is_entire or left == 0.0 else 1.0 / (1.0 + x0)
+    if left == 0.0:
+        return 0.0
+    place = place_of(pieces, x0)
+    return control.TO_POLE / (pieces.high[place] - x0 if slope > 0.0 else x0 - pieces.low[place])
 
 
 @inner
@@ -145,13 +181,15 @@ def _extend_shape(weakening, model, expansion, k):  # type: ignore[no-untyped-de
     for i in range(len(scale)):
         scale[i] = weakening.steepness * expansion.mode[i]
     if k > 0:
-        _recurrence(weakening.law, k, series, x0, scale, shape)
+        _extend_by(weakening.pieces, weakening.law, k, series, x0, scale, shape)
         return
     for i in range(len(scale)):
         x0[i] = scale[i] * (series[1, i] - model.belt_speed[i])
-        shape[0, 0, i] = _shape_of(weakening.law, x0[i])
+        shape[0, 0, i] = _shape_of(weakening.pieces, weakening.law, x0[i])
+    _begin_by(weakening.pieces, x0, shape)
+    for i in range(len(scale)):
         if _is_lost(weakening, model, expansion, i):
-            shape[0, 0, i] = 0.0  # and by the recurrence all other S_k
+            shape[:, 0, i] = 0.0  # and by the recurrence all other S_k
 
 
 @inner
@@ -179,7 +217,8 @@ def _known_within(weakening, expansion):  # type: ignore[no-untyped-def]
         return time
     for i in range(len(expansion.mode)):
         left = expansion.shape.series[0, 0, i]
-        share = left if weakening.is_entire or left == 0.0 else 1.0 / (1.0 + expansion.shape.x0[i])
+        slope = expansion.mode[i] * expansion.series[2, i]
+        share = _share_of(weakening.pieces, weakening.is_entire, expansion.shape.x0[i], left, slope)
         rise = abs(2.0 * weakening.steepness * expansion.series[2, i] * share)
         if rise * time > control.TO_POLE:
             time = control.TO_POLE / rise
@@ -187,11 +226,32 @@ def _known_within(weakening, expansion):  # type: ignore[no-untyped-def]
 
 
 @inner
+def _within_pieces(pieces, weakening, model, expansion, order, h):  # type: ignore[no-untyped-def]
+    """The time, at most h, at which x of a block first leaves the piece of S from which its series is."""
+    if pieces is None:
+        return h
+    for i in range(len(expansion.mode)):
+        if expansion.mode[i] != 0 and not _is_lost(weakening, model, expansion, i):
+            h = left_at(pieces, expansion.series, expansion.shape, i, order, h)
+    return h
+
+
+@inner
+def _within(weakening, model, expansion, order, h):  # type: ignore[no-untyped-def]
+    """The part of a step h in which friction is as its series are."""
+    if weakening is None:
+        return h
+    return _within_pieces(weakening.pieces, weakening, model, expansion, order, h)
+
+
+@inner
 def _is_friction_known(weakening, model, expansion, order, h, allowed):  # type: ignore[no-untyped-def]
     """Whether, up to h, friction is what the series up to this order say."""
-    return weakening is None or (
-        _is_shape(weakening, model, expansion, order, h, allowed)
-        and (not weakening.is_entire or _weakens_less(weakening, model, expansion, order, h, allowed))
+    if weakening is None:
+        return True
+    h = _within(weakening, model, expansion, order, h)
+    return _is_shape(weakening, model, expansion, order, h, allowed) and (
+        not weakening.is_entire or _weakens_less(weakening, model, expansion, order, h, allowed)
     )
 
 
@@ -212,7 +272,8 @@ def _weakens_less(weakening, model, expansion, order, h, allowed):  # type: igno
             change += (k + 1) * abs(series[k + 1, i]) * power
         x = weakening.steepness * mode[i] * (series[1, i] - model.belt_speed[i])
         least = max(x - change, 0.0)
-        if change > control.RISING * order and drop * _shape_of(weakening.law, least) > control.PASSED_ON * allowed:
+        rest = drop * _shape_of(weakening.pieces, weakening.law, least)
+        if change > control.RISING * order and rest > control.PASSED_ON * allowed:
             return False
     return True
 
@@ -243,7 +304,7 @@ def _is_shape(weakening, model, expansion, order, h, allowed):  # type: ignore[n
                 size += abs(term)
                 told += shape.series[0, k, i] * power if k < order - 1 else 0.0
         if x >= 0.0:
-            lacking = abs(_shape_of(weakening.law, x) - told) - ROUNDING * size
+            lacking = abs(_shape_of(weakening.pieces, weakening.law, x) - told) - ROUNDING * size
             if drop * lacking > order * allowed:
                 return False
     return True
@@ -301,6 +362,7 @@ def expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-de
         n_products += n_more
         if order > 0:
             expansion.leaves[:] = 0
+            h = _within(model.weakening, model, expansion, order, h)
             hold(expansion, order)
             return order, h, allowed, n_products
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import certificates, loop, stacks
 from stickslip.sim.engines.contract import Ratios, Task
 from stickslip.sim.engines.forcing import Drive
+from stickslip.sim.engines.polynomials import Polynomials
 from stickslip.sim.engines.waveform import control as limits
 from stickslip.sim.engines.waveform.control import first_step
 from stickslip.sim.engines.waveform.events import PASSES
@@ -25,7 +26,7 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.friction import hidden_term, over_kinetic, turning_point
 from stickslip.sim.systems.system import System
-from stickslip.sim.systems.weakening import kind_of, require_form
+from stickslip.sim.systems.weakening import kind_of
 
 if TYPE_CHECKING:
     from stickslip.sim.engines.sigmoid.settings import Sigmoid
@@ -268,8 +269,7 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
     friction, weakening = system.slip_friction[0], system.weakening
     law: NamedTuple = Peaked() if system.is_static_above else Plain()
     if weakening is not None:
-        require_form(weakening, "on_lanes", "sigmoid")
-        law = kind_of(type(weakening))()
+        law = Polynomials.of(weakening.pieces) if weakening.on_lanes is None else kind_of(type(weakening))()
     elif not system.back_slip:
         law = Steady()
     if not system.back_slip and (friction[system.closed != 0] == 0).any():

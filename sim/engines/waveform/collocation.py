@@ -17,7 +17,16 @@ from collections.abc import Callable
 from typing import Any
 
 from stickslip.sim.engines.waveform import control
-from stickslip.sim.engines.waveform.friction import Law, Peaked, Plain, SetValued, open_sign, peaked_sign, smooth_sign
+from stickslip.sim.engines.waveform.friction import (
+    Law,
+    Peaked,
+    Plain,
+    SetValued,
+    open_sign,
+    peaked_sign,
+    shape_of,
+    smooth_sign,
+)
 from stickslip.sim.numerics.lanes import Lane, absolute, dot, greater, less, on_rows, total, where
 from stickslip.sim.numerics.radau import (
     ALL_AT_PLACES,
@@ -31,7 +40,6 @@ from stickslip.sim.numerics.radau import (
     TO_LEGENDRE,
     WEIGHTS,
 )
-from stickslip.sim.systems.weakening import LAW_OF
 
 
 def _friction(block: Any, law: Law) -> Callable[[Lane], tuple[Lane, Lane]]:
@@ -122,7 +130,7 @@ def _newton(block: Any, law: Law) -> Lane:
     block.u = [where(still, u[k] + residual[k], u[k]) for k in stages]
     x = change * steep
     out_of_layer = nearest * steep - x > control.OUT_OF_LAYER
-    if law in LAW_OF:  # it has curvature there too
+    if shape_of(law) is not None:  # it has curvature there too
         bend = x * block.weakening
         out_of_layer = out_of_layer & (h * mu * bend * bend < _allowed(block, law) * control.SOLVED)
     inside = (x * change < _allowed(block, law) * control.SOLVED) & ((x < control.IN_LAYER) | out_of_layer)

@@ -2,13 +2,15 @@
 
 A law is written once, for numbers of `lanes`, and friction is mu phi; phi is odd, and smooth on the scale of 1. A
 kernel is compiled for one law, which the type of its argument names: `Plain`, `Peaked`,
-`SetValued`, `Steady`, or the kind of a law of `stickslip.sim.systems.weakening`.
+`SetValued`, `Steady`, `Polynomials`, or the kind of a law of `stickslip.sim.systems.weakening`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
+from stickslip.sim.engines.polynomials import Polynomials
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.lanes import Lane, absolute, copysign, exponential, less, on_number, where
 from stickslip.sim.systems.weakening import LAW_OF
@@ -30,8 +32,15 @@ class Steady(NamedTuple):
     """As `Peaked`, with a side that may be closed: `open_sign` without weakening."""
 
 
-#: A friction law: one of these, or the kind of one that weakens, `open_sign` with its shape.
-Law: TypeAlias = type[tuple[Any, ...]]
+#: A friction law: one of these; or, for `open_sign`, the kind of one that depends on speed, or its `Polynomials`.
+Law: TypeAlias = type[tuple[Any, ...]] | Polynomials
+
+
+def shape_of(law: Law) -> Callable[[Lane], tuple[Lane, Lane]] | None:
+    """S and its derivative; None if friction does not depend on speed."""
+    if isinstance(law, Polynomials):
+        return law.on_lanes
+    return LAW_OF[law].on_lanes if law in LAW_OF else None
 
 
 def smooth_sign(x: Lane) -> tuple[Lane, Lane]:
@@ -54,8 +63,8 @@ def open_sign(law: Law, x: Lane, c: Lane, far: Lane, weakening: Lane, closed: La
     force, and w - v = delta x tends to 0 with delta: no block slips to that side.
     """
     value, slope = peaked_sign(x, c)
-    if law in LAW_OF:
-        shape, slope_of_shape = LAW_OF[law].on_lanes(absolute(x) * weakening)
+    if (shape_at := shape_of(law)) is not None:
+        shape, slope_of_shape = shape_at(absolute(x) * weakening)
         rest = 1.0 - far
         slope = slope * (far + rest * shape) + absolute(value) * (rest * weakening * slope_of_shape)
         value = value * (far + rest * shape)

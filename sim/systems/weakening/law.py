@@ -17,13 +17,17 @@ import math
 from abc import ABC, abstractmethod
 from collections import namedtuple
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, ClassVar, Self
 
 import numpy as np
 
 from stickslip.sim.kernels.digest import code_digest
 from stickslip.sim.numerics.arguments import Floats, apart, number
+from stickslip.sim.systems.weakening.pieces import FASTEST, Pieces, sampled
+
+#: Of S(0), and of kinetic friction over that of a block that begins to slip.
+_ROUNDING, _ROUNDED = 1e-14, 1e-12
 
 
 def parameter(words: str = "", column: str = "", example: float = 1.0, *, power: int) -> Any:
@@ -82,6 +86,41 @@ class Weakening(ABC):
     def steepness(self) -> float:
         """The factor of the speed of slip in x."""
 
+    @cached_property
+    def pieces(self) -> Pieces:
+        """S by polynomials, for an engine that lacks a form of its own.
+
+        Raises
+        ------
+        ValueError
+            If S(0) is not 1, or S is not finite, jumps, or bends too often.
+        """
+        law = type(self)
+        _require_start(law)
+        return sampled(self.shape, FASTEST, f"weakening: {law.__name__}")
+
+    @cached_property
+    def is_data(self) -> bool:
+        """Whether an engine knows it by its `pieces`."""
+        return type(self).on_lanes is None or type(self).recurrence is None
+
+    @cached_property
+    def steepest(self) -> float:
+        """A bound of |dS / du|."""
+        return self.steepness * (self.pieces.steepest if self.is_data else 1.0)
+
+    @cached_property
+    def largest(self) -> float:
+        """A bound of S."""
+        return self.pieces.range[1] if self.is_data else 1.0
+
+    def bends(self, low: Floats, high: Floats) -> Floats:
+        """In how many parts, at least, x from `low` to `high` is to be divided so that S is smooth on each."""
+        if self.is_data:
+            first, last = (np.searchsorted(self.pieces.start, x) for x in (low, high))
+            return np.asarray(last - first, dtype=np.float64) + 1.0
+        return np.asarray((high - low) / (1.0 + low))
+
     @abstractmethod
     def ends(self, friction: Floats, static: Floats) -> tuple[Floats, Floats]:
         """near and far, shape (n,) each, from the `friction` and `static` of a `System`."""
@@ -109,6 +148,19 @@ class Weakening(ABC):
                 f" {type(self).__name__}; correct them, each in a field `rate: float = parameter(power=-1)`"
             )
         return law
+
+    def require_friction(self, near: Floats, far: Floats) -> None:
+        """ValueError if S takes the friction of a block below zero."""
+        if not self.is_data:
+            return
+        least, _, x = self.pieces.range
+        below = far + (near - far) * least
+        if (below < -_ROUNDED * near).any():
+            block = int(np.argmin(below))
+            raise ValueError(
+                f"weakening: expected kinetic friction of at least 0, got {below[block]:.3g} for block {block} at the"
+                f" speed {x / self.steepness:.3g} from {self}; raise its shape"
+            )
 
     @classmethod
     def require_static(cls, static: object) -> None:
@@ -149,15 +201,21 @@ def kind_of(law: type[Weakening]) -> type[Any]:
     return globals()[name]
 
 
-def _check_shape(law: type[Weakening]) -> None:
-    """ValueError if a law's shape is none, or the sum of its series is not the shape at a nearby x."""
-    start, x0, t, orders = float(law.shape(np.array([0.0]))[0]), np.array([0.1, 0.5, 1.0, 3.0]), 0.05, 14
-    if start != 1.0:
+def _require_start(law: type[Weakening]) -> None:
+    """ValueError if S(0) is not 1."""
+    start = float(np.asarray(law.shape(np.zeros(1)))[0])
+    if abs(start - 1.0) > _ROUNDING:
         raise ValueError(
             f"weakening: expected a law with S(0) = 1, got {apart(start, 1.0)[0]} from the shape of {law.__name__}"
         )
+
+
+def _check_shape(law: type[Weakening]) -> None:
+    """ValueError if a law's shape is none, or the sum of its series is not the shape at a nearby x."""
+    _require_start(law)
     if law.recurrence is None:
         return
+    x0, t, orders = np.array([0.1, 0.5, 1.0, 3.0]), 0.05, 14
     z, series = np.zeros((orders + 1, len(x0))), np.full((law.n_series, orders, len(x0)), np.nan)
     z[2], series[0, 0] = 0.5, law.shape(x0)  # x(t) = x0 + t
     for k in range(1, orders):
