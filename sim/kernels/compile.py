@@ -27,7 +27,7 @@ import hashlib
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache, partial
+from functools import partial
 from typing import Any
 
 import numba
@@ -191,40 +191,14 @@ def inner(function: Callable[..., Any] | None = None, *, counts: bool = False) -
     return compiled
 
 
-def one_of(functions: Sequence[Callable[..., Any]], others: Callable[[type[Any]], Callable[..., Any]]) -> Any:
-    """For kernels, ``f(which, *arguments)``: the function of that number, or that of an empty named tuple's class.
-
-    All take and return the same types. `others` gives the function of a class, for which kernels are compiled.
-    """
+def one_of(functions: Sequence[Callable[..., Any]]) -> Any:
+    """For kernels, ``f(number, *arguments)``: the function of that number. All take and return the same types."""
     if not IS_COMPILED:
-        return lambda which, *arguments: (others(type(which)) if which == () else functions[which])(*arguments)
-    numbered = _numbered(functions)
-    of_class = cache(lambda kind: _numbered([others(kind)]))
-    template, overload = numbered.get_call_template, numbered.get_overload
-
-    def is_numbered(kinds: Sequence[Any]) -> bool:
-        return isinstance(kinds[0], types.Integer)
-
-    numbered.get_call_template = lambda args, kws: (
-        template if is_numbered(args) else of_class(args[0].instance_class).get_call_template
-    )(args, kws)
-    numbered.get_overload = lambda args: (
-        overload if is_numbered(args) else of_class(args[0].instance_class).get_overload
-    )(args)
-    return numbered
-
-
-def _numbered(functions: Sequence[Callable[..., Any]]) -> Any:
-    """The function of a number; of one function, whatever stands there."""
+        return lambda number, *arguments: functions[number](*arguments)
     first, others = inner(functions[0]), functions[1:]
     if not others:
-
-        @inner
-        def only(number, *arguments):  # type: ignore[no-untyped-def]
-            return first(*arguments)
-
-        return only
-    rest = _numbered(others)
+        return inner(lambda number, *arguments: first(*arguments))
+    rest = one_of(others)
 
     @inner
     def choose(number, *arguments):  # type: ignore[no-untyped-def]

@@ -33,6 +33,10 @@ if TYPE_CHECKING:  # takes a tenth of a second to load, and few systems need it
     import scipy.sparse
 
 
+#: Of a product of two numbers, over its size, with some room.
+_ROUNDING = 1e-15
+
+
 class Columns(NamedTuple):
     """A matrix by columns as the exact engine takes it: transposed or, when this is empty, CSC."""
 
@@ -300,7 +304,9 @@ class System:
         """Kinetic friction of a block that begins to slip, and at the limit of fast slip, shape (n,) each."""
         if self.weakening is None:
             return self.friction, self.friction
-        return self.weakening.ends(self.friction, self.static)
+        near, far = self.weakening.ends(self.friction, self.static)
+        near.flags.writeable = False  # as all others: kernels are compiled anew for what is not
+        return near, far
 
     @numpy_arithmetic()
     def kinetic(self, slip: ArrayLike) -> Floats:
@@ -731,8 +737,12 @@ def _static(static: ArrayLike | None, mu: Floats, weakening: Weakening | None) -
     """Static friction by block, from the argument, or the kinetic."""
     friction = mu if weakening is None else weakening.ends(mu, mu)[0]
     if static is None:
+        friction.flags.writeable = False
         return friction
     held = per_block("static", static, len(friction))
+    if friction is not mu:  # a product, which rounding may put to either side of what was given
+        held = np.where(np.abs(held - friction) <= _ROUNDING * friction, friction, held)
+        held.flags.writeable = False
     if (held < friction).any():
         block = int(np.argmax(friction - held))
         low, high = apart(held[block], friction[block])

@@ -8,9 +8,8 @@ from scipy.integrate import solve_ivp
 from stickslip.sim import Piecewise, Rational, Stribeck, System, draw_system, simulate
 from stickslip.sim.engines.waveform import friction
 from stickslip.sim.numerics.lanes import on_number
-from stickslip.sim.systems.weakening import LAWS, kind_of
+from stickslip.sim.systems.weakening import LAW_OF, LAWS
 from tests.independent import follow
-from tests.scenes import own_law
 from tests.systems import draw_case, made
 
 # the system
@@ -190,22 +189,12 @@ def test_thresholds_of_sticking_see_the_open_side_alone(side):
         assert series.t[0] == pytest.approx((3.0 + np.tanh(threshold)) / 0.2, abs=0.3)
 
 
-# every law of `LAWS`, and that of the guide, by its forms
+# every law that kernels know by code
 
 
-def of_the_guide():
-    made = {"__name__": "lorentz"}
-    exec(own_law(), made)
-    return made["Lorentz"]
-
-
-FORMS = (*LAWS.values(), of_the_guide())
-
-
-@pytest.mark.parametrize("law", FORMS)
-def test_the_law_and_its_slope(law):
+@pytest.mark.parametrize(("kind", "law"), LAW_OF.items())
+def test_the_law_and_its_slope(kind, law):
     """Of the smoothed law, against the formula, and differences."""
-    kind = kind_of(law)
     x = np.concatenate([np.geomspace(1e-6, 3000.0, 300), -np.geomspace(1e-6, 3000.0, 300)])
     c, far, fall = 0.7, 0.4, 0.3
     for closed in (-1.0, 0.0, 1.0):
@@ -222,13 +211,13 @@ def test_the_law_and_its_slope(law):
         np.testing.assert_allclose(np.array([apply(one)[1] for one in x])[smooth], np.array(slope)[smooth], atol=1e-6)
 
 
-@pytest.mark.parametrize("law", FORMS)
+@pytest.mark.parametrize("law", LAW_OF.values())
 def test_the_recurrence_gives_the_series_of_the_shape(law, rng):
     """The sum of S_k t^k against S(x(t)), within a third of the distance of a pole; S_0 = 0 makes all of it zero."""
     orders, n = 81, 20
     z, x0, scale = np.zeros((orders + 1, n)), rng.uniform(0.0, 5.0, n), rng.uniform(-2.0, 2.0, n)
     z[2:5] = rng.uniform(-0.1, 0.1, (3, n))
-    series = np.full((law.n_series, orders, n), np.nan)
+    series = np.full((1, orders, n), np.nan)
     series[0, 0] = np.where(np.arange(n) == 0, 0.0, law.shape(x0))
     for k in range(1, orders):
         law.recurrence(k, z, x0, scale, series)

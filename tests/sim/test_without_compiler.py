@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stickslip.pipeline.dataset.program import program
-from stickslip.sim import Harmonic, Rational, draw_system, simulate
+from stickslip.sim import Curve, Harmonic, Rational, Table, draw_system, simulate
 from tests.scenes import ensemble
 
 SIGMOID = {"engine": "sigmoid", "eps": 0.03, "rtol": 1e-5, "atol": 1e-7}
@@ -21,7 +21,9 @@ RUNS = {
     "sparse series": (draw_system("chain", n=40, seed=0), 5.0, {"tol": 1e-5}),
     "waves": (draw_system("antisymmetric", n=66, seed=0), 1.0, {"tol": 1e-5}),
     "weakening": (DRAWN.changed(static=1.4, weakening=Rational(2.0)), 10.0, {"tol": 1e-5}),
+    "a table": (DRAWN.changed(weakening=Table([0.0, 0.1, 0.3, 1.0], [1.0, 0.8, 0.7, 0.9])), 10.0, {"tol": 1e-5}),
     "sigmoid": (DRAWN.changed(force=Harmonic(amplitude=0.3, frequency=1.0)), 10.0, SIGMOID),
+    "sigmoid and a function": (DRAWN.changed(weakening=Curve(lambda u: 0.7 + 0.3 * np.exp(-3.0 * u))), 5.0, SIGMOID),
     "sigmoid with a peak": (DRAWN.changed(static=1.4), 5.0, SIGMOID),
     "full damping": (DRAWN.changed(damping=0.3 * np.eye(6) + 0.05 * np.eye(6, k=1)), 5.0, SIGMOID),
     "moreau": (DRAWN, 5.0, {"engine": "moreau", "step": 1e-2}),

@@ -117,7 +117,7 @@ class _Runs(Several):
         mode, weakening, n_shapes = np.sign(u).astype(np.int8), systems[0].weakening, 0
         if weakening is not None:
             self.rates += weakening.steepest * (near - systems[0].slip_friction[1]).max()
-            n_shapes = N_TERMS if weakening.recurrence is None else weakening.n_series
+            n_shapes = N_TERMS if weakening.is_data else 1
         if not systems[0].back_slip:
             closed = systems[0].closed
             _refuse_closed(closed * u[0], float(self.tols[0]) * systems[0].fastest_belt)

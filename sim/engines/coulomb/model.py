@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,10 @@ from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Pairs
 from stickslip.sim.systems.system import Columns, System
-from stickslip.sim.systems.weakening import LAWS, Weakening, kind_of
+from stickslip.sim.systems.weakening import LAW_OF
 
-#: The laws whose series all kernels can extend, as these number them. Kernels are compiled apart for any other law.
-SERIES_OF = [law for law in LAWS.values() if law.recurrence is not None]
+#: The laws whose series all kernels can extend by code, as these number them.
+SERIES_OF = [*LAW_OF.values()]
 
 
 class SpeedWeakening(NamedTuple):
@@ -25,9 +25,9 @@ class SpeedWeakening(NamedTuple):
 
     far: Floats  #: kinetic friction of a slip without bound, over that of a block that begins to slip
     steepness: float
-    law: Any  #: its number in `SERIES_OF`, or the empty tuple of its kind
+    law: int  #: its number in `SERIES_OF`
     is_entire: bool
-    pieces: Polynomials | None  #: of a law without a `recurrence`, in the place of `law`
+    pieces: Polynomials | None  #: of any other law
 
 
 class Cross(NamedTuple):
@@ -82,7 +82,9 @@ class Model(NamedTuple):
         weakens, weakening = None, system.weakening
         if weakening is not None:
             share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
-            weakens = SpeedWeakening(share, weakening.steepness, *_series_of(weakening))
+            number = 0 if weakening.is_data else SERIES_OF.index(type(weakening))
+            pieces = Polynomials.of(weakening.pieces) if weakening.is_data else None
+            weakens = SpeedWeakening(share, weakening.steepness, number, weakening.is_entire, pieces)
         return cls(
             system.columns,
             pairs,
@@ -96,16 +98,6 @@ class Model(NamedTuple):
             drive.forcing,
             Cross.of(system),
         )
-
-
-def _series_of(weakening: Weakening) -> tuple[Any, bool, Polynomials | None]:
-    """What the series of a law are from, as `SpeedWeakening` has it."""
-    law = type(weakening)
-    if law in SERIES_OF:
-        return SERIES_OF.index(law), weakening.is_entire, None
-    if law.recurrence is not None:
-        return kind_of(law)(), weakening.is_entire, None
-    return 0, False, Polynomials.of(weakening.pieces)
 
 
 @inner

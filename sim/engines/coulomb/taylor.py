@@ -18,7 +18,7 @@ friction does not fall: the others then respond by linear equations.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,7 +35,6 @@ from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
 from stickslip.sim.numerics.horner import shift_rows
 from stickslip.sim.numerics.panels import SINGLE_ERROR
 from stickslip.sim.numerics.products import list_moving, one_product, two_products, two_single_products
-from stickslip.sim.systems.weakening import LAW_OF
 
 UNDECIDED = 2  #: in the place of a mode
 
@@ -121,12 +120,8 @@ class Expansion(NamedTuple):
         )
 
 
-def _of_laws(form: str) -> Any:
-    """A form of a law, for kernels, by what stands for the law in `SpeedWeakening`."""
-    return one_of([getattr(law, form) for law in SERIES_OF], lambda kind: getattr(LAW_OF[kind], form))
-
-
-_recurrence, _shape_of_law = _of_laws("recurrence"), _of_laws("shape")
+_recurrence = one_of([law.recurrence for law in SERIES_OF])
+_shape_of_law = one_of([law.shape for law in SERIES_OF])
 
 
 @inner

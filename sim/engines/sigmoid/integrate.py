@@ -26,7 +26,7 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.friction import hidden_term, over_kinetic, turning_point
 from stickslip.sim.systems.system import System
-from stickslip.sim.systems.weakening import kind_of
+from stickslip.sim.systems.weakening import LAW_OF
 
 if TYPE_CHECKING:
     from stickslip.sim.engines.sigmoid.settings import Sigmoid
@@ -269,7 +269,8 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
     friction, weakening = system.slip_friction[0], system.weakening
     law: NamedTuple = Peaked() if system.is_static_above else Plain()
     if weakening is not None:
-        law = Polynomials.of(weakening.pieces) if weakening.on_lanes is None else kind_of(type(weakening))()
+        kinds = [kind for kind, known in LAW_OF.items() if known is type(weakening)]
+        law = kinds[0]() if kinds else Polynomials.of(weakening.pieces)
     elif not system.back_slip:
         law = Steady()
     if not system.back_slip and (friction[system.closed != 0] == 0).any():

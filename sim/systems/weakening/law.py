@@ -1,14 +1,13 @@
-"""What a weakening law is: kinetic friction that falls as a block slips faster on its belt.
+"""What a friction law is: kinetic friction as a function of the speed at which a block slips on its belt.
 
     mu(u) = far + (near - far) S(x),    x = steepness |u|,    u = w - v
 
-near is the kinetic friction of a block that begins to slip, far that at the limit of fast slip; the shape S falls
-from S(0) = 1 to 0. S and its first two derivatives are at most about one, and the poles of S are about 1 + x or more
-away from x: the quadrature of `stickslip.sim.energy` and the longest steps of the exact engine depend on it.
+near is the kinetic friction of a block that begins to slip, S(0) = 1. Where S tends to 0, far is that at the limit of
+fast slip. Friction may fall and rise, but not below zero.
 
-A law is a subclass of `Weakening`. Its forms are plain functions that the engines compile with their kernels, and an
-engine refuses a law that lacks the form it needs. A law that scenes know by name has a file here and a line in
-`LAWS`. One from elsewhere is passed to `System`; its kernels are kept by a digest of its forms and what these use.
+A law is a subclass of `Weakening`. Engines know S as data, by its `Pieces`, so that a law of the user's compiles
+nothing. They know laws of the package by code, which is faster: there |S'| and |S''| are at most one, and poles of S
+are about 1 + x or more away from x. A law that scenes know by name has a file here and a line in `LAWS`.
 """
 
 from __future__ import annotations
@@ -17,17 +16,19 @@ import math
 from abc import ABC, abstractmethod
 from collections import namedtuple
 from dataclasses import dataclass, field, fields, replace
-from functools import cache, cached_property
-from typing import Any, ClassVar, Self
+from functools import cached_property
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 
-from stickslip.sim.kernels.digest import code_digest
 from stickslip.sim.numerics.arguments import Floats, apart, number
 from stickslip.sim.systems.weakening.pieces import FASTEST, Pieces, sampled
 
 #: Of S(0), and of kinetic friction over that of a block that begins to slip.
 _ROUNDING, _ROUNDED = 1e-14, 1e-12
+
+
+Law = TypeVar("Law", bound="Weakening")
 
 
 def parameter(words: str = "", column: str = "", example: float = 1.0, *, power: int) -> Any:
@@ -49,17 +50,14 @@ class Weakening(ABC):
         Its name in scenes, and kinetic friction in their words; of a law of `LAWS`.
     falls_from_static : bool
         Whether it needs a static friction to fall from.
-    on_lanes : function or None
-        For the sigmoid engine: S and its derivative, of a `Lane` x >= 0. It imports from
-        ``stickslip.sim.numerics.lanes`` inside, since systems load no numba.
-    recurrence : function or None
-        For the exact engine: ``recurrence(k, z, x0, scale, series)`` puts the Taylor coefficients S_k of all blocks,
-        k >= 1, into ``series[0, k]``. `series` has shape (n_series, orders, n); the law may keep others behind the
-        first. x has the coefficients x_0 = `x0` and x_j = `scale` (j + 1) z_{j+1}; `x0` and `scale` have shape (n,).
-        Where S_0 is zero, all S_k must be. Loops over orders are `while` loops: inside a `for` loop LLVM does not
-        vectorise the loop over blocks, which then takes twice as long.
-    n_series : int
-        The number of series that `recurrence` keeps.
+    on_lanes : function
+        Of a law that is `known_by_code`, for the sigmoid engine: S and its derivative, of a `Lane` x >= 0. It imports
+        from ``stickslip.sim.numerics.lanes`` inside, since systems load no numba.
+    recurrence : function
+        The same for the exact engine: ``recurrence(k, z, x0, scale, series)`` puts the Taylor coefficients S_k of all
+        blocks, k >= 1, into ``series[0, k]``, shape (n,). x has the coefficients x_0 = `x0` and x_j = `scale` (j + 1)
+        z_{j+1}; `x0` and `scale` have shape (n,). Where S_0 is zero, all S_k must be. Loops over orders are `while`
+        loops: inside a `for` loop LLVM does not vectorise the loop over blocks, which then takes twice as long.
     is_entire : bool
         Whether S has no pole at all, as exp(-x): its terms may then rise before they fall.
     """
@@ -67,15 +65,9 @@ class Weakening(ABC):
     name: ClassVar[str]
     formula: ClassVar[str]
     falls_from_static: ClassVar[bool] = False
-    on_lanes: ClassVar[Any] = None
-    recurrence: ClassVar[Any] = None
-    n_series: ClassVar[int] = 1
+    on_lanes: ClassVar[Any]
+    recurrence: ClassVar[Any]
     is_entire: ClassVar[bool] = False
-
-    def __init_subclass__(cls) -> None:
-        if "shape" in vars(cls):  # an inherited form is that of another shape
-            for form in {"on_lanes", "recurrence"} - vars(cls).keys():
-                setattr(cls, form, None)
 
     def __post_init__(self) -> None:
         for one in fields(self):
@@ -88,7 +80,7 @@ class Weakening(ABC):
 
     @cached_property
     def pieces(self) -> Pieces:
-        """S by polynomials, for an engine that lacks a form of its own.
+        """S by polynomials.
 
         Raises
         ------
@@ -101,8 +93,8 @@ class Weakening(ABC):
 
     @cached_property
     def is_data(self) -> bool:
-        """Whether an engine knows it by its `pieces`."""
-        return type(self).on_lanes is None or type(self).recurrence is None
+        """Whether engines know it by its `pieces`."""
+        return type(self) not in LAW_OF.values()
 
     @cached_property
     def steepest(self) -> float:
@@ -115,10 +107,12 @@ class Weakening(ABC):
         return self.pieces.range[1] if self.is_data else 1.0
 
     def bends(self, low: Floats, high: Floats) -> Floats:
-        """In how many parts, at least, x from `low` to `high` is to be divided so that S is smooth on each."""
+        """In how many parts, at least, x from `low` to `high` is to be divided so that quadrature resolves S."""
         if self.is_data:
-            first, last = (np.searchsorted(self.pieces.start, x) for x in (low, high))
-            return np.asarray(last - first, dtype=np.float64) + 1.0
+            start = self.pieces.start
+            length = np.append(np.diff(start), np.inf)
+            first, last = (length[np.searchsorted(start, x, side="right") - 1] for x in (low, high))
+            return np.asarray((high - low) / np.maximum(first, last))
         return np.asarray((high - low) / (1.0 + low))
 
     @abstractmethod
@@ -172,33 +166,15 @@ class Weakening(ABC):
             )
 
 
-#: The laws for which kernels are compiled, by the types that stand for them there.
+#: The laws that kernels know by code, each by the empty named tuple that stands for it there.
 LAW_OF: dict[type[Any], type[Weakening]] = {}
 
 
-@cache
-def kind_of(law: type[Weakening]) -> type[Any]:
-    """The type, an empty named tuple, that stands for a law in kernels that are compiled for it alone.
-
-    Its name, which is part of the key of a kept kernel, has a digest of the law's forms; and a kernel that is loaded
-    finds it here.
-
-    Raises
-    ------
-    TypeError
-        If a form uses something of which it cannot be said whether it changes.
-    ValueError
-        If S(0) is not 1, or `recurrence` does not give the series of `shape`.
-    """
-    _check_shape(law)
-    try:
-        name = f"{law.__name__}_{code_digest(law.shape, law.on_lanes, law.recurrence)}"
-    except TypeError as error:
-        raise TypeError(f"weakening: {law.__name__}: {error}; give the forms what they use as a number") from None
-    if name not in globals():  # else the law is defined a second time, as in a notebook
-        kind = globals()[name] = namedtuple(name, (), module=__name__)
-        LAW_OF[kind] = law
-    return globals()[name]
+def known_by_code(law: type[Law]) -> type[Law]:
+    """Let kernels know a law of the package by its `on_lanes`, `recurrence` and `shape`, and not by its pieces."""
+    kind = globals()[law.__name__] = namedtuple(law.__name__, (), module=__name__)  # where a kept kernel finds it
+    LAW_OF[kind] = law
+    return law
 
 
 def _require_start(law: type[Weakening]) -> None:
@@ -207,23 +183,4 @@ def _require_start(law: type[Weakening]) -> None:
     if abs(start - 1.0) > _ROUNDING:
         raise ValueError(
             f"weakening: expected a law with S(0) = 1, got {apart(start, 1.0)[0]} from the shape of {law.__name__}"
-        )
-
-
-def _check_shape(law: type[Weakening]) -> None:
-    """ValueError if a law's shape is none, or the sum of its series is not the shape at a nearby x."""
-    _require_start(law)
-    if law.recurrence is None:
-        return
-    x0, t, orders = np.array([0.1, 0.5, 1.0, 3.0]), 0.05, 14
-    z, series = np.zeros((orders + 1, len(x0))), np.full((law.n_series, orders, len(x0)), np.nan)
-    z[2], series[0, 0] = 0.5, law.shape(x0)  # x(t) = x0 + t
-    for k in range(1, orders):
-        law.recurrence(k, z, x0, np.ones(len(x0)), series)
-    found, expected = np.polynomial.polynomial.polyval(t, series[0]), law.shape(x0 + t)
-    if not np.allclose(found, expected, rtol=1e-9, atol=1e-12):
-        k = int(np.argmax(~np.isclose(found, expected, rtol=1e-9, atol=1e-12)))
-        raise ValueError(
-            f"weakening: expected a `recurrence` of {law.__name__} that gives the series of its shape, got"
-            f" {found[k]:.12g} for S({x0[k] + t:g}) = {expected[k]:.12g}; correct it, or the shape"
         )

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.systems.weakening.law import Weakening, parameter
+from stickslip.sim.systems.weakening.law import Weakening, known_by_code, parameter
 
 if TYPE_CHECKING:
     from stickslip.sim.numerics.lanes import Lane
 
 
+@known_by_code
 @dataclass(frozen=True)
 class Rational(Weakening):
     """mu / (1 + rate |u|): the law of Carlson and Langer, Phys. Rev. A 40 (1989) 6470.

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.systems.weakening.law import Weakening, parameter
+from stickslip.sim.systems.weakening.law import Weakening, known_by_code, parameter
 
 if TYPE_CHECKING:
     from stickslip.sim.numerics.lanes import Lane
 
 
+@known_by_code
 @dataclass(frozen=True)
 class Stribeck(Weakening):
     """mu + (static - mu) exp(-|u| / speed): from the static friction, without a jump, to the kinetic.

@@ -40,8 +40,9 @@ class Coefficients(Weakening):
         return self.curve.scaled(self.steepness, 1.0 / self._first)
 
     @property
+    @abstractmethod
     def _first(self) -> float:
-        return float(self.curve.at(0.0))
+        """The coefficient of a block at rest."""
 
     def ends(self, friction: Floats, static: Floats) -> tuple[Floats, Floats]:
         return friction * self._first, np.zeros_like(friction)
@@ -112,6 +113,10 @@ class Table(Coefficients):
     def curve(self) -> Pieces:
         return _through(np.array(self.speeds), np.array(self.coefficients))
 
+    @property
+    def _first(self) -> float:
+        return self.coefficients[0]
+
     @cached_property
     def error(self) -> float:
         """How far the law through every second value is from the others: that through all is some 16 times closer.
@@ -166,13 +171,17 @@ class Curve(Coefficients):
     def curve(self) -> Pieces:
         return sampled(self._values, self.fastest / self.unit, "function")
 
+    @cached_property
+    def _first(self) -> float:
+        return self._value(0.0)
+
     def _values(self, speeds: Floats) -> Floats:
         return np.array([self._value(speed) for speed in (speeds * self.unit).tolist()])
 
     def _value(self, speed: float) -> float:
         try:
             return float(self.function(speed))
-        except (ArithmeticError, TypeError, ValueError) as error:
+        except (ArithmeticError, LookupError, TypeError, ValueError) as error:
             raise ValueError(
                 f"function: expected a number at the speed {speed:g}, got {type(error).__name__}: {error}; correct"
                 " it, or lower `fastest`"
