@@ -141,7 +141,7 @@ def event_driven(system, mu, knots, z, w, t_end):
 def test_coupled_blocks_against_an_event_driven_integration(name, rng):
     law, knots = LAWS[name]
     mu = coefficient(law)
-    for n in (2, 3) if len(knots) else (2, 5):
+    for n in (2,) if len(knots) else (2, 5):
         a = rng.normal(size=(n, n))
         stiffness, load = a @ a.T / n + np.diag(rng.uniform(0.3, 1.0, n)), rng.uniform(0.6, 1.5, n)
         system = System(
@@ -169,14 +169,12 @@ def test_coupled_blocks_against_an_event_driven_integration(name, rng):
 ])  # fmt: skip
 def test_random_systems_with_all_terms_against_an_independent_method(terms, rng):
     """The law of Carlson and Langer, which the method knows, as data."""
-    for k in range(4):
-        case = draw_case(rng, (1, 4), damping=(0.0, 0.5), friction=(0.5, 1.5), terms=terms, on_belt=0.3)
+    for k in range(3):
+        case = draw_case(rng, (1, 3), "chain", damping=(0.0, 0.5), friction=(0.5, 1.5), terms=terms, on_belt=0.3)
         rate = float(rng.choice([0.3, 1.0, 3.0]))
         law = Curve(lambda u, a=rate: 1.0 / (1.0 + a * u)) if k % 2 else Fast(rate)
         system, path = made(case).changed(weakening=law), follow(replace(case, falls=("rational", rate)), 8.0)
         run = simulate(system, case.z0, case.w0, 8.0, tol=1e-12)
-        if run.events.mode.tolist() != path.mode:
-            continue  # a touch
         size = 1.0 + max(np.abs(path.z).max(), np.abs(path.w).max())
         np.testing.assert_allclose(run.z, path.z, rtol=0, atol=1e-8 * size)
         np.testing.assert_allclose(run.w, path.w, rtol=0, atol=1e-8 * size)
