@@ -11,7 +11,7 @@ from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.lanes import Lane, where
 from stickslip.sim.systems.weakening.pieces import MOST, N_TERMS, Pieces
 
-#: Steps of the bisection for the place at which a step leaves its piece, and the places that are looked at first.
+#: Steps of the bisection for the time at which x leaves its piece, and the places that are looked at first.
 _BISECTIONS, _LOOKED_AT = 50, 8
 
 
@@ -110,9 +110,17 @@ def left_at(pieces, series, shape, i, order, h):  # type: ignore[no-untyped-def]
     low, high = pieces.low[place], pieces.high[place]
     if shape.x0[i] + reach <= high and shape.x0[i] - reach >= low:
         return h
-    for part in range(1, _LOOKED_AT + 1):
-        before, after = h * (part - 1) / _LOOKED_AT, h * part / _LOOKED_AT
+    part = h / _LOOKED_AT
+    last, now = shape.x0[i], shape.x0[i]
+    for k in range(_LOOKED_AT):
+        before, after = k * part, (k + 1) * part
         x = _at(series, shape, i, order, after)
+        if low <= x <= high and (now - last) * (x - now) < 0.0:  # it turned, about where a parabola does
+            before, turn = before - part, before + 0.5 * part * (last - x) / (last - 2.0 * now + x)
+            last, now, x = now, x, _at(series, shape, i, order, turn)
+            after = turn
+        else:
+            last, now = now, x
         if x > high or x < low:
             for _ in range(_BISECTIONS):
                 middle = 0.5 * (before + after)

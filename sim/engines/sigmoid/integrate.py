@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 #: Over the width of the layer: only where all |w| are below may it be certain that blocks come to rest.
 _NEAR_REST = 0.1
+#: The x up to which a peak of friction is looked for: beyond, tanh x is one.
+_WIDEST = 20.0
 
 
 def runs(tasks: Sequence[Task], engine: Sigmoid) -> list[Callable[[], Run]]:
@@ -76,7 +78,7 @@ class _Layer(NamedTuple):
         band = delta * np.log(1 / delta) if is_manifold else engine.threshold * delta
         law, hidden, peak = _law(system)
         if system.weakening is not None:
-            peak = _peak(system, delta, hidden)
+            peak = _peak(system, delta, hidden, peak)
         return cls(law, delta, hidden, peak * delta, band, is_manifold)
 
 
@@ -293,11 +295,14 @@ def _law(system: System) -> tuple[NamedTuple, Floats, Floats]:
     return law, hidden, np.arctanh(lam, out=np.full(system.n, np.inf), where=lam < 1)
 
 
-def _peak(system: System, delta: Floats, hidden: Floats) -> Floats:
-    """The x at which a law with weakening has its peak; infinite where that does not matter."""
+def _peak(system: System, delta: Floats, hidden: Floats, of_static: Floats) -> Floats:
+    """The x at which a law with weakening has its peak; infinite where that does not matter.
+
+    Where friction rises with speed throughout the layer, its peak is that of the static friction, if it has one.
+    """
     assert system.weakening is not None
     near, far = system.slip_friction
-    low, high = np.zeros(system.n), np.full(system.n, 20.0)
+    low, high = np.zeros(system.n), np.full(system.n, _WIDEST)
     for _ in range(6):  # to some 1e-8
         x = np.linspace(low, high, 64)
         lam = np.tanh(x)
@@ -305,7 +310,8 @@ def _peak(system: System, delta: Floats, hidden: Floats) -> Floats:
         step = (high - low) / 63
         low, high = low + step * np.maximum(best - 1, 0), low + step * np.minimum(best + 1, 63)
     is_steep = (near - far) * system.weakening.steepness > limits.STEEP
-    return np.where(is_steep | (hidden > 0.0), 0.5 * (low + high), np.inf)
+    peak = np.where(is_steep | (hidden > 0.0), 0.5 * (low + high), np.inf)
+    return np.where(high < _WIDEST, peak, of_static)
 
 
 def _modes(block: Blocks, bands: Floats, is_manifold: bool) -> NDArray[np.int8]:
