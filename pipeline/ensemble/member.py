@@ -342,7 +342,7 @@ def _own_system(member: Member) -> sim.System:
         system = system.changed(names=names)
     if contacts is not None:
         rubs = np.isin(np.arange(member.n), contacts.numbers)
-        static = None if system.static is system.friction else np.where(rubs, system.static, 0.0)
+        static = np.where(rubs, system.static, 0.0) if system.has_static else None
         system = system.changed(friction=np.where(rubs, system.friction, 0.0), static=static)
     return system if member.term("drive_block") is None else _driven(member, system)
 
