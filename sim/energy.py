@@ -158,15 +158,14 @@ def _powers(system: System, skew: Any, mode: NDArray[np.int8], samples: Samples,
     def times_matrix(matrix: Any, x: Floats) -> Floats:
         return np.asarray((matrix @ x.reshape(-1, system.n).T).T).reshape(x.shape)
 
-    holding = system.damping * v + times_matrix(system.stiffness, z) - pull + system.mass * gain
-    cross = np.zeros_like(w) if system.cross_damping is None else times_matrix(system.cross_damping, w)
-    holding = holding + cross
+    drag = system.damping_force(w)  # a block that sticks has w = v
+    holding = drag + times_matrix(system.stiffness, z) - pull + system.mass * gain
     force = np.where(mode == 0, holding, -system.kinetic(w - v) * mode)
     return np.array(
         [
             (force * v).sum(axis=2),
             (pull * w).sum(axis=2),
-            (w * (system.damping * w + cross)).sum(axis=2),
+            (w * drag).sum(axis=2),
             np.where(mode == 0, 0.0, force * (v - w)).sum(axis=2),
             -(w * times_matrix(skew, z)).sum(axis=2),
         ]

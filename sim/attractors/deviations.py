@@ -190,10 +190,8 @@ class Path:
 
     @cached_property
     def _loads(self) -> Floats:
-        """Rates at which others and forces load the blocks at each edge, (K w + N w' - f')_i, shape (m + 1, n)."""
-        loads = (self.system.stiffness @ self.states.w.T).T
-        if self.system.cross_damping is not None:
-            loads = loads + (self.system.cross_damping @ self._slip_rates.T).T
+        """Rates at which a block that sticks is loaded, (K w + C w' - f')_i, at each edge, shape (m + 1, n)."""
+        loads = (self.system.stiffness @ self.states.w.T).T + self.system.damping_force(self._slip_rates)
         for term in self.system.force:
             if isinstance(term, Harmonic):
                 rate = Harmonic(term.amplitude * term.frequency, term.frequency, term.phase + np.pi / 2)
@@ -279,9 +277,7 @@ def _row(matrix: Any, i: int) -> Floats:
 def slip_rates(system: System, states: Samples, modes: NDArray[np.int8]) -> Floats:
     """w' of blocks of unit masses at some states, with the modes there, shape (m, n)."""
     s, (t, z, w) = system, (states.t, states.z, states.w)
-    forces = -(s.stiffness @ z.T).T - s.damping * w - s.kinetic(w - s.belt_speed_at(t)) * modes
-    if s.cross_damping is not None:
-        forces -= (s.cross_damping @ w.T).T
+    forces = -(s.stiffness @ z.T).T - s.damping_force(w) - s.kinetic(w - s.belt_speed_at(t)) * modes
     if s.force:
         forces += s.force_at(t)
     return np.where(modes == 0, 0.0, forces)

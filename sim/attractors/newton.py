@@ -141,8 +141,7 @@ def _samples(follow: Follow, z: Floats, w: Floats, modes: NDArray[np.int8], leng
 def _are_allowed(system: System, z: Floats, w: Floats, modes: NDArray[np.int8]) -> bool:
     """Whether blocks can be in some modes: a long step may lead to a state where they cannot."""
     slip = w - system.belt_speed_at(0.0)
-    pull = -(system.stiffness @ z) - system.damping * w
-    pull -= system.cross_damping @ w if system.cross_damping is not None else 0.0
+    pull = -(system.stiffness @ z) - system.damping_force(w)
     pull += system.force_at(0.0) if system.force else 0.0
     outward = np.where(system.closed == 0, np.abs(pull), -system.closed * pull)
     slips = (modes * slip > 0.0) | ((slip == 0.0) & (modes * pull > system.kinetic(0.0 * slip)))

@@ -199,9 +199,7 @@ class _End:
         s = self._system
         if self._mode.any() or self._is_loaded_by(self._v):
             return False
-        swing, steady = np.zeros(s.n), s.damping * self._v + s.stiffness @ self._run.z
-        if s.cross_damping is not None:
-            steady += s.cross_damping @ self._v
+        swing, steady = np.zeros(s.n), s.damping_force(self._v) + s.stiffness @ self._run.z
         for term in s.force:
             if isinstance(term, Harmonic):
                 swing += np.abs(term.amplitude)

@@ -35,6 +35,8 @@ if TYPE_CHECKING:  # takes a tenth of a second to load, and few systems need it
 
 #: Of a product of two numbers, over its size, with some room.
 _ROUNDING = 1e-15
+#: The most blocks of which the norm of C is computed, some hundredth of a second.
+_MOST_OF_NORM = 200
 
 
 class Columns(NamedTuple):
@@ -430,6 +432,13 @@ class System:
 
         return diags_array(self.damping) + cross
 
+    def damping_force(self, w: Floats) -> Floats:
+        """C w, with which damping acts against velocities of shape (..., n): that shape."""
+        force = self.damping * w
+        if self.cross_damping is None:
+            return force
+        return np.asarray(force + (self.cross_damping @ w.reshape(-1, self.n).T).T.reshape(w.shape))
+
     @cached_property
     def row_sums(self) -> Floats:
         """sum_j |K_ij|, shape (n,), which bounds the rounding of (K x)_i."""
@@ -512,14 +521,21 @@ class System:
     def rates(self) -> Floats:
         """Rates of change: the largest sum_k |C_jk| + (sum_k |K_jk|)^(1/2) of blocks connected with each, shape (n,).
 
-        Masses divide C and K. The frequency of a force on one of the blocks counts if it is larger. Blocks are
-        connected if K or C couples them, in either direction and over any number of other blocks.
+        Masses divide C and K. Where entries of a full C differ in sign that is too much by the root of n, so
+        that |C| + |K|^(1/2) by spectral norms counts if it is less, |K|^2 at most the largest row sum times the
+        largest column sum; what of C is of blocks that slip has no larger norm. The frequency of a force on one of
+        the blocks counts if it is larger. Blocks are connected if K or C couples them, in either direction and over
+        any number of other blocks.
         """
         if self.has_mass:
             return self.of_unit_mass.rates
         own, cross = np.abs(self.damping) + np.sqrt(self.row_sums), self.cross_damping
         if cross is not None:
             own = own + self.cross_sums
+            if self.n <= _MOST_OF_NORM:
+                whole, of_k = self.damping_matrix, np.sqrt(self.row_sums.max() * _row_sums(self.stiffness.T).max())
+                whole = whole if isinstance(whole, np.ndarray) else whole.toarray()
+                own = np.minimum(own, np.linalg.norm(whole, 2) + np.sqrt(of_k))
         for term in self.force:
             if isinstance(term, Harmonic):
                 own = np.maximum(own, np.abs(term.frequency) * (term.amplitude != 0.0))

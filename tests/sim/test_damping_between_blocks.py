@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array
 
-from stickslip.sim import System, simulate
-from stickslip.sim.attractors import attractor
+from stickslip.sim import Stribeck, System, simulate
+from stickslip.sim.attractors import attractor, continued
 from stickslip.sim.energy import energy
 from stickslip.sim.engines.coulomb.settings import Coulomb
 from tests.independent import Case, follow
@@ -108,15 +108,17 @@ def test_flutter_of_two_degrees_of_freedom_begins_at_the_bound_of_hurwitz():
     assert outcomes == ["collapsed", "finished"]
 
 
-def test_a_cycle_has_the_period_and_the_multiplier_of_its_return_map():
+@pytest.mark.parametrize("terms", [{}, {"mass": [1.5, 0.8, 1.0], "force": [0.1, 0.0, -0.2]}])
+def test_a_cycle_has_the_period_and_the_multiplier_of_its_return_map(terms):
     """By the independent engine, from half way between two events, in central differences."""
     k, c = laplacian([1.0, 0.7]) + np.diag([1.0, 0.8, 1.2]), laplacian([0.08, 0.15]) + 0.02 * np.eye(3)
     c[0, 2] = 0.05
-    system = System(csc_array(k), csc_array(c), 0.5, -0.3, static=[1.0, 0.9, 0.8])
+    system = System(csc_array(k), csc_array(c), 0.5, -0.3, static=[1.0, 0.9, 0.8], **terms)
     run = simulate(system, [0.5, -0.3, 0.8], -0.3, 400.0, tol=1e-11)
     cycle = attractor(run, system, 200.0, tol=1e-11)
     assert cycle.kind == "periodic"
-    case = Case.of(k, c, 0.5, -0.3, cycle.states.z[0], cycle.states.w[0], [1.0, 0.9, 0.8])
+    own = {"push" if name == "force" else name: value for name, value in terms.items()}
+    case = Case.of(k, c, 0.5, -0.3, cycle.states.z[0], cycle.states.w[0], [1.0, 0.9, 0.8], **own)
     path = follow(case, cycle.period)
     edges = np.array([0.0, *path.t, cycle.period])
     longest = int(np.argmax(np.diff(edges)))
@@ -158,6 +160,37 @@ def test_a_sparse_damping_matrix_is_the_dense_one():
     assert System(np.eye(2), csc_array(np.eye(2))).cross_damping is None
     with pytest.raises(ValueError, match=r"damping: expected a matrix of shape \(2, 2\), got shape \(3, 3\)"):
         System(np.eye(2), csc_array(c))
+
+
+def test_the_force_of_damping_is_that_of_the_matrix(rng):
+    for form in (np.asarray, csc_array):
+        c, w = rng.normal(size=(4, 4)), rng.normal(size=(3, 2, 4))
+        for system in (System(np.eye(4), form(c)), System(np.eye(4), np.diag(c))):
+            matrix = c if system.cross_damping is not None else np.diag(np.diag(c))
+            np.testing.assert_allclose(system.damping_force(w), w @ matrix.T, rtol=1e-14, atol=1e-14)
+            np.testing.assert_allclose(system.damping_force(w[0, 0]), matrix @ w[0, 0], rtol=1e-14, atol=1e-14)
+
+
+def test_no_motion_is_faster_than_the_rate_whichever_blocks_slip(rng):
+    """And it is far below the sum of a row where entries of a dense C differ in sign."""
+    n = 60
+    c = 3.0 * rng.normal(size=(n, n))
+    system = System(rng.normal(size=(n, n)), c)
+    for slips in (np.full(n, True), *(rng.random((5, n)) < 0.5)):
+        both = np.append(slips, slips)
+        fastest = np.abs(np.linalg.eigvals(system.slip_matrix()[np.ix_(both, both)])).max()
+        assert fastest <= system.fastest_rate
+    assert system.fastest_rate < 0.5 * np.abs(c).sum(axis=1).max()
+
+
+def test_steady_sliding_of_two_tied_blocks_lasts_to_its_bound_in_closed_form():
+    """Their common motion is damped by a - b, and friction falls with speed: R_common > exp(-v / 0.5)."""
+    a, b = 0.3, 0.2
+    tied = System(np.eye(2), [[a, -b], [-b, a]], 0.5, 1.5, static=1.0, weakening=Stribeck(0.5))
+    speeds = np.array([2.0, 1.6, 1.3, 1.2, 1.1])
+    fates = continued([tied.changed(belt_speed=v) for v in speeds], 0.5, 0.0, t_end=1500.0, t_burn=1000.0)
+    least = 0.5 * np.log(1.0 / (a - b))
+    assert [one.kind == "sliding" for one in fates] == [v > least for v in speeds]
 
 
 def test_series_run_what_damping_couples():
