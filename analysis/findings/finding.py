@@ -387,6 +387,41 @@ class Regime:
     basis: Basis | None = None
 
 
+class Bound(StrEnum):
+    """How the end of a stretch of a key is known."""
+
+    SETTING = "setting"  #: the last value that was run
+    STABILITY = "linear stability"  #: an eigenvalue crosses
+    RUNS = "runs"  #: what a run settles on, followed along the key
+
+
+@dataclass(frozen=True)
+class Attracting:
+    """What attracts one system over a stretch of a key.
+
+    Attributes
+    ----------
+    attractors : tuple of str
+        As nouns: "steady sliding".
+    low, high : str
+        The ends of the stretch.
+    """
+
+    attractors: tuple[str, ...]
+    key: str
+    low: str
+    high: str
+    low_by: Bound = Bound.SETTING
+    high_by: Bound = Bound.SETTING
+    where: Place = EVERYWHERE
+    basis: Basis | None = None
+
+    @property
+    def stretch(self) -> str:
+        """The values of the key."""
+        return self.low if self.low == self.high else f"{self.low} to {self.high}"
+
+
 class Truth(StrEnum):
     """The answer to a question of yes or no."""
 
@@ -430,11 +465,25 @@ class Decided:
     """The answer to a question of yes or no, and the finding that it rests on."""
 
     truth: Truth
-    finding: Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Threshold | Lack
+    finding: (
+        Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Attracting | Threshold | Lack
+    )
 
 
 Finding: TypeAlias = (
-    Level | Change | Share | Lifetime | Law | Parts | Alike | Outcomes | Regime | Threshold | Lack | Decided
+    Level
+    | Change
+    | Share
+    | Lifetime
+    | Law
+    | Parts
+    | Alike
+    | Outcomes
+    | Regime
+    | Attracting
+    | Threshold
+    | Lack
+    | Decided
 )
 
 
@@ -463,6 +512,9 @@ def levels(finding: Finding) -> list[Level]:
             return [Level(quantity, Estimate(), Place.key(key, f"{last} to {first}") + where, basis=basis)]
         case Regime(things, (predicate,), _, _, share, where, basis):
             return [Level(_share("regime", things, predicate), share, where, basis=basis)]
+        case Attracting(attractors, key, where=where, basis=basis):
+            quantity = Quantity("attracting", f"where {' and '.join(attractors)} attract")
+            return [Level(quantity, Estimate(), Place.key(key, finding.stretch) + where, basis=basis)]
         case Regime():
             return []  # what some do has shares of its own
         case Decided(_, reason):

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 from stickslip.analysis.findings.finding import (
     Alike,
+    Attracting,
     Basis,
+    Bound,
     Change,
     Comparison,
     Decided,
@@ -67,6 +69,8 @@ def clause(finding: Finding) -> str:
             )
         case Regime():
             return _regime(finding)
+        case Attracting():
+            return _attracting(finding)
         case Lack(what, reason, detail):
             return f"{what}: {reason.value}{f' ({detail})' * bool(detail)}"
         case Decided(truth, reason):
@@ -445,3 +449,16 @@ def _regime(regime: Regime) -> str:
     if regime.n < regime.of:
         return f"{head}all {regime.n:,} decided {things} (of {regime.of:,}) {verb}"
     return f"{head}{f'all {regime.n:,} ' * (regime.n > 1)}{things} {verb}"
+
+
+def _attracting(attracting: Attracting) -> str:
+    names = attracting.attractors
+    verb = {1: "attracts", 2: "both attract"}.get(len(names), "all attract")
+    place = Place.key(attracting.key, attracting.stretch) + attracting.where
+    ends = ((attracting.low_by, "below"), (attracting.high_by, "above"))
+    refined = [(by.value, side) for by, side in ends if by is not Bound.SETTING]
+    if len({by for by, _ in refined}) == 1 and len(refined) == 2:
+        bounds = f", bounded by {refined[0][0]}"
+    else:
+        bounds = f", bounded {listed([f'by {by} {side}' for by, side in refined])}" if refined else ""
+    return f"{listed(names)} {verb}{place.tail}{bounds}"

@@ -71,6 +71,21 @@ class Axis:
         return f"{len(self.rows)} {self.name}"
 
 
+def axis_of_numbers(axes: Iterable[Axis]) -> Axis | None:
+    """The axis with most values, of systems rather than starts, of those that are numbers alone; None: there is none.
+
+    What is recorded between its values is said along it.
+    """
+    numeric = [
+        axis
+        for axis in axes
+        if len(axis.rows) > 1
+        and not {*axis.keys} & {"z", "w", "seed"}
+        and all(isinstance(value, float) for row in axis.rows for value in row)
+    ]
+    return max(numeric, key=lambda axis: len(axis.rows), default=None)
+
+
 def in_words(row: Row) -> str:
     """A value of an axis as pages have it."""
     return " with ".join(map(text, row))

@@ -15,10 +15,11 @@ from typing import Any, TypeVar, overload
 import numpy as np
 
 from stickslip.pipeline.design import design as designs
-from stickslip.pipeline.design.design import Axis, Coordinates, Design, Unit
+from stickslip.pipeline.design.design import Axis, Coordinates, Design, Unit, axis_of_numbers
 from stickslip.pipeline.design.values import BELT, END, FILE, Distribution, Ratio, Value, short, word
-from stickslip.pipeline.ensemble.member import Change, Member, Method, Source, Start
+from stickslip.pipeline.ensemble.member import Change, Member, Method, Neighbour, Source, Start
 from stickslip.pipeline.records.record import Sharing
+from stickslip.pipeline.records.refine import Refine
 from stickslip.pipeline.scene.scene import Scene, parse_scene
 from stickslip.pipeline.scene.system_table import QUANTITIES, ForceTable
 from stickslip.pipeline.scene.systems import REALISATION, SystemFile, SystemFunction
@@ -387,7 +388,34 @@ class Ensemble:
         """A member without its id, its matrix and the draw of its start."""
         scene, (n, origin), chosen = self.scene, self.sources[source], self.variants[variant]
         point = self.points[number]
-        values_here = point.at | _of_file(origin)
+        z0, w0, seed, terms, parameters = self._values(source, number)
+        begin = Start(z0, w0, None, scene.ends if point.is_at_end else None)
+        system_source = Source(n, scene.system.coupling, 0, seed, origin, parameters, scene.system.block_names)
+        kind = Member("", system_source, terms, chosen.change, begin, chosen.method, scene.run.t_end)
+        if scene.keeps(Refine):
+            below, above = (self._neighbour(source, number, step) for step in (-1, 1))
+            kind = replace(kind, neighbours=(below, above))
+        return replace(kind, shared_cost=sum(record.cost(kind, chosen.sharing) for record in scene.records))
+
+    def _neighbour(self, source: int, number: int, step: int) -> Neighbour | None:
+        """The point of the grid a step along the axis that is refined; None beyond its ends."""
+        axes = self.scene.axes
+        axis = axis_of_numbers(axes)
+        assert axis is not None  # or the record refuses the scene
+        shape, along = tuple(len(each.rows) for each in axes), axes.index(axis)
+        place = [int(k) for k in np.unravel_index(number, shape)]
+        k = place[along]
+        if not 0 <= k + step < shape[along]:
+            return None
+        place[along] += step
+        *_, terms, parameters = self._values(source, int(np.ravel_multi_index(place, shape)))
+        assert axis.x is not None
+        return Neighbour((axis.x[k], axis.x[k + step]), terms, parameters)
+
+    def _values(self, source: int, number: int) -> tuple[Any, Any, int, tuple[Any, ...], tuple[Any, ...]]:
+        """The start, the seed, the terms and the parameters of systems from a source at a point of the grid."""
+        scene, origin = self.scene, self.sources[source][1]
+        values_here = self.points[number].at | _of_file(origin)
         z0, w0, seed = values_here.pop("z"), values_here.pop("w"), values_here.pop("seed")
         system, belt = scene.system, values_here["belt_speed"]
         is_plain = system.drive is None and system.contacts is None and _all_rub(values_here["friction"])
@@ -407,10 +435,7 @@ class Ensemble:
             values_here["drive_block"] = system.drive.block
         values_here["contacts"] = system.rubbing
         terms = tuple((name, values_here[name]) for name in _TERMS if values_here.get(name) is not None)
-        begin = Start(z0, w0, None, scene.ends if point.is_at_end else None)
-        system_source = Source(n, scene.system.coupling, 0, seed, origin, parameters, scene.system.block_names)
-        kind = Member("", system_source, terms, chosen.change, begin, chosen.method, scene.run.t_end)
-        return replace(kind, shared_cost=sum(record.cost(kind, chosen.sharing) for record in scene.records))
+        return z0, w0, seed, terms, parameters
 
 
 def _numbers(listed_values: Sequence[Hashable], values: Iterable[Hashable]) -> np.ndarray:

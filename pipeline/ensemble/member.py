@@ -82,6 +82,14 @@ class Start(NamedTuple):
     ends: Ends | None
 
 
+class Neighbour(NamedTuple):
+    """The point beside a member's on the axis that is refined: the numbers of both, and what systems have there."""
+
+    values: tuple[float, float]
+    terms: tuple[tuple[str, Any], ...]
+    parameters: tuple[tuple[str, float], ...]
+
+
 class Method(NamedTuple):
     """The engine by name, and those of its settings that apply; `ratio` is "one" or "uniform"."""
 
@@ -104,6 +112,8 @@ class Member:
         What its system is given, by the names of `stickslip.sim.systems.terms.TERMS`.
     shared_cost : float
         What records take for it, and its part of what is computed once for several members.
+    neighbours : tuple of Neighbour or None
+        Below and above, where the scene refines between them.
     """
 
     member_id: str
@@ -114,6 +124,7 @@ class Member:
     method: Method
     t_end: float
     shared_cost: float = field(default=0.0, compare=False)
+    neighbours: tuple[Neighbour | None, Neighbour | None] = field(default=(None, None), compare=False)
 
     @property
     def n(self) -> int:
@@ -206,6 +217,23 @@ class Member:
         """
         change = self.change._replace(twin_size=None)
         return _latest(_own_system if change == _UNMOVED else _moved_system, self, (self.source, self.terms, change))
+
+    def towards(self, neighbour: Neighbour) -> Callable[[float], sim.System]:
+        """Its system at 0, and at 1 that of a neighbour, of the same draws; numbers between go along a line."""
+
+        def mixed(pairs: tuple[tuple[str, Any], ...], others: tuple[tuple[str, Any], ...], share: float) -> Any:
+            there = dict(others)
+            return tuple(
+                (key, value if there[key] == value else (1.0 - share) * value + share * there[key])
+                for key, value in pairs
+            )
+
+        def system_at(share: float) -> sim.System:
+            parameters = mixed(self.source.parameters, neighbour.parameters, share)
+            terms = mixed(self.terms, neighbour.terms, share)
+            return replace(self, terms=terms, source=self.source._replace(parameters=parameters)).system()
+
+        return system_at
 
     def start(self, end: State | None = None) -> tuple[float | np.ndarray, float | np.ndarray]:
         """z and w at t = 0; a twin's is moved by `twin_size`, the root of the mean over blocks of dz^2 + dw^2.

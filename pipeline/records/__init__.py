@@ -5,6 +5,7 @@ from stickslip.pipeline.records.collapse import CollapseRecord
 from stickslip.pipeline.records.constants import Constants
 from stickslip.pipeline.records.contacts import Contacts
 from stickslip.pipeline.records.motion.amplitude import Amplitude
+from stickslip.pipeline.records.motion.critical_mode import CriticalModeRecord
 from stickslip.pipeline.records.motion.end import End
 from stickslip.pipeline.records.motion.energy import EnergyRecord, EpisodeEnergy
 from stickslip.pipeline.records.motion.friction_power import FrictionPower
@@ -14,6 +15,7 @@ from stickslip.pipeline.records.motion.slip_speed import SlipSpeed
 from stickslip.pipeline.records.outcome import OutcomeRecord
 from stickslip.pipeline.records.own import OwnRecord
 from stickslip.pipeline.records.record import Record
+from stickslip.pipeline.records.refine import Refine
 from stickslip.pipeline.records.slips.episodes import EpisodesRecord
 from stickslip.pipeline.records.slips.events import Events
 from stickslip.pipeline.records.slips.first_exit import FirstExit
@@ -45,6 +47,8 @@ RECORDS: tuple[type[Record], ...] = (
     Waiting,
     FrictionPower,
     AttractorRecord,
+    CriticalModeRecord,
+    Refine,
     Structure,
     Constants,
     Contacts,

@@ -17,6 +17,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, Self
 import numpy as np
 
 from stickslip.pipeline.design.column import Column
+from stickslip.pipeline.design.design import Axis
 from stickslip.sim.engines import ENGINES
 from stickslip.sim.engines.contract import Engine
 from stickslip.sim.numerics.arguments import Floats
@@ -49,6 +50,9 @@ class Member(Protocol):
     def cost(self) -> float: ...
     @property
     def base(self) -> Member | None: ...
+    @property
+    def neighbours(self) -> tuple[Any, Any]: ...
+    def towards(self, neighbour: Any) -> Callable[[float], System]: ...
     def ratios(self) -> float | np.ndarray: ...
 
 
@@ -114,6 +118,7 @@ class Facts(NamedTuple):
     least_step: float  #: of a series in time
     engines: tuple[type[Engine], ...]
     has_changes: bool  #: whether members are changed copies of others
+    axis: Axis | None  #: between whose numbers there may be something to find
     load: str | None = None  #: how the belt loads, if it does not move at its speed
 
 

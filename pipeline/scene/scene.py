@@ -16,7 +16,7 @@ from typing import Any
 
 from pydantic import BaseModel, Field, PrivateAttr, model_validator
 
-from stickslip.pipeline.design.design import Axis
+from stickslip.pipeline.design.design import Axis, axis_of_numbers
 from stickslip.pipeline.design.values import (
     BELT,
     END,
@@ -424,8 +424,8 @@ class Scene(StrictTable):
         changed = self.perturbation is not None or self.twins is not None
         changed = changed or any(engine.is_drawn for engine in self.engines)
         engines = tuple(engine.engine for engine in self.engines)
-        steps = self.run.t_end / MAX_SAMPLES
-        return Facts(max(self.system.n), self.run.t_end, steps, engines, changed, self.run.load)
+        step, axis = self.run.t_end / MAX_SAMPLES, axis_of_numbers(self.axes)
+        return Facts(max(self.system.n), self.run.t_end, step, engines, changed, axis, self.run.load)
 
     def _steps_and_changes_are_resolved(self) -> None:
         """Changes must be more than rounding, and steps of time not so short that their series fill a memory."""

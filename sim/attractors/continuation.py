@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,7 +16,11 @@ from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs.run import Run
 from stickslip.sim.simulation import simulate
 from stickslip.sim.systems.drive import Harmonic
+from stickslip.sim.systems.sliding import critical_mode
 from stickslip.sim.systems.system import System
+
+#: Kinds of attractors on which blocks may stick and slip.
+_MOTIONS = ("periodic", "torus", "irregular")
 
 
 @numpy_arithmetic()
@@ -56,21 +60,106 @@ def continued(
         As `stickslip.simulate` and `attractor`; if a system has another number of blocks than the first.
     """
     t_end = number("t_end", t_end)
-    found: list[Attractor] = []
-    run: Run | None = None
-    before: System | None = None
+    settled: list[Settled] = []
     for system in systems:
-        if run is not None and run.events.n != system.n:
-            raise ValueError(f"systems: expected {run.events.n} blocks in each, as in the first, got {system.n}")
-        z, w, start = z0, w0, 0.0
-        if run is not None and before is not None and run.outcome != "diverged":
-            z, w, sticks = _at_end(run) if frequencies_of(system) else _on(found[-1], run)
-            start = _time_of_phase(system, before, run.t_end)
-            v = system.belt_speed_at(start)
-            w = np.where(sticks | (system.closed * (w - v) > 0.0), v, w)
-        run, before = simulate(system, z, w, start + t_end, t_start=start, **settings), system
-        found.append(attractor(run, system, min(start + t_burn, run.t_end), **settings))
-    return found
+        before = settled[-1] if settled else None
+        if before is not None and before.system.n != system.n:
+            raise ValueError(f"systems: expected {before.system.n} blocks in each, as in the first, got {system.n}")
+        if before is None or before.run.outcome == "diverged":
+            run = simulate(system, z0, w0, t_end, **settings)
+            settled.append(Settled(system, run, attractor(run, system, min(t_burn, run.t_end), **settings)))
+        else:
+            settled.append(before.followed(system, t_end, t_burn, settings))
+    return [each.attractor for each in settled]
+
+
+class Settled(NamedTuple):
+    """A system, a run of it, and what that settles on."""
+
+    system: System
+    run: Run
+    attractor: Attractor
+
+    def followed(self, system: System, t_end: float, t_burn: float, settings: dict[str, Any]) -> Settled:
+        """Another system from the attractor of this one."""
+        z, w, sticks = _at_end(self.run) if frequencies_of(system) else _on(self.attractor, self.run)
+        start = _time_of_phase(system, self.system, self.run.t_end)
+        v = system.belt_speed_at(start)
+        w = np.where(sticks | (system.closed * (w - v) > 0.0), v, w)
+        run = simulate(system, z, w, start + t_end, t_start=start, **settings)
+        return Settled(system, run, attractor(run, system, min(start + t_burn, run.t_end), **settings))
+
+    @property
+    def sticks_and_slips(self) -> bool:
+        """Whether slip onsets go on: near its end a cycle attracts so slowly that it may be undecided."""
+        if self.attractor.kind == "undecided":
+            events, half = self.run.events, 0.5 * (self.run.events.t_start + self.run.t_end)
+            return bool((events.is_exit & (events.t > half)).any())
+        return self.attractor.kind in _MOTIONS and bool(self.attractor.n_exits != 0)
+
+
+@numpy_arithmetic()
+def end_of_motion(
+    system_at: Callable[[float], System],
+    run: Run,
+    found: Attractor,
+    t_end: float,
+    t_burn: float,
+    width: float,
+    **settings: Any,
+) -> float | None:
+    """Where between two systems the stick-slip of a run ends, followed as by `continued`; None if it does not.
+
+    Parameters
+    ----------
+    system_at : callable
+        The systems from that of the run, at 0, to the other, at 1.
+    run, found : Run, Attractor
+        The run, and what it settles on; of what is no stick-slip, and of a run that diverged, the end is None.
+    t_end, t_burn, **settings
+        Of each run, as of `continued`.
+    width : float
+        To which the interval in which it ends is bisected; its middle is returned.
+    """
+    last, low, high = Settled(system_at(0.0), run, found), 0.0, 1.0
+    if not last.sticks_and_slips:
+        return None
+    while True:
+        # the whole step first, and what lay beyond an end again from there: a long step may leave what still attracts
+        following = last.followed(system_at(high), t_end, t_burn, settings)
+        if following.sticks_and_slips:
+            if high == 1.0:
+                return None
+            last, low, high = following, high, 1.0
+            continue
+        if high - low <= width:
+            return 0.5 * (low + high)
+        while high - low > width:
+            middle = 0.5 * (low + high)
+            following = last.followed(system_at(middle), t_end, t_burn, settings)
+            if following.sticks_and_slips:
+                last, low = following, middle
+            else:
+                high = middle
+
+
+def end_of_stability(system_at: Callable[[float], System], width: float) -> float | None:
+    """Where between two systems the linear stability of steady sliding changes, bisected to a width; None: nowhere.
+
+    `system_at` is as of `end_of_motion`.
+    """
+
+    def is_stable(share: float) -> bool | None:
+        mode = critical_mode(system_at(share))
+        return None if mode is None else mode.is_stable
+
+    first, low, high = is_stable(0.0), 0.0, 1.0
+    if first is None or first == is_stable(high):
+        return None
+    while high - low > width:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if is_stable(middle) == first else (low, middle)
+    return 0.5 * (low + high)
 
 
 def _time_of_phase(system: System, before: System, t: float) -> float:

@@ -11,7 +11,7 @@ from scipy.stats import norm
 from stickslip.analysis import Study
 from stickslip.analysis.ensemble import Recorded
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Alike, Regime, Share, Verdict
+from stickslip.analysis.findings.finding import Alike, Attracting, Regime, Share, Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models.attractors import Cycle, alike, plane
 from stickslip.analysis.questions.runs import fates
@@ -27,6 +27,8 @@ PERIODS = [None] * 3 + [2.0, 4.0, 6.0, 7.0, 9.0] + [None] * 2
 
 #: Numbers of a run that a record of attractors keeps.
 NUMBERS = ("period", "multiplier", "exits_per_period", "events_per_period")
+#: Of what attracts beside them, and where that ends.
+ENDS = ("critical_rate", "critical_frequency", "stability_changes", "motion_ends_below", "motion_ends_above")
 
 
 @pytest.fixture
@@ -38,11 +40,11 @@ def planted_runs(planted):
                               for k, row in enumerate(rows)])  # fmt: skip
         names = table["member_id"].tolist()
         recorded = {name: Recorded(name, {one: row.get(name) for one, row in zip(names, rows, strict=True)})
-                    for name in NUMBERS}  # fmt: skip
-        kept = {"section_z", "section_w", "start_z", "start_w", "exits_z"}
+                    for name in (*NUMBERS, *(name for name in ENDS if name in table))}  # fmt: skip
+        kept = {"section_z", "section_w", "start_z", "start_w", "exits_z", "critical_shape"}
         lists = {name: {one: np.array(row[name]) for one, row in zip(names, rows, strict=True) if name in row}
                  for name in kept}  # fmt: skip
-        table = table.drop(columns=[name for name in (*NUMBERS, *kept) if name in table])
+        table = table.drop(columns=[name for name in (*NUMBERS, *ENDS, *kept) if name in table])
         ran = [one for one, row in zip(names, rows, strict=True) if row.get("outcome") != "failed"]
         return Data(table, dict.fromkeys(ran, SERIES), recorded=recorded, lists=lists)
 
@@ -366,3 +368,58 @@ def test_runs_that_are_undecided_are_not_among_all(planted_runs, settings):
     ])  # fmt: skip
     answered = fates.answer(Study(data, settings))
     assert said(answered) == ["40% (12 to 77%) of starts settle onto a limit cycle."]
+
+
+# ---------------------------------------------------------------------------------------------- what attracts where
+
+
+def along_belts(planted_runs, columns, matrices=1):
+    """Steady sliding is stable from v = 2.5 on; of four starts at v = 4 three end in cycles, which last to 4.1."""
+
+    def at(v, s):
+        rate = {"critical_rate": 0.1 * (2.5 - v), "critical_frequency": 2.0, "critical_shape": [1.0]}
+        ends = dict.fromkeys(ENDS[2:]) | ({"stability_changes": 2.5} if v == 2 else {})
+        if v <= 4 and (s or v < 4):
+            ends |= {"motion_ends_above": 4.2 - 0.1 * s} if v == 4 else {}
+            return cycle(3.0, 0.1, 1) | {"exits_z": [0.5]} | rate | ends
+        return SLIDES | {"section_z": [0.0]} | rate | ends
+
+    rows = [
+        started(0.1 * s, 0.0, start_draw=s, drawn="z = uniform(0, 1)", belt_speed=float(v)) | at(v, s)
+        | {"matrix": s % matrices} for v in range(1, 7) for s in range(4)
+    ]  # fmt: skip
+    kept = {name for row in rows for name in row} - ({*ENDS} - {*columns})
+    return planted_runs([{name: value for name, value in row.items() if name in kept} for row in rows])
+
+
+@pytest.mark.parametrize(
+    ("columns", "sentence"),
+    [
+        (ENDS, "both attract at belt_speed = 2.5 to 4.1, bounded by linear stability below and by runs above."),
+        (ENDS[:2], "both attract at belt_speed = 3 to 4."),
+    ],
+)
+def test_where_steady_sliding_and_stick_slip_both_attract_leads(planted_runs, settings, columns, sentence):
+    """Also where no start settles into steady sliding, as at v = 3."""
+    answered = fates.answer(Study(along_belts(planted_runs, columns), settings))
+    assert said(answered)[0] == f"Steady sliding and stick-slip {sentence}"
+    stability = answered.tables["stability"]
+    assert stability["n_stable"].tolist() == [0, 0, 1, 1, 1, 1]
+    assert stability["frequency"].tolist() == [2.0] * 6
+    assert stability["blocks"].tolist() == ["0"] * 6
+    ends = answered.tables["boundaries"]
+    is_refined = len(columns) > 2
+    assert ends["found_by"].tolist() == ["linear stability", "runs"] * is_refined
+    assert ends["value"].tolist() == pytest.approx([2.5, 4.1] * is_refined)
+
+
+def test_what_attracts_is_said_of_one_system_alone(planted_runs, settings):
+    answered = fates.answer(Study(along_belts(planted_runs, ENDS, matrices=4), settings))
+    assert not [finding for finding in answered.findings if isinstance(finding, Attracting)]
+    assert answered.tables["stability"]["n_systems"].tolist() == [4] * 6
+
+
+def test_without_these_records_nothing_of_it_is_said(over_two, settings):
+    tables = fates.answer(Study(over_two, settings)).tables
+    assert tables["stability"].empty
+    assert tables["boundaries"].empty

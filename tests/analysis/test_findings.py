@@ -8,7 +8,9 @@ import pytest
 
 from stickslip.analysis.findings.finding import (
     Alike,
+    Attracting,
     Basis,
+    Bound,
     Change,
     Comparison,
     Decided,
@@ -199,6 +201,10 @@ def _findings(rng):
     yield Outcomes("exact", ("h = 0.1",), largest=level)
     yield Threshold("stick-slip", bool(rng.integers(2)), "belt_speed", "0.3", "0.4", where, basis)
     yield Regime("starts", ("slide", "stick", "stop"), 9, 10, where=where)
+    nouns = ("steady sliding", "stick-slip", "rest")[: rng.integers(1, 4)]
+    yield Attracting(
+        nouns, "belt_speed", "1", _pick(rng, ["1", "2"]), _pick(rng, Bound), _pick(rng, Bound), where, basis
+    )
     for n in (1, 2, 4, 5):
         yield Regime("starts", ("slide",), n, 5, estimate, where, basis)
     yield Lack("the decay rate", _pick(rng, Reason), "12 cascades")
@@ -220,7 +226,7 @@ def test_every_kind_is_a_sentence_and_rows(rng):
                 assert row.low is None or row.high is None or row.low <= row.high
                 assert row.verdict in {"", *Verdict}
                 assert not any(isinstance(cell, float) and np.isnan(cell) for cell in row)
-    assert len(kinds) == 12
+    assert len(kinds) == 13
 
 
 def test_the_table_of_findings_has_limits_and_differences_in_their_units():

@@ -50,7 +50,7 @@ from stickslip.analysis.models.fates import (
     median,
     survival,
 )
-from stickslip.analysis.questions.runs import bifurcations, fate_figures
+from stickslip.analysis.questions.runs import bifurcations, coexistence, fate_figures
 from stickslip.analysis.questions.runs.settled import (
     MOST_LEADING,
     PREDICATES,
@@ -91,6 +91,11 @@ METHOD_OF_ATTRACTORS = (
     " intervals with the effective number of independent runs."
 )
 
+METHOD_OF_ENDS = (
+    "Steady sliding ends where an eigenvalue of the all-slip system crosses; stick-slip is followed from run to run"
+    " until it ends. Both are bisected to the width `refine` of the scene."
+)
+
 
 class Ends(NamedTuple):
     """The runs of a setting until they end: their survival, and when half of them have ended."""
@@ -111,6 +116,9 @@ def answer(study: Study) -> Answer:
     grid = grid_of(study)
     ends = [_ends(study, setting) for setting in grid.settings if not setting.is_recorded]
     leading, secondary = _findings(study, grid, ends)
+    several, sliding = coexistence.attracting(study, grid)
+    boundaries = coexistence.boundaries(study, grid)
+    leading, secondary = [*several[:1], *leading], [*several[1:], *sliding, *secondary]
     shares = [
         portion
         for setting in grid.settings
@@ -129,9 +137,13 @@ def answer(study: Study) -> Answer:
         findings=[*leading, *secondary] or [Lack("what became of the runs", Reason.ALL_FAILED)],
         n_lead=min(MOST_LEADING, len(leading)),
         alerts=_alerts(study, grid, ends, short),
-        method=" ".join([METHOD_OF_ATTRACTORS] * bool(recorded) + [METHOD] * bool(ends)),
+        method=" ".join(
+            [METHOD_OF_ATTRACTORS] * bool(recorded) + [METHOD_OF_ENDS] * bool(boundaries) + [METHOD] * bool(ends)
+        ),
         tables={
             "fates": frame_of(Portion, shares),
+            "stability": frame_of(coexistence.Stability, coexistence.stability(study, grid)),
+            "boundaries": frame_of(coexistence.Boundary, boundaries),
             "burn_in": frame_of(burn_in.Tested, tested),
             "by_t_burn": frame_of(burn_in.AtBurn, by_t_burn),
         },
