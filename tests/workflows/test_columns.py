@@ -122,6 +122,7 @@ episodes = true
 end = true
 energy = true
 attractor = true
+critical_mode = true
 [analysis]
 t_burn = 20.0
 dt = 0.5
