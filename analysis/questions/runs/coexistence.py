@@ -61,7 +61,11 @@ def stability(study: Study, grid: Grid) -> list[Stability]:
         n_stable = int(np.sum(~np.isnan(rates) & ~np.asarray(is_unstable(rates))))
         shape = shapes.get(str(members["member_id"].iloc[systems[0]])) if len(systems) == 1 else None
         rate, frequency = (float(np.nanmedian(numbers)) for numbers in (rates, frequencies))
-        rows.append(Stability(str(setting.where), n_stable, len(systems), rate, frequency, _blocks(shape, study.settings.names)))
+        rows.append(
+            Stability(
+                str(setting.where), n_stable, len(systems), rate, frequency, _blocks(shape, study.settings.names)
+            )
+        )
     return rows
 
 
