@@ -8,6 +8,7 @@ the travel of the belt, is the slip of the episode between them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +17,9 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run
 from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.systems.drive import Piecewise, belt
+from stickslip.sim.systems.system import System
+
+Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +103,125 @@ def episodes(run: Run, belt_speed: ArrayLike | Piecewise) -> Episodes:
     leaves = slips[np.searchsorted(series.t[slips], start)]
     moment = np.where(moved > 0, -slip, slip)
     return Episodes(start, end, _sizes(series, start, end), moment, series.block[leaves], stills.total[before])
+
+
+class Clusters(NamedTuple):
+    """The connected parts of episodes, C of them, in order of episode and begin (dimensionless), and their slips.
+
+    Attributes
+    ----------
+    episode : int32, shape (C,)
+        Number of the episode that it is part of.
+    start, end : float64, shape (C,)
+        When its first block leaves, and when the last one sticks again.
+    first_block : int32, shape (C,)
+        Its nucleation site: the block that left first.
+    size : int32, shape (C,)
+        Its extent, in blocks.
+    moment : float64, shape (C,)
+        Sum of their slips, with the sign of `Episodes.moment`.
+    stress_drop : float64, shape (C,)
+        Mean over its blocks of the fall of the force of the springs, (K z)_i at the end less that at the start of the
+        episode, with the same sign.
+    profile_cluster, profile_block : int32, shape (P,)
+        For each block of each cluster: the number of the cluster, and the block, in order.
+    profile_slip : float64, shape (P,)
+        Its slip.
+    """
+
+    episode: NDArray[np.int32]
+    start: Floats
+    end: Floats
+    first_block: NDArray[np.int32]
+    size: NDArray[np.int32]
+    moment: Floats
+    stress_drop: Floats
+    profile_cluster: NDArray[np.int32]
+    profile_block: NDArray[np.int32]
+    profile_slip: Floats
+
+
+def clusters(run: Run, system: System, before: Floats, after: Floats) -> Clusters:
+    """The episodes of a run, each split where its slipping blocks are not connected by springs of K.
+
+    Blocks i and j are connected if K_ij or K_ji is not zero. Two far parts of a chain that slip at one time are one
+    episode, and two clusters.
+
+    Parameters
+    ----------
+    before, after : float64, shape (m, n)
+        z at the start and at the end of each of the m `episodes`.
+    """
+    found, series, n = episodes(run, system.belt_speed), run.events, system.n
+    slip = after - before - _travels(system.belt_speed, n, found.start, found.end)
+    sign = np.where(_travel(belt(system.belt_speed, n), n, found.start, found.end) > 0, -1.0, 1.0)[:, None]
+    fall = sign * (system.stiffness @ (after - before).T).T
+    episode, block, first, last = _slipping(series, found.start, found.end)
+    label = _parts(episode, block, system)
+    # clusters by episode and begin, their blocks in order
+    begin = np.full(label.max(initial=-1) + 1, np.inf)
+    np.minimum.at(begin, label, first)
+    of_episode = np.zeros(len(begin), dtype=np.int64)
+    of_episode[label] = episode
+    rank = np.empty(len(begin), dtype=np.int64)
+    rank[np.lexsort((begin, of_episode))] = np.arange(len(begin))
+    cluster = rank[label]
+    order = np.lexsort((block, cluster))
+    cluster, episode, block = cluster[order], episode[order], block[order]
+    first, last = first[order], last[order]
+    size = np.bincount(cluster, minlength=len(begin))
+    slips = (sign * slip)[episode, block]
+    head = np.cumsum(size) - size
+    leads = np.lexsort((block, first, cluster))[head]
+    end = np.zeros(len(begin))
+    np.maximum.at(end, cluster, last)
+    drop = np.bincount(cluster, fall[episode, block], len(begin)) / np.maximum(size, 1)
+    return Clusters(
+        episode[head].astype(np.int32), first[leads], end, block[leads].astype(np.int32), size.astype(np.int32),
+        np.bincount(cluster, slips, len(begin)).astype(np.float64), drop, cluster.astype(np.int32),
+        block.astype(np.int32), slips,
+    )  # fmt: skip
+
+
+def _slipping(series: EventSeries, start: Floats, end: Floats) -> tuple[Ints, Ints, Floats, Floats]:
+    """Episode, block, first slip and last event of each block that slips in an episode, in that order, shape (P,)."""
+    span = np.searchsorted(start, series.t, side="right") - 1
+    inside = (span >= 0) & (series.t <= np.append(end, np.inf)[span])
+    t, key = series.t[inside], span[inside] * series.n + series.block[inside]
+    slips = series.mode[inside] != 0
+    pairs, leaves = np.unique(key[slips], return_index=True)
+    last = np.zeros(len(pairs))
+    place = np.searchsorted(pairs, key)
+    has_left = (place < len(pairs)) & (pairs[np.minimum(place, len(pairs) - 1)] == key) if len(pairs) else place > 0
+    np.maximum.at(last, place[has_left], t[has_left])
+    return pairs // series.n, pairs % series.n, t[slips][leaves], last
+
+
+def _parts(episode: Ints, block: Ints, system: System) -> NDArray[np.int32]:
+    """The number of the connected part of each slipping block of each episode, shape (P,)."""
+    from scipy import sparse
+    from scipy.sparse.csgraph import connected_components
+
+    springs = sparse.csr_array(system.stiffness)
+    springs = sparse.csr_array(abs(springs) + abs(springs).T)
+    n_near = np.diff(springs.indptr)[block]
+    node = np.repeat(np.arange(len(block)), n_near)
+    offset = np.arange(len(node)) - np.repeat(np.cumsum(n_near) - n_near, n_near)
+    near = springs.indices[springs.indptr[block][node] + offset]
+    key, wanted = episode * system.n + block, episode[node] * system.n + near
+    place = np.minimum(np.searchsorted(key, wanted), max(len(key) - 1, 0))
+    tied = key[place] == wanted if len(key) else place > 0
+    graph = sparse.coo_array((np.ones(tied.sum()), (node[tied], place[tied])), shape=(len(key), len(key)))
+    return np.asarray(connected_components(graph, directed=False)[1])
+
+
+def _travels(belt_speed: float | Floats | Piecewise, n: int, since: Floats, until: Floats) -> Floats:
+    """The travel of each of n belts between two times, shape (m, n)."""
+    speeds = belt(belt_speed, n)
+    if isinstance(speeds, Piecewise):
+        travel = np.asarray(speeds.integral(until) - speeds.integral(since))
+        return np.broadcast_to(travel.reshape(len(since), -1), (len(since), n))
+    return np.broadcast_to(speeds, n) * (until - since)[:, None]
 
 
 def _travel(belt_speed: float | Floats | Piecewise, n: int, since: Floats, until: Floats) -> Floats:

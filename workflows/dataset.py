@@ -90,6 +90,16 @@ class Dataset:
         """One row an episode, where the scene records them; see `stickslip.pipeline.query.episodes`."""
         return query.episodes(self.path)
 
+    @property
+    def clusters(self) -> pd.DataFrame:
+        """One row a connected part of an episode; see `stickslip.pipeline.query.clusters`."""
+        return query.clusters(self.path)
+
+    @property
+    def profiles(self) -> pd.DataFrame:
+        """One row a block of a cluster, with its slip; see `stickslip.pipeline.query.profiles`."""
+        return query.profiles(self.path)
+
     def query(self, sql: str) -> pd.DataFrame:
         """The answer to a question in SQL; see `stickslip.sql`."""
         return query.sql(self.path, sql)

@@ -15,14 +15,16 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     episodes : DataFrame
-        One row an episode: start, moment, first_block, and member_id if several runs are in it.
+        One row an episode or a cluster: start, moment, first_block, and member_id if several runs are in it; perhaps
+        end, size and stress_drop.
 
     Returns
     -------
     DataFrame
         id; time, in UTC, where a unit of time counts as a second since 1970; lat and dep, which are zero; lon, the
         number of the block that left first, in thousandths of a degree; mag, log10 of the absolute moment; magtype.
-        Episodes whose moment is zero have no magnitude and are left out.
+        Then, dimensionless, member_id, origin (the start), nucleation (the block), moment and, if known, extent (in
+        blocks), duration and stress_drop. Episodes whose moment is zero have no magnitude and are left out.
 
     Raises
     ------
@@ -46,7 +48,7 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
     moving = episodes[episodes["moment"] != 0]
     member = moving["member_id"] if "member_id" in moving else pd.Series("run", index=moving.index)
     number = moving.groupby(member, sort=False).cumcount()
-    return pd.DataFrame({
+    columns = {
         "id": member.astype(str) + "-" + number.astype(str),
         "time": pd.to_datetime(moving["start"], unit="s", utc=True),
         "lat": 0.0,
@@ -54,4 +56,15 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
         "dep": 0.0,
         "magtype": "M",
         "mag": np.log10(moving["moment"].abs()),
-    }).reset_index(drop=True)  # fmt: skip
+        "member_id": member,
+        "origin": moving["start"],
+        "nucleation": moving["first_block"],
+        "moment": moving["moment"],
+    }  # fmt: skip
+    if "size" in moving:
+        columns["extent"] = moving["size"]
+    if "end" in moving:
+        columns["duration"] = moving["end"] - moving["start"]
+    if "stress_drop" in moving:
+        columns["stress_drop"] = moving["stress_drop"]
+    return pd.DataFrame(columns).reset_index(drop=True)

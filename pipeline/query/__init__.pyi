@@ -3,6 +3,7 @@ from .database import sql as sql
 from .frames import QueryError as QueryError
 from .frames import all_events as all_events
 from .frames import by_threshold as by_threshold
+from .frames import clusters as clusters
 from .frames import dask_members as dask_members
 from .frames import dataset as dataset
 from .frames import ends as ends
@@ -12,6 +13,7 @@ from .frames import lists as lists
 from .frames import members as members
 from .frames import members_in_parts as members_in_parts
 from .frames import n_stick as n_stick
+from .frames import profiles as profiles
 from .frames import scalar_names as scalar_names
 from .frames import separations as separations
 from .frames import series as series

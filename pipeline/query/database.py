@@ -75,10 +75,10 @@ def views(schema: pa.Schema, step: float | None, names: Sequence[str] = ()) -> d
             "SELECT member_id, unnest(event_t) AS t, unnest(event_block) AS block, unnest(event_mode) AS mode"
             " FROM shards"
         )
-    if "episode_start" in schema.names:
-        of_episode = [field.name for field in schema if field.name.startswith("episode_")]
-        columns = (f"unnest({quoted(name)}) AS {quoted(name.removeprefix('episode_'))}" for name in of_episode)
-        selections["episodes"] = f"SELECT member_id, {', '.join(columns)} FROM shards"
+    for prefix in ("episode_", "cluster_", "profile_"):
+        if lists := [field.name for field in schema if field.name.startswith(prefix)]:
+            columns = (f"unnest({quoted(name)}) AS {quoted(name.removeprefix(prefix))}" for name in lists)
+            selections[f"{prefix[:-1]}s"] = f"SELECT member_id, {', '.join(columns)} FROM shards"
     if "separation" in schema.names:
         selections["separation"] = (
             f"SELECT member_id, {step!r}::DOUBLE * unnest(range(len(separation))) AS t,"
@@ -107,9 +107,10 @@ def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
     (member_id, start, stop, size, rise_before, rise_after; one row a complete cascade by the definition `events`:
     n_stick falls from its first exit, `start`, to its last, `stop`, and rises before and after it) and, where the
     scene records them, `events` (member_id, t, block, mode), `episodes` (the columns of
-    `stickslip.pipeline.query.episodes`), `separation` (member_id, t, distance), `thresholds` (member_id,
-    threshold, t, n_stick), and `blocks` (block, name) where blocks have names. Where columns of an answer share a
-    name, as in ``SELECT member_id, *``, the second is called `member_id_1`.
+    `stickslip.pipeline.query.episodes`), `clusters` and `profiles` (those of the functions of these names),
+    `separation` (member_id, t, distance), `thresholds` (member_id, threshold, t, n_stick), and `blocks` (block,
+    name) where blocks have names. Where columns of an answer share a name, as in ``SELECT member_id, *``, the second
+    is called `member_id_1`.
 
     Raises
     ------

@@ -30,6 +30,7 @@ __all__ = [
     "QueryError",
     "all_events",
     "by_threshold",
+    "clusters",
     "dask_members",
     "dataset",
     "ends",
@@ -39,6 +40,7 @@ __all__ = [
     "members",
     "members_in_parts",
     "n_stick",
+    "profiles",
     "scalar_names",
     "separations",
     "series",
@@ -266,17 +268,54 @@ def episodes(path: Where | Opened) -> pd.DataFrame:
     StoreError
         If there is no readable dataset.
     """
+    return _table(path, "episodes", "episode_")
+
+
+def clusters(path: Where | Opened) -> pd.DataFrame:
+    """The parts of episodes that springs connect, a row each, by member as the scene expands, then by episode.
+
+    Returns
+    -------
+    DataFrame
+        `member_id`; `episode`, the number of the episode among those of the member; `start`, `end`; `first_block`,
+        the nucleation site; `size`, the number of blocks; `moment`; `stress_drop`; see `sim.episodes.Clusters`.
+
+    Raises
+    ------
+    QueryError
+        If the scene does not record clusters.
+    StoreError
+        If there is no readable dataset.
+    """
+    return _table(path, "clusters", "cluster_")
+
+
+def profiles(path: Where | Opened) -> pd.DataFrame:
+    """The slip of each block of each of the `clusters`: member_id, `cluster`, its number, `block`, `slip`.
+
+    Raises
+    ------
+    QueryError
+        If the scene does not record clusters.
+    StoreError
+        If there is no readable dataset.
+    """
+    return _table(path, "clusters", "profile_")
+
+
+def _table(path: Where | Opened, record: str, prefix: str) -> pd.DataFrame:
+    """Lists of members that begin with a prefix, end to end."""
     opened = open_dataset(path)
     source = opened.shards()
-    names = [name for name in source.schema.names if name.startswith("episode_")]
+    names = [name for name in source.schema.names if name.startswith(prefix)]
     if not names:
-        raise not_recorded("episodes")
+        raise not_recorded(record)
     with reading(opened.place):
         rows = source.to_table(["member_id", *names], filter=pc.field(names[0]).is_valid())
         rows = opened.checked(rows).combine_chunks()
     row_numbers = pc.list_parent_indices(rows[names[0]].combine_chunks()) if len(rows) else pa.array([], pa.int64())
     columns = {
-        name.removeprefix("episode_"): pc.list_flatten(rows[name])
+        name.removeprefix(prefix): pc.list_flatten(rows[name])
         if rows[name].null_count < len(rows)
         else pa.nulls(len(row_numbers), rows[name].type.value_type)
         for name in names

@@ -16,6 +16,7 @@ from stickslip.pipeline.records.outcome import OutcomeRecord
 from stickslip.pipeline.records.own import OwnRecord
 from stickslip.pipeline.records.record import Record
 from stickslip.pipeline.records.refine import Refine
+from stickslip.pipeline.records.slips.clusters import ClustersRecord
 from stickslip.pipeline.records.slips.episodes import EpisodesRecord
 from stickslip.pipeline.records.slips.events import Events
 from stickslip.pipeline.records.slips.first_exit import FirstExit
@@ -38,6 +39,7 @@ RECORDS: tuple[type[Record], ...] = (
     EpisodesRecord,
     EnergyRecord,
     EpisodeEnergy,
+    ClustersRecord,
     Separation,
     Thresholds,
     Amplitude,
@@ -57,4 +59,4 @@ RECORDS: tuple[type[Record], ...] = (
 Contacts.keep_beside(RECORDS)
 
 #: What are tables of their own in SQL and frames, and the lines that ask for them.
-TABLES = {record.name: record.asked_by for record in (Events, EpisodesRecord, Separation, Thresholds)}
+TABLES = {record.name: record.asked_by for record in (Events, EpisodesRecord, ClustersRecord, Separation, Thresholds)}

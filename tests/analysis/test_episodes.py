@@ -537,7 +537,9 @@ def test_a_catalogue_has_the_columns_of_catalogues():
         "moment": [10.0, 0.0, -0.1], "first_block": [7, 8, 9],
     })  # fmt: skip
     found = as_catalogue(table)
-    assert list(found) == ["id", "time", "lat", "lon", "dep", "magtype", "mag"]
+    of_obspy = ["id", "time", "lat", "lon", "dep", "magtype", "mag"]
+    assert list(found) == [*of_obspy, "member_id", "origin", "nucleation", "moment", "extent", "duration"]
+    assert found["duration"].tolist() == [0.5, 0.75]
     assert found["id"].tolist() == ["a-0", "b-0"]
     assert found["mag"].tolist() == pytest.approx([1.0, -1.0])
     assert found["time"].dt.strftime("%S.%f").tolist() == ["01.500000", "00.250000"]

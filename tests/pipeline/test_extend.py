@@ -72,7 +72,7 @@ STEPS = (
     ({"waiting": True, "stick_share": True, "first_exit": True, "t_burn": 3.0, "growth_rate": True}, 0),
     ({"friction_power": True, "dt": 0.5}, 4),
     ({"separation": 2.0}, 12),
-    ({"end": True, "episodes": True, "amplitude": True, "slip_speed": True}, 14),
+    ({"end": True, "episodes": True, "clusters": True, "amplitude": True, "slip_speed": True}, 14),
     ({"attractor": True, "critical_mode": True, "energy": True, "constants": True}, 0),
 )
 

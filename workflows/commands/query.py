@@ -54,16 +54,24 @@ class Export(Command):
     words = "write a dataset as one file of another form"
     examples = (
         ("stickslip export runs/quick --netcdf quick.nc", "for xarray and others"),
+        ("stickslip export runs/burridge_knopoff --catalogue events.csv", "a row an event, as ObsPy reads them"),
         ('stickslip query runs/quick "SELECT * FROM members" --out members.csv', "CSV is the answer to a query"),
     )
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("directory", metavar="DIR")
-        parser.add_argument("--netcdf", type=Path, metavar="FILE", required=True, help="file to write, in NetCDF-4")
+        forms = parser.add_mutually_exclusive_group(required=True)
+        forms.add_argument("--netcdf", type=Path, metavar="FILE", help="file to write, in NetCDF-4")
+        forms.add_argument("--catalogue", type=Path, metavar="FILE", help="file to write, in CSV, a row an event")
 
     def __call__(self, arguments: argparse.Namespace) -> int:
-        from stickslip.workflows.netcdf import write
+        if arguments.catalogue is not None:
+            from stickslip.workflows import catalogue
 
-        write(arguments.directory, arguments.netcdf)
-        print(printable(f"data    {arguments.netcdf}"))
+            catalogue.write(arguments.directory, arguments.catalogue)
+        else:
+            from stickslip.workflows import netcdf
+
+            netcdf.write(arguments.directory, arguments.netcdf)
+        print(printable(f"data    {arguments.catalogue or arguments.netcdf}"))
         return DONE
