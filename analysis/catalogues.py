@@ -21,11 +21,13 @@ from stickslip.analysis.models.episodes import (
     drift,
 )
 from stickslip.analysis.models.magnitudes import Magnitudes, b_positive, by_least, magnitudes_of, shares_above
+from stickslip.analysis.models.recurrence import Recurrence, recurrence
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
 from stickslip.pipeline.design.labels import Label
 from stickslip.sim.engines import place
 
+LARGE = 0.1  # share of episodes that count as large where there is no peak
 _READ = ["start", "end", "size", "moment", "z_sum", "elapsed"]
 
 
@@ -85,6 +87,13 @@ class Catalogues:
         if self.law.begins is None:
             return Estimate(), Estimate()
         return shares_above(self.law.begins, [self.magnitudes_of(unit) for unit in self.runs], self.confidence)
+
+    @cached_property
+    def recurrence(self) -> Recurrence:
+        """Times between the events of the peak; without one, between the largest tenth of events."""
+        magnitudes = self.magnitudes()
+        least = self.law.begins if self.law.begins is not None else float(np.quantile(magnitudes, 1 - LARGE))
+        return recurrence([*self.runs.values()], least, self.confidence)
 
     @cached_property
     def b_positive(self) -> Estimate:

@@ -69,6 +69,7 @@ from stickslip.analysis.models.episodes import (
 from stickslip.analysis.models.laws import Difference as LawDifference
 from stickslip.analysis.models.magnitudes import WIDTH
 from stickslip.analysis.models.magnitudes import Picture as Kind
+from stickslip.analysis.models.recurrence import Bin
 from stickslip.analysis.outcomes import DIFFERENT, UNDECIDED, in_words
 from stickslip.analysis.rows import Columns, frame_by, frame_of
 from stickslip.analysis.stats import enough
@@ -86,6 +87,7 @@ TELLING = 0.8
 CLASS = 0.1  # width of a class of magnitudes, as catalogues round them
 _HUES = tuple(mpl.colormaps[name] for name in ("Greys", "Oranges", "Blues", "Greens", "Purples", "Reds"))
 MOST_DRAWN = 6  # groups in the figure of magnitudes
+FEWEST_IN_BIN = 5  # events in a bin of times, if any, for it to be drawn
 FEWEST = 30  # episodes from a magnitude on, for their rate to be drawn
 _METHOD = (
     "An episode lasts from all blocks stuck to all stuck again; its size is the number of blocks that slip, its"
@@ -116,6 +118,10 @@ PEAK = Quantity("peak", "share of episodes in the peak", Form.SHARE)
 PEAK_MOMENT = Quantity("peak_moment", "share of the moment in the peak", Form.SHARE)
 M_CUT = Quantity("cut_off", "magnitude of the cut-off")
 WHOLE = Quantity("whole", "share of episodes that take all blocks", Form.SHARE)
+BETWEEN = Quantity("between", "mean time between large events", more="longer than", less="shorter than")
+REGULARITY = Quantity("large_cv", "coefficient of variation of times between large events")
+SLIP_PREDICTABLE = Quantity("before", "rank correlation of the moments of large events with the time before")
+TIME_PREDICTABLE = Quantity("after", "rank correlation of the moments of large events with the time after")
 B_POSITIVE = Quantity("b_positive", "b-value from rises alone (b-positive)")
 APART = Quantity("apart", "Kolmogorov-Smirnov distance between magnitudes")
 B_VALUE = Quantity("b", "b-value")
@@ -162,6 +168,17 @@ _GROUPS: Columns[Catalogues] = {
     "stuck_below": (float, lambda group: group.stuck_below),
     "basis": (str, lambda group: group.basis.code),
 }
+_RECURRENCE: Columns[Catalogues] = {
+    "group": (str, lambda group: group.label),
+    "least": (float, lambda group: group.recurrence.least),
+    "n_times": (int, lambda group: group.recurrence.n_times),
+    "n_cut": (int, lambda group: group.recurrence.n_cut),
+    "mean": (Estimate, lambda group: group.recurrence.mean),
+    "cv": (Estimate, lambda group: group.recurrence.cv),
+    "before": (Estimate, lambda group: group.recurrence.before),
+    "after": (Estimate, lambda group: group.recurrence.after),
+    "reason": (str, lambda group: group.recurrence.cv.reason),
+}
 _METHODS: Columns[Apart] = {
     "setting": (str, lambda apart: apart.setting.label),
     "reference": (str, lambda apart: apart.reference.label),
@@ -171,6 +188,17 @@ _METHODS: Columns[Apart] = {
     "p_different_holm": (float, lambda apart: apart.family and apart.family.p_different),
     "reason": (str, lambda apart: apart.found if isinstance(apart.found, str) else ""),
 }
+
+
+class Hazard(NamedTuple):
+    """A bin of `models.recurrence`, of a group."""
+
+    group: str
+    what: str
+    low: float
+    high: float
+    n_events: int
+    relative: Estimate
 
 
 class Upper(NamedTuple):
@@ -223,6 +251,10 @@ def answer(study: Study) -> Answer | None:
         "episode_methods": frame_by(_METHODS, [pair for pair in pairs if pair.name == MAGNITUDES]),
         "episode_b": frame_of(Upper, [Upper(group.label, *row) for group in leaders for row in group.by_least]),
         "episode_rates": frame_of(Frequency, rates),
+        "episode_recurrence": frame_by(_RECURRENCE, leaders),
+        "episode_hazard": frame_of(
+            Hazard, [Hazard(group.label, *row) for group in leaders for row in group.recurrence.bins]
+        ),
     }
     basis = answers.systems(study)
     is_told = len(leaders) > 1 or lead is not by_system[0][0]
@@ -267,9 +299,7 @@ def _level(group: Catalogues, name: str, apart: Sequence[Apart], unit: str) -> L
     estimate = group.estimates[name]
     reference = next((pair.comparison() for pair in apart if pair.setting is group and pair.name == name), None)
     if name == QUIET:
-        low, high = (None if end is None else end - 1.0 for end in (estimate.low, estimate.high))
-        off = Estimate((estimate.value or 0.0) - 1.0, low, high)
-        reference = Comparison(_POISSON, Difference(off, Scale.ABSOLUTE))
+        reference = _beside_poisson(estimate)
     basis = Basis(len(group.sums[name].counted), unit)
     return Level(WORDS[name], estimate, Place.of(group.method), reference, basis)
 
@@ -390,11 +420,32 @@ def _picture(study: Study, group: Catalogues, where: Place) -> list[Finding]:
         findings += [Level(quantity, estimate, large, basis=basis) for quantity, estimate in in_peak]
     elif law.picture is Kind.CUT_OFF:
         findings.append(Level(M_CUT, law.cut_off, where, basis=basis))
+    findings += _times_between(group, where, basis)
     if law.has_b and group.b_positive.value is not None:
         findings.append(Level(B_POSITIVE, group.b_positive, where, basis=basis))
     if group.whole.value:
         findings.append(Level(WHOLE, group.whole, where, basis=basis))
     return findings
+
+
+def _times_between(group: Catalogues, where: Place, basis: Basis) -> list[Finding]:
+    """How regular large events are, how far apart, and whether their size tells of the time before or after."""
+    times = group.recurrence
+    large = where + Place.words(f"M \u2265 {times.least:.2f}")
+    quantities = {
+        REGULARITY: times.cv, BETWEEN: times.mean, SLIP_PREDICTABLE: times.before, TIME_PREDICTABLE: times.after,
+    }  # fmt: skip
+    return [
+        Level(quantity, estimate, large, _beside_poisson(estimate) if quantity is REGULARITY else None, basis)
+        for quantity, estimate in quantities.items()
+        if estimate.value is not None
+    ]
+
+
+def _beside_poisson(cv: Estimate) -> Comparison:
+    """A coefficient of variation beside that of a Poisson process."""
+    low, high = (None if end is None else end - 1.0 for end in (cv.low, cv.high))
+    return Comparison(_POISSON, Difference(Estimate((cv.value or 0.0) - 1.0, low, high), Scale.ABSOLUTE))
 
 
 def _mean_moment(study: Study, group: Catalogues) -> Estimate:
@@ -519,7 +570,15 @@ def _figures(
         f"Where a line is at 1, a method has as many episodes from that magnitude on as {reference}; bands are"
         f" intervals.{triangles * are_few}",
     )
-    return {"episode_rates_over": over, "magnitudes": by_magnitude} if has_pairs else {"magnitudes": by_magnitude}
+    figures = {"episode_rates_over": over} if has_pairs else {}
+    figures["magnitudes"] = by_magnitude
+    if any(group.recurrence.bins for group in leaders):
+        figures["recurrence"] = Picture(
+            partial(hazards, [(str(group.method), group.recurrence.bins) for group in leaders[:MOST_DRAWN]]),
+            "Above: rate of the next large event, by the time since the last. Below: rate of small events before and"
+            " after a large one. Both over their mean, which a Poisson process has at all times; bars: intervals.",
+        )
+    return figures
 
 
 class Line(NamedTuple):
@@ -613,6 +672,29 @@ def magnitudes(axes: np.ndarray, rates: Sequence[Frequency], drawn: Sequence[Dra
     if len(drawn) > 1:
         widest = max(len(law.name) for law in drawn)
         above.figure.legend(loc="outside upper center", ncols=2 if widest < 26 else 1)
+
+
+@panel(4.6, nrows=2)
+def hazards(axes: np.ndarray, groups: Sequence[tuple[str, Sequence[Bin]]]) -> None:
+    """Rate of large events since the last, and of small ones around large, in units of the mean time between."""
+    above, below = axes
+    for hue, (name, bins) in zip(itertools.cycle(CYCLE), groups):
+        for bar in bins:
+            middle, relative = (bar.low + bar.high) / 2, bar.relative
+            if relative.value is None or 0 < bar.n_events < FEWEST_IN_BIN:
+                continue
+            ax, x = (above, middle) if bar.what == "hazard" else (below, middle * (-1 if bar.what == "before" else 1))
+            ax.plot(x, relative.value, "o", color=hue, markersize=3, label=name if bar is bins[0] else None)
+            if relative.low is not None:
+                ax.vlines(x, relative.low, relative.high, color=hue, linewidth=0.9)
+    for ax, words, rate in (
+        (above, "time since a large event / mean time between", "hazard"),
+        (below, "time from a large event / mean time between", "small events"),
+    ):
+        ax.axhline(1.0, color=GREY, linestyle="--", linewidth=1)
+        ax.set(xlabel=words, ylabel=f"{rate} / mean", ylim=(0.0, None))
+    if len(groups) > 1:
+        above.figure.legend(loc="outside upper center", ncols=2)
 
 
 @panel(3.8)
