@@ -65,6 +65,8 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
         columns["extent"] = moving["size"]
     if "end" in moving:
         columns["duration"] = moving["end"] - moving["start"]
+    if "elapsed" in moving:  # of adiabatic loading, where an episode takes no time of the belt
+        columns["duration"] = moving["elapsed"]
     if "stress_drop" in moving:
         columns["stress_drop"] = moving["stress_drop"]
     return pd.DataFrame(columns).reset_index(drop=True)

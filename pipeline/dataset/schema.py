@@ -31,6 +31,7 @@ _KINDS = {
     "numbers": _NUMBERS,
     "numbers or null": _list(pa.float64(), nullable=True),
     "wholes": _WHOLES,
+    "counts": _WHOLES,
     "modes": _list(pa.int8()),
     "n_stick by": _list(_struct(threshold=pa.float64(), t=_NUMBERS, n_stick=_WHOLES)),
 }

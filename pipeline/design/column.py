@@ -4,10 +4,20 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-#: A number; a whole one of 32 or 64 bits; a truth; text; and lists of a run: numbers, perhaps with nulls, whole ones,
-#: modes. The last is a list of thresholds, each with its t and n_stick.
+#: A number; a whole one of 32 or 64 bits; a truth; text; and lists of a run: numbers, perhaps with nulls, numbers of
+#: blocks, of other things, modes. The last is a list of thresholds, each with its t and n_stick.
 Kind = Literal[
-    "number", "whole", "count", "yes or no", "text", "numbers", "numbers or null", "wholes", "modes", "n_stick by"
+    "number",
+    "whole",
+    "count",
+    "yes or no",
+    "text",
+    "numbers",
+    "numbers or null",
+    "wholes",
+    "counts",
+    "modes",
+    "n_stick by",
 ]
 
 

@@ -119,6 +119,7 @@ name = "sigmoid"
 separation = 2.0
 events = true
 episodes = true
+clusters = true
 end = true
 energy = true
 attractor = true

@@ -20,7 +20,7 @@ class ClustersRecord(Record):
     name = "clusters"
     words = "whether to keep the parts of episodes that springs connect, and the slips; it costs a second run"
     columns = (
-        _of_each("wholes", "cluster_episode", "number of the episode that it is part of", is_index=True),
+        _of_each("counts", "cluster_episode", "number of the episode that it is part of", least=0.0),
         _of_each("numbers", "cluster_start", "when its first block leaves", repeats=False),
         _of_each("numbers", "cluster_end", "when its last block sticks again", repeats=False),
         _of_each("wholes", "cluster_first_block", "its nucleation site: the block that left first", is_index=True),
@@ -29,7 +29,7 @@ class ClustersRecord(Record):
         _of_each(
             "numbers", "cluster_stress_drop", "mean fall of the springs' force on its blocks, (K z)_i", repeats=False
         ),
-        _of_block("wholes", "profile_cluster", "number of the cluster that a block is part of", is_index=True),
+        _of_block("counts", "profile_cluster", "number of the cluster that a block is part of", least=0.0),
         _of_block("wholes", "profile_block", "the block", is_index=True),
         _of_block("numbers", "profile_slip", "its slip on the belt, against the belt's motion", repeats=False),
     )
