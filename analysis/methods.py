@@ -10,7 +10,7 @@ from stickslip.analysis.contrast import Contrast, Statistic, contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.finding import Comparison, Family
 from stickslip.analysis.members import STEPS, WIDTHS
-from stickslip.analysis.models.episodes import DURATION, QUANTITIES, QUIET, RATE, SIZE, SLIP
+from stickslip.analysis.models.episodes import DURATION, QUANTITIES, RATE, SIZE, SLIP
 from stickslip.analysis.models.laws import Difference, largest_gap
 from stickslip.analysis.stats.estimates import Undefined
 from stickslip.analysis.stats.multiplicity import holm
@@ -21,7 +21,7 @@ from stickslip.pipeline.design.labels import apart as labels_apart
 MAGNITUDES = "magnitudes"
 #: Statistics by which methods are compared, by name; their differences are relative.
 STATISTICS: Mapping[str, Statistic] = {
-    name: Statistic(name, QUANTITIES[name].of) for name in (RATE, SIZE, DURATION, QUIET, SLIP)
+    name: Statistic(name, QUANTITIES[name].of) for name in (RATE, SIZE, DURATION, SLIP)
 }
 PRIMARY = (RATE, MAGNITUDES)  # how often and how large: tested before the others
 

@@ -68,15 +68,6 @@ class Catalogue:
         """log10 |moment|, shape (m,)."""
         return np.log10(np.abs(self.moment))
 
-    @property
-    def quiet(self) -> np.ndarray:
-        """Quiet times, from the end of each episode to the start of the next, shape (m - 1,).
-
-        Times from start to start would contain the durations. Where episodes fill much of the time, this dead time
-        would make any process look regular, and any large episode seem to delay the next.
-        """
-        return np.diff(self.start) if self.is_loaded else self.start[1:] - (self.start + self.duration)[:-1]
-
     def halves(self) -> np.ndarray:
         """Number of episodes that begin in the first half and in the second, shape (2,)."""
         is_late = self.start >= 0.5 * (self.t_start + self.t_stop)
@@ -94,27 +85,17 @@ class Quantity:
     of: Statistic = ratio
 
 
-def _spread(run: Catalogue) -> tuple[float, float]:
-    """Sum of squared deviations of quiet times, in units of the run's own mean, and their number."""
-    gaps = run.quiet
-    if len(gaps) < 2:
-        return 0.0, 0.0
-    n = len(gaps)
-    return float(n / (n - 1) * np.sum((gaps / gaps.mean() - 1.0) ** 2)), float(n)
-
-
-RATE, SLIP, QUIET = "rate of episodes", "share of slip in episodes", "CV of quiet times"
+RATE, SLIP = "rate of episodes", "share of slip in episodes"
 STORED, CREEP = "share of stored strain", "share of creep"
 SIZE, DURATION = "mean size", "mean duration"
 OCCUPANCY, BY_WAY = "share of time in episodes", "episodes by block and way"
 
 
-#: By name. `QUIET` is the coefficient of variation of quiet times: 1 for a Poisson process.
+#: By name.
 QUANTITIES: Mapping[str, Quantity] = {
     RATE: Quantity(lambda run: (float(len(run.start)), run.t_stop - run.t_start)),
     SIZE: Quantity(lambda run: (float(run.size.sum()), float(len(run.start)))),
     DURATION: Quantity(lambda run: (float(run.duration.sum()), float(len(run.start)))),
-    QUIET: Quantity(_spread, lambda sums: np.sqrt(ratio(sums))),
     SLIP: Quantity(lambda run: (run.slipped, run.travel)),
 }
 #: Where the rest of the belt's travel went, which with `SLIP` is all of it: the belt carried the blocks on, which is

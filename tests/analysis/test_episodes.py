@@ -15,7 +15,6 @@ from stickslip.analysis.models.episodes import (
     CREEP,
     OCCUPANCY,
     QUANTITIES,
-    QUIET,
     RATE,
     REST,
     SIZE,
@@ -257,16 +256,6 @@ def test_an_atom_of_single_blocks_is_no_magnitude_of_completeness(planted_episod
     assert row["b_low"] < 1.0 < row["b_high"]
 
 
-def test_how_much_slower_the_belt_has_to_be():
-    """On a belt f times slower a share s is s / (s + f (1 - s)); nothing is said where the time is nearly full."""
-    for share in (0.06, 0.3, 0.78):
-        factor = episodes._slower(share, 1.0)
-        assert share / (share + factor * (1 - share)) <= episodes.SLOW
-        assert share / (share + factor / 2 * (1 - share)) > episodes.SLOW
-    assert episodes._slower(0.99, 1.0) is None
-    assert episodes._slower(0.3, None) is None
-
-
 def test_what_changes_with_the_number_of_blocks_has_a_verdict(planted_episodes, settings):
     """Sizes of 2 and 3, then of 4 and 6; as many on either chain, but twice the blocks."""
     sizes = {name: ({"n": n}, 1.0) for name, n in (("small", 100), ("large", 200))}
@@ -329,32 +318,6 @@ def test_an_episode_whose_slips_cancel_is_in_no_statistic(planted_episodes, stri
     pd.testing.assert_frame_equal(found, known)
 
 
-@pytest.mark.parametrize(("name", "verdict"), [("clock", Verdict.LESS), ("clusters", Verdict.MORE)])
-def test_regularity(name, verdict, planted_episodes, settings, rng):
-    gaps = {
-        "clock": lambda size: rng.uniform(0.8, 1.2, size),
-        "clusters": lambda size: rng.exponential(1.0, size) ** 2 / 2,
-    }
-    levels = of_kind(asked(planted_episodes(EXACT, gaps=gaps[name]), settings), Level)
-    (level,) = (level for level in levels if level.quantity is episodes.WORDS[QUIET])
-    assert level.comparison.difference.verdict is verdict
-
-
-def test_dead_time_is_no_regularity(planted_episodes, settings, rng):
-    """Quiet times are exponential, and episodes last as long as they are large: they fill half of the time."""
-    data = planted_episodes(EXACT, rate=1.0)
-    table = data.episodes
-    size = rng.integers(1, 20, len(table))
-    own, took = table.groupby("member_id", sort=False)["start"], 0.1 * size
-    before = pd.Series(took).groupby(table["member_id"], sort=False).cumsum() - took
-    start = table["start"] + before
-    stretched = table.assign(start=start, end=start + took, size=size)[start + took < 1000.0]
-    assert own.ngroups == 12
-    lead = rows_of(asked(as_moving(replace(data, episodes=stretched)), settings))["exact"]
-    assert lead[OCCUPANCY] == pytest.approx(0.5, abs=0.05)
-    assert lead[QUIET] == pytest.approx(1.0, abs=0.1)
-
-
 def test_an_episode_that_does_not_end_is_motion(planted_episodes, settings):
     """From t = 500 to the end, 1000: no episode has that time."""
     data = as_moving(planted_episodes(EXACT))
@@ -364,20 +327,6 @@ def test_an_episode_that_does_not_end_is_motion(planted_episodes, settings):
     lead = rows_of(asked(data, settings))["exact"]
     share = (1000.0 - 500.0) / (1000.0 - settings.t_burn)
     assert share < lead[OCCUPANCY] < share + 0.05
-
-
-def test_the_cv_of_a_few_quiet_times_is_theirs(rng):
-    """Of the sample, with n - 1 for the mean that it is measured from; over runs it is squares that are averaged."""
-    quantity = QUANTITIES[QUIET]
-    sums = []
-    for n in range(3, 9):
-        gaps, took, one = rng.exponential(1.0, n), rng.exponential(1.0, n + 1), np.ones(n + 1)
-        start = 0.5 + np.concatenate([[0.0], np.cumsum(gaps + took[:-1])])
-        sums.append(quantity.sums(Catalogue(0.0, 100.0, start, took, one.astype(int), one, 100.0)))
-        np.testing.assert_allclose(quantity.of(np.array(sums[-1:])), np.std(gaps, ddof=1) / gaps.mean())
-    two = one[:2]
-    few = Catalogue(0.0, 9.0, start[:2], two, two.astype(int), two, 9.0)
-    assert quantity.sums(few) == (0.0, 0.0)
 
 
 def test_methods_are_held_against_exact_events(planted_episodes, planted, settings):
@@ -411,9 +360,6 @@ def test_methods_are_held_against_exact_events(planted_episodes, planted, settin
     assert off["sigmoid, eps = 1e-3"].estimate.value == pytest.approx(0.33, abs=0.05)
     assert off["sigmoid, eps = 0.01"].estimate.value == -1.0
     assert rates["exact"].comparison is None
-    over = answer.tables["episode_rates"].set_index("group")
-    coarse = answer.tables["episodes"].set_index("method").filter(like="1e-3", axis=0)["group"].item()
-    assert over.loc[coarse, "over"].iloc[0] == pytest.approx(1.33, abs=0.06)
     assert Code.BLURRED not in codes(answer)
 
 
@@ -464,8 +410,6 @@ def test_along_a_sweep_each_setting_is_held_against_exact_events_of_its_own_syst
     relative = contrasts.loc[contrasts["quantity"] == RATE, "relative"]
     assert relative.tolist() == pytest.approx([0.0, 0.0], abs=0.1)
     assert len(of_kind(answer, Outcomes)) == 2
-    over = answer.tables["episode_rates"].dropna(subset="over").groupby("group")["over"].first()
-    assert over.tolist() == pytest.approx([1.0, 1.0], abs=0.1)
     assert of_kind(asked(planted_episodes(exact, rate=2.0), settings), Outcomes) == []
 
 
@@ -527,7 +471,7 @@ def test_slip_stored_strain_and_creep_are_all_of_the_travel(rng, carried):
 def test_the_page_draws_its_figures(planted_episodes, planted, settings):
     engines = EXACT | {"sigmoid": (planted.sigmoid, 1.2)}
     made = build(planted_episodes(engines), replace(settings, question=("episodes",)), "A chain", "", {})
-    assert {"magnitudes", "episode_rates_over"} <= made.figures.keys()
+    assert {"magnitudes", "recurrence"} <= made.figures.keys()
     assert "magnitudes" in build(planted_episodes(EXACT), settings, "A chain", "", {}).figures
 
 

@@ -52,7 +52,7 @@ def test_rows_are_those_of_simulate_and_the_page_has_them(tmp_path):
         np.testing.assert_array_equal(mine.moment, run.loaded.moment)
     answer = reporting.report(tmp_path / "out")
     reporting.write(answer, tmp_path / "out")
-    assert "slower" not in (tmp_path / "out" / "report.html").read_text()
+    assert "slow the belt" not in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_other_scenes_keep_their_columns_and_hashes():

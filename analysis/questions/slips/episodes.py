@@ -7,16 +7,12 @@ is compared with the finest on the same systems, by the magnitudes too: a mean m
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from operator import attrgetter
 from typing import Any, NamedTuple
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.ticker import LogLocator, NullLocator
 
 from stickslip.analysis import answer as answers
 from stickslip.analysis.answer import Answer, Picture, Question
@@ -58,7 +54,6 @@ from stickslip.analysis.models.episodes import (
     DURATION,
     OCCUPANCY,
     QUANTITIES,
-    QUIET,
     RATE,
     REST,
     SIZE,
@@ -73,22 +68,14 @@ from stickslip.analysis.models.recurrence import Bin
 from stickslip.analysis.outcomes import DIFFERENT, UNDECIDED, in_words
 from stickslip.analysis.rows import Columns, frame_by, frame_of
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.compare import relative_difference
-from stickslip.analysis.stats.estimates import Estimate, Undefined, over_matrices, ratio, within
+from stickslip.analysis.stats.estimates import Estimate, over_matrices, ratio, within
 from stickslip.analysis.steps import table_of
 from stickslip.analysis.style import CYCLE, GREY, panel
 
 SLOW = 0.05  # largest share of time in episodes if the drive is slow for the chain
-#: Share of time in episodes up to which the page says how much slower the belt has to be. Shares of 20%
-#: (`burridge_knopoff`), 68% and 78% (Carlson and Langer's chain, 100 blocks, rates of weakening 5 and 2, belt 0.01)
-#: become 2.3%, 3.6% and 8.7% on belts 10, 50 and 50 times slower, where `_slower` expects 2.4%, 4.1% and 6.8%. Shares
-#: of 90% and 99% (a grid of 12 x 12) become 9.3% and 34% on a belt 50 times slower, and 15% and 66% were expected.
-TELLING = 0.8
 CLASS = 0.1  # width of a class of magnitudes, as catalogues round them
-_HUES = tuple(mpl.colormaps[name] for name in ("Greys", "Oranges", "Blues", "Greens", "Purples", "Reds"))
-MOST_DRAWN = 6  # groups in the figure of magnitudes
+MOST_DRAWN = 8  # groups in the figure of magnitudes
 FEWEST_IN_BIN = 5  # events in a bin of times, if any, for it to be drawn
-FEWEST = 30  # episodes from a magnitude on, for their rate to be drawn
 _METHOD = (
     "An episode lasts from all blocks stuck to all stuck again; its size is the number of blocks that slip, its"
     " moment the sum of their slips, its magnitude log10 of that. Methods are compared"
@@ -106,7 +93,6 @@ WORDS: Mapping[str, Quantity] = {
     RATE: Quantity("rate", "rate of episodes", things="episodes"),
     SIZE: Quantity("size", "mean size of episodes"),
     DURATION: Quantity("duration", "mean duration of episodes", more="longer than", less="shorter than"),
-    QUIET: Quantity("cv", "coefficient of variation of inter-event times"),
     SLIP: Quantity("slip", "share of the belt's travel that is slip in episodes", Form.SHARE),
     STORED: Quantity("stored", "share of the belt's travel that is stored as strain", Form.SHARE),
     CREEP: Quantity("creep", "share of the belt's travel that is creep of stuck blocks", Form.SHARE),
@@ -213,8 +199,7 @@ class Upper(NamedTuple):
 class Frequency(NamedTuple):
     """A class of magnitudes: its share of episodes per unit of magnitude, and what lies from it on.
 
-    `rate` is the number of episodes of at least `magnitude` per unit time, `over` that over the reference's on the
-    same systems.
+    `rate` is the number of episodes of at least `magnitude` per unit time.
     """
 
     group: str
@@ -222,7 +207,6 @@ class Frequency(NamedTuple):
     density: float
     n_episodes: int
     rate: Estimate
-    over: Estimate
 
 
 def answer(study: Study) -> Answer | None:
@@ -245,7 +229,7 @@ def answer(study: Study) -> Answer | None:
     lead = _lead(judged)
     leaders = [reference for reference, *_ in by_system if reference.is_judged] or [lead]
     pairs = compare(study, by_system)
-    rates = _rates(by_system, _drawn_from(leaders), level)
+    rates = _rates(counted, _drawn_from(leaders), level)
     tables |= {
         "episode_contrasts": table_of(pair.step for pair in pairs if pair.name != MAGNITUDES),
         "episode_methods": frame_by(_METHODS, [pair for pair in pairs if pair.name == MAGNITUDES]),
@@ -278,7 +262,7 @@ def answer(study: Study) -> Answer | None:
         alerts=alerts,
         method=_METHOD,
         tables=tables,
-        figures=_figures(counted, in_order, rates, bool(pairs)),
+        figures=_figures(counted, in_order, rates),
     )
 
 
@@ -295,11 +279,9 @@ def _lack(study: Study, groups: Sequence[Catalogues]) -> Lack:
 
 
 def _level(group: Catalogues, name: str, apart: Sequence[Apart], unit: str) -> Level:
-    """A statistic of a group, beside that of its reference, or of a Poisson process."""
+    """A statistic of a group, beside that of its reference."""
     estimate = group.estimates[name]
     reference = next((pair.comparison() for pair in apart if pair.setting is group and pair.name == name), None)
-    if name == QUIET:
-        reference = _beside_poisson(estimate)
     basis = Basis(len(group.sums[name].counted), unit)
     return Level(WORDS[name], estimate, Place.of(group.method), reference, basis)
 
@@ -309,7 +291,7 @@ def _levels(groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apar
     primary = sorted((pair for pair in apart if pair.name in PRIMARY), key=lambda pair: not pair.is_shown)
     findings: list[Finding] = [level for pair in primary if (level := _beside(pair, unit)) is not None]
     several = [(name, group) for name in _COMPARED for group in groups if name != RATE]
-    lead_only = [(name, lead) for name in (QUIET, STORED, OCCUPANCY)]
+    lead_only = [(name, lead) for name in (STORED, OCCUPANCY)]
     compared = [id(pair.setting) for pair in apart]
     rates = [(RATE, group) for group in groups if group is not lead and id(group) not in compared]
     findings += [
@@ -463,10 +445,8 @@ def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Cat
         alerts.append(Alert.of(Code.DRIFT, what="The rate of episodes", where=where, t_burn=t_burn))
     fast = max(references or groups, key=_occupancy)
     if _occupancy(fast) > SLOW:
-        slower = _slower(_occupancy(fast), fast.estimates[BY_WAY].value)
-        remedy = "a much slower belt" if slower is None else f"a belt about {slower:g} times slower"
         share = number(_occupancy(fast), Form.SHARE, 0)
-        alerts.append(Alert.of(Code.OVERLAP, share=share, where=str(fast.method), remedy=remedy))
+        alerts.append(Alert.of(Code.OVERLAP, share=share, where=str(fast.method)))
     if any(map(_is_blurred, groups)):
         come_out = [DIFFERENT if _is_blurred(group) else UNDECIDED for group in groups]
         methods = in_words(dict(zip(settings_of(groups), come_out, strict=True)), DIFFERENT)
@@ -495,83 +475,32 @@ def _occupancy(group: Catalogues) -> float:
     return group.estimates[OCCUPANCY].value or 0.0
 
 
-def _slower(share: float, by_way: float | None) -> float | None:
-    """How many times slower a belt has to be for a share of time in episodes of `SLOW`, to one digit; None: unknown.
-
-    On a slow belt the time in episodes grows with the belt's travel, and the quiet time with the time itself: the
-    ratio of the two is proportional to the belt's speed.
-    """
-    if share > TELLING or not by_way:
-        return None
-    factor = share / (1 - share) * (1 - SLOW) / SLOW
-    digit = 10.0 ** np.floor(np.log10(factor))
-    return float(np.ceil(factor / digit) * digit)
-
-
-def _rates(systems: Sequence[Sequence[Catalogues]], first_edge: float, level: float) -> list[Frequency]:
-    """Episodes per unit time from each magnitude on, and their ratio to those of the reference."""
+def _rates(groups: Sequence[Catalogues], first_edge: float, level: float) -> list[Frequency]:
+    """Episodes in each class of magnitudes, and per unit time from it on."""
     rates: list[Frequency] = []
-    largest = max(float(group.magnitudes().max(initial=first_edge)) for groups in systems for group in groups)
-    edges = first_edge + CLASS * np.arange(int((largest - first_edge) / CLASS + 1e-9) + 1)
-    for finest, *settings in systems:
-        reference = {edge: finest.at_least(edge) for edge in edges}
-        for group, edge in itertools.product((finest, *settings), edges):
-            reference_sums = reference[edge]
-            sums = reference_sums if group is finest else group.at_least(edge)
-            magnitudes = group.magnitudes()
-            n_episodes = int(np.count_nonzero(magnitudes >= edge))
-            if not n_episodes:
-                continue
-            n_inside = n_episodes - int(np.count_nonzero(magnitudes >= edge + CLASS))
-            over = Estimate()
-            units = sorted(sums.keys() & reference_sums.keys())
-            fewest = min(n_episodes, sum(row[0] for row in reference_sums.values()))
-            if group is not finest and len(units) > 1 and fewest >= FEWEST:
-                over = _over(
-                    np.array([reference_sums[unit] for unit in units]),
-                    np.array([sums[unit] for unit in units]),
-                    level,
-                )
-            rate = within(over_matrices(ratio, np.array([*sums.values()]), level), 0.0)
-            density = n_inside / (len(magnitudes) * CLASS)
-            rates.append(Frequency(group.label, float(edge), density, n_episodes, rate, over))
+    for group in groups:
+        magnitudes = group.magnitudes()
+        for edge in np.arange(first_edge, magnitudes.max(initial=first_edge), CLASS):
+            above = magnitudes[magnitudes >= edge]
+            density = np.count_nonzero(above < edge + CLASS) / (len(magnitudes) * CLASS)
+            rate = over_matrices(ratio, np.array([*group.at_least(edge).values()]), level)
+            rates.append(Frequency(group.label, float(edge), density, len(above), within(rate, 0.0)))
     return rates
-
-
-def _over(first: np.ndarray, second: np.ndarray, level: float) -> Estimate:
-    try:
-        test = relative_difference(ratio, first, second, True)
-    except Undefined as why:
-        return Estimate(reason=str(why))
-    low, high = test.interval(level)
-    return Estimate(1 + test.difference, 1 + low, 1 + high)
 
 
 # ------------------------------------------------------------------------------------------------- figures
 
 
 def _figures(
-    groups: Sequence[Catalogues], leaders: Sequence[Catalogues], rates: Sequence[Frequency], has_pairs: bool
+    groups: Sequence[Catalogues], leaders: Sequence[Catalogues], rates: Sequence[Frequency]
 ) -> dict[str, Picture]:
-    """Rates by magnitude of the settings that lead, after those of all methods over the reference's."""
-    lines = {group.label: Line(group.method, group.group.key["engine"]) for group in groups}
-    shown = leaders if has_pairs else [*leaders, *(group for group in groups if group not in leaders)]
-    by_magnitude = Picture(
-        partial(magnitudes, rates, [Drawn.of(group) for group in shown[:MOST_DRAWN]]),
+    """The magnitudes of all settings, those that lead first, and what happens around large events."""
+    shown = [*leaders, *(group for group in groups if group not in leaders)][:MOST_DRAWN]
+    figures = {"magnitudes": Picture(
+        partial(magnitudes, rates, [Drawn.of(group) for group in shown]),
         "A power law is straight. Above: share of episodes per unit of magnitude, M = log10 moment, with the fitted"
         " law on its range. Below: episodes per unit time of at least each magnitude. Dashed: where the peak begins.",
-    )
-    reference = str(leaders[0].method) if len(leaders) == 1 else "the reference"
-    compared = {rate.group for rate in rates if rate.over.value is not None}
-    are_few = any(rate.over.value is None and rate.group in compared for rate in rates)
-    triangles = f" Triangles at the top: {reference} has fewer than {FEWEST}, and the method has more."
-    over = Picture(
-        partial(over_reference, rates, lines),
-        f"Where a line is at 1, a method has as many episodes from that magnitude on as {reference}; bands are"
-        f" intervals.{triangles * are_few}",
-    )
-    figures = {"episode_rates_over": over} if has_pairs else {}
-    figures["magnitudes"] = by_magnitude
+    )}  # fmt: skip
     if any(group.recurrence.bins for group in leaders):
         figures["recurrence"] = Picture(
             partial(hazards, [(str(group.method), group.recurrence.bins) for group in leaders[:MOST_DRAWN]]),
@@ -579,58 +508,6 @@ def _figures(
             " after a large one. Both over their mean, which a Poisson process has at all times; bars: intervals.",
         )
     return figures
-
-
-class Line(NamedTuple):
-    """The name of a group in a figure, and its engine: lines of an engine are shades of one hue."""
-
-    name: str
-    engine: str
-
-
-def _looks(lines: Mapping[str, Line]) -> dict[str, dict[str, Any]]:
-    """Style of each group's line."""
-    engines = list(dict.fromkeys(line.engine for line in lines.values()))
-    looks: dict[str, dict[str, Any]] = {}
-    for engine, hue in zip(engines, itertools.cycle(_HUES)):
-        labels = [label for label, line in lines.items() if line.engine == engine]
-        shades = np.linspace(1.0, 0.4, len(labels)) if len(labels) > 1 else [0.85]
-        for k, (label, shade) in enumerate(zip(labels, shades, strict=True)):
-            marker = "osDv^Px*"[k % 8]
-            looks[label] = {"color": hue(shade), "marker": marker, "markersize": 3, "linewidth": 0.9}
-    return looks
-
-
-def _lines(
-    ax: Axes, rates: Sequence[Frequency], lines: Mapping[str, Line], of: Callable[[Frequency], Estimate]
-) -> None:
-    """A line a group with the band of its intervals, on a log axis."""
-    for label, look in _looks(lines).items():
-        estimates = {rate.magnitude: of(rate) for rate in rates if rate.group == label}
-        points = {magnitude: estimate for magnitude, estimate in estimates.items() if estimate.value is not None}
-        if not points:
-            continue
-        ax.plot(
-            [*points],
-            np.array([estimate_of.value for estimate_of in points.values()], dtype=np.float64),
-            label=lines[label].name,
-            **look,
-        )
-        intervals = {
-            magnitude: (estimate_of.value, estimate_of.low, estimate_of.high)
-            for magnitude, estimate_of in points.items()
-            if estimate_of.low is not None
-        }
-        middle, low, high = np.array([*intervals.values()], dtype=np.float64).reshape(-1, 3).T
-        low = np.maximum(low, 0.01 * middle)  # a log axis has no zero
-        ax.fill_between([*intervals], low, high, color=look["color"], alpha=0.15, linewidth=0)
-    values = [value for rate in rates if rate.group in lines and (value := of(rate).value)]
-    ax.set(xlabel=r"magnitude, M = $\log_{10}$ moment", yscale="log")
-    if values:
-        ax.set_ylim(0.5 * min(values), 2 * max(values))
-    if len(lines) > 1:
-        widest = max(len(line.name) for line in lines.values())
-        ax.figure.legend(loc="outside upper center", ncols=2 if widest < 26 else 1)
 
 
 class Drawn(NamedTuple):
@@ -695,22 +572,6 @@ def hazards(axes: np.ndarray, groups: Sequence[tuple[str, Sequence[Bin]]]) -> No
         ax.set(xlabel=words, ylabel=f"{rate} / mean", ylim=(0.0, None))
     if len(groups) > 1:
         above.figure.legend(loc="outside upper center", ncols=2)
-
-
-@panel(3.8)
-def over_reference(ax: Axes, rates: Sequence[Frequency], lines: Mapping[str, Line]) -> None:
-    """Rate over the reference's on the same systems; triangles where the reference has too few to compare with."""
-    ax.axhline(1.0, color=GREY, linestyle="--", linewidth=1)
-    _lines(ax, rates, lines, attrgetter("over"))
-    compared = {rate.group for rate in rates if rate.over.value is not None}
-    for label, look in _looks(lines).items():
-        magnitudes = [rate.magnitude for rate in rates if rate.group == label in compared and rate.over.value is None]
-        ax.plot(magnitudes, np.ones(len(magnitudes)), transform=ax.get_xaxis_transform(), clip_on=False,
-                **look | {"marker": "^", "linestyle": ""})  # fmt: skip
-    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.yaxis.set_major_formatter("{x:g}")
-    ax.yaxis.set_minor_locator(NullLocator())
-    ax.set_ylabel("episodes, relative to the reference")
 
 
 QUESTION = Question(answer, title="How often and how large are episodes?", share=0.8, rank=2)
