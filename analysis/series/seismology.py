@@ -52,7 +52,7 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
         "id": member.astype(str) + "-" + number.astype(str),
         "time": pd.to_datetime(moving["start"], unit="s", utc=True),
         "lat": 0.0,
-        "lon": 1e-3 * moving["first_block"],
+        "lon": moving["first_block"] / 1000,
         "dep": 0.0,
         "magtype": "M",
         "mag": np.log10(moving["moment"].abs()),
