@@ -62,7 +62,7 @@ class Statistic:
         What it is called in a sentence, a noun phrase without article; empty: its name.
     definition : str
         What it is; empty if the title says it.
-    things : str
+    things, dimension : str
         As of `Quantity`.
     """
 
@@ -74,13 +74,15 @@ class Statistic:
     title: str = ""
     definition: str = ""
     things: str = ""
+    dimension: str = ""
     is_share: ClassVar[bool] = False
 
     @property
     def quantity(self) -> Quantity:
         """What a finding about it calls it."""
         form = Form.SHARE if self.is_share else Form.NUMBER
-        return Quantity(self.name, self.title or self.name, form, definition=self.definition, things=self.things)
+        title, said = self.title or self.name, {"things": self.things, "dimension": self.dimension}
+        return Quantity(self.name, title, form, definition=self.definition, **said)
 
     def estimate(self, sums: UnitSums, confidence: float) -> Estimate:
         """Its value on some units, with an interval over these."""

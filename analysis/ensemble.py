@@ -81,6 +81,8 @@ class Recorded(NamedTuple):
         What it is never below, by what it is: 0 for an amplitude.
     most : float, optional
         What a number that is never below 0 is never above: 1 for a share of blocks or of time.
+    dimension : str
+        As of `Quantity`.
     absent : str
         Why a run may have none, by what it is: a steady slide has no period. Empty if all should have one.
     problems : mapping of str to str
@@ -108,6 +110,7 @@ class Recorded(NamedTuple):
     since: float | None = None
     of_gaps: str = ""
     most: float | None = None
+    dimension: str = ""
 
 
 @dataclass(frozen=True)
@@ -197,7 +200,8 @@ class Study:
     @cached_property
     def runs(self) -> Runs:
         """What the runs recorded."""
-        return Runs(self.data.series, self.data.events, self.settings.t_burn, self.settings.seed)
+        settings = self.settings
+        return Runs(self.data.series, self.data.events, settings.t_burn, settings.seed, settings.time)
 
     def _put(
         self, of: Callable[..., T], some: Ended, beside: Ended | None = None

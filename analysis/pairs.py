@@ -105,7 +105,8 @@ def level(study: Study, setting: Setting) -> float | None:
 
 
 def _counts(n: int, t_end: float, runs: Runs, ended: Ended) -> np.ndarray:
-    return parting.counts(map(runs.points, ended.member_id), _until(ended, t_end), n, runs.t_burn, t_end)
+    unit, points = runs.unit, map(runs.dimensionless, ended.member_id)
+    return parting.counts(points, _until(ended, t_end) / unit, n, runs.t_burn / unit, t_end / unit)
 
 
 def _until(ended: Ended, t_end: float) -> np.ndarray:
@@ -133,9 +134,10 @@ def _parted_at(level: float, t_end: float, runs: Runs, changed: Ended, base: End
     t_stop = np.minimum(_until(changed, t_end), _until(base, t_end)).tolist()
     times = np.full(len(changed), np.nan)
     for k, (name, original, t) in enumerate(zip(changed.member_id, base.member_id, t_stop, strict=True)):
-        t_parted = parting.parted_at(parting.gap(runs.points(original), runs.points(name), t), level)
+        gaps = parting.gap(runs.dimensionless(original), runs.dimensionless(name), t / runs.unit)
+        t_parted = parting.parted_at(gaps, level)
         if t_parted is not None:
-            times[k] = t_parted
+            times[k] = t_parted * runs.unit
     return times
 
 

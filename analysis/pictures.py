@@ -56,7 +56,10 @@ _TICKS, _TIMES = 12, 5
 #: Means of n_stick over so many equal times make its spectrum; the spectrum averages windows of a quarter of the run.
 _MEANS, _WINDOW = 8192, 4
 
-_TIME = "time t (dimensionless)"
+
+def _time(unit: str) -> str:
+    """The words of an axis of time."""
+    return f"time t ({unit or 'dimensionless'})"
 
 
 @contextmanager
@@ -113,17 +116,23 @@ def n_stick(
     ax: Axes, events: EventSeries, _: Samples | None, *, span: Sequence[float] | None = None, **style: Any
 ) -> Axes:
     """n_stick(t) as steps; `style` goes to `Axes.step`."""
-    return steps(ax, *events.change_points(), events.t_end, _span(events, span), **style)
+    return steps(ax, *events.change_points(), events.t_end, _span(events, span), events.unit, **style)
 
 
 def steps(
-    ax: Axes, t: Floats, count: NDArray[np.int32], t_end: float, span: tuple[float, float], **style: Any
+    ax: Axes,
+    t: Floats,
+    count: NDArray[np.int32],
+    t_end: float,
+    span: tuple[float, float],
+    unit: str = "",
+    **style: Any,
 ) -> Axes:
     """n_stick(t) as steps between the times of `span`; `count[k]` holds on [t[k], t[k+1]), the last to t_end."""
     from matplotlib.ticker import MaxNLocator
 
     ax.step(np.append(t, t_end), np.append(count, count[-1]), where="post", **style)
-    ax.set(xlabel=_TIME, ylabel="$n_{stick}$", xlim=_wide(span))
+    ax.set(xlabel=_time(unit), ylabel="$n_{stick}$", xlim=_wide(span))
     ax.set_ylim(bottom=0)
     ax.yaxis.set_major_locator(MaxNLocator(integer=True))
     return ax
@@ -150,7 +159,7 @@ def space_time(
         ax.imshow(image, extent=(since, until, -0.5, top), origin="lower", aspect="auto")
     else:
         stays.rectangles(ax, modes)
-    ax.set(xlabel=_TIME, ylabel="block", xlim=_wide((since, until)), ylim=(-0.5, events.n - 0.5))
+    ax.set(xlabel=_time(events.unit), ylabel="block", xlim=_wide((since, until)), ylim=(-0.5, events.n - 0.5))
     if type(ax.xaxis.get_major_formatter()) is ScalarFormatter:  # not that of whoever gave the axes
         ax.xaxis.set_major_locator(MaxNLocator(_TIMES))
         ax.ticklabel_format(axis="x", useOffset=False)
@@ -237,7 +246,7 @@ def time(
         handles += ax.plot(t, value, **look)
         ax.plot(t, np.where(sticks, value, np.nan), **_broad(handles[-1]))
     name = {"z": "displacement z", "w": "velocity w"}[of]
-    ax.set(xlabel=_TIME, ylabel=name, xlim=_wide((since, until)))
+    ax.set(xlabel=_time(events.unit), ylabel=name, xlim=_wide((since, until)))
     return _explain(ax, [*handles, _sticks(GREY)])
 
 
@@ -292,7 +301,7 @@ def spectrum(
         raise ValueError(f"kind: 'spectrum' is of what varies, and {name} does not on [{since:g}, {until:g}]")
     frequency, density = welch(value, 1.0 / step, nperseg=len(value) // _WINDOW)
     ax.loglog(frequency[1:-1], density[1:-1], **({"color": BLUE, "linewidth": 1.0} | style))
-    ax.set(xlabel="frequency (cycles a unit of time)", ylabel=f"power density of {name}")
+    ax.set(xlabel=f"frequency (cycles per {events.unit or 'unit of time'})", ylabel=f"power density of {name}")
     return ax
 
 

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from stickslip.pipeline.design.units import DIMENSIONLESS, Units
+
 
 @dataclass(frozen=True)
 class AnalysisSettings:
@@ -38,6 +40,10 @@ class AnalysisSettings:
         Primary questions, in the order in which they lead the report; default: chosen from what the data hold.
     names : tuple of str
         Names of the blocks; empty if they have none.
+    units : Units
+        That the data are in; none if they are dimensionless.
+    time : float
+        One dimensionless unit of time, in these units.
 
     Raises
     ------
@@ -57,6 +63,12 @@ class AnalysisSettings:
     question: tuple[str, ...] = ()
     published: Mapping[str, float] = field(default_factory=dict)
     names: tuple[str, ...] = ()
+    units: Units = DIMENSIONLESS
+    time: float = 1.0
+
+    def at(self, t: float) -> str:
+        """A time in words, with its unit."""
+        return f"{t:g} {self.units.time}".rstrip()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "dt", tuple(float(dt) for dt in self.dt))

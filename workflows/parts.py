@@ -33,7 +33,8 @@ class Asked:
 
     def answer(self) -> Any:
         """What the function gives."""
-        runs = Runs(series(self.opened), all_events(self.opened), self.settings.t_burn, self.settings.seed)
+        settings = self.settings
+        runs = Runs(series(self.opened), all_events(self.opened), settings.t_burn, settings.seed, settings.time)
         return self.of(runs, self.some) if self.beside is None else self.of(runs, self.some, self.beside)
 
 

@@ -99,6 +99,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             None if one.until is None else one.until.start(scene.record_t_burn),
             one.of_gaps,
             one.most,
+            one.dimension,
         )
         for one in kept
     }
@@ -185,6 +186,9 @@ def compared(path: Where, other: Where) -> Report:
         )
         for name, opened in zip(names, begun, strict=True)
     ]
+    first, second = (opened.scene.unit_names for opened in begun)
+    if first != second:
+        raise ValueError(f"expected two datasets in the same units, got {first or 'none'} and {second or 'none'}")
     built = compare(ensembles[0], ensembles[1], _settings(begun[0].scene))
     for opened in begun:
         opened.check()
@@ -209,9 +213,18 @@ def _settings(scene: Scene) -> AnalysisSettings:
     changed = {
         "seed": _seeds(scene)[0], "map_dt": declared.map_dt or (), "margins": declared.margins.declared,
         "question": renamed(declared.question), "published": declared.published.declared,
-        "names": scene.system.block_names,
+        "names": scene.system.block_names, "units": scene.unit_names,
+        **({} if scene.scales is None else {"time": scene.scales.time, "tau": _tau(scene)}),
     }  # fmt: skip
     return AnalysisSettings(**(declared.model_dump() | changed))
+
+
+def _tau(scene: Scene) -> tuple[float, ...]:
+    """Gaps as the scene declares them; those that are left out are dimensionless."""
+    declared = scene.analysis
+    assert scene.scales is not None
+    unit = 1.0 if "tau" in declared.model_fields_set else scene.scales.time
+    return tuple(unit * tau for tau in declared.tau)
 
 
 def _provenance(opened: Opened) -> dict[str, str]:
@@ -238,7 +251,8 @@ def findings(where: Where) -> pd.DataFrame:
             for row in [Row(**values) for values in finding["rows"]] or [NO_VALUE]
         ]
         tables = frame_of(Said, (said for said, _ in rows)), frame_of(Row, (row for _, row in rows))
-        return pd.concat(tables, axis="columns").drop(columns="form")
+        unsaid = ["form"] + ["measured_in"] * (not opened.scene.unit_names)
+        return pd.concat(tables, axis="columns").drop(columns=unsaid)
     except (ValueError, KeyError, TypeError) as error:
         raise StoreError(
             f"{opened.place}: {FINDINGS} is damaged ({error}); `stickslip report DIR` writes it"

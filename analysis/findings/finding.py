@@ -7,12 +7,13 @@ from nothing else: `findings.words` says each kind, `levels` lays each out as ro
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from enum import Enum, StrEnum
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.pipeline.design.units import Units
 
 
 class Form(Enum):
@@ -51,6 +52,10 @@ class Quantity:
     clause : str
         How its level is said where that is no noun and number, with {} for the estimate or, where a difference is
         shown, for the comparison: "small differences grow e-fold in {} time units".
+    dimension : str
+        Of `stickslip.pipeline.design.units.DIMENSIONS`; empty: none.
+    unit : str
+        What follows its values; set by `in_units`.
     """
 
     key: str
@@ -61,6 +66,29 @@ class Quantity:
     definition: str = ""
     clause: str = ""
     things: str = ""
+    dimension: str = ""
+    unit: str = ""
+
+    def measured(self, units: Units) -> Quantity:
+        """The same in the units of data."""
+        unit = units.of(self.dimension)
+        name, clause = self.name.removesuffix(PER_TIME), self.clause.removesuffix(TIME_UNITS)
+        return replace(self, unit=unit, name=name, clause=clause) if unit else self
+
+
+#: What ends the name of a rate, and the clause of a time, that has no unit.
+PER_TIME, TIME_UNITS = ", per unit of time", " time units"
+
+
+def in_units(said: Any, units: Units) -> Any:
+    """A finding, or a part of one, whose quantities have their units."""
+    if isinstance(said, Quantity):
+        return said.measured(units)
+    if isinstance(said, tuple) and not hasattr(said, "_fields"):
+        return tuple(in_units(part, units) for part in said)
+    if not is_dataclass(said) or isinstance(said, type) or not units:
+        return said
+    return replace(said, **{one.name: in_units(getattr(said, one.name), units) for one in fields(said) if one.init})
 
 
 class Verdict(StrEnum):

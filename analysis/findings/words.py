@@ -59,7 +59,8 @@ def clause(finding: Finding) -> str:
             digits = decimals(Estimate(value), quantity.form) + (
                 quantity.form is not Form.COUNT
             )  # it is known to many
-            return f"{quantity.name}{where.tail}: {number(value, quantity.form, digits)}, the same {among}"
+            shown = number(value, quantity.form, digits) + _in(quantity)
+            return f"{quantity.name}{where.tail}: {shown}, the same {among}"
         case Outcomes():
             return _outcomes(finding)
         case Threshold(subject, is_end, key, last, first, where, basis):
@@ -117,15 +118,23 @@ def _level(level: Level) -> str:
     if words:
         return level.where.head + level.quantity.clause.format(words)
     name = level.quantity.name + (f", {level.where}" if level.where else "")
-    return (
-        f"{name}: {with_interval(level.estimate, level.quantity.form)}{_compared(level.comparison, level.quantity)}"
-    )
+    return f"{name}: {_value(level.quantity, level.estimate)}{_compared(level.comparison, level.quantity)}"
+
+
+def _in(quantity: Quantity) -> str:
+    """The unit of a quantity, after its value."""
+    return f" {quantity.unit}" if quantity.unit else ""
+
+
+def _value(quantity: Quantity, estimate: Estimate) -> str:
+    """An estimate with its unit."""
+    return with_interval(estimate, quantity.form) + _in(quantity)
 
 
 def _in_clause(level: Level) -> str:
     """What stands in the clause of a quantity; empty where a comparison is undecided."""
     if level.comparison is None:
-        return with_interval(level.estimate, level.quantity.form)
+        return _value(level.quantity, level.estimate)
     reference, difference = level.comparison.other, level.comparison.difference
     if difference.verdict is Verdict.EQUAL:
         return f"the same as for {reference} within {margin(difference, level.quantity.form)}"
@@ -148,9 +157,9 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
         case Verdict.MORE if (times := ratio(difference)) is not None:
             return f", {times} times that of {reference}"
         case Verdict.MORE:
-            return f", {size(difference, form)} {above} {reference}"
+            return f", {size(difference, form)}{_of(difference, quantity)} {above} {reference}"
         case Verdict.LESS:
-            return f", {size(difference, form)} {less} {reference}"
+            return f", {size(difference, form)}{_of(difference, quantity)} {less} {reference}"
         case Verdict.EQUAL:
             return f", equal to {reference} within {margin(difference, form)}"
         case Verdict.SAME:
@@ -162,6 +171,11 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
             return f"; difference from {distance}, not significant after adjustment for {_n_tests(difference)}"
         case Verdict.UNJUDGED:
             return f", compared with {reference}, without an interval"
+
+
+def _of(difference: Difference, quantity: Quantity | None) -> str:
+    """The unit of a difference, if that is not relative."""
+    return "" if quantity is None or difference.scale is Scale.RELATIVE else _in(quantity)
 
 
 def ratio(difference: Difference) -> str | None:
@@ -271,7 +285,7 @@ def _open(change: Change) -> str:
     """Levels and the estimate of a change that is not shown, with a bracket that the caller closes."""
     form, difference = change.quantity.form, change.difference
     start, end = _levels(change)
-    levels = f"stays at {end}" if start == end else f"goes from {start} to {end}"
+    levels = (f"stays at {end}" if start == end else f"goes from {start} to {end}") + _in(change.quantity)
     value = difference.estimate.value
     assert value is not None
     unit = form_of(difference, form)
@@ -284,11 +298,11 @@ def _by(change: Change) -> str:
     estimate, basis = change.difference.estimate, change.basis
     if basis is not None and is_exact(estimate):
         return f"by the same in all {plural(basis.n, basis.unit)}"
-    return f"by {size(change.difference, change.quantity.form)}"
+    return f"by {size(change.difference, change.quantity.form)}{_of(change.difference, change.quantity)}"
 
 
 def _from_to(change: Change) -> str:
-    return "from {} to {}".format(*_levels(change))
+    return "from {} to {}".format(*_levels(change)) + _in(change.quantity)
 
 
 def _levels(change: Change) -> tuple[str, str]:
@@ -319,10 +333,11 @@ def _adding_up(before: float, after: float, change: float, places: int) -> tuple
 def _lifetime(lifetime: Lifetime) -> str:
     if lifetime.estimate.value is None:
         share = "all" if lifetime.share_left == 1.0 else f"{number(lifetime.share_left, Form.SHARE)} of"
-        where = Place.key("t", f"{lifetime.horizon:g}") + lifetime.where
+        where = Place.key("t", f"{lifetime.horizon:g}{_in(lifetime.quantity)}") + lifetime.where
         return f"{share} {lifetime.things} {lifetime.predicate}{where.tail}"
     name = lifetime.quantity.name + lifetime.where.tail
-    return f"{name}: {with_interval(lifetime.estimate)}{_compared(lifetime.comparison, lifetime.quantity)}"
+    value = _value(lifetime.quantity, lifetime.estimate)
+    return f"{name}: {value}{_compared(lifetime.comparison, lifetime.quantity)}"
 
 
 def _law(law: Law) -> str:

@@ -27,9 +27,9 @@ COLUMNS: Mapping[str, int] = {
 }  # fmt: skip
 
 
-def lulls(runs: Windows) -> np.ndarray:
+def lulls(runs: Windows, unit: float = 1.0) -> np.ndarray:
     """Length of each lull at its place among the levels of n_stick, shape (M,), and 0 elsewhere."""
-    return np.where((runs.lasted > LULL) & (runs.level == 0), runs.lasted, 0.0)
+    return np.where((runs.lasted > LULL * unit) & (runs.level == 0), runs.lasted, 0.0)
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def motion(runs: Runs, some: Ended, is_brief: bool = False) -> Motion:
                 stack_windows = windows(stack.take(moves), runs.t_burn, stack_runs.t_end[moves])
             except NoSeries as error:
                 raise no_series(stack_runs.member_id[moves[error.place]], error) from error
-            sums[places[moves]] = _sums(stack_windows, is_brief)
+            sums[places[moves]] = _sums(stack_windows, is_brief, runs.unit)
             sizes.append(_sizes(stack_windows, places[moves]))
         n_done += len(stack)
     return Motion(fates_of, last_changes, sums, np.concatenate(sizes))
@@ -130,7 +130,7 @@ def early_and_late(runs: Windows) -> np.ndarray:
     return np.column_stack([tenths[:, 0], tenths[:, 5:].mean(axis=1)])
 
 
-def _sums(runs: Windows, is_brief: bool) -> np.ndarray:
+def _sums(runs: Windows, is_brief: bool, unit: float) -> np.ndarray:
     """`COLUMNS` of each run, shape (R, C)."""
     sums = np.zeros((len(runs), len(COLUMNS)))
 
@@ -146,6 +146,7 @@ def _sums(runs: Windows, is_brief: bool) -> np.ndarray:
         return sums
     put(("early", "late"), early_and_late(runs))
     tau = sums[:, COLUMNS["tau"]]
-    put(("stuck", "active"), np.column_stack([halves.mean(axis=1) * runs.span, runs.span - runs.total(lulls(runs))]))
+    active = runs.span - runs.total(lulls(runs, unit))
+    put(("stuck", "active"), np.column_stack([halves.mean(axis=1) * runs.span, active]))
     put(("short",), ((tau == 0) | effective.is_short(runs, tau))[:, None])
     return sums

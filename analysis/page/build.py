@@ -147,7 +147,7 @@ def build(
     )
     by_key = {question.key: question for question in answered if question is not None}
     questions = [question for question in by_key.values() if not question.problem]
-    parts = [part(question) for question in questions]
+    parts = [part(question, settings.units) for question in questions]
     lacking = [part for part in parts if part.answer.is_lack]
     leading, folded = _in_order(study, [part for part in parts if not part.answer.is_lack])
     lead, panels = _lead(leading), _panels(leading)
@@ -224,10 +224,11 @@ def _provenance(
 ) -> Section:
     """How the page was made: settings, what could not be answered, and where the data come from."""
     settings, units = study.settings, f"{noun(study.unit)}s" + " of one system" * (study.unit == START)
+    measured = f"in {settings.units}" if settings.units else "dimensionless"
     texts = [
-        f"Statistics use t = {settings.t_burn:g} to the end of each run. Intervals are {100 * settings.confidence:g}%"
-        f" intervals over independent {units}: Wilson for shares, Greenwood for survival, jackknife otherwise."
-        " Quantities are dimensionless.",
+        f"Statistics use t = {settings.at(settings.t_burn)} to the end of each run. Intervals are"
+        f" {100 * settings.confidence:g}% intervals over independent {units}: Wilson for shares, Greenwood for"
+        f" survival, jackknife otherwise. Quantities are {measured}.",
         *(f"Not answered: {page.title} {text}" for page in lacking for text in page.lead),
     ]
     notes = [

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
-from stickslip.analysis.findings.finding import Comparison, Form, Level
+from stickslip.analysis.findings.finding import Comparison, Form, Level, Quantity
 from stickslip.analysis.findings.numbers import alike, signs, with_interval
 from stickslip.analysis.findings.words import based_on, difference_in_words, plural
 from stickslip.analysis.stats.estimates import Estimate
@@ -110,7 +110,7 @@ def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_RO
         estimates.setdefault(level.quantity.name, []).append(level.estimate)
     cells = [
         {
-            "what": level.quantity.name,
+            "what": _what(level.quantity),
             "where": signs(str(level.where)),
             "estimate": _estimate(level, estimates[level.quantity.name]),
             "compared with": signs(level.comparison.other) if level.comparison is not None else "",
@@ -120,11 +120,17 @@ def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_RO
         for level in levels[:most]
     ]
     head = [name for name in (cells[0] if cells else ()) if any(cell[name] for cell in cells)]
-    if len(cells) > 1 and len({cell["what"] for cell in cells}) == 1 and "where" in head:
+    is_one = len(cells) > 1 and len({cell["what"] for cell in cells}) == 1
+    if is_one and "where" in head and not levels[0].quantity.unit:
         head.remove("what")
     n_more = len(levels) - most
     note = f"{plural(n_more, 'more row')} in {where}." if n_more > 0 and where else ""
     return Table(head, [[cell[name] for name in head] for cell in cells], note)
+
+
+def _what(quantity: Quantity) -> str:
+    """The name of a quantity with its unit."""
+    return f"{quantity.name} ({quantity.unit})" if quantity.unit else quantity.name
 
 
 def _estimate(level: Level, estimates: Sequence[Estimate]) -> str:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from stickslip.analysis.answer import Answer, Question, Recipe
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Basis, Level, levels
+from stickslip.analysis.findings.finding import Basis, Level, in_units, levels
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.page import FINDINGS
 from stickslip.analysis.page.data import data_table
@@ -19,6 +19,7 @@ from stickslip.analysis.page.layout import MOST_FIRST, Panel, Section, Table, fi
 from stickslip.analysis.questions import question
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import pdf, svg
+from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 
 
 @dataclass(frozen=True)
@@ -120,13 +121,13 @@ class Part(NamedTuple):
         )
 
 
-def part(question: Answered) -> Part:
-    """An answer as a page has it."""
-    findings = question.answer.findings
+def part(question: Answered, units: Units = DIMENSIONLESS) -> Part:
+    """An answer as a page has it, in the units of the data."""
+    findings = [in_units(finding, units) for finding in question.answer.findings]
     return Part(
         question.key,
         question.title,
-        question.answer,
+        replace(question.answer, findings=findings),
         [figure.panel for figure in question.figures.values()],
         [sentence(finding) for finding in findings],
         [*dict.fromkeys(row for finding in findings for row in levels(finding))],
@@ -159,6 +160,7 @@ class Row(NamedTuple):
     n: int | None
     unit: str
     form: str
+    measured_in: str = ""
 
 
 #: The row of a finding that states no value, as that something is lacking.
@@ -186,14 +188,21 @@ def row(level: Level) -> Row:
         basis.n or None,
         basis.unit,
         level.quantity.form.value,
+        level.quantity.unit,
     )
+
+
+def _row(level: Level) -> dict[str, object]:
+    """A row as JSON has it; its unit only if it has one."""
+    values = row(level)._asdict()
+    return values if level.quantity.unit else {name: value for name, value in values.items() if name != "measured_in"}
 
 
 def findings_json(title: str, lead: Sequence[str], parts: Sequence[Part]) -> dict[str, object]:
     """What the page says, all of it; `lead` are the sentences of the first screen."""
     findings = [
         Said(page.key, k < len(page.lead) and text in lead, text)._asdict()
-        | {"kind": type(finding).__name__, "rows": [row(level)._asdict() for level in levels(finding)]}
+        | {"kind": type(finding).__name__, "rows": [_row(level) for level in levels(finding)]}
         for page in parts
         for k, (text, finding) in enumerate(zip(page.sentences, page.answer.findings, strict=True))
     ]

@@ -117,12 +117,15 @@ class Runs:
         Without those that recorded none.
     seed : int
         Of the analysis.
+    unit : float
+        One dimensionless unit of time, in the unit of the series.
     """
 
     series: Series
     events: Mapping[str, Events]
     t_burn: float
     seed: int
+    unit: float = 1.0
 
     def points(self, member_id: str) -> ChangePoints:
         """The change points of n_stick of a run.
@@ -136,6 +139,11 @@ class Runs:
             return self.series[member_id]
         except KeyError:
             raise _lacking(member_id) from None
+
+    def dimensionless(self, member_id: str) -> ChangePoints:
+        """As `points`, at dimensionless times."""
+        t, level = self.points(member_id)
+        return t / self.unit, level
 
     def stacks(self, member_ids: Sequence[str]) -> Iterator[Stack]:
         """The change points of some runs, in parts; raises as `points`, and if they are of another form."""

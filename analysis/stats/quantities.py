@@ -37,13 +37,14 @@ SUMS: Mapping[tuple[str, ...], Sums] = {
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity: its names in tables and in sentences, its two sums, their statistic, and what it counts, if any."""
+    """A quantity: names in tables and sentences, two sums, their statistic, what it counts, if any, its dimension."""
 
     label: str
     title: str
     parts: tuple[str, str]
     of: Statistic = ratio
     things: str = ""
+    dimension: str = ""
 
     def sums(self, runs: Windows) -> np.ndarray:
         """Its two sums over each window, shape (R, 2)."""
@@ -60,7 +61,9 @@ QUANTITIES: Mapping[str, Quantity] = {
     "variance": Quantity(
         "variance of n_stick in time", "variance of the number of sticking blocks", ("variance", "runs")
     ),
-    "rate": Quantity("exit rate", "rate of slip onsets", ("rate", "runs"), things="slip onsets"),
+    "rate": Quantity(
+        "exit rate", "rate of slip onsets", ("rate", "runs"), things="slip onsets", dimension="frequency"
+    ),
     "gamma": Quantity("gamma", "decay rate of cascade sizes", ("slipped", "cascades"), gamma),
-    "correlation_time": Quantity("correlation time", "correlation time", ("tau", "timed")),
+    "correlation_time": Quantity("correlation time", "correlation time", ("tau", "timed"), dimension="time"),
 }

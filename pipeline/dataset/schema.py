@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any, TypeAlias
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from stickslip.pipeline.design.column import Column
@@ -37,22 +38,56 @@ _KINDS = {
 }
 
 
-def as_fields(columns: Iterable[Column]) -> list[pa.Field]:
-    """Columns as fields of Arrow."""
+def as_fields(columns: Iterable[Column], recording: Recording | None = None) -> list[pa.Field]:
+    """Columns as fields of Arrow; where a recording has units, a value times `scale` is in the `unit`."""
     return [
-        pa.field(column.name, _KINDS[column.kind], column.nullable, {"description": column.description})
+        pa.field(
+            column.name,
+            _KINDS[column.kind],
+            column.nullable,
+            {"description": column.description} | ({} if recording is None else _measured(column, recording)),
+        )
         for column in columns
     ]
 
 
-#: One row a member; null where a value does not apply. All quantities are dimensionless.
+def _measured(column: Column, recording: Recording) -> dict[str, str]:
+    unit = recording.units.of(column.dimension)
+    return {"unit": unit, "scale": repr(recording.scale(column))} if unit else {}
+
+
+def scaled(recording: Recording) -> dict[str, float]:
+    """By column, what the values in a shard are multiplied by to be in the units of the scene, if not by one."""
+    scales = {column.name: recording.scale(column) for column in recording.columns}
+    return {name: scale for name, scale in scales.items() if scale != 1.0}
+
+
+def in_units(table: pa.Table, recording: Recording) -> pa.Table:
+    """Columns of shards in the units of their scene."""
+    for name, scale in scaled(recording).items():
+        if name in table.column_names:
+            column = _times(table[name].combine_chunks(), scale)
+            table = table.set_column(table.column_names.index(name), table.schema.field(name), column)
+    return table
+
+
+def _times(array: pa.Array, scale: float) -> pa.Array:
+    if not pa.types.is_list(array.type):
+        return pc.multiply(array, scale)
+    values = pc.multiply(array.values, scale)
+    return pa.ListArray.from_arrays(
+        array.offsets, values, array.type, mask=array.is_null() if array.null_count else None
+    )
+
+
+#: One row a member; null where a value does not apply.
 SCHEMA = pa.schema(as_fields(FIXED))
 
 
 def schema_of(recording: Recording) -> pa.Schema:
     """The schema of a dataset's shards."""
     metadata = {"schema_version": str(SCHEMA_VERSION), "scene_hash": recording.scene_hash}
-    return pa.schema(as_fields(recording.columns)).with_metadata(metadata)
+    return pa.schema(as_fields(recording.columns, recording)).with_metadata(metadata)
 
 
 _LATER = frozenset(column.name for column in COLUMNS if column.is_later)

@@ -158,7 +158,7 @@ class Sound:
 
     def _range(self, column: Column) -> tuple[float | None, float | None]:
         if column.is_time:
-            return 0.0, self.scene.run.t_end
+            return 0.0, self.scene.time(self.scene.run.t_end)
         if column.kind == "modes":
             return -1, 1
         if column.kind == "wholes":

@@ -43,7 +43,11 @@ class Column(NamedTuple):
     Attributes
     ----------
     words : str
-        What it is; all is dimensionless.
+        What it is.
+    dimension : str
+        Of `stickslip.pipeline.design.units.DIMENSIONS`; empty: none, or one that a user's function chose.
+    is_written : bool
+        Whether it is as the scene has it, in its units; what runs give is dimensionless, and has a scale.
     nullable : bool
         Whether a member may be without.
     along : str
@@ -96,6 +100,8 @@ class Column(NamedTuple):
     is_index: bool = False
     is_later: bool = False
     note: str = ""
+    dimension: str = ""
+    is_written: bool = False
 
     @property
     def description(self) -> str:

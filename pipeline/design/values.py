@@ -29,6 +29,11 @@ class Distribution:
         return (rng.uniform if self.name == "uniform" else rng.normal)(self.first, self.second, n)
 
     @property
+    def middle(self) -> float:
+        """The mean."""
+        return 0.5 * (self.first + self.second) if self.name == "uniform" else self.first
+
+    @property
     def size(self) -> float:
         """About the largest number that is drawn."""
         spread = 0.0 if self.name == "uniform" else abs(self.first) + abs(self.second)

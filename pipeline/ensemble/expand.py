@@ -391,7 +391,8 @@ class Ensemble:
         z0, w0, seed, terms, parameters = self._values(source, number)
         begin = Start(z0, w0, None, scene.ends if point.is_at_end else None)
         system_source = Source(n, scene.system.coupling, 0, seed, origin, parameters, scene.system.block_names)
-        kind = Member("", system_source, terms, chosen.change, begin, chosen.method, scene.run.t_end)
+        t_end, scales = scene.time(scene.run.t_end), scene.scales
+        kind = Member("", system_source, terms, chosen.change, begin, chosen.method, t_end, units=scales)
         if scene.keeps(Refine):
             below, above = (self._neighbour(source, number, step) for step in (-1, 1))
             kind = replace(kind, neighbours=(below, above))

@@ -102,7 +102,7 @@ class Method(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """One run of an ensemble: all that determines it, and nothing else. Dimensionless.
+    """One run of an ensemble: all that determines it, and nothing else.
 
     Attributes
     ----------
@@ -110,10 +110,14 @@ class Member:
         Built from its own values alone: more matrices, sizes, draws or engines in the scene do not rename it.
     terms : tuple of (str, value)
         What its system is given, by the names of `stickslip.sim.systems.terms.TERMS`.
+    t_end : float
+        Dimensionless.
     shared_cost : float
         What records take for it, and its part of what is computed once for several members.
     neighbours : tuple of Neighbour or None
         Below and above, where the scene refines between them.
+    units : Scales, optional
+        What one dimensionless unit is in the units of `terms` and `begin`; None if these are dimensionless.
     """
 
     member_id: str
@@ -125,6 +129,7 @@ class Member:
     t_end: float
     shared_cost: float = field(default=0.0, compare=False)
     neighbours: tuple[Neighbour | None, Neighbour | None] = field(default=(None, None), compare=False)
+    units: sim.Scales | None = None
 
     @property
     def n(self) -> int:
@@ -216,7 +221,8 @@ class Member:
         same for every size: draw 2 at size 0.05 goes five times as far as draw 2 at size 0.01, the same way.
         """
         change = self.change._replace(twin_size=None)
-        return _latest(_own_system if change == _UNMOVED else _moved_system, self, (self.source, self.terms, change))
+        values = self.source, self.terms, change, self.units
+        return _latest(_own_system if change == _UNMOVED else _moved_system, self, values)
 
     def towards(self, neighbour: Neighbour) -> Callable[[float], sim.System]:
         """Its system at 0, and at 1 that of a neighbour, of the same draws; numbers between go along a line."""
@@ -254,10 +260,12 @@ class Member:
                 f"end: expected the state that {self.member_id} starts from, got none; pass what"
                 " stickslip.pipeline.running.ends.end_of(member) returns"
             )
+        scales = (1.0, 1.0) if self.units is None else (self.units.length, self.units.speed)
         z, w = (
-            end[k] if end is not None and value == END else self._by_block(value, purpose, self.begin.draw)
+            end[k] if end is not None and value == END else
+            self._by_block(value, purpose, self.begin.draw) / (1.0 if value == BELT else scales[k])
             for k, (value, purpose) in enumerate(starts)
-        )
+        )  # fmt: skip
         if self.change.twin_size is None:
             return z, w
         offsets = np.random.default_rng(self._seed(TWIN, self.begin.draw)).standard_normal((2, self.n))
@@ -365,6 +373,12 @@ def _latest(make: Callable[[Member], sim.System], member: Member, values: tuple[
 
 def _own_system(member: Member) -> sim.System:
     """The system of a member's matrix, not moved."""
+    system = _latest(_measured_system, member, (member.source, member.terms))
+    return system if member.units is None else member.units.dimensionless(system)
+
+
+def _measured_system(member: Member) -> sim.System:
+    """The system of a member's matrix, not moved, in its units."""
     system, names, contacts = _of_terms(member), member.source.names, member.term("contacts")
     if names:
         system = system.changed(names=names)
@@ -460,8 +474,8 @@ def _force(member: Member, push: Push, *number: int) -> sim.Harmonic | sim.Piece
 def _moved_system(member: Member) -> sim.System:
     change, rho = member.change, member.term("rho")
     assert change.reading is not None
-    return sim.perturb_system(
-        _latest(_own_system, member, (member.source, member.terms, _UNMOVED)),
+    moved = sim.perturb_system(
+        _latest(_measured_system, member, (member.source, member.terms)),
         member.source.coupling,
         change.size,
         member._seed(PERTURBATION, change.draw),
@@ -469,3 +483,4 @@ def _moved_system(member: Member) -> sim.System:
         **member.scales,
         rho=0.0 if rho is None else rho,  # not used then: see Scene._consistent
     )
+    return moved if member.units is None else member.units.dimensionless(moved)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor, wait
 from itertools import count
 from typing import Any
@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 
 from stickslip.pipeline.dataset.opened import Opened, frame, not_recorded, open_dataset, unreadable
-from stickslip.pipeline.dataset.schema import scalars
+from stickslip.pipeline.dataset.schema import scalars, scaled
 from stickslip.pipeline.errors import QueryError, printable
 from stickslip.pipeline.places.place import Place, Where
 from stickslip.pipeline.records import TABLES
@@ -56,10 +56,13 @@ def quoted(name: str) -> str:
     return '"' + name.replace('"', '""') + '"'
 
 
-def views(schema: pa.Schema, step: float | None, names: Sequence[str] = ()) -> dict[str, str]:
+def views(
+    schema: pa.Schema, step: float | None, names: Sequence[str] = (), scales: Mapping[str, float] | None = None
+) -> dict[str, str]:
     """The views of a dataset, each as the SELECT from its shards.
 
-    `step` is the scene's ``record.separation``, `names` are those of the blocks.
+    `step` is the scene's ``record.separation``, `names` are those of the blocks, and by `scales` columns come into
+    the units of the scene.
     """
     selections = {
         "members": f"SELECT {', '.join(map(quoted, scalars(schema)))} FROM shards",
@@ -90,7 +93,15 @@ def views(schema: pa.Schema, step: float | None, names: Sequence[str] = ()) -> d
             " SELECT member_id, run.threshold AS threshold, unnest(run.t) AS t, unnest(run.n_stick) AS n_stick"
             " FROM runs"
         )
-    return selections
+    if not scales:
+        return selections
+    changed = ", ".join(
+        (f"[x * {scale!r} for x in {quoted(name)}]" if pa.types.is_list(schema.field(name).type) else
+         f"{quoted(name)} * {scale!r}") + f" AS {quoted(name)}"
+        for name, scale in scales.items()
+    )  # fmt: skip
+    measured = f"(SELECT * REPLACE ({changed}) FROM shards)"
+    return {name: re.sub(r"\bFROM shards\b", f"FROM {measured}", select) for name, select in selections.items()}
 
 
 def sql(path: Where | Opened, query: str) -> pd.DataFrame:
@@ -127,7 +138,12 @@ def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
         raise QueryError('SQL needs DuckDB, which is not installed; run: pip install "stickslip[sql]"') from error
     opened = open_dataset(path)
     source = opened.shards()
-    selections = views(source.schema, opened.scene.record.separation, opened.scene.system.block_names)
+    selections = views(
+        source.schema,
+        opened.scene.record.separation,
+        opened.scene.system.block_names,
+        scaled(opened.scene.recording),
+    )
     with duckdb.connect(":memory:") as connection, _aside(connection) as aside:
 
         def ask(work: Callable[[], Any]) -> Any:

@@ -1,4 +1,7 @@
-"""Reading a dataset: members as Arrow, pandas or dask frames, n_stick as arrays, anything by SQL. Nothing writes."""
+"""Reading a dataset, in the units of its scene: members as Arrow, pandas or dask frames, n_stick as arrays.
+
+Nothing writes.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from numpy.typing import NDArray
 
 from stickslip import sim
 from stickslip.pipeline.dataset.opened import Opened, dataset, frame, near, not_recorded, open_dataset, reading
-from stickslip.pipeline.dataset.schema import scalars
+from stickslip.pipeline.dataset.schema import in_units, scalars, scaled
 from stickslip.pipeline.dataset.sound import joined
 from stickslip.pipeline.design.design import Coordinates
 from stickslip.pipeline.errors import QueryError
@@ -125,9 +128,9 @@ def members_in_parts(path: Where | Opened, columns: Sequence[str]) -> Iterator[t
     """
     opened = open_dataset(path)
     for shards in opened.in_parts(_ROWS):
-        table = _chosen(opened, opened.shards(shards), list(columns), None)
+        table = _stored(opened, opened.shards(shards), list(columns))
         opened.check_members(table, shards)
-        yield frame(table), opened.coordinates(shards)
+        yield frame(in_units(table, opened.scene.recording)), opened.coordinates(shards)
 
 
 def dask_members(
@@ -194,6 +197,17 @@ def _condition(filters: Filters | None) -> pc.Expression | None:
 
 
 def _chosen(opened: Opened, source: ds.Dataset, names: list[str], filters: Filters | None) -> pa.Table:
+    """Some columns and rows, in the units of the scene, in which the condition is too."""
+    recording = opened.scene.recording
+    if filters is None or not scaled(recording):
+        return in_units(_stored(opened, source, names, filters), recording)
+    everything = [*dict.fromkeys([*scalars(source.schema), *names])]
+    whole = in_units(_stored(opened, source, everything), recording)
+    return _stored(opened, ds.dataset(whole), names, filters)
+
+
+def _stored(opened: Opened, source: ds.Dataset, names: list[str], filters: Filters | None = None) -> pa.Table:
+    """Some columns and rows as shards have them."""
     try:
         with reading(opened.place):
             table = source.to_table(columns=names, filter=_condition(filters))
@@ -217,7 +231,7 @@ def n_stick(path: Where | Opened, member_id: str) -> tuple[NDArray[np.float64], 
     Returns
     -------
     t : float64, shape (k,)
-        t[0] = 0 and each time n_stick changes (dimensionless).
+        t[0] = 0 and each time n_stick changes, in the scene's units.
     n_stick : int32, shape (k,)
         n_stick[j] holds on [t[j], t[j+1]), the last to t_end (to t_stop if the run diverged).
 
@@ -247,7 +261,8 @@ def events(path: Where | Opened, member_id: str) -> sim.EventSeries:
     source = opened.shards()
     if "event_t" not in source.schema.names:
         raise not_recorded("events")
-    return _event_series(_member_row(opened, source, member_id, _EVENT_COLUMNS), opened.scene.system.block_names)
+    row, scene = _member_row(opened, source, member_id, _EVENT_COLUMNS), opened.scene
+    return _event_series(row, scene.system.block_names, scene.unit_names.time)
 
 
 def episodes(path: Where | Opened) -> pd.DataFrame:
@@ -312,7 +327,7 @@ def _table(path: Where | Opened, record: str, prefix: str) -> pd.DataFrame:
         raise not_recorded(record)
     with reading(opened.place):
         rows = source.to_table(["member_id", *names], filter=pc.field(names[0]).is_valid())
-        rows = opened.checked(rows).combine_chunks()
+        rows = in_units(opened.checked(rows), opened.scene.recording).combine_chunks()
     row_numbers = pc.list_parent_indices(rows[names[0]].combine_chunks()) if len(rows) else pa.array([], pa.int64())
     columns = {
         name.removeprefix(prefix): pc.list_flatten(rows[name])
@@ -328,6 +343,7 @@ def _member_row(opened: Opened, source: ds.Dataset, member_id: str, columns: lis
         raise QueryError(f"member_id: expected the name of a member, got {member_id!r}; `members` lists them")
     with reading(opened.place):
         rows = opened.checked(source.to_table([*columns, "reason"], filter=pc.field("member_id") == member_id))
+        rows = in_units(rows, opened.scene.recording)
         names = [] if rows.num_rows else source.to_table(["member_id"])["member_id"].to_pylist()
     if rows.num_rows == 0:
         raise QueryError(f"member_id: expected a member that is done, got {member_id!r}{near(member_id, names)}")
@@ -384,9 +400,13 @@ def by_threshold(path: Where | Opened) -> Recorded[dict[float, tuple[NDArray[np.
 
     def entry(row: _Row) -> dict[float, tuple[NDArray[np.float64], NDArray[np.int32]]]:
         entries = row("by_threshold").values  # noqa: PD011  an Arrow scalar, no data frame
-        return {series["threshold"].as_py(): (_array(series["t"]), _array(series["n_stick"])) for series in entries}
+        return {
+            series["threshold"].as_py(): (_array(series["t"]) * unit, _array(series["n_stick"])) for series in entries
+        }
 
-    return Recorded(open_dataset(path), "by_threshold", ["by_threshold"], entry)
+    opened = open_dataset(path)
+    unit = 1.0 if opened.scene.scales is None else opened.scene.scales.time
+    return Recorded(opened, "by_threshold", ["by_threshold"], entry)
 
 
 #: What a column holds in one row: an array where it is a list of numbers, else an Arrow scalar.
@@ -411,7 +431,9 @@ class Recorded(Mapping[str, _Value]):
             fixed_columns = ["member_id", "n", "outcome"]
             with reading(self._opened.place):
                 table = self._fragments[k].to_table(columns=[*fixed_columns, *self._columns])
-            table = self._opened.checked(table).drop_columns(fixed_columns[1:])
+            table = in_units(self._opened.checked(table), self._opened.scene.recording).drop_columns(
+                fixed_columns[1:]
+            )
             table = table.filter(pc.is_valid(table[self._recorded]))
             while len(self._kept) >= _SHARDS_KEPT and self._n_bytes() + table.nbytes > _KEPT:
                 del self._kept[next(iter(self._kept))]
@@ -550,11 +572,11 @@ class _Shard:
         return at
 
 
-def _event_series(row: dict[str, pa.Scalar], names: tuple[str, ...]) -> sim.EventSeries:
+def _event_series(row: dict[str, pa.Scalar], names: tuple[str, ...], unit: str) -> sim.EventSeries:
     # nothing happens any more after a collapse: its series is known to the end
     end = row["t_stop"] if row["outcome"].as_py() == "diverged" else row["t_end"]
     t, block, mode, initial_mode = (_array(row[name]) for name in _EVENT_COLUMNS[:4])
-    return sim.EventSeries(t, block, mode, initial_mode, t_start=0.0, t_end=end.as_py(), names=names)
+    return sim.EventSeries(t, block, mode, initial_mode, t_start=0.0, t_end=end.as_py(), names=names, unit=unit)
 
 
 def _array(entry: pa.ListScalar) -> np.ndarray:

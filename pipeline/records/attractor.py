@@ -42,6 +42,7 @@ class AttractorRecord(WindowRecord):
             least=0.0,
             absent=_NO_CYCLE,
             note="null otherwise",
+            dimension="time",
         ),
         Column(
             "count", "exits_per_period", "exits in a period", least=0.0, absent=_NO_CYCLE, note="null if not periodic"
@@ -69,6 +70,7 @@ class AttractorRecord(WindowRecord):
             "rate at which a small deviation grows, of a run in no cycle",
             absent="on a cycle, or with few events",
             note="above 0 if irregular, below on a torus",
+            dimension="frequency",
         ),
         Column(
             "numbers",
@@ -77,8 +79,16 @@ class AttractorRecord(WindowRecord):
             " steady sliding, there",
             along="section_block",
             repeats=False,
+            dimension="length",
         ),
-        Column("numbers", "section_w", "velocity of each block then", along="section_block", repeats=False),
+        Column(
+            "numbers",
+            "section_w",
+            "velocity of each block then",
+            along="section_block",
+            repeats=False,
+            dimension="speed",
+        ),
         Column(
             "whole",
             "exits_block",
@@ -92,11 +102,16 @@ class AttractorRecord(WindowRecord):
             f"its displacement at each of these exits, at most the last {_MOST}, for bifurcation diagrams",
             along="exit",
             repeats=False,
+            dimension="length",
         ),
         Column(
-            "numbers", "start_z", "displacement of each block at t = 0, for pictures of basins", along="start_block"
+            "numbers",
+            "start_z",
+            "displacement of each block at t = 0, for pictures of basins",
+            along="start_block",
+            dimension="length",
         ),
-        Column("numbers", "start_w", "velocity of each block then", along="start_block"),
+        Column("numbers", "start_w", "velocity of each block then", along="start_block", dimension="speed"),
     )
     is_of_paths = True
     is_of_exact = True

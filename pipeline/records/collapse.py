@@ -24,6 +24,7 @@ class CollapseRecord(Record):
             least=0.0,
             absent="no collapse is certain",
             is_averaged=False,
+            dimension="time",
         ),
     )
 

@@ -13,8 +13,8 @@ from stickslip.sim.systems.drive import Harmonic, Piecewise
 
 _of_block = partial(Column, "numbers", along="block")
 _of_entry = partial(Column, along="constant_entry")
-#: What a harmonic force has of each block.
-_HARMONIC = ("amplitude", "frequency", "phase")
+#: What a harmonic force has of each block, and the dimension of each.
+_HARMONIC = {"amplitude": "force", "frequency": "frequency", "phase": ""}
 
 
 class Constants(Record):
@@ -27,25 +27,32 @@ class Constants(Record):
     columns = (
         _of_entry("wholes", "constant_row", "i of each entry of K that is not zero, from 0", is_index=True),
         _of_entry("wholes", "constant_column", "j of each", is_index=True),
-        _of_entry("numbers", "constant_stiffness", "K_ij"),
-        _of_block("constant_damping", "R of each block: the diagonal of the damping matrix"),
+        _of_entry("numbers", "constant_stiffness", "K_ij", dimension="stiffness"),
+        _of_block("constant_damping", "R of each block: the diagonal of the damping matrix", dimension="damping"),
         Column(
             "numbers",
             "constant_cross_damping",
             "the others of a full damping matrix, row by row; else null",
             along="constant_cross_entry",
+            dimension="damping",
         ),
-        _of_block("constant_friction", "kinetic friction of each block"),
-        _of_block("constant_static", "static friction of each block"),
-        _of_block("constant_mass", "mass of each block"),
-        _of_block("constant_belt_speed", "speed of the belt under each block; null if it changes in time"),
+        _of_block("constant_friction", "kinetic friction of each block", dimension="force"),
+        _of_block("constant_static", "static friction of each block", dimension="force"),
+        _of_block("constant_mass", "mass of each block", dimension="mass"),
+        _of_block(
+            "constant_belt_speed", "speed of the belt under each block; null if it changes in time", dimension="speed"
+        ),
         *(
-            _of_block(f"constant_force_{name}", f"{name} of the force on each block; null unless one is harmonic")
-            for name in _HARMONIC
+            _of_block(
+                f"constant_force_{name}",
+                f"{name} of the force on each block; null unless one is harmonic",
+                dimension=dimension,
+            )
+            for name, dimension in _HARMONIC.items()
         ),
         _of_block("constant_ratio", "stiffness ratio r_i of each block; null of an engine without"),
-        _of_block("constant_z0", "displacement of each block at t = 0"),
-        _of_block("constant_w0", "velocity of each block at t = 0"),
+        _of_block("constant_z0", "displacement of each block at t = 0", dimension="length"),
+        _of_block("constant_w0", "velocity of each block at t = 0", dimension="speed"),
     )
 
     def of(self, result: Made) -> dict[str, Any]:

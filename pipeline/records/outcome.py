@@ -30,6 +30,7 @@ class OutcomeRecord(Record):
             "end of a diverged run; from when on it is certain that a collapsed one does not stick again; else t_end;"
             " null if failed",
             is_time=True,
+            dimension="time",
         ),
         Column("whole", "n_stick_end", "number of sticking blocks at t_stop; null if failed", least=0.0),
         Column("count", "n_events", "entries, exits and crossings together; null if failed", least=0.0),
@@ -45,6 +46,7 @@ class OutcomeRecord(Record):
             "t[0] = 0 and each time at which n_stick changes; null if failed",
             repeats=False,
             is_time=True,
+            dimension="time",
         ),
         _of_each(
             "wholes", "n_stick", "number of sticking blocks; n_stick[k] holds on [t[k], t[k+1]); null if failed"

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from stickslip.pipeline.design.column import Column
+from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 from stickslip.pipeline.records import ALWAYS, RECORDS
 from stickslip.pipeline.records.record import Record
 from stickslip.sim.engines import ENGINES, SETTINGS
 from stickslip.sim.engines.contract import Choice, Number, Numbers, Ratios
-from stickslip.sim.systems.terms import TERMS
+from stickslip.sim.systems.scales import Scales
+from stickslip.sim.systems.terms import TERMS, Term
 
 
 class Part(NamedTuple):
@@ -38,9 +40,14 @@ class Part(NamedTuple):
     nulls: tuple[str, ...] = ()
 
 
+def _column(term: Term, nullable: bool = True) -> Column:
+    """The column of a term, which is as the scene has it."""
+    return Column("number", term.name, term.described, nullable, dimension=term.dimension, is_written=True)
+
+
 _BY_BLOCK = ("rho", "friction", "z0", "w0")
 _OF_TERMS = {
-    part: tuple(Column("number", term.name, term.described) for term in TERMS if term.part == part)
+    part: tuple(_column(term) for term in TERMS if term.part == part)
     for part in dict.fromkeys(term.part for term in TERMS)
     if part
 }
@@ -132,7 +139,7 @@ MEMBER = (
     Column("text", "member_id", "name of the run, unique in the dataset", False),
     Column("whole", "n", "number of blocks", False),
     Column("text", "coupling", "ensemble that K and R are drawn from", False),
-    *(Column("number", term.name, term.described, False) for term in TERMS if not term.part),
+    *(_column(term, False) for term in TERMS if not term.part),
     Column("whole", "matrix", "number of the random system; runs with the same n and matrix share it", False),
     Column("number", "perturbation_size", "relative change of the system's constants; 0: unchanged", False),
     Column("whole", "perturbation_draw", "number of the random change; null if unchanged"),
@@ -145,9 +152,9 @@ MEMBER = (
     Column("text", "engine", f"method of integration: {', '.join(ENGINES)}", False),
     *(column for name, setting in SETTINGS.items() if setting.in_all for column in _of_setting(name)),
     Column("text", "picked_for", "what a tolerance was picked for: statistics or paths; null: all given"),
-    Column("number", "z0", "displacement of every block at t = 0", False),
-    Column("number", "w0", "velocity of every block at t = 0", False),
-    Column("number", "t_end", "end of the run as asked for", False),
+    Column("number", "z0", "displacement of every block at t = 0", False, dimension="length", is_written=True),
+    Column("number", "w0", "velocity of every block at t = 0", False, dimension="speed", is_written=True),
+    Column("number", "t_end", "end of the run as asked for", False, dimension="time"),
     Column("count", "seed", "root of the scene's random draws", False),
 )
 
@@ -184,12 +191,24 @@ class Recording:
         Of `PARTS`.
     parameters : tuple of str
         Of a function, each a column.
+    units : Units
+        Those of the scene.
+    scales : Scales, optional
+        What one dimensionless unit is in these; None: all is dimensionless.
     """
 
     scene_hash: str
     parts: tuple[str, ...] = ()
     records: tuple[Record, ...] = ()
     parameters: tuple[str, ...] = ()
+    units: Units = DIMENSIONLESS
+    scales: Scales | None = None
+
+    def scale(self, column: Column) -> float:
+        """What a value of a column is multiplied by to be in the units of the scene."""
+        if self.scales is None or column.is_written or not column.dimension:
+            return 1.0
+        return float(getattr(self.scales, column.dimension))
 
     @property
     def columns(self) -> tuple[Column, ...]:

@@ -14,9 +14,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import BaseModel, Field, PrivateAttr, model_validator
 
 from stickslip.pipeline.design.design import Axis, axis_of_numbers
+from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 from stickslip.pipeline.design.values import (
     BELT,
     END,
@@ -43,7 +45,15 @@ from stickslip.pipeline.scene.friction_table import read_friction_table
 from stickslip.pipeline.scene.quantity import axes, points
 from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.system_table import OF_FILES, OF_GRAPH, SystemTable, is_function
-from stickslip.pipeline.scene.systems import KEY, SystemFile, SystemFunction, located, look_at_files, tried_function
+from stickslip.pipeline.scene.systems import (
+    KEY,
+    SystemFile,
+    SystemFunction,
+    located,
+    look_at_files,
+    read,
+    tried_function,
+)
 from stickslip.pipeline.scene.tables import AnalysisTable, PerturbationTable, RecordTable, RunTable, Start, TwinsTable
 from stickslip.pipeline.scene.toml import (
     Positive,
@@ -54,10 +64,12 @@ from stickslip.pipeline.scene.toml import (
     shown,
     written,
 )
+from stickslip.pipeline.scene.units import UNSCALED, UnitsTable, scales_of
 from stickslip.sim.engines.contract import Purpose
 from stickslip.sim.numerics.arguments import apart
-from stickslip.sim.systems.couplings import Reading
-from stickslip.sim.systems.system import BEYOND
+from stickslip.sim.systems.couplings import Reading, draw_system
+from stickslip.sim.systems.scales import Scales
+from stickslip.sim.systems.system import BEYOND, System
 from stickslip.sim.systems.terms import TERMS
 
 #: A scene of more members than this is run if the user says yes: else that is taken for a typing error.
@@ -85,6 +97,9 @@ class Scene(StrictTable):
     about: str = Field(default="", description="what the scene is for")
     minutes: Positive | None = Field(default=None, description=MINUTES, examples=[1.0])
     system: SystemTable
+    units: UnitsTable | None = Field(
+        default=None, description="the units that its numbers are in; all is dimensionless if left out"
+    )
     start: Start = Field(description='the state that runs start from; "rest": z = 0, and w as the belt')
     run: RunTable
     engines: Engines = Field(alias="engine", description="one or more tables [[engine]]")
@@ -121,6 +136,8 @@ class Scene(StrictTable):
         }
         tables_here["start"] = {key: value for key, value in tables_here["start"].items() if key != "ends"}
         tables_here.get("record", {}).pop("functions", None)
+        if tables.get("units"):  # other units have other scales
+            tables_here.pop("units", None)
         for name, changes in tables.items():
             old = tables_here.get(name)
             tables_here[name] = {**old, **changes} if isinstance(old, dict) and isinstance(changes, dict) else changes
@@ -170,6 +187,8 @@ class Scene(StrictTable):
     def records(self) -> tuple[Record, ...]:
         """What is kept of a run, in addition to n_stick."""
         keys = self.record.model_dump() | {"t_burn": self.record_t_burn, "folder": self._folder}
+        times = ("t_burn", "dt", *(record.name for record in RECORDS if record.is_step))
+        keys |= {name: self.time(keys[name]) for name in times if keys[name] is not None}
         keys |= {"names": self.system.block_names, "load": self.run.load}
         settings = {name: value for engine in self.engines for name, value in engine.settings.items() if value}
         return tuple(chosen for record in RECORDS if (chosen := record.asked(keys, settings)) is not None)
@@ -190,7 +209,21 @@ class Scene(StrictTable):
     @property
     def recording(self) -> Recording:
         """What its datasets keep."""
-        return Recording(self.hash, self.parts, self.records, self.parameters)
+        return Recording(self.hash, self.parts, self.records, self.parameters, self.unit_names, self.scales)
+
+    @property
+    def unit_names(self) -> Units:
+        """The units that it is in; none if it is dimensionless."""
+        return DIMENSIONLESS if self.units is None else self.units.units
+
+    @property
+    def scales(self) -> Scales | None:
+        """What one dimensionless unit is in its units; None if it is dimensionless."""
+        return None if self.units is None else self.units.sizes
+
+    def time(self, measured: float) -> float:
+        """A time of the scene, dimensionless."""
+        return measured if self.scales is None else measured / self.scales.time
 
     @property
     def parameters(self) -> tuple[str, ...]:
@@ -424,8 +457,8 @@ class Scene(StrictTable):
         changed = self.perturbation is not None or self.twins is not None
         changed = changed or any(engine.is_drawn for engine in self.engines)
         engines = tuple(engine.engine for engine in self.engines)
-        step, axis = self.run.t_end / MAX_SAMPLES, axis_of_numbers(self.axes)
-        return Facts(max(self.system.n), self.run.t_end, step, engines, changed, axis, self.run.load)
+        t_end, axis = self.time(self.run.t_end), axis_of_numbers(self.axes)
+        return Facts(max(self.system.n), t_end, t_end / MAX_SAMPLES, engines, changed, axis, self.run.load)
 
     def _steps_and_changes_are_resolved(self) -> None:
         """Changes must be more than rounding, and steps of time not so short that their series fill a memory."""
@@ -623,13 +656,53 @@ def _look(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, dict[
         facts["record"] = {"functions": look_at_functions(names, folder)}
     if isinstance(start, dict) and isinstance(start.get("dataset"), str) and "ends" not in start:
         facts["start"] = {"ends": {"sha256": look_at_dataset(start["dataset"], folder)}}
+    units = tables.get("units")
+    has_units = isinstance(units, dict) and "scales" not in units
+    if has_units:
+        facts["units"] = {"scales": UNSCALED}
     system = tables.get("system")
     law = system.get("weakening") if isinstance(system, dict) else None
     if isinstance(law, dict) and isinstance(law.get("table"), str) and not law.keys() & {"speeds", "coefficients"}:
         facts["system"] = {"weakening": law | read_friction_table(law["table"], folder)}
     # a function is tried in a scene, which has its ends then
     facts["system"] = facts.get("system", {}) | _look_at_systems(_merged(tables, facts), folder, name)
+    if isinstance(units, dict) and has_units:
+        facts["units"] = {"scales": _scales_of(as_scene(Scene, _merged(tables, facts), name), units, folder)}
+    if not isinstance(units, dict) and "module" in facts["system"]:
+        del facts["system"]["module"]["means"]
     return {table: facts_of_table for table, facts_of_table in facts.items() if facts_of_table}
+
+
+def _scales_of(scene: Scene, table: Mapping[str, Any], folder: Path) -> dict[str, float]:
+    """The scales of a scene with units: those of `Scales.of` of its first values, as powers of two."""
+    scene._folder = folder
+    n, origin = scene.sources[0]
+    first = {key: values(quantity)[0] for key, quantity in scene.quantities.items() if values(quantity)}
+    numbers: dict[str, Any] = {
+        key: value.middle if isinstance(value, Distribution) else value for key, value in first.items()
+    }
+    known: dict[str, Any] = {key: numbers[key] for key in ("mass", "friction") if numbers.get(key) is not None}
+    means = scene.system.module.means if scene.system.module is not None else {}
+    if isinstance(origin, SystemFile):
+        arrays = read(origin)
+        stiffness = arrays["stiffness"]
+        known = {key: arrays[key] for key in ("mass", "friction") if key in arrays} | known
+    elif means:
+        stiffness = means["stiffness"] * np.eye(n)
+        known = {key: means[key] for key in ("mass", "friction")} | known
+    else:
+        of_coupling = {key: numbers[key] for key in ("kappa", "leaf", "degree") if numbers.get(key) is not None}
+        stiffness = draw_system(scene.system.coupling, n, 0, rho=0.0, **of_coupling).stiffness
+    try:
+        system = System(stiffness, 0.0, known.pop("friction", 1.0), 0.0, **known)
+        if scene.system.rubbing is not None:
+            rubs = np.isin(np.arange(n), scene.system.rubbing.numbers)
+            system = system.changed(friction=np.where(rubs, system.friction, 0.0))
+        return scales_of(system, table)
+    except ValueError as error:
+        raise SceneError(
+            f"units: {error} under [units], in its units: e.g. scales = {{length = 1e-3, time = 1e-3, force = 100.0}}"
+        ) from None
 
 
 def _look_at_systems(tables: Mapping[str, Any], folder: Path, name: str) -> dict[str, Any]:

@@ -77,6 +77,7 @@ class ModuleTable(StrictTable):
     entries_by_block: Natural
     beside: dict[str, str] = Field(default_factory=dict)
     names: Annotated[tuple[str, ...], List] = ()
+    means: dict[str, float] = Field(default_factory=dict)
 
 
 class FileTable(StrictTable):

@@ -313,7 +313,14 @@ def _attempt(function: OwnFunction, n: int, parameters: Mapping[str, float]) -> 
         "is_sparse": not isinstance(stiffness, np.ndarray),
         "entries_by_block": stiffness.size / n,
         **({NAMES: [*system.names]} if system.names else {}),
+        "means": means_of(system),
     }
+
+
+def means_of(system: System) -> dict[str, float]:
+    """What `Scales.of` takes of a system."""
+    diagonal = float(np.mean(system.stiffness.diagonal()))
+    return {"mass": float(system.mass.mean()), "stiffness": diagonal, "friction": float(system.friction.mean())}
 
 
 def _parts(system: System) -> list[Any]:

@@ -38,6 +38,8 @@ class EventSeries:
         The series is complete on [t_start, t_end].
     names : tuple of str
         The names of the blocks; empty if they have none.
+    unit : str
+        That of t, as "s"; empty: dimensionless.
     """
 
     t: Floats
@@ -47,6 +49,7 @@ class EventSeries:
     t_start: float
     t_end: float
     names: tuple[str, ...] = ()
+    unit: str = ""
 
     @property
     def n(self) -> int:
@@ -165,6 +168,7 @@ class EventSeries:
             self.t_start,
             self.t_end,
             tuple(compress(self.names, chosen)),
+            self.unit,
         )
 
     def plot(self, kind: str = "space_time", ax: Axes | None = None, **options: Any) -> Axes:

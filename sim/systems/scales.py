@@ -71,9 +71,19 @@ class Scales:
         return self.force * self.length
 
     @property
+    def power(self) -> float:
+        """In W."""
+        return self.energy / self.time
+
+    @property
     def frequency(self) -> float:
         """In radians a second."""
         return 1.0 / self.time
+
+    @property
+    def slowness(self) -> float:
+        """In s/m."""
+        return 1.0 / self.speed
 
     @classmethod
     def of(cls, system: System) -> Scales:

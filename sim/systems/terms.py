@@ -7,7 +7,7 @@ and pages. Everything is dimensionless.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Literal
 
 from stickslip.sim.systems.weakening import LAWS
@@ -49,6 +49,8 @@ class Term:
         Whether a file of K may contain it, as an array of its name, with a number for each block.
     table : str
         The inner table of [system] that contains its key.
+    dimension : str
+        The scale of `stickslip.Scales` that it is divided by where a scene has units; empty: none.
     heading : str
         Heading of its column in a report's table of groups, if not the name.
     """
@@ -68,6 +70,7 @@ class Term:
     part: str = ""
     in_file: bool = False
     table: str = ""
+    dimension: str = ""
     heading: str = ""
 
     @property
@@ -99,6 +102,7 @@ TERMS = (
         column="scale of the stiffnesses",
         default=0.2,
         least=0,
+        dimension="stiffness",
     ),
     Term(
         name="leaf",
@@ -109,6 +113,7 @@ TERMS = (
         draws=BOUNDED,
         purpose=8,
         part="graph",
+        dimension="stiffness",
     ),
     Term(
         name="degree",
@@ -125,7 +130,7 @@ TERMS = (
         least=0,
         part="rewiring",
     ),
-    Term(name="rho", words="scale of the dampings", default=3.5, least=0),
+    Term(name="rho", words="scale of the dampings", default=3.5, least=0, dimension="damping"),
     Term(
         name="damping",
         words="damping R of every block, of either sign, in the place of `rho`",
@@ -136,6 +141,7 @@ TERMS = (
         argument="damping",
         part="damping",
         in_file=True,
+        dimension="damping",
     ),
     Term(
         name="rayleigh_mass",
@@ -145,6 +151,7 @@ TERMS = (
         least=0,
         part="rayleigh",
         table="rayleigh",
+        dimension="frequency",
     ),
     Term(
         name="rayleigh_stiffness",
@@ -153,6 +160,7 @@ TERMS = (
         least=0,
         part="rayleigh",
         table="rayleigh",
+        dimension="time",
     ),
     Term(
         name="friction",
@@ -163,6 +171,7 @@ TERMS = (
         purpose=4,
         argument="friction",
         in_file=True,
+        dimension="force",
     ),
     Term(
         name="static",
@@ -176,6 +185,7 @@ TERMS = (
         argument="static",
         part="static",
         in_file=True,
+        dimension="force",
     ),
     Term(
         name="mass",
@@ -189,6 +199,7 @@ TERMS = (
         argument="mass",
         part="mass",
         in_file=True,
+        dimension="mass",
     ),
     Term(
         name="belt_speed",
@@ -200,6 +211,7 @@ TERMS = (
         purpose=11,
         argument="belt_speed",
         in_file=True,
+        dimension="speed",
     ),
     Term(
         name="force_amplitude",
@@ -211,6 +223,7 @@ TERMS = (
         part="force",
         table="force",
         heading="force",
+        dimension="force",
     ),
     Term(
         name="force_frequency",
@@ -223,6 +236,7 @@ TERMS = (
         part="force",
         table="force",
         heading="frequency",
+        dimension="frequency",
     ),
     Term(
         name="force_phase",
@@ -244,6 +258,7 @@ TERMS = (
         is_above=True,
         part="drive",
         table="drive",
+        dimension="stiffness",
     ),
     Term(
         name="drive_speed",
@@ -252,6 +267,7 @@ TERMS = (
         example=0.1,
         part="drive",
         table="drive",
+        dimension="speed",
     ),
     Term(
         name="drive_amplitude",
@@ -260,6 +276,7 @@ TERMS = (
         default=0.0,
         part="drive",
         table="drive",
+        dimension="speed",
     ),
     Term(
         name="drive_frequency",
@@ -270,6 +287,7 @@ TERMS = (
         is_above=True,
         part="drive",
         table="drive",
+        dimension="frequency",
     ),
     Term(
         name="drive_phase",
@@ -280,9 +298,17 @@ TERMS = (
         table="drive",
     ),
     *(
-        Term(name=f"weakening_{key}", **said, least=0, is_above=True, part="weakening", table="weakening")
+        Term(
+            name=f"weakening_{parameter.name}",
+            **parameter.metadata["said"],
+            least=0,
+            is_above=True,
+            part="weakening",
+            table="weakening",
+            dimension={1: "speed", -1: "slowness"}.get(parameter.metadata["power"], ""),
+        )
         for law in LAWS.values()
-        for key, said in law.parameters().items()
+        for parameter in fields(law)
     ),
 )
 

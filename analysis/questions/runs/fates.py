@@ -74,12 +74,12 @@ from stickslip.analysis.stats.estimates import Estimate
 
 MOST_LINES = 12  # along a key, and settings with shares of their own
 MOST_OPEN = 0.1  # of runs that may be undecided without an alert
-LIFETIME = Quantity("lifetime", "median lifetime", more="longer", less="shorter")
+LIFETIME = Quantity("lifetime", "median lifetime", more="longer", less="shorter", dimension="time")
 TO_GROWTH = replace(LIFETIME, name="median time to unbounded growth")
 TO_SLIDING = replace(LIFETIME, name="median time to sliding")
-DELAY = Quantity("last_event", "median delay of the last event")
+DELAY = Quantity("last_event", "median delay of the last event", dimension="time")
 MEAN = Quantity("mean", "mean number of sticking blocks in runs not ended")
-PERIOD = Quantity("period", "period of the cycle")
+PERIOD = Quantity("period", "period of the cycle", dimension="time")
 METHOD = (
     "A run ends at its last event, if it is certified that no block sticks again, or when its motion has grown"
     " without limit; survival and medians are Kaplan-Meier estimates. Runs that are sliding, not certified, count as"
@@ -377,7 +377,7 @@ def _along_t_burn(
     if not name:
         return {}
     t_burn = study.settings.t_burn
-    when = f"after t_burn = {t_burn:g}"
+    when = f"after t_burn = {study.settings.at(t_burn)}"
     says = f"The mean still changes {when}: it is too short." if name in short else f"No drift is shown {when}."
     caption = f"{says} Estimates with other values, with {100 * study.settings.confidence:g}% intervals ({name})."
     recipe = partial(burn_in.by_t_burn, [row for row in rows if row.group == name], t_burn)

@@ -20,6 +20,7 @@ from stickslip.analysis.findings.words import plural
 from stickslip.analysis.models.fates import DIVERGED, FAILED
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import EXACT, panel
+from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 from stickslip.sim.runs.series import EventSeries
 from stickslip.sim.systems.graphs import grid_width
 
@@ -44,15 +45,16 @@ def answer(study: Study) -> Answer | None:
     if run["outcome"] == DIVERGED:
         t_end = float(run["t_stop"])
     t, n_stick = study.runs.points(name)
-    where = Place.words(f"one run of {plural(n, 'block')} to t = {t_end:g}")
+    where = Place.words(f"one run of {plural(n, 'block')} to t = {study.settings.at(t_end)}")
     findings: list[Finding] = [_sticking(t, n_stick / n, t_end, where)]
     if name in data.events:
-        events = EventSeries(*data.events[name], t_start=0.0, t_end=t_end, names=study.settings.names)
+        names, unit = study.settings.names, study.settings.units.time
+        events = EventSeries(*data.events[name], t_start=0.0, t_end=t_end, names=names, unit=unit)
         findings = [*_slips(events, where), *findings]
         figures = _pictures(name, events, grid_width(n) if run["coupling"] == "grid" else None)
     else:
         caption = f"Number of sticking blocks n_stick(t) in run {name}. Recorded events would show which block slips."
-        figures = {NAME: Picture(partial(steps, t, n_stick, t_end), caption)}
+        figures = {NAME: Picture(partial(steps, t, n_stick, t_end, study.settings.units), caption)}
     chosen = "finished" if len(finished) else "was begun"
     method = (
         f"Run {name} is the first of {len(table)} that {chosen}, and stands for no other. "
@@ -88,14 +90,14 @@ def _pictures(name: str, events: EventSeries, width: int | None) -> dict[str, Pi
 def space_time(ax: Axes, events: EventSeries, width: int | None) -> None:
     """Which block slips when, and which way."""
     pictures.space_time(ax, events, width=width)
-    ax.set_xlabel("time t")
+    ax.set_xlabel(f"time t ({events.unit})" if events.unit else "time t")
 
 
 @panel()
-def steps(ax: Axes, t: np.ndarray, n_stick: np.ndarray, t_end: float) -> None:
+def steps(ax: Axes, t: np.ndarray, n_stick: np.ndarray, t_end: float, units: Units = DIMENSIONLESS) -> None:
     """n_stick of the run."""
     pictures.steps(ax, t, n_stick, t_end, (0.0, t_end), color=EXACT, linewidth=0.9)
-    ax.set_xlabel("time t")
+    ax.set_xlabel(units.label("time t", "time"))
 
 
 QUESTION = Question(answer, title="What does one run look like?")

@@ -33,7 +33,12 @@ from stickslip.pipeline.design.design import DEFAULT_READING, Change
 from stickslip.pipeline.design.labels import Label, apart
 
 PRIMARY = ("mean", "rate", "gamma")
-SHIFT = Quantity("shift", "median shift of the last event", clause="the last event shifts by a median of {}")
+SHIFT = Quantity(
+    "shift",
+    "median shift of the last event",
+    clause="the last event shifts by a median of {}",
+    dimension="time",
+)
 _METHOD = "Each system is compared with its changed copy."
 _METHOD_OF_EFFECTS = (
     " The effect of a change on a system is the mean square difference between it and its changed copy, without the"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -29,8 +30,8 @@ T_FROM, LEAST = 100.0, 100.0  # where the range of a growth rate begins, and the
 CEILING = 3e-2  # of distances that still grow in proportion
 SMALL = 0.1  # largest displacement of a start for a growth rate, as a share of the ceiling
 FLOOR, TOLERANCES = 1e-13, 10.0  # floor of exact engines; that of others is so many times their relative tolerance
-RATE = Quantity("rate", "growth rate of small differences, per unit of time")
-PARTED = Quantity("parted", "median time until copies part from their base")
+RATE = Quantity("rate", "growth rate of small differences, per unit of time", dimension="frequency")
+PARTED = Quantity("parted", "median time until copies part from their base", dimension="time")
 METHOD = (
     f"The growth rate is the slope of log distance over time from t = {T_FROM:g} on, while all pairs lie between a"
     f" floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and {CEILING:g}; none is given where more than"
@@ -78,10 +79,11 @@ class Rate(NamedTuple):
             return Lack(lacking, Reason.OUT_OF_RANGE, f"{self.law.n_used} of {self.n_pairs}")
         if self.e_fold.value is None:
             name = f"growth rate of {differences}, per unit of time"
-            return Level(Quantity(RATE.key, name), self.law.rate, where, basis=basis)
+            return Level(replace(RATE, name=name), self.law.rate, where, basis=basis)
         verb = "grow" if (self.law.rate.value or 0.0) > 0 else "shrink"
         clause = f"{differences} {verb} e-fold in {{}} time units"
-        quantity = Quantity("e_fold", f"time in which {differences} {verb} e-fold", clause=clause)
+        name = f"time in which {differences} {verb} e-fold"
+        quantity = Quantity("e_fold", name, clause=clause, dimension="time")
         return Level(quantity, self.e_fold, where, basis=basis)
 
     @property

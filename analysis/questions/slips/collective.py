@@ -31,7 +31,7 @@ Q = Quantity(
     "Q of slow common motion",
     definition="pi times the time in which the motion decays to 1 / e, in natural periods",
 )
-PERIOD = Quantity("period", "natural period of slow common motion")
+PERIOD = Quantity("period", "natural period of slow common motion", dimension="time")
 DEVIANCE = Quantity("deviance", "deviance of the slow spectrum from the fit")
 _METHOD = (
     "Time-shifted blocks are each block's own history, shifted by a random time; slow common motion, with"

@@ -90,9 +90,11 @@ BEYOND: Mapping[Kind, str] = {
 }
 #: What is said of each group, in this order.
 WORDS: Mapping[str, Quantity] = {
-    RATE: Quantity("rate", "rate of episodes", things="episodes"),
+    RATE: Quantity("rate", "rate of episodes", things="episodes", dimension="frequency"),
     SIZE: Quantity("size", "mean size of episodes"),
-    DURATION: Quantity("duration", "mean duration of episodes", more="longer than", less="shorter than"),
+    DURATION: Quantity(
+        "duration", "mean duration of episodes", more="longer than", less="shorter than", dimension="time"
+    ),
     SLIP: Quantity("slip", "share of the belt's travel that is slip in episodes", Form.SHARE),
     STORED: Quantity("stored", "share of the belt's travel that is stored as strain", Form.SHARE),
     CREEP: Quantity("creep", "share of the belt's travel that is creep of stuck blocks", Form.SHARE),
@@ -111,7 +113,7 @@ TIME_PREDICTABLE = Quantity("after", "rank correlation of the moments of large e
 B_POSITIVE = Quantity("b_positive", "b-value from rises alone (b-positive)")
 APART = Quantity("apart", "Kolmogorov-Smirnov distance between magnitudes")
 B_VALUE = Quantity("b", "b-value")
-MOMENT = Quantity("moment", "mean moment")
+MOMENT = Quantity("moment", "mean moment", dimension="length")
 BY_TRAVEL = Quantity("by_travel", "number of episodes per block and unit of belt travel")
 _POISSON = "a Poisson process's 1"
 _REASONS: Mapping[str, Reason] = {

@@ -27,6 +27,7 @@ class Amplitude(StateRecord):
             "half of peak to peak of z after t_burn, the largest of the blocks",
             least=0.0,
             note="null if the run ended before",
+            dimension="length",
         ),
         Column(
             "number",
@@ -34,6 +35,7 @@ class Amplitude(StateRecord):
             "half of peak to peak of z after t_burn, mean over the blocks",
             least=0.0,
             title="amplitude over the blocks",
+            dimension="length",
         ),
     )
     of_block = Column(
@@ -43,6 +45,7 @@ class Amplitude(StateRecord):
         least=0.0,
         title="amplitude of {}",
         note="null if the run ended before",
+        dimension="length",
     )
 
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:

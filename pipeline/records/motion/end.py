@@ -18,9 +18,13 @@ class End(Record):
     takes_load = True
     columns = (
         Column(
-            "numbers", "z_end", "displacement of each block at the end of the run, t_end or earlier", along="block"
+            "numbers",
+            "z_end",
+            "displacement of each block at the end of the run, t_end or earlier",
+            along="block",
+            dimension="length",
         ),
-        Column("numbers", "w_end", "velocity of each block then", along="block"),
+        Column("numbers", "w_end", "velocity of each block then", along="block", dimension="speed"),
         Column("modes", "mode_end", "mode of each block then: -1 or +1 slips, 0 sticks", along="block"),
     )
 

@@ -28,15 +28,21 @@ class EnergyRecord(Record):
             "sum of m w^2 / 2 at t = 0",
             least=0.0,
             note="null, as all below, if diverged, not the exact law, or too long to sum",
+            dimension="energy",
         ),
-        Column("number", "kinetic_energy_end", "sum of m w^2 / 2 at t_end", least=0.0),
-        Column("number", "elastic_energy_start", "z K z / 2 at t = 0"),
-        Column("number", "elastic_energy_end", "z K z / 2 at t_end"),
-        Column("number", "belt_work", "what the belt gave, by friction"),
-        Column("number", "force_work", "what the force from outside gave"),
-        Column("number", "coupling_work", "what couplings gave that are not reciprocal, the skew part of K"),
-        Column("number", "damping_loss", "what damping took"),
-        Column("number", "friction_loss", "what slip on the belt took, as heat"),
+        Column("number", "kinetic_energy_end", "sum of m w^2 / 2 at t_end", least=0.0, dimension="energy"),
+        Column("number", "elastic_energy_start", "z K z / 2 at t = 0", dimension="energy"),
+        Column("number", "elastic_energy_end", "z K z / 2 at t_end", dimension="energy"),
+        Column("number", "belt_work", "what the belt gave, by friction", dimension="energy"),
+        Column("number", "force_work", "what the force from outside gave", dimension="energy"),
+        Column(
+            "number",
+            "coupling_work",
+            "what couplings gave that are not reciprocal, the skew part of K",
+            dimension="energy",
+        ),
+        Column("number", "damping_loss", "what damping took", dimension="energy"),
+        Column("number", "friction_loss", "what slip on the belt took, as heat", dimension="energy"),
     )
 
     is_of_exact = True
@@ -72,6 +78,7 @@ class EpisodeEnergy(Record):
             "what damping and friction took in each episode; null if diverged, not the exact law, or too long to sum",
             along="episode",
             repeats=False,
+            dimension="energy",
         ),
     )
     needs = EnergyRecord.needs | {"episodes"}

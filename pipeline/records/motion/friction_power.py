@@ -26,6 +26,7 @@ class FrictionPower(StateRecord):
             "heat of all blocks by slip on the belt, mean in time after t_burn",
             least=0.0,
             note="null if the run ended before, or is not of the exact law",
+            dimension="power",
         ),
     )
     is_of_exact = True

@@ -29,6 +29,7 @@ class GrowthRate(Record):
             "the speeds of their belts, with the slope of friction there",
             absent="friction depends on the speed of a belt that changes",
             note="below 0 small deviations from that decay",
+            dimension="frequency",
         ),
     )
     is_shared = True

@@ -26,6 +26,7 @@ class SlipSpeed(StateRecord):
             "mean of |w - v| over blocks with friction and time after t_burn, 0 while they stick",
             least=0.0,
             note="null if the run ended before, or no block has friction",
+            dimension="speed",
         ),
         Column(
             "number",
@@ -33,6 +34,7 @@ class SlipSpeed(StateRecord):
             "root mean square of |w - v| over blocks with friction and time after t_burn",
             least=0.0,
             title="root mean square of the slip speed",
+            dimension="speed",
         ),
     )
     of_block = Column(
@@ -42,6 +44,7 @@ class SlipSpeed(StateRecord):
         least=0.0,
         title="slip speed of {}",
         note="null if the run ended before",
+        dimension="speed",
     )
     is_of_contacts = True
 

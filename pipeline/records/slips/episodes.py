@@ -29,6 +29,7 @@ class EpisodesRecord(Record):
             "when the first block leaves, after a time when all stick",
             repeats=False,
             is_time=True,
+            dimension="time",
         ),
         _of_each(
             "numbers",
@@ -36,10 +37,15 @@ class EpisodesRecord(Record):
             "when all stick again; what is cut off by an end is no episode",
             repeats=False,
             is_time=True,
+            dimension="time",
         ),
         _of_each("wholes", "episode_size", "number of blocks that slipped in each episode"),
         _of_each(
-            "numbers", "episode_moment", "sum of their slips on the belt, against the belt's motion", repeats=False
+            "numbers",
+            "episode_moment",
+            "sum of their slips on the belt, against the belt's motion",
+            repeats=False,
+            dimension="length",
         ),
         _of_each("wholes", "episode_first_block", "the block that left first", is_index=True),
         _of_each(
@@ -48,6 +54,7 @@ class EpisodesRecord(Record):
             "sum of z over the blocks when each episode begins",
             repeats=False,
             is_later=True,
+            dimension="length",
         ),
         _of_each(
             "numbers",

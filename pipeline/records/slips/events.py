@@ -17,7 +17,13 @@ class Events(Record):
     takes_load = True
     columns = (
         Column(
-            "numbers", "event_t", "times of the events, never decreasing", along="event", repeats=False, is_time=True
+            "numbers",
+            "event_t",
+            "times of the events, never decreasing",
+            along="event",
+            repeats=False,
+            is_time=True,
+            dimension="time",
         ),
         Column("wholes", "event_block", "block of each event", along="event", is_index=True),
         Column("modes", "event_mode", "the block's mode from the event on: -1 or +1 slips, 0 sticks", along="event"),

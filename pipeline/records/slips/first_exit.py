@@ -25,6 +25,7 @@ class FirstExit(Record):
             title="time of the first exit",
             until=Until(),
             note="null, as below, if there is none",
+            dimension="time",
         ),
         Column("whole", "first_exit_block", "the block that lets go first", is_averaged=False, is_index=True),
     )

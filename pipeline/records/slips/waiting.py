@@ -35,6 +35,7 @@ class Waiting(WindowRecord):
             title="waiting time",
             of_gaps="mean",
             note="null if there are none",
+            dimension="time",
         ),
         Column(
             "number",

@@ -1,0 +1,91 @@
+"""[units]: in which a scene is measured, and the scales by which its numbers become dimensionless."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from stickslip.pipeline.design.units import ANGLES, INERTIAS, LENGTHS, MASSES, TIMES, Units
+from stickslip.pipeline.scene.toml import Positive, StrictTable
+from stickslip.sim.systems.scales import Scales
+from stickslip.sim.systems.system import System
+
+#: Scales of a scene that is looked at to find its own.
+UNSCALED = {"length": 1.0, "time": 1.0, "force": 1.0}
+
+
+class ScalesTable(StrictTable):
+    """[units.scales]: what one dimensionless unit is, in the units of the scene."""
+
+    length: Positive
+    time: Positive
+    force: Positive
+
+
+class UnitsTable(StrictTable):
+    """[units]: the units that all numbers of a scene are in, but for settings of engines and sizes of changes."""
+
+    time: Literal[*TIMES] = Field(description="unit of time", examples=["s"])  # type: ignore[valid-type]
+    length: Literal[*LENGTHS] | None = Field(  # type: ignore[valid-type]
+        default=None, description="unit of length", examples=["m"]
+    )
+    angle: Literal[*ANGLES] | None = Field(  # type: ignore[valid-type]
+        default=None, description="unit of angle, of blocks that turn, in the place of `length`"
+    )
+    mass: Literal[*MASSES] | None = Field(  # type: ignore[valid-type]
+        default=None, description="unit of mass", examples=["kg"]
+    )
+    inertia: Literal[*INERTIAS] | None = Field(  # type: ignore[valid-type]
+        default=None, description="unit of inertia, beside `angle`"
+    )
+    scales: ScalesTable | None = Field(
+        default=None,
+        description="what one dimensionless unit of length, time and force is; written by stickslip if left out",
+    )
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        for one, other in (("length", "angle"), ("mass", "inertia")):
+            if (getattr(self, one) is None) == (getattr(self, other) is None):
+                got = "neither" if getattr(self, one) is None else "both"
+                raise ValueError(f"{one}: expected either `{one}` or `{other}`, got {got}; write one of them")
+        if (self.length is None) != (self.mass is None):
+            raise ValueError("mass: expected `length` with `mass`, or `angle` with `inertia`, got a mixture")
+        if self.scales is None:
+            raise ValueError(
+                "scales: expected what `load_scene` and the command write here, found nothing; use these"
+            )
+        return self
+
+    @property
+    def units(self) -> Units:
+        """Their names."""
+        return Units(self.time, self.length or self.angle or "", self.mass or self.inertia or "")
+
+    @property
+    def sizes(self) -> Scales:
+        """What one dimensionless unit is, in these units."""
+        assert self.scales is not None  # see above
+        return Scales(self.scales.length, self.scales.time, self.scales.force)
+
+
+def scales_of(system: System, table: Mapping[str, Any]) -> dict[str, float]:
+    """The scales of `Scales.of` of a system in the units of a table, each the nearest power of two in SI units.
+
+    To divide by a power of two and multiply again loses nothing: numbers come back as they were written.
+
+    Raises
+    ------
+    ValueError
+        If there is nothing by which to scale.
+    """
+    time, length = TIMES[table["time"]], (LENGTHS | ANGLES)[table.get("length") or table["angle"]]
+    mass = (MASSES | INERTIAS)[table.get("mass") or table["inertia"]]
+    in_si, scales = {"length": length, "time": time, "force": mass * length / time**2}, Scales.of(system)
+    return {
+        name: float(np.exp2(round(math.log2(getattr(scales, name) * unit)))) / unit for name, unit in in_si.items()
+    }
