@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 
 from stickslip.pipeline import QueryError, StoreError
 from stickslip.pipeline.dataset.opened import Opened, open_dataset, reading
-from stickslip.pipeline.dataset.schema import scalars
+from stickslip.pipeline.dataset.schema import in_units, scalars
 from stickslip.pipeline.places.place import Where
 from stickslip.pipeline.scene.columns import COLUMNS
 from stickslip.version import __version__
@@ -72,13 +72,13 @@ def _fill(file: Any, opened: Opened, source: Any, lists: list[str]) -> None:
             "title": scene.title,
             "source": f"stickslip {__version__}",
             "scene_hash": scene.hash,
-            "comment": "dimensionless: no clock, no place on Earth",
+            "comment": f"{f'in {scene.unit_names}' if scene.units else 'dimensionless'}: no clock, no place on Earth",
         }
     )
     file.createDimension("member", sum(shard.rows for shard in opened.manifest.shards.values()))
     for name in scalars(source.schema):
         with reading(opened.place):
-            values = opened.checked(source.to_table(columns=[name]))[name]
+            values = in_units(opened.checked(source.to_table(columns=[name])), scene.recording)[name]
         _scalar(file, source.schema.field(name), values)
     for dimension in dict.fromkeys(_SAMPLES[name] for name in lists):
         _along(file, opened, source, dimension, [name for name in lists if _SAMPLES[name] == dimension])
@@ -119,7 +119,7 @@ def _along(file: Any, opened: Opened, source: Any, dimension: str, names: list[s
     row = written = 0
     for fragment in source.get_fragments():
         with reading(opened.place):
-            shard = opened.checked(fragment.to_table(columns=["n", *names]))
+            shard = in_units(opened.checked(fragment.to_table(columns=["n", *names])), opened.scene.recording)
         lengths = {name: pc.fill_null(pc.list_value_length(shard[name]), 0).to_numpy() for name in names}
         sizes = np.max([*lengths.values()], axis=0)
         more = int(sizes.sum())
@@ -134,4 +134,5 @@ def _along(file: Any, opened: Opened, source: Any, dimension: str, names: list[s
 
 def _about(field: pa.Field) -> dict[str, str]:
     words = {"long_name": field.metadata[b"description"].decode()}
-    return words if pa.types.is_string(field.type) else words | {"units": "1"}
+    unit = field.metadata.get(b"unit", b"1").decode()
+    return words if pa.types.is_string(field.type) else words | {"units": unit}

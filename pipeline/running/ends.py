@@ -9,6 +9,7 @@ from typing import Any
 
 from stickslip.pipeline import query
 from stickslip.pipeline.dataset.opened import open_dataset
+from stickslip.pipeline.design.units import Units
 from stickslip.pipeline.ensemble.expand import expand
 from stickslip.pipeline.ensemble.member import Member, State
 from stickslip.pipeline.errors import SceneError, StoreError
@@ -36,6 +37,11 @@ def check(scene: Scene) -> None:
     if scene.ends is None:
         return
     dataset = _with_ends(scene.ends.at, scene.ends.sha256)
+    if dataset.units != scene.unit_names:
+        raise SceneError(
+            f"start.dataset: expected a dataset in the units of the scene, {scene.unit_names or 'none'}, got"
+            f" {scene.ends.name} in {dataset.units or 'none'}; write the same [units]"
+        )
     for member in expand(scene):
         name = dataset.match(member)
         outcome = dataset.outcomes.get(name)
@@ -55,16 +61,18 @@ def end_of(member: Member) -> State | None:
     if ends is None:
         return None
     dataset = _with_ends(ends.at, ends.sha256)
-    return dataset.states[dataset.match(member)]
+    z, w = dataset.states[dataset.match(member)]
+    return (z, w) if member.units is None else (z / member.units.length, w / member.units.speed)
 
 
 @dataclass(frozen=True)
 class _WithEnds:
-    """A dataset with ends: its members by what they must share with others, their outcomes and states."""
+    """A dataset with ends: members by what they must share with others, outcomes, and states in its units."""
 
     at: str
     like: Mapping[tuple[Any, ...], Sequence[Member]]
     outcomes: Mapping[str, str]
+    units: Units
     states: Mapping[str, State]
 
     def match(self, member: Member) -> str:
@@ -113,4 +121,5 @@ def _with_ends(at: str, sha256: str) -> _WithEnds:
     for member in expand(opened.scene):
         like.setdefault(_same(member), []).append(member)
     columns = query.table(opened, ["member_id", "outcome"]).to_pydict()
-    return _WithEnds(at, like, dict(zip(columns["member_id"], columns["outcome"], strict=True)), query.ends(opened))
+    outcomes = dict(zip(columns["member_id"], columns["outcome"], strict=True))
+    return _WithEnds(at, like, outcomes, opened.scene.unit_names, query.ends(opened))

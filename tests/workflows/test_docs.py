@@ -22,6 +22,7 @@ import pytest
 import scipy.io
 import scipy.sparse
 
+from stickslip import Dataset
 from stickslip.analysis.findings.finding import Verdict
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import sentence
@@ -220,20 +221,26 @@ def test_the_words_of_a_difference_are_those_of_findings():
     assert [word for word in words if f" {word} " not in source and f'"{word}"' not in source] == []
 
 
-def test_a_scene_of_a_function_in_si_units(tmp_path, monkeypatch):
-    """The first exit is when the belt has stretched the springs of one block by its static friction."""
+def test_a_drill_string_from_toml_to_page(tmp_path, monkeypatch, capsys):
+    """At which speeds it sticks and slips, how far the bit swings, with which period: in seconds and radians."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.syspath_prepend(tmp_path)
-    Path("brake.py").write_text(block("systems", "python", "SCALES = "))
-    Path("brake.toml").write_text(block("systems", "toml"))
-    assert main(["run", "brake.toml", "--no-report", "--workers", "1"]) == 0
-    found = run_python("systems", "from brake import")
-    for row in found["table"].itertuples():
-        first = found["seconds"][row.member_id][1]
-        low, high = (
-            (0.6 * load / row.metres_a_second - 5.0) / 1e5 for load in (500.0, 700.0)
-        )  # K has row sums of 1e5
-        assert low < first < high
+    computed_here(monkeypatch)
+    Path("drill.toml").write_text(block("systems", "toml"))
+    assert [main(command) for command in commands("systems")] == [0, 0]
+    assert "Stick-slip ends between drive_speed = 4 and 6." in capsys.readouterr().out
+    table = query.members("runs/drill").sort_values("drive_speed")
+    assert table["attractor"].tolist() == ["periodic", "periodic", "sliding"]
+    dataset = Dataset("runs/drill")
+    for row in table.itertuples():
+        member = dataset.member(row.member_id)
+        run, scales = member.simulate(), dataset.scene.scales
+        if row.attractor == "periodic":
+            onsets = run.events.t[run.events.is_exit & (run.events.block == 19)] * scales.time
+            assert row.period == pytest.approx(np.diff(onsets)[-1], rel=1e-6)
+    page = Path("runs/drill/report.html").read_text()
+    assert "mean amplitude of bit (rad)" in page
+    assert "Quantities are in s, rad, kg m^2." in page
+    assert "dimensionless" not in page
 
 
 def test_a_record_of_a_function(tmp_path, monkeypatch, capsys):

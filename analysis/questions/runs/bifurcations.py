@@ -16,6 +16,7 @@ from stickslip.analysis.findings.words import plural
 from stickslip.analysis.models.attractors import IRREGULAR, PERIODIC, REST, SLIDING, TORUS
 from stickslip.analysis.questions.runs.settled import Grid, Setting
 from stickslip.analysis.style import GREY, panel
+from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 from stickslip.sim.numerics.arguments import Floats
 
 MOST_DIAGRAMS = 3  # at values of a second key
@@ -61,7 +62,8 @@ def pictures(study: Study, grid: Grid) -> dict[str, Picture]:
             f"{left_out * bool(sections.n_left_out)}"
         )
         name = f"bifurcation_{len(figures) + 1}" if figures else "bifurcation"
-        figures[name] = Picture(partial(bifurcation, grid.axes[0].name, sections, str(where)), caption)
+        recipe = partial(bifurcation, grid.axes[0].name, sections, str(where), study.settings.units)
+        figures[name] = Picture(recipe, caption)
     return figures
 
 
@@ -108,7 +110,9 @@ def _dots(x: Floats, y: Floats) -> Floats:
 
 
 @panel(5.2, nrows=3, sharex=True, gridspec_kw={"height_ratios": (3, 1, 1)})
-def bifurcation(axes: Sequence[Axes], key: str, sections: Sections, title: str = "") -> None:
+def bifurcation(
+    axes: Sequence[Axes], key: str, sections: Sections, title: str = "", units: Units = DIMENSIONLESS
+) -> None:
     """z at exits against a key, and z of what has none, above multipliers and periods of cycles."""
     above, middle, below = axes
     n_points = sum(points.shape[1] for points in sections.z.values())
@@ -118,13 +122,13 @@ def bifurcation(axes: Sequence[Axes], key: str, sections: Sections, title: str =
         width, edge = (size, 0.0) if mark == "o" else (max(size, 2.0), 0.7 * (mark == "x"))
         is_image = n_points > _VECTORS
         above.plot(*points, mark, color=colour, label=words, ms=width, markeredgewidth=edge, rasterized=is_image)
-    above.set(ylabel=sections.title, title=title)
+    above.set(ylabel=units.label(sections.title, "length"), title=title)
     if len(sections.z) > 1:
         above.figure.legend(loc="outside upper left", ncols=3, handletextpad=0.1, markerscale=2.0)
     for ax, name, points in ((middle, "multiplier", sections.multiplier), (below, "period", sections.period)):
         ax.plot(*points, "o", color="black", ms=1.8, markeredgewidth=0, rasterized=points.shape[1] > _VECTORS)
         top = max(points[1].max(initial=0.0), float(name == "multiplier")) or 1.0
-        ax.set(ylabel=name, ylim=(-0.08 * top, 1.1 * top))
+        ax.set(ylabel=units.label(name, "time") if name == "period" else name, ylim=(-0.08 * top, 1.1 * top))
     middle.axhline(1.0, color=GREY, linewidth=0.8, linestyle="--")
     x = np.concatenate([points[0] for points in sections.z.values()])
     below.set(xlabel=key, xscale="log" if x.min() > 0 and x.max() > _DECADES * x.min() else "linear")

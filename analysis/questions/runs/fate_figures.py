@@ -36,6 +36,7 @@ from stickslip.analysis.questions.runs.settled import OUTCOMES, Grid, Portion, R
 from stickslip.analysis.series.runs import by_number
 from stickslip.analysis.style import PANEL, panel
 from stickslip.pipeline.design.design import Axis, in_words
+from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 
 MOST_CURVES = 8  # in one figure
 MOST_STEPS = 2000  # of one curve: each is then a quarter of a dot wide
@@ -289,7 +290,7 @@ def _survival(study: Study, grid: Grid, curves: Mapping[Place, Curve]) -> Pictur
     see = f"Curves fall as runs {listed(ends, 'or')}. " if ends else ""
     count = f" {len(chosen)} of {len(settings)} settings are drawn." * (len(chosen) < len(settings))
     caption = f"{see}Share of runs that have not ended{level}.{count}"
-    return Picture(partial(survival_curves, named_curves, t_end), caption)
+    return Picture(partial(survival_curves, named_curves, t_end, study.settings.units), caption)
 
 
 def _has_band(curve: Curve) -> bool:
@@ -298,7 +299,7 @@ def _has_band(curve: Curve) -> bool:
 
 
 @panel(3.4)
-def survival_curves(ax: Axes, curves: Mapping[str, Curve], t_end: float) -> None:
+def survival_curves(ax: Axes, curves: Mapping[str, Curve], t_end: float, units: Units = DIMENSIONLESS) -> None:
     """Share of runs that have not ended against time, a hue for each setting; with its interval where some ended."""
     for (label, curve), hue in zip(curves.items(), _HUES, strict=False):
         steps = np.unique(np.linspace(0, len(curve[0]) - 1, MOST_STEPS).astype(np.int64))
@@ -307,7 +308,8 @@ def survival_curves(ax: Axes, curves: Mapping[str, Curve], t_end: float) -> None
         ax.step(t, share, where="post", color=hue, label=label)
         if _has_band(curve):
             ax.fill_between(t, low, high, share < 1.0, step="post", color=hue, alpha=0.15, linewidth=0)
-    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), xlabel="time t", ylabel="share of runs not ended")
+    ax.set(xlim=(0, t_end), ylim=(-0.02, 1.04), ylabel="share of runs not ended")
+    ax.set_xlabel(units.label("time t", "time"))
     ax.yaxis.set_major_formatter(PercentFormatter(1.0))
     if len(curves) > 1:
         n_columns = 2 if max(map(len, curves)) <= _SHORT else 1

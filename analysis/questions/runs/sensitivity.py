@@ -23,6 +23,7 @@ from stickslip.analysis.series import parting
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import CYCLE, panel
 from stickslip.pipeline.design.design import Change
+from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 from stickslip.pipeline.design.values import shown
 from stickslip.sim.engines import ENGINES
 
@@ -32,12 +33,17 @@ SMALL = 0.1  # largest displacement of a start for a growth rate, as a share of 
 FLOOR, TOLERANCES = 1e-13, 10.0  # floor of exact engines; that of others is so many times their relative tolerance
 RATE = Quantity("rate", "growth rate of small differences, per unit of time", dimension="frequency")
 PARTED = Quantity("parted", "median time until copies part from their base", dimension="time")
-METHOD = (
-    f"The growth rate is the slope of log distance over time from t = {T_FROM:g} on, while all pairs lie between a"
-    f" floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and {CEILING:g}; none is given where more than"
-    " a tenth of the pairs leave that range. Copies have parted when |difference of n_stick|, averaged over"
-    f" {parting.SPAN:g} units of time, first reaches {100 * parting.SHARE:g}% of what two systems show after t_burn."
-)
+
+
+def _method(study: Study) -> str:
+    settings, unit = study.settings, study.settings.units.time or "units of time"
+    return (
+        f"The growth rate is the slope of log distance over time from t = {settings.at(T_FROM * settings.time)} on,"
+        f" while all pairs lie between a floor ({FLOOR:g}, or {TOLERANCES:g} rtol under a smoothed law) and"
+        f" {CEILING:g}; none is given where more than a tenth of the pairs leave that range. Copies have parted when"
+        f" |difference of n_stick|, averaged over {parting.SPAN * settings.time:g} {unit}, first reaches"
+        f" {100 * parting.SHARE:g}% of what two systems show after t_burn."
+    )
 
 
 class Rate(NamedTuple):
@@ -134,8 +140,8 @@ def answer(study: Study) -> Answer | None:
     return Answer(
         findings=[lead[0], *support, *lead[1:]],
         n_lead=2,
-        figures=_figures([rate for rate in rates if rate.is_known]),
-        method=METHOD,
+        figures=_figures([rate for rate in rates if rate.is_known], study.settings.units),
+        method=_method(study),
     )
 
 
@@ -162,14 +168,15 @@ def _of_size(study: Study, setting: Setting, comparison: Comparison) -> Rate:
     ]
     pairs = [(pair, separation) for pair, separation in pairs if len(separation[0])]
     distances = [separation for _, separation in pairs]
-    law = Growth(Estimate(), T_FROM, T_FROM, 0, 0)
+    t_from, least = T_FROM * study.settings.time, LEAST * study.settings.time
+    law = Growth(Estimate(), t_from, t_from, 0, 0)
     if pairs:
         law = growth(
             max((t for t, _ in distances), key=len),
             [distance for _, distance in distances],
             [pair.matrix for pair, _ in pairs],
-            T_FROM,
-            LEAST,
+            t_from,
+            least,
             (_floor(setting.key), CEILING),
             study.settings.confidence,
         )
@@ -226,25 +233,25 @@ def _lifetime(alike: Sequence[Parting]) -> Lifetime:
 # ------------------------------------------------------------------------------------------------- figures
 
 
-def _figures(rates: Sequence[Rate]) -> dict[str, Picture]:
+def _figures(rates: Sequence[Rate], units: Units) -> dict[str, Picture]:
     if not rates:
         return {}
     caption = (
         "How differences of starts grow or shrink: distance of each system's copy from its base, over the difference"
         " at the start, while they are proportional. Heavy: the fitted rate, over its range."
     )
-    return {"growth": Picture(partial(distances, rates), caption)}
+    return {"growth": Picture(partial(distances, rates, units), caption)}
 
 
 @panel(3.4)
-def distances(ax: Axes, rates: Sequence[Rate]) -> None:
+def distances(ax: Axes, rates: Sequence[Rate], units: Units = DIMENSIONLESS) -> None:
     """Distances of displaced runs from their base, over that at the start, on a logarithmic axis, with the fits."""
     for k, rate in enumerate(rates):
         colour, form = CYCLE[k % len(CYCLE)], ("-", "--", ":")[k // len(CYCLE) % 3]
         for t, distance in rate.in_proportion:
             ax.plot(t, distance, form, color=colour, linewidth=0.5, alpha=0.5)
         ax.plot(*rate.fit, form, color=colour, linewidth=2.2, label=f"{rate.setting.label}: {shown(rate.size)}")
-    ax.set(yscale="log", xlabel="time t", ylabel="distance / at the start")
+    ax.set(yscale="log", xlabel=units.label("time t", "time"), ylabel="distance / at the start")
     ax.figure.legend(loc="outside lower center", ncols=1)
 
 

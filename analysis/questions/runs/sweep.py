@@ -66,7 +66,7 @@ def answer(study: Study) -> Answer | None:
     order = _order(grid, [step for step in judged if step.setting == grid.settings[0]] or judged)
     lead = _lead(grid, order, judged, unit)
     further = [finding for finding in _rest(grid, order, judged, unit) if finding not in lead]
-    pictures = figures(grid, order, [*judged]) if judged else {}
+    pictures = figures(grid, order, [*judged], study.settings.units) if judged else {}
     tables = {"changes": table_of(steps), "sweep_measures": _table(grid)}
     findings = [*lead, *further] if lead else [_lack(grid, steps)]
     method = _method(grid, steps, unit)

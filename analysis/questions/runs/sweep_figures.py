@@ -21,6 +21,8 @@ from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.steps import Step
 from stickslip.analysis.style import EXACT, panel
 from stickslip.pipeline.design.design import Axis, in_words
+from stickslip.pipeline.design.units import Units
+from stickslip.sim.systems.terms import TERMS
 
 MOST_LINES = 6  # in one figure
 MOST_FIGURES = 8  # of statistics along a key
@@ -28,9 +30,10 @@ MOST_DECADES = 4.0  # of an axis: what lies further below the largest value is b
 DECADES = 30.0  # largest over least value from which an axis is logarithmic
 _FEW_TICKS = 4  # so few values of a key are its ticks
 Line = tuple[str, Sequence[Estimate]]
+_DIMENSIONS = {term.name: term.dimension for term in TERMS} | {"z": "length", "w": "speed"}
 
 
-def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step]) -> dict[str, Picture]:
+def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step], units: Units) -> dict[str, Picture]:
     """Each measure along the key of the step that leads, in an order; over more keys, of the setting that leads."""
     lead = grid.settings[0]
     leading = [step for step in steps if (step.statistic, step.setting) == (order[0], lead)] or steps
@@ -53,7 +56,8 @@ def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step]) -> dict[str
             along = [step for step in steps if (step.statistic, step.key_names) == (name, axis.keys)]
             trend = _trend(grid, [step for step in along if step.setting in shown_settings], key, is_of_size)
             caption = f"{capital(title)} {trend}{tail}. Bars are {100 * grid.confidence:g}% intervals."
-            recipe = partial(curves, title, key, x, axis.texts, lines)
+            what = units.label(title, by_name[name].statistic.dimension)
+            recipe = partial(curves, what, units.label(key, _DIMENSIONS.get(axis.name, "")), x, axis.texts, lines)
             pictures[f"sweep_{file}" if name in KEYS else f"sweep_of_{file}"] = Picture(recipe, caption)
     return pictures
 

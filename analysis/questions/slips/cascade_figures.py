@@ -12,6 +12,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from stickslip.analysis.stats.estimates import Estimate
 from stickslip.analysis.style import EXACT, GREEN, GREY, SMOOTHED, panel, size_axis
+from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 
 SHOWN = 0.06  # largest relative error of a share that is drawn relative to p = 1/2
 FEWEST = 5  # cascades of a size that is drawn
@@ -50,14 +51,21 @@ class Largest(NamedTuple):
 
 @panel()
 def one_run(
-    ax: Axes, t: np.ndarray, n_stick: np.ndarray, t_stop: float, t_burn: float, largest: Largest | None
+    ax: Axes,
+    t: np.ndarray,
+    n_stick: np.ndarray,
+    t_stop: float,
+    t_burn: float,
+    largest: Largest | None,
+    units: Units = DIMENSIONLESS,
 ) -> None:
     """n_stick(t) of one run from its change points, with the burn-in shaded and one cascade enlarged."""
     t, n_stick = np.append(t, t_stop), np.append(n_stick, n_stick[-1])
     ax.step(t, n_stick, where="post", color=EXACT, linewidth=0.5, rasterized=True)
     ax.axvspan(0, t_burn, color=GREY, alpha=0.13, linewidth=0)
     ax.text(t_burn / 2, 0.02, "left out", transform=ax.get_xaxis_transform(), ha="center", color=GREY)
-    ax.set(xlim=(0, max(t_stop, t_burn)), ylim=(0, None), xlabel="time t", ylabel="blocks that stick, $n_{stick}$")
+    ax.set(xlim=(0, max(t_stop, t_burn)), ylim=(0, None), ylabel="blocks that stick, $n_{stick}$")
+    ax.set_xlabel(units.label("time t", "time"))
     if largest is None:
         return
     size, begin, end = largest

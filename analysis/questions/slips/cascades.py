@@ -464,7 +464,8 @@ def _first_run(study: Study, group: Group) -> tuple[int, cascade_figures.Largest
         k = int(np.argmax(cascades.size))
         largest = cascade_figures.Largest(int(cascades.size[k]), float(cascades.start[k]), float(cascades.stop[k]))
     t, n_stick = study.runs.points(member_id)
-    draw = partial(cascade_figures.one_run, t, n_stick, win.t_stop, study.settings.t_burn, largest)
+    of_run = t, n_stick, win.t_stop, study.settings.t_burn, largest, study.settings.units
+    draw = partial(cascade_figures.one_run, *of_run)
     return group.units[row], largest, draw
 
 
