@@ -11,9 +11,11 @@ from functools import partial
 from multiprocessing import current_process
 from typing import NamedTuple
 
+import numpy as np
 from distributed import Client, fire_and_forget
 
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
+from stickslip.pipeline.dataset.schema import scaled
 from stickslip.pipeline.dataset.status import Pace, Status, Tally, counted
 from stickslip.pipeline.dataset.writer import Store
 from stickslip.pipeline.ensemble.expand import expand
@@ -307,7 +309,7 @@ def _cold_there(client: Client, engines: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def run_member(scene: Scene, member_id: str) -> dict[str, object]:
-    """Run one member of a scene in this process, as a failed one's row says to: its row, by column.
+    """Run one member of a scene in this process, as a failed one's row says to: its row, by column, in its units.
 
     Raises
     ------
@@ -324,4 +326,8 @@ def run_member(scene: Scene, member_id: str) -> dict[str, object]:
         raise ValueError(
             f"member_id: expected a member of the scene, such as {next(members.ids())!r}, got {member_id!r}"
         )
-    return row(members[place], scene.recording)
+    values, scales = row(members[place], scene.recording), scaled(scene.recording)
+    return {
+        name: value if value is None or name not in scales else np.asarray(value, np.float64) * scales[name]
+        for name, value in values.items()
+    }
