@@ -47,6 +47,7 @@ class Structure(Record):
             "largest_eigenvalue",
             "largest eigenvalue of K",
             absent="K is not symmetric",
+            dimension="stiffness",
             note="of a graph kappa times that of its Laplacian, and `leaf`",
         ),
     )

@@ -683,16 +683,17 @@ def _scales_of(scene: Scene, table: Mapping[str, Any], folder: Path) -> dict[str
     }
     known: dict[str, Any] = {key: numbers[key] for key in ("mass", "friction") if numbers.get(key) is not None}
     means = scene.system.module.means if scene.system.module is not None else {}
+    of_graph = {key: numbers[key] for key in ("kappa", "leaf", "degree", "rewiring") if numbers.get(key) is not None}
     if isinstance(origin, SystemFile):
         arrays = read(origin)
-        stiffness = arrays["stiffness"]
+        is_graph = origin.is_graph
+        stiffness = System.from_graph(arrays["edges"], **of_graph).stiffness if is_graph else arrays["stiffness"]
         known = {key: arrays[key] for key in ("mass", "friction") if key in arrays} | known
     elif means:
         stiffness = means["stiffness"] * np.eye(n)
         known = {key: means[key] for key in ("mass", "friction")} | known
     else:
-        of_coupling = {key: numbers[key] for key in ("kappa", "leaf", "degree") if numbers.get(key) is not None}
-        stiffness = draw_system(scene.system.coupling, n, 0, rho=0.0, **of_coupling).stiffness
+        stiffness = draw_system(scene.system.coupling, n, 0, rho=0.0, **of_graph).stiffness
     try:
         system = System(stiffness, 0.0, known.pop("friction", 1.0), 0.0, **known)
         if scene.system.rubbing is not None:

@@ -62,6 +62,7 @@ class EpisodesRecord(Record):
             'how long the motion takes with load = "adiabatic", where start and end are one time of the belt',
             repeats=False,
             is_later=True,
+            dimension="time",
         ),
     )
     needs_stills = True
