@@ -688,7 +688,7 @@ def _scales_of(scene: Scene, table: Mapping[str, Any], folder: Path) -> dict[str
         arrays = read(origin)
         is_graph = origin.is_graph
         stiffness = System.from_graph(arrays["edges"], **of_graph).stiffness if is_graph else arrays["stiffness"]
-        known = {key: arrays[key] for key in ("mass", "friction") if key in arrays} | known
+        known |= {key: arrays[key] for key in ("mass", "friction") if key in arrays}
     elif means:
         stiffness = means["stiffness"] * np.eye(n)
         known = {key: means[key] for key in ("mass", "friction")} | known

@@ -9,7 +9,7 @@ import pytest
 
 from stickslip import Dataset, Scene, System, simulate
 from stickslip.pipeline import SceneError, expand, extend, load_scene, query, run_ensemble
-from stickslip.pipeline.design.units import Units
+from stickslip.pipeline.design.units import DIMENSIONS, Units
 from stickslip.sim.systems.scales import Scales
 from tests.pipeline.drill import bit_events
 
@@ -101,6 +101,13 @@ def moving(units, factor, tmp_path):
     return Dataset(tmp_path), json.loads((tmp_path / "report" / "findings.json").read_text())
 
 
+def bare(sentence, units):
+    """A sentence without its units and numbers."""
+    for unit in sorted({units.of(dimension) for dimension in DIMENSIONS}, key=len, reverse=True):
+        sentence = re.sub(rf"(?<=[\d)]) {re.escape(unit)}(?![\w/^])", "", sentence)
+    return re.sub(r"[+−]?[\d.,]*\d( × 10[⁻⁰-⁹²³¹]+)?", "#", sentence)
+
+
 def test_other_units_give_the_same_motion_and_say_the_same(tmp_path):
     si, said = moving({"time": "s", "length": "m", "mass": "kg"}, (1.0, 1.0, 1.0), tmp_path / "si")
     small, said_small = moving({"time": "ms", "length": "mm", "mass": "g"}, (1e3, 1e3, 1e3), tmp_path / "small")
@@ -119,8 +126,8 @@ def test_other_units_give_the_same_motion_and_say_the_same(tmp_path):
         assert runs[0].mode.tobytes() == runs[1].mode.tobytes()
     assert [runs.unit for runs in runs] == ["s", "ms"]
     without = [
-        [re.sub(r"[\d.,]+( × 10\S+)?|\b(m?m?s|mm?|g|kg|N|J)(/m?s)?\b", "#", f["sentence"]) for f in page["findings"]]
-        for page in (said, said_small)
+        [bare(finding["sentence"], units) for finding in page["findings"]]
+        for page, units in ((said, Units("s", "m", "kg")), (said_small, Units("ms", "mm", "g")))
     ]
     assert without[0] == without[1]
     sentences = " ".join(f["sentence"] for f in said["findings"])
@@ -133,8 +140,7 @@ def test_other_units_give_the_same_motion_and_say_the_same(tmp_path):
 def test_files_have_numbers_their_scales_and_units_and_readers_the_units(tmp_path):
     scene = drill(speed=[2.0, 4.0], record={"amplitude": ["bit"], "dt": 0.01})
     run_ensemble(scene, tmp_path / "out", workers=0)
-    (shard,) = (tmp_path / "out" / "data").iterdir()
-    stored, table = pq.read_table(shard), query.table(tmp_path / "out")
+    stored, table = pq.read_table(tmp_path / "out" / "data"), query.table(tmp_path / "out")
     dimensions = {
         "amplitude_bit": "rad", "t": "s", "event_t": "s", "t_end": "s", "t_stop": "s", "drive_speed": "rad/s",
         "friction": "N m", "kappa": "N m/rad", "rayleigh_stiffness": "s", "mass": "kg m^2",
@@ -167,7 +173,7 @@ def test_ends_and_extensions_are_in_the_same_scales(tmp_path, monkeypatch):
     whole = drill(record={"end": True, "stick_share": ["bit"], "attractor": True})
     run_ensemble(whole, "whole", workers=0)
     extend("first", {"stick_share": ["bit"], "attractor": True}, "more", workers=0)
-    shards = [next((tmp_path / name / "data").iterdir()).read_bytes() for name in ("whole", "more")]
+    shards = [next((tmp_path / name / "data").glob("*.parquet")).read_bytes() for name in ("whole", "more")]
     assert shards[0] == shards[1]
     tables = first.model_dump(mode="json", by_alias=True, exclude_unset=True)
     on = Scene(**tables | {"start": {"dataset": "first"}})
@@ -192,7 +198,7 @@ def test_files_and_functions_are_in_the_units_of_their_scene(tmp_path):
     )
     rest = (
         'units = {time = "s", length = "m", mass = "kg"}\n[start]\nz = %s\nw = "belt"\n[run]\nt_end = 0.2\n'
-        'matrices = 1\n[[engine]]\nname = "coulomb"\n[analysis]\nt_burn = 0.05\ndt = 1e-3\n'
+        'matrices = 1\n[[engine]]\nname = "coulomb"\ntol = 1e-10\n[analysis]\nt_burn = 0.05\ndt = 1e-3\n'
     )
     events = []
     for source, z in (
@@ -211,7 +217,7 @@ def test_files_and_functions_are_in_the_units_of_their_scene(tmp_path):
         assert run.events.t.tobytes() == hand.events.t.tobytes()
         events.append(len(run.events))
         assert scene.scales.force == 256.0  # the power of two nearest to 240 N
-    assert min(events) > 4
+    assert min(events) > 1
 
 
 @pytest.mark.parametrize(
