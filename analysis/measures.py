@@ -115,22 +115,249 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
         yield Measure(statistic, key, partial(_episodes, by_label, name))
     b = Statistic(B, ratio, title="b-value of the episodes", definition="of the power law of their moments")
     yield Measure(b, "episode_b", partial(_b, by_label))
-    groups = study.once(read)
-    rivals = [] if beside is None else beside.once(read)
-    full = [group for group in (*groups, *rivals) if group.n_from(group.least) >= enough.LEAST_CASCADES]
-    edge = max((group.least for group in full), default=None)
-    if edge is not None and any(group.n_from(edge) < enough.LEAST_CASCADES for group in full):
-        edge = None
-    by_label = {group.label: group for group in groups}
-    beyond = "from each point's own least magnitude on" if edge is None else f"from M = {edge:.2f} on"
-    for name, quantity, key, title, things, definition in (
-        (RATE, RATE, "episode_rate", "", "episodes", "" if study.settings.units else "per unit of time"),
-        (MEAN_SIZE, SIZE, "episode_size", "", "", "in blocks that slip"),
-        (B, B_VALUE, "episode_b", "b-value of the episodes", "", f"by Aki {beyond}"),
-    ):
-        measured = partial(_episodes, by_label, quantity, edge, beyond, study.settings.confidence)
-        statistic = Statistic(
-            name, QUANTITIES[quantity].of, least=0.0, title=title, definition=definition, things=things,
-            dimension="frequency" * (quantity == RATE),
-        )  # fmt: skip
-        yield Measure(statistic, key, measured)
+
+
+def _episodes(by_label: Mapping[str, Catalogues], name: str, group: Group) -> Values:
+    """The sums of a quantity of episodes over the runs of a group that reached t_end."""
+    missing = _without(group, ~group.is_finished, lambda _, outcome: outcome)
+    catalogues = by_label.get(group.label)
+    if catalogues is None:
+        return Values(missing=missing)
+    units, rows, finished = list[int](), list[tuple[float, float]](), group.finished
+    of_unit = {unit: iter(runs) for unit, runs in catalogues.runs.items()}  # in the order of the members
+    for unit, member_id in zip(finished["unit"], finished["member_id"], strict=True):
+        row = QUANTITIES[name].sums(next(of_unit[int(unit)]))
+        if row[1] > 0:
+            units.append(int(unit))
+            rows.append(row)
+        else:
+            missing[str(member_id)] = NO_EPISODE
+    return Values(UnitSums.of(units, rows), missing)
+
+
+def _b(by_label: Mapping[str, Catalogues], group: Group) -> Values:
+    """Sums of systems whose ratio is b."""
+    missing = _without(group, ~group.is_finished, lambda _, outcome: outcome)
+    catalogues = by_label.get(group.label)
+    if catalogues is None:
+        return Values(missing=missing)
+    if catalogues.basis.code == enough.DRIFTS:
+        return Values(missing=missing, withheld="the rate of episodes drifts")
+    if not catalogues.law.has_b:
+        return Values(missing=missing, withheld=f"no power law is shown: {catalogues.law.why}")
+    return Values(UnitSums.of([*catalogues.runs], catalogues.law.rows), missing)
+
+
+def _without(group: Group, lacks: np.ndarray, why: Callable[[str, str], str]) -> dict[str, str]:
+    """Why some runs of a group have no value, from the name and the outcome of each."""
+    names, outcomes = (group.column(name)[lacks] for name in ("member_id", "outcome"))
+    return {str(name): why(name, outcome) for name, outcome in zip(names, outcomes, strict=True)}
+
+
+# ---------------------------------------------------------------------------------------- columns of records
+
+
+def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
+    """Of every column of a record that holds numbers, the mean over runs, or what has to stand in its place.
+
+    Of truths that is their share, of a time that the end of a run may cut off its median and its mean up to a limit,
+    and of times between exits of a block their mean from the number of exits.
+
+    A column that the analysis takes for itself, the growth rate, is measured too, but not as what the scene is about,
+    and of the exact law alone, which it is of.
+    """
+    table = study.data.table
+    is_smoothed = np.array([setting["eps"] is not None for setting in table.settings])
+    for name, column in study.data.recorded.items():
+        is_read = name in READ
+        numbers = study.number(name)
+        if is_read:
+            numbers = np.where(is_smoothed[table.own["setting"]], np.nan, numbers)
+        if (beside is not None and name not in beside.data.recorded) or (is_read and np.isnan(numbers).all()):
+            continue
+        if column.since is not None:
+            yield from _of_times(study, beside, name, column)
+        else:
+            measure = _of_column(name, column, numbers, study.settings.t_burn)
+            yield replace(measure, is_recorded=not is_read)
+
+
+def _of_column(name: str, column: Recorded, numbers: np.ndarray, t_burn: float) -> Measure:
+    title, definition = f"mean {column.called or name}", "" if column.says_it else column.words
+    values = partial(_column, numbers, column.problems, column.absent or NO_VALUE)
+    if column.is_share:
+        share = Share(f"share {name}", title=f"share of runs with {column.called or name}", definition=definition)
+        return Measure(share, name, partial(_share, numbers, values), column.absent)
+    if column.of_gaps == "mean":
+        definition = f"{column.words}, as the time of blocks per exit, which nothing cuts off"
+        per_exit = PerEvent(f"mean {name}", per_event, title=title, definition=definition, dimension="time")
+        return Measure(per_exit, name, _per_exit, STILL)
+    mean = Statistic(f"mean {name}", ratio, least=column.least, title=title, definition=definition)
+    mean = replace(mean, dimension=column.dimension)
+    if column.most is not None:
+        mean = Bounded(f"mean {name}", ratio, most=column.most, title=title, definition=definition)
+    return Measure(mean, name, partial(_of_gaps, values, t_burn) if column.of_gaps else values, column.absent)
+
+
+def _column(numbers: np.ndarray, problems: Mapping[str, str], reason: str, group: Group) -> Values:
+    def why(name: str, outcome: str) -> str:
+        return outcome if outcome == FAILED else problems.get(name, reason)
+
+    return Values(group.sums_of(numbers), _without(group, ~np.isfinite(numbers[group.rows]), why))
+
+
+def _share(numbers: np.ndarray, values: Callable[[Group], Values], group: Group) -> Values:
+    has = numbers[group.rows]
+    return replace(values(group), sums=_runs_with(group, has, np.isfinite(has)))
+
+
+def _per_exit(group: Group) -> Values:
+    """Exits per block with friction and unit of time of a unit's runs that may go on to exit, and 1.
+
+    The mean time between exits of a block is one over it, however short the windows are. The mean of the times that
+    lie in a window whole is too small, as long ones are cut off. A run that has not moved yet has no exit so far.
+    """
+    not_moved = np.asarray(group.fates == UNMOVED)
+    goes_on = group.is_moving | not_moved
+    none = UnitSums.of(group.members["unit"][not_moved], np.repeat([[0.0, 1.0]], not_moved.sum(), axis=0))
+    exits = UnitSums.together([UnitSums(group.units, group.of("rate", "runs")), none])
+    members = group.members[goes_on]
+    n = float(group.key["n"])
+    n_contacts = members[CONTACTS].fillna(n) if CONTACTS in members else np.full(len(members), n)
+    contacts = UnitSums.of(members["unit"], np.column_stack([n_contacts, np.ones(len(members))]))
+    rates = ratio(exits.rows) / ratio(contacts.rows)
+    missing = _without(group, ~goes_on, lambda _, outcome: outcome if outcome == FAILED else STILL)
+    return Values(UnitSums(exits.units, np.column_stack([rates, np.ones(len(rates))])), missing)
+
+
+def _of_gaps(column: Callable[[Group], Values], t_burn: float, group: Group) -> Values:
+    """As a column, but withheld in short windows: the scatter of the times that lie in them whole is too small."""
+    values, rates = column(group), _per_exit(group).sums.rows[:, 0]
+    n_exits = (float(group.key["t_end"]) - t_burn) * float(rates.mean()) if len(rates) else 0.0
+    if not len(values.sums) or n_exits >= LEAST_GAPS:
+        return values
+    return Values(missing=values.missing, withheld=f"fewer than {LEAST_GAPS} exits per block: long times are cut off")
+
+
+def _of_times(study: Study, beside: Study | None, name: str, column: Recorded) -> Iterator[Measure]:
+    """The median of a time that the end of a run may cut off, and its mean up to the longest time that all follow.
+
+    The median leads if it is known wherever the time is, with its interval.
+    """
+    limit = study.limit(name) if beside is None else min(study.limit(name), beside.limit(name))
+    called, words = column.called or name, column.words
+    median = Median(f"median {name}", ratio, title=f"median {called}", definition=f"{words}, by Kaplan and Meier")
+    median = replace(median, dimension="time")
+    mean = Bounded(
+        f"restricted mean {name}",
+        ratio,
+        most=limit,
+        title=f"restricted mean of {'the ' * column.says_it}{called} up to {study.settings.at(limit)}",
+        definition=f"{words}; the area up to {study.settings.at(limit)} under the curve of Kaplan and Meier",
+        dimension="time",
+    )
+    median_and_mean = [
+        Measure(median, f"{name}_median", partial(_median, study, name)),
+        Measure(mean, name, partial(_restricted, study, name, limit)),
+    ]
+    medians = [study.median(group, name) for group in study.groups]
+    is_known = all(None not in (median.value, median.low, median.high) for median in medians)
+    yield from median_and_mean if is_known else median_and_mean[::-1]
+
+
+def _median(study: Study, name: str, group: Group) -> Values:
+    times, missing = _times(study, name, group)
+    is_reached = times.median(study.settings.confidence).value is not None
+    return Values(times, missing, "" if is_reached or not len(times) else NOT_REACHED, times.n_censored)
+
+
+def _restricted(study: Study, name: str, limit: float, group: Group) -> Values:
+    times, missing = _times(study, name, group)
+    if not len(times):
+        return Values(missing=missing)
+    if not times.reaches(limit):
+        return Values(missing=missing, withheld=f"no run was followed to {limit:g}", n_censored=times.n_censored)
+    return Values(times.restricted(limit), missing, n_censored=times.n_censored)
+
+
+def _times(study: Study, name: str, group: Group) -> tuple[Times, dict[str, str]]:
+    """A time of the runs of a group, and why others have none: that it did not happen is no reason."""
+    times, is_known = study.times(group, name)
+    problems = study.data.recorded[name].problems
+
+    def why(member_id: str, outcome: str) -> str:
+        return outcome if outcome == FAILED else problems.get(member_id, NO_VALUE)
+
+    return times, _without(group, ~is_known, why)
+
+
+# ------------------------------------------------------------------------------------------------- n_stick
+
+
+def _of_n_stick(study: Study, _: Study | None) -> Iterator[Measure]:
+    """Mean n_stick and gamma of what is in motion; without gamma where episodes are recorded."""
+    by_key: dict[str, Callable[[Group], Values]] = {
+        "mean": lambda group: Values(UnitSums(group.units, group.by_unit("mean", "runs"))),
+        "gamma": partial(_gamma, study.settings.confidence),
+    }
+    for measure in of_windows(study, (*by_key,)):
+        yield replace(measure, of=by_key[measure.key], is_recorded=False)
+
+
+def _gamma(confidence: float, group: Group) -> Values:
+    """Sums of gamma over a group's runs in motion, if they allow a statistic of a steady state."""
+    basis = group.basis(confidence).code
+    return Values(group.sums("gamma")) if basis in enough.JUDGED else Values(withheld=basis)
+
+
+def of_windows(study: Study, keys: Collection[str] = tuple(OF_N_STICK)) -> list[Measure]:
+    """The quantities of n_stick, with the margins that the scene declares, over all runs in motion."""
+    measured = []
+    for key, quantity in OF_N_STICK.items():
+        if key in keys and key in study.compared:
+            statistic = Statistic(quantity.label, quantity.of, study.margins.get(key), least=0.0)
+            statistic = replace(statistic, title=quantity.title, things=quantity.things)
+            statistic = replace(statistic, dimension=quantity.dimension)
+            measured.append(Measure(statistic, key, partial(_window_sums, key)))
+    return measured
+
+
+def _window_sums(key: str, group: Group) -> Values:
+    is_short = key == "correlation_time" and 2 * group.n_short > group.n_runs
+    return Values(group.sums(key), withheld=SHORT_WINDOW * is_short)
+
+
+# --------------------------------------------------------------------------------------------- ends of runs
+
+
+def _runs_with(group: Group, has: np.ndarray, known: np.ndarray) -> UnitSums:
+    """Runs of each unit that have a property, and those of which that is known."""
+    return UnitSums.of(group.column("unit").to_numpy()[known], np.column_stack([has, known])[known])
+
+
+def _with_fate(fates: Collection[str], group: Group) -> Values:
+    return Values(_runs_with(group, np.isin(group.fates, [*fates]), group.fates != FAILED))
+
+
+def _without_late_stick(group: Group) -> Values:
+    """Engines certify a collapse more or less often: what is seen in all is whether a block sticks late."""
+    t_last, n_last = group.last.T
+    has = (group.fates != DIVERGED) & is_all_slip(t_last, n_last, float(group.key["t_end"]))
+    return Values(_runs_with(group, has, group.fates != FAILED))
+
+
+#: Shares of runs by how they ended, by which engines and datasets are compared.
+ALL_SLIP = Share("share of runs with no late stick", title="share of runs without a late stick")
+RUN_AWAY = Share("share of runs that run away", title="share of runs whose motion grows without limit")
+ENDS = (
+    Measure(ALL_SLIP, "all_slip", _without_late_stick),
+    Measure(RUN_AWAY, "run_away", partial(_with_fate, (DIVERGED,))),
+)
+STICKING = "share of runs that stick late"
+#: Whether runs still stick and slip, which is known of each that did not fail.
+MOTION = Measure(
+    Share(STICKING, title="share of runs that still stick and slip"), "motion", partial(_with_fate, (SUSTAINED,))
+)
+
+#: What an ensemble may hold that can be measured, in the order in which measures lead.
+SOURCES: tuple[Callable[[Study, Study | None], Iterator[Measure]], ...] = (_of_episodes, _of_columns, _of_n_stick)
