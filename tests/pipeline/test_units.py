@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from scipy.sparse import csc_array
 
 from stickslip import Dataset, Scene, System, simulate
 from stickslip.pipeline import SceneError, expand, extend, load_scene, query, run_ensemble
@@ -48,7 +49,7 @@ def test_a_drill_string_is_that_made_by_hand_and_that_of_an_own_integration_in_s
     run_ensemble(scene, tmp_path / "out", workers=0)
     events = query.events(tmp_path / "out", next(iter(expand(scene))).member_id)
     stiffness, damping, mass, bit = by_hand()
-    string = System(stiffness, damping, 6000.0 * bit, 0.0, 9000.0 * bit, mass=mass)
+    string = System(csc_array(stiffness), csc_array(damping), 6000.0 * bit, 0.0, 9000.0 * bit, mass=mass)
     scales = scene.scales
     system = scales.dimensionless(string.driven(0, spring=9000.0, speed=2.0, damping=0.005 * 9000.0))
     run = simulate(system, 0.0, "belt", 20.0 / scales.time, tol=1e-12)
