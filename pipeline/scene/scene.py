@@ -85,6 +85,9 @@ MINUTES = "what it took on two cores with its report, in minutes: `stickslip sce
 #: Keys without influence on the data.
 _WORDS = {"title", "about", "minutes", "analysis"}
 
+#: Keys of [record] that are times.
+_TIMES = ("t_burn", "dt", "separation")
+
 #: Records as old as the oldest datasets. At its default the key of any other is no part of a scene's hash, so that a
 #: record that comes into being leaves datasets what they are; so it is with `back_slip`.
 _OLDEST_RECORDS = {"events", "growth_rate"}
@@ -187,8 +190,7 @@ class Scene(StrictTable):
     def records(self) -> tuple[Record, ...]:
         """What is kept of a run, in addition to n_stick."""
         keys = self.record.model_dump() | {"t_burn": self.record_t_burn, "folder": self._folder}
-        times = ("t_burn", "dt", *(record.name for record in RECORDS if record.is_step))
-        keys |= {name: self.time(keys[name]) for name in times if keys[name] is not None}
+        keys |= {name: self.time(keys[name]) for name in _TIMES if keys[name] is not None}
         keys |= {"names": self.system.block_names, "load": self.run.load}
         settings = {name: value for engine in self.engines for name, value in engine.settings.items() if value}
         return tuple(chosen for record in RECORDS if (chosen := record.asked(keys, settings)) is not None)

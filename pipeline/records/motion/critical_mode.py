@@ -23,8 +23,11 @@ class CriticalModeRecord(Record):
             "growth rate of the critical mode of steady sliding",
             absent=_CHANGES,
             note="below 0 steady sliding attracts",
+            dimension="frequency",
         ),
-        Column("number", "critical_frequency", "its angular frequency", least=0.0, absent=_CHANGES),
+        Column(
+            "number", "critical_frequency", "its angular frequency", least=0.0, absent=_CHANGES, dimension="frequency"
+        ),
         Column(
             "numbers",
             "critical_shape",

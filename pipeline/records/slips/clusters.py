@@ -21,17 +21,33 @@ class ClustersRecord(Record):
     words = "whether to keep the parts of episodes that springs connect, and the slips; it costs a second run"
     columns = (
         _of_each("counts", "cluster_episode", "number of the episode that it is part of", least=0.0),
-        _of_each("numbers", "cluster_start", "when its first block leaves", repeats=False),
-        _of_each("numbers", "cluster_end", "when its last block sticks again", repeats=False),
+        _of_each("numbers", "cluster_start", "when its first block leaves", repeats=False, dimension="time"),
+        _of_each("numbers", "cluster_end", "when its last block sticks again", repeats=False, dimension="time"),
         _of_each("wholes", "cluster_first_block", "its nucleation site: the block that left first", is_index=True),
         _of_each("wholes", "cluster_size", "its extent: number of blocks"),
-        _of_each("numbers", "cluster_moment", "sum of their slips, against the belt's motion", repeats=False),
         _of_each(
-            "numbers", "cluster_stress_drop", "mean fall of the springs' force on its blocks, (K z)_i", repeats=False
+            "numbers",
+            "cluster_moment",
+            "sum of their slips, against the belt's motion",
+            repeats=False,
+            dimension="length",
+        ),
+        _of_each(
+            "numbers",
+            "cluster_stress_drop",
+            "mean fall of the springs' force on its blocks, (K z)_i",
+            repeats=False,
+            dimension="force",
         ),
         _of_block("counts", "profile_cluster", "number of the cluster that a block is part of", least=0.0),
         _of_block("wholes", "profile_block", "the block", is_index=True),
-        _of_block("numbers", "profile_slip", "its slip on the belt, against the belt's motion", repeats=False),
+        _of_block(
+            "numbers",
+            "profile_slip",
+            "its slip on the belt, against the belt's motion",
+            repeats=False,
+            dimension="length",
+        ),
     )
     needs_stills = True
 
