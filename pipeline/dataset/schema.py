@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.places.manifest import SCHEMA_VERSION
 from stickslip.pipeline.scene.columns import COLUMNS, FIXED, Recording
+from stickslip.version import __version__
 
 
 def _list(kind: pa.DataType, nullable: bool = False) -> pa.ListType:
@@ -86,11 +87,19 @@ SCHEMA = pa.schema(as_fields(FIXED))
 
 def schema_of(recording: Recording) -> pa.Schema:
     """The schema of a dataset's shards."""
-    metadata = {"schema_version": str(SCHEMA_VERSION), "scene_hash": recording.scene_hash}
+    metadata = dict(recording.meaning) | {"schema_version": str(SCHEMA_VERSION), "scene_hash": recording.scene_hash}
+    metadata |= {"program": f"stickslip {__version__}", "dataset": "see datapackage.json beside this folder"}
     return pa.schema(as_fields(recording.columns, recording)).with_metadata(metadata)
 
 
+#: What of a shard's metadata says whose it is.
+_IDENTITY = (b"schema_version", b"scene_hash")
 _LATER = frozenset(column.name for column in COLUMNS if column.is_later)
+
+
+def is_of_scene(metadata: Mapping[bytes, bytes] | None, schema: pa.Schema) -> bool:
+    """Whether a shard's metadata name the scene and the version of a schema; words may be of another version."""
+    return metadata is not None and all(metadata.get(key) == schema.metadata[key] for key in _IDENTITY)
 
 
 def is_of(columns: pa.Schema, schema: pa.Schema) -> bool:

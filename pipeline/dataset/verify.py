@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from stickslip.pipeline.dataset.footer import chunks
 from stickslip.pipeline.dataset.opened import NOT_OURS, Opened, open_dataset, reading
-from stickslip.pipeline.dataset.schema import schema_of
+from stickslip.pipeline.dataset.schema import is_of_scene, schema_of
 from stickslip.pipeline.dataset.sound import (
     DAMAGE,
     fault_of_counts,
@@ -27,7 +27,7 @@ from stickslip.pipeline.own.files import ChangedError
 from stickslip.pipeline.own.function import look_again
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.manifest import read_shards
-from stickslip.pipeline.places.place import DATA, TEMPORARY, Where
+from stickslip.pipeline.places.place import DATA, PACKAGE, TEMPORARY, Where
 
 
 def verify(path: Where | Opened) -> list[str]:
@@ -68,6 +68,8 @@ def verify(path: Where | Opened) -> list[str]:
                 problem = problem or _content(opened, content, schema_of(recording), batch, shard.outcomes)
             if problem:
                 problems.append(printable(f"{place.named(f'{DATA}/{name}')}: {problem}"))
+    if fault := opened.manifest.fault_of_package(place):
+        problems.append(printable(f"{place.named(PACKAGE)}: {fault}; rerun the scene to rewrite it"))
     names = {f"{DATA}/{name}" for name in opened.manifest.shards}
     strays = [name for name in files if name.startswith((f"{DATA}/", TEMPORARY)) and name not in names]
     return problems + [
@@ -88,7 +90,7 @@ def _content(opened: Opened, content: bytes, schema: pa.Schema, batch: Batch, ou
         wrong_statistics = fault_of_statistics(table, chunks(content, file.schema))
     except DAMAGE as error:
         return f"cannot be read ({shortened(str(error), 200)}); rerun the scene to rebuild it"
-    if table.schema.metadata != schema.metadata:
+    if not is_of_scene(table.schema.metadata, schema):
         return wrong_columns(table.schema, schema)
     problem = opened.sound.fault(table) or fault_of_members(table, batch.members, batch.coordinates)
     problem = problem or fault_of_counts(table)

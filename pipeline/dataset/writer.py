@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import logging
 import re
 import threading
@@ -12,6 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from stickslip.pipeline.dataset.opened import Opened, numbering_of, planned, stored_scene
+from stickslip.pipeline.dataset.package import package_of
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.ensemble.pack import Task, grows, lacked, pack, tasks
 from stickslip.pipeline.errors import SceneError, StoreError, command, remedy
@@ -27,7 +29,7 @@ from stickslip.pipeline.places.manifest import (
     read_manifest,
     read_shards,
 )
-from stickslip.pipeline.places.place import DATA, LOCK, MANIFEST, SCENE, TEMPORARY, TIMINGS, Place, Where
+from stickslip.pipeline.places.place import DATA, LOCK, MANIFEST, PACKAGE, SCENE, TEMPORARY, TIMINGS, Place, Where
 from stickslip.pipeline.records import End
 from stickslip.pipeline.scene.scene import Scene
 from stickslip.pipeline.scene.source import parse_toml
@@ -114,11 +116,15 @@ class Store:
                     self._finish()
 
     def _finish(self) -> None:
-        """Write the manifest after the last commit."""
-        if self._record is not None:
-            self._manifest.recorded_from = None
-            self._hold.check()
-            self.place.replace(MANIFEST, self._manifest.to_bytes())
+        """Write what the dataset says of itself, and then the manifest, after the last commit."""
+        if self._record is None and not self._manifest.fault_of_package(self.place):
+            return
+        self._manifest.recorded_from = None
+        package = package_of(self.scene, self._manifest)
+        self._manifest.package = hashlib.sha256(package).hexdigest()
+        self._hold.check()
+        self.place.replace(PACKAGE, package)
+        self.place.replace(MANIFEST, self._manifest.to_bytes())
 
     def _sweep(self) -> None:
         """Remove what a commit that is cut short has written; what takes too long is left to the next run."""
@@ -296,6 +302,7 @@ class Store:
                 self.place.remove(leftover)
             manifest.recorded_from = None
             if self.todo:
+                manifest.package = None  # until the run has ended
                 self._record = self._held.enter_context(self.place.record(TIMINGS))
                 manifest.recorded_from = len(self.place.read_record(TIMINGS))
             # the manifest first: it makes the directory a dataset

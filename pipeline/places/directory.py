@@ -24,6 +24,7 @@ from stickslip.pipeline.places.place import (
     DATA,
     LOCK,
     MANIFEST,
+    PACKAGE,
     SCENE,
     TIMINGS,
     Hold,
@@ -36,7 +37,7 @@ from stickslip.pipeline.places.place import (
 
 #: What a dataset has, and of which kind it is.
 _PARTS = {
-    **dict.fromkeys((SCENE, MANIFEST, TIMINGS, LOCK, "report.html"), stat.S_IFREG),
+    **dict.fromkeys((SCENE, MANIFEST, TIMINGS, LOCK, PACKAGE, "report.html"), stat.S_IFREG),
     **dict.fromkeys((DATA, "report", "compared"), stat.S_IFDIR),
 }
 

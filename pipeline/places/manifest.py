@@ -4,8 +4,9 @@ OUT/scene.toml         exact copy of the scene file
 OUT/manifest.json      the shards that are done, with sha256, rows and outcomes; how members are packed; which
                        programs wrote. Written when a run begins and when it ends; in between the record completes it
 OUT/data/*.parquet     the shards, one a batch
-OUT/timings.jsonl      the record, one line a commit: the shard's entry in the manifest; and seconds, host and
-                       process, which are no part of the data. A lost manifest is rebuilt from it
+OUT/timings.jsonl      the record, one line a commit: the shard's entry in the manifest; and seconds, which are no
+                       part of the data. A lost manifest is rebuilt from it
+OUT/datapackage.json   what the dataset and its columns are, for other programs; written when a run ends
 OUT/.lock              held by the process that writes; a crash releases it
 
 OUT is a directory or an address of an object store, where the same files are objects (see `pipeline.places.place`).
@@ -25,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, m
 from stickslip.pipeline.errors import StoreError
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
-from stickslip.pipeline.places.place import DATA, MANIFEST, TIMINGS, Mark, Place, Where
+from stickslip.pipeline.places.place import DATA, MANIFEST, PACKAGE, TIMINGS, Mark, Place, Where
 
 #: Version of what a dataset holds, and how; kept in every shard and in the manifest.
 SCHEMA_VERSION: Final = 3
@@ -78,6 +79,7 @@ class Manifest(BaseModel):
     versions of the program whose numbers the shards may hold. `recorded_from`, while a run goes on or after it was
     killed, is the byte of the record at which its own commits begin. `design` is what the ensemble was made to differ
     in, as `pipeline.design.design.Design.as_json` says it; data of an earlier version lack it.
+    `package` is the sha256 of `datapackage.json`, once a run has written that.
     """
 
     model_config = ConfigDict(strict=True, extra="forbid")
@@ -89,12 +91,23 @@ class Manifest(BaseModel):
     shards: dict[ShardName, Shard] = {}
     recorded_from: Annotated[int, Field(ge=0)] | None = None
     design: dict[str, JsonValue] | None = None
+    package: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
 
     @model_validator(mode="after")
     def _one_packing_a_scene(self) -> Manifest:
         if len(self.packing) != len(self.earlier) + 1:
             raise ValueError(f"expected the packing of {len(self.earlier) + 1} scenes, got {len(self.packing)}")
         return self
+
+    def fault_of_package(self, place: Place) -> str:
+        """How the file `datapackage.json` differs from what was written; "" if it does not, or never was."""
+        if self.package is None:
+            return ""
+        try:
+            found = hashlib.sha256(place.read(PACKAGE)).hexdigest()
+        except FileNotFoundError:
+            return "missing"
+        return "" if found == self.package else f"expected sha256 {self.package[:12]}, got {found[:12]}"
 
     @property
     def digest(self) -> str:
@@ -131,13 +144,13 @@ class Commit(BaseModel):
     entry: Shard
     program: str
     seconds: float
-    host: str
-    pid: int
+    host: str | None = None  #: of earlier versions, as `pid`
+    pid: int | None = None
 
     @property
     def line(self) -> bytes:
         """JSON with a digest of the rest."""
-        values = self.model_dump()
+        values = self.model_dump(exclude_none=True)
         return f"{_json(values | {'check': hashlib.sha256(_json(values).encode()).hexdigest()[:16]})}\n".encode()
 
     @classmethod

@@ -16,6 +16,7 @@ from typing import Any, TypeAlias
 from stickslip.pipeline.errors import remedy
 
 SCENE, MANIFEST, TIMINGS, LOCK, DATA = "scene.toml", "manifest.json", "timings.jsonl", ".lock", "data"
+PACKAGE = "datapackage.json"
 #: Prefix of the names of files while they are being written.
 TEMPORARY = ".tmp-"
 #: Files that are read, or written, at once.

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import os
-import socket
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -72,8 +70,8 @@ def compute(batch: Batch, recording: Recording, kept: Kept | None = None, run: R
         last=members[-1].member_id,
         outcomes=dict(Counter(map(str, rows["outcome"]))),
     )
-    seconds, host = time.perf_counter() - start, socket.gethostname()
-    commit = Commit(shard=batch.name, entry=entry, program=program(), seconds=seconds, host=host, pid=os.getpid())
+    seconds = time.perf_counter() - start
+    commit = Commit(shard=batch.name, entry=entry, program=program(), seconds=seconds)
     return Result(shard, commit)
 
 

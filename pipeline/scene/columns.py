@@ -195,6 +195,8 @@ class Recording:
         Those of the scene.
     scales : Scales, optional
         What one dimensionless unit is in these; None: all is dimensionless.
+    meaning : tuple of (str, str)
+        What the numbers mean, in words by key: see `stickslip.pipeline.scene.meaning`.
     """
 
     scene_hash: str
@@ -203,6 +205,7 @@ class Recording:
     parameters: tuple[str, ...] = ()
     units: Units = DIMENSIONLESS
     scales: Scales | None = None
+    meaning: tuple[tuple[str, str], ...] = ()
 
     def scale(self, column: Column) -> float:
         """What a value of a column is multiplied by to be in the units of the scene."""

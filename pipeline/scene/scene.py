@@ -42,6 +42,7 @@ from stickslip.pipeline.scene.columns import OF_GRAPHS, OF_SETTINGS, PARTS, Reco
 from stickslip.pipeline.scene.ends import Ends, look_at_dataset, place_beside
 from stickslip.pipeline.scene.engine_table import Engines, EngineTable
 from stickslip.pipeline.scene.friction_table import read_friction_table
+from stickslip.pipeline.scene.meaning import meaning
 from stickslip.pipeline.scene.quantity import axes, points
 from stickslip.pipeline.scene.source import parse_toml, read_source
 from stickslip.pipeline.scene.system_table import OF_FILES, OF_GRAPH, SystemTable, is_function
@@ -83,7 +84,7 @@ MAX_POINTS = MAX_RUNS = MAX_SAMPLES = 10_000_000
 MINUTES = "what it took on two cores with its report, in minutes: `stickslip scenes` shows it"
 
 #: Keys without influence on the data.
-_WORDS = {"title", "about", "minutes", "analysis"}
+_WORDS = {"title", "about", "licence", "minutes", "analysis"}
 
 #: Keys of [record] that are times.
 _TIMES = ("t_burn", "dt", "separation")
@@ -98,6 +99,7 @@ class Scene(StrictTable):
 
     title: str = Field(default="", description="one line for the report's head")
     about: str = Field(default="", description="what the scene is for")
+    licence: str = Field(default="", description="licence of the data, which they carry", examples=["CC-BY-4.0"])
     minutes: Positive | None = Field(default=None, description=MINUTES, examples=[1.0])
     system: SystemTable
     units: UnitsTable | None = Field(
@@ -211,7 +213,10 @@ class Scene(StrictTable):
     @property
     def recording(self) -> Recording:
         """What its datasets keep."""
-        return Recording(self.hash, self.parts, self.records, self.parameters, self.unit_names, self.scales)
+        words = meaning(self.system, self.run.seed, self.run.load)
+        return Recording(
+            self.hash, self.parts, self.records, self.parameters, self.unit_names, self.scales, words
+        )
 
     @property
     def unit_names(self) -> Units:

@@ -65,6 +65,8 @@ class Coupling:
     rule : function
         From U, shape (n, width), uniform in [-kappa, kappa], to K, dense or sparse. For the readings "scale" and
         "damping matrix" it is linear in U off the diagonal.
+    words : str
+        The rule in symbols, for those who have the data alone.
     width : int or None
         Random numbers for each block; None: n.
     readings : tuple of str
@@ -74,6 +76,7 @@ class Coupling:
     """
 
     rule: Callable[[Floats], Floats | scipy.sparse.sparray]
+    words: str = ""
     width: int | None = None
     readings: tuple[Reading, ...] = READINGS
     relative: Callable[[Floats, Floats], Floats] = _in_pairs
@@ -86,14 +89,30 @@ class Coupling:
 #: All there are, by name: a line here makes one known to `draw_system`, scenes, datasets and reports.
 COUPLINGS: dict[str, Coupling] = {
     # non-reciprocal coupling, grounding springs positive: the paper's ensemble
-    "antisymmetric": Coupling(rule=lambda u: _on_diagonal((u - u.T) / 2, np.abs(np.diag(u)))),
+    "antisymmetric": Coupling(
+        words="K_ij = (U_ij - U_ji) / 2 = -K_ji, K_ii = |U_ii|",
+        rule=lambda u: _on_diagonal((u - u.T) / 2, np.abs(np.diag(u))),
+    ),
     # the other readings of the text
-    "antisymmetric_triangle": Coupling(rule=lambda u: _on_diagonal(_strict_triangle(u), np.abs(np.diag(u)))),
-    "signed_diagonal": Coupling(rule=lambda u: _on_diagonal((u - u.T) / 2, np.diag(u))),
-    "full": Coupling(rule=np.copy, relative=np.multiply),
-    "symmetric": Coupling(rule=lambda u: _on_diagonal((u + u.T) / 2, np.abs(np.diag(u)))),
+    "antisymmetric_triangle": Coupling(
+        words="K_ij = U_ij = -K_ji for i < j, K_ii = |U_ii|",
+        rule=lambda u: _on_diagonal(_strict_triangle(u), np.abs(np.diag(u))),
+    ),
+    "signed_diagonal": Coupling(
+        words="K_ij = (U_ij - U_ji) / 2 = -K_ji, K_ii = U_ii", rule=lambda u: _on_diagonal((u - u.T) / 2, np.diag(u))
+    ),
+    "full": Coupling(words="K = U", rule=np.copy, relative=np.multiply),
+    "symmetric": Coupling(
+        words="K_ij = (U_ij + U_ji) / 2, K_ii = |U_ii|",
+        rule=lambda u: _on_diagonal((u + u.T) / 2, np.abs(np.diag(u))),
+    ),
     # reciprocal springs between all pairs: positive definite, always stable; another reading makes some negative
-    "springs": Coupling(rule=_springs, readings=("relative",), relative=_of_springs),
+    "springs": Coupling(
+        words="K_ij = K_ji = -|U_ij| for i < j, K_ii = |U_ii| + sum_j |K_ij|",
+        rule=_springs,
+        readings=("relative",),
+        relative=_of_springs,
+    ),
 }
 
 

@@ -163,17 +163,33 @@ class Graph(NamedTuple):
     pairs: Callable[..., Pairs]  #: of n, a generator, and by name what it takes
     takes: tuple[str, ...] = ()  #: of "degree" and "rewiring", which scenes then may say
     expected: Callable[[int, float], str] = _is_any  #: of n and the degree: what that would have to be, "" if it is
+    words: str = ""  #: the graph, for those who have the data alone
 
 
 #: All there are, by name: a line here makes one known to `draw_system`, scenes, datasets and reports.
 GRAPHS: dict[str, Graph] = {
-    "chain": Graph(_chain),
-    "ring": Graph(_ring),
-    "grid": Graph(_grid),
-    "network": Graph(_network, ("degree",)),
-    "small_world": Graph(_small_world, ("degree", "rewiring"), _is_even),
-    "scale_free": Graph(_scale_free, ("degree",), _is_even),
-    "random_regular": Graph(_random_regular, ("degree",), _is_regular),
+    "chain": Graph(_chain, words="block i is tied to i + 1, with free ends"),
+    "ring": Graph(_ring, words="block i is tied to i + 1, and the last to the first"),
+    "grid": Graph(
+        _grid,
+        words="block i is tied to i + 1 in its row and to the one below; rows have the least width with width^2 >= n",
+    ),
+    "network": Graph(_network, ("degree",), words="n degree / 2 pairs, all equally likely"),
+    "small_world": Graph(
+        _small_world,
+        ("degree", "rewiring"),
+        _is_even,
+        words="Watts and Strogatz: a ring of degree / 2 neighbours on each side, springs moved with probability rewiring",
+    ),
+    "scale_free": Graph(
+        _scale_free,
+        ("degree",),
+        _is_even,
+        words="Barabasi and Albert: a block is tied to degree / 2 of those before it, in proportion to their springs",
+    ),
+    "random_regular": Graph(
+        _random_regular, ("degree",), _is_regular, words="each block has degree neighbours, drawn at random"
+    ),
 }
 
 
