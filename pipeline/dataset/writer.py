@@ -79,7 +79,7 @@ class Store:
         self.place, self.scene = place_of(path), scene.from_source
         self._retry_failed, self._accept_version, self._programs = retry_failed, accept_version, programs
         self._held = contextlib.ExitStack()
-        self._lost = False
+        self._lost = self._was_cut = False
         self._record: Callable[[bytes], None] | None = None
 
     @property
@@ -117,11 +117,13 @@ class Store:
 
     def _finish(self) -> None:
         """Write what the dataset says of itself, and then the manifest, after the last commit."""
-        if self._record is None and not self._manifest.fault_of_package(self.place):
+        manifest, is_new = self._manifest, self._record is not None or self._lost or self._was_cut
+        package = package_of(self.scene, manifest)
+        digest = hashlib.sha256(package).hexdigest()
+        is_as_written = manifest.package in (None, digest) and not manifest.fault_of_package(self.place)
+        if is_as_written and not is_new:  # data of an earlier version have none
             return
-        self._manifest.recorded_from = None
-        package = package_of(self.scene, self._manifest)
-        self._manifest.package = hashlib.sha256(package).hexdigest()
+        manifest.recorded_from, manifest.package = None, digest
         self._hold.check()
         self.place.replace(PACKAGE, package)
         self.place.replace(MANIFEST, self._manifest.to_bytes())
@@ -300,6 +302,7 @@ class Store:
         with unbroken():
             for leftover in self._leftovers(manifest):
                 self.place.remove(leftover)
+            self._was_cut = manifest.recorded_from is not None  # by a kill, perhaps after the last commit
             manifest.recorded_from = None
             if self.todo:
                 manifest.package = None  # until the run has ended

@@ -179,7 +179,7 @@ GRAPHS: dict[str, Graph] = {
         _small_world,
         ("degree", "rewiring"),
         _is_even,
-        words="Watts and Strogatz: a ring of degree / 2 neighbours on each side, springs moved with probability rewiring",
+        words="Watts and Strogatz: a ring of degree / 2 neighbours to each side, springs moved by chance rewiring",
     ),
     "scale_free": Graph(
         _scale_free,

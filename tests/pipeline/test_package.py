@@ -149,6 +149,13 @@ def test_verify_sees_a_package_that_changed_and_a_rerun_heals_it(dataset, conten
         assert content(dataset) == before
 
 
+def test_what_only_words_change_is_said_anew(dataset):
+    before = (dataset / "datapackage.json").read_text()
+    run_ensemble(parse_scene(SCENE.replace("t_burn = 2.0", "t_burn = 3.0")), dataset, workers=0)
+    assert (dataset / "datapackage.json").read_text() == before.replace('"t_burn": 2.0', '"t_burn": 3.0')
+    assert verify(dataset) == []
+
+
 def test_datasets_without_it_open_and_stay_as_they_are(dataset, content):
     manifest = read_manifest(dataset)
     manifest.package = None

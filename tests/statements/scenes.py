@@ -142,6 +142,7 @@ SHIPPED = {
     "basin": {"draws": 150},
     "burridge_knopoff": {"n": 20, "t_end": 4000.0, "matrices": 6, "t_burn": 500.0},
     "burridge_knopoff_slow": {"n": [10, 20], "t_end": 2e5, "matrices": 6, "t_burn": 4e4},
+    "carlson_langer": {"n": 20, "t_end": 8000.0, "matrices": 4, "t_burn": 2000.0},
     "cascades": {"t_end": 1500.0, "matrices": 5, "t_burn": 100.0, "resamples": 20},
     "counting": {"n": [100, 150], "t_end": 500.0, "matrices": 5, "t_burn": 100.0},
     "quick": {"resamples": 20},
