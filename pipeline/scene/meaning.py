@@ -42,8 +42,9 @@ def meaning(system: SystemTable, seed: object, load: str | None) -> tuple[tuple[
         "seed": f"{seed}: root of all random draws, by numpy.random.SeedSequence and PCG64",
     }
     if system.weakening is not None:
-        curve, law = system.weakening.curve, system.weakening.law
-        formula = LAWS[law].formula if law is not None else f"friction times the coefficient of {curve}"
+        law, by_table = system.weakening.law, (system.weakening.speeds, system.weakening.coefficients)
+        formula = "friction times {1} at the speeds {0}, joined by cubics without overshoot".format(*by_table)
+        formula = formula if law is None else LAWS[law].formula
         words["friction"] = f"kinetic friction depends on the speed of slip w - v: {formula}"
     if not system.back_slip:
         words["back_slip"] = "barred: no block gets ahead of its belt"
