@@ -29,7 +29,7 @@ class Code(Enum):
     FEW = 3, "Only {n} {units}: intervals are wide."
     OVERLAP = (
         1,
-        "Some block is slipping {share} of the time ({where}), so overlapping episodes are one: slow the drive.",
+        "Some block is slipping {share} of the time ({where}), so overlapping episodes count as one: slow the belt.",
     )
     BLURRED = 1, "{what}: creeping blocks may count as stuck, so episodes are not counted."
     SPANNING = 2, "{share} of the episodes take all {n} blocks: their sizes are those of the chain."

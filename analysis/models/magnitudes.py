@@ -325,6 +325,8 @@ def b_positive(found: Magnitudes, sequences: Sequence[Sequence[np.ndarray]], con
     steps = [np.concatenate([np.diff(run) for run in runs]) for runs in inside]
     sums = np.array([(step[step > 0].sum(), np.count_nonzero(step > 0)) for step in steps])
     b, n_rises = found.b.value, sums[:, 1]
+    if not n_rises.any():
+        return Estimate(reason="no two magnitudes in its range follow each other")
     for _ in range(_NEWTON):
         low, expected, high = (_mean_rise(found.fit, b + turn) for turn in (-_TURN, 0.0, _TURN))
         moved = (sums[:, 0] - expected * n_rises) * 2 * _TURN / (high - low)

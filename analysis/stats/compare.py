@@ -26,7 +26,6 @@ from stickslip.analysis.stats.estimates import (
 )
 
 _Numbers = TypeVar("_Numbers", float, np.ndarray)
-UNKNOWN = "cannot be told"
 MOST_ERRORS = 8.0  # of the intervals that tests invert: p-values below 1e-15 are not told apart
 _HALVINGS = 40  # of these, which leave 1e-11 of a standard error
 

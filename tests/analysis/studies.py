@@ -27,7 +27,6 @@ from stickslip.analysis.stats.estimates import (
     over_matrices,
     ratio,
 )
-from stickslip.analysis.stats.goodness import goodness
 from stickslip.workflows.scenes import counting
 from tests.chance import ERRORS, agrees
 
@@ -108,30 +107,6 @@ TRUE = {
     "spread 0.03": lambda rng, g: dependent_sizes(rng, g, serial=-0.03, spread=0.048),
     "gammas spread by 0.03": lambda rng, g: of_rates(rng, spread_rates(rng, g, 0.03)),
 }
-#: Ensembles for which it does not.
-FALSE = {
-    "mixture of 0.55 and 0.95": lambda rng, g: of_rates(rng, rng.choice([0.55, 0.95], (g, N_CASCADES))),
-    "mixture of 0.6 and 0.85": lambda rng, g: of_rates(rng, rng.choice([0.6, 0.85], (g, N_CASCADES))),
-    "power law 2.06": lambda rng, g: np.minimum(rng.zipf(2.06, (g, N_CASCADES)), 200),
-    "cut-off power law, alpha 0.2": lambda rng, g: draw(rng, g, lambda k: k**-0.2 * np.exp(-0.62 * k)),
-    "cut-off power law, alpha 0.1": lambda rng, g: draw(rng, g, lambda k: k**-0.1 * np.exp(-0.66 * k)),
-}  # fmt: skip
-
-
-def draw(rng, n_matrices, weights, k_max=200, n_cascades=N_CASCADES):
-    """Independent sizes with P(k) in proportion to weights(k)."""
-    shares = weights(np.arange(1.0, k_max + 1))
-    edges = np.cumsum(shares / shares.sum())
-    return 1 + np.minimum(np.searchsorted(edges, rng.random((n_matrices, n_cascades))), k_max - 1)
-
-
-def rejections(make, n_matrices, ensembles, rng, level=0.05):
-    """Shares of ensembles with p_value up to `level`, and with the verdict "rejected" (wherever the tail is cut)."""
-    hits = np.zeros(2)
-    for _ in range(ensembles):
-        found = goodness(*counted(make(rng, n_matrices)), 1 - level, rng)
-        hits += [found.p_value is not None and found.p_value <= level, found.verdict(level) == "rejected"]
-    return hits / ensembles
 
 
 # ----------------------------------------------------------------------------------------------- cascades

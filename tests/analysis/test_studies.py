@@ -5,10 +5,10 @@ import itertools
 import numpy as np
 import pytest
 
-from stickslip.analysis.models import growth, pool
+from stickslip.analysis.models import growth, magnitudes, pool
 from stickslip.analysis.series.cascades import window
 from stickslip.analysis.stats import components, dispersion, effective, effects, enough
-from stickslip.analysis.stats.estimates import Undefined
+from stickslip.analysis.stats.estimates import Undefined, over_matrices, ratio
 from tests.analysis import studies
 
 # ----------------------------------------------------------------------------------- dispersion and the pool
@@ -154,6 +154,27 @@ def test_matrices_that_cannot_be_told_apart_give_no_interval():
     assert not equal.is_bounded
     assert equal.theta.low is None
     assert equal.theta.reason
+
+
+# ------------------------------------------------------------------------------------------------ magnitudes
+
+
+def test_magnitudes_of_little_say_why_they_have_no_law(rng):
+    """Few systems, none at all, one value, and a law whose events are in systems of one event each."""
+    for systems in ([], [np.zeros(0)] * 5, [rng.exponential(size=500)] * 3):
+        found = magnitudes.magnitudes_of(systems, 0.95)
+        assert (found.picture, found.has_b) == (magnitudes.Picture.OPEN, False)
+    assert magnitudes.magnitudes_of([np.zeros(100)] * 5, 0.95).picture is magnitudes.Picture.NONE
+    ones = [values[None] for values in rng.exponential(0.5, 4000)]
+    found = magnitudes.magnitudes_of(ones, 0.95)
+    assert magnitudes.b_positive(found, [[values] for values in ones], 0.95).value is None
+
+
+def test_the_sums_of_systems_have_b_and_its_interval(rng):
+    systems, _, _ = studies.planted_catalogue(rng, magnitudes.Picture.POWER)
+    found = magnitudes.magnitudes_of(systems, 0.95)
+    again = over_matrices(ratio, found.rows, 0.95)
+    assert (again.value, again.low, again.high) == pytest.approx((found.b.value, found.b.low, found.b.high))
 
 
 # ------------------------------------------------------------------------------- escape, many tests, least data

@@ -482,7 +482,8 @@ def _rates(groups: Sequence[Catalogues], first_edge: float, level: float) -> lis
     rates: list[Frequency] = []
     for group in groups:
         magnitudes = group.magnitudes()
-        for edge in np.arange(first_edge, magnitudes.max(initial=first_edge), CLASS):
+        n_classes = int((magnitudes.max() - first_edge) / CLASS) + 1 if len(magnitudes) else 0
+        for edge in first_edge + CLASS * np.arange(n_classes):
             above = magnitudes[magnitudes >= edge]
             density = np.count_nonzero(above < edge + CLASS) / (len(magnitudes) * CLASS)
             rate = over_matrices(ratio, np.array([*group.at_least(edge).values()]), level)
@@ -501,7 +502,8 @@ def _figures(
     figures = {"magnitudes": Picture(
         partial(magnitudes, rates, [Drawn.of(group) for group in shown]),
         "A power law is straight. Above: share of episodes per unit of magnitude, M = log10 moment, with the fitted"
-        " law on its range. Below: episodes per unit time of at least each magnitude. Dashed: where the peak begins.",
+        " law on its range, if any. Below: episodes per unit time of at least each magnitude."
+        + " Dashed: where the peak begins." * any(group.law.begins is not None for group in shown),
     )}  # fmt: skip
     if any(group.recurrence.bins for group in leaders):
         figures["recurrence"] = Picture(
