@@ -18,6 +18,8 @@ from stickslip.sim.systems.weakening.pieces import FASTEST, Pieces, of_cubics, s
 
 #: The fewest values of a table; the most.
 _FEWEST, _MOST = 4, 255
+#: The least step between its speeds, over the last.
+_CLOSEST = 1e-12
 
 
 class Coefficients(Weakening):
@@ -98,8 +100,9 @@ class Table(Coefficients):
         for name, values in (("speeds", x), ("coefficients", y)):
             if not np.isfinite(values).all():
                 raise ValueError(f"{name}: expected finite numbers, got {values[~np.isfinite(values)][0]}")
-        if x[0] != 0.0 or (np.diff(x) <= 0.0).any():
-            at = 0 if x[0] != 0.0 else int(np.argmax(np.diff(x) <= 0.0)) + 1
+        is_close = np.diff(x) <= _CLOSEST * x[-1]
+        if x[0] != 0.0 or is_close.any():
+            at = 0 if x[0] != 0.0 else int(np.argmax(is_close)) + 1
             before = f" after {x[at - 1]:g}" if at else ""
             raise ValueError(f"speeds: expected numbers that rise from 0, got {x[at]:g}{before} in place {at}")
         object.__setattr__(self, "speeds", tuple(x.tolist()))
