@@ -38,7 +38,7 @@ def meaning(system: SystemTable, seed: object, load: str | None) -> tuple[tuple[
         "equation": EQUATION,
         "symbols": json.dumps(SYMBOLS),
         "coupling": _coupling(system),
-        "units": "dimensionless",
+        "units": "dimensionless, but for columns that name a unit: times their scale they are in it",
         "seed": f"{seed}: root of all random draws, by numpy.random.SeedSequence and PCG64",
     }
     if system.weakening is not None:

@@ -214,9 +214,7 @@ class Scene(StrictTable):
     def recording(self) -> Recording:
         """What its datasets keep."""
         words = meaning(self.system, self.run.seed, self.run.load)
-        return Recording(
-            self.hash, self.parts, self.records, self.parameters, self.unit_names, self.scales, words
-        )
+        return Recording(self.hash, self.parts, self.records, self.parameters, self.unit_names, self.scales, words)
 
     @property
     def unit_names(self) -> Units:
