@@ -122,9 +122,10 @@ class Table(Coefficients):
 
     @cached_property
     def error(self) -> float:
-        """How far the law through every second value is from the others: that through all is some 16 times closer.
+        """How far the law through every second value is from the others: an estimate, no bound, of the error between.
 
-        Where the values are those of a smooth law; where they are measured, it is their scatter.
+        At evenly spaced values of a smooth law the one through all is some ten times closer; where speeds are uneven
+        it may be as far off; where values are measured, it is their scatter.
         """
         x, y = np.array(self.speeds), np.array(self.coefficients)
         half = np.unique(np.append(np.arange(0, len(x), 2), len(x) - 1))
