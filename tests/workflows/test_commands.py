@@ -208,7 +208,7 @@ def test_a_long_table_that_comes_in_pieces_is_cut_where_one_in_a_piece_is(tmp_pa
             ],
         ),
         ("SELECT n / 0, error('late') FROM members", ["--out", "{here}/a.csv"], ["query: ", "late"]),
-        (QUESTION, ["--out", "{here}/a.xlsx"], ["--out", ".csv, .parquet or .txt", "a.xlsx", "--format"]),
+        (QUESTION, ["--out", "{here}/a.xlsx"], ["--out", ".csv, .parquet, .mat or .txt", "a.xlsx", "--format"]),
         ("SELECT INTERVAL 1 DAY AS d", ["--out", "{here}/a.csv"], ["--format", "csv can hold", "cast them"]),
         ("SELECT INTERVAL 1 DAY AS d", ["--out", "{here}/a.parquet"], ["--format", "parquet can hold"]),
     ],
