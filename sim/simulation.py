@@ -130,8 +130,7 @@ def as_task(
             raise ValueError(f'w0: expected a number, {system.n} numbers or "belt", got {w0!r}; write w0="belt"')
         w0 = system.at_rest(t_start)
     z, w = per_block("z0", z0, system.n), per_block("w0", w0, system.n)
-    times = floats("t_eval", t_eval, "an array of times")
-    _check_times(times, t_start, t_end)
+    times = _times(t_eval, t_start, t_end)
     if modes is not None and not engine.is_exact:
         raise ValueError(f"modes: expected None with engine={engine.name!r}, where the state alone says who sticks")
     samples = Samples.blank(times, system.n)
@@ -142,10 +141,16 @@ def as_task(
     return Task(system.of_unit_mass, z, w, t_start, t_end, samples, bool(stop_early), certify, at_start)
 
 
-def _check_times(times: Floats, t_start: float, t_end: float) -> None:
-    """ValueError unless times are from `t_start` to `t_end` and do not decrease."""
+_NO_TIMES = np.empty(0)
+
+
+def _times(t_eval: ArrayLike, t_start: float, t_end: float) -> Floats:
+    """The times of samples; ValueError unless they are from `t_start` to `t_end` and do not decrease."""
+    if isinstance(t_eval, tuple) and not t_eval:
+        return _NO_TIMES
+    times = floats("t_eval", t_eval, "an array of times")
     if times.shape == (0,):
-        return
+        return times
     is_outside = ~((times >= t_start) & (times <= t_end))
     if times.ndim != 1:
         bounds, got = [*apart(t_start, t_end)], f"an array of shape {times.shape}; give it the shape (m,)"
@@ -157,7 +162,7 @@ def _check_times(times: Floats, t_start: float, t_end: float) -> None:
         *bounds, before, after = apart(t_start, t_end, times[k], times[k + 1])
         got = f"{after} after {before}; sort them"
     else:
-        return
+        return times
     raise ValueError(f"t_eval: expected times in [{bounds[0]}, {bounds[1]}] in rising order, got {got}")
 
 

@@ -48,9 +48,9 @@ class Forcing(NamedTuple):
     noise: Floats  #: sums of the magnitudes of the terms of each coefficient, by order, shape (orders, n)
 
     @classmethod
-    def none(cls) -> Forcing:
-        """No force: arrays of no length, and not None, for which kernels would be compiled once more."""
-        return cls(*[_NOTHING] * 6)
+    def none(cls, *several: int) -> Forcing:
+        """No force, on so many runs: arrays of no length, and not None, for which kernels would be compiled again."""
+        return cls(*[np.empty((*several, 0, 0))] * 6)
 
 
 @inner

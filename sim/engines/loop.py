@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.engines import certificates
 from stickslip.sim.engines.contract import Task
-from stickslip.sim.engines.forcing import Drive
+from stickslip.sim.engines.forcing import Drive, Forcing
 from stickslip.sim.engines.precheck import too_far
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
@@ -60,8 +60,9 @@ class Events(NamedTuple):
     @classmethod
     def blank(cls, capacity: int, several: int = 1) -> Events:
         """Buffers for so many events; each of them, and each start, can begin or end an all-stuck interval."""
-        (t, touch), all_stuck = np.zeros((2, capacity)), np.empty((2, capacity + several))
-        return cls(t, np.empty(capacity, dtype=np.int32), np.empty(capacity, dtype=np.int8), touch, all_stuck)
+        t, touch = np.empty((2, capacity))
+        block, mode = np.empty(capacity, np.int32), np.empty(capacity, np.int8)
+        return cls(t, block, mode, touch, np.empty((2, capacity + several)))
 
     def part(self, first: int, last: int) -> Events:
         """The buffers of some of the events, and those of all all-stuck intervals."""
@@ -70,12 +71,16 @@ class Events(NamedTuple):
 
     def first(self, n: int, n_all_stuck: int) -> Events:
         """The first events, with the all-stuck intervals in an array of their own."""
-        return self.part(0, n)._replace(all_stuck=self.all_stuck[:, :n_all_stuck].copy())
+        t, block, mode, touch, all_stuck = self
+        return Events(t[:n], block[:n], mode[:n], touch[:n], all_stuck[:, :n_all_stuck].copy())
 
     @classmethod
     def joined(cls, parts: list[Events]) -> Events:
         """The events of all parts."""
         return parts[0] if len(parts) == 1 else cls(*(np.concatenate(part, -1) for part in zip(*parts, strict=True)))
+
+
+_NOTHING = Events.blank(0)
 
 
 class Buffers(NamedTuple):
@@ -103,13 +108,15 @@ class State(NamedTuple):
         Of several tasks none has samples.
         """
         may_collapse = [one.stop_early and one.system.has_one_belt and not one.system.changes for one in tasks]
-        checks = [-np.inf if may else np.inf for may in may_collapse]
+        checks = [-math.inf if may else math.inf for may in may_collapse]
         clock = np.array(
             [[0.0, check, check, 0.0, 0.0, 0.0, *own] for check, own in zip(checks, clocks, strict=True)]
         )
-        z, w = np.array([task.z0 for task in tasks]), np.array([task.w0 for task in tasks])
-        samples = stack([Buffers(np.full(len(one.t), np.inf), one.z, one.w) for one in (t.samples for t in tasks)])
-        return cls(z, w, mode, clock, np.zeros((len(tasks), N_COUNTERS), dtype=np.int64), samples)
+        z, w = np.array([[task.z0 for task in tasks], [task.w0 for task in tasks]])
+        (m, n), first = mode.shape, tasks[0].samples
+        sampled = (first.z[np.newaxis], first.w[np.newaxis]) if len(first) else np.empty((2, m, 0, n))
+        samples = Buffers(np.full((m, len(first)), np.inf), *sampled)
+        return cls(z, w, mode, clock, np.zeros((m, N_COUNTERS), np.int64), samples)
 
 
 def stack(parts: Sequence[Any]) -> Any:
@@ -125,6 +132,11 @@ def stack(parts: Sequence[Any]) -> Any:
     if isinstance(first, tuple):
         return type(first)(*map(stack, zip(*parts, strict=True)))
     return first
+
+
+def forcing_of(drives: Sequence[Drive]) -> Forcing:
+    """The forces of some runs as those of a stack."""
+    return stack([drives[0].forcing]) if drives[0].is_forced else Forcing.none(len(drives))
 
 
 _BY_RUN: dict[type, tuple[str, ...]] = {}
@@ -474,6 +486,8 @@ def _series(
 ) -> list[EventSeries]:
     """The series by each definition of sticking, the first without touches that its error cannot tell."""
     n, t = task.system.n, drive.times(of_piece, events.t)
+    if not len(t):
+        return [EventSeries(*_NOTHING[:3], modes, task.t_start, t_end) for modes in plan.initial_modes]
     order = np.lexsort((events.block, t))  # stable: instants that round to one time keep each block's order
     t, s, block, mode = t[order], events.t[order], events.block[order], events.mode[order]
     series = []

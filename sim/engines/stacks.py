@@ -118,11 +118,12 @@ def runs(
 ) -> list[Callable[[], Run]]:
     """The runs of some tasks, as `Engine.prepare` gives them.
 
-    `together` is given tasks that may begin as a stack, and may know why they do not: None. `alone` runs the others.
+    `together` is given several tasks that may begin as a stack, and may know why they do not: None. `alone` runs the
+    others.
     """
     calls: list[Callable[[], Run]] = []
     for may_begin, some in alike(tasks):
-        several = together(some) if may_begin else None
+        several = together(some) if may_begin and len(some) > 1 else None
         if several is None:
             calls += [partial(alone, task) for task in some]
         else:
@@ -226,9 +227,9 @@ class Several(ABC):
         buffers = Events.blank(max(of_one, 64 * several), several)
         slices = np.zeros((several, 3), dtype=np.int64)
         self.advance(0, buffers, slices)
-        if several > 1:  # where a slice ends may not depend on the others
-            is_crowded = (slices[:, 0] == loop.BUFFER_FULL) | (slices[:, 1] + self.events_a_step > of_one)
-            slices[is_crowded, 0] = _ANEW
+        # where a slice ends may not depend on the others
+        is_crowded = (slices[:, 0] == loop.BUFFER_FULL) | (slices[:, 1] + self.events_a_step > of_one)
+        slices[is_crowded, 0] = _ANEW
         whole = (slices[:, 0] == loop.DONE) & (n_definitions == 1)
         ends, stuck_ends = slices[:, 1:].cumsum(axis=0).T.tolist()
         s, block, mode, touch, (stuck_s, total) = buffers.first(ends[-1], stuck_ends[-1])
@@ -239,20 +240,15 @@ class Several(ABC):
             of = np.arange(several).repeat(counts)
             return of, times(starts[of], stops[of], s)
 
-        if len(s):
-            of_event, t = on_clock(s, slices[:, 1])
-            order = np.lexsort((block, t, of_event))  # as in `loop.complete`
-            of_event, t, s, block = of_event[order], t[order], s[order], block[order]
-            mode, touch = mode[order], touch[order]
-            if self.tells_touches:
-                whole[of_event[_may_be_touches(of_event * n + block, s, touch)]] = False
-            s = np.where(whole[of_event], t, s)
-        else:  # no view, which would keep the buffers
-            s, block, mode, touch = s.copy(), block.copy(), mode.copy(), touch.copy()
-        if len(stuck_s):
-            of_stuck, stuck_t = on_clock(stuck_s, slices[:, 2])
-            stuck_s = np.where(whole[of_stuck], stuck_t, stuck_s)
-        all_stuck = np.array([stuck_s, total])
+        of_event, t = on_clock(s, slices[:, 1])
+        order = np.lexsort((block, t, of_event))  # as in `loop.complete`
+        of_event, t, s, block = of_event[order], t[order], s[order], block[order]
+        mode, touch = mode[order], touch[order]
+        if self.tells_touches:
+            whole[of_event[_may_be_touches(of_event * n + block, s, touch)]] = False
+        s = np.where(whole[of_event], t, s)
+        of_stuck, stuck_t = on_clock(stuck_s, slices[:, 2])
+        all_stuck = np.array([np.where(whole[of_stuck], stuck_t, stuck_s), total])
         events = Events(s, block, mode, touch, all_stuck)
         return [
             Begun(

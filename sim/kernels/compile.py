@@ -88,8 +88,7 @@ class _Whole(_Library):
     What is linked into it is private, so that LLVM knows all calls of a function: one that is called in one place
     becomes part of it, however long it is, and others lose the parameters that they do not use. (An internal one
     would keep its name, by which the process finds it for a function of numba's own that calls the same, with all
-    parameters.) Else a few instructions more, anywhere, decide that a function is called, and each call copies the
-    parts of its tuples, some 460 words: the sigmoid's kernel took half as long again.
+    parameters.)
     """
 
     def __init__(self, codegen: Any, name: str) -> None:

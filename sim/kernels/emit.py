@@ -16,7 +16,6 @@ from hashlib import sha256
 from inspect import Parameter, Signature, signature
 from typing import Any, ClassVar, NamedTuple, TypeAlias, cast
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import types
@@ -26,8 +25,10 @@ from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, mod
 from numba.np.arrayobj import populate_array
 from numpy.typing import NDArray
 
+from stickslip.sim.kernels.digest import is_compiled
+
 #: Whether kernels are compiled; else they are run as Python.
-IS_COMPILED = not vars(numba.config)["DISABLE_JIT"]
+IS_COMPILED = is_compiled()
 
 _DOUBLE, _INTEGER, _SHORT = ir.DoubleType(), ir.IntType(64), ir.IntType(32)
 _FUSED = ("contract",)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,36 +17,40 @@ _SMALL, _LARGE = 48, 1e30
 
 
 class Pairs(NamedTuple):
-    """K in panels, for products with two vectors at a time, and workspace.
+    """K in panels, for products with two vectors at a time.
 
     Both kinds of panels are empty if K is sparse, those in float32 also where they do not pay.
     """
 
     panels: Floats
-    product: Floats
     single_panels: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, matrices: Floats, row_sums: Floats) -> Pairs:
+        """Those of several dense K, shape (m, n, n), of one kind, see `are_of_one_kind`; (m, 0, 0) of a sparse K."""
+        m, n = row_sums.shape
+        double, single = np.empty((m, 0, n, PAIR_HEIGHT)), np.empty((m, 0, n, SINGLE_PAIR_HEIGHT), np.float32)
+        if matrices.size:
+            double = panels(matrices, PAIR_HEIGHT, np.float64)
+            if _may_be_single(row_sums[0]):
+                single = panels(matrices, SINGLE_PAIR_HEIGHT, np.float32)
+        return cls(double, single)
+
+
+class Room(NamedTuple):
+    """Workspace of products."""
+
+    product: Floats
     single: NDArray[np.float32]
     single_product: NDArray[np.float32]
     columns: NDArray[np.int64]  #: a list of blocks, for the next products; see `list_moving`
 
     @classmethod
-    def of(cls, matrices: Sequence[Any], row_sums: Floats) -> list[Pairs]:
-        """The pairs of several dense K, shape (n, n), or of one K, from row sums of |K|; they share the workspace."""
-        n, is_dense = matrices[0].shape[0], isinstance(matrices[0], np.ndarray)
-        is_single = [is_dense and _may_be_single(sums) for sums in row_sums]
-        double = np.empty((len(matrices), 0, n, PAIR_HEIGHT))
-        single = np.empty((len(matrices), 0, n, SINGLE_PAIR_HEIGHT), np.float32)
-        if is_dense:
-            dense = np.array(matrices) if len(matrices) > 1 else matrices[0][np.newaxis]
-            double = panels(dense, PAIR_HEIGHT, np.float64)
-            single = panels(dense, SINGLE_PAIR_HEIGHT, np.float32) if any(is_single) else single
+    def of(cls, n: int) -> Room:
+        """For n blocks."""
         padded = -(-n // SINGLE_PAIR_HEIGHT) * SINGLE_PAIR_HEIGHT
-        product, columns = np.zeros((2, padded)), np.zeros(n, np.int64)
-        room = np.zeros((2, n), np.float32), np.zeros((2, padded), np.float32), columns
-        # no panels: without rows
-        return [
-            cls(double[k], product, single[k] if is_single[k] else single[k, :0], *room) for k in range(len(matrices))
-        ]
+        single, single_product = np.zeros((2, n), np.float32), np.zeros((2, padded), np.float32)
+        return cls(np.zeros((2, padded)), single, single_product, np.zeros(n, np.int64))
 
 
 def _may_be_single(sums: Floats) -> bool:
@@ -118,30 +121,31 @@ def one_product(columns, x, y, moving):  # type: ignore[no-untyped-def]
 
 
 @inner
-def two_products(columns, pairs, m, x, y):  # type: ignore[no-untyped-def]
+def two_products(columns, pairs, room, m, x, y):  # type: ignore[no-untyped-def]
     """y_k = K x_k of two vectors, shape (2, n), in one pass over K, whose cost is reading K and not the arithmetic.
 
-    Of a dense K only the columns of the m blocks that `list_moving` has put into `pairs.columns` are read.
+    Of a dense K only the columns of the m blocks that `list_moving` has put into `room.columns` are read.
     """
     if len(pairs.panels) == 0:
         _sparse_product(columns, x[0], y[0])
         _sparse_product(columns, x[1], y[1])
     else:
-        _pair(pairs.panels, x, pairs.product, pairs.columns, m)
+        product = room.product
+        _pair(pairs.panels, x, product, room.columns, m)
         for k in range(2):
             for i in range(y.shape[1]):
-                y[k, i] = pairs.product[k, i]
+                y[k, i] = product[k, i]
 
 
 @inner
-def two_single_products(pairs, m, x, sizes, y):  # type: ignore[no-untyped-def]
+def two_single_products(pairs, room, m, x, sizes, y):  # type: ignore[no-untyped-def]
     """As `two_products`, in single precision, each vector scaled to its size; the error is that of `SINGLE_ERROR`."""
-    single, product = pairs.single, pairs.single_product
+    single, product = room.single, room.single_product
     for k in range(2):
         scale = 1.0 / sizes[k] if sizes[k] > 0.0 else 0.0
         for j in range(x.shape[1]):
             single[k, j] = np.float32(x[k, j] * scale)
-    _single_pair(pairs.single_panels, single, product, pairs.columns, m)
+    _single_pair(pairs.single_panels, single, product, room.columns, m)
     for k in range(2):
         for i in range(y.shape[1]):
             y[k, i] = sizes[k] * product[k, i]

@@ -75,7 +75,7 @@ class Samples:
 
     def first(self, m: int) -> Samples:
         """The first m samples."""
-        return Samples(self.t[:m], self.z[:m], self.w[:m])
+        return self if m == len(self.t) else Samples(self.t[:m], self.z[:m], self.w[:m])
 
     def __len__(self) -> int:
         return len(self.t)

@@ -440,6 +440,13 @@ class System:
         return np.asarray(force + (self.cross_damping @ w.reshape(-1, self.n).T).T.reshape(w.shape))
 
     @cached_property
+    def entries_a_row(self) -> float:
+        """The mean number of entries of K in a row that are not zero."""
+        stiffness = self.stiffness
+        entries = stiffness if isinstance(stiffness, np.ndarray) else stiffness.data
+        return float(np.count_nonzero(entries)) / self.n
+
+    @cached_property
     def row_sums(self) -> Floats:
         """sum_j |K_ij|, shape (n,), which bounds the rounding of (K x)_i."""
         return _row_sums(self.stiffness)

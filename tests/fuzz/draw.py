@@ -177,7 +177,8 @@ def draw(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:
 
 def by_waves() -> AbstractContextManager[object]:
     """While it lasts, waveform relaxation takes systems of any size at any tolerance; by default only large ones."""
-    return patch.multiple(coulomb, SIZE_OF_WAVES=1, MORE_BLOCKS=1, TOL_OF_JUMPS=0.0, MOST_MEMORY=np.inf)
+    sizes = {"SIZE_OF_WAVES": 1, "SIZE_OF_JUMPS": 1, "MANY_ENTRIES": 0, "TOL_OF_JUMPS": 0.0, "MOST_MEMORY": np.inf}
+    return patch.multiple(coulomb, **sizes)
 
 
 def draw_for_waves(seed: int, number: int, terms: Collection[str] = TERMS) -> Trial:

@@ -19,7 +19,9 @@ WAVES, SERIES = "waveform relaxation", "Taylor series"
 
 @pytest.fixture
 def by_waves(monkeypatch):
-    for name, value in (("SIZE_OF_WAVES", 1), ("MORE_BLOCKS", 1), ("TOL_OF_JUMPS", 0.0), ("MOST_MEMORY", np.inf)):
+    for name in ("SIZE_OF_WAVES", "SIZE_OF_JUMPS"):
+        monkeypatch.setattr(settings, name, 1)
+    for name, value in (("MANY_ENTRIES", 0), ("TOL_OF_JUMPS", 0.0), ("MOST_MEMORY", np.inf)):
         monkeypatch.setattr(settings, name, value)
 
 
@@ -94,7 +96,7 @@ def test_a_block_that_is_let_go_soon_after_the_start_leaves_then(by_waves, rng):
     assert run.events.t[0] == pytest.approx(soon, rel=1e-6, abs=1e-14)
 
 
-@pytest.mark.parametrize(("static", "least", "tols"), [(1.0, 64, (1e-3, 1e-6)), (1.3, 256, (1e-3, 1e-4))])
+@pytest.mark.parametrize(("static", "least", "tols"), [(1.0, 64, (1e-3, 1e-6)), (1.3, 128, (1e-3, 1e-5))])
 def test_large_systems_are_as_series_have_them(static, least, tols, rng):
     """Events, until paths part; the error about the tolerance times the sensitivity."""
     n, t_end = least + int(rng.integers(46)), 12.0
@@ -275,14 +277,14 @@ def test_a_sparse_array_of_many_entries_a_row_is_run_as_the_dense_one(rng):
 
 
 def test_tighter_tolerances_take_more_blocks():
-    for n, least in ((64, 1e-6), (203, 1e-7), (640, 1e-8)):
+    for n, least in ((64, 1e-6), (118, 1e-7), (218, 1e-8), (400, 1e-9), (2000, 1e-9)):
         system = System(np.eye(n) + 0.01, 1.0, 1.0, -0.2)
         assert settings.Coulomb(tol=least).is_by_waves(system)
         assert not settings.Coulomb(tol=0.9 * least).is_by_waves(system)
 
 
 def test_jumps_of_friction_are_left_to_series_but_at_loose_tolerances():
-    for n, tol, by_waves in ((256, 1e-4, True), (255, 1e-4, False), (640, 0.9e-4, False)):
+    for n, tol, by_waves in ((128, 2e-6, True), (127, 1e-4, False), (406, 1e-7, True), (406, 0.9e-7, False)):
         system = System(np.eye(n) + 0.01, 1.0, 1.0, -0.2, static=1.3)
         assert settings.Coulomb(tol=tol).is_by_waves(system) == by_waves
 
@@ -308,3 +310,32 @@ def test_many_equal_blocks_stay_together():
     assert len(run.events) > 2 * n
     assert np.ptp(run.events.t.reshape(-1, n), axis=1).max() < 1e-5
     assert np.ptp(run.z) < 1e-5
+
+
+def test_a_dense_array_that_is_nearly_empty_is_run_as_a_sparse_one(rng):
+    """Pairs of blocks, two entries a row: to the last bit; one entry more than counts as empty, and it is dense."""
+    n = 80
+    stiffness = np.kron(np.eye(n // 2), [[2.0, -1.0], [-1.0, 2.0]]) * rng.uniform(0.5, 2.0, (n, 1))
+    system = System(stiffness, 0.1, 1.0, -0.2)
+    z, w = rng.uniform(-1.0, 1.0, (2, n))
+    dense, sparse = (
+        simulate(one, z, w, 5.0, tol=1e-5) for one in (system, system.changed(stiffness=csc_array(stiffness)))
+    )
+    assert dense.stats == sparse.stats and dense.stats.method == SERIES
+    np.testing.assert_array_equal(dense.z, sparse.z)
+    np.testing.assert_array_equal(dense.events.t, sparse.events.t)
+    engine = settings.Coulomb()
+    assert engine.is_nearly_empty(system)
+    stiffness[0, 2:50] = 0.1
+    assert engine.is_nearly_empty(system.changed(stiffness=stiffness))  # 2.6 entries a row of 1 + 0.02 n
+    stiffness[1, 2:4] = 0.1
+    assert not engine.is_nearly_empty(system.changed(stiffness=stiffness))
+    assert not engine.is_nearly_empty(draw_system("antisymmetric", n, 0))
+
+
+def test_few_entries_a_row_are_waves_at_loose_tolerances_without_jumps():
+    n = 100
+    grid = System(csc_array(5.0 * np.eye(n) - sum(np.eye(n, k=k) for k in (-10, -1, 1, 10))), 0.1, 1.0, -0.2)
+    assert settings.Coulomb(tol=1e-6).is_by_waves(grid)
+    assert not settings.Coulomb(tol=0.9e-6).is_by_waves(grid)
+    assert not settings.Coulomb(tol=1e-5).is_by_waves(grid.changed(static=1.3))

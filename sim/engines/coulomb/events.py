@@ -36,8 +36,7 @@ def excluded(face, first, bounds, h, reach):  # type: ignore[no-untyped-def]
 
     `face` has its mode, zeros and side, `first` the first three coefficients of its series (see `Expansion`),
     `bounds` v, R v, static friction and the closed side; the functions deviate by at most `reach` from their
-    tangents. It takes numbers, not the model: a call that is not inlined passes the model field by field, for each
-    block.
+    tangents.
     """
     mode, zeros, side = face
     c0, c1, c2 = first

@@ -6,11 +6,12 @@ import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stickslip.sim.engines import loop, stacks
+from stickslip.sim.engines import stacks
 from stickslip.sim.engines.certificates import Collapse
 from stickslip.sim.engines.contract import Task
 from stickslip.sim.engines.coulomb import control, waves
@@ -25,7 +26,6 @@ from stickslip.sim.engines.loop import Begun, Events, State
 from stickslip.sim.engines.stacks import Several
 from stickslip.sim.numerics import products
 from stickslip.sim.numerics.arguments import Floats
-from stickslip.sim.numerics.products import Pairs
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.system import System
 from stickslip.sim.systems.weakening.pieces import N_TERMS
@@ -58,7 +58,22 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
     def together(some: list[Task]) -> _Runs | None:
         return _Runs(some, engine) if _may_begin_together(some, engine) else None
 
-    return stacks.runs(tasks, together, partial(_alone, engine))
+    return stacks.runs([_as_sparse(task, engine) for task in tasks], together, partial(_alone, engine))
+
+
+#: Of systems with a dense K that is nearly empty: the same with a sparse one.
+_SPARSE: WeakKeyDictionary[System, System] = WeakKeyDictionary()
+
+
+def _as_sparse(task: Task, engine: Coulomb) -> Task:
+    """The task, with a sparse K if a dense one is nearly empty."""
+    if not engine.is_nearly_empty(task.system):
+        return task
+    if task.system not in _SPARSE:
+        from scipy.sparse import csc_array  # it takes a tenth of a second to load
+
+        _SPARSE[task.system] = task.system.changed(stiffness=csc_array(task.system.stiffness))
+    return task._replace(system=_SPARSE[task.system])
 
 
 def _may_begin_together(tasks: Sequence[Task], engine: Coulomb) -> bool:
@@ -83,7 +98,7 @@ def _alone(engine: Coulomb, task: Task) -> Run:
 
 
 def _by_series(task: Task, engine: Coulomb) -> Run:
-    return _Runs([task], engine, may_be_heavy=True).go_on(0)
+    return _Runs([task], engine).go_on(0)
 
 
 def _followed(system: System, tol: float) -> float:
@@ -92,7 +107,7 @@ def _followed(system: System, tol: float) -> float:
 
 
 class _Runs(Several):
-    """By series; `may_be_heavy` only of one task, as is a sparse K."""
+    """By series; of one task alone if blocks are heavily damped, or K is sparse."""
 
     kernel, tells_touches, method = advance, True, "Taylor series"
     stalled = (
@@ -100,47 +115,44 @@ class _Runs(Several):
         " or use engine='sigmoid'"
     )
 
-    def __init__(self, tasks: Sequence[Task], engine: Coulomb, may_be_heavy: bool = False) -> None:
+    def __init__(self, tasks: Sequence[Task], engine: Coulomb) -> None:
         self.tasks, self.engine = tasks, engine
         self.tols = np.array([engine.tol_of_series(task.system, task.length) for task in tasks])
-        systems = self.systems = [task.system for task in tasks]
+        systems = [task.system for task in tasks]
+        first = systems[0]  # if it is not plain, it is the only one
         self.drives = [Drive(one.system, one.t_start, one.t_end, control.ORDER_MAX + 1) for one in tasks]
         # arrays from here on are by task and block
-        near, row_sums = (
-            np.array(rows) for rows in zip(*((one.slip_friction[0], one.row_sums) for one in systems), strict=True)
-        )
-        pairs = Pairs.of([one.stiffness for one in systems], row_sums)
-        models = [Model.of(*parts) for parts in zip(systems, pairs, self.drives, strict=True)]
-        self.models: Model = loop.stack(models)
+        self.models = Model.of(systems, self.drives)
         self.rates = np.array([one.fastest_rate for one in systems])
         u = np.array([task.w0 for task in tasks]) - self.models.belt_speed
-        mode, weakening, n_shapes = np.sign(u).astype(np.int8), systems[0].weakening, 0
+        mode, weakening, n_shapes = np.sign(u).astype(np.int8), first.weakening, 0
         if weakening is not None:
-            self.rates += weakening.steepest * (near - systems[0].slip_friction[1]).max()
+            near, far = first.slip_friction
+            self.rates += weakening.steepest * (near - far).max()
             n_shapes = N_TERMS if weakening.is_data else 1
-        if not systems[0].back_slip:
-            closed = systems[0].closed
-            _refuse_closed(closed * u[0], float(self.tols[0]) * systems[0].fastest_belt)
+        if not first.back_slip:
+            closed = first.closed
+            _refuse_closed(closed * u[0], float(self.tols[0]) * first.fastest_belt)
             mode[mode * closed > 0] = 0
         exposures = [
             (1.0 / rate if rate > 0 else max(task.t_end - task.t_start, 1.0), 1.0, 0.0)
             for rate, task in zip(self.rates.tolist(), tasks, strict=True)
         ]
         self.states, self.searches = State.at_start(tasks, mode, exposures), Search.of(mode)
-        self.initial_modes, self.events_a_step = self.searches.initial_mode[:, np.newaxis], systems[0].n
+        self.initial_modes, self.events_a_step = self.searches.initial_mode[:, np.newaxis], first.n
         self.decays = np.array([0.5 * max(0.0, one.least_damping) if weakening is None else 0.0 for one in systems])
         self.bounds, self.lengths = np.empty(len(tasks)), np.array([drive.length for drive in self.drives])
         self.collapse = [
             Collapse(task.system, _followed(task.system, tol), cost=control.certificate(task))
             for task, tol in zip(tasks, self.tols.tolist(), strict=True)
         ]
-        is_linear, has_cross = weakening is None, systems[0].cross_damping is not None
-        may_be_slow = may_be_heavy and is_linear and not has_cross
-        self.slow = Slow.of(systems[0], self.drives[0].fastest) if may_be_slow else None
-        is_sparse = not isinstance(systems[0].stiffness, np.ndarray)
-        is_local = is_sparse and is_linear and not self.drives[0].is_forced and self.slow is None
-        local = Local.of(systems[0]) if is_local else None
-        self.work = Work(Expansion.blank(mode, n_shapes), self.searches, self.slow, local)
+        may_be_slow = len(tasks) == 1 and weakening is None and first.cross_damping is None
+        self.slow = Slow.of(first, self.drives[0].fastest) if may_be_slow else None
+        is_dense = isinstance(first.stiffness, np.ndarray)
+        is_local = not (is_dense or weakening is not None or self.drives[0].is_forced or self.slow is not None)
+        self.work = Work(
+            Expansion.of(mode, n_shapes), self.searches, self.slow, Local.of(first) if is_local else None
+        )
         if tasks[0].modes is not None:
             self.work.expansion.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
 

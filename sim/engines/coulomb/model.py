@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stickslip.sim.engines import loop
 from stickslip.sim.engines.coulomb import control
 from stickslip.sim.engines.forcing import Drive, Forcing
 from stickslip.sim.engines.polynomials import Polynomials
@@ -28,6 +31,17 @@ class SpeedWeakening(NamedTuple):
     law: int  #: its number in `SERIES_OF`
     is_entire: bool
     pieces: Polynomials | None  #: of any other law
+
+    @classmethod
+    def of(cls, system: System) -> SpeedWeakening | None:
+        """None if friction does not weaken."""
+        if (weakening := system.weakening) is None:
+            return None
+        near, far = system.slip_friction
+        share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
+        number = 0 if weakening.is_data else SERIES_OF.index(type(weakening))
+        pieces = Polynomials.of(weakening.pieces) if weakening.is_data else None
+        return cls(share, weakening.steepness, number, weakening.is_entire, pieces)
 
 
 class Cross(NamedTuple):
@@ -77,27 +91,55 @@ class Model(NamedTuple):
     cross: Cross | None
 
     @classmethod
-    def of(cls, system: System, pairs: Pairs, drive: Drive) -> Model:
-        near, far = system.slip_friction
-        weakens, weakening = None, system.weakening
-        if weakening is not None:
-            share = np.divide(far, near, out=np.ones(system.n), where=near > 0)
-            number = 0 if weakening.is_data else SERIES_OF.index(type(weakening))
-            pieces = Polynomials.of(weakening.pieces) if weakening.is_data else None
-            weakens = SpeedWeakening(share, weakening.steepness, number, weakening.is_entire, pieces)
-        return cls(
-            system.columns,
-            pairs,
-            system.row_sums,
-            system.damping,
-            near,
-            system.static,
-            system.closed,
-            weakens,
-            drive.belt_speed,
-            drive.forcing,
-            Cross.of(system),
+    def of(cls, systems: Sequence[System], drives: Sequence[Drive]) -> Model:
+        """Of a stack of plain systems, or of one."""
+        if len(systems) > 1:
+            return cls._of(systems)
+        (system,), (drive,) = systems, drives
+        model = _KEPT.get(system)
+        if model is None:
+            model = _KEPT[system] = cls._of(systems)
+        if drive.is_forced:
+            model = model._replace(belt_speed=drive.belt_speed[np.newaxis], forcing=loop.forcing_of(drives))
+        return model if system.cross_damping is None else model._replace(cross=loop.stack([Cross.of(system)]))
+
+    @classmethod
+    def _of(cls, systems: Sequence[System]) -> Model:
+        """As they are if no force acts, and without damping between blocks."""
+        first, m = systems[0], len(systems)
+        row_sums, damping, near, static, belt = (
+            np.array(
+                [
+                    (one.row_sums, one.damping, one.slip_friction[0], one.static, one.belt_speed_at(0.0))
+                    for one in systems
+                ]
+            )
+            .transpose(1, 0, 2)
+            .copy()
         )
+        if isinstance(first.stiffness, np.ndarray):
+            dense = np.array([one.stiffness for one in systems])
+            none = np.empty((m, 0), np.int32)
+            columns = Columns(np.array(dense.swapaxes(1, 2), order="C"), none, none, np.empty((m, 0)))
+        else:
+            dense, columns = np.empty((m, 0, 0)), loop.stack([first.columns])
+        return cls(
+            columns,
+            Pairs.of(dense, row_sums),
+            row_sums,
+            damping,
+            near,
+            static,
+            np.array([one.closed for one in systems]),
+            loop.stack([SpeedWeakening.of(first)]),
+            belt,
+            Forcing.none(m),
+            None,
+        )
+
+
+#: Of systems run one by one, from many starts.
+_KEPT: WeakKeyDictionary[System, Model] = WeakKeyDictionary()
 
 
 @inner

@@ -99,7 +99,7 @@ def _iterate(model, expansion, slow, least, t, h, rate, allowed):  # type: ignor
     begin(forcing, t)
     n_small, change, power = 0, 0.0, 1.0
     for k in range(control.ORDER_MAX - 1):
-        one_product(model.columns, series[k], forces[k], model.pairs.columns)
+        one_product(model.columns, series[k], forces[k], expansion.room.columns)
         pushed = take_off(forcing, t, k, forces[k])
         for i in range(len(mode)):
             pull = -slips[i] * (forces[k, i] + (friction[i] * mode[i] if k == 0 else 0.0))
@@ -193,7 +193,7 @@ def follow(slow, model, expansion, goal, state, target):  # type: ignore[no-unty
     for i in range(n):
         if touching[i] or mode[i] == 0:
             w[i] = v[i]
-    one_product(model.columns, z, forces[0], model.pairs.columns)
+    one_product(model.columns, z, forces[0], expansion.room.columns)
     begin(forcing, t)
     take_off(forcing, t, 0, forces[0])
     settle(model, largest(z), expansion)

@@ -14,14 +14,20 @@ from stickslip.sim.engines.tolerances import TOL
 from stickslip.sim.runs.run import Run
 from stickslip.sim.systems.system import System
 
-#: The fewest blocks from which waveform relaxation may be faster: measured, at tolerances to 1e-6.
-SIZE_OF_WAVES = 64
-#: The fewest entries a row of a sparse K. At 1e-5 waves took, with 4, 9 and 13 a row, 0.6, 0.4 and 0.3 of the time of
-#: series at n = 200, and 0.5, 0.3 and 0.2 at n = 1000, with all their events; of a chain, with 3, as long or longer.
-LEAST_ENTRIES = 8
-#: The least tolerance, and how many times as many blocks, where static friction is above the kinetic. Each exit is
-#: then a jump of friction and a kink in the F of others: at 1e-5 series are as fast, and their errors 500 times less.
-TOL_OF_JUMPS, MORE_BLOCKS = 1e-4, 4
+#: The fewest blocks from which waveform relaxation is faster, the least tolerance there, and the power of n by which
+#: that falls, to 1e-9. At these bounds, n = 64 to 2000, waves took 0.7 to 1 of the time of series of the same
+#: tolerance, and 0.8 to 1.1 of that of series of the same error, which is 1e-3 tolerances at 1e-5, of waves 1e-2.
+SIZE_OF_WAVES, TOL_OF_WAVES, FALL_OF_WAVES, LEAST_OF_WAVES = 64, 1e-6, 3.77, 1e-9
+#: The same where static friction is above the kinetic, so that each exit is a jump of friction and a kink in the F of
+#: others: 0.6 to 0.9 of the time of series of the same tolerance, 0.9 to 1.1 of that of the fastest, at 1e-5.
+SIZE_OF_JUMPS, TOL_OF_JUMPS, FALL_OF_JUMPS = 128, 2e-6, 2.6
+#: The entries a row of K from which that holds. With fewer an event is a local update by series: of grids, with 5, or
+#: at random, waves took 0.4 to 0.9 of the time at 1e-6 and above without static friction, 1.3 with it; of chains,
+#: with 3, and pairs of stiff blocks, 1.1 to 2.
+MANY_ENTRIES, SOME_ENTRIES, TOL_OF_SOME = 8, 4, 1e-6
+#: A dense K of so many blocks and fewer than `MANY_ENTRIES` a row counts as sparse if at most this share of the
+#: entries off the diagonal is not zero. Series then took 0.4 to 1 of the time.
+SIZE_OF_SPARSE, SPARSE = 64, 0.02
 
 #: The loosest tolerance of series; a looser one counts as this. 1e-3 took 5 to 40% fewer products, in about the same
 #: time, but its errors hide short sticks of blocks that come back to touch the belt. With 1e-5, of systems of up to
@@ -106,10 +112,11 @@ class Coulomb(Engine):
     def is_by_waves(self, system: System, length: float = 0.0) -> bool:
         """Whether runs of a system are made by waveform relaxation, as far as they are not started at an event.
 
-        If K is dense or has eight entries a row, n at least 64 and `tol` at least 1e-6 (203 blocks: 1e-7, 640: 1e-8),
-        or 256 and 1e-4 where static friction is above the kinetic, the belts have constant speeds, one of which is
-        not zero, there are no forces, friction does not depend on the speed of slip, which may go to either side, and
-        no block is heavily damped. Damping between blocks gives F a kink at each event of another block, which no
+        If K has eight entries a row, n is at least 64 and `tol` at least 1e-6 (118 blocks: 1e-7, 218: 1e-8, 400:
+        1e-9), or 128 and 2e-6 where static friction is above the kinetic (406: 1e-7), or K has four, without, and
+        `tol` is at least 1e-6 as well, the belts have constant speeds, one of which is not zero, there are no forces,
+        friction does not depend on the speed of slip, which may go to either side, and no block is heavily damped.
+        Damping between blocks gives F a kink at each event of another block, which no
         polynomial over a macro step follows: such systems take series. `simulate` with `modes` takes series too, as
         does a start at which |F| is at static friction, and a run that this method cannot carry through. Of a run of
         this length, in which errors of steps add up where damping is weak, `tol` is that of a step.
@@ -117,12 +124,16 @@ class Coulomb(Engine):
         n = system.n
         if n < SIZE_OF_WAVES or self.accumulation(system, length) > MOST_MEMORY:
             return False
-        tol = self.tol_of_waves(system, length)
-        if system.is_static_above and (n < MORE_BLOCKS * SIZE_OF_WAVES or tol < 0.999999 * TOL_OF_JUMPS):
-            return False
-        if n * n * tol < 0.999999 * SIZE_OF_WAVES**2 * 1e-6 or tol < 1e-8:
-            return False
-        if not isinstance(system.stiffness, np.ndarray) and system.stiffness.nnz < LEAST_ENTRIES * n:
+        least = max(TOL_OF_WAVES * (SIZE_OF_WAVES / n) ** FALL_OF_WAVES, LEAST_OF_WAVES)
+        if system.is_static_above:
+            if n < SIZE_OF_JUMPS:
+                return False
+            least = max(TOL_OF_JUMPS * (SIZE_OF_JUMPS / n) ** FALL_OF_JUMPS, least)
+        if (entries := system.entries_a_row) < MANY_ENTRIES:
+            if entries < SOME_ENTRIES or system.is_static_above:
+                return False
+            least = max(TOL_OF_SOME, least)
+        if self.tol_of_waves(system, length) < 0.999 * least:
             return False
         if system.cross_damping is not None or system.changes:
             return False
@@ -131,6 +142,13 @@ class Coulomb(Engine):
         from stickslip.sim.engines.coulomb.overdamped import Slow  # as in `prepare`
 
         return Slow.of(system, 0.0) is None
+
+    @staticmethod
+    def is_nearly_empty(system: System) -> bool:
+        """Whether K is a dense array that is run as a sparse one."""
+        n, entries = system.n, system.entries_a_row
+        is_dense = n >= SIZE_OF_SPARSE and isinstance(system.stiffness, np.ndarray)
+        return is_dense and entries < MANY_ENTRIES and entries <= 1.0 + SPARSE * n
 
     @staticmethod
     def cost(rate: float, settings: Mapping[str, Any]) -> float:

@@ -109,9 +109,10 @@ def _next_event(model, search, i, face, series, column, reach, horizon):  # type
 def _schedule_all(model, expansion, search, due, order, h):  # type: ignore[no-untyped-def]
     """Find every block's next event within h; all series are about the start of a window."""
     series, mode, reach, n, size = expansion.series, expansion.mode, search.reach, len(expansion.mode), len(due) // 2
+    zeros, side = expansion.zeros, expansion.side
     enclose(series, expansion.slips, order, h, reach, n)
     for i in range(n):
-        face = mode[i], expansion.zeros[i], expansion.side[i]
+        face = mode[i], zeros[i], side[i]
         due[size + i] = _next_event(model, search, i, face, series, i, reach[i], (order, h))
     for k in range(size - 1, 0, -1):
         due[k] = min(due[2 * k], due[2 * k + 1])
@@ -120,28 +121,29 @@ def _schedule_all(model, expansion, search, due, order, h):  # type: ignore[no-u
 @inner
 def _bring(model, expansion, local, order, s, first, last):  # type: ignore[no-untyped-def]
     """Shift the series of the members in these places to an instant of the window."""
-    series, step = local.series, local.step
+    series, step, members, origin = local.series, local.step, local.members, local.origin
+    whole, damping, slips, mode = expansion.series, model.damping, expansion.slips, expansion.mode
+    of_members, slips_there, mode_there = local.damping, local.slips, local.mode
     for a in range(first, last):
-        i = local.members[a]
-        step[a] = s - local.origin[i]
-        local.mode[a] = expansion.mode[i]
-        local.damping[a] = model.damping[i]
-        local.slips[a] = expansion.slips[i]
+        i = members[a]
+        step[a] = s - origin[i]
+        mode_there[a], of_members[a], slips_there[a] = mode[i], damping[i], slips[i]
         for k in range(order + 1):
-            series[k, a] = expansion.series[k, i]
+            series[k, a] = whole[k, i]
     shift_rows(series, first, last, order, step)
 
 
 @inner
 def _list_tied(columns, j, local, count):  # type: ignore[no-untyped-def]
     """Add the blocks that a matrix ties to block j to the members; their number, and whether there was room."""
-    for p in range(columns.indptr[j], columns.indptr[j + 1]):
-        i = columns.indices[p]
-        if local.place[i] < 0:
-            if count == len(local.members):
+    indptr, indices, place, members = columns.indptr, columns.indices, local.place, local.members
+    for p in range(indptr[j], indptr[j + 1]):
+        i = indices[p]
+        if place[i] < 0:
+            if count == len(members):
                 return count, False
-            local.place[i] = count
-            local.members[count] = i
+            place[i] = count
+            members[count] = i
             count += 1
     return count, True
 
@@ -161,7 +163,7 @@ def _gather(model, expansion, local, window, jump, left):  # type: ignore[no-unt
     the last ones, and the rest of the window.
     """
     order, allowed = window.order, window.allowed
-    members, place, ends = local.members, local.place, local.ends
+    members, place, ends, mode = local.members, local.place, local.ends, expansion.mode
     first, count, ties = 0, 1, 0
     ends[0] = count
     # the error of w if the update ends here, over the one allowed; z of the last ties changes from this order on
@@ -169,7 +171,7 @@ def _gather(model, expansion, local, window, jump, left):  # type: ignore[no-unt
     while share > 1.0 and first < count and lowest <= order:
         for a in range(first, ends[ties]):
             j = members[a]
-            if a > 0 and expansion.mode[j] == 0:
+            if a > 0 and mode[j] == 0:
                 continue
             count, has_room = _list_tied(model.columns, j, local, count)
             if has_room:
@@ -210,7 +212,8 @@ def _pass_on(model, local, order, start, count, pull, was_stuck):  # type: ignor
 
     The changes of the others obey their own equations, without constant terms.
     """
-    columns, members, place, ends = model.columns, local.members, local.place, local.ends
+    members, place, ends = local.members, local.place, local.ends
+    indptr, indices, data = model.columns.indptr, model.columns.indices, model.columns.data
     series, pulls, changes, slips, damping = local.series, local.pulls, local.changes, local.slips, local.damping
     changes[1, :count] = 0.0
     for k in range(order - 1):
@@ -220,10 +223,10 @@ def _pass_on(model, local, order, start, count, pull, was_stuck):  # type: ignor
             n_ties = (k - 2) // 2 if model.cross is None else k - 2
             for a in range(min(count, ends[n_ties])):
                 j = members[a]
-                for p in range(columns.indptr[j], columns.indptr[j + 1]):
-                    b = place[columns.indices[p]]
+                for p in range(indptr[j], indptr[j + 1]):
+                    b = place[indices[p]]
                     if b >= 0:
-                        pulls[k, b] += columns.data[p] * changes[k, a]
+                        pulls[k, b] += data[p] * changes[k, a]
         _drag(model.cross, local, k, count)
         factor = -1.0 / ((k + 2) * (k + 1))
         pull[k] += pulls[k, 0]
@@ -239,17 +242,18 @@ def _pass_on(model, local, order, start, count, pull, was_stuck):  # type: ignor
 @inner
 def _is_alone(model, local, h, count, z_max):  # type: ignore[no-untyped-def]
     """Whether no other member is at the edge of its mode."""
-    series, mode, v = local.series, local.mode, model.belt_speed
+    series, mode, members, reach, v = local.series, local.mode, local.members, local.reach, model.belt_speed
+    damping, static, row_sums, closed = local.damping, model.static, model.row_sums, model.closed
     for a in range(1, count):
-        i = local.members[a]
+        i = members[a]
         if mode[a] == 0:
-            drag = model.damping[i] * v[i]
-            slack = force_rounding(drag, model.row_sums[i] * z_max, model.static[i], known(model, 0, i))
-            if push(model.closed[i], drag + series[0, a]) >= model.static[i] - slack:
+            drag = damping[a] * v[i]
+            slack = force_rounding(drag, row_sums[i] * z_max, static[i], known(model, 0, i))
+            if push(closed[i], drag + series[0, a]) >= static[i] - slack:
                 return False
         else:
             gap = series[1, a] - v[i]
-            if mode[a] * gap <= ROUNDING * (abs(gap) + abs(2.0 * series[2, a] * h) + local.reach[a]):
+            if mode[a] * gap <= ROUNDING * (abs(gap) + abs(2.0 * series[2, a] * h) + reach[a]):
                 return False
     return True
 
@@ -258,16 +262,17 @@ def _is_alone(model, local, h, count, z_max):  # type: ignore[no-untyped-def]
 def _put_back(model, expansion, search, local, order, span, count, n_zeros):  # type: ignore[no-untyped-def]
     """Copy the series of the members back, and find the next event of each in a span from s, of length h."""
     s, h = span
-    series, mode = local.series, local.mode
+    series, mode, members, reach = local.series, local.mode, local.members, local.reach
+    whole, held, origin, due, v = expansion.series, expansion.held, local.origin, local.due, model.belt_speed
     for a in range(count):
-        i = local.members[a]
+        i = members[a]
         zeros = n_zeros if a == 0 and mode[a] != 0 else 0
         for k in range(order + 1):
-            expansion.series[k, i] = series[k, a]
-        expansion.held[i] += model.belt_speed[i] * (s - local.origin[i])
-        local.origin[i] = s
-        time = _next_event(model, search, i, (mode[a], zeros, 0), series, a, local.reach[a], (order, h))
-        _schedule(local.due, i, s + time)
+            whole[k, i] = series[k, a]
+        held[i] += v[i] * (s - origin[i])
+        origin[i] = s
+        time = _next_event(model, search, i, (mode[a], zeros, 0), series, a, reach[a], (order, h))
+        _schedule(due, i, s + time)
 
 
 @inner
@@ -331,18 +336,18 @@ def _close(model, work, state, window, s, block):  # type: ignore[no-untyped-def
     """The state at the end of a window, and which blocks are to be decided there."""
     expansion, near, v, order = work.expansion, work.search.near, model.belt_speed, window.order
     z, w, n, power = state.z, state.w, len(state.z), window.span
+    series, mode, touching = expansion.series, expansion.mode, expansion.touching
     for i in range(n):
-        near[i] = abs(expansion.series[1, i] - v[i])
+        near[i] = abs(series[1, i] - v[i])
     for k in range(2, order + 1):
         for i in range(n):
-            near[i] += power * abs(k * expansion.series[k, i])
+            near[i] += power * abs(k * series[k, i])
         power *= window.span
     evaluate(expansion, v, work.local.origin, order, s, z, w)
     for i in range(n):
-        mode = expansion.mode[i]
-        expansion.touching[i] = mode != 0 and mode * (w[i] - v[i]) <= ROUNDING * near[i]
+        touching[i] = mode[i] != 0 and mode[i] * (w[i] - v[i]) <= ROUNDING * near[i]
     if block >= 0:
-        expansion.touching[block] = expansion.mode[block] != 0
+        touching[block] = mode[block] != 0
 
 
 @inner

@@ -79,21 +79,21 @@ def _on_the_edge(model, expansion, near, z_max, w, block, order, step, has_force
     sticking blocks with |F| = m count too.
     """
     v, mode, touching, series = model.belt_speed, expansion.mode, expansion.touching, expansion.series
-    count = 0
+    static, friction, damping, leaves = model.static, model.friction, model.damping, expansion.leaves
+    row_sums, closed, count = model.row_sums, model.closed, 0
     for i in range(len(mode)):
         touching[i] = mode[i] != 0 and mode[i] * (w[i] - v[i]) <= near[i]
-        jump = model.static[i] - model.friction[i]
+        jump = static[i] - friction[i]
         if touching[i] and jump > 0.0:
             w_dot = 0.0
             for k in range(order, 1, -1):
                 w_dot = w_dot * step + k * (k - 1) * series[k, i]
-            expansion.leaves[i] = mode[i] if mode[i] * w_dot > 0.5 * jump else 0
+            leaves[i] = mode[i] if mode[i] * w_dot > 0.5 * jump else 0
         concerned = touching[i] or i == block
         if mode[i] == 0 and has_forces:
-            force = model.damping[i] * v[i] + series[0, i]
-            noise = known(model, 0, i)
-            slack = force_rounding(model.damping[i] * v[i], model.row_sums[i] * z_max, model.static[i], noise)
-            concerned = concerned or push(model.closed[i], force) >= model.static[i] - slack
+            drag = damping[i] * v[i]
+            slack = force_rounding(drag, row_sums[i] * z_max, static[i], known(model, 0, i))
+            concerned = concerned or push(closed[i], drag + series[0, i]) >= static[i] - slack
         count += concerned
     if block >= 0:
         touching[block] = mode[block] != 0
@@ -131,10 +131,10 @@ def _at(model, work, goal, state, window, t):  # type: ignore[no-untyped-def]
 def _pass_event(model, work, goal, state, window, block, step, left):  # type: ignore[no-untyped-def]
     """Go to an event, and carry the series over it; returns how far they hold from there on, 0 if not at all."""
     expansion, v, mode, z, w, order = work.expansion, model.belt_speed, state.mode, state.z, state.w, window.order
+    series, held = expansion.series, expansion.held
     shift(expansion, order, step, v)
     for i in range(len(z)):
-        sticks = mode[i] == 0
-        z[i], w[i] = (expansion.held[i], v[i]) if sticks else (expansion.series[0, i], expansion.series[1, i])
+        z[i], w[i] = (held[i], v[i]) if mode[i] == 0 else (series[0, i], series[1, i])
     z_max = largest(z)
     if _on_the_edge(model, expansion, work.search.near, z_max, w, block, order, 0.0, True) > 1:
         return 0.0
@@ -149,7 +149,8 @@ def _pass_event(model, work, goal, state, window, block, step, left):  # type: i
 def _carry(model, work, goal, state, window, is_after_event, precheck, events, n_recorded):  # type: ignore[no-untyped-def]
     """Go on to the next event, or to the end of the window; see `frame.Way`."""
     expansion, near, v, order = work.expansion, work.search.near, model.belt_speed, window.order
-    z, w, clock, counters, series = state.z, state.w, state.clock, state.counters, work.expansion.series
+    z, w, clock, counters = state.z, state.w, state.clock, state.counters
+    series, reach = expansion.series, work.search.reach
     t, remaining = clock[loop.TIME], goal.t_end - clock[loop.TIME]
     step, block = _first_event(model, expansion, work.search, order, window.left)
     if not goal.is_last and remaining - step <= ROUNDING * goal.t_end:
@@ -158,7 +159,7 @@ def _carry(model, work, goal, state, window, is_after_event, precheck, events, n
     if block >= 0:
         counters[loop.LAST_BLOCK] = block
     for i in range(len(z)):
-        near[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * window.left) + work.search.reach[i])
+        near[i] = ROUNDING * (abs(series[1, i] - v[i]) + abs(2.0 * series[2, i] * window.left) + reach[i])
     t_next, lacking = loop.later(t, clock[loop.LACKING], step, goal.t_end)
     sample(expansion, v, None, order, t, t_next, state)
     age, left = window.age + step, window.left - step

@@ -36,10 +36,7 @@ def known(model, k, i):  # type: ignore[no-untyped-def]
 
 @inner
 def force_rounding(drag, pull, most, forcing):  # type: ignore[no-untyped-def]
-    """A bound of the rounding of |F| - m of a block, from the magnitudes of its terms.
-
-    It takes numbers, not the model: a call that is not inlined passes the model field by field, for each block.
-    """
+    """A bound of the rounding of |F| - m of a block, from the magnitudes of its terms."""
     return ROUNDING * (abs(drag) + pull + most + forcing)
 
 

@@ -18,6 +18,8 @@ friction does not fall: the others then respond by linear equations.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from threading import get_ident
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +36,7 @@ from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.arithmetic import ROUNDING, copy, largest
 from stickslip.sim.numerics.horner import shift_rows
 from stickslip.sim.numerics.panels import SINGLE_ERROR
-from stickslip.sim.numerics.products import list_moving, one_product, two_products, two_single_products
+from stickslip.sim.numerics.products import Room, list_moving, one_product, two_products, two_single_products
 
 UNDECIDED = 2  #: in the place of a mode
 
@@ -84,40 +86,32 @@ class Expansion(NamedTuple):
     steps: Floats  #: how far a block is from the origin of its series
     values: Floats  #: value and slope of its series there
     shape: Shape | None  #: None if friction does not fall with speed
+    room: Room
 
     @classmethod
-    def blank(cls, mode: NDArray[np.int8], n_shapes: int) -> Expansion:
+    def of(cls, mode: NDArray[np.int8], n_shapes: int) -> Expansion:
         """No series yet; blocks of mode 0 are to be decided. `n_shapes` is how many series a weakening keeps.
 
-        Of a run, or of a stack, which shares the series and the workspace: `mode` has shape (n,) or (m, n).
+        Of a stack, with `mode` of shape (m, n). What stacks share, all runs of a thread share.
         """
-        n, orders = mode.shape[-1], control.ORDER_MAX + 1
-        # NaN: a coefficient used before it was computed would show
-        series, forces = np.full((2, orders, n), np.nan)
-        held, slips, column, last, more, steps = np.zeros((6, n))
-        zeros, side = np.zeros((2, n), np.int64)
-        pull, change = np.zeros((2, orders))
-        return cls(
-            series=series,
-            forces=forces,
-            held=held,
-            mode=mode,
-            slips=slips,
-            touching=mode == 0,
-            leaves=np.zeros(mode.shape, np.int8),
-            zeros=zeros,
-            side=side,
-            column=column,
-            last=last,
-            more=more,
-            pull=pull,
-            change=change,
-            passed=np.zeros((2, 2, n)),
-            sizes=np.zeros(2),
-            steps=steps,
-            values=np.zeros((2, n)),
-            shape=Shape(np.full((n_shapes, orders, n), np.nan), *np.zeros((2, n))) if n_shapes else None,
-        )
+        shared = _workspace(mode.shape[-1], n_shapes, get_ident())
+        return shared._replace(mode=mode, touching=mode == 0, leaves=np.zeros(mode.shape, np.int8))
+
+
+@lru_cache(maxsize=8)
+def _workspace(n: int, n_shapes: int, thread: int) -> Expansion:
+    """What runs of a thread share: for a small system it takes longer to make than a run."""
+    orders = control.ORDER_MAX + 1
+    series, forces = np.full((2, orders, n), np.nan)  # a coefficient used before it was computed would show
+    held, slips, column, last, more, steps = np.zeros((6, n))
+    zeros, side = np.zeros((2, n), np.int64)
+    pull, change = np.zeros((2, orders))
+    no_mode, passed, values = np.zeros((0, n), np.int8), np.zeros((2, 2, n)), np.zeros((2, n))
+    shape = Shape(np.full((n_shapes, orders, n), np.nan), *np.zeros((2, n))) if n_shapes else None
+    return Expansion(
+        series, forces, held, no_mode, slips, no_mode != 0, no_mode, zeros, side, column, last, more, pull, change,
+        passed, np.zeros(2), steps, values, shape, Room.of(n),
+    )  # fmt: skip
 
 
 _recurrence = one_of([law.recurrence for law in SERIES_OF])
@@ -375,8 +369,8 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
             w[i] = v[i]
     copy(z, series[0])
     copy(w, series[1])
-    m = list_moving(series[0], series[1], model.pairs.columns)
-    two_products(model.columns, model.pairs, m, series[:2], forces[:2])
+    m = list_moving(series[0], series[1], expansion.room.columns)
+    two_products(model.columns, model.pairs, expansion.room, m, series[:2], forces[:2])
     forcing, weakening, pushed, pushed_next = model.forcing, model.weakening, 0.0, 0.0
     begin(forcing, t)
     for k in range(2):
@@ -400,12 +394,12 @@ def _expand(model, expansion, goal, state, target):  # type: ignore[no-untyped-d
     for k in range(1, control.ORDER_MAX - 1):
         if k % 2 == 0:
             if m < 0:
-                m = list_moving(slips, slips, model.pairs.columns)
+                m = list_moving(slips, slips, expansion.room.columns)
             if n_undecided == 0 and _may_be_single(model, k, sizes, target, allowed):
                 is_single = is_single or max(sizes[0], sizes[1]) > 0.0  # products of nothing are exact
-                two_single_products(model.pairs, m, series[k : k + 2], sizes, forces[k : k + 2])
+                two_single_products(model.pairs, expansion.room, m, series[k : k + 2], sizes, forces[k : k + 2])
             else:
-                two_products(model.columns, model.pairs, m, series[k : k + 2], forces[k : k + 2])
+                two_products(model.columns, model.pairs, expansion.room, m, series[k : k + 2], forces[k : k + 2])
             pushed = take_off(forcing, t, k, forces[k])
             pushed_next = take_off(forcing, t, k + 1, forces[k + 1])
         else:
@@ -612,8 +606,8 @@ def _change_others(model, expansion, order, h, limit, may_take_product):  # type
         if k == 4 and may_take_product and limit < error < limit / SINGLE_ERROR:
             sizes[0], sizes[1] = largest(passed[0, 0]), largest(passed[0, 1])
             if _are_in_range(sizes[0], sizes[1]):
-                m = list_moving(passed[0, 0], passed[0, 1], model.pairs.columns)
-                two_single_products(model.pairs, m, passed[0], sizes, passed[1])
+                m = list_moving(passed[0, 0], passed[0, 1], expansion.room.columns)
+                two_single_products(model.pairs, expansion.room, m, passed[0], sizes, passed[1])
                 passed_on, degree, n_products = 0.0, 7.0, 2
         for j in range(n):
             more[j] = column[j] * change[k]

@@ -60,11 +60,10 @@ class _Waves(WaveformRuns):
         self.states.counters[:, loop.N_PRODUCTS] = 2
         self.work = Workspace.of(self.tables, modes, False, _PIECES * n + _MORE, is_exact=True)
         self.events_a_step, Shared(self.work.shared).safety = len(self.work.changes.x), self.safety
-        stiffness, cross, has_cross = matrices_of(system)
         unused = np.zeros((1, 1, 0))
         self.models = Model(
-            SetValued(), exact, loop.stack([stiffness]), loop.stack([cross]), has_cross,
-            loop.stack([self.drives[0].forcing]), unused, unused, np.ones((1, 1), np.bool_),
+            SetValued(), exact, *matrices_of(system), loop.forcing_of(self.drives),
+            unused, unused, np.ones((1, 1), np.bool_),
         )  # fmt: skip
 
     def alone(self, k: int) -> Run:

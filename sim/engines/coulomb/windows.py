@@ -42,22 +42,22 @@ class Search(NamedTuple):
 
     @classmethod
     def of(cls, mode: NDArray[np.int8]) -> Search:
-        """Of a run, or of a stack, whose workspace is shared; `mode` has shape (n,) or (m, n)."""
-        reach, near = np.zeros((2, mode.shape[-1]))
-        return cls(mode.copy(), mode.copy(), reach, near, np.zeros(control.ORDER_MAX + 1), np.zeros(1))
+        """Of a stack, whose workspace is shared; `mode` has shape (m, n)."""
+        reach, near = np.empty((2, mode.shape[-1]))
+        return cls(mode.copy(), mode.copy(), reach, near, np.empty(control.ORDER_MAX + 1), np.empty(1))
 
 
 @inner
 def evaluate(expansion, v, origin, order, s, z, w):  # type: ignore[no-untyped-def]
     """z and w at an instant; each block's series is about its own `origin`, if that is given."""
-    mode, steps, values = expansion.mode, expansion.steps, expansion.values
+    mode, steps, values, held = expansion.mode, expansion.steps, expansion.values, expansion.held
     for i in range(len(z)):
         steps[i] = s if origin is None else s - origin[i]
     values_and_slopes(expansion.series, order, steps, values)
     for i in range(len(z)):
         z[i], w[i] = values[0, i], values[1, i]
         if mode[i] == 0:
-            z[i], w[i] = expansion.held[i] + v[i] * steps[i], v[i]
+            z[i], w[i] = held[i] + v[i] * steps[i], v[i]
 
 
 @inner

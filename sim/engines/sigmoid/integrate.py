@@ -161,9 +161,14 @@ class _Runs(WaveformRuns):
         self.work.next_h[:], common = limits.FIRST_SUBSTEP * steps[:, np.newaxis], Shared(self.work.shared)
         common.atol, common.rtol, common.safety = self.inside
         _jumped(self.states.clock, self.work.next_h, block)
-        forcing = loop.stack([drive.forcing for drive in self.drives])
         self.models = Model(
-            layer.law, None, *_matrices(systems), forcing, bands, borne, np.tile(by_force, (len(tasks), 1))
+            layer.law,
+            None,
+            *_matrices(systems),
+            loop.forcing_of(self.drives),
+            bands,
+            borne,
+            np.tile(by_force, (len(tasks), 1)),
         )
 
     def _fill_in_the_law(self, layer: _Layer, block: Blocks) -> None:
@@ -330,8 +335,7 @@ def _modes(block: Blocks, bands: Floats, is_manifold: bool) -> NDArray[np.int8]:
 def _matrices(systems: Sequence[System]) -> tuple[Matrix, Matrix, bool]:
     """K and N of a stack, and whether there is an N."""
     if len(systems) == 1:
-        stiffness, cross, has_cross = matrices_of(systems[0])
-        return loop.stack([stiffness]), loop.stack([cross]), has_cross
+        return matrices_of(systems[0])
     none: Matrix = loop.stack([NONE] * len(systems))
     of_all = matrix_of(np.array([one.stiffness for one in systems]))
     return none._replace(panels=of_all.panels, single_panels=of_all.single_panels), none, False

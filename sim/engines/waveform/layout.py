@@ -5,6 +5,8 @@ There are n blocks, p is n rounded up to whole vectors, and m definitions of sti
 
 from __future__ import annotations
 
+from functools import lru_cache
+from threading import get_ident
 from typing import NamedTuple
 
 import numpy as np
@@ -216,55 +218,58 @@ class Workspace(NamedTuple):
     def of(
         cls, table: Floats, modes: NDArray[np.int8], has_forcing: bool, most: int, is_exact: bool = False
     ) -> Workspace:
-        """A workspace for a table and the modes at the start, for at most so many substeps.
+        """A workspace for the tables and the modes at the start of a stack, for at most so many substeps.
 
-        Of a stack, for which both have an axis more, it is shared but for these and `next_h`.
+        A stack shares it but for these and `next_h`, and all runs of a thread but for these and `shared`.
         """
-        most_changes, most_repeated = (most, 0) if is_exact else (0, most)
-        n = modes.shape[-1]
-        wide = -(-n // SINGLE_HEIGHT) * SINGLE_HEIGHT
-        return cls(
-            table=table,
-            shared=np.zeros((Shared.n_rows, STAGES)),
-            lanes=Lanes(np.empty((Blocks.n_rows, WIDTH)), *np.empty((3, WIDTH), np.int64)),
-            product=np.zeros((STAGES, table.shape[-1])),
-            single=np.zeros((STAGES, wide), np.float32),
-            single_product=np.zeros((STAGES, wide), np.float32),
-            forcing=np.zeros((STAGES if has_forcing else 0, n)),
-            modes=modes,
-            modes_before=np.zeros(n, np.int8),
-            is_split=np.zeros(n, np.bool_),
-            split=np.empty(n, np.int64),
-            next_h=np.empty((*modes.shape[:-2], n)),
-            next_h_before=np.empty(n),
-            end_u=np.empty(n),
-            end_z=np.empty(n),
-            end_mode=np.empty(n),
-            begins=np.empty(n, np.int64),
-            substeps=Substeps(
-                np.empty(most, np.int64),
-                np.empty(most, np.int64),
-                np.empty(most),
-                np.empty(most),
-                np.empty(most),
-                np.empty((most_repeated, STAGES + 1)),
-            ),
-            repeated=Repeated(
-                np.empty(most_repeated, np.int64), np.empty(most_repeated), np.empty((most_repeated, STAGES + 1))
-            ),
-            changes=Changes(
-                np.empty(most_changes),
-                np.empty(most_changes, np.int64),
-                np.empty(most_changes, np.int8),
-                np.empty(most_changes),
-                np.empty(most_changes),
-                np.zeros(1, np.int64),
-                np.empty((most_changes, ORDER + 1)),
-                np.empty(most_changes, np.int64),
-                np.empty(most_changes),
-            ),
-            there=Buffers(np.empty(1), np.empty((1, n)), np.empty((1, n))),
-        )
+        m, _, n = modes.shape
+        common = _workspace(n, table.shape[-1], has_forcing, most, is_exact, get_ident())
+        of_stack = np.zeros((Shared.n_rows, STAGES))
+        return common._replace(table=table, shared=of_stack, modes=modes, next_h=np.empty((m, n)))
+
+
+@lru_cache(maxsize=8)
+def _workspace(n: int, width: int, has_forcing: bool, most: int, is_exact: bool, thread: int) -> Workspace:
+    """What runs of a thread share: for a small system it takes longer to make than a run."""
+    most_changes, most_repeated = (most, 0) if is_exact else (0, most)
+    (block, order), (x, slope, braked, share) = np.empty((2, most_changes), np.int64), np.empty((4, most_changes))
+    (of_substep, after), (start, length, z) = np.empty((2, most), np.int64), np.empty((3, most))
+    wide, none = -(-n // SINGLE_HEIGHT) * SINGLE_HEIGHT, np.empty((0, 0))
+    return Workspace(
+        table=none,
+        shared=none,
+        lanes=Lanes(np.empty((Blocks.n_rows, WIDTH)), *np.empty((3, WIDTH), np.int64)),
+        product=np.zeros((STAGES, width)),
+        single=np.zeros((STAGES, wide), np.float32),
+        single_product=np.zeros((STAGES, wide), np.float32),
+        forcing=np.zeros((STAGES if has_forcing else 0, n)),
+        modes=none.astype(np.int8),
+        modes_before=np.zeros(n, np.int8),
+        is_split=np.zeros(n, np.bool_),
+        split=np.empty(n, np.int64),
+        next_h=none,
+        next_h_before=np.empty(n),
+        end_u=np.empty(n),
+        end_z=np.empty(n),
+        end_mode=np.empty(n),
+        begins=np.empty(n, np.int64),
+        substeps=Substeps(of_substep, after, start, length, z, np.empty((most_repeated, STAGES + 1))),
+        repeated=Repeated(
+            np.empty(most_repeated, np.int64), np.empty(most_repeated), np.empty((most_repeated, STAGES + 1))
+        ),
+        changes=Changes(
+            x,
+            block,
+            np.empty(most_changes, np.int8),
+            slope,
+            braked,
+            np.zeros(1, np.int64),
+            np.empty((most_changes, ORDER + 1)),
+            order,
+            share,
+        ),
+        there=Buffers(np.empty(1), np.empty((1, n)), np.empty((1, n))),
+    )
 
 
 def blank_tables(several: int, n: int) -> Floats:

@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from stickslip.sim.engines import loop
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT, panels
 from stickslip.sim.systems.system import System
@@ -41,8 +42,9 @@ _KEPT: WeakKeyDictionary[System, tuple[Matrix, Matrix, bool]] = WeakKeyDictionar
 
 
 def matrices_of(system: System) -> tuple[Matrix, Matrix, bool]:
-    """K and N of a system, and whether there is an N."""
+    """K and N of a system, as of a stack of one, and whether there is an N."""
     if system not in _KEPT:
         cross = system.cross_damping
-        _KEPT[system] = matrix_of(system.stiffness), NONE if cross is None else matrix_of(cross), cross is not None
+        of_cross = NONE if cross is None else matrix_of(cross)
+        _KEPT[system] = loop.stack([matrix_of(system.stiffness)]), loop.stack([of_cross]), cross is not None
     return _KEPT[system]
