@@ -321,7 +321,8 @@ def test_a_dense_array_that_is_nearly_empty_is_run_as_a_sparse_one(rng):
     dense, sparse = (
         simulate(one, z, w, 5.0, tol=1e-5) for one in (system, system.changed(stiffness=csc_array(stiffness)))
     )
-    assert dense.stats == sparse.stats and dense.stats.method == SERIES
+    assert dense.stats == sparse.stats
+    assert dense.stats.method == SERIES
     np.testing.assert_array_equal(dense.z, sparse.z)
     np.testing.assert_array_equal(dense.events.t, sparse.events.t)
     engine = settings.Coulomb()
