@@ -9,7 +9,7 @@ from __future__ import annotations
 import operator
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from functools import cached_property, partial
 from itertools import groupby
 from typing import Any, NamedTuple
 
@@ -167,6 +167,10 @@ class Several(ABC):
     tells_touches: bool = False
     method: str = ""
 
+    @cached_property
+    def _slips(self) -> NDArray[np.int64]:
+        return np.array([each.precheck.slip for each in self.collapse])
+
     @abstractmethod
     def goal(self, drive: Drive) -> Any:
         """What the runs are taken to, of which the present piece of the first is that of a drive."""
@@ -181,9 +185,9 @@ class Several(ABC):
         What they record is written into the buffers, one behind the other, and for each the status, and how many
         events and ends of all-stuck intervals there are, into a row of `slices`.
         """
-        drive, slips = self.drives[first], np.array([each.precheck.slip for each in self.collapse])
+        drive = self.drives[first]
         self.lengths[first] = drive.length
-        stack = Stack(self.models, self.work, self.goal(drive), self.states, slips, self.events_a_step)
+        stack = Stack(self.models, self.work, self.goal(drive), self.states, self._slips, self.events_a_step)
         type(self).kernel(stack, events, self.collapse[first].precheck, first, slices)
 
     def slice(self, k: int, events: Events, bound: float) -> tuple[int, int]:
