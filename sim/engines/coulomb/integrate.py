@@ -149,10 +149,9 @@ class _Runs(Several):
         may_be_slow = len(tasks) == 1 and weakening is None and first.cross_damping is None
         self.slow = Slow.of(first, self.drives[0].fastest) if may_be_slow else None
         is_dense = isinstance(first.stiffness, np.ndarray)
-        is_local = not (is_dense or weakening is not None or self.drives[0].is_forced or self.slow is not None)
-        self.work = Work(
-            Expansion.of(mode, n_shapes), self.searches, self.slow, Local.of(first) if is_local else None
-        )
+        is_whole = is_dense or weakening is not None or self.drives[0].is_forced or self.slow is not None
+        local = None if is_whole else Local.of(first)
+        self.work = Work(Expansion.of(mode, n_shapes), self.searches, self.slow, local)
         if tasks[0].modes is not None:
             self.work.expansion.leaves[:] = np.where(mode == 0, tasks[0].modes, 0)
 

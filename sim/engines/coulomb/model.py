@@ -96,8 +96,7 @@ class Model(NamedTuple):
         if len(systems) > 1:
             return cls._of(systems)
         (system,), (drive,) = systems, drives
-        model = _KEPT.get(system)
-        if model is None:
+        if (model := _KEPT.get(system)) is None:
             model = _KEPT[system] = cls._of(systems)
         if drive.is_forced:
             model = model._replace(belt_speed=drive.belt_speed[np.newaxis], forcing=loop.forcing_of(drives))
@@ -107,16 +106,8 @@ class Model(NamedTuple):
     def _of(cls, systems: Sequence[System]) -> Model:
         """As they are if no force acts, and without damping between blocks."""
         first, m = systems[0], len(systems)
-        row_sums, damping, near, static, belt = (
-            np.array(
-                [
-                    (one.row_sums, one.damping, one.slip_friction[0], one.static, one.belt_speed_at(0.0))
-                    for one in systems
-                ]
-            )
-            .transpose(1, 0, 2)
-            .copy()
-        )
+        rows = [(s.row_sums, s.damping, s.slip_friction[0], s.static, s.belt_speed_at(0.0)) for s in systems]
+        row_sums, damping, near, static, belt = np.array(rows).swapaxes(0, 1).copy()
         if isinstance(first.stiffness, np.ndarray):
             dense = np.array([one.stiffness for one in systems])
             none = np.empty((m, 0), np.int32)
