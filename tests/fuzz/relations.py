@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,6 +20,7 @@ from scipy.sparse import csc_array
 
 from stickslip.sim import Harmonic, IntegrationError, Piecewise, Run, System, simulate
 from stickslip.sim.engines.coulomb import settings as coulomb
+from stickslip.sim.systems.weakening import Weakening
 from tests.fuzz.draw import TERMS_OF_WAVES, by_waves, draw
 from tests.fuzz.judge import Endless, Verdict, patience
 from tests.fuzz.series import Stretches, agreeing, by_block, compare
@@ -164,12 +165,16 @@ def _moved(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
     yield Image(replace(setup.changed(force=force), z=setup.z + c), lambda told: replace(told, z=told.z - c))
 
 
+def _of_speeds(law: Weakening, a: float) -> Weakening:
+    """A law whose speeds are multiplied by a number."""
+    numbers = {key.name: getattr(law, key.name) for key in fields(law)}
+    return replace(law, **{name: value * (1 / a if name == "rate" else a) for name, value in numbers.items()})
+
+
 def _scaled(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
     """All lengths, speeds and forces times a power of two."""
     s, a = setup.system, float(2.0 ** rng.integers(-3, 4))
-    weakening = s.weakening and replace(
-        s.weakening, **{name: value * (1 / a if name == "rate" else a) for name, value in vars(s.weakening).items()}
-    )
+    weakening = s.weakening and _of_speeds(s.weakening, a)
     settings = {name: value * a if name in ("eps", "atol") else value for name, value in setup.settings.items()}
     if setup.settings.get("eps", 0.0) * a > 0.3:
         return
@@ -191,9 +196,7 @@ def _sped(rng: Rng, setup: Setup, run: Run) -> Iterator[Image]:
     s, a = setup.system, float(2.0 ** rng.choice([-2, -1, 1, 2]))
     if setup.engine == "sigmoid" and (setup.settings.get("stick") != "threshold" or setup.settings["eps"] * a > 0.3):
         return
-    weakening = s.weakening and replace(
-        s.weakening, **{name: value * (1 / a if name == "rate" else a) for name, value in vars(s.weakening).items()}
-    )
+    weakening = s.weakening and _of_speeds(s.weakening, a)
     belt = s.belt_speed
     belt = Piecewise(belt.times / a, belt.values * a) if isinstance(belt, Piecewise) else belt * a
     system = s.changed(
