@@ -21,9 +21,9 @@ UNSCALED = {"length": 1.0, "time": 1.0, "force": 1.0}
 class ScalesTable(StrictTable):
     """[units.scales]: what one dimensionless unit is, in the units of the scene."""
 
-    length: Positive
-    time: Positive
-    force: Positive
+    length: Positive = Field(description="a dimensionless unit of length, or of angle", examples=[0.001])
+    time: Positive = Field(description="a dimensionless unit of time", examples=[0.01])
+    force: Positive = Field(description="a dimensionless unit of force, or of torque", examples=[100.0])
 
 
 class UnitsTable(StrictTable):

@@ -8,7 +8,6 @@ import scipy.sparse
 
 from stickslip.sim import Harmonic, Piecewise, Rational, Stribeck, System, draw_system, perturb_system, simulate
 from stickslip.sim.episodes import episodes
-from stickslip.sim.systems.weakening import Weakening
 from stickslip.workflows.gallery.theory import blowup, folds, slow_time
 from stickslip.workflows.gallery.theory.laws import Coulomb, Modified, StaticAboveKinetic
 
@@ -26,27 +25,6 @@ class Chirp(Harmonic):
 
 class Smooth(Piecewise):
     pass
-
-
-class Root(Weakening):
-    """mu / (1 + |u|)^(1/2)."""
-
-    steepness = 1.0
-
-    def ends(self, friction, static):
-        return friction, 0 * friction
-
-    @staticmethod
-    def shape(x):
-        return 1 / np.sqrt(1 + x)
-
-
-class Steeper(Rational):
-    """A law that is known, with another shape."""
-
-    @staticmethod
-    def shape(x):
-        return 1 / (1 + x) ** 2
 
 
 def system(stiffness=((1.0, 0.0), (0.0, 1.0)), damping=0.1, *more, **terms):
@@ -243,14 +221,6 @@ RUNS = [
     (
         "back_slip", VALUE, "engine='sigmoid' .* got none at block 1",
         smooth(System(np.eye(2), 0.1, [1.0, 0.0], back_slip=False), w0=-0.2),
-    ),
-    *(
-        (
-            "weakening", TYPE, f"expected .* form `.*`, which engine='{engine}' needs",
-            run(System([[1.0]], 0.1, weakening=law), engine=engine),
-        )
-        for engine in ("coulomb", "sigmoid")
-        for law in (Root(), Steeper(1.0))
     ),
     *(
         (name, VALUE, "expected .*, all that engine='moreau' takes", run(TWO.changed(**{name: x}), engine="moreau"))
