@@ -189,10 +189,10 @@ def _moving(t: np.ndarray, n_stick: np.ndarray, n: int, t_start: float, t_end: f
     return float(lasted[n_stick < n].sum())
 
 
-def systems(found: Sequence[Catalogues]) -> list[list[Catalogues]]:
+def systems(catalogues: Sequence[Catalogues]) -> list[list[Catalogues]]:
     """Groups of the same systems together, in their order: the others are compared with the first."""
     by_key: dict[tuple[Any, ...], list[Catalogues]] = {}
-    for entry in found:
+    for entry in catalogues:
         by_key.setdefault(tuple(entry.group.key[name] for name in SYSTEM_KEYS), []).append(entry)
     return list(by_key.values())
 

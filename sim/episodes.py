@@ -152,11 +152,11 @@ def clusters(run: Run, system: System, before: Floats, after: Floats) -> Cluster
     before, after : float64, shape (m, n)
         z at the start and at the end of each of the m `episodes`.
     """
-    found, series, n = episodes(run, system.belt_speed), run.events, system.n
-    slip = after - before - _travels(system.belt_speed, n, found.start, found.end)
-    sign = np.where(_travel(belt(system.belt_speed, n), n, found.start, found.end) > 0, -1.0, 1.0)[:, None]
+    catalogue, series, n = episodes(run, system.belt_speed), run.events, system.n
+    slip = after - before - _travels(system.belt_speed, n, catalogue.start, catalogue.end)
+    sign = np.where(_travel(belt(system.belt_speed, n), n, catalogue.start, catalogue.end) > 0, -1.0, 1.0)[:, None]
     fall = sign * (system.stiffness @ (after - before).T).T
-    episode, block, first, last = _slipping(series, found.start, found.end)
+    episode, block, first, last = _slipping(series, catalogue.start, catalogue.end)
     label = _parts(episode, block, system)
     # clusters by episode and begin, their blocks in order
     begin = np.full(label.max(initial=-1) + 1, np.inf)

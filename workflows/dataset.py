@@ -203,7 +203,7 @@ def run_scene(
     ValueError, StoreError, AddressError, ScheduleError
         As there.
     """
-    found = with_known_questions(scene, "scene") if isinstance(scene, Scene) else load(find(str(scene)))
+    loaded = with_known_questions(scene, "scene") if isinstance(scene, Scene) else load(find(str(scene)))
     with nullcontext() if quiet else Watch(out) as watch:
-        run_ensemble(found, out, workers, scheduler, watch, retry_failed, accept_version)
+        run_ensemble(loaded, out, workers, scheduler, watch, retry_failed, accept_version)
     return Dataset(out)

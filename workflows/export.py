@@ -163,8 +163,8 @@ def whole(out: Path, dataset: Where, option: str = "--out") -> Iterator[BinaryIO
                 raise QueryError(
                     f"{option}: expected a file outside the dataset {dataset}, got {out}; choose another"
                 )
-            found = plain.status(file.name, directory)
-            if found is not None and not stat.S_ISREG(found.st_mode):
+            state = plain.status(file.name, directory)
+            if state is not None and not stat.S_ISREG(state.st_mode):
                 with _device(file, directory, option) as stream:
                     yield stream
                 return
@@ -178,11 +178,11 @@ def whole(out: Path, dataset: Where, option: str = "--out") -> Iterator[BinaryIO
 def _written(out: Path) -> int | None:
     """The descriptor by which this process writes a pipe or a device already: its name in /proc leads nowhere."""
     with contextlib.suppress(OSError):
-        found = out.stat()
-        if stat.S_ISFIFO(found.st_mode) or stat.S_ISCHR(found.st_mode):
+        state = out.stat()
+        if stat.S_ISFIFO(state.st_mode) or stat.S_ISCHR(state.st_mode):
             for descriptor in map(int, os.listdir("/dev/fd")):
                 with contextlib.suppress(OSError):  # that of the listing is closed
-                    is_same = os.path.samestat(os.fstat(descriptor), found)
+                    is_same = os.path.samestat(os.fstat(descriptor), state)
                     if is_same and fcntl.fcntl(descriptor, fcntl.F_GETFL) & os.O_ACCMODE != os.O_RDONLY:
                         return descriptor
     return None
@@ -203,9 +203,9 @@ def _folder_of(out: Path, option: str) -> Iterator[tuple[int, Path]]:
             os.close(listed)
 
 
-def _check_owner(found: os.stat_result, expected: str) -> None:
-    if not is_ours(found):
-        raise QueryError(f"{expected} of the user with the id {found.st_uid}; choose another file")
+def _check_owner(state: os.stat_result, expected: str) -> None:
+    if not is_ours(state):
+        raise QueryError(f"{expected} of the user with the id {state.st_uid}; choose another file")
 
 
 def _device(out: Path, directory: int, option: str) -> BinaryIO:

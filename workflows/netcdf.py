@@ -92,28 +92,28 @@ def _scalar(file: Any, field: pa.Field, values: pa.ChunkedArray) -> None:
         width = max(texts.dtype.itemsize, 1)
         plain, about = texts.astype(f"S{width}").view("S1").reshape(-1, width), about | {"_Encoding": "utf-8"}
         file.createDimension(f"{field.name}_length", width)
-        found = file.createVariable(field.name, "S1", ("member", f"{field.name}_length"), compression="zlib")
+        variable = file.createVariable(field.name, "S1", ("member", f"{field.name}_length"), compression="zlib")
     else:
         if pa.types.is_boolean(field.type):
             field, values = field.with_type(pa.int8()), values.cast(pa.int8())
         kind = field.type.to_pandas_dtype()
         fill = np.nan if pa.types.is_floating(field.type) else np.iinfo(kind).min
         plain, null = values.fill_null(fill).to_numpy(), fill if values.null_count else None
-        found = file.createVariable(field.name, kind, ("member",), compression="zlib", fill_value=null)
+        variable = file.createVariable(field.name, kind, ("member",), compression="zlib", fill_value=null)
     if len(plain):
-        found[:] = plain
-    found.setncatts(about)  # the last: it would have the characters encoded
+        variable[:] = plain
+    variable.setncatts(about)  # the last: it would have the characters encoded
 
 
 def _along(file: Any, opened: Opened, source: Any, dimension: str, names: list[str]) -> None:
     """Lists that have one length each member, or are null, end to end, and their lengths; a null one is all NaN."""
     file.createDimension(dimension, None)
-    found = {}
+    variables = {}
     for name in names:
         field = source.schema.field(name)
         kind = field.type.value_type.to_pandas_dtype()
-        found[name] = file.createVariable(name, kind, (dimension,), compression="zlib", chunksizes=(_ROWS,))
-        found[name].setncatts(_about(field) | {"coordinates": "member_id"})
+        variables[name] = file.createVariable(name, kind, (dimension,), compression="zlib", chunksizes=(_ROWS,))
+        variables[name].setncatts(_about(field) | {"coordinates": "member_id"})
     counts = file.createVariable(f"{dimension}_row_size", "i8", ("member",))
     counts.setncatts({"long_name": f"number of values along {dimension}", "sample_dimension": dimension})
     row = written = 0
@@ -128,7 +128,7 @@ def _along(file: Any, opened: Opened, source: Any, dimension: str, names: list[s
             kind = shard[name].type.value_type.to_pandas_dtype()
             values = np.full(more, np.nan if np.issubdtype(kind, np.floating) else np.iinfo(kind).min, dtype=kind)
             values[np.repeat(lengths[name] > 0, sizes)] = pc.list_flatten(shard[name]).to_numpy()
-            found[name][written : written + more] = values
+            variables[name][written : written + more] = values
         row, written = row + len(sizes), written + more
 
 

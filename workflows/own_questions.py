@@ -77,14 +77,14 @@ def check(scene: Scene, folder: Path, name: str) -> None:
     SceneError
         If some cannot; one line a problem. `name` is what they call the scene.
     """
-    loading = [Task(one, str(folder)) for one in names(scene)]
+    loading = [Task(entry, str(folder)) for entry in names(scene)]
     for task in loading:  # a file that is not there is told without a process
         own.resolve(task.name, _place(task), f"{name}: {_KEY}: {task.name}")
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(max(len(loading), 1)))
         children = [stack.enter_context(Child(answer)) for _ in loading]
-        found = list(pool.map(lambda child, task: put(child, task, LONGEST_TRIAL), children, loading))
-    problems = [f"{name}: {_KEY}: {one.key}: {one.problem}" for one in found if one.problem]
+        answers = list(pool.map(lambda child, task: put(child, task, LONGEST_TRIAL), children, loading))
+    problems = [f"{name}: {_KEY}: {entry.key}: {entry.problem}" for entry in answers if entry.problem]
     if problems:
         raise SceneError("\n".join(problems))
 
@@ -103,13 +103,15 @@ def put(child: Child, task: Task, longest: float | None = None) -> Answered:
     limit = threading.Timer(longest, end)
     limit.start()
     try:
-        found: Answered = child(task)
+        answered: Answered = child(task)
     except ChildDied as death:
         how = "got none" if is_late.is_set() else f"its process ended ({death})"
-        found = Answered(task.name, problem=f"expected an answer within {longest:g} s, {how}; correct the function")
+        answered = Answered(
+            task.name, problem=f"expected an answer within {longest:g} s, {how}; correct the function"
+        )
     finally:
         limit.cancel()
-    return found
+    return answered
 
 
 # ---------------------------------------------------------------------------------------------- in the child
@@ -126,12 +128,12 @@ def answer(task: Task) -> Answered:
     function, before = None, set(sys.modules)
     try:
         function = own.resolve(task.name, _place(task), _KEY)
-        found = _asked(task, function)
+        answered = _asked(task, function)
     except BaseException as error:  # noqa: BLE001  whatever it is, it is told in a line
-        found = Answered(task.name, problem=_told(error, _ANSWER, function))
+        answered = Answered(task.name, problem=_told(error, _ANSWER, function))
     if function is None:
-        return found
-    return replace(found, sources=_sources(function, set(sys.modules) - before))
+        return answered
+    return replace(answered, sources=_sources(function, set(sys.modules) - before))
 
 
 def _place(task: Task) -> Path:
@@ -150,8 +152,8 @@ def _asked(task: Task, function: own.OwnFunction) -> Answered:
         return Answered(task.name)
     study = study_of(task.opened, whole=True)
 
-    def ask(found: Callable[[Study], object]) -> Answered:
-        return own_answer(task.name, found, found(study), partial(_told, function=function), task.with_pdf)
+    def ask(question: Callable[[Study], object]) -> Answered:
+        return own_answer(task.name, question, question(study), partial(_told, function=function), task.with_pdf)
 
     with by_defaults():
         asked: Answered = own.use(function, ask, is_trial=True)  # its figures may load modules too
@@ -161,7 +163,7 @@ def _asked(task: Task, function: own.OwnFunction) -> Answered:
 def _sources(function: own.OwnFunction, loaded: Iterable[str]) -> Mapping[str, str]:
     """The files of a question, and the sha256 of each: its module, and modules beside it."""
     file = own.module_file(function)
-    modules = {found for name in loaded if (found := getattr(sys.modules.get(name), "__file__", None))}
+    modules = {path for name in loaded if (path := getattr(sys.modules.get(name), "__file__", None))}
     files = [file, *map(Path, sorted(modules - {str(file)}))]
     named = {one: name_beside(str(one), function.root) for one in files}
     named[file] = named[file] or str(file)  # it may be installed

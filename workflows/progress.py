@@ -34,9 +34,9 @@ def clock(seconds: float) -> str:
 
 def say(directory: Where) -> Status:
     """Print the status of a dataset, and return it."""
-    found = status(directory)
-    print("\n".join(_status_lines(found)))
-    return found
+    state = status(directory)
+    print("\n".join(_status_lines(state)))
+    return state
 
 
 def watch(directory: Where) -> Status:
@@ -44,40 +44,40 @@ def watch(directory: Where) -> Status:
     follower = Follower(directory)
     last: list[str] = []
     while True:
-        found = follower.look()
-        lines = _status_lines(found)
+        state = follower.look()
+        lines = _status_lines(state)
         if sys.stdout.isatty() and last:
             print(f"\x1b[{len(last)}F\x1b[J", end="", file=unescaped(sys.stdout))  # over the last ones
         if lines != last or sys.stdout.isatty():
             print("\n".join(lines), flush=True)
         last = lines
-        if found.running is None:
-            return found
+        if state.running is None:
+            return state
         time.sleep(_LOOK if sys.stdout.isatty() else _EVERY)
 
 
-def _status_lines(found: Status) -> list[str]:
-    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in found.outcomes.items()) or "none yet"
+def _status_lines(state: Status) -> list[str]:
+    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in state.outcomes.items()) or "none yet"
     lines = [
-        f"members {found.n_done} of {found.n_members} done: {outcomes}",
-        f"shards  {found.n_shards_done} of {found.n_shards}, {found.n_bytes / 1e6:.2f} MB",
+        f"members {state.n_done} of {state.n_members} done: {outcomes}",
+        f"shards  {state.n_shards_done} of {state.n_shards}, {state.n_bytes / 1e6:.2f} MB",
     ]
-    if found.n_damaged:
-        which = command("verify", found.path)
+    if state.n_damaged:
+        which = command("verify", state.path)
         lines.append(
-            f"damaged {found.n_damaged} of these shards, or missing, with {found.n_lost} of the members:"
+            f"damaged {state.n_damaged} of these shards, or missing, with {state.n_lost} of the members:"
             f" `{which}` says which"
         )
-    if found.running is not None:
-        elapsed = clock(time.time() - found.running.began)
+    if state.running is not None:
+        elapsed = clock(time.time() - state.running.began)
         # a store's lock is a lease, which its owner renews
-        is_seen = "://" in found.path or found.running.owner.endswith(f" on {socket.gethostname()}")
+        is_seen = "://" in state.path or state.running.owner.endswith(f" on {socket.gethostname()}")
         said = "" if is_seen else ", as its lock says: only there it can be seen to live"
-        lines.append(f"running {found.running.owner}{said}, {elapsed}{_pace(found.rate, found.eta)}")
-        lines += [f"dask    {found.running.dashboard}"] * (found.running.dashboard is not None)
-    elif not found.is_complete:
+        lines.append(f"running {state.running.owner}{said}, {elapsed}{_pace(state.rate, state.eta)}")
+        lines += [f"dask    {state.running.dashboard}"] * (state.running.dashboard is not None)
+    elif not state.is_complete:
         lines.append("running nothing: rerun the scene to resume")
-    return lines + [f"failed  {count}: {printable(reason)}" for reason, count in found.failures.items()]
+    return lines + [f"failed  {count}: {printable(reason)}" for reason, count in state.failures.items()]
 
 
 def _pace(rate: float | None, eta: float | None) -> str:

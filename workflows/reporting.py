@@ -74,10 +74,10 @@ def _data(opened: Opened, whole: bool = False) -> Data:
         for name, columns in values.items():
             columns.append(part[name].to_numpy(np.float64, na_value=np.nan))
         if own:
-            some = part[part["own_problem"].notna()]
+            failed = part[part["own_problem"].notna()]
             # data of an earlier version do not say of which columns: of any
-            lost = some["own_lost"] if "own_lost" in some else [",".join(one.name for one in own)] * len(some)
-            for member_id, why, names in zip(some["member_id"], some["own_problem"], lost, strict=True):
+            lost = failed["own_lost"] if "own_lost" in failed else [",".join(one.name for one in own)] * len(failed)
+            for member_id, why, names in zip(failed["member_id"], failed["own_problem"], lost, strict=True):
                 for name in names.split(","):
                     problems.setdefault(name, {})[member_id] = printable(why)
         return _prepared(scene, part).assign(**coordinates._asdict())

@@ -101,9 +101,9 @@ def schema(chart: str | None) -> dict[str, Any]:
 
     if chart is not None:
         return json_schema(scene_of(chart))
-    found = json_schema(Scene)
-    _name_the_questions(found)
-    return found
+    tables = json_schema(Scene)
+    _name_the_questions(tables)
+    return tables
 
 
 def _name_the_questions(schema: dict[str, Any]) -> None:
@@ -175,8 +175,10 @@ def _values(field: dict[str, Any]) -> str:
         first, *others = field["anyOf"]
         ways = ["a list"] if any(choice.get("type") == "array" for choice in others) else []
         tables = [choice["properties"] for choice in others if "properties" in choice]
-        pairs = [{key: "[numbers]" if "type" in one else "1.2" for key, one in table.items()} for table in tables]
-        inside = (", ".join(f"{key} = {DISTRIBUTIONS.get(key, one)}" for key, one in pair.items()) for pair in pairs)
+        pairs = [{key: "[numbers]" if "type" in value else "1.2" for key, value in table.items()} for table in tables]
+        inside = (
+            ", ".join(f"{key} = {DISTRIBUTIONS.get(key, value)}" for key, value in pair.items()) for pair in pairs
+        )
         ways += [f"{{{keys}}}" for keys in inside]
         ways += [json.dumps(choice["const"]) for choice in others if "const" in choice]
         ways += ["module:function" for choice in others if "pattern" in choice]
@@ -196,8 +198,8 @@ def key_lines(chart: str | None) -> list[str]:
     tables = key_tables(chart)
     width, wide = (max(len(key[k]) for _, _, keys in tables for key in keys) for k in (0, 3))
     picked = "" if chart is not None else "; picked: for statistics or for paths, see `purpose`"
-    found = [f"key, default, meaning (values){picked}"]
+    lines = [f"key, default, meaning (values){picked}"]
     for head, about, keys in tables:
-        found += ["", f"{head}: {about}" if head else about]
-        found += [f"{key.path:{width}}  {key.default:{wide}}  {key.meaning} ({key.values})" for key in keys]
-    return found
+        lines += ["", f"{head}: {about}" if head else about]
+        lines += [f"{key.path:{width}}  {key.default:{wide}}  {key.meaning} ({key.values})" for key in keys]
+    return lines

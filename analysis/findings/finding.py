@@ -88,7 +88,9 @@ def in_units(said: Any, units: Units) -> Any:
         return tuple(in_units(part, units) for part in said)
     if not is_dataclass(said) or isinstance(said, type) or not units:
         return said
-    return replace(said, **{one.name: in_units(getattr(said, one.name), units) for one in fields(said) if one.init})
+    return replace(
+        said, **{entry.name: in_units(getattr(said, entry.name), units) for entry in fields(said) if entry.init}
+    )
 
 
 class Verdict(StrEnum):

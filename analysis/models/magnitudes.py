@@ -150,8 +150,8 @@ def magnitudes_of(systems: Sequence[np.ndarray], confidence: float) -> Magnitude
         why = "their moments span less than a decade" if top * WIDTH < DECADE else "too few events"
         return Magnitudes(Picture.NONE, why, begins=begins, atom=atom)
     first, gap = best
-    found = _judged(counts[:, first:top], start + WIDTH * first, gap, begins, confidence)
-    return replace(found, atom=atom)
+    magnitudes = _judged(counts[:, first:top], start + WIDTH * first, gap, begins, confidence)
+    return replace(magnitudes, atom=atom)
 
 
 def in_classes(magnitudes: np.ndarray, least: float, n_classes: int) -> np.ndarray:
@@ -289,16 +289,16 @@ def _rows(fit: Fit, counts: np.ndarray) -> np.ndarray:
     return np.column_stack([n * fit.theta[0] + moved, n])
 
 
-def by_least(found: Magnitudes, confidence: float, step: float = 0.5) -> list[tuple[float, int, Estimate]]:
+def by_least(magnitudes: Magnitudes, confidence: float, step: float = 0.5) -> list[tuple[float, int, Estimate]]:
     """b on the upper part of the range, from its least magnitude and from every half above it: (least, events, b)."""
     rows: list[tuple[float, int, Estimate]] = []
-    law = 1 if found.cut_off.value is None else 0
-    for first in range(0, found.counts.shape[1] - int(DECADE / 2 / WIDTH), round(step / WIDTH)):
-        counts, least = found.counts[:, first:], found.least + WIDTH * first
+    law = 1 if magnitudes.cut_off.value is None else 0
+    for first in range(0, magnitudes.counts.shape[1] - int(DECADE / 2 / WIDTH), round(step / WIDTH)):
+        counts, least = magnitudes.counts[:, first:], magnitudes.least + WIDTH * first
         n = int(counts.sum())
         if n < FEWEST:
             break
-        with_b = found.b
+        with_b = magnitudes.b
         if first:
             try:
                 with_b = parameter(_fitted(counts.sum(axis=0), least, law), 0, counts, confidence)
@@ -308,7 +308,7 @@ def by_least(found: Magnitudes, confidence: float, step: float = 0.5) -> list[tu
     return rows
 
 
-def b_positive(found: Magnitudes, sequences: Sequence[Sequence[np.ndarray]], confidence: float) -> Estimate:
+def b_positive(magnitudes: Magnitudes, sequences: Sequence[Sequence[np.ndarray]], confidence: float) -> Estimate:
     """b from the magnitudes of the range that are larger than the one before (N. J. van der Elst, JGR 126 (2021)).
 
     If successive magnitudes are independent, their positive differences have one mean for each b, the range being
@@ -319,16 +319,21 @@ def b_positive(found: Magnitudes, sequences: Sequence[Sequence[np.ndarray]], con
     sequences : sequence of sequence of ndarray
         The magnitudes of each run of each system, in order of time.
     """
-    if found.fit is None or not found.has_b or found.b.value is None or found.cut_off.value is not None:
-        return Estimate(reason=found.why or "a cut-off is shown")
-    inside = [[run[(run >= found.least) & (run < found.most)] for run in runs] for runs in sequences]
+    if (
+        magnitudes.fit is None
+        or not magnitudes.has_b
+        or magnitudes.b.value is None
+        or magnitudes.cut_off.value is not None
+    ):
+        return Estimate(reason=magnitudes.why or "a cut-off is shown")
+    inside = [[run[(run >= magnitudes.least) & (run < magnitudes.most)] for run in runs] for runs in sequences]
     steps = [np.concatenate([np.diff(run) for run in runs]) for runs in inside]
     sums = np.array([(step[step > 0].sum(), np.count_nonzero(step > 0)) for step in steps])
-    b, n_rises = found.b.value, sums[:, 1]
+    b, n_rises = magnitudes.b.value, sums[:, 1]
     if not n_rises.any():
         return Estimate(reason="no two magnitudes in its range follow each other")
     for _ in range(_NEWTON):
-        low, expected, high = (_mean_rise(found.fit, b + turn) for turn in (-_TURN, 0.0, _TURN))
+        low, expected, high = (_mean_rise(magnitudes.fit, b + turn) for turn in (-_TURN, 0.0, _TURN))
         moved = (sums[:, 0] - expected * n_rises) * 2 * _TURN / (high - low)
         last, b = b, b + float(moved.sum() / n_rises.sum())
     return over_matrices(ratio, np.column_stack([last * n_rises + moved, n_rises]), confidence)

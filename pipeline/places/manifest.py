@@ -104,10 +104,10 @@ class Manifest(BaseModel):
         if self.package is None:
             return ""
         try:
-            found = hashlib.sha256(place.read(PACKAGE)).hexdigest()
+            checksum = hashlib.sha256(place.read(PACKAGE)).hexdigest()
         except FileNotFoundError:
             return "missing"
-        return "" if found == self.package else f"expected sha256 {self.package[:12]}, got {found[:12]}"
+        return "" if checksum == self.package else f"expected sha256 {self.package[:12]}, got {checksum[:12]}"
 
     @property
     def digest(self) -> str:

@@ -40,8 +40,8 @@ def graph_of(content: bytes, names: Sequence[str]) -> dict[str, Any]:
 def _table(text: str) -> dict[str, Any]:
     """A text of numbers: of two or three columns edges, of more an adjacency matrix; a first line of names."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    found = (_NUMBER.fullmatch(line) for line in lines)
-    parameters = {match[1]: float(match[2]) for match in found if match and match[1].isidentifier()}
+    matches = (_NUMBER.fullmatch(line) for line in lines)
+    parameters = {match[1]: float(match[2]) for match in matches if match and match[1].isidentifier()}
     rows = [re.sub("[,;\t]", " ", line) for line in lines if line[0] not in "#%"]
     if rows and re.match(r"[^\d.+-]", rows[0].lstrip("\"' ")):
         rows = rows[1:]

@@ -49,10 +49,10 @@ class UnitsTable(StrictTable):
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
-        for one, other in (("length", "angle"), ("mass", "inertia")):
-            if (getattr(self, one) is None) == (getattr(self, other) is None):
-                got = "neither" if getattr(self, one) is None else "both"
-                raise ValueError(f"{one}: expected either `{one}` or `{other}`, got {got}; write one of them")
+        for linear, angular in (("length", "angle"), ("mass", "inertia")):
+            if (getattr(self, linear) is None) == (getattr(self, angular) is None):
+                got = "neither" if getattr(self, linear) is None else "both"
+                raise ValueError(f"{linear}: expected either `{linear}` or `{angular}`, got {got}; write one of them")
         if (self.length is None) != (self.mass is None):
             raise ValueError("mass: expected `length` with `mass`, or `angle` with `inertia`, got a mixture")
         if self.scales is None:

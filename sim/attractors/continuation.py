@@ -102,7 +102,7 @@ class Settled(NamedTuple):
 def end_of_motion(
     system_at: Callable[[float], System],
     run: Run,
-    found: Attractor,
+    attractor: Attractor,
     t_end: float,
     t_burn: float,
     width: float,
@@ -121,7 +121,7 @@ def end_of_motion(
     width : float
         To which the interval in which it ends is bisected; its middle is returned.
     """
-    last, low, high = Settled(system_at(0.0), run, found), 0.0, 1.0
+    last, low, high = Settled(system_at(0.0), run, attractor), 0.0, 1.0
     if not last.sticks_and_slips:
         return None
     while True:
@@ -179,10 +179,10 @@ def _time_of_phase(system: System, before: System, t: float) -> float:
 def _swing(system: System) -> NDArray[np.complex128]:
     """What forces of one frequency come to on each block: f in Re(f exp(i omega t)), omega > 0, shape (n,)."""
     total = np.zeros(system.n, dtype=np.complex128)
-    for one in system.force:
-        if isinstance(one, Harmonic):
-            phasor = one.amplitude * np.exp(1j * np.sign(one.frequency) * one.phase)
-            total += np.where(one.frequency != 0.0, phasor, 0.0)
+    for force in system.force:
+        if isinstance(force, Harmonic):
+            phasor = force.amplitude * np.exp(1j * np.sign(force.frequency) * force.phase)
+            total += np.where(force.frequency != 0.0, phasor, 0.0)
     return total
 
 
@@ -191,10 +191,15 @@ def _at_end(run: Run) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     return run.z, run.w, run.events.mode_at(run.t_end) == 0
 
 
-def _on(found: Attractor, run: Run) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def _on(attractor: Attractor, run: Run) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """The same on an attractor, at the event after which most blocks stick; without one at the end of the run."""
-    if found.kind != "periodic" or found.events is None or found.states is None or len(found.events) == 0:
+    if (
+        attractor.kind != "periodic"
+        or attractor.events is None
+        or attractor.states is None
+        or len(attractor.events) == 0
+    ):
         return _at_end(run)
-    sticks = found.events.modes_at(found.events.t) == 0
+    sticks = attractor.events.modes_at(attractor.events.t) == 0
     k = int(sticks.sum(axis=1).argmax())
-    return found.states.z[k], found.states.w[k], sticks[k]
+    return attractor.states.z[k], attractor.states.w[k], sticks[k]

@@ -248,8 +248,8 @@ class Path:
         while first < len(of):
             part = slice(first, first + at_a_time)
             steps, ends = exponential(self._magnus(matrix, part, self.steps)), np.flatnonzero(is_last[part]) + 1
-            for some in filter(len, np.split(steps, ends)):
-                flow, first = _product(some) @ flow, first + len(some)
+            for batch in filter(len, np.split(steps, ends)):
+                flow, first = _product(batch) @ flow, first + len(batch)
                 if is_last[first - 1]:
                     yield flow
                     flow = np.identity(2 * n)
@@ -314,11 +314,11 @@ def exponential(matrices: Floats) -> Floats:
 
 def _product(matrices: Floats) -> Floats:
     """The product of a stack, the last on the left, two by two: calls cost more than products."""
-    found = matrices
-    while len(found) > 1:
-        pairs = found[1::2] @ found[: len(found) - len(found) % 2 : 2]
-        found = np.concatenate([pairs, found[-1:]]) if len(found) % 2 else pairs
-    return np.asarray(found[0])
+    product = matrices
+    while len(product) > 1:
+        pairs = product[1::2] @ product[: len(product) - len(product) % 2 : 2]
+        product = np.concatenate([pairs, product[-1:]]) if len(product) % 2 else pairs
+    return np.asarray(product[0])
 
 
 def _held(matrix: Floats, modes: NDArray[np.int8]) -> Floats:

@@ -86,7 +86,7 @@ def near_cycle(
     period = float(events.t[p])
     missed = math.inf
     is_held = (modes == 0) | (np.arange(n) == block)
-    found, is_on_its_way = None, False
+    nearest, is_on_its_way = None, False
     for _ in range(_MOST):
         w = np.where(is_held, system.belt_speed_at(0.0), w)
         if not _are_allowed(system, z, w, modes):
@@ -116,13 +116,13 @@ def near_cycle(
         step = np.linalg.lstsq(np.identity(2 * n) - matrix, error, rcond=1e-12)[0]
         if np.abs(error).max() <= back * size:
             start = np.concatenate([first[0] - z, first[1] - w]) - step  # to where the next step leads
-            found = Near(round_, path, matrix, float(np.linalg.norm(start)) / size)
+            nearest = Near(round_, path, matrix, float(np.linalg.norm(start)) / size)
             is_on_its_way = _stays_within(_FAR * size, matrix, start)
         missed, period = off_by, float(t[-1])
         if missed <= _EXACT * size:
             break
         z, w = z + step[:n], w + step[n:]
-    return found if is_on_its_way else None
+    return nearest if is_on_its_way else None
 
 
 def _stays_within(bound: float, matrix: Floats, start: Floats) -> bool:

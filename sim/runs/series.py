@@ -90,8 +90,8 @@ class EventSeries:
         t[0] is `t_start`; events at one instant are merged, and an instant that does not change n_stick is no change
         point.
         """
-        found = summaries([self])[0]
-        return found.t, found.n_stick
+        summary = summaries([self])[0]
+        return summary.t, summary.n_stick
 
     def n_stick(self, times: ArrayLike) -> NDArray[np.int32]:
         """Number of sticking blocks at given times (the sticking codimension), right-continuous.
@@ -202,10 +202,12 @@ def summaries(many: Sequence[EventSeries]) -> list[Summary]:
     """A summary of each series, together: one by one, short series take as long as their runs."""
     if not many:
         return []
-    which, lengths, sizes = np.arange(len(many)), [len(one) for one in many], [one.n for one in many]
+    which, lengths, sizes = np.arange(len(many)), [len(series) for series in many], [series.n for series in many]
     # one series, with consecutive block numbers
-    mode, initial_mode = (np.concatenate([getattr(one, name) for one in many]) for name in ("mode", "initial_mode"))
-    block = np.concatenate([one.block for one in many]) + np.repeat(np.cumsum(sizes) - sizes, lengths)
+    mode, initial_mode = (
+        np.concatenate([getattr(series, name) for series in many]) for name in ("mode", "initial_mode")
+    )
+    block = np.concatenate([series.block for series in many]) + np.repeat(np.cumsum(sizes) - sizes, lengths)
     enters = mode == 0
     leaves = EventSeries(np.empty(0), block, mode, initial_mode, 0.0, 0.0).previous_mode == 0
     of_event = which.repeat(lengths)
@@ -218,7 +220,7 @@ def summaries(many: Sequence[EventSeries]) -> list[Summary]:
     of_row = which.repeat(np.add(lengths, 1))
     is_start = _differs(of_row)
     t, change = np.empty(len(of_row)), np.empty(len(of_row), dtype=np.int32)
-    t[is_start], t[~is_start] = [one.t_start for one in many], np.concatenate([one.t for one in many])
+    t[is_start], t[~is_start] = [series.t_start for series in many], np.concatenate([series.t for series in many])
     change[is_start], change[~is_start] = at_start, enters.astype(np.int8) - leaves
     change[np.flatnonzero(is_start)[1:]] -= (at_start + n_entries - n_exits)[:-1]
     n_stick = np.cumsum(change, dtype=np.int32)
@@ -236,9 +238,9 @@ def summaries(many: Sequence[EventSeries]) -> list[Summary]:
 
 def _differs(values: NDArray[Any]) -> NDArray[np.bool_]:
     """Whether each value differs from the one before; True for the first."""
-    found = np.ones(len(values), dtype=bool)
-    np.not_equal(values[1:], values[:-1], out=found[1:])
-    return found
+    differs = np.ones(len(values), dtype=bool)
+    np.not_equal(values[1:], values[:-1], out=differs[1:])
+    return differs
 
 
 def without_returns(series: EventSeries, piece: NDArray[np.intp], s: Floats, shortest: Floats) -> EventSeries:

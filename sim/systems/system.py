@@ -294,7 +294,7 @@ class System:
     @cached_property
     def is_plain(self) -> bool:
         """Whether it is that of eq. (10) with a dense K: such systems differ in their numbers alone."""
-        return isinstance(self.stiffness, np.ndarray) and not any(one.is_in(self) for one in BEYOND.values())
+        return isinstance(self.stiffness, np.ndarray) and not any(feature.is_in(self) for feature in BEYOND.values())
 
     @cached_property
     def is_static_above(self) -> bool:
@@ -731,10 +731,10 @@ BEYOND = {
 
 def require_within(takes: Collection[str], system: System, what: str) -> None:
     """ValueError if the system has something of `BEYOND` that is not in `takes`; `what` is who does not take it."""
-    for name, one in BEYOND.items():
-        if name not in takes and one.is_in(system):
-            expected = one.expected.format(what)
-            raise ValueError(f"{one.argument}: expected {expected}, got {one.came(system)}; {one.remedy}")
+    for name, feature in BEYOND.items():
+        if name not in takes and feature.is_in(system):
+            expected = feature.expected.format(what)
+            raise ValueError(f"{feature.argument}: expected {expected}, got {feature.came(system)}; {feature.remedy}")
 
 
 def require_plain(system: System, what: str) -> None:

@@ -76,10 +76,10 @@ def parser() -> argparse.ArgumentParser:
     )
     whole.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, one in COMMANDS.items():
-        about, examples = f"{one.words[0].upper()}{one.words[1:]}.", listed(one.examples)
-        one.add_arguments(
-            commands.add_parser(name, help=one.words, description=about, epilog=examples, formatter_class=form)
+    for name, command in COMMANDS.items():
+        about, examples = f"{command.words[0].upper()}{command.words[1:]}.", listed(command.examples)
+        command.add_arguments(
+            commands.add_parser(name, help=command.words, description=about, epilog=examples, formatter_class=form)
         )
     return whole
 

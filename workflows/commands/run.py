@@ -244,16 +244,16 @@ def say_estimate(
     if not to_go:
         return DONE
     check_functions(scene, store.todo)
-    found = estimate(scene, to_go, arguments.workers)
-    for reason, count in found.failures.items():
+    forecast = estimate(scene, to_go, arguments.workers)
+    for reason, count in forecast.failures.items():
         print(f"failed  {count} of the pilot: {reason}")
-    if found.failures:
+    if forecast.failures:
         return UNFINISHED
-    workers = f"{found.workers} worker{'s' * (found.workers > 1)}"
-    low, high = clock(found.seconds / WITHIN), clock(found.seconds * WITHIN)
-    size, core = found.n_bytes / 1e6, found.core_seconds
+    workers = f"{forecast.workers} worker{'s' * (forecast.workers > 1)}"
+    low, high = clock(forecast.seconds / WITHIN), clock(forecast.seconds * WITHIN)
+    size, core = forecast.n_bytes / 1e6, forecast.core_seconds
     print(
-        f"time    {clock(found.seconds)} ({low} to {high}) on {workers}, not counting start and report;"
+        f"time    {clock(forecast.seconds)} ({low} to {high}) on {workers}, not counting start and report;"
         f" {core / WITHIN:.2g} to {core * WITHIN:.2g} s of a core\n"
         f"disk    {size:.2g} MB ({size / WITHIN:.2g} to {size * WITHIN:.2g})"
     )

@@ -70,8 +70,8 @@ class Weakening(ABC):
     is_entire: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        for one in fields(self):
-            number(one.name, getattr(self, one.name), above=0)
+        for entry in fields(self):
+            number(entry.name, getattr(self, entry.name), above=0)
 
     @property
     @abstractmethod
@@ -130,11 +130,11 @@ class Weakening(ABC):
     @classmethod
     def parameters(cls) -> dict[str, dict[str, Any]]:
         """Words, column and example of each parameter, by name."""
-        return {one.name: one.metadata["said"] for one in fields(cls)}
+        return {entry.name: entry.metadata["said"] for entry in fields(cls)}
 
     def in_units(self, speed: float) -> Self:
         """The same law, where speeds are measured in units of `speed`; TypeError if its powers do not say how."""
-        powers = {one.name: one.metadata.get("power", 0) for one in fields(self)}
+        powers = {entry.name: entry.metadata.get("power", 0) for entry in fields(self)}
         law = replace(self, **{name: getattr(self, name) / speed**power for name, power in powers.items()})
         if not math.isclose(law.steepness, self.steepness * speed, rel_tol=1e-9):
             raise TypeError(

@@ -59,7 +59,7 @@ def every(verdicts: Sequence[str]) -> str:
     return next((verdict for verdict in (CONTRADICTED, CORRECTED, UNTOLD) if verdict in verdicts), REPRODUCED)
 
 
-def share(found: int, tried: int) -> Claim:
+def share(hits: int, tried: int) -> Claim:
     """So many of so many independent ones, with the interval of the share; null if there are none."""
-    low, high = wilson(found, tried, CONFIDENCE) if tried else (None, None)
-    return {"found": found, "tried": tried, "low": low, "high": high}
+    low, high = wilson(hits, tried, CONFIDENCE) if tried else (None, None)
+    return {"found": hits, "tried": tried, "low": low, "high": high}
