@@ -44,6 +44,8 @@ class AnalysisSettings:
         That the data are in; none if they are dimensionless.
     time : float
         One dimensionless unit of time, in these units.
+    is_loaded : bool
+        Whether loading is adiabatic: time stands still while blocks slip.
 
     Raises
     ------
@@ -65,6 +67,7 @@ class AnalysisSettings:
     names: tuple[str, ...] = ()
     units: Units = DIMENSIONLESS
     time: float = 1.0
+    is_loaded: bool = False
 
     def at(self, t: float) -> str:
         """A time in words, with its unit."""

@@ -8,10 +8,9 @@ catalogue is complete, so no event is missing at the small end: a power law begi
    is emptier than ones of its width below and above it outweighs equality by `RISE`, counts being as dispersed as
    between systems. The peak begins in the middle of the emptiest such window; what is above it is in no fit.
 2. The **range**: from the least magnitude at which the distance D of Kolmogorov and Smirnov is one that chance gives,
-   D sqrt(n) < `BY_CHANCE` (A. Deluca and A. Corral, Acta Geophys. 61 (2013) 1351), or, if there is none, at which it
-   is smallest (A. Clauset, C. R. Shalizi and M. E. J. Newman, SIAM Review 51 (2009) 661), to the largest event below
-   the peak. It spans a `DECADE` and `FEWEST` events at least. An atom of equal moments at the foot, of single blocks,
-   is left out.
+   D sqrt(n) < `BY_CHANCE` (A. Deluca and A. Corral, Acta Geophys. 61 (2013) 1351), to the largest event below the
+   peak. It spans a `DECADE` and `FEWEST` events at least; without one there is no power law. An atom of equal moments
+   at the foot, of single blocks, is left out.
 3. The **law**: m^-b exp(-m / m_c) on that range, or m^-b where the interval of 1 / m_c reaches 0. Vuong's ratio,
    the mean of the log likelihood over that of a log-normal law or an exponential, is an estimate over systems.
 """
@@ -147,7 +146,7 @@ def magnitudes_of(systems: Sequence[np.ndarray], confidence: float) -> Magnitude
     top = int(np.flatnonzero(total if middle is None else total[:middle])[-1])
     best = _range(total[:top], start)
     if best is None:
-        why = "their moments span less than a decade" if top * WIDTH < DECADE else "too few events"
+        why = "their moments span less than a decade" if top * WIDTH < DECADE else "it fits no range of a decade"
         return Magnitudes(Picture.NONE, why, begins=begins, atom=atom)
     first, gap = best
     magnitudes = _judged(counts[:, first:top], start + WIDTH * first, gap, begins, confidence)
@@ -203,18 +202,17 @@ def _nats(n: np.ndarray) -> np.ndarray:
 
 
 def _range(total: np.ndarray, start: float) -> tuple[int, float] | None:
-    """The first class of the range of the law with a cut-off, and its distance of Kolmogorov and Smirnov."""
+    """The first class of the range of the law with a cut-off, and its distance of Kolmogorov and Smirnov; or None."""
     last = len(total) - int(DECADE / WIDTH)
-    gaps: dict[int, float] = {}
     for first in (*range(min(STEP, last)), *range(STEP, last + 1, STEP)):
         counts = total[first:]
         if counts.sum() < FEWEST:
             break
         with suppress(Undefined):
-            gaps[first] = _gap(_fitted(counts, start + WIDTH * first, 0), counts)
-            if gaps[first] * np.sqrt(counts.sum()) < BY_CHANCE:
-                return first, gaps[first]
-    return min(gaps.items(), key=lambda pair: pair[1]) if gaps else None
+            gap = _gap(_fitted(counts, start + WIDTH * first, 0), counts)
+            if gap * np.sqrt(counts.sum()) < BY_CHANCE:
+                return first, gap
+    return None
 
 
 def _fitted(counts: np.ndarray, least: float, law: int) -> Fit:
@@ -238,6 +236,7 @@ def _judged(counts: np.ndarray, least: float, gap: float, begins: float | None, 
     cut_off = _cut_off(decay, usual, mean)
     if usual.low is not None and usual.high is not None and usual.low <= 0 <= usual.high:
         fit = _fitted(total, least, 1)
+        gap = _gap(fit, total)
     b = parameter(fit, 0, counts, confidence)
     ratios = {}
     for law in (2, 3):

@@ -108,8 +108,9 @@ class _GraphML:
                 self._keys[attributes["id"]] = attributes.get("attr.name", "")
                 self._key = attributes["id"]
             case "node":
-                if self._nodes.setdefault(attributes["id"], len(self._nodes)) != len(self._nodes) - 1:
+                if attributes["id"] in self._nodes:
                     raise ValueError(f"expected each node once, got {attributes['id']!r} twice")
+                self._nodes[attributes["id"]] = len(self._nodes)
             case "edge":
                 if attributes.get("directed", "false") != "false":
                     raise ValueError("expected undirected edges, got a directed one")

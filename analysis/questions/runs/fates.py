@@ -111,8 +111,13 @@ class Ends(NamedTuple):
         return LIFETIME if slides and grows else TO_GROWTH if grows else TO_SLIDING
 
 
-def answer(study: Study) -> Answer:
-    """How the unchanged runs end and when, what they settle on, and whether what lasts is steady."""
+def answer(study: Study) -> Answer | None:
+    """How the unchanged runs end and when, what they settle on, and whether what lasts is steady.
+
+    None under adiabatic loading, which no run outlasts.
+    """
+    if study.settings.is_loaded:
+        return None
     grid = grid_of(study)
     ends = [_ends(study, setting) for setting in grid.settings if not setting.is_recorded]
     leading, secondary = _findings(study, grid, ends)

@@ -31,7 +31,7 @@ from stickslip.analysis.rows import Columns, frame_by
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums
 from stickslip.analysis.steps import Kind, Step, few, judged_together, table_of
-from stickslip.pipeline.design.design import Axis, in_words
+from stickslip.pipeline.design.design import Axis, Unit, in_words
 from stickslip.pipeline.design.design import Row as KeyValues
 from stickslip.pipeline.design.labels import Label
 from stickslip.pipeline.design.values import Ratio
@@ -84,11 +84,12 @@ def _lack(grid: Grid, steps: Sequence[Step]) -> Lack:
 def _method(grid: Grid, steps: Sequence[Step], unit: str) -> str:
     """How values are compared, and what the first measures are."""
     averages = ", averaged over the values of the other keys at which both are known" if len(grid.axes) > 1 else ""
+    drawn = "" if any(point.group.unit is Unit.FILE for point in grid.every) else ", as all share their random draws"
     n_tests = sum(step.contrast.p_different is not None for step in steps)
     quantities = [measure.statistic.quantity for measure in grid.asked]
     defined = [quantity for quantity in quantities if quantity.definition][:MOST_DEFINED]
     return (
-        f"All values share their random draws, so each is compared with the first {unit} by {unit}{averages}."
+        f"Each value is compared with the first {unit} by {unit}{averages}{drawn}."
         f" Verdicts are adjusted for {n_tests} comparisons (Holm), intervals are not."
         + "".join(f" {capital(quantity.name)}: {quantity.definition}." for quantity in defined)
     )

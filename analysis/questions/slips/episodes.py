@@ -255,7 +255,8 @@ def answer(study: Study) -> Answer | None:
     (law, *beside), changes = pictures[0], _changes(leaders, level, basis)
     findings: list[Finding] = [*outcomes, law, *(changes or beside), _level(lead, RATE, pairs, basis)]
     findings += [*(beside if changes else ()), *itertools.chain(*pictures[1:])]
-    findings += _levels(counted, lead, pairs, basis)
+    of_lead = (STORED,) if study.settings.is_loaded else (STORED, OCCUPANCY)
+    findings += _levels(counted, lead, pairs, basis, of_lead)
     findings += [_level(group, CREEP, pairs, basis) for group in groups if group.estimates[CREEP].value is not None
                  and not group.group.is_exact]  # fmt: skip
     return Answer(
@@ -288,12 +289,14 @@ def _level(group: Catalogues, name: str, apart: Sequence[Apart], unit: str) -> L
     return Level(WORDS[name], estimate, Place.of(group.method), reference, basis)
 
 
-def _levels(groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apart], unit: str) -> list[Finding]:
+def _levels(
+    groups: Sequence[Catalogues], lead: Catalogues, apart: Sequence[Apart], unit: str, of_lead: Sequence[str]
+) -> list[Finding]:
     """Statistics of all groups, the distances of their magnitudes, and what shows whether the drive is slow."""
     primary = sorted((pair for pair in apart if pair.name in PRIMARY), key=lambda pair: not pair.is_shown)
     findings: list[Finding] = [level for pair in primary if (level := _beside(pair, unit)) is not None]
     several = [(name, group) for name in _COMPARED for group in groups if name != RATE]
-    lead_only = [(name, lead) for name in (STORED, OCCUPANCY)]
+    lead_only = [(name, lead) for name in of_lead]
     compared = [id(pair.setting) for pair in apart]
     rates = [(RATE, group) for group in groups if group is not lead and id(group) not in compared]
     findings += [
