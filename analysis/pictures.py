@@ -165,7 +165,7 @@ def space_time(
         ax.ticklabel_format(axis="x", useOffset=False)
     names = events.names or range(events.n)
     ax.yaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
-    ax.yaxis.set_major_formatter(lambda block, _: str(names[round(block)]) if 0 <= block < events.n else "")
+    ax.yaxis.set_major_formatter(lambda block, _: str(names[round(block)]) if 0 <= round(block) < events.n else "")
     if events.names and events.n <= _NAMED:
         ax.set_yticks(range(events.n), events.names)
     if width is not None:

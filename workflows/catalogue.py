@@ -8,6 +8,7 @@ from pathlib import Path
 from stickslip.analysis import catalogue
 from stickslip.pipeline import query
 from stickslip.pipeline.dataset.opened import open_dataset
+from stickslip.pipeline.design.units import TIMES
 from stickslip.pipeline.places.place import Where
 from stickslip.workflows.export import whole
 
@@ -34,7 +35,7 @@ def write(dataset: Where, out: str | os.PathLike[str]) -> None:
     known = [key for key in dict.fromkeys(keys) if key in scalars]
     members = query.members(opened, ["member_id", "matrix", *known])
     told = [key for key in known if members[key].nunique(dropna=False) > 1]
-    table = catalogue(events)
+    table = catalogue(events, TIMES.get(opened.scene.unit_names.time, 1.0))
     rows = members.set_index("member_id")[["matrix", *told]].loc[table["member_id"]].reset_index(drop=True)
     rows = rows.rename(columns={name: f"{name}_of_member" for name in rows if name in table})
     with whole(Path(out), dataset, "--catalogue") as stream:

@@ -313,21 +313,7 @@ def _levels(change: Change) -> tuple[str, str]:
     form, difference = change.quantity.form, change.difference
     is_absolute = difference.scale is Scale.ABSOLUTE
     places = decimals(difference.estimate if is_absolute else Estimate(max(abs(start), abs(end))), form)
-    if is_absolute and difference.estimate.value is not None:
-        start, end = _adding_up(start, end, difference.estimate.value, places + 2 * (form is Form.SHARE))
     return number(start, form, places), number(end, form, places)
-
-
-def _adding_up(before: float, after: float, change: float, places: int) -> tuple[float, float]:
-    """Two values rounded such that they differ by their rounded change: the one nearest to a tie moves."""
-    ends, step = (round(before, places), round(after, places)), round(change, places)
-    missing = round(step - (ends[1] - ends[0]), places)
-    if not missing or abs(missing) > 1.5 * 10.0**-places:
-        return ends
-    shifted = round(ends[0] - missing, places), round(ends[1] + missing, places)
-    if abs(shifted[0] - before) < abs(shifted[1] - after):
-        return shifted[0], ends[1]
-    return ends[0], shifted[1]
 
 
 def _lifetime(lifetime: Lifetime) -> str:

@@ -9,7 +9,7 @@ import pandas as pd
 _NEEDED = ("start", "moment", "first_block")
 
 
-def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
+def catalogue(episodes: pd.DataFrame, seconds: float = 1.0) -> pd.DataFrame:
     """Episodes as a catalogue with the columns that ObsPy reads and writes in CSV.
 
     Parameters
@@ -17,14 +17,16 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
     episodes : DataFrame
         One row an episode or a cluster: start, moment, first_block, and member_id if several runs are in it; perhaps
         end, size and stress_drop.
+    seconds : float
+        A unit of time in seconds.
 
     Returns
     -------
     DataFrame
-        id; time, in UTC, where a unit of time counts as a second since 1970; lat and dep, which are zero; lon, the
-        number of the block that left first, in thousandths of a degree; mag, log10 of the absolute moment; magtype.
-        Then, dimensionless, member_id, origin (the start), nucleation (the block), moment and, if known, extent (in
-        blocks), duration and stress_drop. Episodes whose moment is zero have no magnitude and are left out.
+        id; time, in UTC since 1970; lat and dep, which are zero; lon, the number of the block that left first, in
+        thousandths of a degree; mag, log10 of the absolute moment; magtype. Then, in the units of `episodes`,
+        member_id, origin (the start), nucleation (the block), moment and, if known, extent (in blocks), duration and
+        stress_drop. Episodes whose moment is zero have no magnitude and are left out.
 
     Raises
     ------
@@ -50,7 +52,7 @@ def catalogue(episodes: pd.DataFrame) -> pd.DataFrame:
     number = moving.groupby(member, sort=False).cumcount()
     columns = {
         "id": member.astype(str) + "-" + number.astype(str),
-        "time": pd.to_datetime(moving["start"], unit="s", utc=True),
+        "time": pd.to_datetime(moving["start"] * seconds, unit="s", utc=True),
         "lat": 0.0,
         "lon": moving["first_block"] / 1000,
         "dep": 0.0,

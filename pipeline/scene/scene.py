@@ -301,12 +301,12 @@ class Scene(StrictTable):
                 raise ValueError(
                     f"start.{key}: expected a file with the array `{array}`, got {where} without; write a number"
                 )
-        self._changes_apply()
-        self._steps_and_changes_are_resolved()
         try:
             n_points = math.prod(len(axis.rows) for axis in self.axes)
         except ValueError as error:
             raise ValueError(f"run.zip: {error}") from None
+        self._changes_apply()
+        self._steps_and_changes_are_resolved()
         if n_points > MAX_POINTS:
             raise ValueError(f"lists: expected a grid of at most {MAX_POINTS} points, got {n_points}; shorten some")
         if self._n_runs > MAX_RUNS:

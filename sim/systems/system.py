@@ -306,7 +306,7 @@ class System:
         """Kinetic friction of a block that begins to slip, and at the limit of fast slip, shape (n,) each."""
         if self.weakening is None:
             return self.friction, self.friction
-        near, far = self.weakening.ends(self.friction, self.static)
+        near, far = self.weakening.checked_ends(self.friction, self.static)
         near.flags.writeable = False  # as all others: kernels are compiled anew for what is not
         return near, far
 
@@ -758,7 +758,7 @@ def _row_sums(matrix: Any) -> Floats:
 
 def _static(static: ArrayLike | None, mu: Floats, weakening: Weakening | None) -> Floats:
     """Static friction by block, from the argument, or the kinetic."""
-    friction = mu if weakening is None else weakening.ends(mu, mu)[0]
+    friction = mu if weakening is None else weakening.checked_ends(mu, mu)[0]
     if static is None:
         friction.flags.writeable = False
         return friction

@@ -278,3 +278,9 @@ def test_a_run_of_no_time_is_drawn():
         run.plot(kind, axes(), **NEEDED.get(kind, {})).figure.savefig("/dev/null", format="png")
     with pytest.raises(ValueError, match="span: expected a time that passes"):
         run.plot("spectrum", axes())
+
+
+def test_one_block_without_a_name_is_drawn():
+    """A tick may lie above its number."""
+    block = System([[1.0]], 0.0, static=1.3, belt_speed=-0.2)
+    simulate(block, 0.0, "belt", 20.0).plot("space_time", axes()).figure.savefig("/dev/null", format="png")

@@ -124,6 +124,10 @@ BOMB = b'<!DOCTYPE g [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]>'
         (GRAPHML.format(NODES.replace('"b"/><edge', '"c"/><edge')).encode(), "edges between nodes, got 'b'"),
         (GRAPHML.format(NODES + "<hyperedge/>").encode(), "got a hyperedge"),
         (GRAPHML.format(NODES + NODES).encode(), "each node once, got 'a' twice"),
+        (
+            GRAPHML.format(NODES.replace('<node id="a"/>', '<node id="a"/>' * 2)).encode(),
+            "each node once, got 'a' twice",
+        ),
         (b"<graphml/>", "expected one graph, got 0"),
         (GRAPHML.format(NODES).encode()[:-30], "no element found|unclosed token|mismatched"),
         (b"", "it has no edge"),

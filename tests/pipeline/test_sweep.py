@@ -568,7 +568,7 @@ BAD = {
     "a force on no block": (
         "n = [3, 4]",
         "n = [3, 4]\nforce = [{amplitude = 1.0, frequency = 1.0, blocks = [0, 3]}]",
-        ["system.force[0].blocks", "from 0 to n - 1 = 2, got 3"],
+        ["system.force[0].blocks", "from 0 to 2, got 3"],
     ),
     "zip twice": ("seed = 3", 'zip = [["kappa", "z"], ["z", "belt_speed"]]', ["run.zip", '"z" more than once']),
     "zip of other lengths": (

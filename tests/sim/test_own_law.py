@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 
 from stickslip import Rational, System, draw_system, simulate
@@ -68,3 +69,34 @@ def test_units_are_asked_of_each_parameter(lorentz):
     assert system.weakening.sharpness == pytest.approx(4.0 * scales.speed)
     with pytest.raises(TypeError, match=r"^weakening: expected powers .*'rate': 0\} of Unitless; .*power=-1"):
         System.from_physical(**given, weakening=Unitless(4.0))
+
+
+def _falling(law, friction, static):
+    return friction, 0.0 * friction
+
+
+def _shape(x):
+    return 1.0 / (1.0 + x * x)
+
+
+#: What is wrong of a law, and what is said of it.
+WRONG = [
+    ("ends", lambda law, mu, static: (-mu, mu), "of at least 0 .* got -1 at block 0"),
+    ("ends", lambda law, mu, static: (mu, np.nan * mu), "of at least 0 .* got nan at block 0"),
+    ("ends", lambda law, mu, static: mu, "two arrays of shape .* near and far"),
+    ("ends", lambda law, mu, static: (mu[:0], mu), "two arrays of shape .* near and far"),
+    ("shape", staticmethod(lambda x: np.ones(3)), "for each of 1 x, got float64 of shape"),
+    ("shape", staticmethod(lambda x: "0.3"), "for each of 1 x, got <U3"),
+    ("shape", staticmethod(lambda x: np.exp(-x) + 0j), "for each of 1 x, got complex128"),
+    ("shape", staticmethod(lambda x: {}["x"]), "got KeyError: 'x'"),
+    ("steepness", np.nan, "got nan"),
+]
+
+
+@pytest.mark.parametrize(("form", "value", "words"), WRONG)
+@pytest.mark.parametrize("engine", ["coulomb", "sigmoid"])
+def test_a_law_that_gives_no_friction_is_refused(form, value, words, engine):
+    forms = {"steepness": 3.0, "ends": _falling, "shape": staticmethod(_shape), form: value}
+    law = type("Wrong", (Weakening,), forms)
+    with pytest.raises((TypeError, ValueError), match=words):
+        simulate(System([[1.0]], 0.1, 1.0, -0.2, weakening=law()), 0.0, 0.0, 5.0, engine=engine)

@@ -66,7 +66,7 @@ def _trend(grid: Grid, steps: Sequence[Step], key: str, is_of_size: bool) -> str
     """What a figure of a statistic along a key shows; of negative values, with their size."""
     told_apart = [step for step in steps if step.contrast.is_shown]
     verdicts = {step.contrast.verdict for step in told_apart}
-    if not steps:
+    if not any(step.contrast.p_different is not None for step in steps):
         return f"against {key}"
     if not verdicts:
         return f"shows no significant change with {key}"

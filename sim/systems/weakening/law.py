@@ -16,7 +16,7 @@ import math
 from abc import ABC, abstractmethod
 from collections import namedtuple
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
@@ -89,7 +89,7 @@ class Weakening(ABC):
         """
         law = type(self)
         _require_start(law)
-        return sampled(self.shape, FASTEST, f"weakening: {law.__name__}")
+        return sampled(partial(_values, law), FASTEST, f"weakening: {law.__name__}")
 
     @cached_property
     def is_data(self) -> bool:
@@ -118,6 +118,24 @@ class Weakening(ABC):
     @abstractmethod
     def ends(self, friction: Floats, static: Floats) -> tuple[Floats, Floats]:
         """near and far, shape (n,) each, from the `friction` and `static` of a `System`."""
+
+    def checked_ends(self, friction: Floats, static: Floats) -> tuple[Floats, Floats]:
+        """What `ends` gives; TypeError or ValueError if it is no friction of these blocks, or the steepness none."""
+        number(f"steepness of {type(self).__name__}", self.steepness, above=0)
+        ends = self.ends(friction, static)
+        if not isinstance(ends, tuple) or [np.shape(end) for end in ends] != [friction.shape] * 2:
+            raise TypeError(
+                f"weakening: expected two arrays of shape {friction.shape}, near and far, from the ends of"
+                f" {type(self).__name__}, got {ends!r}"
+            )
+        for end in ends:
+            if not (np.isfinite(end) & (end >= 0.0)).all():
+                block = int(np.argmin(np.where(np.isfinite(end), end, -np.inf)))
+                raise ValueError(
+                    f"weakening: expected kinetic friction of at least 0 from the ends of {type(self).__name__}, got"
+                    f" {end[block]:g} at block {block}"
+                )
+        return ends
 
     @staticmethod
     @abstractmethod
@@ -177,10 +195,25 @@ def known_by_code(law: type[Law]) -> type[Law]:
     return law
 
 
+def _values(law: type[Weakening], x: Floats) -> Floats:
+    """S of some x; TypeError if the shape gives no real number for each, or raises."""
+    name = f"weakening: shape of {law.__name__}"
+    try:
+        with np.errstate(all="ignore"):
+            y = np.asarray(law.shape(x))
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise TypeError(
+            f"{name}: expected a number for each x, got {type(error).__name__}: {error}; correct it"
+        ) from error
+    if y.shape != x.shape or y.dtype.kind not in "fiu":
+        raise TypeError(f"{name}: expected a real number for each of {x.size} x, got {y.dtype} of shape {y.shape}")
+    return y.astype(np.float64)
+
+
 def _require_start(law: type[Weakening]) -> None:
     """ValueError if S(0) is not 1."""
-    start = float(np.asarray(law.shape(np.zeros(1)))[0])
-    if abs(start - 1.0) > _ROUNDING:
+    start = float(_values(law, np.zeros(1))[0])
+    if not abs(start - 1.0) <= _ROUNDING:
         raise ValueError(
             f"weakening: expected a law with S(0) = 1, got {apart(start, 1.0)[0]} from the shape of {law.__name__}"
         )

@@ -113,7 +113,7 @@ def sampled(curve: Callable[[Floats], Floats], fastest: float, name: str) -> Pie
 
     def values(x: Floats) -> Floats:
         with np.errstate(all="ignore"):
-            y = np.broadcast_to(np.asarray(curve(x), dtype=np.float64), x.shape)
+            y = curve(x)
         if not np.isfinite(y).all():
             at = float(x[~np.isfinite(y)][0])
             raise ValueError(f"{name}: expected finite friction, got {y[~np.isfinite(y)][0]} at {at:g}")
