@@ -143,7 +143,7 @@ class Table(Coefficients):
 class Curve(Coefficients):
     """The coefficient of friction as any function of the speed of slip, followed by polynomials of order 11.
 
-    They have an error of 2e-14 of its size if the function is smooth between a few kinks, else that of ``curve.error``.
+    Their error is 2e-14 of its size if the function is smooth between a few kinks, else that of ``curve.error``.
 
     Parameters
     ----------
