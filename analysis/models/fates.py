@@ -18,6 +18,7 @@ from scipy import special
 from stickslip.analysis.stats import student
 from stickslip.analysis.stats.compare import Scatter, share_over_matrices, wilson, wilsons
 from stickslip.analysis.stats.estimates import Estimate
+from stickslip.sim.systems.sliding import RATE_ROUNDING
 
 COLLAPSED, DIVERGED, SUSTAINED, LULL, QUIET, UNMOVED, FAILED = (
     "collapsed", "diverged", "sustained", "lull", "quiet", "unmoved", "failed",
@@ -28,9 +29,6 @@ SETTLED = (COLLAPSED, QUIET)  # no block sticks at the end, either for good or a
 WATCHED = (*ENDS, QUIET, *MOVING, UNMOVED)  # the fates of runs that did not fail
 _CERTAIN = {"collapsed": COLLAPSED, "diverged": DIVERGED}  # by outcome
 LAST_SHARE = 0.25  # last part of a run: lull or quiet if no block sticks in it, held if all stick throughout
-#: A growth rate above this counts as positive: rounding moves a double eigenvalue of a matrix of order one by as
-#: much.
-RATE_ROUNDING = 1e-8
 SHARE_ROUNDING = 1e-9  # of a product of shares, such as 5/6 4/5 3/4, which is one half
 ROUNDING = 1e-12  # of a sum over units, relative to its terms
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Made, Member, Record, Sharing
+from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import System
-
-_KNOWN: WeakKeyDictionary[System, dict[str, Any]] = WeakKeyDictionary()
 
 #: Blocks up to which all eigenvalues are computed.
 _DENSE = 500
@@ -59,17 +57,15 @@ class Structure(Record):
         return 2e-7 * member.n**2 / (sharing.copies + 1) / sharing.engines / sharing.draws
 
     def of(self, result: Made) -> dict[str, Any]:
-        system = result.system
-        if system not in _KNOWN:
-            _KNOWN[system] = _statistics(system.stiffness)
-        return _KNOWN[system]
+        return _statistics(result.system)
 
 
-def _statistics(stiffness: Any) -> dict[str, Any]:
+@once_a_system
+def _statistics(system: System) -> dict[str, Any]:
     from scipy.sparse import csr_array, diags_array  # takes a tenth of a second to load
     from scipy.sparse.csgraph import connected_components, shortest_path
 
-    matrix = csr_array(stiffness)
+    matrix = csr_array(system.stiffness)
     n = matrix.shape[0]
     coupled = csr_array(matrix - diags_array(matrix.diagonal()))
     tied = csr_array(((coupled != 0) + (coupled != 0).T).astype(np.int64))

@@ -7,13 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stickslip.sim.engines.precheck import Precheck
 from stickslip.sim.numerics.arguments import Floats
+from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import System
 
 #: A run is tested for escape when its state exceeds this many times max(1, |v|, start), and at each doubling.
@@ -128,9 +128,7 @@ def steady_sliding(system: System, z: Floats, w: Floats, mode: NDArray[np.int8])
     slip = -np.sign(system.belt_speed_at(0.0))
     if not (slip * mode > 0).all() or system.n > _EIGENVALUES_MAX:
         return ""
-    if system not in _SLIDING:
-        _SLIDING[system] = _Sliding.of(system)
-    if (sliding := _SLIDING[system]) is None:
+    if (sliding := _sliding(system)) is None:
         return ""
     reach = sliding.sizes @ np.abs(sliding.inverse @ np.concatenate((z - sliding.rest, w)))
     if not (is_below := (_CERTAIN * reach < sliding.bound).all(axis=1)).any():
@@ -173,8 +171,9 @@ class _Sliding:
         return cls(eigenmodes.sizes[unit.n :], eigenmodes.inverse, rest, bound)
 
 
-#: None where there is none.
-_SLIDING: WeakKeyDictionary[System, _Sliding | None] = WeakKeyDictionary()
+@once_a_system
+def _sliding(system: System) -> _Sliding | None:
+    return _Sliding.of(system)
 
 
 @dataclass(frozen=True)
@@ -237,14 +236,9 @@ class _Eigenmodes:
         return np.asarray((self.sizes / np.abs(self.eigenvalues.real)) @ self.inverse_sizes[:, n:])
 
 
-_EIGENMODES: WeakKeyDictionary[System, _Eigenmodes] = WeakKeyDictionary()
-
-
+@once_a_system
 def _eigenmodes(system: System) -> _Eigenmodes:
-    eigenmodes = _EIGENMODES.get(system)
-    if eigenmodes is None:
-        eigenmodes = _EIGENMODES[system] = _Eigenmodes(system.slip_matrix())
-    return eigenmodes
+    return _Eigenmodes(system.slip_matrix())
 
 
 def _rise(x: Floats) -> Floats:

@@ -39,6 +39,16 @@ class CriticalMode(NamedTuple):
         return self.rate <= RATE_ROUNDING
 
 
+def steady_matrix(system: System) -> Floats | None:
+    """The matrix of small deviations from the state in which all blocks slip at the speeds of their belts, (2n, 2n).
+
+    None where friction depends on the speed of a belt that changes.
+    """
+    if system.weakening is not None and isinstance(system.belt_speed, Piecewise):
+        return None
+    return system.slip_matrix(system.kinetic_slope(system.belt_speed_at(0.0)))
+
+
 @numpy_arithmetic()
 def critical_mode(system: System) -> CriticalMode | None:
     """The critical mode of the state in which all blocks slip at the speeds of their belts, w = 0.
@@ -46,10 +56,9 @@ def critical_mode(system: System) -> CriticalMode | None:
     Of z'' M + (C + mu'(|v|)) z' + K z = 0, mu' the slope of friction there, by all 2 n eigenvalues. None where
     friction depends on the speed of a belt that changes.
     """
-    if system.weakening is not None and isinstance(system.belt_speed, Piecewise):
+    if (matrix := steady_matrix(system)) is None:
         return None
-    drag = system.kinetic_slope(system.belt_speed_at(0.0))
-    rates, modes = np.linalg.eig(system.slip_matrix(drag))
+    rates, modes = np.linalg.eig(matrix)
     size = np.abs(modes[: system.n])
     k = int(np.argmax(rates.real))
     most = size[:, k].max()

@@ -6,8 +6,10 @@ from typing import Any
 
 from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Memory, Record, Sharing
+from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.sliding import critical_mode
 
+_mode = once_a_system(critical_mode)
 _CHANGES = "friction depends on the speed of a belt that changes"
 
 
@@ -47,7 +49,7 @@ class CriticalModeRecord(Record):
         return 3e-8 * member.n**3 / (sharing.engines * sharing.draws)
 
     def of(self, result: Made) -> dict[str, Any]:
-        mode = critical_mode(result.system)
+        mode = _mode(result.system)
         if mode is None:
             return {}
         return dict(zip(("critical_rate", "critical_frequency", "critical_shape"), mode, strict=True))

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Memory, Record, Sharing
-from stickslip.sim.systems.drive import Piecewise
+from stickslip.sim.systems.once import once_a_system
+from stickslip.sim.systems.sliding import steady_matrix
 from stickslip.sim.systems.system import System
 
-_KNOWN: WeakKeyDictionary[System, float] = WeakKeyDictionary()
+
+@once_a_system
+def _growth_rate(system: System) -> float | None:
+    matrix = steady_matrix(system)
+    return None if matrix is None else float(np.linalg.eigvals(matrix).real.max())
 
 
 class GrowthRate(Record):
@@ -43,10 +47,5 @@ class GrowthRate(Record):
         return 1e-8 * member.n**3 / (sharing.engines * sharing.draws)
 
     def of(self, result: Made) -> dict[str, Any]:
-        system = result.system
-        if system.weakening is not None and isinstance(system.belt_speed, Piecewise):
-            return {}
-        if system not in _KNOWN:
-            drag = system.kinetic_slope(system.belt_speed_at(0.0))
-            _KNOWN[system] = float(np.linalg.eigvals(system.slip_matrix(drag)).real.max())
-        return {"growth_rate": _KNOWN[system]}
+        rate = _growth_rate(result.system)
+        return {} if rate is None else {"growth_rate": rate}

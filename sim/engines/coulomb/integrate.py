@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +26,7 @@ from stickslip.sim.engines.stacks import Several
 from stickslip.sim.numerics import products
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.runs.run import Run
+from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import System
 from stickslip.sim.systems.weakening.pieces import N_TERMS
 
@@ -61,19 +61,17 @@ def runs(tasks: Sequence[Task], engine: Coulomb) -> list[Callable[[], Run]]:
     return stacks.runs([_as_sparse(task, engine) for task in tasks], together, partial(_alone, engine))
 
 
-#: Of systems with a dense K that is nearly empty: the same with a sparse one.
-_SPARSE: WeakKeyDictionary[System, System] = WeakKeyDictionary()
-
-
 def _as_sparse(task: Task, engine: Coulomb) -> Task:
     """The task, with a sparse K if a dense one is nearly empty."""
-    if not engine.is_nearly_empty(task.system):
-        return task
-    if task.system not in _SPARSE:
-        from scipy.sparse import csc_array  # it takes a tenth of a second to load
+    return task._replace(system=_sparse(task.system)) if engine.is_nearly_empty(task.system) else task
 
-        _SPARSE[task.system] = task.system.changed(stiffness=csc_array(task.system.stiffness))
-    return task._replace(system=_SPARSE[task.system])
+
+@once_a_system
+def _sparse(system: System) -> System:
+    """The system with its dense K as a sparse one."""
+    from scipy.sparse import csc_array  # it takes a tenth of a second to load
+
+    return system.changed(stiffness=csc_array(system.stiffness))
 
 
 def _may_begin_together(tasks: Sequence[Task], engine: Coulomb) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from stickslip.sim.engines.polynomials import Polynomials
 from stickslip.sim.kernels.compile import inner
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.products import Pairs
+from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import Columns, System
 from stickslip.sim.systems.weakening import LAW_OF
 
@@ -96,8 +96,7 @@ class Model(NamedTuple):
         if len(systems) > 1:
             return cls._of(systems)
         (system,), (drive,) = systems, drives
-        if (model := _KEPT.get(system)) is None:
-            model = _KEPT[system] = cls._of(systems)
+        model = _of_alone(system)
         if drive.is_forced:
             model = model._replace(belt_speed=drive.belt_speed[np.newaxis], forcing=loop.forcing_of(drives))
         return model if system.cross_damping is None else model._replace(cross=loop.stack([Cross.of(system)]))
@@ -129,8 +128,9 @@ class Model(NamedTuple):
         )
 
 
-#: Of systems run one by one, from many starts.
-_KEPT: WeakKeyDictionary[System, Model] = WeakKeyDictionary()
+@once_a_system
+def _of_alone(system: System) -> Model:
+    return Model._of([system])
 
 
 @inner

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from typing import Any, NamedTuple
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,7 @@ from numpy.typing import NDArray
 from stickslip.sim.engines import loop
 from stickslip.sim.numerics.arguments import Floats
 from stickslip.sim.numerics.panels import HEIGHT, SINGLE_HEIGHT, panels
+from stickslip.sim.systems.once import once_a_system
 from stickslip.sim.systems.system import System
 
 
@@ -37,14 +37,11 @@ def matrix_of(matrix: Any) -> Matrix:
 
 
 NONE = matrix_of(np.empty((0, 0)))
-#: Of systems run one by one, as large ones are, from many starts: making panels takes as long as 30 products.
-_KEPT: WeakKeyDictionary[System, tuple[Matrix, Matrix, bool]] = WeakKeyDictionary()
 
 
+@once_a_system  # making panels takes as long as 30 products
 def matrices_of(system: System) -> tuple[Matrix, Matrix, bool]:
     """K and N of a system, as of a stack of one, and whether there is an N."""
-    if system not in _KEPT:
-        cross = system.cross_damping
-        of_cross = NONE if cross is None else matrix_of(cross)
-        _KEPT[system] = loop.stack([matrix_of(system.stiffness)]), loop.stack([of_cross]), cross is not None
-    return _KEPT[system]
+    cross = system.cross_damping
+    of_cross = NONE if cross is None else matrix_of(cross)
+    return loop.stack([matrix_of(system.stiffness)]), loop.stack([of_cross]), cross is not None
