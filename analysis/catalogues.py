@@ -176,7 +176,7 @@ def _by_unit(study: Study, group: Group, of_member: Mapping[str, pd.DataFrame]) 
         moving = _moving(*study.runs.points(member_id), n, t_start, float(t_end))
         carried = np.sign(float(v)) * z_sum if v else None
         sizes = size.astype(np.int64)
-        is_loaded = bool(len(elapsed) and np.isfinite(elapsed).all())
+        is_loaded = study.data.is_loaded
         duration = elapsed if is_loaded else end - start
         run = Catalogue(t_start, float(t_end), start, duration, sizes, moment, slip, moving, carried, is_loaded)
         by_unit.setdefault(int(unit), []).append(run)

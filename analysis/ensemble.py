@@ -135,6 +135,8 @@ class Data:
     lists : mapping of str to mapping of str to ndarray
         Every list of numbers that a record keeps of a run for its own sake, by the name of its column; a member
         without one is left out.
+    is_loaded : bool
+        Whether loading is adiabatic: time stands still while blocks slip.
     """
 
     table: Members
@@ -145,6 +147,7 @@ class Data:
     episodes: pd.DataFrame | None = None
     recorded: Mapping[str, Recorded] = field(default_factory=dict)
     lists: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
+    is_loaded: bool = False
 
     def __post_init__(self) -> None:
         arguments.instance("table", self.table, Members)

@@ -110,8 +110,8 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
         (SIZE, "episode_size", "", "in blocks that slip"),
     ):
         label = MEAN_SIZE if name == SIZE else name
-        statistic = Statistic(label, QUANTITIES[name].of, least=0.0, definition=definition, things=things)
-        statistic = replace(statistic, dimension="frequency" * (name == RATE))
+        statistic = Statistic(label, QUANTITIES[name].of, least=0.0, definition=definition, things=things,
+                              dimension="frequency" * (name == RATE))  # fmt: skip
         yield Measure(statistic, key, partial(_episodes, by_label, name))
     b = Statistic(B, ratio, title="b-value of the episodes", definition="of the power law of their moments")
     yield Measure(b, "episode_b", partial(_b, by_label))
@@ -316,8 +316,7 @@ def of_windows(study: Study, keys: Collection[str] = tuple(OF_N_STICK)) -> list[
     for key, quantity in OF_N_STICK.items():
         if key in keys and key in study.compared:
             statistic = Statistic(quantity.label, quantity.of, study.margins.get(key), least=0.0)
-            statistic = replace(statistic, title=quantity.title, things=quantity.things)
-            statistic = replace(statistic, dimension=quantity.dimension)
+            statistic = replace(statistic, title=quantity.title, things=quantity.things, dimension=quantity.dimension)
             measured.append(Measure(statistic, key, partial(_window_sums, key)))
     return measured
 

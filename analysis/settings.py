@@ -44,8 +44,6 @@ class AnalysisSettings:
         That the data are in; none if they are dimensionless.
     time : float
         One dimensionless unit of time, in these units.
-    is_loaded : bool
-        Whether loading is adiabatic: time stands still while blocks slip.
 
     Raises
     ------
@@ -67,7 +65,6 @@ class AnalysisSettings:
     names: tuple[str, ...] = ()
     units: Units = DIMENSIONLESS
     time: float = 1.0
-    is_loaded: bool = False
 
     def at(self, t: float) -> str:
         """A time in words, with its unit."""

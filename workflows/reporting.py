@@ -117,6 +117,7 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             for column in record.columns
             if column.kind == "numbers"
         },
+        is_loaded=scene.run.load is not None,
     )
 
 
@@ -213,7 +214,7 @@ def _settings(scene: Scene) -> AnalysisSettings:
     changed = {
         "seed": _seeds(scene)[0], "map_dt": declared.map_dt or (), "margins": declared.margins.declared,
         "question": renamed(declared.question), "published": declared.published.declared,
-        "names": scene.system.block_names, "units": scene.unit_names, "is_loaded": scene.run.load is not None,
+        "names": scene.system.block_names, "units": scene.unit_names,
         **({} if scene.scales is None else {"time": scene.scales.time, "tau": _tau(scene)}),
     }  # fmt: skip
     return AnalysisSettings(**(declared.model_dump() | changed))

@@ -84,7 +84,7 @@ def in_units(said: Any, units: Units) -> Any:
     """A finding, or a part of one, whose quantities have their units."""
     if isinstance(said, Quantity):
         return said.measured(units)
-    if isinstance(said, tuple) and not hasattr(said, "_fields"):
+    if type(said) is tuple:  # a named one has no quantity
         return tuple(in_units(part, units) for part in said)
     if not is_dataclass(said) or isinstance(said, type) or not units:
         return said

@@ -71,9 +71,13 @@ class Course:
 
 @dataclass(frozen=True, slots=True)
 class OnBlocks:
-    """The blocks, by number, that a force acts on."""
+    """Some blocks, by number: those that a force acts on, or that have friction."""
 
     numbers: tuple[int, ...]
+
+    def among(self, n: int) -> np.ndarray:
+        """Which of n blocks these are, shape (n,)."""
+        return np.isin(np.arange(n), self.numbers)
 
     def __str__(self) -> str:
         return ", ".join(map(str, self.numbers))

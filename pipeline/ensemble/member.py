@@ -182,6 +182,11 @@ class Member:
         return np.random.SeedSequence(self.source.seed, spawn_key=self._key(purpose, *draw))
 
     @property
+    def state_scales(self) -> tuple[float, float]:
+        """What a dimensionless unit of z, and of w, is in its units."""
+        return (1.0, 1.0) if self.units is None else (self.units.length, self.units.speed)
+
+    @property
     def scales(self) -> dict[str, Any]:
         """What its coupling is drawn by: arguments of `sim.draw_system`."""
         values = {name: self.term(name) for name in ("kappa", "leaf", "degree", "rewiring")}
@@ -260,10 +265,9 @@ class Member:
                 f"end: expected the state that {self.member_id} starts from, got none; pass what"
                 " stickslip.pipeline.running.ends.end_of(member) returns"
             )
-        scales = (1.0, 1.0) if self.units is None else (self.units.length, self.units.speed)
         z, w = (
             end[k] if end is not None and value == END else
-            self._by_block(value, purpose, self.begin.draw) / (1.0 if value == BELT else scales[k])
+            self._by_block(value, purpose, self.begin.draw) / (1.0 if value == BELT else self.state_scales[k])
             for k, (value, purpose) in enumerate(starts)
         )  # fmt: skip
         if self.change.twin_size is None:
@@ -383,7 +387,7 @@ def _measured_system(member: Member) -> sim.System:
     if names:
         system = system.changed(names=names)
     if contacts is not None:
-        rubs = np.isin(np.arange(member.n), contacts.numbers)
+        rubs = contacts.among(member.n)
         static = np.where(rubs, system.static, 0.0) if system.has_static else None
         system = system.changed(friction=np.where(rubs, system.friction, 0.0), static=static)
     return system if member.term("drive_block") is None else _driven(member, system)
@@ -460,7 +464,7 @@ def _of_source(member: Member, base_system: sim.System | None, arguments: dict[s
 def _force(member: Member, push: Push, *number: int) -> sim.Harmonic | sim.Piecewise:
     """A force; `number` is that of one of several, which has draws of its own."""
     blocks = push.blocks
-    acts = 1.0 if blocks is None else np.isin(np.arange(member.n), blocks.numbers).astype(np.float64)
+    acts = 1.0 if blocks is None else blocks.among(member.n).astype(np.float64)
     if push.course is not None:
         return sim.Piecewise(push.course.times, np.multiply.outer(push.course.values, acts))
     numbers = (

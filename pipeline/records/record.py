@@ -278,9 +278,9 @@ class WindowRecord(Record):
             for name, _ in self.blocks
         )
 
-    def by_block(self, values: Floats) -> dict[str, Any]:
-        """The values of its columns, from those of all blocks, shape (n,)."""
-        return {column.name: float(values[k]) for column, (_, k) in zip(self.kept, self.blocks, strict=True)}
+    def by_block(self, value_of: Callable[[int], float]) -> dict[str, Any]:
+        """The values of its columns, from that of a block by number."""
+        return {column.name: float(value_of(k)) for column, (_, k) in zip(self.kept, self.blocks, strict=True)}
 
 
 @dataclass(frozen=True)

@@ -61,8 +61,8 @@ def end_of(member: Member) -> State | None:
     if ends is None:
         return None
     dataset = _with_ends(ends.at, ends.sha256)
-    z, w = dataset.states[dataset.match(member)]
-    return (z, w) if member.units is None else (z / member.units.length, w / member.units.speed)
+    (z, w), (length, speed) = dataset.states[dataset.match(member)], member.state_scales
+    return z / length, w / speed
 
 
 @dataclass(frozen=True)

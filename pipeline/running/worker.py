@@ -233,8 +233,7 @@ def _drawn_start(member: Member, start: tuple[Any, Any]) -> dict[str, Any]:
         return {}
     if member.change.twin_size is not None:
         start = replace(member, change=member.change._replace(twin_size=None)).start(end_of(member))
-    scales = (1.0, 1.0) if member.units is None else (member.units.length, member.units.speed)
-    pairs = zip(("z0", "w0"), map(np.ravel, start), scales, strict=True)
+    pairs = zip(("z0", "w0"), map(np.ravel, start), member.state_scales, strict=True)
     return {name: float(value[0] * scale) for name, value, scale in pairs if (value == value[0]).all()}
 
 

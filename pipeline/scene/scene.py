@@ -702,7 +702,7 @@ def _scales_of(scene: Scene, table: Mapping[str, Any], folder: Path) -> dict[str
     try:
         system = System(stiffness, 0.0, known.pop("friction", 1.0), 0.0, **known)
         if scene.system.rubbing is not None:
-            rubs = np.isin(np.arange(n), scene.system.rubbing.numbers)
+            rubs = scene.system.rubbing.among(n)
             system = system.changed(friction=np.where(rubs, system.friction, 0.0))
         return scales_of(system, table)
     except ValueError as error:

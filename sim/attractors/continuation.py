@@ -114,7 +114,7 @@ def end_of_motion(
     ----------
     system_at : callable
         The systems from that of the run, at 0, to the other, at 1.
-    run, found : Run, Attractor
+    run, attractor : Run, Attractor
         The run, and what it settles on; of what is no stick-slip, and of a run that diverged, the end is None.
     t_end, t_burn, **settings
         Of each run, as of `continued`.

@@ -112,9 +112,10 @@ class _Loading:
         times, moments, sums, firsts = [t], [], [], []
         while True:
             distance, slips = self._to_next(z)
-            end = min(t + distance / abs(self.speed), task.t_end)
+            due = t + distance / abs(self.speed)
+            end = min(due, task.t_end)
             self._sample(t, end, z)
-            if t + distance / abs(self.speed) > task.t_end:
+            if due > task.t_end:
                 break
             t, z = end, z + distance * self.way
             event = self._event(z, np.zeros(n), slips, t)

@@ -176,11 +176,11 @@ class _Line(NamedTuple):
 
 def _lines(study: Study, grid: Grid) -> Iterator[_Line]:
     """Lines of settings, along numbers, of which it is recorded what their runs settle on."""
-    if not grid.axes or grid.axes[0].x is None:
+    if not grid.axes or (axis := grid.axes[0]).x is None:
         return
-    axis, refined = grid.axes[0], axis_of_numbers(study.data.table.design.axes)
+    refined = axis_of_numbers(study.data.table.design.axes)
     is_refined = "stability_changes" in study.data.recorded and refined is not None and refined.keys == axis.keys
-    number_of = dict(zip(axis.rows, grid.axes[0].x, strict=True))
+    number_of = dict(zip(axis.rows, axis.x, strict=True))
     for method, settings in grid.methods.items():
         recorded = [setting for setting in settings if setting.is_recorded]
         for line in grid.lines(recorded) if recorded else ():
@@ -190,6 +190,6 @@ def _lines(study: Study, grid: Grid) -> Iterator[_Line]:
 
 def _stretches(values: Sequence[T]) -> Iterator[tuple[T, int, int]]:
     """Equal values that follow on each other, with the places of the first and the last."""
-    for value, places in groupby(range(len(values)), values.__getitem__):
-        first, *others = places
-        yield value, first, [first, *others][-1]
+    for value, group in groupby(range(len(values)), values.__getitem__):
+        places = [*group]
+        yield value, places[0], places[-1]

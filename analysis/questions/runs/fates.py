@@ -116,7 +116,7 @@ def answer(study: Study) -> Answer | None:
 
     None under adiabatic loading, which no run outlasts.
     """
-    if study.settings.is_loaded:
+    if study.data.is_loaded:
         return None
     grid = grid_of(study)
     ends = [_ends(study, setting) for setting in grid.settings if not setting.is_recorded]

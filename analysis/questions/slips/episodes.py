@@ -255,7 +255,7 @@ def answer(study: Study) -> Answer | None:
     (law, *beside), changes = pictures[0], _changes(leaders, level, basis)
     findings: list[Finding] = [*outcomes, law, *(changes or beside), _level(lead, RATE, pairs, basis)]
     findings += [*(beside if changes else ()), *itertools.chain(*pictures[1:])]
-    of_lead = (STORED,) if study.settings.is_loaded else (STORED, OCCUPANCY)
+    of_lead = (STORED,) if study.data.is_loaded else (STORED, OCCUPANCY)
     findings += _levels(counted, lead, pairs, basis, of_lead)
     findings += [_level(group, CREEP, pairs, basis) for group in groups if group.estimates[CREEP].value is not None
                  and not group.group.is_exact]  # fmt: skip

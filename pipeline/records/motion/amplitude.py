@@ -52,7 +52,7 @@ class Amplitude(StateRecord):
         turns = _turns(samples)
         half = (np.maximum(samples.z.max(0), turns.max(0)) - np.minimum(samples.z.min(0), turns.min(0))) / 2
         if self.blocks:
-            return self.by_block(half)
+            return self.by_block(half.__getitem__)
         return {"amplitude": half.max(), "amplitude_mean": half.mean()}
 
 

@@ -51,7 +51,7 @@ class SlipSpeed(StateRecord):
     def of_states(self, samples: Samples, system: System) -> dict[str, Any]:
         if self.blocks:
             slip = np.abs(samples.w - system.belt_speed_at(samples.t))
-            return self.by_block(np.array([mean_in_time(column, samples) for column in slip.T]))
+            return self.by_block(lambda k: mean_in_time(slip[:, k], samples))
         rubs = system.has_friction
         if not rubs.any():
             return {}

@@ -74,7 +74,11 @@ class EpisodesRecord(Record):
 
     @property
     def kept(self) -> tuple[Column, ...]:
-        return self.columns if self.is_loaded else self.columns[:-1]
+        return (
+            self.columns
+            if self.is_loaded
+            else tuple(column for column in self.columns if column.name != "episode_elapsed")
+        )
 
     def of(self, result: Made) -> dict[str, Any]:
         series = episodes(result.run, result.system.belt_speed)

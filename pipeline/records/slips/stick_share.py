@@ -53,28 +53,17 @@ class StickShare(WindowRecord):
     needs = frozenset({"events", "system"})
 
     def of(self, result: Made) -> dict[str, Any]:
-        if self.blocks:
-            return self._of_blocks(result.events)
-        events = result.contact_events
-        end = events.t_end
-        if end <= self.t_burn or not events.n:
+        events = result.events if self.blocks else result.contact_events
+        if events.t_end <= self.t_burn or not events.n:
             return {}
-        t, n_stick = events.change_points()
-        edges = np.clip(np.append(t, end), self.t_burn, end)
+        if self.blocks:
+            return self.by_block(lambda k: self._share(events.of_blocks(np.arange(events.n) == k)))
         sticks = events.mode_at(self.t_burn) == 0
         sticks[events.block[events.t > self.t_burn]] = False  # a block that sticks leaves first
-        return {
-            "stick_share": min(np.diff(edges) @ n_stick / ((end - self.t_burn) * events.n), 1.0),  # but for rounding
-            "never_slipped": sticks.mean(),
-        }
+        return {"stick_share": self._share(events), "never_slipped": sticks.mean()}
 
-    def _of_blocks(self, events: EventSeries) -> dict[str, Any]:
-        if events.t_end <= self.t_burn:
-            return {}
-        shares = np.zeros(events.n)
-        for _, k in self.blocks:
-            t, mode = events.t[events.block == k], events.mode[events.block == k]
-            edges = np.clip([events.t_start, *t, events.t_end], self.t_burn, events.t_end)
-            sticks = np.append(events.initial_mode[k], mode) == 0
-            shares[k] = min(np.diff(edges) @ sticks / (events.t_end - self.t_burn), 1.0)  # but for rounding
-        return self.by_block(shares)
+    def _share(self, events: EventSeries) -> float:
+        t, n_stick = events.change_points()
+        edges = np.clip(np.append(t, events.t_end), self.t_burn, events.t_end)
+        sticking = np.diff(edges) @ n_stick / ((events.t_end - self.t_burn) * events.n)
+        return float(min(sticking, 1.0))  # but for rounding
