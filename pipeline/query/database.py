@@ -57,12 +57,16 @@ def quoted(name: str) -> str:
 
 
 def views(
-    schema: pa.Schema, step: float | None, names: Sequence[str] = (), scales: Mapping[str, float] | None = None
+    schema: pa.Schema,
+    step: float | None,
+    names: Sequence[str] = (),
+    scales: Mapping[str, float] | None = None,
+    time: float = 1.0,
 ) -> dict[str, str]:
     """The views of a dataset, each as the SELECT from its shards.
 
     `step` is the scene's ``record.separation``, `names` are those of the blocks, and by `scales` columns come into
-    the units of the scene.
+    the units of the scene, in which a dimensionless unit of time is `time`.
     """
     selections = {
         "members": f"SELECT {', '.join(map(quoted, scalars(schema)))} FROM shards",
@@ -90,8 +94,8 @@ def views(
     if "by_threshold" in schema.names:
         selections["thresholds"] = (
             "WITH runs AS (SELECT member_id, unnest(by_threshold) AS run FROM shards)"
-            " SELECT member_id, run.threshold AS threshold, unnest(run.t) AS t, unnest(run.n_stick) AS n_stick"
-            " FROM runs"
+            f" SELECT member_id, run.threshold AS threshold, unnest(run.t) * {time!r}::DOUBLE AS t,"
+            " unnest(run.n_stick) AS n_stick FROM runs"
         )
     if not scales:
         return selections
@@ -143,6 +147,7 @@ def answer(path: Where | Opened, query: str) -> Iterator[pa.RecordBatchReader]:
         opened.scene.record.separation,
         opened.scene.system.block_names,
         scaled(opened.scene.recording),
+        1.0 if opened.scene.scales is None else opened.scene.scales.time,
     )
     with duckdb.connect(":memory:") as connection, _aside(connection) as aside:
 

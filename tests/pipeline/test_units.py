@@ -260,3 +260,22 @@ def test_units_of_dimensions():
     assert Units("ms", "rad", "kg m^2").of("energy") == "kg m^2 rad^2/ms^2"
     assert Units().of("force") == ""
     assert Units("s", "m", "kg").label("time t", "time") == "time t (s)"
+
+
+def test_further_definitions_of_sticking_are_in_the_same_units_by_sql_and_as_arrays(tmp_path):
+    scene = Scene(
+        system={"coupling": "chain", "n": 3, "kappa": 400.0, "leaf": 400.0, "mass": 2.0, "friction": 40.0,
+                "static": 40.0, "damping": 1.0, "belt_speed": -0.1},
+        units={"time": "s", "length": "m", "mass": "kg"},
+        start="rest",
+        run={"t_end": 4.0, "matrices": 1},
+        engine={"name": "sigmoid", "eps": 0.03, "thresholds": [0.5, 2.0], "stick": "threshold"},
+        analysis={"t_burn": 1.0, "dt": 0.1},
+    )  # fmt: skip
+    assert scene.scales.time != 1.0
+    run_ensemble(scene, tmp_path / "out", workers=0)
+    ((_, series),) = query.by_threshold(tmp_path / "out").items()
+    rows = query.sql(tmp_path / "out", "SELECT * FROM thresholds")
+    for threshold, (t, _) in series.items():
+        assert rows["t"][rows["threshold"] == threshold].tolist() == t.tolist()
+    assert 1.0 < rows["t"].max() <= 4.0
