@@ -23,6 +23,7 @@ from stickslip.pipeline import expand, parse_scene, run_ensemble, verify
 from stickslip.pipeline.dataset.program import program
 from stickslip.pipeline.ensemble import pack
 from stickslip.pipeline.places.manifest import read_manifest
+from stickslip.pipeline.places.place import MANIFEST, PACKAGE, SCENE
 from tests.scenes import ensemble
 
 ROOT = Path(__file__).parents[2]
@@ -168,7 +169,7 @@ class World:
     def check_no_strays(self, out: Path) -> None:
         """What an orderly end leaves: shards that the manifest knows, no lock, nothing half-written."""
         found = set(content(out))
-        known = {f"data/{name}" for name in read_manifest(out).shards} | {"manifest.json", "scene.toml"}
+        known = {f"data/{name}" for name in read_manifest(out).shards} | {MANIFEST, PACKAGE, SCENE}
         assert found <= known, sorted(found - known)
 
 

@@ -92,7 +92,7 @@ def add_term(root: Path) -> None:
         '    "drag": Beyond(\n        lambda system: bool(system.drag.any()),\n        "drag", "none, as {} needs",'
         " lambda system: show.span(system.drag),\n    ),\n"
     )
-    end = "        back_slip: bool = True,\n"
+    end = "        names: Sequence[str] = (),\n"
     edit(
         systems / "system.py",
         ("    closed: NDArray[np.int8]\n", "    closed: NDArray[np.int8]\n    drag: Floats\n"),
