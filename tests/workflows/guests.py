@@ -48,7 +48,8 @@ def scene(system: str, engines: list[str], *tables: str, coupling: str = "chain"
     tables_of = (f'[[engine]]\nname = "{name}"\n{OF_ENGINE.get(name, "")}' for name in engines)
     lines = f'coupling = "{coupling}"\n' * ("coupling" not in system) + system
     if not all(ENGINES[name].keeps_stills for name in engines):
-        tables = tuple(table.replace("episodes = true\n", "") for table in tables)
+        for record in (record for record in RECORDS if record.needs_stills):
+            tables = tuple(table.replace(f"{record.name} = true\n", "") for table in tables)
     return "\n".join([
         f"[system]\n{lines}\nn = 5", '[start]\nz = {uniform = [-0.5, 0.5]}\nw = "belt"',
         "[run]\nt_end = 12.0\nmatrices = 4", *tables_of, *tables,
@@ -62,7 +63,8 @@ def term_scene(name: str, value: str = "[0.7, 0.9]") -> str:
     beside = BESIDE.get(name, "")
     lines = beside if "VALUE" in beside else f"{beside}\n{term.key} = VALUE"
     static = ("static",) if "static" in lines else ()
-    return scene(lines.replace("VALUE", value), taking(term.part or name, *static))
+    beyond = {"drive": "force", "rayleigh": "damping matrix"}.get(term.part, term.part or name)
+    return scene(lines.replace("VALUE", value), taking(beyond, *static))
 
 
 def law_scene(name: str) -> str:
