@@ -135,6 +135,16 @@ def test_every_method_solves_the_same_equations(method):
     np.testing.assert_allclose(z, check.prepare(problem)(1e-11).z, atol=3e-7)
 
 
+def test_the_plain_method_with_events_finds_those_of_the_exact_engine():
+    """A code that shares nothing with the engine, whose error falls with its tolerance."""
+    problem = replace(problem_of_three(), system=sim.draw_system("antisymmetric", 5, 0), t_end=25.0)
+    known = peers.solved("coulomb engine", 1e-13, problem)
+    for tolerance in (1e-5, 1e-9):
+        solution = peers.solved("DP5 with events", tolerance, problem)
+        assert compared(solution.events, known.events) == (None, pytest.approx(0.0, abs=100.0 * tolerance))
+        np.testing.assert_allclose(solution.z, known.z, atol=10.0 * tolerance)
+
+
 def test_a_run_is_given_up_when_patience_ends():
     solve = peers.method("SciPy RK45").prepare(replace(problem_of_three(), patience=0.0))
     with pytest.raises(GivenUp, match="after 0 s"):

@@ -1,6 +1,7 @@
 """The methods that the charts compare: both engines, and what a user would otherwise pick.
 
-Every peer solves the sigmoid's equations as y' = f(y), y = (z, w),
+A peer solves the exact law (`dormand_prince`, and Moreau and Jean's), or the sigmoid's equations as y' = f(y), y =
+(z, w),
 
     z' = w,    w' = -R w - K z - mu tanh((w - v) / delta),    delta_i = r_i eps,
 
@@ -369,6 +370,26 @@ def _diffrax(problem: Problem) -> Solver:
     return solve
 
 
+def _dormand_prince(problem: Problem) -> Solver:
+    """The exact law from event to event; it knows constant friction without a static one, and one belt."""
+    from stickslip.workflows.gallery.charts import dormand_prince
+
+    system, n = problem.system, problem.system.n
+    numbers = (np.array(system.stiffness), np.array(system.damping), np.array(system.friction), system.belt_speed)
+    at_start = np.sign(problem.start[n:] - system.belt_speed).astype(np.int64)
+
+    def solve(tolerance: float) -> Solution:
+        y, modes = problem.start, at_start.copy()
+        n_products, *events = dormand_prince.run(*numbers, y, modes, problem.t_end, tolerance, _MOST_STEPS)
+        if n_products < 0:
+            raise GivenUp(f"given up after {_MOST_STEPS:,} steps")
+        t, block, mode = (np.array(column, kind) for column, kind in zip(events, ("d", "i", "b"), strict=True))
+        series = sim.EventSeries(t, block, mode, at_start.astype(np.int8), 0.0, problem.t_end)
+        return Solution(y[:n], n_products, series)
+
+    return solve
+
+
 #: The engines first; in the order of the chart's legend.
 METHODS: tuple[Method, ...] = (
     Method("coulomb engine", "coulomb", _coulomb),
@@ -381,6 +402,7 @@ METHODS: tuple[Method, ...] = (
     Method("SciPy LSODA", "sigmoid", _scipy("LSODA", with_jacobian=True)),
     Method("SciPy BDF", "sigmoid", _scipy("BDF", with_jacobian=True)),
     Method("SciPy Radau", "sigmoid", _scipy("Radau", with_jacobian=True)),
+    Method("DP5 with events", "coulomb", _dormand_prince),
     Method("Moreau-Jean", "coulomb", _moreau, control="step"),
 )
 

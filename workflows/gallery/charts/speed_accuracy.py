@@ -28,7 +28,7 @@ from stickslip.workflows.gallery.charts.trials import Reference, Setting, Trial,
 #: A run that can be stopped is given up after so many times `seconds_a_run`.
 PATIENCE = 5.0
 #: For each law, method and tolerance of the reference, and of the second computation that checks it: for the sigmoid
-#: an independent method; the exact law has no other implementation here, so its truncation is varied.
+#: an independent method; the exact law's other methods are coarser, so its truncation is varied.
 REFERENCES: dict[Model, tuple[Setting, Setting]] = {
     "coulomb": (("coulomb engine", 1e-15), ("coulomb engine", 1e-13)),
     "sigmoid": (("sigmoid engine", 1e-12), ("SciPy DOP853", 1e-12)),
