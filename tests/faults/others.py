@@ -115,6 +115,7 @@ def parts_of_others(world: World, count: int) -> int:
         "scene.toml": "precious",
         "manifest.json": "precious",
         "timings.jsonl": "precious",
+        "datapackage.json": "precious",
         ".lock": "precious",
         "report.html": "precious",
         "report": "folder",
