@@ -63,19 +63,20 @@ class _GraphML:
         self._weights: list[str] = []
         self._numbers: dict[str, str] = {}
         self._path: list[str] = []
-        self._key, self._text = "", ""
-        self._n_graphs = 0
+        self._key = ""
+        self._text: list[str] = []  # as Expat gives it: a piece a line, or a reference
+        self._has_graph = False
         parser = expat.ParserCreate(namespace_separator=" ")
         parser.StartDoctypeDeclHandler = self._refuse_type  # whoever declares no entities has none
         parser.StartElementHandler, parser.EndElementHandler = self._start, self._end
-        parser.CharacterDataHandler = self._add
+        parser.CharacterDataHandler = self._text.append
         parser.Parse(content, True)
 
     @property
     def arrays(self) -> dict[str, Any]:
         """As of `graph_of`."""
-        if self._n_graphs != 1:
-            raise ValueError(f"expected one graph, got {self._n_graphs}")
+        if not self._has_graph:
+            raise ValueError("expected one graph, got none")
         strange = next((end for ends in self._ends for end in ends if end not in self._nodes), None)
         if strange is not None:
             raise ValueError(f"expected edges between nodes, got {strange!r}, which is none")
@@ -97,9 +98,9 @@ class _GraphML:
         self._path.append(name)
         match name:
             case "graph":
-                self._n_graphs += 1
-                if "graph" in self._path[:-1]:
-                    raise ValueError("expected no graph within a graph")
+                if self._has_graph:  # at once: a document may have a million
+                    raise ValueError("expected one graph, got more")
+                self._has_graph = True
                 if attributes["edgedefault"] != "undirected":
                     raise ValueError(
                         'expected edgedefault="undirected", as a spring pulls both its blocks, got a directed graph'
@@ -120,14 +121,11 @@ class _GraphML:
                 raise ValueError("expected edges between two nodes, got a hyperedge")
             case "data":
                 self._key = attributes["key"]
-        self._text = ""
-
-    def _add(self, text: str) -> None:
-        self._text += text
+        self._text.clear()
 
     def _end(self, _: str) -> None:
         name, place = self._path.pop(), self._path[-1] if self._path else ""
-        attribute, text = self._keys.get(self._key, ""), self._text.strip()
+        attribute, text = self._keys.get(self._key, ""), "".join(self._text).strip()
         match place, name:
             case ("edge", "data") if attribute == "weight":
                 self._weights[-1] = text
@@ -139,4 +137,4 @@ class _GraphML:
                 self._numbers[attribute] = text
             case (_, "graphml"):
                 self._weights = [weight or self._weight for weight in self._weights]
-        self._text = ""
+        self._text.clear()

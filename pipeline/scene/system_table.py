@@ -470,9 +470,11 @@ class SystemTable(_with_terms("", _Source)):  # type: ignore[misc]
 
     def _numbers(self, key: str, blocks: tuple[int | str, ...]) -> tuple[int, ...]:
         """The numbers of blocks that a key names, each once, in order."""
-        numbers = [numbered(key, block, self.block_names, min(self.n)) for block in blocks]
+        names = self.block_names
+        place = {name: k for k, name in enumerate(names)}
+        numbers = [place[block] if block in place else numbered(key, block, names, min(self.n)) for block in blocks]
         if len({*numbers}) < len(numbers) or not numbers:
-            raise ValueError(f"{key}: expected each block once, and some, got {list(blocks)}; write each once")
+            raise ValueError(f"{key}: expected each block once, and some, got {shown([*blocks])}; write each once")
         return tuple(sorted(numbers))
 
     def _files_apply(self) -> None:

@@ -290,7 +290,9 @@ def _problem(path: str, table: type[BaseModel], key: str | None, detail: ErrorDe
         remedy = did_you_mean(word, tuple(fields)) or f"; remove it, or use one of {', '.join(fields)}"
         return f"{path}: unknown key of {f'[{parent}]' if parent else 'a scene'}{remedy}"
     if kind == "missing" and example:
-        return f"{path}: expected the {field.description if field else key}, found nothing; add {example}"
+        what = field.description if field and field.description else str(key)
+        article = "" if what.startswith(("the ", "a ", "an ")) else "the "
+        return f"{path}: expected {article}{what}, found nothing; add {example}"
     if kind == "missing":
         return f"{path}: expected a table, found none; add {f'[[{path}]]' if key else f'[{path}]'} and its keys"
     if kind in ("union_tag_invalid", "union_tag_not_found"):

@@ -59,6 +59,10 @@ class UnitsTable(StrictTable):
             raise ValueError(
                 "scales: expected what `load_scene` and the command write here, found nothing; use these"
             )
+        try:
+            self.sizes  # noqa: B018  refuses scales that are out of range
+        except ValueError as error:
+            raise ValueError(f"scales.{error}") from None
         return self
 
     @property

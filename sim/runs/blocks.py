@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import reprlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,6 +13,8 @@ from stickslip.sim.numerics.arguments import did_you_mean, integer
 LONGEST = 40
 PATTERN = rf"[A-Za-z][A-Za-z0-9_]{{0,{LONGEST - 1}}}"
 _TO_WRITE = f"a letter, then letters, digits and _, {LONGEST} at most"
+#: Names that a message lists.
+_LISTED = 10
 
 
 def named(names: Sequence[str], n: int) -> tuple[str, ...]:
@@ -24,16 +27,17 @@ def named(names: Sequence[str], n: int) -> tuple[str, ...]:
     """
     listed = tuple(names) if isinstance(names, list | tuple) else names
     if not isinstance(listed, tuple) or not all(isinstance(name, str) for name in listed):
-        raise TypeError(f"names: expected a list of {n} texts, one for each block, got {names!r}")
+        raise TypeError(f"names: expected a list of {n} texts, one for each block, got {reprlib.repr(names)}")
     if listed and len(listed) != n:
         raise ValueError(f"names: expected one for each of {n} blocks, got {len(listed)}; write all, or none")
     owners: dict[str, str] = {}
     for name in listed:
         if not re.fullmatch(PATTERN, name):
-            raise ValueError(f"names: expected {_TO_WRITE}, got {name!r}; rename that block")
-        twin = owners.setdefault(name.lower(), name)
-        if twin is not name or listed.count(name) > 1:
-            raise ValueError(f"names: expected each once, whatever its case, got {twin!r} and {name!r}; rename one")
+            raise ValueError(f"names: expected {_TO_WRITE}, got {reprlib.repr(name)}; rename that block")
+        if name.lower() in owners:
+            pair = f"{owners[name.lower()]!r} and {name!r}"
+            raise ValueError(f"names: expected each once, whatever its case, got {pair}; rename one")
+        owners[name.lower()] = name
     return listed
 
 
@@ -42,8 +46,7 @@ def numbered(key: str, block: Any, names: Sequence[str], n: int) -> int:
     if not isinstance(block, str):
         return integer(key, block, 0, n - 1)
     if block not in names:
-        known = (
-            f"one of {', '.join(names)}" if names else f"a number from 0 to {n - 1}, as these blocks have no names"
-        )
-        raise ValueError(f"{key}: expected {known}, got {block!r}{did_you_mean(block, names)}")
+        listed = ", ".join([*names[:_LISTED], *(["..."] if len(names) > _LISTED else [])])
+        known = f"one of {listed}" if names else f"a number from 0 to {n - 1}, as these blocks have no names"
+        raise ValueError(f"{key}: expected {known}, got {reprlib.repr(block)}{did_you_mean(block, names)}")
     return names.index(block)

@@ -23,6 +23,9 @@ from stickslip.sim.systems.drive import Harmonic, Piecewise, Term
 if TYPE_CHECKING:
     from stickslip.sim.systems.system import System
 
+#: The least scale and the largest: float64 holds their quotients, with room for numbers in them.
+_LEAST, _MOST = 1e-60, 1e60
+
 
 @dataclass(frozen=True)
 class Scales:
@@ -34,7 +37,7 @@ class Scales:
     Raises
     ------
     TypeError, ValueError
-        If one is no finite number above 0.
+        If one is no number from 1e-60 to 1e60.
     """
 
     length: float
@@ -43,7 +46,10 @@ class Scales:
 
     def __post_init__(self) -> None:
         for name in ("length", "time", "force"):
-            object.__setattr__(self, name, number(name, getattr(self, name), above=0))
+            value = number(name, getattr(self, name), above=0)
+            if not _LEAST <= value <= _MOST:
+                raise ValueError(f"{name}: expected a scale from {_LEAST:g} to {_MOST:g}, got {value:g}; correct it")
+            object.__setattr__(self, name, value)
 
     @property
     def speed(self) -> float:

@@ -5,6 +5,7 @@ import pytest
 
 from stickslip import Scene, System, simulate
 from stickslip.pipeline import SceneError, expand, load_scene, query, run_ensemble
+from stickslip.sim.runs.blocks import named
 
 NAMES = ["table", "pipe", "bit"]
 
@@ -83,6 +84,8 @@ def test_names_of_files_and_functions_are_those_of_the_scene(tmp_path):
         ({"names": ["a", "b", "x'; DROP TABLE members --"]}, {}, "a letter, then letters, digits and _"),
         ({"names": ["a", "b", "2nd"]}, {}, "rename that block"),
         ({"names": ["a", "b", "c" * 41]}, {}, "40 at most"),
+        ({"names": ["a", "b", "c" * 100_000]}, {}, "40 at most"),
+        ({}, {"amplitude": ["c" * 100_000]}, "one of table"),
         ({"names": ["a", "b", 3]}, {}, "string"),
         ({"n": [3, 4]}, {}, "one for each of 4 blocks, got 3"),
         ({}, {"amplitude": ["bite"]}, "did you mean 'bit'?"),
@@ -102,6 +105,12 @@ def test_names_that_are_no_names_are_refused(system, record, why):
     with pytest.raises(SceneError, match=r"names|amplitude|blocks") as error:
         scene(system=system, record=record)
     assert why in str(error.value)
+    assert len(str(error.value)) < 300
+
+
+def test_many_names_are_read_in_one_pass():  # each beside all others would take a quarter of an hour
+    names = [f"b{k}" for k in range(200_000)]
+    assert named(names, len(names)) == tuple(names)
 
 
 def test_pictures_call_blocks_by_name():

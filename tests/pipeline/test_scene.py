@@ -135,6 +135,11 @@ BAD = {
         'sizes = [0.05, 0.01]\nreadings = ["scale", "scale"]',
         ["perturbation.readings", "once", "remove"],
     ),
+    "a drive of no block": (
+        'coupling = "antisymmetric"',
+        'coupling = "antisymmetric"\ndrive = {speed = 1.0, stiffness = 1.0}',
+        ["system.drive.block: expected the block that the drive is tied to", "found nothing; add"],
+    ),
     "twins that are no twins": (
         "[record]",
         "[twins]\nsizes = [0.0]\n[record]",

@@ -235,6 +235,7 @@ def test_files_and_functions_are_in_the_units_of_their_scene(tmp_path):
         ({"time": "s", "length": "m", "mass": "kg", "force": "kN"}, "unknown key"),
         ({"time": 1.0, "length": "m", "mass": "kg"}, "units.time"),
         (SI | {"scales": {"length": 1.0, "time": 0.0, "force": 1.0}}, "greater than 0"),
+        (SI | {"scales": {"length": 1e300, "time": 1.0, "force": 1.0}}, "units.scales.length: expected a scale from"),
         ({"time": "s", "length": "m", "mass": "kg", "scales": {"length": 1.0}}, "units.scales.time"),
         ("SI", "units"),
     ],

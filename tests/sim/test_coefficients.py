@@ -304,6 +304,8 @@ def test_a_law_that_rises_without_bound_certifies_no_escape():
     ([0.0, 1.0, 1.0, 3.0], [0.5, 0.4, 0.3, 0.3], r"got 1 after 1 in place 2"),
     ([0.0, 1.0, 2.0, np.nan], [0.5, 0.4, 0.3, 0.3], r"speeds: expected finite numbers, got nan"),
     ([0.0, 1.0, 2.0, 3.0], [0.5, 0.4, np.inf, 0.3], r"coefficients: expected finite numbers, got inf"),
+    ([0.0, 1.0, 2.0, 3.0], [1e308, 1.0, 0.0, 1e308], r"coefficients: expected values that cubics .* can join"),
+    ([0.0, 1e-300, 2e-300, 3e-300], [0.5, 0.4, 0.4, 0.3], r"coefficients: .* can join, got up to 0\.5 at .* 3e-300"),
     ([0.0, 1.0, 2.0, 3.0], [0.5, 0.4, -0.1, 0.3], r"coefficients: expected at least 0, got -0\.1 at the speed 2"),
     ([0.0, 1.0, 2.0, 3.0], [0.0, 0.4, 0.1, 0.3], r"coefficients: expected a coefficient above 0 at rest, got 0;"),
     ([0.0, 1.0, 2.0, 3.0], [0.5, 0.4, 0.1], r"coefficients: expected one for each of 4 speeds, got shape \(3,\)"),

@@ -114,7 +114,7 @@ def test_what_cannot_be_scaled_is_refused(changes, words):
         System.from_physical(**given)
 
 
-@pytest.mark.parametrize("given", [(0.0, 1.0, 1.0), (1.0, math.inf, 1.0), (1.0, 1.0, "N")])
+@pytest.mark.parametrize("given", [(0.0, 1.0, 1.0), (1.0, math.inf, 1.0), (1.0, 1.0, "N"), (1.0, 1e300, 1.0)])
 def test_scales_are_numbers_above_zero(given):
     with pytest.raises((TypeError, ValueError), match=r"^(length|time|force): expected"):
         Scales(*given)

@@ -114,7 +114,18 @@ class Table(Coefficients):
 
     @cached_property
     def curve(self) -> Pieces:
-        return _through(np.array(self.speeds), np.array(self.coefficients))
+        x, y = np.array(self.speeds), np.array(self.coefficients)
+        try:
+            with np.errstate(all="ignore"):  # what float64 does not hold is told in our own words
+                curve = _through(x, y)
+        except ValueError:  # SciPy's, of slopes
+            curve = None
+        if curve is None or not np.isfinite(curve.terms).all():
+            raise ValueError(
+                f"coefficients: expected values that cubics in float64 can join, got up to {y.max():g} at speeds to"
+                f" {x[-1]:g}; choose other units"
+            )
+        return curve
 
     @property
     def _first(self) -> float:
