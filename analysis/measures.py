@@ -90,21 +90,32 @@ class Measure:
 def measures(study: Study, beside: Study | None = None) -> list[Measure]:
     """What is measured of a study, the first of which leads; `beside` is the study that it is compared with."""
     candidates = [measure for source in SOURCES for measure in source(study, beside)]
+    is_of_cascades = "cascades" in study.settings.question  # then gamma leads what is not recorded
     if not any(measure.is_recorded for measure in candidates):
-        return [measure for measure in candidates if measure.name in KEYS]
-    left_out = () if "cascades" in study.settings.question else KEYS
-    chosen = [measure for measure in candidates if measure.name not in left_out]
-    return sorted(chosen, key=lambda measure: not measure.is_recorded)
+        chosen = [measure for measure in candidates if measure.name in KEYS]
+    else:
+        left_out = () if is_of_cascades else KEYS
+        chosen = [measure for measure in candidates if measure.name not in left_out]
+    return sorted(chosen, key=lambda measure: (not measure.is_recorded, measure.name != GAMMA * is_of_cascades))
 
 
 # ------------------------------------------------------------------------------------------------- episodes
 
 
 def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
-    """Rate, mean size and b of episodes; a group has a b only where its magnitudes have a power law."""
+    """b, rate and mean size of episodes; b leads if most groups have it, those whose magnitudes have a power law."""
     if study.data.episodes is None or (beside is not None and beside.data.episodes is None):
         return
     by_label = {group.label: group for group in study.once(read)}
+    definition = "of the power law of their moments, on the range of each setting"
+    b = Measure(
+        Statistic(B, ratio, title="b-value of the episodes", definition=definition),
+        "episode_b",
+        partial(_b, by_label),
+    )
+    is_led_by_b = 2 * sum(group.law.has_b for group in by_label.values()) > len(by_label)
+    if is_led_by_b:
+        yield b
     for name, key, things, definition in (
         (RATE, "episode_rate", "episodes", "" if study.settings.units else "per unit of time"),
         (SIZE, "episode_size", "", "in blocks that slip"),
@@ -113,8 +124,8 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
         statistic = Statistic(label, QUANTITIES[name].of, least=0.0, definition=definition, things=things,
                               dimension="frequency" * (name == RATE))  # fmt: skip
         yield Measure(statistic, key, partial(_episodes, by_label, name))
-    b = Statistic(B, ratio, title="b-value of the episodes", definition="of the power law of their moments")
-    yield Measure(b, "episode_b", partial(_b, by_label))
+    if not is_led_by_b:
+        yield b
 
 
 def _episodes(by_label: Mapping[str, Catalogues], name: str, group: Group) -> Values:
@@ -183,14 +194,21 @@ def _of_columns(study: Study, beside: Study | None) -> Iterator[Measure]:
 
 
 def _of_column(name: str, column: Recorded, numbers: np.ndarray, t_burn: float) -> Measure:
-    title, definition = f"mean {column.called or name}", "" if column.says_it else column.words
+    called, definition = column.called or name, "" if column.says_it else column.words
+    title = called if called.startswith("mean ") else f"mean {called}"
     values = partial(_column, numbers, column.problems, column.absent or NO_VALUE)
     if column.is_share:
-        share = Share(f"share {name}", title=f"share of runs with {column.called or name}", definition=definition)
+        share = Share(f"share {name}", title=f"share of runs with {called}", definition=definition)
         return Measure(share, name, partial(_share, numbers, values), column.absent)
     if column.of_gaps == "mean":
-        definition = f"{column.words}, as the time of blocks per exit, which nothing cuts off"
-        per_exit = PerEvent(f"mean {name}", per_event, title=title, definition=definition, dimension="time")
+        definition = "the time of all blocks with friction over the number of their slip onsets"
+        per_exit = PerEvent(
+            f"mean {name}",
+            per_event,
+            title="time per slip onset of a block",
+            definition=definition,
+            dimension="time",
+        )
         return Measure(per_exit, name, _per_exit, STILL)
     mean = Statistic(f"mean {name}", ratio, least=column.least, title=title, definition=definition)
     mean = replace(mean, dimension=column.dimension)

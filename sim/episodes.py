@@ -121,8 +121,8 @@ class Clusters(NamedTuple):
     moment : float64, shape (C,)
         Sum of their slips, with the sign of `Episodes.moment`.
     stress_drop : float64, shape (C,)
-        Mean over its blocks of the fall of the force of the springs, (K z)_i at the end less that at the start of the
-        episode, with the same sign.
+        Mean over its blocks of the fall of the springs' force by the slips s of the episode, (K s)_i, with the same
+        sign; what the belt loads meanwhile is no part of it.
     profile_cluster, profile_block : int32, shape (P,)
         For each block of each cluster: the number of the cluster, and the block, in order.
     profile_slip : float64, shape (P,)
@@ -155,7 +155,7 @@ def clusters(run: Run, system: System, before: Floats, after: Floats) -> Cluster
     catalogue, series, n = episodes(run, system.belt_speed), run.events, system.n
     slip = after - before - _travels(system.belt_speed, n, catalogue.start, catalogue.end)
     sign = np.where(_travel(belt(system.belt_speed, n), n, catalogue.start, catalogue.end) > 0, -1.0, 1.0)[:, None]
-    fall = sign * (system.stiffness @ (after - before).T).T
+    fall = sign * (system.stiffness @ slip.T).T
     episode, block, first, last = _slipping(series, catalogue.start, catalogue.end)
     label = _parts(episode, block, system)
     # clusters by episode and begin, their blocks in order

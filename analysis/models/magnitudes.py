@@ -11,7 +11,7 @@ catalogue is complete, so no event is missing at the small end: a power law begi
    D sqrt(n) < `BY_CHANCE` (A. Deluca and A. Corral, Acta Geophys. 61 (2013) 1351), to the largest event below the
    peak. It spans a `DECADE` and `FEWEST` events at least; without one there is no power law. An atom of equal moments
    at the foot, of single blocks, is left out.
-3. The **law**: m^-b exp(-m / m_c) on that range, or m^-b where the interval of 1 / m_c reaches 0. Vuong's ratio,
+3. The **law**: m^-b exp(-m / m_c) on that range, or m^-b where the 99% interval of 1 / m_c reaches 0. Vuong's ratio,
    the mean of the log likelihood over that of a log-normal law or an exponential, is an estimate over systems.
 """
 
@@ -234,7 +234,8 @@ def _judged(counts: np.ndarray, least: float, gap: float, begins: float | None, 
     mean = float(np.average(10.0 ** (least + WIDTH * (fit.sizes - 0.5)), weights=total))
     usual = parameter(fit, 1, counts, confidence)
     cut_off = _cut_off(decay, usual, mean)
-    if usual.low is not None and usual.high is not None and usual.low <= 0 <= usual.high:
+    if decay.low is not None and decay.high is not None and decay.low <= 0 <= decay.high:
+        # by the same interval as the name: a law chosen at 95% covers b in 56% of the catalogues in which it is wrong
         fit = _fitted(total, least, 1)
         gap = _gap(fit, total)
     b = parameter(fit, 0, counts, confidence)

@@ -100,7 +100,7 @@ def findings_table(levels: Sequence[Level], where: str = "", most: int = MOST_RO
     Parameters
     ----------
     where : str
-        The name of the file with all of them; empty if the others are shown elsewhere.
+        Where all of them are: the name of a file, or a section.
     most : int
         Rows that are shown.
     """

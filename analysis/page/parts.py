@@ -102,7 +102,7 @@ class Part(NamedTuple):
     @property
     def head(self) -> Table:
         """The first rows, for the first screen."""
-        return findings_table(self.rows, most=MOST_FIRST)
+        return findings_table(self.rows, f"\u201c{self.title}\u201d below", MOST_FIRST)
 
     def section(self, on_first: Sequence[Panel], is_said: bool, is_shown: bool) -> Section:
         """Folded, without what the first screen says and shows."""

@@ -39,11 +39,12 @@ class Structure(Record):
             least=0.0,
             absent="no two blocks are coupled",
         ),
-        Column("whole", "n_components", "number of connected parts", least=0.0),
+        Column("whole", "n_components", "number of connected parts", least=0.0, title="number of connected parts"),
         Column(
             "number",
             "largest_eigenvalue",
             "largest eigenvalue of K",
+            title="largest eigenvalue of K",
             absent="K is not symmetric",
             dimension="stiffness",
             note="of a graph kappa times that of its Laplacian, and `leaf`",

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import re
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from itertools import chain, islice
+from typing import Any, TextIO
 from xml.parsers import expat
 
 import numpy as np
@@ -16,6 +18,10 @@ from stickslip.sim.systems.graphs import Edges, adjacent_edges, edges_of, listed
 _MATRICES = (b"PK", b"\x93NUMPY", b"%%MatrixMarket")
 #: A number that a comment in a text of edges carries, as `# rewiring = 0.1`.
 _NUMBER = re.compile(r"[#%]\s*(\w+)\s*=\s*(\S+)\s*")
+#: Characters between numbers, beside blanks.
+_BLANKS = str.maketrans(",;\t", "   ")
+#: Rows of a text at most, some seconds, and characters of one: a row of an adjacency of the most blocks.
+_MOST_ROWS, _LONGEST = 5_000_000, 25 * MAX_BLOCKS
 
 
 def graph_of(content: bytes, names: Sequence[str]) -> dict[str, Any]:
@@ -31,25 +37,49 @@ def graph_of(content: bytes, names: Sequence[str]) -> dict[str, Any]:
     elif content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
         arrays = _GraphML(content).arrays
     else:
-        arrays = _table(content.decode("utf-8-sig"))
+        arrays = _table(content)
     if arrays["edges"].n > MAX_BLOCKS:
         raise ValueError(f"expected at most {MAX_BLOCKS} blocks, got {arrays['edges'].n}")
     return arrays
 
 
-def _table(text: str) -> dict[str, Any]:
-    """A text of numbers: of two or three columns edges, of more an adjacency matrix; a first line of names."""
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    matches = (_NUMBER.fullmatch(line) for line in lines)
-    parameters = {match[1]: float(match[2]) for match in matches if match and match[1].isidentifier()}
-    rows = [re.sub("[,;\t]", " ", line) for line in lines if line[0] not in "#%"]
-    if rows and re.match(r"[^\d.+-]", rows[0].lstrip("\"' ")):
-        rows = rows[1:]
-    if not rows:
+def _table(content: bytes) -> dict[str, Any]:
+    """A text of numbers: of two or three columns edges, of more an adjacency matrix; a first line of names.
+
+    Read line by line, so that what is none is refused at its first line that is none, however long it is.
+    """
+    parameters: dict[str, float] = {}
+    rows = islice(_rows(io.TextIOWrapper(io.BytesIO(content), "utf-8-sig"), parameters), _MOST_ROWS + 1)
+    first = next(rows, None)
+    if first is None:
         raise ValueError("it has no edge")
-    table = np.loadtxt(rows, ndmin=2, comments=None)
+    table = np.loadtxt(chain([first], rows), ndmin=2, comments=None)
+    if len(table) > _MOST_ROWS:
+        raise ValueError(
+            f"expected at most {_MOST_ROWS} rows of text, got more; save an adjacency by scipy.sparse.save_npz"
+        )
     edges = listed_edges(table, None) if table.shape[1] in (2, 3) else adjacent_edges(table)
     return {"edges": edges} | ({"parameters": parameters} if parameters else {})
+
+
+def _rows(text: TextIO, parameters: dict[str, float]) -> Iterator[str]:
+    """The rows of numbers of a text; numbers in its comments are added to `parameters`."""
+    is_first = True
+    while line := text.readline(_LONGEST + 1):
+        if len(line) > _LONGEST:
+            raise ValueError(f"expected lines of at most {_LONGEST} characters, got a longer one")
+        line = line.strip()
+        if not line:
+            continue
+        if line[0] in "#%":
+            match = _NUMBER.fullmatch(line)
+            if match and match[1].isidentifier():
+                parameters[match[1]] = float(match[2])
+            continue
+        is_heading = is_first and re.match(r"[^\d.+-]", line.lstrip("\"' "))
+        is_first = False
+        if not is_heading:
+            yield line.translate(_BLANKS)
 
 
 class _GraphML:

@@ -66,12 +66,14 @@ from stickslip.pipeline.scene.toml import (
     written,
 )
 from stickslip.pipeline.scene.units import UNSCALED, UnitsTable, scales_of
+from stickslip.sim.engines.adiabatic import TAKES as LOADABLE
 from stickslip.sim.engines.contract import Purpose
 from stickslip.sim.numerics.arguments import apart
 from stickslip.sim.systems.couplings import Reading, draw_system
 from stickslip.sim.systems.scales import Scales
 from stickslip.sim.systems.system import BEYOND, System
 from stickslip.sim.systems.terms import TERMS
+from stickslip.sim.systems.weakening import LAWS
 
 #: A scene of more members than this is run if the user says yes: else that is taken for a typing error.
 MANY_MEMBERS = 10_000_000
@@ -383,6 +385,8 @@ class Scene(StrictTable):
             ("back_slip", None if system.back_slip else "false", "true"),
             *((term.name, quantities[term.name], "none") for term in TERMS if term.argument and term.default is None),
         )
+        if self.run.load is not None:
+            self._check_load(demands)
         for i, engine in enumerate(self.engines):
             if self.run.load is not None and not engine.engine.is_exact:
                 raise SceneError(
@@ -397,6 +401,35 @@ class Scene(StrictTable):
                         f'system.{key}: expected {expected}, all that [[engine]] name = "{engine.name}" takes, got'
                         f" {got}; change it, or remove that engine"
                     )
+
+    def _check_load(self, demands: Sequence[tuple[str, Any, str]]) -> None:
+        """Refuse what a belt that waits cannot load; for a file or a function, its runs tell."""
+        system, where = self.system, f'with load = "{self.run.load}"'
+        for key, demand, expected in demands:
+            beyond = {"rayleigh": "damping matrix", "drive": "force"}.get(key, key)
+            if demand is not None and beyond in BEYOND and beyond not in LOADABLE:
+                raise SceneError(f"system.{key}: expected {expected} {where}, got one; remove it, or `load`")
+        law = system.weakening
+        if law is not None and law.law in LAWS and LAWS[law.law].falls_from_static:
+            raise SceneError(
+                f"system.weakening: expected a law that begins below static friction {where}, got {law.law}, by which"
+                " blocks creep after the belt, in no event; choose another, or remove `load`"
+            )
+        is_given = not (system.is_of_files or system.is_own)
+        first = law.coefficients[0] if law is not None and law.coefficients else 1.0
+        for _, values_here in self.points():
+            static, kinetic = values_here["static"], values_here["friction"]
+            came = str(static or "none")
+            if isinstance(static, Ratio) and isinstance(static.factor, float):
+                static, kinetic, came = static.factor, 1.0, f"{static.factor:g} times it"
+            are_equal = isinstance(static, float) and isinstance(kinetic, float) and static <= kinetic * first
+            if are_equal or (static is None and is_given):
+                raise SceneError(
+                    f"system.static: expected above the kinetic friction {where}, got {came}, as else blocks creep"
+                    " after the belt, in no event; raise it, or remove `load`"
+                )
+            if values_here["belt_speed"] == 0.0:
+                raise SceneError(f"system.belt_speed: expected one that loads {where}, got 0; change it")
 
     @property
     def quantities(self) -> dict[str, Quantity | None]:

@@ -193,6 +193,10 @@ GRAPHS: dict[str, Graph] = {
 }
 
 
+#: A spring that pushes apart may leave K without a least energy: whoever means it has to see K.
+_WEIGHTS = "weights from 0 up, as stiffnesses are (with others pass K itself to System)"
+
+
 def drawn_edges(name: str, n: int, rng: np.random.Generator, degree: float, rewiring: float) -> Edges:
     """The springs of one of `GRAPHS`.
 
@@ -254,7 +258,7 @@ def listed_edges(edges: Floats, n: int | None) -> Edges:
         ((pairs[:, 0] < 0) | (pairs[:, 1] >= n), f"blocks from 0 to n - 1 = {n - 1}"),
         (pairs[:, 0] == pairs[:, 1], "springs between two blocks, as one to itself does nothing"),
         (again, "each pair once, in one order, as else its stiffness is doubled"),
-        (~np.isfinite(weights), "finite weights"),
+        (~((weights >= 0.0) & np.isfinite(weights)), _WEIGHTS),
     ):
         if is_wrong.any():
             edge = int(np.argmax(is_wrong))
@@ -274,8 +278,9 @@ def adjacent_edges(adjacency: Any) -> Edges:
     matrix = coo_array(adjacency)
     if matrix.shape[0] != matrix.shape[1] or matrix.shape[0] == 0:
         raise ValueError(f"graph: expected a square adjacency matrix, got shape {matrix.shape}")
-    if not np.isfinite(matrix.data).all():
-        raise ValueError("graph: expected finite weights, got NaN or infinity")
+    is_wrong = ~((matrix.data >= 0.0) & np.isfinite(matrix.data))
+    if is_wrong.any():
+        raise ValueError(f"graph: expected {_WEIGHTS}, got {matrix.data[is_wrong][0]:g}")
     if matrix.diagonal().any():
         block = int(np.flatnonzero(matrix.diagonal())[0])
         raise ValueError(

@@ -74,9 +74,31 @@ def test_what_has_no_meaning_is_refused_when_the_scene_is_read(change, words):
         parse_scene(SCENE.replace(*change))
 
 
-def test_a_smoothed_law_is_refused_before_a_run(tmp_path):
-    scene = parse_scene(SCENE.replace('name = "coulomb"\ntol = 1e-8', 'name = "sigmoid"\neps = 1e-4'))
-    with pytest.raises(
-        SceneError, match=r'engine\[0\]: expected one of the exact law with load = "adiabatic", got "sig'
-    ):
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            ('name = "coulomb"\ntol = 1e-8', 'name = "sigmoid"\neps = 1e-4'),
+            r"engine\[0\]: .*exact law with load .*sig",
+        ),
+        (("static = {uniform = [1.1, 1.5]}\n", ""), r"system\.static: expected above .* got none"),
+        (
+            ("{uniform = [1.1, 1.5]}", "[{ratio = 1.0}, {ratio = 1.2}]"),
+            r"system\.static: expected above .* got 1 times",
+        ),
+        (
+            ("{uniform = [1.1, 1.5]}", '1.2\nweakening = {law = "stribeck", speed = 0.5}'),
+            r"system\.weakening: .*stribeck",
+        ),
+        (("-0.001", "[-0.001, 0.0]"), r"system\.belt_speed: expected one that loads .* got 0"),
+        (
+            ("-0.001", "-0.001\nforce = {amplitude = 0.1, frequency = 1.0, phase = 0.0}"),
+            r"system\.force: expected none with load",
+        ),
+    ],
+)
+def test_what_cannot_be_loaded_is_refused_before_a_run(change, words, tmp_path):
+    scene = parse_scene(SCENE.replace(*change))
+    with pytest.raises(SceneError, match=words):
         run_ensemble(scene, tmp_path / "out", workers=0)
+    assert not (tmp_path / "out").exists()

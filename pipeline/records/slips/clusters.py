@@ -35,7 +35,7 @@ class ClustersRecord(Record):
         _of_each(
             "numbers",
             "cluster_stress_drop",
-            "mean fall of the springs' force on its blocks, (K z)_i",
+            "mean fall of the springs' force on its blocks by the slips s, (K s)_i",
             repeats=False,
             dimension="force",
         ),
