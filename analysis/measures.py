@@ -18,13 +18,15 @@ import numpy as np
 from stickslip.analysis.catalogues import Catalogues, read
 from stickslip.analysis.contrast import Bounded, Median, PerEvent, Share, Statistic
 from stickslip.analysis.ensemble import Recorded, Study
+from stickslip.analysis.findings.numbers import signs
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import READ
 from stickslip.analysis.models.episodes import QUANTITIES, RATE, SIZE
 from stickslip.analysis.models.fates import DIVERGED, FAILED, SUSTAINED, UNMOVED, is_all_slip
+from stickslip.analysis.models.magnitudes import b_rows, common_range
 from stickslip.analysis.models.times import Times
 from stickslip.analysis.stats import enough
-from stickslip.analysis.stats.estimates import UnitSums, per_event, ratio
+from stickslip.analysis.stats.estimates import Undefined, UnitSums, per_event, ratio
 from stickslip.analysis.stats.quantities import QUANTITIES as OF_N_STICK
 
 MEAN, GAMMA = OF_N_STICK["mean"].label, OF_N_STICK["gamma"].label
@@ -107,12 +109,12 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
     if study.data.episodes is None or (beside is not None and beside.data.episodes is None):
         return
     by_label = {group.label: group for group in study.once(read)}
-    definition = "of the power law of their moments, on the range of each setting"
-    b = Measure(
-        Statistic(B, ratio, title="b-value of the episodes", definition=definition),
-        "episode_b",
-        partial(_b, by_label),
-    )
+    studies = (study,) if beside is None else (study, beside)
+    limits = common_range(group.law for data in studies for group in data.once(read))
+    within = f" (M = {signs(f'{limits[0]:.1f} to {limits[1]:.1f}')})" if limits else ""
+    definition = f"of their power law, on {'the part of its range that all have' if limits else 'a range of its own'}"
+    statistic = Statistic(B, ratio, title=f"b-value of the episodes{within}", definition=definition)
+    b = Measure(statistic, "episode_b", partial(_b, by_label, limits))
     is_led_by_b = 2 * sum(group.law.has_b for group in by_label.values()) > len(by_label)
     if is_led_by_b:
         yield b
@@ -146,8 +148,8 @@ def _episodes(by_label: Mapping[str, Catalogues], name: str, group: Group) -> Va
     return Values(UnitSums.of(units, rows), missing)
 
 
-def _b(by_label: Mapping[str, Catalogues], group: Group) -> Values:
-    """Sums of systems whose ratio is b."""
+def _b(by_label: Mapping[str, Catalogues], limits: tuple[float, float] | None, group: Group) -> Values:
+    """Sums of systems whose ratio is b, on limits that all groups have, or on the group's own."""
     missing = _without(group, ~group.is_finished, lambda _, outcome: outcome)
     catalogues = by_label.get(group.label)
     if catalogues is None:
@@ -156,7 +158,11 @@ def _b(by_label: Mapping[str, Catalogues], group: Group) -> Values:
         return Values(missing=missing, withheld="the rate of episodes drifts")
     if not catalogues.law.has_b:
         return Values(missing=missing, withheld=f"no power law is shown: {catalogues.law.why}")
-    return Values(UnitSums.of([*catalogues.runs], catalogues.law.rows), missing)
+    try:
+        rows = b_rows(catalogues.law, [catalogues.magnitudes_of(unit) for unit in catalogues.runs], limits)
+    except Undefined as problem:
+        return Values(missing=missing, withheld=str(problem))
+    return Values(UnitSums.of([*catalogues.runs], rows), missing)
 
 
 def _without(group: Group, lacks: np.ndarray, why: Callable[[str, str], str]) -> dict[str, str]:

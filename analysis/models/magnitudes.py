@@ -17,7 +17,7 @@ catalogue is complete, so no event is missing at the small end: a power law begi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -76,8 +76,6 @@ class Magnitudes:
         Distance of Kolmogorov and Smirnov from the law.
     ratios : dict of str to Estimate
         Vuong's ratio of the law over another, in nats an event.
-    rows : ndarray, shape (G, 2)
-        Sums of each system whose `ratio` is b, with its jackknife; for contrasts.
     counts : ndarray, shape (G, K)
         Of each system in the classes of the range.
     """
@@ -93,7 +91,6 @@ class Magnitudes:
     cut_off: Estimate = field(default_factory=Estimate)
     gap: float | None = None
     ratios: Mapping[str, Estimate] = field(default_factory=dict)
-    rows: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     counts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     fit: Fit | None = None
 
@@ -101,6 +98,11 @@ class Magnitudes:
     def has_b(self) -> bool:
         """Whether the magnitudes have a power law, so that there is a b."""
         return self.picture in (Picture.POWER, Picture.CUT_OFF, Picture.PEAK)
+
+    @property
+    def law(self) -> int:
+        """Which of `laws` is theirs: that with a cut-off only where one is shown."""
+        return 1 if self.cut_off.value is None else 0
 
 
 def laws(least: float, mean: float) -> tuple[Family, Family, Family, Family]:
@@ -249,7 +251,7 @@ def _judged(counts: np.ndarray, least: float, gap: float, begins: float | None, 
     picture, why = _named(begins, b, cut_off, decay, ratios)
     return Magnitudes(
         picture, why, least, least + WIDTH * len(total), begins, int(total.sum()), b=b, cut_off=cut_off, gap=gap,
-        ratios=ratios, rows=_rows(fit, counts), counts=counts, fit=fit,
+        ratios=ratios, counts=counts, fit=fit,
     )  # fmt: skip
 
 
@@ -282,8 +284,30 @@ def _cut_off(strict: Estimate, decay: Estimate, mean: float) -> Estimate:
     return Estimate(value, low, high)
 
 
-def _rows(fit: Fit, counts: np.ndarray) -> np.ndarray:
-    """Sums of systems whose `ratio` is the exponent: as of numbers whose mean it is, by its influence function."""
+def common_range(catalogues: Iterable[Magnitudes]) -> tuple[float, float] | None:
+    """The magnitudes that are in the ranges of all power laws; None if these span less than a `DECADE`.
+
+    Exponents are compared there: that of a law which bends changes with its range, which is found anew in each.
+    """
+    ranges = [(magnitudes.least, magnitudes.most) for magnitudes in catalogues if magnitudes.has_b]
+    least, most = max((low for low, _ in ranges), default=0.0), min((high for _, high in ranges), default=0.0)
+    return (least, most) if most - least >= DECADE else None
+
+
+def b_rows(magnitudes: Magnitudes, systems: Sequence[np.ndarray], limits: tuple[float, float] | None) -> np.ndarray:
+    """Sums of each system whose `ratio` is b, on limits or on the range of the law, with its jackknife, shape (G, 2).
+
+    As of numbers whose mean it is, by the influence function of the law. Raises `Undefined` if there are fewer than
+    `FEWEST` events.
+    """
+    fit, counts = magnitudes.fit, magnitudes.counts
+    if limits is not None:
+        least, most = limits
+        counts = np.array([in_classes(values, least, round((most - least) / WIDTH)) for values in systems])
+        if counts.sum() < FEWEST:
+            raise Undefined("too few events")
+        fit = _fitted(counts.sum(axis=0).astype(np.float64), least, magnitudes.law)
+    assert fit is not None
     n = counts.sum(axis=1)
     moved = np.linalg.solve(fit.information(), fit.scores().T @ counts.T)[0]
     return np.column_stack([n * fit.theta[0] + moved, n])
@@ -292,7 +316,6 @@ def _rows(fit: Fit, counts: np.ndarray) -> np.ndarray:
 def by_least(magnitudes: Magnitudes, confidence: float, step: float = 0.5) -> list[tuple[float, int, Estimate]]:
     """b on the upper part of the range, from its least magnitude and from every half above it: (least, events, b)."""
     rows: list[tuple[float, int, Estimate]] = []
-    law = 1 if magnitudes.cut_off.value is None else 0
     for first in range(0, magnitudes.counts.shape[1] - int(DECADE / 2 / WIDTH), round(step / WIDTH)):
         counts, least = magnitudes.counts[:, first:], magnitudes.least + WIDTH * first
         n = int(counts.sum())
@@ -301,7 +324,7 @@ def by_least(magnitudes: Magnitudes, confidence: float, step: float = 0.5) -> li
         with_b = magnitudes.b
         if first:
             try:
-                with_b = parameter(_fitted(counts.sum(axis=0), least, law), 0, counts, confidence)
+                with_b = parameter(_fitted(counts.sum(axis=0), least, magnitudes.law), 0, counts, confidence)
             except Undefined:
                 break
         rows.append((least, n, with_b))

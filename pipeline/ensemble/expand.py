@@ -319,9 +319,10 @@ class Ensemble:
         unit = matrices[source % len(matrices), matrix]
         unit = unit if self.unit is Unit.FILE else unit + self.n_matrices * self._seed[point]
         if self.unit is Unit.START:
-            # what is drawn depends on the content of a file: starts of two share nothing
+            # files whose draws have one number share their starts
             n_files, n_draws = (len(matrices) if self._of_files else 1), max(map(len, self.draws))
-            file = source % n_files
+            numbers = matrices[:n_files, 0].tolist()
+            file = _numbers([*dict.fromkeys(numbers)], numbers)[source % n_files]
             is_fixed = np.isin(grid, [*design.fixed])
             unit = np.where(is_fixed, n_draws * n_files + file, n_draws * file + draw)
         unchanged = {

@@ -421,7 +421,8 @@ class Scene(StrictTable):
             static, kinetic = values_here["static"], values_here["friction"]
             came = str(static or "none")
             if isinstance(static, Ratio) and isinstance(static.factor, float):
-                static, kinetic, came = static.factor, 1.0, f"{static.factor:g} times it"
+                came = f"{static.factor:g} times it"
+                static, kinetic = static.factor, 1.0
             are_equal = isinstance(static, float) and isinstance(kinetic, float) and static <= kinetic * first
             if are_equal or (static is None and is_given):
                 raise SceneError(
@@ -450,7 +451,9 @@ class Scene(StrictTable):
         draws = self.start.draws or 1
         starts = [f"{draws} draw{'s' * (draws > 1)} of the start"] if is_drawn else []
         tables = [f"{len(self.engines)} engines"] if len(self.engines) > 1 else []
-        words = [*map(str, self.axes), *starts]
+        numbers = [dict(origin.parameters) for _, origin in self.sources if isinstance(origin, SystemFile)]
+        of_files = [f"{len({of_file[name] for of_file in numbers})} {name}" for name in (numbers or [{}])[0]]
+        words = [*of_files, *map(str, self.axes), *starts]
         return " x ".join(words + tables) if words else ""
 
     def points(self) -> Iterator[tuple[dict[str, Value], dict[str, Value | None]]]:

@@ -89,7 +89,7 @@ class FileTable(StrictTable):
     entries: Annotated[int, Field(ge=0)]
     is_sparse: bool
     arrays: Annotated[tuple[str, ...], List]
-    version: Literal[1, 2] = 1  # of how draws are numbered; older datasets do not say
+    version: Literal[1, 2, 3] = 1  # of how draws are numbered; older datasets do not say
     parameters: dict[str, float] = Field(default_factory=dict)
     names: Annotated[tuple[str, ...], List] = ()
 

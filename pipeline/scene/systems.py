@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fnmatch
 import glob
-import hashlib
 import inspect
 import os
 import pickle
@@ -73,13 +72,16 @@ class SystemFile:
         return None if number is None else int(number)
 
     def matrix(self, draw: int) -> int:
-        """The number of a draw of what the file leaves open. It depends on the content: other files change nothing.
+        """The number of a draw of what the file leaves open: files of one realisation share it, from version 3 on.
 
-        Below 2^63; in version 1 below 2^28, where two of some 20,000 files are likely to share one.
+        Else it depends on the content: other files change nothing. Below 2^63; in version 1 below 2^28, where two of
+        some 20,000 files are likely to share one.
         """
+        if self.version > 2:
+            return int(digest(f"realisation {self.realisation} {draw}".encode())[:16], 16) >> 1
         which = f"{self.sha256} {draw}" + f" {self.copy}" * (self.copy > 0)
-        digest = hashlib.sha256(which.encode()).hexdigest()
-        return int(digest[:7], 16) if self.version == 1 else int(digest[:16], 16) >> 1
+        word = digest(which.encode())
+        return int(word[:7], 16) if self.version == 1 else int(word[:16], 16) >> 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +187,7 @@ def _checked(name: str, content: bytes, is_graph: bool) -> dict[str, Any]:
         "entries": system.stiffness.size,
         "is_sparse": not isinstance(system.stiffness, np.ndarray),
         "arrays": [key for key in BY_BLOCK if key in arrays],
-        "version": 2,
+        "version": 3 if REALISATION in arrays.get("parameters", {}) else 2,
         **({"parameters": arrays["parameters"]} if "parameters" in arrays else {}),
         **({NAMES: [*names]} if names else {}),
     }

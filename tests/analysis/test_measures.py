@@ -97,7 +97,7 @@ def test_a_recorded_number_leads_in_its_words(recorded, settings):
 def test_cascades_are_measured_too_where_they_are_asked_for(recorded, settings):
     data = recorded({"amplitude": lambda rng, matrix, v: 1 + matrix})
     names = [one.name for one in measures.measures(Study(data, replace(settings, question=("cascades",))))]
-    assert names == ["mean amplitude", measures.MEAN, measures.GAMMA]
+    assert names == ["mean amplitude", measures.GAMMA, measures.MEAN]
     assert [one.name for one in measures.measures(Study(data, settings))] == ["mean amplitude"]
     bare = replace(data, recorded={})
     assert [one.name for one in measures.measures(Study(bare, settings))] == [measures.MEAN, measures.GAMMA]
@@ -284,8 +284,10 @@ def test_rate_size_and_b_of_episodes_lead_and_b_only_where_it_holds(recorded, se
     assert pd.isna(table["b of episodes"].iloc[2])
     assert list(rows_of(answer, "b of episodes").index) == ["-0.2"], "no trend to where no b holds"
     assert rows_of(answer, "rate of episodes").loc["-0.1", "verdict"] == Verdict.LESS
-    assert said(answer).startswith("Rate of episodes falls from 1.")
-    lacks = "-value of the episodes is not given at {} of 3 points: "
+    leading = [sentence(finding) for finding in answer.findings[: answer.n_lead]]
+    assert re.match(r"b-value of the episodes \(M = 0.0 to \S+\) goes from 0\.", leading[0])
+    assert leading[1].startswith("Rate of episodes falls from 1."), "no change of b is shown"
+    lacks = " is not given at {} of 3 points: "
     assert lacks.format(1) + "no power law is shown" in alerts(answer)
     few = replace(data, episodes=data.episodes[data.episodes.index % 100 == 0])
     assert lacks.format(3) + "no power law is shown: too few systems or events" in alerts(

@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 from stickslip.analysis.models import growth, magnitudes, pool
 from stickslip.analysis.series.cascades import window
@@ -173,8 +174,24 @@ def test_magnitudes_of_little_say_why_they_have_no_law(rng):
 def test_the_sums_of_systems_have_b_and_its_interval(rng):
     systems, _, _ = studies.planted_catalogue(rng, magnitudes.Picture.POWER)
     found = magnitudes.magnitudes_of(systems, 0.95)
-    again = over_matrices(ratio, found.rows, 0.95)
+    again = over_matrices(ratio, magnitudes.b_rows(found, systems, None), 0.95)
     assert (again.value, again.low, again.high) == pytest.approx((found.b.value, found.b.low, found.b.high))
+    least, span = found.least + 0.3, 1.2
+    within = over_matrices(ratio, magnitudes.b_rows(found, systems, (least, least + span)), 0.95)
+    heights = np.log(10.0) * (np.concatenate(systems) - least)
+    height, most = heights[(heights >= 0) & (heights < np.log(10.0) * span)].mean(), np.log(10.0) * span
+    b = optimize.brentq(
+        lambda b: 1 / b - most / np.expm1(b * most) - height, 1e-6, 10.0
+    )  # of a truncated exponential
+    assert within.value == pytest.approx(b, abs=2e-3)  # classes
+
+
+def test_a_range_that_all_have_is_where_each_has_a_power_law():
+    lawful, lawless = magnitudes.Picture.POWER, magnitudes.Picture.NONE
+    ranges = [magnitudes.Magnitudes(lawful, "", least, least + 3.0) for least in (-2.0, -1.0, 0.0)]
+    assert magnitudes.common_range([*ranges, magnitudes.Magnitudes(lawless)]) == (0.0, 1.0)
+    assert magnitudes.common_range([*ranges, magnitudes.Magnitudes(lawful, "", 0.5, 4.0)]) is None
+    assert magnitudes.common_range([]) is None
 
 
 # ------------------------------------------------------------------------------- escape, many tests, least data

@@ -51,6 +51,11 @@ def test_a_number_that_files_carry_is_a_key_that_is_swept(tmp_path):
     design = expand(scene).ensemble.design
     assert [axis.name for axis in design.axes] == ["rewiring", "friction"]
     assert {source.unit for source in design.sources} == {Unit.FILE}
+    starts = {}  # as a function's settings do, files of one realisation share what is drawn
+    for member in expand(scene):
+        starts.setdefault(dict(member.source.parameters)["realisation"], set()).add(tuple(member.start()[0]))
+    assert [len(of_unit) for of_unit in starts.values()] == [1] * 8
+    assert len(set.union(*starts.values())) == 8
     run_ensemble(scene, tmp_path / "data", workers=0)
     rows = query.members(tmp_path / "data")
     assert sorted(rows["rewiring"].unique()) == [0.0, 0.1, 0.2]

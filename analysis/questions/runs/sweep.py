@@ -84,7 +84,10 @@ def _lack(grid: Grid, steps: Sequence[Step]) -> Lack:
 def _method(grid: Grid, steps: Sequence[Step], unit: str) -> str:
     """How values are compared, and what the first measures are."""
     averages = ", averaged over the values of the other keys at which both are known" if len(grid.axes) > 1 else ""
-    drawn = "" if any(point.group.unit is Unit.FILE for point in grid.every) else ", as all share their random draws"
+    is_of_files = any(point.group.unit is Unit.FILE for point in grid.every)
+    drawn = (
+        ", as files of one realisation share what is drawn" if is_of_files else ", as all share their random draws"
+    )
     n_tests = sum(step.contrast.p_different is not None for step in steps)
     quantities = [measure.statistic.quantity for measure in grid.asked]
     defined = [quantity for quantity in quantities if quantity.definition][:MOST_DEFINED]
@@ -210,9 +213,12 @@ def _order(grid: Grid, steps: Sequence[Step]) -> list[str]:
 
 
 def _lead(grid: Grid, order: Sequence[str], steps: Sequence[KeyStep], unit: str) -> list[Finding]:
-    """Where stick-slip ends, and changes of the leading measures."""
+    """Where stick-slip ends, and changes of the first measure; if none of these is shown, one that is too."""
     thresholds = [threshold for setting in grid.settings for threshold in _thresholds(grid, setting, unit)]
     leading = order[:2] if order[0] == STICKING else order[:1]
+    shown = {step.statistic for step in steps if step.contrast.is_shown}
+    if shown.isdisjoint(leading):
+        leading = [*leading, *[name for name in order if name in shown][:1]]
     chosen = [
         step
         for name in leading
