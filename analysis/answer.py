@@ -69,6 +69,10 @@ def _always(study: Study) -> bool:
     return True
 
 
+def _alone(study: Study) -> tuple[str, ...]:
+    return ()
+
+
 @dataclass(frozen=True)
 class Question:
     """A question of a report: what answers it, and when it leads the page.
@@ -91,8 +95,8 @@ class Question:
         it. A question without a rank leads only if it is named.
     leads : callable
         Maps a `Study` to whether the question may lead.
-    beside : tuple of str
-        Questions that follow it on the first screen when it leads by rank.
+    beside : callable
+        Maps a `Study` to the questions that follow it on the first screen when it leads by rank.
     """
 
     answer: Callable[[Study], Answer | None]
@@ -102,7 +106,7 @@ class Question:
     of_cascades: bool = False
     rank: int | None = None
     leads: Callable[[Study], bool] = _always
-    beside: tuple[str, ...] = ()
+    beside: Callable[[Study], tuple[str, ...]] = _alone
 
     def is_asked_of(self, study: Study) -> bool:
         """Whether data of this kind can have an answer."""

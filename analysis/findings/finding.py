@@ -421,8 +421,11 @@ class Bound(StrEnum):
     """How the end of a stretch of a key is known."""
 
     SETTING = "setting"  #: the last value that was run
-    STABILITY = "linear stability"  #: an eigenvalue crosses
-    RUNS = "runs"  #: what a run settles on, followed along the key
+    STABILITY = "linear stability"  #: an eigenvalue of steady sliding crosses
+    MULTIPLIER = "instability of the cycle"  #: its multiplier comes to 1
+    GRAZING = "grazing of the cycle"  #: a block of it only touches its belt's speed
+    CYCLE = "loss of the cycle"  #: it attracts up to there; beyond, a run from it provably settles elsewhere
+    RUNS = "runs"  #: to their ends, from one another
 
 
 @dataclass(frozen=True)
@@ -435,6 +438,8 @@ class Attracting:
         As nouns: "steady sliding".
     low, high : str
         The ends of the stretch.
+    horizon : str
+        How long the runs are by which an end may be known.
     """
 
     attractors: tuple[str, ...]
@@ -445,6 +450,7 @@ class Attracting:
     high_by: Bound = Bound.SETTING
     where: Place = EVERYWHERE
     basis: Basis | None = None
+    horizon: str = ""
 
     @property
     def stretch(self) -> str:

@@ -13,7 +13,7 @@ from stickslip.analysis.stats.estimates import Estimate
 MINUS = "\u2212"
 MOST_DIGITS = 9  # of a share that is nearly all
 DIGITS = 3  # of a number without an interval
-SAME = 1e-9  # relative width of an interval that is none: all units have the same value
+SAME = 1e-6  # relative width of an interval that is none: all units have the same value
 MOST_DECIMALS = 6  # beyond, a number is written with a power of ten
 _ROUNDING = 1e-12
 _SUPERSCRIPTS = str.maketrans("-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079")
@@ -27,7 +27,7 @@ def signs(text: str) -> str:
 def decimals(estimate: Estimate, form: Form = Form.NUMBER) -> int:
     """Decimals that leave two digits of the half-width of an interval, or three of a number without one."""
     scale = _scale(form)
-    if estimate.low is not None and estimate.high is not None and estimate.high > estimate.low:
+    if estimate.low is not None and estimate.high is not None and not is_exact(estimate):
         return max(0, 1 - _exponent((estimate.high - estimate.low) / 2 * scale))
     if form is Form.COUNT:
         return 0
@@ -42,6 +42,17 @@ def _exponent(size: float) -> int:
 
 def _scale(form: Form) -> float:
     return 100.0 if form in (Form.SHARE, Form.POINTS) else 1.0
+
+
+def to_error(value: float, error: float) -> str:
+    """A number with the digits of an interval as wide as twice its error: the last digit is about that width.
+
+    With four digits if it has no error, or an unknown one.
+    """
+    if not error > 0.0:
+        return f"{value:.4g}"
+    places = max(0, round(-math.log10(2.0 * error)))
+    return f"{value:.{places}f}"
 
 
 def number(value: float, form: Form = Form.NUMBER, digits: int | None = None, sign: bool = False) -> str:

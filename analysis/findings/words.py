@@ -457,9 +457,14 @@ def _attracting(attracting: Attracting) -> str:
     verb = {1: "attracts", 2: "both attract"}.get(len(names), "all attract")
     place = Place.key(attracting.key, attracting.stretch) + attracting.where
     ends = ((attracting.low_by, "below"), (attracting.high_by, "above"))
-    refined = [(by.value, side) for by, side in ends if by is not Bound.SETTING]
+    refined = [(bound_in_words(by, attracting.horizon), side) for by, side in ends if by is not Bound.SETTING]
     if len({by for by, _ in refined}) == 1 and len(refined) == 2:
         bounds = f", bounded by {refined[0][0]}"
     else:
         bounds = f", bounded {listed([f'by {by} {side}' for by, side in refined])}" if refined else ""
     return f"{listed(names)} {verb}{place.tail}{bounds}"
+
+
+def bound_in_words(by: Bound, horizon: str) -> str:
+    """How the end of a stretch is known; of runs, how long they are."""
+    return f"{by.value} to t = {horizon}" if by is Bound.RUNS and horizon else by.value

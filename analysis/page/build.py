@@ -279,7 +279,7 @@ def _primary(study: Study, answered: Sequence[Part]) -> tuple[str, ...]:
     if not ranked:
         return ()
     best = min(ranked)[1]
-    return (best, *ours[best].beside)
+    return (best, *ours[best].beside(study))
 
 
 def groups_table(study: Study) -> pd.DataFrame:

@@ -9,12 +9,31 @@ from stickslip.pipeline.design.column import Column
 from stickslip.pipeline.records.record import Facts, Made, Member, Sharing, WindowRecord
 
 
+def _ends(side: str, words: str) -> tuple[Column, ...]:
+    """The columns of an end of stick-slip: the middle of the interval in which it lies, half its width, the cause."""
+    return (
+        Column("number", f"motion_ends_{side}", words, absent=_LASTS),
+        Column(
+            "number", f"motion_ends_{side}_error", "half the width of the interval in which it does", absent=_LASTS
+        ),
+        Column(
+            "text",
+            f"motion_ends_{side}_cause",
+            "multiplier (that of the cycle comes to 1), grazing (a block of the cycle just fails to stick), cycle (it"
+            " attracts before, and a run from it settles elsewhere beyond) or runs (to t_end)",
+        ),
+    )
+
+
+_LASTS = "it lasts, or there is none"
+
+
 @dataclass(frozen=True)
 class Refine(WindowRecord):
     """Ends of steady sliding and of stick-slip beside the value that a run has of the refined key, by bisection.
 
     Steady sliding ends where an eigenvalue crosses; the attractor on which a run sticks and slips is followed to the
-    values below and above.
+    values below and above, a cycle by Newton's method.
     """
 
     width: float
@@ -30,18 +49,8 @@ class Refine(WindowRecord):
             "where, up to the next value of the refined key, steady sliding becomes linearly stable or unstable",
             absent="it does not",
         ),
-        Column(
-            "number",
-            "motion_ends_below",
-            "where, down to the value before, the stick-slip that the run settles on ends, followed from run to run",
-            absent="it lasts, or there is none",
-        ),
-        Column(
-            "number",
-            "motion_ends_above",
-            "where, up to the next value, it ends",
-            absent="it lasts, or there is none",
-        ),
+        *_ends("below", "where, down to the value before, the stick-slip that the run settles on ends"),
+        *_ends("above", "where, up to the next value, it ends"),
     )
     asked_by = "`refine = 0.01` under [record]"
     is_of_paths = True
@@ -71,15 +80,18 @@ class Refine(WindowRecord):
         settings = {"engine": member.engine, **dict(member.settings)}
         settled = attractor(run, result.system, min(self.t_burn, run.t_end), **settings)
         values: dict[str, Any] = {}
-        for neighbour, name in zip(member.neighbours, ("motion_ends_below", "motion_ends_above"), strict=True):
+        for neighbour, side in zip(member.neighbours, ("below", "above"), strict=True):
             if neighbour is None:
                 continue
             own, other = neighbour.values
-            width = self.width / abs(other - own)
             system_at = member.towards(neighbour)
-            share = end_of_motion(system_at, run, settled, member.t_end, self.t_burn, width, **settings)
-            values[name] = None if share is None else own + share * (other - own)
-            if name.endswith("above"):
-                crossing = end_of_stability(system_at, width)
+            width = self.width / abs(other - own)
+            end = end_of_motion(system_at, run, settled, member.t_end, self.t_burn, width, **settings)
+            if end is not None:
+                values[f"motion_ends_{side}"] = own + 0.5 * (end.low + end.high) * (other - own)
+                values[f"motion_ends_{side}_error"] = 0.5 * (end.high - end.low) * abs(other - own)
+                values[f"motion_ends_{side}_cause"] = end.cause.value
+            if side == "above":
+                crossing = end_of_stability(system_at)
                 values["stability_changes"] = None if crossing is None else own + crossing * (other - own)
         return values

@@ -4,23 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
 
+from stickslip.sim.attractors.deviations import slip_rates
 from stickslip.sim.attractors.result import Attractor
-from stickslip.sim.attractors.settling import attractor, frequencies_of
+from stickslip.sim.attractors.settling import attractor, frequencies_of, persisting
 from stickslip.sim.numerics.arguments import Floats, number
 from stickslip.sim.numerics.session import numpy_arithmetic
 from stickslip.sim.runs.run import Run
 from stickslip.sim.simulation import simulate
 from stickslip.sim.systems.drive import Harmonic
-from stickslip.sim.systems.sliding import critical_mode
+from stickslip.sim.systems.sliding import RATE_ROUNDING, critical_mode
 from stickslip.sim.systems.system import System
 
 #: Kinds of attractors on which blocks may stick and slip.
 _MOTIONS = ("periodic", "torus", "irregular")
+#: Kinds that a longer run would not change.
+_PROVED = ("rest", "sliding", "periodic", "escaping")
+#: Of the way that is left, the first step of a cycle that is followed.
+_FIRST_STEP = 0.25
 
 
 @numpy_arithmetic()
@@ -82,12 +90,26 @@ class Settled(NamedTuple):
 
     def followed(self, system: System, t_end: float, t_burn: float, settings: dict[str, Any]) -> Settled:
         """Another system from the attractor of this one."""
+        start, z, w = self._onto(system)
+        run = simulate(system, z, w, start + t_end, t_start=start, **settings)
+        return Settled(system, run, attractor(run, system, min(start + t_burn, run.t_end), **settings))
+
+    def persisting(self, system: System, settings: dict[str, Any]) -> Settled | None:
+        """Another system on the same cycle, by Newton's method; None if it is not found, or does not attract."""
+        cycle = self.attractor
+        if cycle.kind != "periodic" or not cycle.n_exits or cycle.period is None or system.changes:
+            return None
+        start, z, w = self._onto(system)
+        run = simulate(system, z, w, start + cycle.period, t_start=start, **settings)
+        there = None if run.outcome == "diverged" else persisting(cycle, run, system, **settings)
+        return None if there is None else Settled(system, run, there)
+
+    def _onto(self, system: System) -> tuple[float, Floats, Floats]:
+        """When and where another system starts from the attractor of this one."""
         z, w, sticks = _at_end(self.run) if frequencies_of(system) else _on(self.attractor, self.run)
         start = _time_of_phase(system, self.system, self.run.t_end)
         v = system.belt_speed_at(start)
-        w = np.where(sticks | (system.closed * (w - v) > 0.0), v, w)
-        run = simulate(system, z, w, start + t_end, t_start=start, **settings)
-        return Settled(system, run, attractor(run, system, min(start + t_burn, run.t_end), **settings))
+        return start, z, np.where(sticks | (system.closed * (w - v) > 0.0), v, w)
 
     @property
     def sticks_and_slips(self) -> bool:
@@ -96,6 +118,47 @@ class Settled(NamedTuple):
             events, half = self.run.events, 0.5 * (self.run.events.t_start + self.run.t_end)
             return bool((events.is_exit & (events.t > half)).any())
         return self.attractor.kind in _MOTIONS and bool(self.attractor.n_exits != 0)
+
+    @property
+    def is_proved(self) -> bool:
+        """Whether what it settles on would be the same after a longer run."""
+        return self.attractor.kind in _PROVED
+
+    @property
+    def impact(self) -> float:
+        """The least rate at which a block comes to its belt's speed, squared: 0 where it only touches it.
+
+        It falls along a line to where the cycle grazes.
+        """
+        cycle, unit = self.attractor, self.system.of_unit_mass
+        assert cycle.events is not None
+        assert cycle.states is not None
+        events = cycle.events
+        modes = events.modes_at(events.t)
+        numbers = np.arange(len(events))
+        modes[numbers, events.block] = events.previous_mode
+        entries = (events.mode == 0) & self.system.has_friction[events.block]
+        rates = slip_rates(unit, cycle.states, modes)[numbers, events.block][entries]
+        return float(np.min(rates**2, initial=math.inf))
+
+
+class Cause(StrEnum):
+    """How the end of a motion along a key is known."""
+
+    MULTIPLIER = "multiplier"  #: that of the cycle comes to 1 there
+    GRAZING = "grazing"  #: a block of the cycle only touches its belt's speed there, and does not stick
+    CYCLE = (
+        "cycle"  #: the cycle attracts at one end of the interval, and a run from it settles elsewhere at the other
+    )
+    RUNS = "runs"  #: runs from it stick and slip to their ends, up to one end of the interval
+
+
+class End(NamedTuple):
+    """Between which shares of the way from one system to another a motion ends, and how that is known."""
+
+    low: float
+    high: float
+    cause: Cause
 
 
 @numpy_arithmetic()
@@ -107,8 +170,12 @@ def end_of_motion(
     t_burn: float,
     width: float,
     **settings: Any,
-) -> float | None:
-    """Where between two systems the stick-slip of a run ends, followed as by `continued`; None if it does not.
+) -> End | None:
+    """Where between two systems the stick-slip of a run ends; None if it does not.
+
+    A cycle is followed by Newton's method for as long as its multiplier is below 1. From there on, and of other
+    motions, runs are followed as by `continued`, from the last motion and from the first. An end is one of runs, and
+    depends on `t_end`, only if what is followed last is no cycle, or what comes then is not proved.
 
     Parameters
     ----------
@@ -119,47 +186,143 @@ def end_of_motion(
     t_end, t_burn, **settings
         Of each run, as of `continued`.
     width : float
-        To which the interval in which it ends is bisected; its middle is returned.
+        Of the interval in which it ends. It stays wider if near the end runs do not settle.
     """
-    last, low, high = Settled(system_at(0.0), run, attractor), 0.0, 1.0
-    if not last.sticks_and_slips:
+    first = Settled(system_at(0.0), run, attractor)
+    trace = Trace(system_at, width, settings, first)
+    if not first.sticks_and_slips:
         return None
+
+    def there(place: float) -> Settled:
+        """What follows there on what was followed last, or else on the first: another motion may last for longer."""
+        system = system_at(place)
+        following = trace.last.followed(system, t_end, t_burn, settings)
+        if following.sticks_and_slips or trace.last is first:
+            return following
+        attempt = first.followed(system, t_end, t_burn, settings)
+        return attempt if attempt.sticks_and_slips else following
+
+    high = 1.0
     while True:
         # the whole step first, and what lay beyond an end again from there: a long step may leave what still attracts
-        following = last.followed(system_at(high), t_end, t_burn, settings)
+        following = there(high)
         if following.sticks_and_slips:
             if high == 1.0:
                 return None
-            last, low, high = following, high, 1.0
+            trace.reach(high, following)
+            high = 1.0
             continue
-        if high - low <= width:
-            return 0.5 * (low + high)
-        while high - low > width:
-            middle = 0.5 * (low + high)
-            following = last.followed(system_at(middle), t_end, t_burn, settings)
+        trace.advance()
+        if trace.low >= 1.0:
+            return None
+        if trace.low >= high:
+            high = 1.0
+            continue
+        if high - trace.low <= width:
+            return trace.end(high, following)
+        while high - trace.low > width:
+            middle = 0.5 * (trace.low + high)
+            following = there(middle)
             if following.sticks_and_slips:
-                last, low = following, middle
+                trace.reach(middle, following)
+                trace.advance()
+                high = high if trace.low < high else 1.0
             else:
                 high = middle
 
 
-def end_of_stability(system_at: Callable[[float], System], width: float) -> float | None:
-    """Where between two systems the linear stability of steady sliding changes, bisected to a width; None: nowhere.
+@dataclass
+class Trace:
+    """A motion that is followed from one system, at 0, towards another, at 1.
+
+    Attributes
+    ----------
+    last, low : Settled, float
+        What was followed last, and where.
+    cycles : list of (float, Settled)
+        The cycles among what was followed, each of which attracts, with their places.
+    """
+
+    system_at: Callable[[float], System]
+    width: float
+    settings: dict[str, Any]
+    last: Settled
+    low: float = 0.0
+    cycles: list[tuple[float, Settled]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.reach(0.0, self.last)
+
+    def reach(self, place: float, settled: Settled) -> None:
+        """Go on from what is followed at a place."""
+        self.low, self.last = place, settled
+        if settled.attractor.kind == "periodic":
+            self.cycles.append((place, settled))
+
+    def advance(self) -> None:
+        """Follow a cycle by Newton's method, in steps that shrink where it fails, to an eighth of the width."""
+        step = _FIRST_STEP * (1.0 - self.low)
+        while self.low < 1.0 and step >= self.width / 8.0:
+            place = min(self.low + step, 1.0)
+            there = self.last.persisting(self.system_at(place), self.settings)
+            if there is None:
+                step *= 0.5
+            else:
+                self.reach(place, there)
+
+    def end(self, high: float, following: Settled) -> End:
+        """Between the place reached and one beyond it where something else follows."""
+        is_proved = following.is_proved
+        if not self.cycles or self.last.attractor.kind in ("irregular", "torus"):
+            return End(self.low, high, Cause.RUNS)
+        known, cycle = self.cycles[-1]
+        if self.low - known > self.width:  # between, runs neither settle nor are on a cycle
+            return End(known, high, Cause.CYCLE) if is_proved else End(self.low, high, Cause.RUNS)
+        for place, earlier in self.cycles[-2::-1]:
+            if known - place > self.width or earlier.attractor.n_exits != cycle.attractor.n_exits:
+                break
+            # 1 - multiplier falls along a line or, at a fold, as a root: then the line comes to 0 too late
+            for cause, number_of in ((Cause.MULTIPLIER, _to_one), (Cause.GRAZING, _impact)):
+                root = _root(place, number_of(earlier), known, number_of(cycle))
+                if root <= known + 0.5 * self.width:
+                    return End(known, root + (root - known), cause)
+        return End(known, high, Cause.CYCLE if is_proved else Cause.RUNS)
+
+
+def _to_one(settled: Settled) -> float:
+    """1 - multiplier; infinite if it has none."""
+    multiplier = settled.attractor.multiplier
+    return math.inf if multiplier is None else 1.0 - multiplier
+
+
+def _impact(settled: Settled) -> float:
+    return settled.impact if settled.attractor.kind == "periodic" else math.inf
+
+
+def _root(x: float, y: float, x_last: float, y_last: float) -> float:
+    """Where the line through two points comes to 0 beyond the last; infinite if it does not."""
+    return x_last + y_last * (x_last - x) / (y - y_last) if y > y_last and math.isfinite(y) else math.inf
+
+
+def end_of_stability(system_at: Callable[[float], System]) -> float | None:
+    """Where between two systems the linear stability of steady sliding changes; None: nowhere.
 
     `system_at` is as of `end_of_motion`.
     """
 
-    def is_stable(share: float) -> bool | None:
+    def rate(share: float) -> float | None:
         mode = critical_mode(system_at(share))
-        return None if mode is None else mode.is_stable
+        return None if mode is None else mode.rate - RATE_ROUNDING
 
-    first, low, high = is_stable(0.0), 0.0, 1.0
-    if first is None or first == is_stable(high):
+    def known(share: float) -> float:
+        growth = rate(share)
+        assert growth is not None  # friction depends on the speed of a belt that changes at both ends, or at neither
+        return growth
+
+    first, last = rate(0.0), rate(1.0)
+    if first is None or last is None or (first > 0.0) == (last > 0.0):
         return None
-    while high - low > width:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if is_stable(middle) == first else (low, middle)
-    return 0.5 * (low + high)
+    return float(brentq(known, 0.0, 1.0, xtol=1e-9))
 
 
 def _time_of_phase(system: System, before: System, t: float) -> float:

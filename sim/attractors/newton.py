@@ -29,7 +29,7 @@ _LONGER = 1.2
 _EXACT = 1e-14
 #: A run is near a cycle if its distance from it is within this share of the motion's size, now and by M in as many
 #: rounds as here: from further off a block that is near its belt's speed, or near leaving, may have another event.
-_FAR, _ROUNDS = 3e-3, 100
+FAR, _ROUNDS = 3e-3, 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +55,8 @@ def near_cycle(
     in_order: Callable[[EventSeries], EventSeries],
     follow: Follow,
     size_of: Callable[[Path], float],
+    counted: NDArray[np.bool_] | None = None,
+    far: float = FAR,
 ) -> Near | None:
     """The cycle near a state at an entry or a crossing, if a run from that state is on its way to it; else None.
 
@@ -66,7 +68,7 @@ def near_cycle(
     events : EventSeries
         From that state on, the event there first, at time 0, for one round at least.
     n_events : int
-        Of a round.
+        Of a round, of the blocks that count.
     back : float
         By how much of the motion's size the state may miss itself.
     in_order : callable
@@ -74,33 +76,46 @@ def near_cycle(
     follow : Follow
     size_of : callable
         The size of the motion on a path.
+    counted : bool, shape (n,), optional
+        The blocks whose events have to be those of the round; default: all.
+    far : float
+        How far from its cycle, of the size of its motion, a run may be to be on its way to it.
     """
     n, p = system.n, n_events
+    is_counted = np.full(n, True) if counted is None else counted
     first = z, w
-    order = 1 + by_block(events.block[1:p])
+    round_events = np.flatnonzero(is_counted[events.block])[1:p]
+    order = round_events[by_block(events.block[round_events])]
     expected, symbol = (events.block[order], events.mode[order]), (events.block[0], events.mode[0])
     block, mode = int(symbol[0]), int(symbol[1])
     before = events.initial_mode
     modes = before.copy()
     modes[block] = mode
-    period = float(events.t[p])
+    period = float(events.t[-1])
     missed = math.inf
     is_held = (modes == 0) | (np.arange(n) == block)
     nearest, is_on_its_way = None, False
     for _ in range(_MOST):
         w = np.where(is_held, system.belt_speed_at(0.0), w)
+        sides = np.where(
+            w < system.belt_speed_at(0.0), -1, 1
+        )  # of its belt's speed, on which a block is that does not count
+        before, modes = (np.where(is_counted, mode_of, sides).astype(np.int8) for mode_of in (before, modes))
         if not _are_allowed(system, z, w, modes):
             break
         after = in_order(follow(z, w, modes, (0.0, _LONGER * period), np.empty(0)).events)
-        if len(after) < p or (after.block[p - 1], after.mode[p - 1]) != symbol:
+        places = np.flatnonzero(is_counted[after.block])[:p]
+        if len(places) < p or (after.block[places[-1]], after.mode[places[-1]]) != symbol:
             break
-        order = by_block(after.block[: p - 1])
+        n_after = int(places[-1]) + 1  # with those of blocks that do not count
+        order = places[by_block(after.block[places[:-1]])]
         if (after.block[order] != expected[0]).any() or (after.mode[order] != expected[1]).any():
             break
-        t = np.append(0.0, after.t[:p])
+        t = np.append(0.0, after.t[:n_after])
         round_ = replace(
-            after, t=t, block=np.append(block, after.block[:p]).astype(after.block.dtype),
-            mode=np.append(mode, after.mode[:p]).astype(after.mode.dtype), initial_mode=before, t_end=float(t[-1]),
+            after, t=t, block=np.append(block, after.block[:n_after]).astype(after.block.dtype),
+            mode=np.append(mode, after.mode[:n_after]).astype(after.mode.dtype), initial_mode=before,
+            t_end=float(t[-1]),
         )  # fmt: skip
         ending = partial(_samples, follow, z, w, modes, float(t[-1]))
         path = Path.of(system, round_, t, ending)
@@ -117,7 +132,7 @@ def near_cycle(
         if np.abs(error).max() <= back * size:
             start = np.concatenate([first[0] - z, first[1] - w]) - step  # to where the next step leads
             nearest = Near(round_, path, matrix, float(np.linalg.norm(start)) / size)
-            is_on_its_way = _stays_within(_FAR * size, matrix, start)
+            is_on_its_way = _stays_within(far * size, matrix, start)
         missed, period = off_by, float(t[-1])
         if missed <= _EXACT * size:
             break

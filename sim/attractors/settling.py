@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stickslip.sim.attractors.deviations import Path, largest
 from stickslip.sim.attractors.growth import TOL, Growth, growth
-from stickslip.sim.attractors.newton import near_cycle
+from stickslip.sim.attractors.newton import FAR, Near, near_cycle
 from stickslip.sim.attractors.null_space import NULL, across, null_space
 from stickslip.sim.attractors.result import Attractor
 from stickslip.sim.attractors.rounds import Round, in_order, rounds_of, symbols_of
@@ -113,6 +113,20 @@ def attractor(run: Run, system: System, t_burn: float = 0.0, *, engine: str = DE
         return _End(run, system, max([t_burn, *bends]), tolerances, {"engine": engine, **settings}).found()
     except _Diverges as why:
         return Attractor("escaping", str(why))
+
+
+def persisting(
+    cycle: Attractor, run: Run, system: System, *, engine: str = DEFAULT, **settings: Any
+) -> Attractor | None:
+    """The cycle of a system that has the events of that of a system nearby, by Newton's method, if it attracts.
+
+    Whatever the run's length: it has begun on the other's cycle. Of systems whose drive depends on time it is None.
+    """
+    tolerances = as_engine(engine, settings).tolerances
+    try:
+        return _End(run, system, run.events.t_start, tolerances, {"engine": engine, **settings}).persisting(cycle)
+    except _Diverges:
+        return None
 
 
 def frequencies_of(system: System) -> list[float]:
@@ -373,43 +387,70 @@ class _End:
 
     def _settled(self, cycle: Round) -> Attractor | None:
         """The cycle that the run comes nearer to, if it attracts; else None."""
+        p = cycle.n_events
+        near = self._near(cycle)
+        if near is None:
+            return None
+        found, drift, multiplier = near
+        size = self._size(found.path)
+        if found.distance * size > found.path.extent(drift) / _LARGER:
+            return None  # it dies out
+        if (part := self._part(found.path, found.events, drift, size)) < p:
+            return self._settled(Round(part, cycle.period * part / p, is_back=False))
+        why = f"it settles on a cycle of {p} events, which attracts and is {found.distance:.1g} away"
+        return self._cycle(found, drift, multiplier, why)
+
+    def persisting(self, cycle: Attractor) -> Attractor | None:
+        """The cycle of this system that has the events of another's, which the run came from, if it attracts.
+
+        Blocks without friction may pass the speeds of their belts otherwise.
+        """
+        assert cycle.events is not None
+        assert cycle.period is not None
+        counted = self._system.has_friction
+        n_events = int(counted[cycle.events.block].sum())
+        if n_events == 0 or not self._has_newton(len(cycle.events)):
+            return None
+        near = self._near(Round(n_events, cycle.period, is_back=False), counted, math.inf)
+        why = f"the cycle of {n_events} events lasts, and attracts"
+        return None if near is None else self._cycle(*near, why)
+
+    def _near(
+        self, cycle: Round, counted: NDArray[np.bool_] | None = None, far: float = FAR
+    ) -> tuple[Near, Floats, float] | None:
+        """The cycle that follows on the run, its drift and multiplier, by Newton's method; None if it is none."""
         s, p = self._system, cycle.n_events
         if not self._has_newton(p):
             return None
+        is_counted = np.full(s.n, True) if counted is None else counted
         after = self._follow(2.2 * cycle.period, np.empty(0)).events
         events = in_order(after, 0, self._at_once)
         # from an event at which the block has its belt's speed, whatever the state
-        places = np.flatnonzero((events.mode == 0) | (events.previous_mode != 0))
-        if len(places) == 0 or len(events) <= places[0] + p:
+        is_at_belt = ((events.mode == 0) | (events.previous_mode != 0)) & is_counted[events.block]
+        k = int(np.argmax(is_at_belt)) if is_at_belt.any() else len(events)
+        places = k + np.flatnonzero(is_counted[events.block[k:]])
+        if len(places) <= p:
             return None
-        k = int(places[0])
         t = events.t[k]
         at = self._follow(float(t), np.array([t])).samples
-        once = slice(k, k + p + 1)
+        once = slice(k, int(places[p]) + 1)
         round_ = replace(events, t=events.t[once] - t, block=events.block[once], mode=events.mode[once],
                          initial_mode=events.mode_after(k))  # fmt: skip
 
         found = near_cycle(s, at.z[0], at.w[0], round_, p, self._close,
-                           lambda some: in_order(some, 0, self._at_once), self._run_from, self._size)  # fmt: skip
+                           lambda some: in_order(some, 0, self._at_once), self._run_from, self._size,
+                           counted, far)  # fmt: skip
         if found is None or not found.path.is_differentiable(self._at_once):
             return None
-        size = self._size(found.path)
-        drift = self._drift(found.path, size)
-        if drift is None:
-            return None
-        if found.distance * size > found.path.extent(drift) / _LARGER:
-            return None  # it dies out
+        drift = self._drift(found.path, self._size(found.path))
         multiplier = self._multiplier(found.matrix)
-        if multiplier >= 1.0 - self._back:
-            return None
-        if (part := self._part(found.path, found.events, drift, size)) < p:
-            return self._settled(Round(part, cycle.period * part / p, is_back=False))
+        return None if drift is None or multiplier >= 1.0 - self._back else (found, drift, multiplier)
+
+    def _cycle(self, found: Near, drift: Floats, multiplier: float, why: str) -> Attractor:
         period = float(found.events.t[-1])
         listed, states = _from_lowest(found.path, found.events, period, drift)
-        why = f"it settles on a cycle of {p} events, which attracts and is {found.distance:.1g} away"
-        return Attractor(
-            "periodic", why, period, multiplier, None, drift, listed, states, self._extent(found.path), null_space(s)
-        )
+        size, free = self._extent(found.path), null_space(self._system)
+        return Attractor("periodic", why, period, multiplier, None, drift, listed, states, size, free)
 
     def _drift(self, path: Path, size: float, larger: float = _LARGER) -> Floats | None:
         """By what z has moved without a change of the forces, if the last state of a round is otherwise the first.

@@ -395,7 +395,11 @@ def along_belts(planted_runs, columns, matrices=1):
 @pytest.mark.parametrize(
     ("columns", "sentence"),
     [
-        (ENDS, "both attract at belt_speed = 2.5 to 4.1, bounded by linear stability below and by runs above."),
+        (
+            ENDS,
+            "both attract at belt_speed = 2.5 to 4.1, bounded by linear stability below and by runs to t = 1000"
+            " above.",
+        ),
         (ENDS[:2], "both attract at belt_speed = 3 to 4."),
     ],
 )
@@ -409,7 +413,7 @@ def test_where_steady_sliding_and_stick_slip_both_attract_leads(planted_runs, se
     assert stability["blocks"].tolist() == ["0"] * 6
     ends = answered.tables["boundaries"]
     is_refined = len(columns) > 2
-    assert ends["found_by"].tolist() == ["linear stability", "runs"] * is_refined
+    assert ends["found_by"].tolist() == ["linear stability", "runs to t = 1000"] * is_refined
     assert ends["value"].tolist() == pytest.approx([2.5, 4.1] * is_refined)
 
 

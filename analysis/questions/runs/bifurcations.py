@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -14,12 +15,14 @@ from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import plural
 from stickslip.analysis.models.attractors import IRREGULAR, PERIODIC, REST, SLIDING, TORUS
+from stickslip.analysis.questions.runs.coexistence import Boundary
 from stickslip.analysis.questions.runs.settled import Grid, Setting
 from stickslip.analysis.style import GREY, panel
 from stickslip.pipeline.design.units import DIMENSIONLESS, Units
 from stickslip.sim.numerics.arguments import Floats
 
 MOST_DIAGRAMS = 3  # at values of a second key
+SPLIT = "Branches split where a cycle gets more exits."
 _ONE_DOT = 1e-3  # of the range of values: what is closer is drawn once
 _VECTORS = 2000  # more marks than this are a bitmap inside the SVG
 _DECADES = 30.0  # largest over least value from which an axis is logarithmic
@@ -41,10 +44,11 @@ class Sections(NamedTuple):
     period: Floats
     n_left_out: int
     title: str = "z"
+    ends: Sequence[float] = ()
 
 
-def pictures(study: Study, grid: Grid) -> dict[str, Picture]:
-    """The diagrams of some lines along the first axis, if its values are numbers."""
+def pictures(study: Study, grid: Grid, boundaries: Sequence[Boundary] = ()) -> dict[str, Picture]:
+    """The diagrams of some lines along the first axis, if its values are numbers, with ends of attraction."""
     lines = [
         line
         for line in _lines(grid)
@@ -54,10 +58,16 @@ def pictures(study: Study, grid: Grid) -> dict[str, Picture]:
     figures: dict[str, Picture] = {}
     for k in places:
         setting = lines[k][0]
-        sections, where = _sections(study, lines[k]), grid.beside(setting) + Place.of(setting.method)
+        places_on_line = {str(setting.where) for setting in lines[k]}
+        ends = sorted({boundary.value for boundary in boundaries if boundary.setting in places_on_line})
+        sections, where = (
+            _sections(study, lines[k])._replace(ends=ends),
+            grid.beside(setting) + Place.of(setting.method),
+        )
         left_out = f" Left out: {plural(sections.n_left_out, 'run')}, undecided or without limit."
         caption = (
-            "Branches split where a cycle gets more exits. z of the block with most exits, at its exits;"
+            f"{'Between dashed lines, the ends of attraction, several motions may attract.' if ends else SPLIT}"
+            " z of the block with most exits, at its exits;"
             f" below, the largest multiplier and the period of each cycle{f' ({where})' if where else ''}."
             f"{left_out * bool(sections.n_left_out)}"
         )
@@ -129,6 +139,8 @@ def bifurcation(
         ax.plot(*points, "o", color="black", ms=1.8, markeredgewidth=0, rasterized=points.shape[1] > _VECTORS)
         top = max(points[1].max(initial=0.0), float(name == "multiplier")) or 1.0
         ax.set(ylabel=units.label(name, "time") if name == "period" else name, ylim=(-0.08 * top, 1.1 * top))
+    for ax, end in product(axes, sections.ends):
+        ax.axvline(end, color=GREY, linewidth=0.8, linestyle="--")
     middle.axhline(1.0, color=GREY, linewidth=0.8, linestyle="--")
     x = np.concatenate([points[0] for points in sections.z.values()])
     below.set(xlabel=key, xscale="log" if x.min() > 0 and x.max() > _DECADES * x.min() else "linear")

@@ -10,6 +10,7 @@ from stickslip.analysis.findings.finding import Finding
 from stickslip.analysis.grid import axes_of
 from stickslip.analysis.pairs import settings
 from stickslip.analysis.questions.runs import engines, robustness, sweep
+from stickslip.analysis.questions.runs.coexistence import is_asked
 
 MOST_LEADING, MOST_ALERTS = 3, 3
 
@@ -52,10 +53,10 @@ def answer(study: Study) -> Answer | None:
 
 
 def _leads(study: Study) -> bool:
-    """Whether the scene is about changes: it sweeps a key, or perturbs its systems."""
-    return bool(axes_of(study.groups)) or bool(settings(study.data.table))
+    """Whether the scene is about changes: it sweeps a key, and not to see what attracts, or perturbs its systems."""
+    return not is_asked(study) and (bool(axes_of(study.groups)) or bool(settings(study.data.table)))
 
 
 QUESTION = Question(
-    answer, title="What changes, and by how much?", share=0.4, rank=1, leads=_leads, beside=("sensitivity",)
+    answer, title="What changes, and by how much?", share=0.4, rank=1, leads=_leads, beside=lambda _: ("sensitivity",)
 )

@@ -9,9 +9,10 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Attracting, Bound
+from stickslip.analysis.findings.finding import Attracting, Basis, Bound
+from stickslip.analysis.findings.numbers import to_error
 from stickslip.analysis.findings.place import Place
-from stickslip.analysis.findings.words import listed
+from stickslip.analysis.findings.words import bound_in_words, listed
 from stickslip.analysis.models.attractors import IRREGULAR, PERIODIC, REST, SLIDING, TORUS
 from stickslip.analysis.models.fates import is_unstable
 from stickslip.analysis.questions.runs.settled import Grid, Setting
@@ -37,13 +38,28 @@ class Stability(NamedTuple):
 
 
 class Boundary(NamedTuple):
-    """An end of attraction beside a setting, and how it was found."""
+    """An end of attraction beside a setting, between `low` and `high`, and how it was found."""
 
     setting: str
     key: str
     what: str
     value: float
+    low: float
+    high: float
     found_by: str
+
+
+class Stop(NamedTuple):
+    """Where a motion or steady sliding ends, within an error on either side, and how that is known."""
+
+    value: float
+    error: float
+    by: Bound
+
+    @property
+    def text(self) -> str:
+        """With as many digits as its error leaves."""
+        return to_error(self.value, self.error)
 
 
 def stability(study: Study, grid: Grid) -> list[Stability]:
@@ -81,31 +97,39 @@ def _blocks(shape: Floats | None, names: Sequence[str]) -> str:
 
 
 def boundaries(study: Study, grid: Grid) -> list[Boundary]:
-    """All ends that were refined, of each setting the outermost; of several systems their medians."""
+    """All ends that were refined, of each setting the outermost; of several systems those of the median."""
     rows = []
     for line in _lines(study, grid):
         for setting in line.settings:
-            for what, name, of in (
-                ("steady sliding changes its stability", "stability_changes", np.nanmedian),
-                ("stick-slip ends below", "motion_ends_below", np.nanmin),
-                ("stick-slip ends above", "motion_ends_above", np.nanmax),
+            for what, stops, place in (
+                ("steady sliding changes its stability", line.crossings(setting), -1),
+                ("stick-slip ends below", line.stops(setting, "below"), 0),
+                ("stick-slip ends above", line.stops(setting, "above"), -1),
             ):
-                if not np.isnan(numbers := line.numbers(name, setting)).all():
-                    by = Bound.STABILITY if name == "stability_changes" else Bound.RUNS
-                    value = float(of(numbers) if setting.of_starts else np.nanmedian(numbers))
-                    rows.append(Boundary(str(setting.where), line.key, what, value, by.value))
+                if stops:
+                    stop = sorted(stops)[place if setting.of_starts else len(stops) // 2]
+                    ends = stop.value, stop.value - stop.error, stop.value + stop.error
+                    by = bound_in_words(stop.by, study.settings.at(setting.t_end))
+                    rows.append(Boundary(str(setting.where), line.key, what, *ends, by))
     return rows
 
 
+def is_asked(study: Study) -> bool:
+    """Whether it is asked where along a key what attracts: ends or stability are recorded, beside attractors."""
+    is_recorded = bool({"critical_rate", "stability_changes"} & {*study.data.recorded})
+    along = axis_of_numbers(study.data.table.design.axes)
+    return is_recorded and along is not None and "attractor" in study.data.table.own
+
+
 def attracting(study: Study, grid: Grid) -> tuple[list[Attracting], list[Attracting]]:
-    """Stretches along the first key at which several things attract one system; and where steady sliding does."""
+    """Stretches along the first key at which several things attract one system; and if asked, those of each."""
     several: list[Attracting] = []
-    sliding: list[Attracting] = []
+    each: list[Attracting] = []
     for line in _lines(study, grid):
         if all(len({*study.data.table.own["matrix"].iloc[setting.runs.rows]}) == 1 for setting in line.settings):
             several += line.several()
-            sliding += line.sliding()
-    return several, sliding
+            each += line.each() if is_asked(study) else ()
+    return several, each
 
 
 class _Line(NamedTuple):
@@ -118,9 +142,26 @@ class _Line(NamedTuple):
     x: Sequence[float]
     is_refined: bool
 
-    def numbers(self, name: str, setting: Setting) -> Floats:
-        """What was refined beside a setting, of each run; empty if nothing was."""
-        return self.study.number(name)[setting.runs.rows] if self.is_refined else np.empty(0)
+    def crossings(self, setting: Setting) -> list[Stop]:
+        """Where steady sliding changes its stability above a setting, of each run in which it does."""
+        return [Stop(x, 0.0, Bound.STABILITY) for x in self._numbers("stability_changes", setting) if not np.isnan(x)]
+
+    def stops(self, setting: Setting, side: str) -> list[Stop]:
+        """Where the stick-slip of a setting ends on one side of it, of each run in which it does."""
+        name, members = f"motion_ends_{side}", self.study.data.table.own
+        values, errors = self._numbers(name, setting), self._numbers(f"{name}_error", setting)
+        rows = setting.runs.rows
+        causes = members[f"{name}_cause"].iloc[rows] if f"{name}_cause" in members else [Bound.RUNS.name] * len(rows)
+        return [
+            Stop(value, error, Bound[cause.upper()])
+            for value, error, cause in zip(values.tolist(), errors.tolist(), causes, strict=True)
+            if not np.isnan(value)
+        ]
+
+    def _numbers(self, name: str, setting: Setting) -> Floats:
+        """What was refined beside a setting, of each run; without a value if that was not recorded."""
+        is_recorded = self.is_refined and name in self.study.data.recorded
+        return self.study.number(name)[setting.runs.rows] if is_recorded else np.full(len(setting.runs.rows), np.nan)
 
     def is_stable(self, setting: Setting) -> bool | None:
         """Whether steady sliding is linearly stable; None where that is not recorded."""
@@ -140,38 +181,42 @@ class _Line(NamedTuple):
             if len(nouns) > 1:
                 yield self._between(nouns, first, last)
 
-    def sliding(self) -> Iterator[Attracting]:
-        for is_stable, first, last in _stretches([self.is_stable(setting) for setting in self.settings]):
-            if is_stable:
-                yield self._between((_NOUNS[SLIDING],), first, last)
+    def each(self) -> Iterator[Attracting]:
+        nouns = [self.nouns(setting) for setting in self.settings]
+        for noun in dict.fromkeys(noun for names in reversed(nouns) for noun in reversed(names)):
+            for attracts, first, last in _stretches([noun in names for names in nouns]):
+                if attracts:
+                    yield self._between((noun,), first, last)
 
     def _between(self, nouns: tuple[str, ...], first: int, last: int) -> Attracting:
         low, low_by = self._end(nouns, first, -1)
         high, high_by = self._end(nouns, last, 1)
-        return Attracting(nouns, self.key, low, high, low_by, high_by, self.where)
+        settings = self.settings[first : last + 1]
+        horizon = self.study.settings.at(settings[0].t_end)
+        basis = Basis(sum(len(setting.runs.rows) for setting in settings), "run")
+        return Attracting(nouns, self.key, low, high, low_by, high_by, self.where, basis, horizon)
 
     def _end(self, nouns: tuple[str, ...], k: int, step: int) -> tuple[str, Bound]:
         """Where a stretch ends beyond the k-th setting: the nearest end that was refined, or that setting."""
         setting, beyond = self.settings[k], k + step
         if not self.is_refined or not 0 <= beyond < len(self.settings):
             return in_words(setting.at[0]), Bound.SETTING
-        there, nearest = self.settings[beyond], min if step > 0 else max
-        ends: list[tuple[float, Bound]] = []
+        there = self.settings[beyond]
+        stops: list[Stop] = []
         if self.is_stable(there) is False and _NOUNS[SLIDING] in nouns:
-            crossings = self.numbers("stability_changes", self.settings[min(k, beyond)])
-            ends += [(float(x), Bound.STABILITY) for x in crossings[~np.isnan(crossings)][:1]]
+            stops += self.crossings(self.settings[min(k, beyond)])[:1]
         if _STICK_SLIP in nouns and _STICK_SLIP not in self.nouns(there):
-            followed = np.isin(setting.runs.kinds, [kind for kind, noun in _NOUNS.items() if noun == _STICK_SLIP])
-            name = "motion_ends_above" if step > 0 else "motion_ends_below"
-            stops = self.numbers(name, setting)[followed]
-            # one that is followed all the way attracts beyond, though no run began near it
-            lasts = np.isnan(stops).any()
-            furthest = self.x[beyond] if lasts else float(stops.max() if step > 0 else stops.min())
-            ends.append((furthest, Bound.RUNS))
-        if not ends:
+            ends = self.stops(setting, "above" if step > 0 else "below")
+            n_followed = np.isin(setting.runs.kinds, [kind for kind, noun in _NOUNS.items() if noun == _STICK_SLIP])
+            if len(ends) < n_followed.sum() and not stops:
+                # one that is followed all the way attracts there, though no run began near it
+                return in_words(there.at[0]), Bound.SETTING
+            if len(ends) == n_followed.sum():
+                stops.append(max(ends) if step > 0 else min(ends))
+        if not stops:
             return in_words(setting.at[0]), Bound.SETTING
-        value, by = nearest(ends, key=lambda end: end[0])
-        return f"{value:.4g}", by
+        nearest = min(stops) if step > 0 else max(stops)
+        return nearest.text, nearest.by
 
 
 def _lines(study: Study, grid: Grid) -> Iterator[_Line]:

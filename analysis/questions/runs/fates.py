@@ -92,8 +92,10 @@ METHOD_OF_ATTRACTORS = (
 )
 
 METHOD_OF_ENDS = (
-    "Steady sliding ends where an eigenvalue of the all-slip system crosses; stick-slip is followed from run to run"
-    " until it ends. Both are bisected to the width `refine` of the scene."
+    "Steady sliding ends where an eigenvalue of the all-slip system crosses. A cycle is followed by Newton's method"
+    " until its multiplier comes to 1 (instability), or a block just fails to stick (grazing), or it is not found."
+    " Such ends do not depend on the length of runs; other stick-slip is followed from run to run. The last digit of"
+    " an end is about as wide as the interval to which it is bisected (`refine` in the scene)."
 )
 
 
@@ -121,9 +123,12 @@ def answer(study: Study) -> Answer | None:
     grid = grid_of(study)
     ends = [_ends(study, setting) for setting in grid.settings if not setting.is_recorded]
     leading, secondary = _findings(study, grid, ends)
-    several, sliding = coexistence.attracting(study, grid)
+    several, each = coexistence.attracting(study, grid)
     boundaries = coexistence.boundaries(study, grid)
-    leading, secondary = [*several[:1], *leading], [*several[1:], *sliding, *secondary]
+    first = [*several, *each] if each else several[:1]
+    n_first = MOST_LEADING if each else len(first)
+    secondary = [*first[n_first:], *(leading if each else several[1:]), *secondary]
+    leading = [*first[:n_first], *([] if each else leading)]
     shares = [
         portion
         for setting in grid.settings
@@ -136,7 +141,11 @@ def answer(study: Study) -> Answer | None:
     recorded = {group.label for setting in grid.settings if setting.is_recorded for group in setting.groups}
     short = [row.group for row in tested if row.is_short and row.group not in recorded]
     figures = fate_figures.pictures(study, grid, {row.setting.where: row.curve for row in ends})
-    figures |= bifurcations.pictures(study, grid)
+    figures = (
+        bifurcations.pictures(study, grid, boundaries) | figures
+        if each
+        else figures | bifurcations.pictures(study, grid)
+    )
     figures |= _along_t_burn(study, by_t_burn, short, len(figures) > 1)
     return Answer(
         findings=[*leading, *secondary] or [Lack("what became of the runs", Reason.ALL_FAILED)],
@@ -401,5 +410,5 @@ QUESTION = Question(
     share=0.01,
     rank=2,
     leads=_leads,
-    beside=("changes",),
+    beside=lambda study: () if coexistence.is_asked(study) else ("changes",),
 )

@@ -470,5 +470,10 @@ def _first_run(study: Study, group: Group) -> tuple[int, cascade_figures.Largest
 
 
 QUESTION = Question(
-    answer, "How do cascade sizes fall off?", share=0.2, of_cascades=True, rank=5, beside=("collective", "fates")
+    answer,
+    "How do cascade sizes fall off?",
+    share=0.2,
+    of_cascades=True,
+    rank=5,
+    beside=lambda _: ("collective", "fates"),
 )
