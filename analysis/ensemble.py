@@ -26,6 +26,8 @@ from stickslip.analysis.stats.compare import mean_within, share_over_matrices
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
 from stickslip.analysis.stats.quantities import QUANTITIES
 from stickslip.sim.numerics.arguments import apart, did_you_mean
+from stickslip.sim.runs.run import Samples
+from stickslip.sim.runs.series import EventSeries
 
 T = TypeVar("T")
 _TOGETHER = 100_000  # members that are asked about at once
@@ -137,6 +139,9 @@ class Data:
         without one is left out.
     is_loaded : bool
         Whether loading is adiabatic: time stands still while blocks slip.
+    again : callable, optional
+        Runs a member again: of its id, a time and a number, its events, and as many states from then to its end, in
+        the units of the data; None where that takes code or files that are no part of the data.
     """
 
     table: Members
@@ -148,6 +153,7 @@ class Data:
     recorded: Mapping[str, Recorded] = field(default_factory=dict)
     lists: Mapping[str, Mapping[str, np.ndarray]] = field(default_factory=dict)
     is_loaded: bool = False
+    again: Callable[[str, float, int], tuple[EventSeries, Samples] | None] | None = None
 
     def __post_init__(self) -> None:
         arguments.instance("table", self.table, Members)

@@ -6,6 +6,7 @@ import hashlib
 import json
 import re
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from itertools import starmap
 
@@ -22,7 +23,7 @@ from stickslip.analysis.page.parts import NO_VALUE, Answered, Row, Said
 from stickslip.analysis.questions import renamed
 from stickslip.analysis.rows import frame_of
 from stickslip.analysis.session import defaults
-from stickslip.pipeline import Scene, StoreError
+from stickslip.pipeline import Scene, StoreError, expand
 from stickslip.pipeline.dataset.opened import Opened, open_dataset
 from stickslip.pipeline.design.design import Coordinates
 from stickslip.pipeline.errors import printable
@@ -40,6 +41,8 @@ from stickslip.pipeline.query import (
     series,
 )
 from stickslip.pipeline.scene.columns import DESIGN
+from stickslip.sim.runs.run import Samples
+from stickslip.sim.runs.series import EventSeries
 from stickslip.version import __version__
 from stickslip.workflows.fresh import LIST, UNFINISHED, made_from, name_of
 from stickslip.workflows.scenes import with_known_questions
@@ -118,6 +121,26 @@ def _data(opened: Opened, whole: bool = False) -> Data:
             if column.kind == "numbers"
         },
         is_loaded=scene.run.load is not None,
+        again=partial(_again, opened),
+    )
+
+
+def _again(opened: Opened, member_id: str, since: float, n: int) -> tuple[EventSeries, Samples] | None:
+    """A member run again: its events, and n states from a time to its end, in the units of the data.
+
+    None where its system or its start is no part of the dataset: a reader of it runs no code and opens no file.
+    """
+    members = expand(opened.scene)
+    member = next(member for name, member in zip(members.ids(), members, strict=True) if name == member_id)
+    if member.source.origin is not None or member.begin.ends is not None:
+        return None
+    length, speed = member.state_scales
+    time = length / speed
+    run = member.simulate(np.linspace(min(since / time, member.t_end), member.t_end, n))
+    states, events = run.samples, run.events
+    scaled = replace(events, t=events.t * time, t_start=events.t_start * time, t_end=events.t_end * time)
+    return replace(scaled, unit=opened.scene.unit_names.time), Samples(
+        states.t * time, states.z * length, states.w * speed
     )
 
 

@@ -440,6 +440,8 @@ class Attracting:
         The ends of the stretch.
     horizon : str
         How long the runs are by which an end may be known.
+    ends : tuple of Level
+        Those ends that are known better than by settings.
     """
 
     attractors: tuple[str, ...]
@@ -451,6 +453,7 @@ class Attracting:
     where: Place = EVERYWHERE
     basis: Basis | None = None
     horizon: str = ""
+    ends: tuple[Level, ...] = ()
 
     @property
     def stretch(self) -> str:
@@ -550,7 +553,7 @@ def levels(finding: Finding) -> list[Level]:
             return [Level(_share("regime", things, predicate), share, where, basis=basis)]
         case Attracting(attractors, key, where=where, basis=basis):
             quantity = Quantity("attracting", f"where {' and '.join(attractors)} attract")
-            return [Level(quantity, Estimate(), Place.key(key, finding.stretch) + where, basis=basis)]
+            return [Level(quantity, Estimate(), Place.key(key, finding.stretch) + where, basis=basis), *finding.ends]
         case Regime():
             return []  # what some do has shares of its own
         case Decided(_, reason):

@@ -17,6 +17,7 @@ from stickslip.analysis.models.attractors import Cycle, alike, plane
 from stickslip.analysis.questions.runs import fates
 from stickslip.analysis.questions.runs.fate_figures import LOOKS
 from stickslip.analysis.questions.runs.settled import PREDICATES, Outcome, stretches
+from stickslip.sim import System, simulate
 from stickslip.sim.attractors.result import Kind
 from tests.analysis.designs import Data
 
@@ -427,3 +428,28 @@ def test_without_these_records_nothing_of_it_is_said(over_two, settings):
     tables = fates.answer(Study(over_two, settings)).tables
     assert tables["stability"].empty
     assert tables["boundaries"].empty
+
+
+# ---------------------------------------------------------------------------------------------- a typical run
+
+
+def test_the_cycle_nearest_the_median_is_drawn_with_its_frequency(planted_runs, settings):
+    """Of periods 5, 7 and 20 that of 7 is run again: a block whose spectrum peaks at one over its period."""
+    block = System([[1.0]], 0.0, 1.0, -0.2, static=1.3)
+    run = simulate(block, 0.0, -0.2, t_end=420.0, t_eval=np.linspace(100.0, 420.0, 4096))
+    asked = []
+
+    def again(name, since, n):
+        asked.append((name, since))
+        return run.events, run.samples
+
+    data = planted_runs([cycle(period, 0.1, 1) | {"matrix": k} for k, period in enumerate((5.0, 7.0, 20.0))])
+    picture = fates.answer(Study(replace(data, again=again), settings)).figures["typical_periodic"]
+    assert asked == [("m1", settings.t_burn)]
+    assert "run m1, whose period is nearest the median of 3 runs" in picture.caption
+    plane, _, spectrum = picture.recipe().axes
+    frequency, density = spectrum.lines[0].get_data()
+    period = np.diff(run.events.t[run.events.is_exit])[-1]  # 7.32
+    assert frequency[np.argmax(density)] == pytest.approx(1.0 / period, abs=4.0 / 320.0)
+    assert plane.lines[0].get_ydata().min() == pytest.approx(-0.2, abs=1e-3)
+    assert "typical_periodic" not in fates.answer(Study(data, settings)).figures

@@ -66,7 +66,7 @@ def pictures(study: Study, grid: Grid, boundaries: Sequence[Boundary] = ()) -> d
         )
         left_out = f" Left out: {plural(sections.n_left_out, 'run')}, undecided or without limit."
         caption = (
-            f"{'Between dashed lines, the ends of attraction, several motions may attract.' if ends else SPLIT}"
+            f"{'Dashed: where steady sliding or stick-slip begins or ceases to attract.' if ends else SPLIT}"
             " z of the block with most exits, at its exits;"
             f" below, the largest multiplier and the period of each cycle{f' ({where})' if where else ''}."
             f"{left_out * bool(sections.n_left_out)}"

@@ -9,13 +9,14 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from stickslip.analysis.ensemble import Study
-from stickslip.analysis.findings.finding import Attracting, Basis, Bound
+from stickslip.analysis.findings.finding import Attracting, Basis, Bound, Level, Quantity
 from stickslip.analysis.findings.numbers import to_error
 from stickslip.analysis.findings.place import Place
 from stickslip.analysis.findings.words import bound_in_words, listed
 from stickslip.analysis.models.attractors import IRREGULAR, PERIODIC, REST, SLIDING, TORUS
 from stickslip.analysis.models.fates import is_unstable
 from stickslip.analysis.questions.runs.settled import Grid, Setting
+from stickslip.analysis.stats.estimates import Estimate
 from stickslip.pipeline.design.design import axis_of_numbers, in_words
 from stickslip.sim.numerics.arguments import Floats
 
@@ -56,8 +57,7 @@ class Stop(NamedTuple):
     error: float
     by: Bound
 
-    @property
-    def text(self) -> str:
+    def __str__(self) -> str:
         """With as many digits as its error leaves."""
         return to_error(self.value, self.error)
 
@@ -139,7 +139,6 @@ class _Line(NamedTuple):
     key: str
     where: Place
     settings: Sequence[Setting]
-    x: Sequence[float]
     is_refined: bool
 
     def crossings(self, setting: Setting) -> list[Stop]:
@@ -189,18 +188,31 @@ class _Line(NamedTuple):
                     yield self._between((noun,), first, last)
 
     def _between(self, nouns: tuple[str, ...], first: int, last: int) -> Attracting:
-        low, low_by = self._end(nouns, first, -1)
-        high, high_by = self._end(nouns, last, 1)
         settings = self.settings[first : last + 1]
         horizon = self.study.settings.at(settings[0].t_end)
         basis = Basis(sum(len(setting.runs.rows) for setting in settings), "run")
-        return Attracting(nouns, self.key, low, high, low_by, high_by, self.where, basis, horizon)
+        low, high = self._end(nouns, first, -1), self._end(nouns, last, 1)
+        levels = [
+            self._level(nouns, verb, end, horizon, basis)
+            for verb, end in (("begins", low), ("ceases", high))
+            if isinstance(end, Stop) and len(nouns) == 1
+        ]
+        low_by, high_by = (end.by if isinstance(end, Stop) else Bound.SETTING for end in (low, high))
+        stretch = str(low), str(high), low_by, high_by
+        return Attracting(nouns, self.key, *stretch, self.where, basis, horizon, tuple(levels))
 
-    def _end(self, nouns: tuple[str, ...], k: int, step: int) -> tuple[str, Bound]:
+    def _level(self, nouns: tuple[str, ...], verb: str, stop: Stop, horizon: str, basis: Basis) -> Level:
+        """An end as a value, between the two that it lies between."""
+        quantity = Quantity("attraction_end", f"{self.key} at which {listed(nouns)} {verb} to attract")
+        ends = (stop.value - stop.error, stop.value + stop.error) if stop.error > 0.0 else (None, None)
+        where = self.where + Place.words(f"by {bound_in_words(stop.by, horizon)}")
+        return Level(quantity, Estimate(stop.value, *ends), where, basis=basis)
+
+    def _end(self, nouns: tuple[str, ...], k: int, step: int) -> Stop | str:
         """Where a stretch ends beyond the k-th setting: the nearest end that was refined, or that setting."""
         setting, beyond = self.settings[k], k + step
         if not self.is_refined or not 0 <= beyond < len(self.settings):
-            return in_words(setting.at[0]), Bound.SETTING
+            return in_words(setting.at[0])
         there = self.settings[beyond]
         stops: list[Stop] = []
         if self.is_stable(there) is False and _NOUNS[SLIDING] in nouns:
@@ -210,13 +222,12 @@ class _Line(NamedTuple):
             n_followed = np.isin(setting.runs.kinds, [kind for kind, noun in _NOUNS.items() if noun == _STICK_SLIP])
             if len(ends) < n_followed.sum() and not stops:
                 # one that is followed all the way attracts there, though no run began near it
-                return in_words(there.at[0]), Bound.SETTING
+                return in_words(there.at[0])
             if len(ends) == n_followed.sum():
                 stops.append(max(ends) if step > 0 else min(ends))
         if not stops:
-            return in_words(setting.at[0]), Bound.SETTING
-        nearest = min(stops) if step > 0 else max(stops)
-        return nearest.text, nearest.by
+            return in_words(setting.at[0])
+        return min(stops) if step > 0 else max(stops)
 
 
 def _lines(study: Study, grid: Grid) -> Iterator[_Line]:
@@ -225,12 +236,10 @@ def _lines(study: Study, grid: Grid) -> Iterator[_Line]:
         return
     refined = axis_of_numbers(study.data.table.design.axes)
     is_refined = "stability_changes" in study.data.recorded and refined is not None and refined.keys == axis.keys
-    number_of = dict(zip(axis.rows, axis.x, strict=True))
     for method, settings in grid.methods.items():
         recorded = [setting for setting in settings if setting.is_recorded]
         for line in grid.lines(recorded) if recorded else ():
-            x = [number_of[setting.at[0]] for setting in line]
-            yield _Line(study, axis.name, grid.beside(line[0]) + Place.of(method), line, x, is_refined)
+            yield _Line(study, axis.name, grid.beside(line[0]) + Place.of(method), line, is_refined)
 
 
 def _stretches(values: Sequence[T]) -> Iterator[tuple[T, int, int]]:

@@ -7,7 +7,7 @@ upper ends of intervals take them as not ended. All others are censored at t_end
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -50,7 +50,7 @@ from stickslip.analysis.models.fates import (
     median,
     survival,
 )
-from stickslip.analysis.questions.runs import bifurcations, coexistence, fate_figures
+from stickslip.analysis.questions.runs import bifurcations, coexistence, fate_figures, portraits
 from stickslip.analysis.questions.runs.settled import (
     MOST_LEADING,
     PREDICATES,
@@ -140,11 +140,12 @@ def answer(study: Study) -> Answer | None:
     tested = burn_in.geweke(study, groups)
     recorded = {group.label for setting in grid.settings if setting.is_recorded for group in setting.groups}
     short = [row.group for row in tested if row.is_short and row.group not in recorded]
-    figures = fate_figures.pictures(study, grid, {row.setting.where: row.curve for row in ends})
-    figures = (
-        bifurcations.pictures(study, grid, boundaries) | figures
-        if each
-        else figures | bifurcations.pictures(study, grid)
+    figures = _in_order(
+        bool(each),
+        any(len(setting.kinds) > 1 for setting in grid.settings),
+        fate_figures.pictures(study, grid, {row.setting.where: row.curve for row in ends}),
+        bifurcations.pictures(study, grid, boundaries),
+        portraits.pictures(study, grid),
     )
     figures |= _along_t_burn(study, by_t_burn, short, len(figures) > 1)
     return Answer(
@@ -163,6 +164,19 @@ def answer(study: Study) -> Answer | None:
         },
         figures=figures,
     )
+
+
+def _in_order(
+    is_along: bool,
+    is_mixed: bool,
+    fates: Mapping[str, Picture],
+    diagrams: Mapping[str, Picture],
+    typical: Mapping[str, Picture],
+) -> dict[str, Picture]:
+    """The figures: of what attracts along a key the diagram first, then shares, if any setting has several."""
+    if not is_along:
+        return {**fates, **diagrams, **typical}
+    return {**diagrams, **fates, **typical} if is_mixed else {**diagrams, **typical, **fates}
 
 
 # ------------------------------------------------------------------------------------------------- findings
