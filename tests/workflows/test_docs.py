@@ -227,7 +227,9 @@ def test_a_drill_string_from_toml_to_page(tmp_path, monkeypatch, capsys):
     computed_here(monkeypatch)
     Path("drill.toml").write_text(block("systems", "toml"))
     assert [main(command) for command in commands("systems")] == [0, 0]
-    lead = "Steady sliding and stick-slip both attract at drive_speed = 2 to 5.0, bounded by grazing of the cycle above."
+    lead = (
+        "Steady sliding and stick-slip both attract at drive_speed = 2 to 5.0, bounded by grazing of the cycle above."
+    )
     assert lead in capsys.readouterr().out
     table = query.members("runs/drill").sort_values("drive_speed")
     assert table["attractor"].tolist() == ["periodic", "periodic", "sliding"]
