@@ -80,8 +80,11 @@ def geweke(study: Study, groups: Sequence[Group]) -> list[Tested]:
             means = study.each(partial(_of_runs, (study.settings.t_burn,)), members)
             sums = _by_unit(study, members, means[:, 1:])
         early, p, reason = _early(sums, level)
-        rows.append(Tested(group.label, study.settings.t_burn, len(sums), len(members), len(group), early, p, None,
-                           False, reason))  # fmt: skip
+        rows.append(
+            Tested(
+                group.label, study.settings.t_burn, len(sums), len(members), len(group), early, p, None, False, reason
+            )
+        )
     tested = [k for k, row in enumerate(rows) if row.p_value is not None]
     for k, p in zip(tested, holm([rows[k].p_value or 0.0 for k in tested]).tolist(), strict=True):
         rows[k] = rows[k]._replace(p_adjusted=p, is_short=p < 1 - level)

@@ -72,8 +72,10 @@ class Catalogues:
     def whole(self) -> Estimate:
         """The share of episodes in which all blocks slip."""
         n = self.group.key["n"]
-        rows = [[sum(np.count_nonzero(run.size == n) for run in runs), sum(len(run.size) for run in runs)]
-                for runs in self.runs.values()]  # fmt: skip
+        rows = [
+            [sum(np.count_nonzero(run.size == n) for run in runs), sum(len(run.size) for run in runs)]
+            for runs in self.runs.values()
+        ]
         return within(over_matrices(ratio, np.array(rows, dtype=np.float64), self.confidence), 0.0, 1.0)
 
     @cached_property
@@ -135,12 +137,15 @@ class Catalogues:
     def at_least(self, magnitude: float) -> dict[int, np.ndarray]:
         """Number of episodes of at least that magnitude and the time in which they were counted, by unit."""
         return {
-            unit: np.array([
-                sum(np.count_nonzero(run.magnitude >= magnitude) for run in runs),
-                sum(run.t_stop - run.t_start for run in runs),
-            ], dtype=np.float64)
+            unit: np.array(
+                [
+                    sum(np.count_nonzero(run.magnitude >= magnitude) for run in runs),
+                    sum(run.t_stop - run.t_start for run in runs),
+                ],
+                dtype=np.float64,
+            )
             for unit, runs in self.runs.items()
-        }  # fmt: skip
+        }
 
 
 def read(study: Study) -> list[Catalogues]:

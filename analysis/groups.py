@@ -218,8 +218,10 @@ def groups(members: Members, some: np.ndarray) -> list[Group]:
     by_setting = [some[rows] for rows in by_number(of_setting[members.own["setting"].to_numpy()[some]])]
     shared = [members.settings[members.own["setting"].iloc[rows[0]]] for rows in by_setting]
     keys = [{name: setting[name] for name in (*SYSTEM_KEYS, *ENGINE_KEYS)} for setting in shared]
-    unordered = [Group(name, key, members, _by_unit(members, rows))
-              for name, key, rows in zip(labels(keys), keys, by_setting, strict=True)]  # fmt: skip
+    unordered = [
+        Group(name, key, members, _by_unit(members, rows))
+        for name, key, rows in zip(labels(keys), keys, by_setting, strict=True)
+    ]
     return sorted(unordered, key=_place)
 
 

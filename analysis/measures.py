@@ -123,8 +123,14 @@ def _of_episodes(study: Study, beside: Study | None) -> Iterator[Measure]:
         (SIZE, "episode_size", "", "in blocks that slip"),
     ):
         label = MEAN_SIZE if name == SIZE else name
-        statistic = Statistic(label, QUANTITIES[name].of, least=0.0, definition=definition, things=things,
-                              dimension="frequency" * (name == RATE))  # fmt: skip
+        statistic = Statistic(
+            label,
+            QUANTITIES[name].of,
+            least=0.0,
+            definition=definition,
+            things=things,
+            dimension="frequency" * (name == RATE),
+        )
         yield Measure(statistic, key, partial(_episodes, by_label, name))
     if not is_led_by_b:
         yield b

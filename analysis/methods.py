@@ -82,14 +82,17 @@ def compare(study: Study, by_system: Sequence[Sequence[Catalogues]]) -> list[Apa
     level = study.settings.confidence
     pairs = [
         pair
-        for reference, *looser in by_system if reference.is_judged
+        for reference, *looser in by_system
+        if reference.is_judged
         for setting in looser
         for pair in (
-            *(Apart(setting, reference, name, contrast(of, reference.sums[name], setting.sums[name], True, level))
-              for name, of in STATISTICS.items()),
+            *(
+                Apart(setting, reference, name, contrast(of, reference.sums[name], setting.sums[name], True, level))
+                for name, of in STATISTICS.items()
+            ),
             Apart(setting, reference, MAGNITUDES, _of_magnitudes(study, reference, setting)),
         )
-    ]  # fmt: skip
+    ]
     for is_primary in (True, False):
         tested = [k for k, pair in enumerate(pairs) if pair.p is not None and (pair.name in PRIMARY) is is_primary]
         able = [

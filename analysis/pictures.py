@@ -535,9 +535,12 @@ def _check_names(draw: Callable[..., Axes], kind: str, options: Mapping[str, Any
 def _broad(line: Line2D, colour: str | None = None) -> dict[str, Any]:
     """The look of the same line where a block sticks."""
     return {
-        "color": colour or line.get_color(), "linewidth": 3.5 * line.get_linewidth(), "alpha": 0.45,
-        "solid_capstyle": "butt", "label": "_sticks",
-    }  # fmt: skip
+        "color": colour or line.get_color(),
+        "linewidth": 3.5 * line.get_linewidth(),
+        "alpha": 0.45,
+        "solid_capstyle": "butt",
+        "label": "_sticks",
+    }
 
 
 def _sticks(colour: str) -> Line2D:

@@ -84,8 +84,10 @@ def png(figure: Figure) -> bytes:
 
 #: By the ending of a file: what makes its contents of a figure.
 FORMS: Mapping[str, Callable[[Figure], bytes]] = {
-    ".svg": lambda figure: svg(figure).encode(), ".pdf": pdf, ".png": png,
-}  # fmt: skip
+    ".svg": lambda figure: svg(figure).encode(),
+    ".pdf": pdf,
+    ".png": png,
+}
 
 
 def blank(height: float) -> Figure:

@@ -45,8 +45,10 @@ def _column(name: str, values: pa.ChunkedArray) -> np.ndarray:
         return np.asarray(numbers.to_numpy())
     is_text = pa.types.is_string(kind) or pa.types.is_large_string(kind)
     if not is_text and not (pa.types.is_list(kind) and _is_number(kind.value_type)):
-        raise QueryError(f"--format: expected numbers, texts or lists of numbers for mat, got {name!r}, which holds"
-                         f" {kind}; cast or unnest it in the query")  # fmt: skip
+        raise QueryError(
+            f"--format: expected numbers, texts or lists of numbers for mat, got {name!r}, which holds"
+            f" {kind}; cast or unnest it in the query"
+        )
     cells = np.empty((len(values), 1), dtype=object)
     for row, value in enumerate(values.to_pylist()):
         cells[row, 0] = value or "" if is_text else np.array(value or [], dtype=np.float64)

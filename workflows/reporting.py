@@ -175,10 +175,14 @@ def report(
     opened = _begun(path)
     scene = opened.scene
     built = build(
-        _data(opened), _settings(scene), printable(scene.title or name_of(opened.place)), printable(scene.about),
+        _data(opened),
+        _settings(scene),
+        printable(scene.title or name_of(opened.place)),
+        printable(scene.about),
         _provenance(opened),
-        None if asking is None else (lambda study: asking(opened, study, on_answer)), made_from(opened),
-    )  # fmt: skip
+        None if asking is None else (lambda study: asking(opened, study, on_answer)),
+        made_from(opened),
+    )
     opened.check()  # series were read as they were asked for: once more, so that all are of one moment
     return built
 
@@ -235,11 +239,15 @@ def _settings(scene: Scene) -> AnalysisSettings:
     with_known_questions(scene, "scene")
     declared = scene.analysis
     changed = {
-        "seed": _seeds(scene)[0], "map_dt": declared.map_dt or (), "margins": declared.margins.declared,
-        "question": renamed(declared.question), "published": declared.published.declared,
-        "names": scene.system.block_names, "units": scene.unit_names,
+        "seed": _seeds(scene)[0],
+        "map_dt": declared.map_dt or (),
+        "margins": declared.margins.declared,
+        "question": renamed(declared.question),
+        "published": declared.published.declared,
+        "names": scene.system.block_names,
+        "units": scene.unit_names,
         **({} if scene.scales is None else {"time": scene.scales.time, "tau": _tau(scene)}),
-    }  # fmt: skip
+    }
     return AnalysisSettings(**(declared.model_dump() | changed))
 
 

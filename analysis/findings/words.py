@@ -275,10 +275,12 @@ def _change(change: Change) -> str:
 def _along(change: Change) -> str:
     """What goes from where to where; of keys that are swept together, each."""
     head, *tails = (key.said for key in change.keys)
-    return listed([
-        f"{head.key} goes from {head.first} to {head.second}",
-        *(f"{key.key} from {key.first} to {key.second}" for key in tails),
-    ])  # fmt: skip
+    return listed(
+        [
+            f"{head.key} goes from {head.first} to {head.second}",
+            *(f"{key.key} from {key.first} to {key.second}" for key in tails),
+        ]
+    )
 
 
 def _open(change: Change) -> str:

@@ -191,8 +191,9 @@ def best(span: float, observed: np.ndarray, independent: np.ndarray) -> np.ndarr
     share = max(np.median(observed[len(observed) // 2 :] / independent[len(observed) // 2 :]), 0.01)
     above = max(np.sum(observed - share * independent), 0.01 * observed.sum()) / span
     periods = np.linspace(low[1], high[1], 8)[1:-1]
-    start = np.array([[np.log(above), period, quality, np.log(share)]
-                      for period in periods for quality in np.log([0.8, 3.0])])  # fmt: skip
+    start = np.array(
+        [[np.log(above), period, quality, np.log(share)] for period in periods for quality in np.log([0.8, 3.0])]
+    )
     rows = len(start), len(observed)
     at, value = fit(span, np.broadcast_to(observed, rows), np.broadcast_to(independent, rows), start)
     return at[value.argmin()]
@@ -319,9 +320,13 @@ def p_value(data: Spectra, rng: np.random.Generator) -> float:
         ratio = power / independent
         return np.max(ratio @ shapes.T, axis=-1) / ratio.sum(axis=-1)
 
-    surrogates = np.array([
-        np.sum(data.independent * (rng.standard_gamma(data.n_runs, data.independent.T.shape) / data.n_runs).T, axis=0)
-        for _ in range(SURROGATES)
-    ])  # fmt: skip
+    surrogates = np.array(
+        [
+            np.sum(
+                data.independent * (rng.standard_gamma(data.n_runs, data.independent.T.shape) / data.n_runs).T, axis=0
+            )
+            for _ in range(SURROGATES)
+        ]
+    )
     n_as_far = int(np.sum(largest(surrogates) >= largest(data.observed.sum(axis=0))))
     return (1 + n_as_far) / (1 + SURROGATES)

@@ -177,11 +177,15 @@ def _bins(gaps: Sequence[_Gaps], mean: float, confidence: float) -> list[Bin]:
         ("before", AROUND, small, [gap.before for gap in gaps], [gap.until for gap in gaps]),
     ):
         for low, high in itertools.pairwise(edges):
-            rows = np.array([
-                (np.count_nonzero((times >= low * mean) & (times < high * mean)),
-                 of_poisson * np.sum(np.clip(span, low * mean, high * mean) - low * mean))
-                for times, span in zip(events, followed, strict=True)
-            ])  # fmt: skip
+            rows = np.array(
+                [
+                    (
+                        np.count_nonzero((times >= low * mean) & (times < high * mean)),
+                        of_poisson * np.sum(np.clip(span, low * mean, high * mean) - low * mean),
+                    )
+                    for times, span in zip(events, followed, strict=True)
+                ]
+            )
             n_events, expected = rows.sum(axis=0)
             if expected > 0:
                 relative = within(over_matrices(ratio, rows, confidence), 0.0)

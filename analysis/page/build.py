@@ -243,9 +243,13 @@ def _provenance(
         notes.insert(0, f"All settings share {shared}.")
         table = table.drop(columns=alike)
     return Section(
-        "made", "How was it made?", f"{plural(len(study.data.table), 'run')}.", texts,
-        table=data_table("groups", table.rename(columns=CALLED)), notes=notes,
-    )  # fmt: skip
+        "made",
+        "How was it made?",
+        f"{plural(len(study.data.table), 'run')}.",
+        texts,
+        table=data_table("groups", table.rename(columns=CALLED)),
+        notes=notes,
+    )
 
 
 def _joined(title: str, about: str) -> str:

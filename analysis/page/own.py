@@ -235,5 +235,8 @@ def _column(name: str, given: pd.Series) -> Any:
 
 #: Nullable types by the types of the values that they hold; a column without any value counts as text.
 _DTYPES: tuple[tuple[set[type], Any], ...] = (
-    ({str}, "string"), ({bool}, "boolean"), ({int}, "Int64"), ({int, float}, "Float64"),
-)  # fmt: skip
+    ({str}, "string"),
+    ({bool}, "boolean"),
+    ({int}, "Int64"),
+    ({int, float}, "Float64"),
+)

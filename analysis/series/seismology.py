@@ -62,7 +62,7 @@ def catalogue(episodes: pd.DataFrame, seconds: float = 1.0) -> pd.DataFrame:
         "origin": moving["start"],
         "nucleation": moving["first_block"],
         "moment": moving["moment"],
-    }  # fmt: skip
+    }
     if "size" in moving:
         columns["extent"] = moving["size"]
     if "end" in moving:

@@ -20,8 +20,12 @@ CITE = f"The stickslip authors: stickslip {__version__}, software under the lice
 
 #: Types of Frictionless, of what is no list.
 _TYPES: dict[Kind, str] = {
-    "number": "number", "whole": "integer", "count": "integer", "yes or no": "boolean", "text": "string",
-}  # fmt: skip
+    "number": "number",
+    "whole": "integer",
+    "count": "integer",
+    "yes or no": "boolean",
+    "text": "string",
+}
 
 
 def package_of(scene: Scene, manifest: Manifest) -> bytes:

@@ -124,8 +124,9 @@ Values: TypeAlias = list[Any] | pa.Array
 def encode(columns: Mapping[str, Values], schema: pa.Schema) -> bytes:
     """The Parquet file of some rows, given by column, a pure function of them (for given versions of pyarrow)."""
     kinds = zip(schema.names, schema.types, strict=True)
-    arrays = [values if isinstance(values := columns[name], pa.Array) else pa.array(values, kind)
-              for name, kind in kinds]  # fmt: skip
+    arrays = [
+        values if isinstance(values := columns[name], pa.Array) else pa.array(values, kind) for name, kind in kinds
+    ]
     buffer = pa.BufferOutputStream()
     leaves = [leaf for field in schema for leaf in _leaves(field)]
     times = [leaf for leaf in leaves if leaf.endswith(_NEVER_AGAIN)]

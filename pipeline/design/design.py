@@ -226,15 +226,19 @@ class Design:
     def as_json(self) -> dict[str, Any]:
         """As plain values, in which JSON says it."""
         plain: dict[str, Any] = {
-            "axes": [{"keys": [*axis.keys], "rows": [[*map(as_written, row)] for row in axis.rows]}
-                     for axis in self.axes],
+            "axes": [
+                {"keys": [*axis.keys], "rows": [[*map(as_written, row)] for row in axis.rows]} for axis in self.axes
+            ],
             "constants": {key: as_written(value) for key, value in self.constants},
             "sources": [{"n": n, "file": file, "unit": str(unit)} for n, file, unit in self.sources],
-            "methods": [{"engine": method.engine} | {name: as_written(value) for name, value in method.settings}
-                        for method in self.methods],
-            "changes": [{"kind": str(change.kind), "reading": change.reading, "size": change.size}
-                        for change in self.changes],
-        }  # fmt: skip
+            "methods": [
+                {"engine": method.engine} | {name: as_written(value) for name, value in method.settings}
+                for method in self.methods
+            ],
+            "changes": [
+                {"kind": str(change.kind), "reading": change.reading, "size": change.size} for change in self.changes
+            ],
+        }
         return (
             plain
             | ({"fixed": sorted(self.fixed)} if self.fixed else {})

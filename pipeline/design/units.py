@@ -21,9 +21,13 @@ DIMENSIONS = {
 _NAMED = {
     ("s", "m", "kg"): {"force": "N", "stiffness": "N/m", "damping": "N s/m", "energy": "J", "power": "W"},
     ("s", "rad", "kg m^2"): {
-        "force": "N m", "stiffness": "N m/rad", "damping": "N m s/rad", "energy": "J", "power": "W",
+        "force": "N m",
+        "stiffness": "N m/rad",
+        "damping": "N m s/rad",
+        "energy": "J",
+        "power": "W",
     },
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)

@@ -266,10 +266,11 @@ class Member:
                 " stickslip.pipeline.running.ends.end_of(member) returns"
             )
         z, w = (
-            end[k] if end is not None and value == END else
-            self._by_block(value, purpose, self.begin.draw) / (1.0 if value == BELT else self.state_scales[k])
+            end[k]
+            if end is not None and value == END
+            else self._by_block(value, purpose, self.begin.draw) / (1.0 if value == BELT else self.state_scales[k])
             for k, (value, purpose) in enumerate(starts)
-        )  # fmt: skip
+        )
         if self.change.twin_size is None:
             return z, w
         offsets = np.random.default_rng(self._seed(TWIN, self.begin.draw)).standard_normal((2, self.n))
@@ -422,8 +423,13 @@ def _of_terms(member: Member) -> sim.System:
         arguments["back_slip"] = False
     base_system = None
     if isinstance(origin, SystemFunction):
-        base_system = make(origin, member.n, np.random.default_rng(seed), dict(member.source.parameters),
-                    realisation=member.source.matrix)  # fmt: skip
+        base_system = make(
+            origin,
+            member.n,
+            np.random.default_rng(seed),
+            dict(member.source.parameters),
+            realisation=member.source.matrix,
+        )
     for name, value in terms.items():
         if isinstance(value, Ratio):
             arguments[name] = arguments[name] * (

@@ -100,10 +100,14 @@ def views(
     if not scales:
         return selections
     changed = ", ".join(
-        (f"[x * {scale!r} for x in {quoted(name)}]" if pa.types.is_list(schema.field(name).type) else
-         f"{quoted(name)} * {scale!r}") + f" AS {quoted(name)}"
+        (
+            f"[x * {scale!r} for x in {quoted(name)}]"
+            if pa.types.is_list(schema.field(name).type)
+            else f"{quoted(name)} * {scale!r}"
+        )
+        + f" AS {quoted(name)}"
         for name, scale in scales.items()
-    )  # fmt: skip
+    )
     measured = f"(SELECT * REPLACE ({changed}) FROM shards)"
     return {name: re.sub(r"\bFROM shards\b", f"FROM {measured}", select) for name, select in selections.items()}
 

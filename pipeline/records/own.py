@@ -267,9 +267,13 @@ def _float(number: numbers.Real) -> float:
 
 
 def _own(
-    name: str, folder: str, sha256: str, is_sampled: bool, columns: Mapping[str, Mapping[str, Any]],
+    name: str,
+    folder: str,
+    sha256: str,
+    is_sampled: bool,
+    columns: Mapping[str, Mapping[str, Any]],
     beside: Mapping[str, str],
-) -> Own:  # fmt: skip
+) -> Own:
     """A function from what a scene keeps of it."""
     return Own(
         OwnFunction(KEY, name, sha256, folder, tuple(sorted(beside.items()))),

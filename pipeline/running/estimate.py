@@ -104,8 +104,10 @@ def _run(members: Sequence[Member], share: float, recording: Recording) -> tuple
     took = max(time.process_time() - start, 1e-6)
     rows = [dict(zip(table, values, strict=True)) for values in zip(*table.values(), strict=True)]
     # one that ended early would also have done so if it were run whole
-    shares = [short_member.cost / member.cost if row["outcome"] == "finished" else 1.0
-            for short_member, member, row in zip(shortened, members, rows, strict=True)]  # fmt: skip
+    shares = [
+        short_member.cost / member.cost if row["outcome"] == "finished" else 1.0
+        for short_member, member, row in zip(shortened, members, rows, strict=True)
+    ]
     return sum(shares), rows, took / sum(a * member.cost for a, member in zip(shares, members, strict=True))
 
 

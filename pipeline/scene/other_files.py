@@ -59,7 +59,7 @@ _BY_MAGIC = {
     b"\x1f\x8b": Kind("a file compressed by gzip", 'open("K", "wb").write(gzip.open({file}).read())'),
     b"BZh": Kind("a file compressed by bzip2", 'open("K", "wb").write(bz2.open({file}).read())'),
     b"\xfd7zXZ": Kind("a file compressed by xz", 'open("K", "wb").write(lzma.open({file}).read())'),
-}  # fmt: skip
+}
 
 #: By a pattern of the first words of a text.
 _BY_WORDS = {

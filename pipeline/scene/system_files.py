@@ -85,8 +85,10 @@ def _npy(name: str, stream: IO[bytes], size: int, kinds: str = "iuf") -> np.ndar
     with warnings.catch_warnings(action="error"):  # of a header that NumPy would guess at
         shape, is_fortran, kind = readers[version](stream, max_header_size=_MAX_HEADER)
     if kind.kind not in kinds:
-        raise ValueError(f"{name}: expected an array of {'text' if kinds in 'SU' else 'real numbers'}, got one of"
-                         f" type {kind}; pickles are not read")  # fmt: skip
+        raise ValueError(
+            f"{name}: expected an array of {'text' if kinds in 'SU' else 'real numbers'}, got one of"
+            f" type {kind}; pickles are not read"
+        )
     claimed, n_bytes = math.prod(shape) * kind.itemsize, size - stream.tell()
     if min(shape, default=0) < 0 or claimed != n_bytes:
         raise ValueError(f"{name}: expected {claimed} bytes, for the shape {shape} of {kind}, got {n_bytes}")
@@ -221,8 +223,10 @@ def _matrix_market(content: bytes, _: Sequence[str], matrix: str) -> dict[str, A
         ):
             pass
         case _:
-            raise ValueError(f"expected `%%MatrixMarket matrix`, coordinate or array, {', '.join(_FIELDS)}, and"
-                             f" {', '.join(_SYMMETRIES)}, got {' '.join(banner)!r}")  # fmt: skip
+            raise ValueError(
+                f"expected `%%MatrixMarket matrix`, coordinate or array, {', '.join(_FIELDS)}, and"
+                f" {', '.join(_SYMMETRIES)}, got {' '.join(banner)!r}"
+            )
     head = next((line for line in lines if line.strip() and not line.startswith(b"%")), b"")
     if not re.fullmatch(rb"(\s*\d{1,15}){%d}\s*" % (3 if layout == "coordinate" else 2), head):
         raise ValueError(f"expected a line of the sizes of the matrix, got {head[:60]!r}")

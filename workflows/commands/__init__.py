@@ -128,8 +128,11 @@ def _done(argv: list[str] | None) -> int:
         if not _lacks_memory(error):
             raise
         why = " ".join(str(error).split()) or "out of memory"
-        print(f"stickslip: expected memory for what is computed, got none left ({why}); raise `ulimit -v`, close"
-              " other programs, or take a larger machine", file=sys.stderr)  # fmt: skip
+        print(
+            f"stickslip: expected memory for what is computed, got none left ({why}); raise `ulimit -v`, close"
+            " other programs, or take a larger machine",
+            file=sys.stderr,
+        )
         return UNFINISHED
     except import_module("stickslip.sim.kernels.cache").CacheError as error:  # loaded if it is none of the above
         print(f"stickslip: {error}", file=sys.stderr)

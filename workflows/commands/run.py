@@ -105,9 +105,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(
-    arguments: argparse.Namespace, words: Sequence[str], load: Callable[[], Scene], file: Path, out: Place,
+    arguments: argparse.Namespace,
+    words: Sequence[str],
+    load: Callable[[], Scene],
+    file: Path,
+    out: Place,
     kept: Opened | None = None,
-) -> int:  # fmt: skip
+) -> int:
     """Run a scene into a place, and write its report; the exit code.
 
     Parameters
@@ -139,9 +143,14 @@ def run(
 
 
 def _run(
-    arguments: argparse.Namespace, words: Sequence[str], load: Callable[[], Scene], file: Path, out: Place,
-    kept: Opened | None, asking: Asking | None,
-) -> int:  # fmt: skip
+    arguments: argparse.Namespace,
+    words: Sequence[str],
+    load: Callable[[], Scene],
+    file: Path,
+    out: Place,
+    kept: Opened | None,
+    asking: Asking | None,
+) -> int:
     with loading() if arguments.is_program else nullcontext():
         from stickslip.pipeline import run_ensemble
         from stickslip.pipeline.machine.signals import last_act

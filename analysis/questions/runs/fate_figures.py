@@ -167,9 +167,14 @@ def over_two_keys(ax: Axes, across: Axis, up: Axis, what: np.ndarray, is_mixed: 
     """
     looks = [LOOKS[kind] for kind in OUTCOMES]
     ax.pcolormesh(
-        np.ma.masked_less(what, 0), cmap=ListedColormap([look.colour for look in looks]), vmin=-0.5,
-        vmax=len(looks) - 0.5, edgecolors="white", linewidth=0.5, rasterized=what.size > _VECTORS,
-    )  # fmt: skip
+        np.ma.masked_less(what, 0),
+        cmap=ListedColormap([look.colour for look in looks]),
+        vmin=-0.5,
+        vmax=len(looks) - 0.5,
+        edgecolors="white",
+        linewidth=0.5,
+        rasterized=what.size > _VECTORS,
+    )
     rows, columns = np.nonzero(is_mixed)
     size = float(np.clip(60.0 / max(what.shape), 1.2, 4.0))
     ax.plot(columns + 0.5, rows + 0.5, "o", color="white", markersize=size, markeredgecolor="black",

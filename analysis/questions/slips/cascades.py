@@ -207,8 +207,9 @@ def answer(study: Study) -> Answer:
     alike = [entry for entry in with_rate if _engine(entry) == _engine(lead)][:MOST_SETTINGS]
     names = apart([entry.group.name for entry in alike], 2 * _has_several_engines(study))
     leading = _findings(study, lead, Place.of(names[0]))
-    findings = [rate for sums, name in zip(alike[1:], names[1:], strict=True)
-                for rate in _rates(study, sums, Place.of(name))]  # fmt: skip
+    findings = [
+        rate for sums, name in zip(alike[1:], names[1:], strict=True) for rate in _rates(study, sums, Place.of(name))
+    ]
     curves = [entry for entry in with_rate if entry.n == lead.n][:MOST_DRAWN]
     definitions = cascade_definitions.compared(study, lead.group)
     return Answer(
@@ -246,9 +247,10 @@ def _drifting(study: Study, judged: Sequence[Group], sums: Mapping[str, Sums]) -
         return None
     level = study.settings.confidence
     drifts = [
-        group for group in study.groups
+        group
+        for group in study.groups
         if group.basis(level).code == enough.DRIFTS and (_is_exact(group) or not judged)
-    ]  # fmt: skip
+    ]
     lead = min(drifts, key=lambda group: (not _is_exact(group), -int(group.key["n"])), default=None)
     if lead is None or (rate := sums[lead.label].estimate(gamma, level)).low is None:
         return None
@@ -308,11 +310,14 @@ def _rates(study: Study, sums: Sums, where: Place) -> list[Level]:
     rate, basis = sums.estimate(gamma, level), Basis(len(sums.rows), systems(study))
     return [
         Level(
-            RATE if null == COIN else BESIDE, rate, where,
-            Comparison(null, Difference(sums.estimate(statistic, level), margin=margin)), basis,
+            RATE if null == COIN else BESIDE,
+            rate,
+            where,
+            Comparison(null, Difference(sums.estimate(statistic, level), margin=margin)),
+            basis,
         )
         for null, statistic in nulls.items()
-    ]  # fmt: skip
+    ]
 
 
 def _findings(study: Study, sums: Sums, where: Place) -> list[Finding]:

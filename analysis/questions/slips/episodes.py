@@ -117,8 +117,10 @@ MOMENT = Quantity("moment", "mean moment", dimension="length")
 BY_TRAVEL = Quantity("by_travel", "number of episodes per block and unit of belt travel")
 _POISSON = "a Poisson process's 1"
 _REASONS: Mapping[str, Reason] = {
-    enough.FEW_MATRICES: Reason.FEW_UNITS, enough.FEW_CASCADES: Reason.FEW_EPISODES, enough.DRIFTS: Reason.DRIFT,
-}  # fmt: skip
+    enough.FEW_MATRICES: Reason.FEW_UNITS,
+    enough.FEW_CASCADES: Reason.FEW_EPISODES,
+    enough.DRIFTS: Reason.DRIFT,
+}
 
 
 def _known(number: float) -> float | None:
@@ -249,16 +251,20 @@ def answer(study: Study) -> Answer | None:
     pictures = [_picture(study, group, places[group.label]) for group in in_order]
     outcomes = [
         outcome
-        for reference, *settings in by_system if settings and reference.is_judged
+        for reference, *settings in by_system
+        if settings and reference.is_judged
         for outcome in _outcomes(reference, settings, pairs, basis)
-    ]  # fmt: skip
+    ]
     (law, *beside), changes = pictures[0], _changes(leaders, level, basis)
     findings: list[Finding] = [*outcomes, law, *(changes or beside), _level(lead, RATE, pairs, basis)]
     findings += [*(beside if changes else ()), *itertools.chain(*pictures[1:])]
     of_lead = (STORED,) if study.data.is_loaded else (STORED, OCCUPANCY)
     findings += _levels(counted, lead, pairs, basis, of_lead)
-    findings += [_level(group, CREEP, pairs, basis) for group in groups if group.estimates[CREEP].value is not None
-                 and not group.group.is_exact]  # fmt: skip
+    findings += [
+        _level(group, CREEP, pairs, basis)
+        for group in groups
+        if group.estimates[CREEP].value is not None and not group.group.is_exact
+    ]
     return Answer(
         findings=findings,
         n_lead=min(3, len(outcomes) or 3),
@@ -333,8 +339,9 @@ def _outcomes(
         by_id = {id(group): setting for setting, group in settings.items() if come_out[setting] == name}
         apart_most = max(
             (pair for pair in apart if id(pair.setting) in by_id and pair.name == (name or RATE)),
-            key=_reach, default=None,
-        )  # fmt: skip
+            key=_reach,
+            default=None,
+        )
         if not by_id or apart_most is None:
             continue
         level, setting = _beside(apart_most, unit), by_id[id(apart_most.setting)]
@@ -420,8 +427,11 @@ def _times_between(group: Catalogues, where: Place, basis: Basis) -> list[Findin
     times = group.recurrence
     large = where + Place.words(f"M \u2265 {times.least:.2f}")
     quantities = {
-        REGULARITY: times.cv, BETWEEN: times.mean, SLIP_PREDICTABLE: times.before, TIME_PREDICTABLE: times.after,
-    }  # fmt: skip
+        REGULARITY: times.cv,
+        BETWEEN: times.mean,
+        SLIP_PREDICTABLE: times.before,
+        TIME_PREDICTABLE: times.after,
+    }
     return [
         Level(quantity, estimate, large, _beside_poisson(estimate) if quantity is REGULARITY else None, basis)
         for quantity, estimate in quantities.items()
@@ -436,8 +446,10 @@ def _beside_poisson(cv: Estimate) -> Comparison:
 
 
 def _mean_moment(study: Study, group: Catalogues) -> Estimate:
-    sums = [[sum(np.abs(run.moment).sum() for run in runs), sum(len(run.moment) for run in runs)]
-            for runs in group.runs.values()]  # fmt: skip
+    sums = [
+        [sum(np.abs(run.moment).sum() for run in runs), sum(len(run.moment) for run in runs)]
+        for runs in group.runs.values()
+    ]
     return over_matrices(ratio, np.array(sums, dtype=np.float64), study.settings.confidence)
 
 
@@ -502,12 +514,15 @@ def _figures(
 ) -> dict[str, Picture]:
     """The magnitudes of all settings, those that lead first, and what happens around large events."""
     shown = [*leaders, *(group for group in groups if group not in leaders)][:MOST_DRAWN]
-    figures = {"magnitudes": Picture(
-        partial(magnitudes, rates, [Drawn.of(group) for group in shown]),
-        "A power law is straight. Above: share of episodes per unit of magnitude, M = log10 moment, with the fitted"
-        " law on its range, if any. Below: episodes per unit time of at least each magnitude."
-        + " Dashed: where the peak begins." * any(group.law.begins is not None for group in shown),
-    )}  # fmt: skip
+    figures = {
+        "magnitudes": Picture(
+            partial(magnitudes, rates, [Drawn.of(group) for group in shown]),
+            "A power law is straight. Above: share of episodes per unit of magnitude, M = log10 moment, with the"
+            " fitted law on its range, if any. Below: episodes per unit time of at least each magnitude."
+            + " Dashed: where the peak begins."
+            * any(group.law.begins is not None for group in shown),
+        )
+    }
     if any(group.recurrence.bins for group in leaders):
         figures["recurrence"] = Picture(
             partial(hazards, [(str(group.method), group.recurrence.bins) for group in leaders[:MOST_DRAWN]]),

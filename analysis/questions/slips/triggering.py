@@ -107,8 +107,9 @@ def exits_of(study: Study, group: Group) -> Exits | None:
     rows = sums[sums[:, -1] > 0, :n_columns].reshape(-1, len(taus), 2)
     if len(rows) < 2:
         return None
-    return Exits(group, compare(group.label, rows, taus, confidence), len(rows), n_exits / len(rows),
-                 n_runs * span / n_exits)  # fmt: skip
+    return Exits(
+        group, compare(group.label, rows, taus, confidence), len(rows), n_exits / len(rows), n_runs * span / n_exits
+    )
 
 
 def compare(label: str, rows: np.ndarray, taus: Sequence[float], confidence: float) -> list[Pairs]:

@@ -161,10 +161,13 @@ class OneBlockScene(ChartScene):
         tables = {"claims": table(judged)} | {
             name: frame(getattr(measured, name), row)
             for name, row in (
-                ("periods", Period), ("sliding", Sliding), ("stability", Stability), ("shifted", Shifted),
+                ("periods", Period),
+                ("sliding", Sliding),
+                ("stability", Stability),
+                ("shifted", Shifted),
                 ("stops", Stops),
             )
-        }  # fmt: skip
+        }
         facts: dict[str, Any] = {"claims": judged, "beside": _BESIDE}
         return Shown(facts, tables, {"one_block": partial(draw, self, measured)})
 
@@ -381,8 +384,14 @@ def _draw_stops(ax: Axes, scene: OneBlockScene, measured: Measured) -> None:
     counts = sorted({stop.stops for stop in measured.stops if stop.stops is not None})
     for k, n in enumerate(counts):
         points = [stop for stop in measured.stops if stop.stops == n]
-        ax.plot([point.frequency for point in points], [point.friction for point in points], "o", markersize=2.5,
-                color=CYCLE[k % len(CYCLE)], label=str(n))  # fmt: skip
+        ax.plot(
+            [point.frequency for point in points],
+            [point.friction for point in points],
+            "o",
+            markersize=2.5,
+            color=CYCLE[k % len(CYCLE)],
+            label=str(n),
+        )
     ax.set(xscale="log", title="(a) stops a cycle of the force", xlabel="frequency Ω", ylabel="friction S")
     ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7, handletextpad=0.1)
 

@@ -288,8 +288,11 @@ def chaos(pair: Pair, start: float) -> Unequal:
 def unstable(measured: Measured) -> Claim:
     claim = share(sum(cycle.multiplier > 1 for cycle in measured.together), len(measured.together))
     off = [abs(cycle.multiplier / cycle.closed - 1) for cycle in measured.together]
-    return claim | {"verdict": told(claim["low"], claim["high"], ALMOST_ALWAYS), "off": float(np.median(off)),
-                    "least": min(cycle.multiplier for cycle in measured.together)}  # fmt: skip
+    return claim | {
+        "verdict": told(claim["low"], claim["high"], ALMOST_ALWAYS),
+        "off": float(np.median(off)),
+        "least": min(cycle.multiplier for cycle in measured.together),
+    }
 
 
 def no_smoothing(measured: Measured) -> Claim:
@@ -349,11 +352,16 @@ def kinds(measured: Measured) -> list[dict[str, Any]]:
     for kind, _ in Counter(end.kind for end in measured.ends).most_common():
         ends = [end for end in measured.ends if end.kind == kind]
         slopes = [cycle.multiplier for cycle in ends if cycle.multiplier is not None]
-        rows.append({
-            "kind": kind, **share(len(ends), len(measured.ends)),
-            "least": min(slopes, default=None), "most": max(slopes, default=None),
-            "first": min(cycle.coupling for cycle in ends), "last": max(cycle.coupling for cycle in ends),
-        })  # fmt: skip
+        rows.append(
+            {
+                "kind": kind,
+                **share(len(ends), len(measured.ends)),
+                "least": min(slopes, default=None),
+                "most": max(slopes, default=None),
+                "first": min(cycle.coupling for cycle in ends),
+                "last": max(cycle.coupling for cycle in ends),
+            }
+        )
     return rows
 
 
@@ -373,8 +381,14 @@ def draw(scene: TwoBlocksScene, measured: Measured) -> Figure:
         ax_cycle.legend(loc="lower left", fontsize=7)
         for colour, row in zip(CYCLE, kinds(measured), strict=False):
             ends = [end for end in measured.ends if end.kind == row["kind"]]
-            ax_ends.semilogx([cycle.coupling for cycle in ends], [cycle.share for cycle in ends], "o", color=colour,
-                           markersize=3, label=row["kind"])  # fmt: skip
+            ax_ends.semilogx(
+                [cycle.coupling for cycle in ends],
+                [cycle.share for cycle in ends],
+                "o",
+                color=colour,
+                markersize=3,
+                label=row["kind"],
+            )
         ax_ends.set(
             title="(b) where each start ends", xlabel="coupling k", ylabel="|D| at the start, over the largest"
         )

@@ -60,11 +60,14 @@ class PaperScene(Asked):
         tables |= {
             name: frame(rows, row)
             for name, rows, row in (
-                ("corners", corners, Corner), ("runs", measured.runs, Row), ("cascades", measured.cascades, Cascades),
-                ("paths", measured.pairings, Pairing), ("hidden", slow, SlowEvent),
+                ("corners", corners, Corner),
+                ("runs", measured.runs, Row),
+                ("cascades", measured.cascades, Cascades),
+                ("paths", measured.pairings, Pairing),
+                ("hidden", slow, SlowEvent),
             )
             if rows
-        }  # fmt: skip
+        }
         recipes: dict[int, list[Recipe]] = {
             1: [partial(figures_1_2.phase_portrait, portrait) for portrait in measured.portraits],
             2: [

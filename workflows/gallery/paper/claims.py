@@ -104,9 +104,12 @@ def determinacy(scene: Asked, measured: Measured) -> Claim:
     (measure,) = measured.uniqueness
     growth = max(measure.apart) / figures_1_2.APART
     return {
-        "verdict": verdict_of(growth > 10.0 or measure.coulomb > 1), "tried": len(measure.apart), "value": growth,
-        "static": measure.static, "static_over": figures_1_2.RATIO,
-    }  # fmt: skip
+        "verdict": verdict_of(growth > 10.0 or measure.coulomb > 1),
+        "tried": len(measure.apart),
+        "value": growth,
+        "static": measure.static,
+        "static_over": figures_1_2.RATIO,
+    }
 
 
 # ---------------------------------------------------------------------------------------------- figure 3
@@ -174,10 +177,14 @@ def _against(rows: Sequence[Row], bases: Mapping[int, Row]) -> Claim:
     is_open = changed["found"] or untold
     verdict = told(changed["low"], 1.0, most=MARGIN) if is_open else alike(shift, MARGIN)
     return {
-        "n_runs": len(rows), "fates": Counter(row.fate for row in rows),
-        "moved": shift.value, "low": shift.low, "high": shift.high,
-        "is_other": is_other, "alike": verdict,
-    }  # fmt: skip
+        "n_runs": len(rows),
+        "fates": Counter(row.fate for row in rows),
+        "moved": shift.value,
+        "low": shift.low,
+        "high": shift.high,
+        "is_other": is_other,
+        "alike": verdict,
+    }
 
 
 def key_parameters(scene: Asked, measured: Measured) -> Claim:
@@ -329,9 +336,15 @@ def paths_and_laws(scene: Asked, measured: Measured) -> Claim:
     steep = over_matrices(lambda s: law_gamma(s[:, :2]) / law_gamma(s[:, 2:]) - 1, sizes, CONFIDENCE)
     return {
         "verdict": every([alike(beyond, COMMON), alike(mean, MARGIN), alike(steep, SAME)]),
-        "tried": len(pairings), "value": shared.value, "low": shared.low, "high": shared.high, "chance": chance.value,
-        "mean": mean, "gamma": steep, "t_from": scene.t_burn,
-    }  # fmt: skip
+        "tried": len(pairings),
+        "value": shared.value,
+        "low": shared.low,
+        "high": shared.high,
+        "chance": chance.value,
+        "mean": mean,
+        "gamma": steep,
+        "t_from": scene.t_burn,
+    }
 
 
 def sigmoid(scene: Asked, measured: Measured) -> Claim:
@@ -355,10 +368,13 @@ def form(scene: Asked, measured: Measured) -> Claim:
     events = by_definition(rows, "events")
     low, high = _ends(rows, "excess_low", "excess_high")
     return {
-        "verdict": told(low, high, -FORM, FORM), "margin": FORM,
-        "value": events and events.excess, "low": events and events.excess_low, "high": events and events.excess_high,
+        "verdict": told(low, high, -FORM, FORM),
+        "margin": FORM,
+        "value": events and events.excess,
+        "low": events and events.excess_low,
+        "high": events and events.excess_high,
         "readings": {reading: [row.excess for row in rows if row.definition == reading] for reading in READINGS},
-    }  # fmt: skip
+    }
 
 
 def _ends(rows: Sequence[Cascades], low: str, high: str) -> tuple[float | None, float | None]:
@@ -384,11 +400,15 @@ def gamma(scene: Asked, measured: Measured) -> Claim:
     ]
     ends = PAPER_GAMMA * (1 - SAME), PAPER_GAMMA * (1 + SAME)
     return {
-        "verdict": told(*_ends(rows, "low", "high"), *ends), "paper": PAPER_GAMMA, "around": around,
-        "value": events and events.gamma, "low": events and events.low, "high": events and events.high,
+        "verdict": told(*_ends(rows, "low", "high"), *ends),
+        "paper": PAPER_GAMMA,
+        "around": around,
+        "value": events and events.gamma,
+        "low": events and events.low,
+        "high": events and events.high,
         "readings": {reading: [row.gamma for row in rows if row.definition == reading] for reading in READINGS},
         "rows": [asdict(row) for row in rows],
-    }  # fmt: skip
+    }
 
 
 def clusters(scene: Asked, measured: Measured) -> Claim:
@@ -397,8 +417,13 @@ def clusters(scene: Asked, measured: Measured) -> Claim:
     if law is None or law.gamma is None or law.low is None or law.high is None:
         return {"verdict": UNTOLD, "value": None}
     value, low, high = (rate / LN2 - 1.0 for rate in (law.gamma, law.low, law.high))
-    return {"verdict": told(low, high, most=CLUSTERED), "value": value, "low": low, "high": high,
-            "clustered": -CLUSTERED}  # fmt: skip
+    return {
+        "verdict": told(low, high, most=CLUSTERED),
+        "value": value,
+        "low": low,
+        "high": high,
+        "clustered": -CLUSTERED,
+    }
 
 
 def cascade_bound(scene: Asked, measured: Measured) -> Claim:

@@ -148,8 +148,14 @@ def fast_flow(ax: Axes, flow: BlowUp) -> None:
         if modes:
             ax.plot(*zip(*modes, strict=True), "o", color=ORANGE if is_stable else "white", markersize=8, zorder=5,
                     markeredgecolor="black", linestyle="none", label=label)  # fmt: skip
-    ax.set(title=f"({'a' if flow.law == 'Coulomb' else 'b'}) {flow.law} law", xlabel="λ₁", ylabel="λ₂",
-           xlim=(-1, 1), ylim=(-1, 1), aspect="equal")  # fmt: skip
+    ax.set(
+        title=f"({'a' if flow.law == 'Coulomb' else 'b'}) {flow.law} law",
+        xlabel="λ₁",
+        ylabel="λ₂",
+        xlim=(-1, 1),
+        ylim=(-1, 1),
+        aspect="equal",
+    )
     ax.spines[["top", "right"]].set_visible(True)
     ax.figure.legend(loc="outside lower center", ncols=2, fontsize=7)
 

@@ -200,17 +200,32 @@ def phase_portrait(ax: Axes, plane: Portrait) -> None:
     """Figure 1: z against z'; the stick interval thick, the exit point E marked, its path bold."""
     ax.axhline(plane.v, color=GREY, linestyle="--", linewidth=0.9, label="z' = v, crossed")
     for z, w, is_exit in plane.paths:
-        ax.plot(z, w, color=ORANGE if is_exit else BLUE, linewidth=2.4 if is_exit else 0.9,
-                zorder=3 if is_exit else 2, label="path from E" if is_exit else "_")  # fmt: skip
+        ax.plot(
+            z,
+            w,
+            color=ORANGE if is_exit else BLUE,
+            linewidth=2.4 if is_exit else 0.9,
+            zorder=3 if is_exit else 2,
+            label="path from E" if is_exit else "_",
+        )
         _arrow(ax, z, w, ORANGE if is_exit else BLUE)
     ax.plot(
         plane.stick, [plane.v, plane.v], color="black", linewidth=3.0, solid_capstyle="butt", zorder=4, label="sticks"
     )
     ax.plot([plane.exit], [plane.v], "o", color=ORANGE, markeredgecolor="black", markersize=6, zorder=5)
-    ax.annotate("E", (plane.exit, plane.v), xytext=(0, 8 if plane.v > 0 else -14), textcoords="offset points",
-                ha="center", fontweight="bold")  # fmt: skip
-    ax.set(title=f"({'i' if plane.v < 0 else 'ii'}) v = {plane.v:g}".replace("-", "−"), xlabel="displacement z",
-           ylabel="velocity z'")  # fmt: skip
+    ax.annotate(
+        "E",
+        (plane.exit, plane.v),
+        xytext=(0, 8 if plane.v > 0 else -14),
+        textcoords="offset points",
+        ha="center",
+        fontweight="bold",
+    )
+    ax.set(
+        title=f"({'i' if plane.v < 0 else 'ii'}) v = {plane.v:g}".replace("-", "−"),
+        xlabel="displacement z",
+        ylabel="velocity z'",
+    )
     ax.legend(loc="upper right" if plane.v < 0 else "lower left", fontsize=7)
 
 
@@ -255,8 +270,13 @@ def region(ax: Axes, plane: Parallelogram) -> None:
         # of two neighbours one lambda is the same: that block's fold is the edge between them
         block = 0 if corner.lambda_1 == plane.corners[following].lambda_1 else 1
         leaves = (corner.label[block] == "+") == (V < 0)
-        ax.plot(*z[[k, following]].T, color="black", linewidth=1.4, linestyle="-" if leaves else "--",
-                label="visible fold" if leaves else "invisible fold")  # fmt: skip
+        ax.plot(
+            *z[[k, following]].T,
+            color="black",
+            linewidth=1.4,
+            linestyle="-" if leaves else "--",
+            label="visible fold" if leaves else "invisible fold",
+        )
         along = (z[following] - z[k]) / span
         outward = np.array([along[1], -along[0]]) / np.hypot(*along)  # corners run counter-clockwise
         x, y = z[[k, following]].mean(axis=0) + 0.06 * outward * span
@@ -280,9 +300,13 @@ def region(ax: Axes, plane: Parallelogram) -> None:
     low, high = z.min(axis=0), z.max(axis=0)
     margin = 0.3 * (high - low)
     reading = "eq. (6)" if plane.sign > 0 else "section 3"
-    ax.set(title=f"{_sign(plane)}, {reading}", xlabel="displacement z₁", ylabel="z₂",
-           xlim=(low[0] - margin[0], high[0] + margin[0]),
-           ylim=(low[1] - margin[1], high[1] + margin[1]))  # fmt: skip
+    ax.set(
+        title=f"{_sign(plane)}, {reading}",
+        xlabel="displacement z₁",
+        ylabel="z₂",
+        xlim=(low[0] - margin[0], high[0] + margin[0]),
+        ylim=(low[1] - margin[1], high[1] + margin[1]),
+    )
     start = low - margin + np.array([0.66, 0.96]) * (span + 2 * margin)
     ax.annotate(
         "", start + 0.2 * float(span.min()) * np.sign(V), start, arrowprops={"arrowstyle": "-|>", "color": GREY}

@@ -220,10 +220,13 @@ def _law(law: cascades.Law, sizes: Sequence[np.ndarray]) -> Cascades:
 def pairings(paths: Sequence[Path], t_from: float) -> list[Pairing]:
     """Of each matrix that ran to its end under both laws with its exits kept."""
     exact, smoothed = (
-        {path.ask.matrix: (path, path.exits) for path in paths
-         if path.exits is not None and path.ask.law == law and path.outcome == "finished"}
+        {
+            path.ask.matrix: (path, path.exits)
+            for path in paths
+            if path.exits is not None and path.ask.law == law and path.outcome == "finished"
+        }
         for law in ("coulomb", "sigmoid")
-    )  # fmt: skip
+    )
     return [_pairing(*exact[k], *smoothed[k], t_from) for k in sorted(exact.keys() & smoothed.keys())]
 
 
@@ -257,10 +260,16 @@ def escapes(runs: Sequence[Row], t_end: float) -> list[Claim]:
         escaped = np.array([row.fate == fates.DIVERGED for row in rows])
         times = np.where(escaped, [row.t_stop for row in rows], t_end)
         half = fates.median(times, escaped, CONFIDENCE)
-        table.append({
-            "size": size, "runs": len(rows), "left": int(escaped.sum()), "median": half.value, "low": half.low,
-            "high": half.high,
-        })  # fmt: skip
+        table.append(
+            {
+                "size": size,
+                "runs": len(rows),
+                "left": int(escaped.sum()),
+                "median": half.value,
+                "low": half.low,
+                "high": half.high,
+            }
+        )
     return table
 
 
@@ -335,8 +344,13 @@ def escape_times(ax: Axes, runs: Sequence[Row], t_end: float) -> None:
             ends = [[value - (row["low"] or value)], [(row["high"] or t_end) - value]]
             ax.errorbar([112 * row["size"]], [value], yerr=ends, fmt="s", color=SMOOTHED, markersize=4, capsize=2)
     ax.errorbar([], [], fmt="s", color=SMOOTHED, markersize=4, label="median")
-    ax.set(xscale="log", yscale="log", xlabel="noise on every damping, % of ρ", ylabel="time of escape",
-           title="(v) escape under noise on all n² dampings")  # fmt: skip
+    ax.set(
+        xscale="log",
+        yscale="log",
+        xlabel="noise on every damping, % of ρ",
+        ylabel="time of escape",
+        title="(v) escape under noise on all n² dampings",
+    )
     sizes = sorted({100 * row.size for row in noisy})
     ax.set_xticks(sizes, [f"{size:g}" for size in sizes])
     ax.minorticks_off()
@@ -362,8 +376,13 @@ def size_law(axes: Sequence[Axes], rows: Sequence[Cascades]) -> None:
         ends = np.array([1.0, max(map(len, law.counts))])
         for gamma, colour, dash, label in ((law.gamma, "black", "-", "fit"), (PAPER_GAMMA, GREY, "--", "paper")):
             if gamma is not None:
-                ax.plot(ends, level * np.exp(-gamma * (ends - 1)), color=colour, linestyle=dash,
-                        label=f"{label}, γ = {gamma:.2f}")  # fmt: skip
+                ax.plot(
+                    ends,
+                    level * np.exp(-gamma * (ends - 1)),
+                    color=colour,
+                    linestyle=dash,
+                    label=f"{label}, γ = {gamma:.2f}",
+                )
         ax.set(yscale="log", ylim=(0.6, None), xlabel="size Δ$n_{stick}$")
         ax.set_title("(ii) by events" if definition == "events" else f"(ii) by falls, step {law.dt:g}")
         size_axis(ax, int(ends[1]))
