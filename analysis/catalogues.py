@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip.analysis.ensemble import Study
+from stickslip.analysis.findings.alerts import Alert, Code
 from stickslip.analysis.groups import Group
 from stickslip.analysis.members import STEPS, SYSTEM_KEYS, TOLERANCES, WIDTHS
 from stickslip.analysis.models.episodes import (
@@ -20,7 +21,7 @@ from stickslip.analysis.models.episodes import (
     Catalogue,
     drift,
 )
-from stickslip.analysis.models.magnitudes import Magnitudes, b_positive, by_least, magnitudes_of, shares_above
+from stickslip.analysis.models.magnitudes import Magnitudes, b_positive, bends, by_least, magnitudes_of, shares_above
 from stickslip.analysis.models.recurrence import Recurrence, recurrence
 from stickslip.analysis.stats import enough
 from stickslip.analysis.stats.estimates import Estimate, UnitSums, over_matrices, ratio, within
@@ -106,6 +107,14 @@ class Catalogues:
     def by_least(self) -> list[tuple[float, int, Estimate]]:
         """b on upper parts of the range, of `models.magnitudes.by_least`."""
         return by_least(self.law, self.confidence) if self.law.has_b else []
+
+    @cached_property
+    def bend(self) -> tuple[float, float] | None:
+        """b on the range and on the least upper part of it, where the law is shown to bend; else None."""
+        if not bends(self.law, self.confidence):
+            return None
+        values = [b.value for _, _, b in self.by_least if b.value is not None]
+        return values[0], values[-1]
 
     @property
     def stuck_below(self) -> float | None:
@@ -200,6 +209,15 @@ def systems(catalogues: Sequence[Catalogues]) -> list[list[Catalogues]]:
     for entry in catalogues:
         by_key.setdefault(tuple(entry.group.key[name] for name in SYSTEM_KEYS), []).append(entry)
     return list(by_key.values())
+
+
+def bent(groups: Iterable[Catalogues]) -> list[Alert]:
+    """That b depends on its range, of the group in which it changes most along it; empty if no law bends."""
+    ends = [(*group.bend, group.label) for group in groups if group.is_judged and group.bend is not None]
+    if not ends:
+        return []
+    first, last, where = max(ends, key=lambda end: abs(end[1] - end[0]))
+    return [Alert.of(Code.BENDS, where=f" ({where})", first=f"{first:.2f}", last=f"{last:.2f}")]
 
 
 def summarise(group: Catalogues) -> None:

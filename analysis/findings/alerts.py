@@ -33,6 +33,7 @@ class Code(Enum):
     )
     BLURRED = 1, "{what}: creeping blocks may count as stuck, so episodes are not counted."
     SPANNING = 2, "{share} of the episodes take all {n} blocks: their sizes are those of the chain."
+    BENDS = 2, "b depends on its range{where}: on upper parts it goes from {first} to {last} (table episode_b)."
     ONE_SYSTEM = 2, "One system, many starts: intervals are over starts of this system."
 
     @property

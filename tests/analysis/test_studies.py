@@ -10,6 +10,7 @@ from stickslip.analysis.models import growth, magnitudes, pool
 from stickslip.analysis.series.cascades import window
 from stickslip.analysis.stats import components, dispersion, effective, effects, enough
 from stickslip.analysis.stats.estimates import Undefined, over_matrices, ratio
+from stickslip.analysis.stats.families import maximise
 from tests.analysis import studies
 
 # ----------------------------------------------------------------------------------- dispersion and the pool
@@ -184,6 +185,18 @@ def test_the_sums_of_systems_have_b_and_its_interval(rng):
         lambda b: 1 / b - most / np.expm1(b * most) - height, 1e-6, 10.0
     )  # of a truncated exponential
     assert within.value == pytest.approx(b, abs=2e-3)  # classes
+
+
+def test_a_law_that_bends_is_told_from_one_that_does_not(rng):
+    """Of planted classes, with the curvature of the logarithm of the density along two decades."""
+    sizes = np.arange(1.0, 101.0)
+    for curvature, is_bent in ((0.0, False), (0.15, True), (-0.15, True)):
+        logs = np.log(10.0) * magnitudes.WIDTH * (sizes - 0.5)
+        shares = np.exp(-logs - curvature * logs**2)
+        counts = rng.multinomial(5000, shares / shares.sum(), 20)
+        fit = maximise(magnitudes.laws(0.0, 1.0)[1], sizes, counts.sum(axis=0))
+        law = magnitudes.Magnitudes(magnitudes.Picture.POWER, least=0.0, most=2.0, counts=counts, fit=fit)
+        assert magnitudes.bends(law, 1 - 1e-7) == is_bent
 
 
 def test_a_range_that_all_have_is_where_each_has_a_power_law():

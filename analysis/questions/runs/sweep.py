@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from stickslip.analysis.answer import Answer
+from stickslip.analysis.catalogues import bent, read
 from stickslip.analysis.contrast import contrast
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
@@ -23,7 +24,7 @@ from stickslip.analysis.findings.finding import Basis, Finding, KeyChange, Lack,
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.findings.words import capital
 from stickslip.analysis.grid import Grid, Point, axes_of, balanced, estimate, is_negative, points_at
-from stickslip.analysis.measures import MOTION, STICKING, Measure
+from stickslip.analysis.measures import MOTION, STICKING, B, Measure
 from stickslip.analysis.members import RELATIVE, noun
 from stickslip.analysis.models.fates import MOVING, QUIET, WATCHED
 from stickslip.analysis.questions.runs.sweep_figures import figures
@@ -70,7 +71,8 @@ def answer(study: Study) -> Answer | None:
     tables = {"changes": table_of(steps), "sweep_measures": _table(grid)}
     findings = [*lead, *further] if lead else [_lack(grid, steps)]
     method = _method(grid, steps, unit)
-    return Answer(findings, len(lead), _alerts(grid), method, tables=tables, figures=pictures)
+    alerts = _alerts(grid) + (bent(study.once(read)) if order[0] == B else [])
+    return Answer(findings, len(lead), alerts, method, tables=tables, figures=pictures)
 
 
 def _lack(grid: Grid, steps: Sequence[Step]) -> Lack:

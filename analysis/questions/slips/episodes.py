@@ -18,6 +18,7 @@ from stickslip.analysis import answer as answers
 from stickslip.analysis.answer import Answer, Picture, Question
 from stickslip.analysis.catalogues import (
     Catalogues,
+    bent,
     fineness,
     read,
     summarise,
@@ -472,7 +473,7 @@ def _alerts(study: Study, groups: Sequence[Catalogues], references: Sequence[Cat
     if spanning:
         share = number(spanning[0].whole.value or 0.0, Form.SHARE, 0)
         alerts.append(Alert.of(Code.SPANNING, share=share, n=int(spanning[0].group.key["n"])))
-    return alerts
+    return alerts + bent(groups)
 
 
 def _lead(judged: Sequence[Catalogues]) -> Catalogues:
