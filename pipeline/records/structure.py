@@ -28,6 +28,7 @@ class Structure(Record):
             "number",
             "clustering",
             "mean share of the pairs of a block's neighbours that are neighbours",
+            title="clustering coefficient",
             least=0.0,
             most=1.0,
             note="0 for a block with fewer than two; Watts and Strogatz (1998)",
