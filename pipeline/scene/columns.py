@@ -140,7 +140,9 @@ MEMBER = (
     Column("whole", "n", "number of blocks", False),
     Column("text", "coupling", "ensemble that K and R are drawn from", False),
     *(_column(term, False) for term in TERMS if not term.part),
-    Column("whole", "matrix", "number of the random system; runs with the same n and matrix share it", False),
+    Column(
+        "whole", "matrix", "number of the random system; runs with the same n and matrix share what is drawn", False
+    ),
     Column("number", "perturbation_size", "relative change of the system's constants; 0: unchanged", False),
     Column("whole", "perturbation_draw", "number of the random change; null if unchanged"),
     Column(
