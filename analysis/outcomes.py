@@ -105,11 +105,10 @@ def forest(steps: Sequence[Step], what: str, name: str = "contrasts") -> dict[st
     if len(rows) < 2:
         return {}
     top = rows[:MOST_ROWS]
-    n_shown = sum(step.contrast.is_shown for step in top)
     ends, widest = _axis(top)
     bands = " Bands: declared margins." * any(step.contrast.has_margin for step in top)
     cut = " Arrowheads: beyond the axis." * bool((np.abs(ends) > widest).any())
-    caption = f"{what}: {n_shown} of {len(top)} are significant (filled marks).{bands}{cut}"
+    caption = f"{what}. Filled marks: significant.{bands}{cut}"
     return {name: Picture(partial(differences, top), caption)}
 
 

@@ -18,7 +18,7 @@ class Code(Enum):
     SETTLED = 2, "{n} of {of} runs settled into steady sliding; {what} is of the others."
     NOT_MOVING = 2, "{n} of {of} runs are not in motion; {what} is of the others."
     MISFIT = (
-        2,
+        3,
         "A damped oscillator misses the slow spectrum (deviance {deviance} on {dof} degrees of freedom): Q is rough.",
     )
     UNCERTIFIED = 2, "{n} of {of} runs were sliding when they ended; it is not proved that no block sticks again."

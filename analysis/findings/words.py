@@ -389,9 +389,8 @@ def _outcomes(outcomes: Outcomes) -> str:
         if largest is None or largest.basis is None or largest.comparison is None:
             words.append(f"{undecided} cannot be told from {reference}{scope}")
         else:
-            n, verb = plural(largest.basis.n, largest.basis.unit), "is" if largest.basis.n == 1 else "are"
-            task = f"decide on {undecided}" if outcomes.equal else f"tell {undecided} from {reference}{scope}"
-            words.append(f"{n} {verb} too few to {task}")
+            beside = "" if outcomes.equal else f" from {reference}{scope}"
+            words.append(f"no difference{beside} is shown for {undecided} ({based_on(largest.basis)})")
         if outcomes.equal:
             return "; ".join(words)
     is_distance = largest is not None and largest.comparison is None

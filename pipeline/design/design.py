@@ -129,11 +129,11 @@ class Change:
     def __str__(self) -> str:
         match self.kind:
             case Kind.START:
-                return f"start by {shown(self.size)}"
+                return f"start moved by {shown(self.size)}"
             case Kind.RATIOS:
                 return "ratios redrawn"
         how = "" if self.reading in (None, DEFAULT_READING) else f" ({self.reading})"
-        return f"constants by {100 * self.size:.3g}%{how}"
+        return f"constants changed by up to {100 * self.size:.3g}%{how}"
 
 
 class Coordinates(NamedTuple):

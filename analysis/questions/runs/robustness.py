@@ -51,7 +51,7 @@ def answer(study: Study) -> Answer | None:
     all_copies = [copies for setting in settings(study.data.table) if (copies := _Copies.of(study, setting)).changes]
     if not all_copies:
         return None
-    all_copies.sort(key=lambda copies: (not copies.sums, -copies.setting.key["n"]))
+    all_copies.sort(key=lambda copies: (not copies.is_enough, -copies.setting.key["n"]))
     unit, confidence = noun(study.unit), study.settings.confidence
     labels = [copies.label for copies in all_copies]
     where = dict(zip(labels, map(Place.of, apart(labels)), strict=True))
@@ -59,13 +59,13 @@ def answer(study: Study) -> Answer | None:
     steps = judged_together(unjudged, 1 - confidence)
     lead, further, has_effects = list[Finding](), list[Finding](), False
     for copies in all_copies:
-        judged_steps = [step for step in steps if step.setting == copies.label and step.contrast.is_known]
+        contrasts = [step for step in steps if step.setting == copies.label and step.contrast.is_known]
         effects = list(_effects(study, copies, where[copies.label], unit))
         has_effects |= bool(effects)
-        if judged := [step for step in judged_steps if not step.contrast.reason]:
-            lead += outcomes("no change", judged, unit, "change")
+        if judged := [step for step in contrasts if not step.contrast.reason]:
+            lead += outcomes("the unchanged systems", judged, unit, "change")
             lead += [effect for quantity, effect in effects if quantity == PRIMARY[0]][-1:]
-        further += [step.level("the unchanged system", unit) for step in judged_steps]
+        further += [step.level("the unchanged system", unit) for step in judged]
         further += [effect for _, effect in effects]
     for finding in (end for copies in all_copies for end in _ends(study, copies, where[copies.label], unit)):
         is_empty = isinstance(finding, Share) and finding.estimate.value == 0.0  # all end alike
@@ -107,6 +107,11 @@ class _Copies:
     @property
     def label(self) -> Label:
         return self.setting.label
+
+    @property
+    def is_enough(self) -> bool:
+        """Whether a change has an interval: enough systems stay in motion with it and without."""
+        return any(len(self.complete(change)) >= enough.LEAST_MATRICES for change in self.changes)
 
     def complete(self, change: Comparison) -> list[_Set]:
         """Those of each system whose runs all reached t_end in motion."""

@@ -50,7 +50,7 @@ def figures(grid: Grid, order: Sequence[str], steps: Sequence[Step], units: Unit
     pictures: dict[str, Picture] = {}
     for name in [name for name in order if name != STICKING][:MOST_FIGURES]:
         lines = _lines(grid, axes, by_name[name])
-        if sum(estimate.value is not None for _, line in lines for estimate in line) > 1:
+        if any(sum(estimate.value is not None for estimate in line) > 1 for _, line in lines):
             title, file = by_name[name].statistic.quantity.name, by_name[name].key
             shown_settings = grid.settings[:1] if len(axes) > 1 else grid.settings[:MOST_LINES]
             along = [step for step in steps if (step.statistic, step.key_names) == (name, axis.keys)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -13,7 +12,7 @@ from matplotlib.ticker import LogLocator, NullLocator
 from stickslip.analysis.answer import Answer, Picture, Question, lack, systems
 from stickslip.analysis.ensemble import Study
 from stickslip.analysis.findings.alerts import Alert, Code
-from stickslip.analysis.findings.finding import Basis, Finding, Form, Lack, Level, Quantity, Reason, Share
+from stickslip.analysis.findings.finding import Basis, Finding, Lack, Level, Quantity, Reason, Share
 from stickslip.analysis.findings.numbers import number
 from stickslip.analysis.findings.place import EVERYWHERE, Place
 from stickslip.analysis.models.common_motion import SURROGATES, Number, Shown
@@ -71,14 +70,14 @@ def answer(study: Study) -> Answer:
     ]
     return Answer(
         findings=[*leading, *shares, *compared],
-        n_lead=1 if lead.is_shown else min(2, len(leading)),
+        n_lead=min(2, len(leading)),
         alerts=_alerts(lead, 1 - level),
         method=_METHOD,
         tables={
             "clustering": frame_by(CLUSTERING, (pairs for group in exits for pairs in group.pairs)),
             "spectrum": frame_of(Band, (band for group in bands.values() for band in group)),
         },
-        figures={"collective": _picture(bands_drawn, lead)} if bands_drawn else {},
+        figures={"collective": _picture(bands_drawn, lead, where)} if bands_drawn else {},
     )
 
 
@@ -102,22 +101,19 @@ def _leading(study: Study, motion: Slow, exits: Sequence[Exits]) -> list[Finding
     shares = [share for group in exits for share in triggered(group, where, unit)]
     if not motion.is_shown:
         return [_lacking(motion, where, study.settings.t_burn), *shares]
-    period, *fit = _fit(motion, where, unit)
-    return [period, *shares, _share(motion, where, unit), *fit]
+    return [_share(motion, where, unit), *_fit(motion, where, unit), *shares]
 
 
 def _share(motion: Slow, where: Place, unit: str) -> Share:
     share, basis = motion.fit.estimates[Number.SHARE], Basis(len(motion.units), unit)
-    return Share("share", f"the variance of {N_STICK}", "is due to slow common motion", share, where, basis=basis)
+    return Share("share", f"the variance of {N_STICK}", "comes from slow common motion", share, where, basis=basis)
 
 
 def _fit(motion: Slow, where: Place, unit: str) -> list[Finding]:
-    """The natural period of slow common motion, with its share of the variance, Q, and the goodness of their fit."""
+    """The natural period of slow common motion, Q, and the goodness of their fit."""
     basis, estimates, goodness = Basis(len(motion.units), unit), motion.fit.estimates, motion.goodness
-    share = number(estimates[Number.SHARE].value or 0.0, Form.SHARE, 0)
-    clause = f"slow common motion with a natural period of {{}} accounts for {share} of the variance of {N_STICK}"
     return [
-        Level(replace(PERIOD, clause=clause), estimates[Number.PERIOD], where, basis=basis),
+        Level(PERIOD, estimates[Number.PERIOD], where, basis=basis),
         Level(Q, estimates[Number.QUALITY], where, basis=basis),
         Level(DEVIANCE, Estimate(goodness.deviance), where + Place.words(f"{goodness.dof} degrees of freedom")),
     ]
@@ -134,7 +130,7 @@ def _lacking(motion: Slow, where: Place, t_burn: float) -> Lack:
 # ---------------------------------------------------------------------------------------------- the figure
 
 
-def _picture(drawn: Mapping[str, Sequence[Band]], motion: Slow) -> Picture:
+def _picture(drawn: Mapping[str, Sequence[Band]], motion: Slow, where: Place) -> Picture:
     """Power at long periods, with the fit of slow common motion and, of the group that leads, its goodness."""
     power = f"the power spectrum of {N_STICK}"
     words = f"Dashed: time-shifted blocks; bars: intervals; periods over {CYCLES:g} of a block's own cycles"
@@ -142,13 +138,12 @@ def _picture(drawn: Mapping[str, Sequence[Band]], motion: Slow) -> Picture:
         shows = "does not rise above" if motion.shown is Shown.NONE else "takes longer runs to tell from"
         caption = f"At long periods {power} {shows} that of time-shifted blocks. {words}."
         return Picture(partial(spectrum, drawn), caption)
-    fit, largest = motion.goodness, max(drawn[motion.group.label], key=lambda band: band.ratio.value or 1.0)
+    fit, quality = motion.goodness, number(motion.fit.values[Number.QUALITY][0], digits=2)
     return Picture(
         partial(spectrum, drawn),
-        f"At periods of about {number(largest.middle, digits=0)} {power} is {number(largest.ratio.value or 1.0)}"
-        f" times as large as for time-shifted blocks. {words}; lines through marks: a damped oscillator, which at"
-        f" {motion.group.label} has Q = {number(motion.fit.values[Number.QUALITY][0], digits=2)} and a deviance of"
-        f" {fit.deviance:.0f} on {fit.dof} degrees of freedom (p = {fit.p_value:.2g}).",
+        f"At long periods {power} rises above that of time-shifted blocks. {words}; lines through marks: a damped"
+        f" oscillator{where.tail}{',' * bool(where)} with Q = {quality} and a deviance of {fit.deviance:.0f} on"
+        f" {fit.dof} degrees of freedom (p = {fit.p_value:.2g}).",
     )
 
 
