@@ -385,7 +385,7 @@ ENDS = (
 STICKING = "share of runs that stick late"
 #: Whether runs still stick and slip, which is known of each that did not fail.
 MOTION = Measure(
-    Share(STICKING, title="share of runs that still stick and slip"), "motion", partial(_with_fate, (SUSTAINED,))
+    Share(STICKING, title="share of runs still in stick-slip"), "motion", partial(_with_fate, (SUSTAINED,))
 )
 
 #: What an ensemble may hold that can be measured, in the order in which measures lead.

@@ -168,7 +168,7 @@ def _compared(comparison: Comparison | None, quantity: Quantity | None = None) -
             return f"; no difference from {reference} is shown ({interval(difference, form)})"
         case Verdict.OPEN_AMONG_MANY:
             distance = f"{reference}: {interval(difference, form)}"
-            return f"; difference from {distance}, not significant after adjustment for {_n_tests(difference)}"
+            return f"; difference from {distance}, not significant among {_n_tests(difference)}"
         case Verdict.UNJUDGED:
             return f", compared with {reference}, without an interval"
 
@@ -197,7 +197,7 @@ def difference_in_words(difference: Difference, form: Form = Form.NUMBER) -> tup
     text = _signed(difference, form)
     if verdict is Verdict.EQUAL:
         return text, f"equal within {margin(difference, form)}"
-    return text, "not significant after adjustment" * (verdict is Verdict.OPEN_AMONG_MANY)
+    return text, "not significant among so many" * (verdict is Verdict.OPEN_AMONG_MANY)
 
 
 def size(difference: Difference, form: Form = Form.NUMBER) -> str:
@@ -266,7 +266,7 @@ def _change(change: Change) -> str:
             return f"{quantity.name} {_open(change)}) {along}"
         case Verdict.OPEN_AMONG_MANY:
             tests = _n_tests(difference)
-            return f"{quantity.name} {_open(change)}, not significant after adjustment for {tests}) {along}"
+            return f"{quantity.name} {_open(change)}, not significant among {tests}) {along}"
         case Verdict.UNJUDGED:
             tail = "" if change.basis is None else f"; {plural(change.basis.n, change.basis.unit)}, no interval"
             return f"{quantity.name} goes {_from_to(change)} {along}{tail}"
@@ -425,9 +425,10 @@ def _most_apart(level: Level) -> str:
     if value is None or end is None:
         return ""
     if difference.verdict is Verdict.EQUAL:
-        return f"; largest difference {_signed(difference, form)}, in the {name}"
+        within = f"within the declared {margin(difference, form)}"
+        return f"; largest difference {_signed(difference, form)}, in the {name}, {within}"
     is_one_of_many = difference.verdict is Verdict.OPEN_AMONG_MANY
-    n = f", not significant after adjustment for {_n_tests(difference)}" if is_one_of_many else ""
+    n = f", not significant among {_n_tests(difference)}" if is_one_of_many else ""
     if difference.scale is Scale.RELATIVE:
         return f"; largest difference {_signed(difference, form)}, in the {name}{n}"
     places = 0 if form is Form.SHARE else decimals(Estimate(max(abs(end), abs(end - value))), form)

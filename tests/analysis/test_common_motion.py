@@ -1,14 +1,13 @@
 """Slow common motion: closed forms against integrals; what was planted comes back, and nothing else."""
 
 import dataclasses
-import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from stickslip.analysis.findings.alerts import Code
-from stickslip.analysis.findings.finding import Basis, Fit, Lack, Level, Reason, Share, Verdict
+from stickslip.analysis.findings.finding import Basis, Fit, Lack, Level, Reason, Verdict
 from stickslip.analysis.findings.words import sentence
 from stickslip.analysis.models import common_motion
 from stickslip.analysis.models.common_motion import Shown

@@ -123,7 +123,7 @@ def test_coupling_is_told_by_the_number_of_blocks(planted, rng):
             sum(each[name].value for name in ("finite_size", "own_dynamics", "coupling"))
         )
     assert re.fullmatch(
-        r"Coupling raises the decay rate of cascade sizes at n = 40 by [0-9.]+% \([0-9.]+ to [0-9.]+%\); finite size "
+        r"Coupling raises the decay rate at n = 40 by [0-9.]+% \([0-9.]+ to [0-9.]+%\); finite size "
         r"contributes \+[0-9.]+% and each block's own dynamics [+\u2212][0-9.]+%\.",
         sentence(sums[0]),
     )

@@ -166,7 +166,7 @@ def test_motion_that_ends_for_most_runs_is_a_change_of_their_share(swept, settin
     data = ended(data, (data.members["belt_speed"] == -0.2) & (data.members["matrix"] > 2), "collapsed")
     first = changes_of(Study(data, settings)).findings[0]
     assert isinstance(first, Changed)
-    assert sentence(first).startswith("Share of runs that still stick and slip rises from 15% to 100%, by 85 (")
+    assert sentence(first).startswith("Share of runs still in stick-slip rises from 15% to 100%, by 85 (")
 
 
 def test_shares_of_few_runs_that_do_not_differ_are_not_shown_to_be_alike(swept, settings):

@@ -169,7 +169,7 @@ def _parts(counts: Counted, is_swept: bool, unit: str) -> Parts:
     total, *levels = (
         Level(quantity, counts.estimates[quantity.key], where, basis=basis) for quantity in (WHOLE, *PARTS)
     )
-    return Parts(total, tuple(levels), "decay rate of cascade sizes")
+    return Parts(total, tuple(levels), "decay rate")
 
 
 def counted(study: Study, group: Group) -> Counted | None:

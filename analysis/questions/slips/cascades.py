@@ -448,13 +448,14 @@ def _figures(study: Study, lead: Sums, drawn: Sequence[Sums], sizes: Mapping[str
     return {
         "size_law": Picture(
             partial(cascade_figures.size_law, laws, rate),
-            f"Share of cascades of each size. Line and band: the fitted geometric distribution, {level:.0%}.{below}",
+            "Share of cascades of each size. Line and band: the fitted geometric distribution with its"
+            f" {level:.0%} interval.{below}",
         ),
         "decay_rates": Picture(
             partial(forest, of_each, rate, "decay rate", (LN2, COIN)),
-            f"{n_above} of {len(of_each)} {system}s{of_which} lie above {COIN} (dashed), expected if slip onset and "
-            f"arrest were equally likely at each event. Decay rate of each, its interval from {PARTS} parts of its "
-            f"run, and of all together (diamond, band).{scatter}",
+            f"{n_above} of {len(of_each)} {system}s{of_which} lie above {COIN} (dashed), the decay rate if slip onset"
+            f" and arrest were equally likely at each event. Decay rate of each, its interval from {PARTS} parts of"
+            f" its run, and of all together (diamond, band).{scatter}",
         ),
         "one_run": Picture(draw_run, f"{cascade}Line: the run of {system} {example}."),
     }
