@@ -26,11 +26,16 @@ from stickslip.pipeline.machine.memory import COPIES, lack
 from stickslip.pipeline.places.manifest import SCHEMA_VERSION
 from stickslip.pipeline.scene.columns import DESIGN
 from stickslip.pipeline.scene.scene import Scene
+from stickslip.sim.engines import SETTINGS
 from stickslip.sim.runs.run import Outcome
+from stickslip.sim.systems.terms import TERMS
 
 #: Bytes in memory that a shard may always take, and how many times those of its file: times hardly compress.
 _SMALL, _RATIO = 2**28, 1000
 _Checked = ParamSpec("_Checked")
+
+#: Columns of what a scene says of its members: null where it says nothing.
+_WRITTEN = frozenset((*SETTINGS, *(term.name for term in TERMS)))
 
 #: What a damaged file raises: names and statistics of a footer may be no UTF-8.
 DAMAGE = (OSError, pa.ArrowException, UnicodeDecodeError)
@@ -217,7 +222,7 @@ def fault_of_members(table: pa.Table, members: Members, coordinates: Coordinates
     for field in table.schema:
         if field.name in columns:
             expected = pa.array(columns[field.name], field.type)
-        elif any(field.name in kind for kind in distinct.values()):
+        elif field.name in _WRITTEN or any(field.name in kind for kind in distinct.values()):
             expected = pa.array([kind.get(field.name) for kind in distinct.values()], field.type).take(index)
         else:
             continue

@@ -1,5 +1,7 @@
 """Times between large events: planted renewals that windows cut off, planted aftershocks and predictability."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,16 @@ def test_the_mean_of_times_that_lie_in_the_window_would_be_too_short(rng):
     hazard = [each for each in found.bins if each.what == "hazard"]
     assert len(hazard) == 7
     assert all(each.relative.low < 1.0 < each.relative.high for each in hazard)
+
+
+def test_times_between_are_from_end_to_begin_but_where_events_take_no_time_of_the_belt():
+    """A clock of ten units, whose events last four; 12 systems."""
+    start = np.arange(5.0, SPAN, 10.0)
+    for is_loaded, between in ((False, 6.0), (True, 10.0)):
+        event = run(start, np.ones(len(start)))
+        event = replace(event, duration=np.full(len(start), 4.0), is_loaded=is_loaded)
+        found = recurrence([[event]] * 12, 0.0, 0.95)
+        assert found.mean.value == pytest.approx(between, rel=1e-12)
 
 
 def test_windows_too_short_for_a_mean_say_so(rng):

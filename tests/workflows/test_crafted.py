@@ -88,6 +88,7 @@ CRAFTS = {
     "another system": lambda table: first(table, "matrix", lambda _: -1),
     "another size": lambda table: first(table, "n", lambda n: n + 1),
     "another end": lambda table: first(table, "t_end", lambda t_end: t_end / 2),
+    "a setting that its scene does not give": lambda table: first(table, "threshold", lambda _: 0.5),
     "another engine": lambda table: first(table, "engine", lambda _: "magic"),
     "counts that do not add up": lambda table: first(table, "n_events", lambda count: count + 1),
     "another last state": lambda table: first(table, "n_stick_end", lambda count: (count + 1) % 3),
