@@ -127,6 +127,8 @@ def test_the_package_has_each_column_and_nothing_of_the_machine(dataset):
     for field in schema:
         assert fields[field.name]["description"] == field.metadata[b"description"].decode()
         assert (fields[field.name]["type"] == "array") == str(field.type).startswith("list")
+        assert fields[field.name]["constraints"]["required"] == (not field.nullable)
+    assert {fields[name]["along"] for name in ("event_t", "event_block", "event_mode")} == {"event"}
     assert package["licenses"] == [{"name": "CC-BY-4.0"}]
     assert package["meaning"]["t_burn"] == 2.0
     assert re.fullmatch(r"[-a-z0-9._/]+", package["name"])
