@@ -107,6 +107,8 @@ class Manifest(BaseModel):
             checksum = hashlib.sha256(place.read(PACKAGE)).hexdigest()
         except FileNotFoundError:
             return "missing"
+        except OSError as error:
+            return f"cannot be read ({error.strerror})"
         return "" if checksum == self.package else f"expected sha256 {self.package[:12]}, got {checksum[:12]}"
 
     @property

@@ -179,7 +179,9 @@ def filename(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        error.filename, error.filename2 = str(path), None
+        error.filename = str(path)
+        if error.filename2 is not None:  # of two names; None would be told as the second
+            del error.filename2
         raise
 
 

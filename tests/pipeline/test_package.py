@@ -143,10 +143,14 @@ def test_the_package_has_each_column_and_nothing_of_the_machine(dataset):
 def test_verify_sees_a_package_that_changed_and_a_rerun_heals_it(dataset, content):
     before = content(dataset)
     assert verify(dataset) == []
-    for damage in (lambda file: file.write_text("{}"), lambda file: file.unlink()):
+    for damage, words in (
+        (lambda file: file.write_text("{}"), "expected sha256 .*, got .*"),
+        (lambda file: file.unlink(), "missing"),
+        (lambda file: os.truncate(file, 2**30), r"cannot be read \(File too large\)"),
+    ):
         damage(dataset / "datapackage.json")
         (problem,) = verify(dataset)
-        assert re.search(r"datapackage\.json: (expected sha256 .*, got .*|missing); rerun the scene", problem)
+        assert re.search(rf"datapackage\.json: {words}; rerun the scene", problem)
         run_ensemble(parse_scene(SCENE), dataset, workers=0)
         assert content(dataset) == before
 

@@ -30,7 +30,7 @@ from stickslip.pipeline import (
 )
 from stickslip.pipeline.dataset.schema import SCHEMA, scalars, schema_of
 from stickslip.pipeline.dataset.writer import Store
-from stickslip.pipeline.places import directory, object_store
+from stickslip.pipeline.places import directory, object_store, plain
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.manifest import read_manifest
 from stickslip.pipeline.running.worker import compute
@@ -155,6 +155,13 @@ def test_a_line_that_a_crash_cut_short_spoils_no_other(tmp_path):
     with Directory(tmp_path).record("lines") as append:
         append(b"three\n")
     assert (tmp_path / "lines").read_bytes() == b"one\nthree\n"
+
+
+def test_errors_name_a_file_by_its_path_alone(tmp_path):
+    for act in (lambda: os.unlink(tmp_path / "a"), lambda: os.replace(tmp_path / "a", tmp_path / "b")):
+        with pytest.raises(FileNotFoundError) as error, plain.filename(Path("there")):
+            act()
+        assert str(error.value).endswith(": 'there'")
 
 
 def test_files_have_the_modes_that_their_owner_lets_them_have(scene, tmp_path):
