@@ -23,7 +23,7 @@ from typing import Annotated, Final, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
-from stickslip.pipeline.errors import StoreError
+from stickslip.pipeline.errors import StoreError, shortened
 from stickslip.pipeline.places.directory import Directory
 from stickslip.pipeline.places.locate import place_of
 from stickslip.pipeline.places.place import DATA, MANIFEST, PACKAGE, TIMINGS, Mark, Place, Where
@@ -247,7 +247,7 @@ def _manifest(place: Place) -> Manifest:
         problem = "its check does not fit"
     except ValidationError as error:
         fault = error.errors()[0]
-        problem = f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}"
+        problem = shortened(f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}", 200)
     raise DamagedManifest(f"{file}: expected a manifest, got something damaged ({problem}); {_HEALED_BY_RUNNING}")
 
 

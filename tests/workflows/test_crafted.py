@@ -143,6 +143,17 @@ def test_a_crafted_shard_is_found(name, place, tmp_path, monkeypatch, capsys):
         assert capsys.readouterr().err.count("\n") == (code != 0)
 
 
+def test_a_manifest_is_told_in_a_line_whatever_it_names(place, capsys):
+    manifest = read_manifest(place)
+    name, shard = next(iter(manifest.shards.items()))
+    manifest.shards[name] = shard.model_copy(update={"outcomes": {"\x1b[31m" + "x" * 100_000: 1}})
+    (place / "manifest.json").write_bytes(manifest.to_bytes())
+    assert main(["verify", str(place)]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.isprintable()
+    assert len(line) < 1000
+
+
 #: kB that a command may take for what it does not read.
 LITTLE = 200_000
 
