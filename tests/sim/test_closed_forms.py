@@ -114,6 +114,18 @@ def test_a_block_without_damping_swings_for_ever(tol, damping):
     assert [(k, m) for k, m in zip(run.events.t, run.events.mode, strict=True)] == [(pytest.approx(5.0), 1)]
 
 
+def test_a_block_leaves_at_a_force_that_only_high_orders_of_its_series_reach():
+    """F is that of two blocks without friction that swing; a bound by the first orders alone finds the exit late."""
+    rate, share, phase, friction = np.array([1.07, 3.59]), np.array([0.58, 0.11]), np.array([1.4, 3.5]), 0.35
+    stiffness = np.diag([1.0, *rate**2])
+    stiffness[0, 1:] = share
+    system = System(stiffness, 0.0, friction=[friction, 0.0, 0.0], belt_speed=[0.0, 50.0, 50.0])
+    run = simulate(system, [0.0, *np.cos(phase)], [0.0, *-rate * np.sin(phase)], 1.0, tol=1e-9)
+    at = brentq(lambda t: share @ np.cos(rate * t + phase) + friction, 0.9, 1.0, xtol=1e-14)
+    np.testing.assert_allclose(run.events.t, [at], rtol=0, atol=1e-9)
+    assert run.events.mode.tolist() == [1]
+
+
 @pytest.mark.parametrize("engine", ["coulomb", "sigmoid"])
 @pytest.mark.parametrize("z0", [-3.0, -2.0, 2.0, 6.0])
 def test_a_block_that_leaves_the_belt_at_once(engine, z0, rng):
